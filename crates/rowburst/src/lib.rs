@@ -1,0 +1,30 @@
+//! Rolling-shutter compressive imaging.
+//!
+//! One frame `b` of a rolling-shutter camera behind a diffuser is turned into a
+//! video `v[t, y, x]` (Weinberg & Katz, Opt. Express 28, 30616, 2020):
+//!
+//! ```text
+//! I(x,y,t)   = O(x/M, y/M, t) ⊛ PSF                                 (Eq. 1)
+//! I_cam(x,y) = ∫ I(x,y,t) dt over the exposure ending at t = y/V_s  (Eq. 2)
+//! b = A v,     v̂ = argmin_{v≥0} ½‖W(b − A v)‖² + τ‖Ψ v‖₁             (Eqs. 4, 5)
+//! ```
+//!
+//! The library is pure: it touches no files, clock, terminal or global state.
+//! Arrays are C order; a video is `[t, y, x]`, an image `[y, x]`, and `y` is the
+//! axis that the shutter scans.
+
+pub mod camera;
+pub mod error;
+pub mod image;
+pub mod psf;
+pub mod shape;
+pub mod shutter;
+pub mod video;
+
+pub use camera::{Camera, Sensor};
+pub use error::{Error, Result};
+pub use image::Image;
+pub use psf::Psf;
+pub use shape::{Shape, TimeGrid};
+pub use shutter::Shutter;
+pub use video::Video;

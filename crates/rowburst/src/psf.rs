@@ -1,0 +1,96 @@
+//! The point-spread function.
+
+use crate::{Error, Image, Result};
+
+/// A non-negative point-spread function that sums to 1.
+///
+/// The element at `(rows/2, columns/2)` (integer division) is zero displacement;
+/// displacements that it does not cover are zero (Eq. 1: true convolution, no
+/// wrap-around). It may be smaller or larger than the sensor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Psf {
+    image: Image,
+}
+
+impl Psf {
+    /// Checks `image` and scales it to sum to 1.
+    ///
+    /// # Errors
+    /// A value that is not finite or negative, or an image that is zero everywhere.
+    pub fn new(mut image: Image) -> Result<Self> {
+        if let Some((y, x)) = image.first_non_finite() {
+            return Err(Error::input(
+                "PSF",
+                format!("{} at row {y}, column {x}", image.at(y, x)),
+                "every value of a PSF is a finite number",
+                "Replace the pixel by the mean of its neighbours, or record the PSF again.",
+            ));
+        }
+        if let Some(at) = image.data().iter().position(|&p| p < 0.0) {
+            let (y, x) = (at / image.columns(), at % image.columns());
+            return Err(Error::input(
+                "PSF",
+                format!("{} at row {y}, column {x}", image.at(y, x)),
+                "a PSF is an intensity and never negative",
+                "Subtract a smaller background, and set what is left below zero to zero.",
+            ));
+        }
+        let sum: f64 = image.data().iter().map(|&p| f64::from(p)).sum();
+        if sum <= 0.0 || !sum.is_finite() {
+            return Err(Error::input(
+                "PSF",
+                format!("a sum of {sum}"),
+                "a PSF holds light",
+                "Check the exposure of the capture, and that the background taken from it is not too large.",
+            ));
+        }
+        for p in image.data_mut() {
+            *p = (f64::from(*p) / sum) as f32;
+        }
+        Ok(Self { image })
+    }
+
+    /// The values, summing to 1.
+    pub fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// The value at displacement `(dy, dx)` in pixels; zero where it is not covered.
+    pub fn at_displacement(&self, dy: isize, dx: isize) -> f32 {
+        let y = dy + (self.image.rows() / 2) as isize;
+        let x = dx + (self.image.columns() / 2) as isize;
+        let inside = (0..self.image.rows() as isize).contains(&y)
+            && (0..self.image.columns() as isize).contains(&x);
+        if inside {
+            self.image.at(y as usize, x as usize)
+        } else {
+            0.0
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_to_one_and_is_centred_by_integer_division() {
+        let psf = Psf::new(Image::from_fn(4, 5, |y, x| (y * 5 + x) as f32)).unwrap();
+        let sum: f32 = psf.image().data().iter().sum();
+        assert!((sum - 1.0).abs() < 1e-6);
+        assert_eq!(psf.at_displacement(0, 0), psf.image().at(2, 2));
+        assert_eq!(psf.at_displacement(2, 0), 0.0);
+        assert_eq!(psf.at_displacement(-2, 2), psf.image().at(0, 4));
+    }
+
+    #[test]
+    fn bad_values_are_refused() {
+        for bad in [f32::NAN, f32::INFINITY, -1e-3] {
+            let mut image = Image::from_fn(3, 3, |_, _| 1.0);
+            image.data_mut()[4] = bad;
+            let message = Psf::new(image).unwrap_err().to_string();
+            assert!(message.contains("row 1, column 1"), "{message}");
+        }
+        assert!(Psf::new(Image::zeros(3, 3)).is_err());
+    }
+}
