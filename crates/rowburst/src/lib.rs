@@ -16,9 +16,11 @@
 pub mod camera;
 pub mod error;
 pub mod image;
+pub mod noise;
 pub mod psf;
 pub mod shape;
 pub mod shutter;
+pub mod simulate;
 pub mod video;
 
 pub use camera::{Camera, Sensor};

@@ -1,0 +1,27 @@
+//! Simulation: what a lab would record, made from optics, a scene and a seed.
+//!
+//! [`speckle`] makes the PSF from the optics, [`scene`] the light in the object
+//! plane, [`direct_frame`] the frame of the same camera without the diffuser.
+//! The frame with the diffuser is the forward operator applied to a scene, and
+//! [`crate::noise`] adds what the sensor adds. Every random number comes from a
+//! seed that the caller gives: the same seed gives the same result.
+//!
+//! Reference: G. Weinberg and O. Katz, Opt. Express 28, 30616 (2020).
+
+mod direct;
+pub mod scene;
+pub mod speckle;
+
+pub use direct::direct_frame;
+pub use speckle::{Aperture, SpeckleOptics, speckle_psf};
+
+use crate::{Error, Result};
+
+/// `Ok` where `value` is a finite number above zero.
+fn require_positive(subject: &str, value: f64, unit: &str, remedy: &str) -> Result<()> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(());
+    }
+    let rule = format!("a number of {unit} above zero is needed");
+    Err(Error::input(subject, value, rule, remedy))
+}
