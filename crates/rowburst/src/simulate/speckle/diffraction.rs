@@ -23,10 +23,11 @@ const RMS_PHASE: f64 = 4.0;
 /// of Gaussians of variance `n` with Poisson weights of mean `σ_φ²`.
 const SPECTRUM_WIDTH: f64 = 0.9424;
 
-/// Window in standard deviations of the envelope: 10⁻⁶ of a Gaussian lies outside.
+/// Window in standard deviations of the envelope. A Gaussian has 10⁻⁶ outside; the
+/// tails of the exact spectrum, a little heavier, have 10⁻⁴.
 const WINDOW_SIGMAS: f64 = 10.0;
 
-/// Longest side of a transform; three arrays of 8192² complex f32 are 1.5 GiB.
+/// Longest side of a transform: 8192² complex f32 are 512 MiB.
 const MAX_TRANSFORM: usize = 8192;
 
 /// Full width at half maximum of a Gaussian over its standard deviation, √(8 ln 2).

@@ -105,11 +105,11 @@ fn envelope_is_that_of_the_diffuser_and_nothing_goes_unscattered() {
     let fwhm = optics.envelope_fwhm_px();
     let (mut energy, mut count) = (vec![0.0; side], vec![0.0; side]);
     let (mut core, mut edge) = (0.0, 0.0);
-    for seed in 0..10 {
+    for seed in 0..40 {
         let psf = speckle_psf(&optics, side, side, seed).unwrap();
         for y in 0..side {
             for x in 0..side {
-                let value = f64::from(psf.image().at(y, x)) / 10.0;
+                let value = f64::from(psf.image().at(y, x)) / 40.0;
                 let radius = (y as f64 - centre).hypot(x as f64 - centre);
                 energy[(radius / 6.0) as usize] += value;
                 count[(radius / 6.0) as usize] += 1.0;
@@ -141,7 +141,7 @@ fn envelope_is_that_of_the_diffuser_and_nothing_goes_unscattered() {
     println!(
         "envelope {measured:.1} px of {fwhm:.1}, core {core:.2e}, beyond 4.5 sigma {edge:.2e}"
     );
-    assert!((measured / fwhm - 1.0).abs() < 0.1, "{measured} {fwhm}");
+    assert!((measured / fwhm - 1.0).abs() < 0.04, "{measured} {fwhm}");
     // A disc of two grains' radius holds 0.35 % of the scattered light.
     assert!(core < 0.01, "ballistic {core}");
     assert!(edge < 2e-3, "wrap-around {edge}");
@@ -195,7 +195,8 @@ fn demo_is_the_size_of_the_paper() {
     assert_eq!((psf.image().rows(), psf.image().columns()), (215, 215));
     let flat = contrast(&flattened(&optics, 141, 1));
     println!("contrast in the demo's pixels {flat:.3}");
-    assert!((0.85..1.0).contains(&flat), "{flat}");
+    // Goodman, section 4.6: pixels of 1/2.5 of a grain leave 0.938 of it.
+    assert!((flat - 0.938).abs() < 0.05, "{flat}");
 }
 
 #[test]
