@@ -157,7 +157,8 @@ mod tests {
         assert!(message.contains("an image in colour"), "{message}");
         let image = read_colour_image(&path).unwrap().image;
         assert_eq!((image.rows(), image.columns()), (1080, 1920));
-        let mean = image.data().iter().sum::<f32>() / image.data().len() as f32;
+        let sum: f64 = image.data().iter().map(|&v| f64::from(v)).sum();
+        let mean = sum / image.data().len() as f64;
         assert!((mean - 79.96).abs() < 0.01, "{mean}");
     }
 }

@@ -305,6 +305,7 @@ mod tests {
         let message = read_image(&path).unwrap_err().to_string();
         assert!(message.contains("a stack of 4 pages"), "{message}");
 
+        bytes.rewind().unwrap();
         let mut decoder = Decoder::new(bytes).unwrap();
         let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap();
         for part in [
@@ -361,9 +362,9 @@ mod tests {
             let message = read_image(&path).unwrap_err().to_string();
             assert!(message.contains("image.tif: found"), "{message}");
         }
-        // A million times a million pixels, claimed by the tags for width and height.
+        // A million times a million pixels, claimed by the tags for width, height and rows of a strip.
         let mut claims = whole;
-        for tag in [[0, 1, 4, 0], [1, 1, 4, 0]] {
+        for tag in [[0, 1, 4, 0], [1, 1, 4, 0], [0x16, 1, 4, 0]] {
             let at = claims.windows(4).position(|w| w == tag).unwrap();
             claims[at + 8..at + 12].copy_from_slice(&1_000_000u32.to_le_bytes());
         }
