@@ -1,1 +1,38 @@
-//! x
+//! Bytes ⇄ values: the files of Rowburst.
+//!
+//! Reading: [`read_image`] for one frame, PSF or mask, [`read_stack`] and
+//! [`read_video`] for several pages, [`Experiment::read`] for the experiment file.
+//! Writing: one `write_…` function per format, each of which takes any writer,
+//! and [`OutputFolder`], which puts a file in place only when it is whole.
+//!
+//! ```no_run
+//! # fn main() -> rowburst::Result<()> {
+//! let experiment = rowburst_io::Experiment::read("experiment.toml".as_ref())?;
+//! let camera = experiment.camera()?;
+//! let frame = rowburst_io::read_image("frame.tif".as_ref())?.image;
+//! let folder = rowburst_io::OutputFolder::create("out".as_ref())?;
+//! folder.write("frame.npy", |w| rowburst_io::write_npy_image(w, &frame))?;
+//! # Ok(())
+//! # }
+//! ```
+
+mod bmp;
+mod experiment;
+mod fault;
+mod folder;
+#[cfg(feature = "mp4")]
+mod mp4;
+mod npy;
+mod png;
+mod read;
+mod table;
+mod tiff;
+
+pub use experiment::{Calibration, Experiment, Reconstruction, Tau};
+pub use folder::OutputFolder;
+#[cfg(feature = "mp4")]
+pub use mp4::write_mp4;
+pub use npy::{write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
+pub use png::{write_png8, write_png16};
+pub use read::{Capture, Level, read_colour_image, read_image, read_stack, read_video};
+pub use tiff::{TiffScale, write_tiff_image, write_tiff_video};

@@ -1,0 +1,363 @@
+//! The experiment file: a camera, its calibration, the field and the recipe, in TOML.
+
+use crate::fault;
+use crate::npy;
+use crate::read::{Colour, Level, Source};
+use crate::table::{Table, nearest};
+use rowburst::camera::CameraParams;
+use rowburst::{Camera, Result, Sensor, Shutter};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use toml::de::DeTable;
+
+const CAMERA_KEYS: [&str; 14] = [
+    "rows",
+    "columns",
+    "shutter",
+    "row_time_us",
+    "exposure_us",
+    "row_order",
+    "binning",
+    "bins_per_row",
+    "pixel_pitch_um",
+    "bit_depth",
+    "bias_counts",
+    "gain_electrons_per_count",
+    "read_noise_electrons",
+    "full_well_counts",
+];
+
+/// What an experiment file says. Paths are those of the file's folder joined with
+/// what is written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Experiment {
+    /// The file that it was read from, for error messages.
+    pub path: PathBuf,
+    /// The camera and the field: `[camera]` and `[field]`.
+    pub params: CameraParams,
+    /// The file of a custom shutter's order.
+    pub row_order: Option<PathBuf>,
+    /// Where the calibration lies.
+    pub calibration: Calibration,
+    /// How to reconstruct.
+    pub reconstruction: Reconstruction,
+}
+
+/// Files of `[calibration]`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Calibration {
+    /// The point-spread function.
+    pub psf: Option<PathBuf>,
+    /// A frame without light.
+    pub dark: Option<PathBuf>,
+    /// A frame of even light.
+    pub flat: Option<PathBuf>,
+    /// A mask: pixels that are not zero are bad.
+    pub bad_pixels: Option<PathBuf>,
+}
+
+/// What `[reconstruction]` asks for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Reconstruction {
+    /// Name of the prior; not checked here.
+    pub prior: Option<String>,
+    /// Weight of the prior.
+    pub tau: Option<Tau>,
+}
+
+/// Weight of the prior.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Tau {
+    /// Chosen from the frame.
+    Auto,
+    /// Given; finite and above zero.
+    Value(f64),
+}
+
+impl Experiment {
+    /// An experiment with nothing but a camera, to be written.
+    pub fn new(params: CameraParams) -> Self {
+        Self {
+            path: "experiment.toml".into(),
+            params,
+            row_order: None,
+            calibration: Calibration::default(),
+            reconstruction: Reconstruction::default(),
+        }
+    }
+
+    /// Reads an experiment file, and the row order of a custom shutter.
+    ///
+    /// `row_time_us` may be left out for the shutter `global`, for which it means
+    /// nothing; it is then `exposure_us`.
+    ///
+    /// # Errors
+    /// A file that is missing or not TOML, keys that are unknown or missing, values
+    /// of a wrong type; each names the file, the line, the rule and the remedy.
+    pub fn read(path: &Path) -> Result<Self> {
+        if path.is_dir() {
+            let source = path.join("experiment.toml");
+            return Err(rowburst::Error::input(
+                path.display().to_string(),
+                "a folder",
+                "an experiment file is needed",
+                format!("Name the file in it, such as {}.", source.display()),
+            ));
+        }
+        let bytes = std::fs::read(path).map_err(|e| fault::reading(path, &e))?;
+        let text = String::from_utf8(bytes).map_err(|error| {
+            rowburst::Error::input(
+                path.display().to_string(),
+                format!("bytes that are not UTF-8 ({})", error.utf8_error()),
+                "an experiment file is text in UTF-8",
+                "Name the .toml file here and the frame with --frame.",
+            )
+        })?;
+        Self::parse(path, &text)
+    }
+
+    /// The camera that the file describes.
+    ///
+    /// # Errors
+    /// A value that breaks a rule of [`Camera::new`], with the file's path.
+    pub fn camera(&self) -> Result<Camera> {
+        Camera::new(self.params.clone()).map_err(|e| e.within(self.path.display()))
+    }
+
+    fn parse(path: &Path, text: &str) -> Result<Self> {
+        let document = DeTable::parse(text).map_err(|e| Table::not_toml(path, text, &e))?;
+        let file = Table {
+            path,
+            text,
+            name: "",
+            entries: Some(document.get_ref()),
+        };
+        file.check_keys(&["camera", "calibration", "field", "reconstruction"])?;
+        let calibration = file.table("calibration")?;
+        calibration.check_keys(&["psf", "dark", "flat", "bad_pixels"])?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let resolved = |table: &Table, key| -> Result<Option<PathBuf>> {
+            Ok(table.text(key)?.map(|name| folder.join(name)))
+        };
+        let camera = file.table("camera")?;
+        let row_order = resolved(&camera, "row_order")?;
+        Ok(Self {
+            path: path.into(),
+            params: read_params(&camera, &file.table("field")?, row_order.as_deref())?,
+            row_order,
+            calibration: Calibration {
+                psf: resolved(&calibration, "psf")?,
+                dark: resolved(&calibration, "dark")?,
+                flat: resolved(&calibration, "flat")?,
+                bad_pixels: resolved(&calibration, "bad_pixels")?,
+            },
+            reconstruction: read_reconstruction(&file.table("reconstruction")?)?,
+        })
+    }
+
+    /// The text of an experiment file that lies in `folder` and says the same.
+    ///
+    /// Paths in `folder` are written relative to it, others as absolute paths. The
+    /// order of a custom shutter must be written by the caller, to `row_order`, or to
+    /// `row_order.npy` in `folder` where that is `None`.
+    pub fn to_toml(&self, folder: &Path) -> String {
+        let path = |path: &PathBuf| -> toml::Value {
+            let written = match path.strip_prefix(folder) {
+                Ok(inside) => inside.to_path_buf(),
+                Err(_) => std::path::absolute(path).unwrap_or_else(|_| path.clone()),
+            };
+            written.to_string_lossy().into_owned().into()
+        };
+        let mut text = "# Every quantity carries its unit in its name.\n[camera]\n".to_string();
+        let (params, sensor) = (&self.params, &self.params.sensor);
+        line(&mut text, "rows", Some(params.rows as i64));
+        line(&mut text, "columns", Some(params.columns as i64));
+        line(&mut text, "shutter", Some(params.shutter.name()));
+        line(&mut text, "row_time_us", Some(params.row_time_us));
+        line(&mut text, "exposure_us", Some(params.exposure_us));
+        if let Shutter::Custom(_) = params.shutter {
+            let default = folder.join("row_order.npy");
+            line(
+                &mut text,
+                "row_order",
+                Some(path(self.row_order.as_ref().unwrap_or(&default))),
+            );
+        }
+        let unless_one = |n: usize| (n != 1).then_some(n as i64);
+        line(&mut text, "binning", unless_one(sensor.binning));
+        line(&mut text, "bins_per_row", unless_one(params.bins_per_row));
+        line(&mut text, "pixel_pitch_um", sensor.pixel_pitch_um);
+        line(&mut text, "bit_depth", sensor.bit_depth);
+        line(&mut text, "bias_counts", sensor.bias_counts);
+        line(
+            &mut text,
+            "gain_electrons_per_count",
+            sensor.gain_electrons_per_count,
+        );
+        line(
+            &mut text,
+            "read_noise_electrons",
+            sensor.read_noise_electrons,
+        );
+        line(&mut text, "full_well_counts", sensor.full_well_counts);
+
+        let calibration = &self.calibration;
+        if *calibration != Calibration::default() {
+            text += "\n[calibration]\n";
+            line(&mut text, "psf", calibration.psf.as_ref().map(path));
+            line(&mut text, "dark", calibration.dark.as_ref().map(path));
+            line(&mut text, "flat", calibration.flat.as_ref().map(path));
+            line(
+                &mut text,
+                "bad_pixels",
+                calibration.bad_pixels.as_ref().map(path),
+            );
+        }
+        if let Some((rows, columns)) = params.field {
+            text += "\n[field]\n";
+            line(&mut text, "rows", Some(rows as i64));
+            line(&mut text, "columns", Some(columns as i64));
+        }
+        let reconstruction = &self.reconstruction;
+        if *reconstruction != Reconstruction::default() {
+            text += "\n[reconstruction]\n";
+            line(&mut text, "prior", reconstruction.prior.clone());
+            line(&mut text, "tau", reconstruction.tau.map(toml::Value::from));
+        }
+        text
+    }
+}
+
+impl From<Tau> for toml::Value {
+    fn from(tau: Tau) -> Self {
+        match tau {
+            Tau::Auto => "auto".into(),
+            Tau::Value(tau) => tau.into(),
+        }
+    }
+}
+
+fn line(text: &mut String, key: &str, value: Option<impl Into<toml::Value>>) {
+    if let Some(value) = value {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "{key} = {}", value.into());
+    }
+}
+
+fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Result<CameraParams> {
+    camera.check_keys(&CAMERA_KEYS)?;
+    field.check_keys(&["rows", "columns"])?;
+    let rows = camera.required("rows", camera.count("rows")?)?;
+    let columns = camera.required("columns", camera.count("columns")?)?;
+    let shutter = read_shutter(camera, row_order)?;
+    let exposure_us = camera.number("exposure_us")?;
+    let row_time_us = match shutter {
+        Shutter::Global => camera.number("row_time_us")?.or(exposure_us),
+        _ => camera.number("row_time_us")?,
+    };
+    let bit_depth = camera.count("bit_depth")?.map(u32::try_from).transpose();
+    Ok(CameraParams {
+        rows,
+        columns,
+        shutter,
+        row_time_us: camera.required("row_time_us", row_time_us)?,
+        exposure_us: camera.required("exposure_us", exposure_us)?,
+        bins_per_row: camera.count("bins_per_row")?.unwrap_or(1),
+        field: match field.entries {
+            None => None,
+            Some(_) => Some((
+                field.required("rows", field.count("rows")?)?,
+                field.required("columns", field.count("columns")?)?,
+            )),
+        },
+        sensor: Sensor {
+            binning: camera.count("binning")?.unwrap_or(1),
+            pixel_pitch_um: camera.number("pixel_pitch_um")?,
+            // What 32 bits cannot hold is out of range as well.
+            bit_depth: bit_depth.unwrap_or(Some(u32::MAX)),
+            bias_counts: camera.number("bias_counts")?,
+            gain_electrons_per_count: camera.number("gain_electrons_per_count")?,
+            read_noise_electrons: camera.number("read_noise_electrons")?,
+            full_well_counts: camera.number("full_well_counts")?,
+        },
+    })
+}
+
+fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Shutter> {
+    let name = camera.required("shutter", camera.text("shutter")?)?;
+    let shutter = match name {
+        "top-down" => Shutter::TopDown,
+        "bottom-up" => Shutter::BottomUp,
+        "dual-inside-out" => Shutter::DualInsideOut,
+        "dual-outside-in" => Shutter::DualOutsideIn,
+        "global" => Shutter::Global,
+        "custom" => {
+            let path = camera.required("row_order", row_order)?;
+            return Ok(Shutter::Custom(read_row_order(path)?));
+        }
+        other => {
+            return Err(camera.error(
+                "shutter",
+                format!("\"{other}\""),
+                &format!("the shutter is one of {}", Shutter::NAMES.join(", ")),
+                &format!("Did you mean \"{}\"?", nearest(other, &Shutter::NAMES)),
+            ));
+        }
+    };
+    match row_order {
+        None => Ok(shutter),
+        Some(_) => Err(camera.error(
+            "row_order",
+            format!("an order of rows for the shutter \"{name}\""),
+            "row_order goes with shutter = \"custom\" alone",
+            "Remove it, or set shutter = \"custom\".",
+        )),
+    }
+}
+
+fn read_row_order(path: &Path) -> Result<Vec<usize>> {
+    let (source, file) = Source::open(path, Colour::Refused)?;
+    let array = npy::read_array(&source, file)?;
+    let bad = array.data.iter().find(|&&k| k < 0.0);
+    let found = match bad {
+        None if matches!(array.level, Level::Counts { .. }) => {
+            return Ok(array.data.iter().map(|&k| k as usize).collect());
+        }
+        None => "numbers in floating point".to_string(),
+        Some(k) => format!("the instant {k}"),
+    };
+    Err(source.error(
+        found,
+        "a row order has one integer from 0 per row",
+        "Save it as numpy.save(\"order.npy\", order.astype(int)).",
+    ))
+}
+
+fn read_reconstruction(table: &Table) -> Result<Reconstruction> {
+    table.check_keys(&["prior", "tau"])?;
+    let tau = match (table.number("tau"), table.text("tau")) {
+        (Ok(None), _) => None,
+        (_, Ok(Some("auto"))) => Some(Tau::Auto),
+        (Ok(Some(tau)), _) if tau.is_finite() && tau > 0.0 => Some(Tau::Value(tau)),
+        (number, text) => {
+            let found = match (number, text) {
+                (Ok(Some(number)), _) => number.to_string(),
+                (_, Ok(Some(text))) => format!("\"{text}\""),
+                _ => "neither text nor a number".to_string(),
+            };
+            return Err(table.error(
+                "tau",
+                found,
+                "tau is \"auto\" or a number above zero",
+                "Write tau = \"auto\".",
+            ));
+        }
+    };
+    Ok(Reconstruction {
+        prior: table.text("prior")?.map(str::to_string),
+        tau,
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,243 @@
+//! Tests of the experiment file.
+
+use super::*;
+use proptest::prelude::*;
+use rowburst::Error;
+
+const CAMERA: &str = "[camera]\nrows = 4\ncolumns = 6\nshutter = \"top-down\"\nrow_time_us = 9.6\nexposure_us = 10\n";
+
+fn parse(text: &str) -> Result<Experiment> {
+    Experiment::parse(Path::new("lab/run.toml"), text)
+}
+
+#[test]
+fn paths_and_defaults_are_resolved() {
+    let text = format!(
+        "{CAMERA}[calibration]\npsf = \"psf.tif\"\ndark = \"/d/dark.tif\"\n[reconstruction]\ntau = \"auto\"\nprior = \"tv\"\n"
+    );
+    let experiment = parse(&text).unwrap();
+    assert_eq!(experiment.calibration.psf, Some("lab/psf.tif".into()));
+    assert_eq!(experiment.calibration.dark, Some("/d/dark.tif".into()));
+    assert_eq!(experiment.calibration.flat, None);
+    assert_eq!(experiment.reconstruction.tau, Some(Tau::Auto));
+    assert_eq!(experiment.reconstruction.prior.as_deref(), Some("tv"));
+    let camera = experiment.camera().unwrap();
+    assert_eq!((camera.rows(), camera.sensor().binning), (4, 1));
+    assert_eq!(camera.params().exposure_us, 10.0);
+}
+
+#[test]
+fn a_global_shutter_needs_no_row_time() {
+    let text = "[camera]\nrows = 2\ncolumns = 2\nshutter = \"global\"\nexposure_us = 50\n";
+    assert_eq!(parse(text).unwrap().params.row_time_us, 50.0);
+}
+
+#[test]
+fn mistakes_name_the_place_and_the_remedy() {
+    let camera = |from: &str, to: &str| CAMERA.replace(from, to);
+    let cases: [(String, &[&str]); 19] = [
+        (
+            camera("row_time_us", "rowtime_us"),
+            &[
+                "line 5",
+                "`rowtime_us` in [camera]",
+                "Did you mean `row_time_us`?",
+            ],
+        ),
+        (
+            format!("{CAMERA}[calibraton]\npsf = \"a\""),
+            &["line 7", "`calibraton` in the file", "`calibration`"],
+        ),
+        (
+            format!("{CAMERA}[calibration]\npfs = \"a\""),
+            &["line 8", "[calibration]", "`psf`"],
+        ),
+        (format!("{CAMERA}[field]\nrow = 4"), &["[field]", "`rows`"]),
+        (
+            format!("{CAMERA}[field]\nrows = 4"),
+            &["[field]", "no `columns`"],
+        ),
+        (
+            camera("rows = 4\n", ""),
+            &["[camera]", "no `rows`", "required"],
+        ),
+        (camera("row_time_us = 9.6\n", ""), &["no `row_time_us`"]),
+        (camera("exposure_us = 10\n", ""), &["no `exposure_us`"]),
+        (String::new(), &["[camera]", "no `rows`"]),
+        (
+            camera("4", "4.5"),
+            &["line 2", "[camera] rows", "float 4.5", "whole number"],
+        ),
+        (camera("4", "-4"), &["integer -4", "whole number"]),
+        (
+            camera("9.6", "\"9.6\""),
+            &["row_time_us", "string \"9.6\"", "a number"],
+        ),
+        (
+            camera("top-down", "top-dwon"),
+            &["line 4", "\"top-dwon\"", "Did you mean \"top-down\"?"],
+        ),
+        (camera("top-down", "custom"), &["no `row_order`"]),
+        (
+            format!("{CAMERA}row_order = \"o.npy\""),
+            &["line 7", "row_order", "\"custom\" alone"],
+        ),
+        (
+            format!("{CAMERA}[reconstruction]\ntau = -1"),
+            &["line 8", "tau", "-1", "above zero"],
+        ),
+        (
+            format!("{CAMERA}[reconstruction]\ntau = \"none\""),
+            &["\"none\"", "tau = \"auto\""],
+        ),
+        (
+            "camera = 3".into(),
+            &["integer 3", "a table, written [camera]"],
+        ),
+        (camera("= 4", "4"), &["lab/run.toml: line 2", "valid TOML"]),
+    ];
+    for (text, parts) in cases {
+        let error = parse(&text).unwrap_err();
+        assert!(matches!(error, Error::Input { .. }));
+        let message = error.to_string();
+        for part in ["lab/run.toml"].iter().chain(parts) {
+            assert!(message.contains(part), "{message} lacks {part}");
+        }
+    }
+    let zero = parse(&CAMERA.replace("9.6", "0")).unwrap();
+    let message = zero.camera().unwrap_err().to_string();
+    assert!(
+        message.starts_with("lab/run.toml: row_time_us"),
+        "{message}"
+    );
+    let bits = parse(&format!("{CAMERA}bit_depth = 5000000000")).unwrap();
+    assert!(bits.camera().unwrap_err().to_string().contains("bit_depth"));
+}
+
+#[test]
+fn a_custom_order_is_read_and_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let order = |name: &str, values: &[i64]| {
+        let mut file = std::fs::File::create(folder.path().join(name)).unwrap();
+        npy::write_npy_i64(&mut file, &[values.len()], values).unwrap();
+    };
+    let path = folder.path().join("run.toml");
+    let text = CAMERA.replace("top-down", "custom") + "row_order = \"order.npy\"\n";
+    std::fs::write(&path, &text).unwrap();
+    let message = Experiment::read(&path).unwrap_err().to_string();
+    assert!(
+        message.contains("order.npy: found no such file"),
+        "{message}"
+    );
+    order("order.npy", &[0, -1, 1, 2]);
+    let message = Experiment::read(&path).unwrap_err().to_string();
+    assert!(message.contains("the instant -1"), "{message}");
+    order("order.npy", &[2, 0, 1, 0]);
+    let experiment = Experiment::read(&path).unwrap();
+    assert_eq!(experiment.camera().unwrap().instants(), [2, 0, 1, 0]);
+    std::fs::write(&path, experiment.to_toml(folder.path())).unwrap();
+    assert_eq!(Experiment::read(&path).unwrap(), experiment);
+    assert!(
+        std::fs::read_to_string(&path)
+            .unwrap()
+            .contains("row_order = \"order.npy\"")
+    );
+}
+
+#[test]
+fn files_that_are_no_experiment_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let message = Experiment::read(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("a folder"), "{message}");
+    let path = folder.path().join("frame.npy");
+    assert!(
+        Experiment::read(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("no such file")
+    );
+    std::fs::write(&path, b"\x93NUMPY").unwrap();
+    assert!(
+        Experiment::read(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("not UTF-8")
+    );
+}
+
+#[test]
+fn the_shared_experiments_are_read() {
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    for kind in ["oracle", "problems"] {
+        let Ok(cases) = std::fs::read_dir(shared.join(kind)) else {
+            eprintln!("skipped: no {}", shared.join(kind).display());
+            continue;
+        };
+        for case in cases {
+            let path = case.unwrap().path().join("experiment.toml");
+            let camera = Experiment::read(&path).unwrap().camera().unwrap();
+            let frame = crate::read_image(&path.with_file_name("frame.npy"))
+                .unwrap()
+                .image;
+            assert_eq!(
+                (camera.rows(), camera.columns()),
+                (frame.rows(), frame.columns())
+            );
+        }
+    }
+}
+
+fn positive() -> impl Strategy<Value = f64> {
+    prop_oneof![1e-9..1e9f64, Just(1.0), Just(1e-300), Just(1e300)]
+}
+
+proptest! {
+    #[test]
+    fn what_is_written_is_read(
+        size in (1usize..5000, 1usize..5000),
+        times in (positive(), positive()),
+        shutter in 0usize..5,
+        sensor in (1usize..9, 1usize..9, prop::option::of(1u32..33)),
+        values in prop::collection::vec(prop::option::of(positive()), 5),
+        field in prop::option::of((1usize..9999, 1usize..9999)),
+        files in prop::collection::vec(prop::option::of("[a-zé \"\\\\']{1,8}"), 5),
+        tau in prop_oneof![Just(None), Just(Some(Tau::Auto)), positive().prop_map(|t| Some(Tau::Value(t)))],
+    ) {
+        let shutters = [
+            Shutter::TopDown, Shutter::BottomUp, Shutter::DualInsideOut,
+            Shutter::DualOutsideIn, Shutter::Global,
+        ];
+        let file = |i: usize| files[i].as_ref().map(|name| Path::new("lab").join(name));
+        let mut experiment = Experiment::new(CameraParams {
+            rows: size.0,
+            columns: size.1,
+            shutter: shutters[shutter].clone(),
+            row_time_us: times.0,
+            exposure_us: times.1,
+            bins_per_row: sensor.1,
+            field,
+            sensor: Sensor {
+                binning: sensor.0,
+                bit_depth: sensor.2,
+                pixel_pitch_um: values[0],
+                bias_counts: values[1],
+                gain_electrons_per_count: values[2],
+                read_noise_electrons: values[3],
+                full_well_counts: values[4],
+            },
+        });
+        experiment.path = "lab/run.toml".into();
+        experiment.calibration = Calibration {
+            psf: file(0), dark: file(1), flat: file(2), bad_pixels: file(3),
+        };
+        experiment.reconstruction = Reconstruction { prior: files[4].clone(), tau };
+        let text = experiment.to_toml(Path::new("lab"));
+        prop_assert_eq!(parse(&text).unwrap(), experiment, "{}", text);
+    }
+
+    #[test]
+    fn any_text_is_an_experiment_or_an_error(text in "[a-z\\[\\]=\"\n0-9 ._{}#]{0,60}") {
+        let _ = parse(&text);
+        let _ = parse(&format!("{CAMERA}{text}"));
+    }
+}

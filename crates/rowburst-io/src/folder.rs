@@ -1,0 +1,162 @@
+//! A folder of results, in which a file is either whole or not there.
+
+use crate::fault;
+use rowburst::{Error, Result};
+use std::fs::{self, File};
+use std::io::{self, BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+
+/// A folder that results are written to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OutputFolder {
+    path: PathBuf,
+}
+
+impl OutputFolder {
+    /// Makes the folder, and those above it, where they are missing, and checks
+    /// that files can be made in it.
+    ///
+    /// # Errors
+    /// A path that is a file, or a folder that may not be written to.
+    pub fn create(path: &Path) -> Result<Self> {
+        let made = fs::create_dir_all(path).and_then(|()| temporary(path, "check").map(drop));
+        made.map_err(|error| {
+            let found = match error.kind() {
+                ErrorKind::AlreadyExists | ErrorKind::NotADirectory => {
+                    "a file where a folder is needed".to_string()
+                }
+                _ => format!("a folder that cannot be written to ({error})"),
+            };
+            Error::input(
+                path.display().to_string(),
+                found,
+                "results go to a folder that is new or can be written to",
+                "Choose another folder with -o.",
+            )
+        })?;
+        Ok(Self { path: path.into() })
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes the file `name` by `write`: into a hidden temporary file, which takes
+    /// the name only once all of it is on disk. After an error an older file of that
+    /// name is as it was.
+    ///
+    /// # Errors
+    /// Those of `write`, with the file's path in front, and failed writes.
+    pub fn write(
+        &self,
+        name: &str,
+        write: impl FnOnce(&mut BufWriter<File>) -> Result<()>,
+    ) -> Result<()> {
+        let path = self.path.join(name);
+        let fault = |error: io::Error| fault::writing(&error).within(path.display());
+        let (file, hidden) = temporary(&self.path, name).map_err(fault)?.into_parts();
+        let mut writer = BufWriter::new(file);
+        write(&mut writer).map_err(|e| e.within(path.display()))?;
+        writer.flush().map_err(fault)?;
+        let file = writer.into_inner().map_err(|e| fault(e.into_error()))?;
+        // A disk that is full may say so only now.
+        file.sync_all().map_err(fault)?;
+        hidden.persist(&path).map_err(|e| fault(e.error))
+    }
+}
+
+/// A hidden file in `folder` that is removed when dropped, with the permissions of
+/// any new file.
+fn temporary(folder: &Path, name: &str) -> io::Result<NamedTempFile> {
+    let prefix = format!(".{name}.");
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix).suffix(".part");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let name = |e: io::Result<fs::DirEntry>| e.unwrap().file_name().into_string().unwrap();
+        entries.map(name).collect()
+    }
+
+    #[test]
+    fn a_file_is_whole_or_as_it_was() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = OutputFolder::create(&base.path().join("a/b")).unwrap();
+        let file = folder.path().join("note.txt");
+        let old = |w: &mut BufWriter<File>| w.write_all(b"old").map_err(|e| fault::writing(&e));
+        folder.write("note.txt", old).unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"old");
+
+        let broken = folder.write("note.txt", |w| {
+            w.write_all(&[b'x'; 100_000]).unwrap();
+            Err(Error::work("solver", "gave up", "Try again."))
+        });
+        let message = broken.unwrap_err().to_string();
+        assert!(message.contains("note.txt: solver: gave up"), "{message}");
+        assert_eq!(fs::read(&file).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["note.txt"]);
+    }
+
+    #[test]
+    fn a_file_is_no_folder() {
+        let base = tempfile::tempdir().unwrap();
+        let file = base.path().join("file");
+        fs::write(&file, "x").unwrap();
+        for path in [file.clone(), file.join("below")] {
+            let error = OutputFolder::create(&path).unwrap_err();
+            assert!(matches!(error, Error::Input { .. }));
+            assert!(
+                error.to_string().contains("a file where a folder"),
+                "{error}"
+            );
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_names_the_file() {
+        let full = || -> Result<()> {
+            let mut full = BufWriter::new(File::create("/dev/full").unwrap());
+            full.write_all(b"x")
+                .and_then(|()| full.flush())
+                .map_err(|e| fault::writing(&e))
+        };
+        let base = tempfile::tempdir().unwrap();
+        let folder = OutputFolder::create(base.path()).unwrap();
+        let error = folder.write("video.npy", |_| full()).unwrap_err();
+        assert!(matches!(error, Error::Work { .. }));
+        let message = error.to_string();
+        assert!(
+            message.contains("video.npy") && message.contains("Free space"),
+            "{message}"
+        );
+        assert!(names(folder.path()).is_empty());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn results_can_be_read_by_others() {
+        use std::os::unix::fs::PermissionsExt;
+        let base = tempfile::tempdir().unwrap();
+        let folder = OutputFolder::create(base.path()).unwrap();
+        folder.write("a", |_| Ok(())).unwrap();
+        fs::write(base.path().join("b"), "").unwrap();
+        let mode = |name| {
+            fs::metadata(base.path().join(name))
+                .unwrap()
+                .permissions()
+                .mode()
+        };
+        assert_eq!(mode("a"), mode("b"));
+    }
+}

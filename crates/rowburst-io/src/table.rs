@@ -1,0 +1,164 @@
+//! A TOML table that is read key by key, with errors that name the line.
+
+use rowburst::{Error, Result};
+use std::path::Path;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// One table of a file, by its name in brackets.
+#[derive(Clone, Copy)]
+pub(crate) struct Table<'a> {
+    pub path: &'a Path,
+    pub text: &'a str,
+    /// Name in brackets; empty for the file itself.
+    pub name: &'a str,
+    /// `None` where the file does not have the table.
+    pub entries: Option<&'a DeTable<'a>>,
+}
+
+impl<'a> Table<'a> {
+    /// The error of a text that is not TOML.
+    pub fn not_toml(path: &Path, text: &str, error: &toml::de::Error) -> Error {
+        let line = error.span().map_or(1, |span| line_of(text, span.start));
+        Error::input(
+            format!("{}: line {line}", path.display()),
+            error.message().replace('\n', ", "),
+            "the file must be valid TOML: key = value, text in quotes",
+            "Correct this line.",
+        )
+    }
+
+    /// Refuses keys that are not in `known`.
+    pub fn check_keys(&self, known: &[&str]) -> Result<()> {
+        let Some(entries) = self.entries else {
+            return Ok(());
+        };
+        // In the order of the file, so that the first error is reported first.
+        let unknown = entries
+            .keys()
+            .filter(|key| !known.contains(&key.get_ref().as_ref()));
+        let Some(key) = unknown.min_by_key(|key| key.span().start) else {
+            return Ok(());
+        };
+        let place = match self.name {
+            "" => "the file".to_string(),
+            name => format!("[{name}]"),
+        };
+        Err(Error::input(
+            format!(
+                "{}: line {}",
+                self.path.display(),
+                line_of(self.text, key.span().start)
+            ),
+            format!("the unknown key `{}` in {place}", key.get_ref()),
+            format!("{place} has {}", known.join(", ")),
+            format!("Did you mean `{}`?", nearest(key.get_ref(), known)),
+        ))
+    }
+
+    /// The table `name` in this one.
+    pub fn table(&self, name: &'a str) -> Result<Table<'a>> {
+        let entries = match self.value(name) {
+            None => None,
+            Some(value) => Some(value.get_ref().as_table().ok_or_else(|| {
+                self.wrong_type(name, value, &format!("a table, written [{name}]"))
+            })?),
+        };
+        Ok(Table {
+            name,
+            entries,
+            ..*self
+        })
+    }
+
+    pub fn text(&self, key: &str) -> Result<Option<&'a str>> {
+        let Some(value) = self.value(key) else {
+            return Ok(None);
+        };
+        match value.get_ref().as_str() {
+            Some(text) => Ok(Some(text)),
+            None => Err(self.wrong_type(key, value, "text in quotes")),
+        }
+    }
+
+    pub fn number(&self, key: &str) -> Result<Option<f64>> {
+        let Some(value) = self.value(key) else {
+            return Ok(None);
+        };
+        let number = match value.get_ref() {
+            DeValue::Float(float) => float.as_str().parse().ok(),
+            DeValue::Integer(_) => whole(value).map(|n| n as f64),
+            _ => None,
+        };
+        number
+            .map(Some)
+            .ok_or_else(|| self.wrong_type(key, value, "a number"))
+    }
+
+    pub fn count(&self, key: &str) -> Result<Option<usize>> {
+        let Some(value) = self.value(key) else {
+            return Ok(None);
+        };
+        let number = whole(value).and_then(|n| usize::try_from(n).ok());
+        number
+            .map(Some)
+            .ok_or_else(|| self.wrong_type(key, value, "a whole number from 0"))
+    }
+
+    /// The value that a required key must have.
+    pub fn required<T>(&self, key: &str, value: Option<T>) -> Result<T> {
+        value.ok_or_else(|| {
+            Error::input(
+                format!("{}: [{}]", self.path.display(), self.name),
+                format!("no `{key}`"),
+                "the key is required",
+                format!("Add a line `{key} = …` to [{}].", self.name),
+            )
+        })
+    }
+
+    /// An error about the value of `key`.
+    pub fn error(&self, key: &str, found: impl ToString, rule: &str, remedy: &str) -> Error {
+        let line = self.value(key).map_or(String::new(), |value| {
+            format!(" line {},", line_of(self.text, value.span().start))
+        });
+        let subject = format!("{}:{line} [{}] {key}", self.path.display(), self.name);
+        Error::input(subject, found, rule, remedy)
+    }
+
+    fn value(&self, key: &str) -> Option<&'a Spanned<DeValue<'a>>> {
+        self.entries?.get(key)
+    }
+
+    fn wrong_type(&self, key: &str, value: &Spanned<DeValue>, expected: &str) -> Error {
+        let found = match self.text.get(value.span()) {
+            Some(text) if !text.contains('\n') => format!("{} {text}", value.get_ref().type_str()),
+            _ => value.get_ref().type_str().to_string(),
+        };
+        self.error(
+            key,
+            found,
+            &format!("the value is {expected}"),
+            "Correct this line.",
+        )
+    }
+}
+
+fn whole(value: &Spanned<DeValue>) -> Option<i64> {
+    let integer = value.get_ref().as_integer()?;
+    i64::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
+fn line_of(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|&b| b == b'\n').count()
+}
+
+/// The name in `known` that takes the fewest changes to reach.
+pub(crate) fn nearest<'a>(name: &str, known: &[&'a str]) -> &'a str {
+    let distance = |known: &&&str| strsim::damerau_levenshtein(name, known);
+    known
+        .iter()
+        .min_by_key(distance)
+        .copied()
+        .unwrap_or_default()
+}

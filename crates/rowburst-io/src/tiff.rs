@@ -1,0 +1,375 @@
+//! TIFF: single images, and stacks that ImageJ and Fiji open as a time series.
+
+use crate::fault;
+use crate::read::{Level, Pages, Source};
+use rowburst::{Error, Image, Result, Video};
+use std::io::{BufReader, Read, Seek, Write};
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::encoder::{Rational, TiffEncoder, TiffKind, colortype::Gray32Float};
+use tiff::tags::Tag;
+use tiff::{ColorType, TiffError};
+
+/// Largest file of the classic format, whose offsets have 32 bits; a margin is left
+/// for what is not pixels.
+const CLASSIC_BYTES: u64 = (1 << 32) - (1 << 26);
+
+/// Reads every page; all must have one size and one kind of pixel.
+pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Result<Pages> {
+    let fault = |error| match error {
+        TiffError::UnsupportedError(kind) => source.unsupported(format!("that TIFF calls {kind}")),
+        error => source.unreadable(error),
+    };
+    let most = usize::try_from(source.bytes.saturating_mul(4096)).unwrap_or(usize::MAX);
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = limits.decoding_buffer_size.max(most);
+    limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(most);
+    limits.ifd_value_size = most.min(1 << 28);
+    let mut pages = Decoder::new(file).map_err(fault)?.with_limits(limits);
+
+    let (width, height) = pages.dimensions().map_err(fault)?;
+    let kind = pages.colortype().map_err(fault)?;
+    let mut count = 1;
+    while pages.more_images() {
+        pages.next_image().map_err(fault)?;
+        let (w, h) = pages.dimensions().map_err(fault)?;
+        if (w, h, pages.colortype().map_err(fault)?) != (width, height, kind) {
+            return Err(source.error(
+                format!(
+                    "page {} of {h}×{w} pixels after pages of {height}×{width}",
+                    count + 1
+                ),
+                "the pages of a stack have one size and one kind of pixel",
+                "Save the pages that belong together as one stack.",
+            ));
+        }
+        count += 1;
+    }
+    let channels = match kind {
+        ColorType::Gray(8 | 16 | 32 | 64) => 1,
+        ColorType::GrayA(8 | 16) => 2,
+        ColorType::RGB(8 | 16 | 32) => 3,
+        ColorType::RGBA(8 | 16 | 32) => 4,
+        other => return Err(source.unsupported(format!("{other:?} in TIFF"))),
+    };
+    let (rows, columns) = (height as usize, width as usize);
+    let mut data = source.room(count, rows, columns)?;
+    let mut level = Level::Float;
+    for page in 0..count {
+        pages.seek_to_image(page).map_err(fault)?;
+        let samples = pages.read_image().map_err(fault)?;
+        level = push(source, &mut data, samples, channels)?;
+        if data.len() != (page + 1) * rows * columns {
+            return Err(source.unsupported("of colour planes one after the other"));
+        }
+    }
+    Ok(Pages {
+        count,
+        rows,
+        columns,
+        data,
+        level,
+    })
+}
+
+fn push(
+    source: &Source,
+    data: &mut Vec<f32>,
+    samples: DecodingResult,
+    channels: usize,
+) -> Result<Level> {
+    macro_rules! push {
+        ($samples:expr, $level:expr) => {{
+            source.push_grey(data, $samples.into_iter().map(|v| v as f32), channels)?;
+            Ok($level)
+        }};
+    }
+    let counts = |bits| Level::Counts { bits };
+    match samples {
+        DecodingResult::U8(s) => push!(s, counts(8)),
+        DecodingResult::I8(s) => push!(s, counts(8)),
+        DecodingResult::U16(s) => push!(s, counts(16)),
+        DecodingResult::I16(s) => push!(s, counts(16)),
+        DecodingResult::U32(s) => push!(s, counts(32)),
+        DecodingResult::I32(s) => push!(s, counts(32)),
+        DecodingResult::U64(s) => push!(s, counts(64)),
+        DecodingResult::I64(s) => push!(s, counts(64)),
+        DecodingResult::F32(s) => push!(s, Level::Float),
+        DecodingResult::F64(s) => push!(s, Level::Float),
+        DecodingResult::F16(_) => Err(source.unsupported("16-bit floating point")),
+    }
+}
+
+/// The axes of a stack, for ImageJ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TiffScale {
+    /// Seconds from one page to the next.
+    pub frame_interval_s: f64,
+    /// Pitch of a pixel in micrometres, where it is known.
+    pub pixel_pitch_um: Option<f64>,
+}
+
+/// Writes an image as one float32 page.
+///
+/// # Errors
+/// A failed write.
+pub fn write_tiff_image(w: &mut (impl Write + Seek), image: &Image) -> Result<()> {
+    let page = Page {
+        rows: image.rows(),
+        columns: image.columns(),
+        description: String::new(),
+        pitch_um: None,
+    };
+    write(w, &page, std::iter::once(image.data()), image.data().len())
+}
+
+/// Writes a video `[t, y, x]` as a float32 stack that ImageJ opens along its time
+/// axis, with the frame interval and the pixel pitch; as BigTIFF from 4 GB.
+///
+/// # Errors
+/// A failed write.
+pub fn write_tiff_video(
+    w: &mut (impl Write + Seek),
+    video: &Video,
+    scale: TiffScale,
+) -> Result<()> {
+    let shape = video.shape();
+    let finite = || video.data().iter().copied().filter(|v| v.is_finite());
+    let (min, max) = finite().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), v| {
+        (low.min(v), high.max(v))
+    });
+    let mut description = format!(
+        "ImageJ=1.54f\nimages={0}\nframes={0}\nhyperstack=true\nmode=grayscale\nloop=false\n\
+         finterval={1}\nfps={2}\ntunit=s\n",
+        shape.bins,
+        scale.frame_interval_s,
+        1.0 / scale.frame_interval_s,
+    );
+    if scale.pixel_pitch_um.is_some() {
+        description += "unit=micron\n";
+    }
+    if min <= max {
+        description += &format!("min={min}\nmax={max}\n");
+    }
+    let page = Page {
+        rows: shape.rows,
+        columns: shape.columns,
+        description,
+        pitch_um: scale.pixel_pitch_um,
+    };
+    let bins = (0..shape.bins).map(|t| video.bin(t));
+    write(w, &page, bins, shape.voxels())
+}
+
+struct Page {
+    rows: usize,
+    columns: usize,
+    /// ImageJ's keys, in the first page.
+    description: String,
+    pitch_um: Option<f64>,
+}
+
+fn write<'a>(
+    w: &mut (impl Write + Seek),
+    page: &Page,
+    pages: impl Iterator<Item = &'a [f32]>,
+    voxels: usize,
+) -> Result<()> {
+    let written = if (voxels as u64) * 4 < CLASSIC_BYTES {
+        TiffEncoder::new(w).and_then(|encoder| write_pages(encoder, page, pages))
+    } else {
+        TiffEncoder::new_big(w).and_then(|encoder| write_pages(encoder, page, pages))
+    };
+    written.map_err(|error| match error {
+        TiffError::IoError(error) => fault::writing(&error),
+        error => Error::work("writing TIFF", error, "Write it as .npy instead."),
+    })
+}
+
+fn write_pages<'a, W: Write + Seek, K: TiffKind>(
+    mut encoder: TiffEncoder<W, K>,
+    page: &Page,
+    pages: impl Iterator<Item = &'a [f32]>,
+) -> tiff::TiffResult<()> {
+    let (width, height) = (u32::try_from(page.columns)?, u32::try_from(page.rows)?);
+    for (index, data) in pages.enumerate() {
+        let mut image = encoder.new_image::<Gray32Float>(width, height)?;
+        image.rows_per_strip(height)?;
+        if index == 0 && !page.description.is_empty() {
+            let description = page.description.as_str();
+            image
+                .encoder()
+                .write_tag(Tag::ImageDescription, description)?;
+        }
+        if let Some(pitch) = page.pitch_um {
+            let pixels_per_micron = rational(1.0 / pitch);
+            image.x_resolution(pixels_per_micron.clone());
+            image.y_resolution(pixels_per_micron);
+        }
+        image.write_data(data)?;
+    }
+    Ok(())
+}
+
+/// A positive number as a fraction of 32-bit integers.
+fn rational(value: f64) -> Rational {
+    let scale = 1e9 / value.max(1.0);
+    Rational {
+        n: (value * scale).round() as u32,
+        d: scale.round() as u32,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::read::{read_colour_image, read_image, read_stack, read_video};
+    use rowburst::Shape;
+    use std::io::Cursor;
+    use std::path::PathBuf;
+    use tiff::encoder::colortype::{self, ColorType};
+    use tiff::encoder::{Compression, DeflateLevel, TiffKindStandard, TiffValue};
+
+    const SCALE: TiffScale = TiffScale {
+        frame_interval_s: 9.6e-6,
+        pixel_pitch_um: Some(6.5),
+    };
+
+    fn page<C: ColorType>(
+        encoder: &mut TiffEncoder<&mut Cursor<Vec<u8>>, TiffKindStandard>,
+        size: (u32, u32),
+        pixels: &[C::Inner],
+    ) where
+        [C::Inner]: TiffValue,
+    {
+        encoder.write_image::<C>(size.0, size.1, pixels).unwrap();
+    }
+
+    fn saved(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("image.tif");
+        std::fs::write(&path, bytes).unwrap();
+        (folder, path)
+    }
+
+    macro_rules! tif {
+        ($($kind:ty, $size:expr, $pixels:expr);+) => {{
+            let mut bytes = Cursor::new(Vec::new());
+            let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
+            $(page::<$kind>(&mut encoder, $size, $pixels);)+
+            saved(bytes.get_ref())
+        }};
+    }
+
+    #[test]
+    fn every_kind_of_pixel_is_read() {
+        let counts = |bits| Level::Counts { bits };
+        macro_rules! case {
+            ($kind:ty, $level:expr) => {
+                let (_folder, path) =
+                    tif!($kind, (3, 2), &[0, 1, 2, 3, 100, 127].map(|v: u8| v as _));
+                let read = read_image(&path).unwrap();
+                assert_eq!(read.image.data(), [0., 1., 2., 3., 100., 127.]);
+                assert_eq!((read.image.rows(), read.level), (2, $level));
+            };
+        }
+        case!(colortype::Gray8, counts(8));
+        case!(colortype::Gray16, counts(16));
+        case!(colortype::GrayI16, counts(16));
+        case!(colortype::Gray32, counts(32));
+        case!(colortype::Gray32Float, Level::Float);
+        case!(colortype::Gray64Float, Level::Float);
+    }
+
+    #[test]
+    fn colour_is_read_when_it_is_grey_or_asked_for() {
+        let (_folder, path) = tif!(colortype::RGB8, (2, 1), &[7, 7, 7, 9, 9, 9]);
+        assert_eq!(read_image(&path).unwrap().image.data(), [7., 9.]);
+        let (_folder, path) = tif!(colortype::RGB8, (2, 1), &[7, 7, 7, 9, 0, 0]);
+        let message = read_image(&path).unwrap_err().to_string();
+        assert!(message.contains("red 9, green 0, blue 0"), "{message}");
+        assert_eq!(read_colour_image(&path).unwrap().image.data(), [7., 3.]);
+    }
+
+    #[test]
+    fn a_video_comes_back_with_its_axes() {
+        let video = Video::new(
+            Shape::new(4, 3, 5),
+            (0..60).map(|v| v as f32 - 1.5).collect(),
+        );
+        let video = video.unwrap();
+        let mut bytes = Cursor::new(Vec::new());
+        write_tiff_video(&mut bytes, &video, SCALE).unwrap();
+        let (_folder, path) = saved(bytes.get_ref());
+        assert_eq!(read_video(&path).unwrap(), video);
+        assert_eq!(read_stack(&path).unwrap().len(), 4);
+        let message = read_image(&path).unwrap_err().to_string();
+        assert!(message.contains("a stack of 4 pages"), "{message}");
+
+        bytes.rewind().unwrap();
+        let mut decoder = Decoder::new(bytes).unwrap();
+        let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap();
+        for part in [
+            "frames=4\n",
+            "hyperstack=true\n",
+            "finterval=0.0000096\n",
+            "unit=micron\n",
+            "min=-1.5\nmax=57.5\n",
+        ] {
+            assert!(text.contains(part), "{text} lacks {part}");
+        }
+    }
+
+    #[test]
+    fn an_image_comes_back() {
+        let image = Image::from_fn(7, 3, |y, x| y as f32 / (1 + x) as f32);
+        let mut bytes = Cursor::new(Vec::new());
+        write_tiff_image(&mut bytes, &image).unwrap();
+        let (_folder, path) = saved(bytes.get_ref());
+        assert_eq!(read_image(&path).unwrap().image, image);
+    }
+
+    #[test]
+    fn big_and_compressed_files_are_read() {
+        let pixels: Vec<u16> = (0..600).collect();
+        let mut bytes = Cursor::new(Vec::new());
+        let encoder = TiffEncoder::new_big(&mut bytes).unwrap();
+        let mut encoder = encoder.with_compression(Compression::Deflate(DeflateLevel::Best));
+        encoder
+            .write_image::<colortype::Gray16>(30, 20, &pixels)
+            .unwrap();
+        let (_folder, path) = saved(bytes.get_ref());
+        assert_eq!(read_image(&path).unwrap().image.at(1, 0), 30.0);
+    }
+
+    #[test]
+    fn bad_files_say_what_is_wrong() {
+        let (_folder, path) =
+            tif!(colortype::Gray8, (2, 1), &[1, 2]; colortype::Gray8, (1, 2), &[1, 2]);
+        let message = read_video(&path).unwrap_err().to_string();
+        assert!(
+            message.contains("page 2 of 2×1 pixels after pages of 1×2"),
+            "{message}"
+        );
+
+        let (_folder, path) = tif!(colortype::CMYK8, (1, 1), &[1, 2, 3, 4]);
+        let message = read_image(&path).unwrap_err().to_string();
+        assert!(message.contains("CMYK"), "{message}");
+
+        let (_folder, path) = tif!(colortype::Gray16, (4, 4), &[5; 16]);
+        let whole = std::fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let message = read_image(&path).unwrap_err().to_string();
+            assert!(message.contains("image.tif: found"), "{message}");
+        }
+        // A million times a million pixels, claimed by the tags for width, height and rows of a strip.
+        let mut claims = whole;
+        for tag in [[0, 1, 4, 0], [1, 1, 4, 0], [0x16, 1, 4, 0]] {
+            let at = claims.windows(4).position(|w| w == tag).unwrap();
+            claims[at + 8..at + 12].copy_from_slice(&1_000_000u32.to_le_bytes());
+        }
+        std::fs::write(&path, claims).unwrap();
+        let message = read_image(&path).unwrap_err().to_string();
+        assert!(message.contains("1 pages of 1000000×1000000"), "{message}");
+    }
+}
