@@ -1,0 +1,106 @@
+//! Colour maps.
+
+use colorous::{GREYS, Gradient, INFERNO, RED_BLUE};
+
+/// A colour, sRGB.
+pub(crate) type Srgb = [u8; 3];
+
+/// Grey that stands for a value that is not finite.
+pub(crate) const NOT_FINITE: Srgb = [120, 130, 120];
+
+/// Maps of one value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Map {
+    /// Black to white: raw camera data.
+    Grey,
+    /// Black, purple, orange, yellow, even in lightness: light of the scene.
+    Light,
+    /// Blue, white, red: values on both sides of zero.
+    Signed,
+}
+
+impl Map {
+    /// The colour at `fraction`, clamped to 0…1.
+    pub(crate) fn at(self, fraction: f64) -> Srgb {
+        let f = fraction.clamp(0.0, 1.0);
+        let of = |gradient: Gradient, at: f64| gradient.eval_continuous(at).as_array();
+        match self {
+            Self::Grey => of(GREYS, 1.0 - f),
+            Self::Light => of(INFERNO, f),
+            Self::Signed => of(RED_BLUE, 1.0 - f),
+        }
+    }
+
+    /// 255 colours from low to high, then [`NOT_FINITE`].
+    pub(crate) fn palette(self) -> Vec<u8> {
+        let colours = (0..255).map(|i| self.at(f64::from(i) / 254.0));
+        colours.chain([NOT_FINITE]).flatten().collect()
+    }
+}
+
+/// Linear-light RGB of time, `fraction` 0…1 of the video, from blue over green to red.
+///
+/// In OKLCh (Ottosson 2020) at constant lightness and chroma: equal times are equal
+/// steps of hue, no moment looks brighter than another, and the two ends differ.
+pub(crate) fn time_hue(fraction: f64) -> [f32; 3] {
+    const LIGHTNESS: f64 = 0.74;
+    const CHROMA: f64 = 0.16;
+    const FIRST_DEGREES: f64 = 275.0;
+    const LAST_DEGREES: f64 = 15.0;
+    let f = fraction.clamp(0.0, 1.0);
+    let hue = (FIRST_DEGREES + f * (LAST_DEGREES - FIRST_DEGREES)).to_radians();
+    let (a, b) = (CHROMA * hue.cos(), CHROMA * hue.sin());
+    let l = (LIGHTNESS + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
+    let m = (LIGHTNESS - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);
+    let s = (LIGHTNESS - 0.089_484_177_5 * a - 1.291_485_548_0 * b).powi(3);
+    [
+        4.076_741_662_1 * l - 3.307_711_591_3 * m + 0.230_969_929_2 * s,
+        -1.268_438_004_6 * l + 2.609_757_401_1 * m - 0.341_319_396_5 * s,
+        -0.004_196_086_3 * l - 0.703_418_614_7 * m + 1.707_614_701_0 * s,
+    ]
+    .map(|c| c.clamp(0.0, 1.0) as f32)
+}
+
+/// sRGB of linear-light RGB.
+pub(crate) fn srgb(linear: [f32; 3]) -> Srgb {
+    linear.map(|c| {
+        let c = c.clamp(0.0, 1.0);
+        let encoded = if c <= 0.003_130_8 {
+            12.92 * c
+        } else {
+            1.055 * c.powf(1.0 / 2.4) - 0.055
+        };
+        (encoded * 255.0).round() as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_and_middle_are_known() {
+        assert_eq!(Map::Grey.at(0.0), [0, 0, 0]);
+        assert_eq!(Map::Grey.at(2.0), [255, 255, 255]);
+        assert_eq!(Map::Light.at(0.0), [0, 0, 4]);
+        let [r, g, b] = Map::Signed.at(0.5);
+        assert!(r > 240 && g > 240 && b > 240);
+        let ([r, _, b], [blue_r, _, blue_b]) = (Map::Signed.at(1.0), Map::Signed.at(0.0));
+        assert!(r > b && blue_b > blue_r);
+        assert_eq!(Map::Light.palette().len(), 768);
+    }
+
+    #[test]
+    fn time_runs_from_blue_to_red_in_distinct_even_steps() {
+        let [r, _, b] = srgb(time_hue(0.0));
+        assert!(b > 200 && r < 170);
+        let [r, _, b] = srgb(time_hue(1.0));
+        assert!(r > 200 && b < 190);
+        let step = |i: usize| {
+            let at = |i: usize| srgb(time_hue(i as f64 / 20.0)).map(f64::from);
+            let (p, q) = (at(i), at(i + 1));
+            (0..3).map(|c| (p[c] - q[c]).powi(2)).sum::<f64>().sqrt()
+        };
+        assert!((0..20).all(|i| step(i) > 8.0 && step(i) < 60.0));
+    }
+}
