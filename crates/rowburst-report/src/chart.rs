@@ -62,9 +62,17 @@ impl Axis {
         if self.log {
             return log_ticks(self.low, self.high, count);
         }
-        let step = nice((self.high - self.low) / count.max(1) as f64);
-        let first = (self.low / step - 1e-9).ceil();
-        let last = (self.high / step + 1e-9).floor();
+        let mut step = nice((self.high - self.low) / count.max(1) as f64);
+        let ends = |step: f64| {
+            (
+                (self.low / step - 1e-9).ceil(),
+                (self.high / step + 1e-9).floor(),
+            )
+        };
+        if ends(step).1 - ends(step).0 < 1.0 {
+            step = nice(step / 2.0);
+        }
+        let (first, last) = ends(step);
         (0..=(last - first).max(0.0) as usize)
             .map(|i| (first + i as f64) * step)
             .map(|v| if v.abs() < 1e-6 * step { 0.0 } else { v })
@@ -81,14 +89,16 @@ impl Axis {
     }
 }
 
-/// The least of 1, 2, 5·10ⁿ that is not below `step`.
+/// The number of 1, 2, 5·10ⁿ nearest to `step` (geometrically).
 fn nice(step: f64) -> f64 {
     let decade = 10_f64.powf(step.log10().floor());
-    let factors = [1.0, 2.0, 5.0];
-    let fits = factors
-        .into_iter()
-        .find(|f| f * decade >= step * (1.0 - 1e-9));
-    fits.unwrap_or(10.0) * decade
+    let factor = match step / decade {
+        f if f < 2_f64.sqrt() => 1.0,
+        f if f < 10_f64.sqrt() => 2.0,
+        f if f < 50_f64.sqrt() => 5.0,
+        _ => 10.0,
+    };
+    factor * decade
 }
 
 fn log_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
@@ -224,7 +234,10 @@ mod tests {
 
     #[test]
     fn ticks_are_round_and_inside() {
-        assert_eq!(texts(&Axis::linear(0.0, 518.4, ""), 5), ["0", "200", "400"]);
+        assert_eq!(
+            texts(&Axis::linear(0.0, 518.4, ""), 5),
+            ["0", "100", "200", "300", "400", "500"]
+        );
         assert_eq!(
             texts(&Axis::linear(-1.0, 1.0, ""), 4),
             ["−1.0", "−0.5", "0.0", "0.5", "1.0"]

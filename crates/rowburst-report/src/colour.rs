@@ -40,25 +40,44 @@ impl Map {
 
 /// Linear-light RGB of time, `fraction` 0…1 of the video, from blue over green to red.
 ///
-/// In OKLCh (Ottosson 2020) at constant lightness and chroma: equal times are equal
-/// steps of hue, no moment looks brighter than another, and the two ends differ.
+/// In OKLCh (Ottosson 2020): equal times are equal steps of hue, and the two ends
+/// differ. Lightness varies little, so that brightness is left to tell how bright.
 pub(crate) fn time_hue(fraction: f64) -> [f32; 3] {
-    const LIGHTNESS: f64 = 0.74;
-    const CHROMA: f64 = 0.16;
-    const FIRST_DEGREES: f64 = 275.0;
-    const LAST_DEGREES: f64 = 15.0;
+    const FIRST_DEGREES: f64 = 272.0;
+    const LAST_DEGREES: f64 = 22.0;
+    const MOST_CHROMA: f64 = 0.19;
     let f = fraction.clamp(0.0, 1.0);
     let hue = (FIRST_DEGREES + f * (LAST_DEGREES - FIRST_DEGREES)).to_radians();
-    let (a, b) = (CHROMA * hue.cos(), CHROMA * hue.sin());
-    let l = (LIGHTNESS + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
-    let m = (LIGHTNESS - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);
-    let s = (LIGHTNESS - 0.089_484_177_5 * a - 1.291_485_548_0 * b).powi(3);
+    // Blue and red are vivid only when darker than green and yellow.
+    let lightness = 0.66 + 0.14 * (std::f64::consts::PI * f).sin();
+    // The most vivid colour that sRGB has at this hue: clipping channels would bend the hue.
+    let is_in_gamut = |chroma| {
+        let rgb = linear_rgb(lightness, chroma, hue);
+        rgb.iter().all(|c| (0.0..=1.0).contains(c))
+    };
+    let (mut inside, mut outside) = (0.0, MOST_CHROMA);
+    for _ in 0..12 {
+        let middle = 0.5 * (inside + outside);
+        if is_in_gamut(middle) {
+            inside = middle;
+        } else {
+            outside = middle;
+        }
+    }
+    linear_rgb(lightness, inside, hue).map(|c| c as f32)
+}
+
+/// Linear-light sRGB of an OKLCh colour, hue in radians; outside 0…1 where sRGB has none.
+fn linear_rgb(lightness: f64, chroma: f64, hue: f64) -> [f64; 3] {
+    let (a, b) = (chroma * hue.cos(), chroma * hue.sin());
+    let l = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
+    let m = (lightness - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);
+    let s = (lightness - 0.089_484_177_5 * a - 1.291_485_548_0 * b).powi(3);
     [
         4.076_741_662_1 * l - 3.307_711_591_3 * m + 0.230_969_929_2 * s,
         -1.268_438_004_6 * l + 2.609_757_401_1 * m - 0.341_319_396_5 * s,
         -0.004_196_086_3 * l - 0.703_418_614_7 * m + 1.707_614_701_0 * s,
     ]
-    .map(|c| c.clamp(0.0, 1.0) as f32)
 }
 
 /// sRGB of linear-light RGB.

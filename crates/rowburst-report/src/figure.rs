@@ -11,9 +11,6 @@ use rowburst::Result;
 
 use crate::pixels::{Pixels, failed};
 
-/// Pixels of the PNG for each unit of a figure.
-pub(crate) const PNG_SCALE: f64 = 2.0;
-
 /// Where a text is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Anchor {
@@ -50,12 +47,17 @@ impl Rect {
     }
 }
 
+/// Figures below this width stand side by side in the page.
+const NARROW: f64 = 500.0;
+
 /// A figure of given size. What is drawn takes its colour from a class: the style
 /// sheet of the page, or `PAPER` in the PNG.
 #[derive(Debug)]
 pub(crate) struct Figure {
     width: f64,
     height: f64,
+    /// Pixels of the PNG for each unit.
+    scale: f64,
     rasters: Vec<(Rect, Pixels)>,
     body: String,
 }
@@ -76,11 +78,12 @@ static FONTS: LazyLock<Arc<usvg::fontdb::Database>> = LazyLock::new(|| {
 });
 
 impl Figure {
-    /// An empty figure.
+    /// An empty figure. PNGs are 1200 to 1600 pixels wide.
     pub(crate) fn new(width: f64, height: f64) -> Self {
         Self {
             width,
             height,
+            scale: if width < NARROW { 4.0 } else { 2.0 },
             rasters: Vec::new(),
             body: String::new(),
         }
@@ -91,9 +94,14 @@ impl Figure {
         self.height = height.ceil();
     }
 
+    /// Pixels of the PNG for each unit.
+    pub(crate) fn scale(&self) -> f64 {
+        self.scale
+    }
+
     /// Whether the figure needs the full width of the page.
     pub(crate) fn is_wide(&self) -> bool {
-        self.width > 500.0
+        self.width >= NARROW
     }
 
     /// Puts a raster into `place`, under everything that is drawn.
@@ -177,7 +185,7 @@ impl Figure {
             self.width, self.height, self.width, self.height
         );
         for (place, pixels) in &self.rasters {
-            let sharp = place.width * PNG_SCALE >= pixels.columns as f64;
+            let sharp = place.width * self.scale >= pixels.columns as f64;
             let class = if sharp { "pixels" } else { "photo" };
             let _ = write!(
                 svg,
@@ -194,12 +202,12 @@ impl Figure {
 
     /// The figure as a PNG file, on white.
     pub(crate) fn png(&self) -> Result<Vec<u8>> {
-        let [width, height] = [self.width, self.height].map(|s| (s * PNG_SCALE).ceil() as u32);
+        let [width, height] = [self.width, self.height].map(|s| (s * self.scale).ceil() as u32);
         let mut canvas =
             tiny_skia::Pixmap::new(width, height).ok_or_else(|| failed("a figure without area"))?;
         canvas.fill(tiny_skia::Color::WHITE);
         for (place, pixels) in &self.rasters {
-            blit(&mut canvas, place, pixels);
+            blit(&mut canvas, self.scale, place, pixels);
         }
         let svg = format!(
             r#"<svg xmlns="http://www.w3.org/2000/svg" width="{}" height="{}"><style>{PAPER}</style>{}</svg>"#,
@@ -211,7 +219,7 @@ impl Figure {
             ..usvg::Options::default()
         };
         let tree = usvg::Tree::from_str(&svg, &options).map_err(failed)?;
-        let scale = PNG_SCALE as f32;
+        let scale = self.scale as f32;
         resvg::render(
             &tree,
             tiny_skia::Transform::from_scale(scale, scale),
@@ -222,8 +230,8 @@ impl Figure {
 }
 
 /// Copies a raster into its place: nearest neighbour when enlarged, block means when reduced.
-fn blit(canvas: &mut tiny_skia::Pixmap, place: &Rect, pixels: &Pixels) {
-    let edge = |v: f64, limit: u32| ((v * PNG_SCALE).round().max(0.0) as usize).min(limit as usize);
+fn blit(canvas: &mut tiny_skia::Pixmap, scale: f64, place: &Rect, pixels: &Pixels) {
+    let edge = |v: f64, limit: u32| ((v * scale).round().max(0.0) as usize).min(limit as usize);
     let (left, right) = (
         edge(place.x, canvas.width()),
         edge(place.right(), canvas.width()),

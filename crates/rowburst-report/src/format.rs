@@ -27,6 +27,30 @@ pub(crate) fn number(value: f64, digits: usize) -> String {
     text.replace('-', "−")
 }
 
+/// `value` with two decimals, or three digits where that would be long.
+pub(crate) fn fixed(value: f64) -> String {
+    match value.abs() < 1000.0 {
+        true => format!("{value:.2}").replace('-', "−"),
+        false => number(value, 3),
+    }
+}
+
+/// A whole number in groups of three digits: "104 167".
+pub(crate) fn grouped(value: f64) -> String {
+    if !(1.0..1e15).contains(&value) {
+        return number(value, 4);
+    }
+    let digits = format!("{value:.0}");
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push('\u{202f}');
+        }
+        text.push(digit);
+    }
+    text
+}
+
 /// An exponent in superior digits.
 pub(crate) fn raised(exponent: i32) -> String {
     let superior = |c| match c {
@@ -112,6 +136,9 @@ mod tests {
         assert_eq!(number(3.2e-9, 2), "3.2·10⁻⁹");
         assert_eq!(number(f64::NAN, 2), "not finite");
         assert_eq!(frequency(10_417.0), "10.42 kHz");
+        assert_eq!(grouped(104_166.67), "104\u{202f}167");
+        assert_eq!(grouped(999.6), "1\u{202f}000");
+        assert_eq!(fixed(-0.994), "−0.99");
     }
 
     #[test]

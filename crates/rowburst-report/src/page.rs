@@ -6,7 +6,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::ReportInput;
 use crate::figures::Section;
-use crate::format::{TimeUnit, frequency, number};
+use crate::format::{TimeUnit, grouped, number};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -86,10 +86,7 @@ fn summary(input: &ReportInput) -> String {
         shape.columns,
         number(shape.bins as f64 * step_us / unit.us, 4),
         unit.name,
-        frequency(input.time.frame_rate_hz())
-            .replace(" Hz", "")
-            .replace(" kHz", " thousand")
-            .replace(" MHz", " million"),
+        grouped(input.time.frame_rate_hz()),
         number(step_us, 4),
     )
 }

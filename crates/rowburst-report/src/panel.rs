@@ -1,24 +1,24 @@
 //! One picture in a figure: pixels in place, a colour bar, a scale bar.
 
 use crate::colour::Map;
-use crate::figure::{Anchor, Figure, PNG_SCALE, Rect};
+use crate::figure::{Anchor, Figure, Rect};
 use crate::format::number;
 use crate::pixels::{Pixels, Plane};
 
 /// The largest place inside `room` for an image of `rows · columns`, centred across and
-/// at the top. Small images are enlarged by a whole factor; sides that would vanish
+/// at the top, on a grid of `grid` pixels a unit. Small images are enlarged by a whole factor; sides that would vanish
 /// (1-pixel-wide images) are kept at a sixteenth of the room.
-pub(crate) fn fit(room: Rect, rows: usize, columns: usize) -> Rect {
+pub(crate) fn fit(room: Rect, grid: f64, rows: usize, columns: usize) -> Rect {
     let (rows, columns) = (rows as f64, columns as f64);
     let mut scale = (room.width / columns).min(room.height / rows);
-    let whole = (scale * PNG_SCALE).floor();
+    let whole = (scale * grid).floor();
     if whole >= 1.0 {
-        scale = whole / PNG_SCALE;
+        scale = whole / grid;
     }
     let width = (scale * columns).max(room.width / 16.0);
     let height = (scale * rows).max(room.height / 16.0);
     let x = room.x + (room.width - width) / 2.0;
-    let snap = |v: f64| (v * PNG_SCALE).round() / PNG_SCALE;
+    let snap = |v: f64| (v * grid).round() / grid;
     Rect::new(snap(x), snap(room.y), snap(width), snap(height))
 }
 
@@ -81,7 +81,7 @@ pub(crate) fn scale_bar(figure: &mut Figure, place: Rect, columns: usize, pitch_
 
 /// Puts pixels in the largest fitting place of `room`; returns that place.
 pub(crate) fn put(figure: &mut Figure, room: Rect, pixels: Pixels) -> Rect {
-    let place = fit(room, pixels.rows, pixels.columns);
+    let place = fit(room, figure.scale(), pixels.rows, pixels.columns);
     figure.raster(place, pixels);
     place
 }
@@ -92,14 +92,11 @@ mod tests {
 
     #[test]
     fn small_images_are_enlarged_by_a_whole_factor() {
-        let place = fit(Rect::new(0.0, 0.0, 340.0, 340.0), 108, 100);
-        assert_eq!(
-            (place.width * PNG_SCALE, place.height * PNG_SCALE),
-            (600.0, 648.0)
-        );
-        let place = fit(Rect::new(0.0, 0.0, 340.0, 340.0), 3000, 1500);
+        let place = fit(Rect::new(0.0, 0.0, 340.0, 340.0), 2.0, 108, 100);
+        assert_eq!((place.width * 2.0, place.height * 2.0), (600.0, 648.0));
+        let place = fit(Rect::new(0.0, 0.0, 340.0, 340.0), 2.0, 3000, 1500);
         assert_eq!((place.width, place.height), (170.0, 340.0));
-        let place = fit(Rect::new(0.0, 0.0, 320.0, 320.0), 500, 1);
+        let place = fit(Rect::new(0.0, 0.0, 320.0, 320.0), 2.0, 500, 1);
         assert_eq!(place.width, 20.0);
     }
 }

@@ -61,13 +61,13 @@ impl Projection {
                 for x in x..(x + factor).min(self.columns) {
                     let at = y * self.columns + x;
                     let brightness = (self.max[at] / high).min(1.0);
-                    for (sum, c) in sum.iter_mut().zip(self.tint[at]) {
-                        *sum += brightness * c;
+                    for (sum, c) in sum.iter_mut().zip(srgb(self.tint[at])) {
+                        *sum += brightness * f32::from(c);
                     }
                     count += 1.0;
                 }
             }
-            srgb(sum.map(|s| s / count))
+            sum.map(|s| (s / count).round() as u8)
         })
     }
 }

@@ -61,6 +61,7 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
     let cell = (800.0 - left - 74.0 - 5.0 * gap) / 6.0;
     let height = fit(
         Rect::new(0.0, 0.0, cell, 1.6 * cell),
+        2.0,
         shape.rows,
         shape.columns,
     )
@@ -123,6 +124,7 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
     let cell = (800.0 - 74.0 - 3.0 * gap) / 4.0;
     let height = fit(
         Rect::new(0.0, 0.0, cell, 1.4 * cell),
+        2.0,
         shape.rows,
         shape.columns,
     )

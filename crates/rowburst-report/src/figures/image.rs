@@ -69,8 +69,8 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
     let shape = videos.video.shape();
     let mut figure = Figure::new(800.0, 0.0);
     let panels: Vec<_> = [
-        ("truth", videos.truth),
         ("reconstruction", Some(videos.video)),
+        ("truth", videos.truth),
     ]
     .into_iter()
     .filter_map(|(name, video)| Some((name, video?)))
@@ -108,9 +108,9 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
 fn picture(image: &Image, map: Map, unit: &str, pitch_um: Option<f64>) -> Figure {
     let high = display_high(image.data());
     let low = display_low(image.data(), high);
-    let mut figure = Figure::new(440.0, 0.0);
+    let mut figure = Figure::new(330.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
-    let room = Rect::new(0.0, 2.0, 350.0, 420.0);
+    let room = Rect::new(0.0, 2.0, 250.0, 320.0);
     let place = put(&mut figure, room, plane.coloured(map, low, high));
     colour_bar(&mut figure, place, map, (low, high), unit);
     scale_bar(&mut figure, place, image.columns(), pitch_um);

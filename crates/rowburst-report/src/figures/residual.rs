@@ -5,7 +5,7 @@ use crate::ReportInput;
 use crate::chart::{Axis, Chart, Labels};
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
-use crate::format::number;
+use crate::format::{fixed, number};
 use crate::panel::{colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::moments;
@@ -44,8 +44,8 @@ pub(super) fn draw(input: &ReportInput) -> Drawn {
          unit Gaussian (line): mean {}, standard deviation {}, {} % beyond ±4. Structureless \
          noise of width 1 means that the model explains the frame; structure means that it does \
          not, and a width below 1 that noise was fitted.",
-        number(m.mean, 2),
-        number(m.deviation, 3),
+        fixed(m.mean),
+        fixed(m.deviation),
         number(100.0 * m.beyond_four, 2),
     );
     if m.non_finite > 0 {
@@ -58,7 +58,7 @@ pub(super) fn draw(input: &ReportInput) -> Drawn {
         caption,
         alt: format!(
             "Map of the residual and its histogram; standard deviation {}.",
-            number(m.deviation, 3)
+            fixed(m.deviation)
         ),
     }
 }

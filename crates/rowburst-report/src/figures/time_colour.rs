@@ -12,8 +12,8 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
     let shape = videos.video.shape();
     let mut figure = Figure::new(800.0, 0.0);
     let panels: Vec<_> = [
-        ("truth", truth.as_ref()),
         ("reconstruction", Some(&videos.projection)),
+        ("truth", truth.as_ref()),
     ]
     .into_iter()
     .filter_map(|(name, projection)| Some((name, projection?)))

@@ -23,7 +23,7 @@ const COLOURS: [&str; SPOTS] = [
 /// Draws the traces, or nothing where the video is dark.
 pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
     let shape = videos.video.shape();
-    let separation = (shape.rows.min(shape.columns) as f64 / 10.0).max(3.0);
+    let separation = (shape.rows.min(shape.columns) as f64 / 8.0).max(3.0);
     let spots = brightest_spots(&videos.projection.max, shape.columns, SPOTS, separation);
     if spots.is_empty() {
         return None;
@@ -42,13 +42,13 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
     let mut bottom: f64 = 0.0;
     for (i, values) in traces.iter().enumerate() {
         let chart = Chart {
-            place: Rect::new(330.0, 8.0 + i as f64 * (strip + 20.0), 460.0, strip),
+            place: Rect::new(330.0, 20.0 + i as f64 * (strip + 22.0), 460.0, strip),
             x: Axis::linear(
                 0.0,
                 shape.bins as f64 * step_us / unit.us,
                 format!("time ({})", unit.name),
             ),
-            y: Axis::linear(0.0, f64::from(top) * 1.05, "brightness"),
+            y: Axis::linear(0.0, f64::from(top) * 1.05, ""),
         };
         bottom = chart.place.bottom();
         let is_last = i + 1 == traces.len();
@@ -74,16 +74,17 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
             "line",
             &format!(r#"style="stroke:{};stroke-width:3""#, COLOURS[i]),
         );
-        let text = format!("{}  row {}, column {}", i + 1, spots[i].y, spots[i].x);
+        let text = format!("{} · row {}, column {}", i + 1, spots[i].y, spots[i].x);
         figure.text(32.0, y, Anchor::Start, "", &text);
         let label = match tone {
             Some(tone) => format!("{} · {}", i + 1, frequency(tone.hertz)),
             None => format!("{}", i + 1),
         };
-        let (right, above) = (chart.place.right(), chart.place.y + 3.0);
+        let (right, above) = (chart.place.right(), chart.place.y - 4.0);
         figure.text(right, above, Anchor::End, "strong", &label);
         tones.extend(tone.map(|t| (i + 1, t)));
     }
+    figure.text_upwards(284.0, (20.0 + bottom) / 2.0, "", "brightness");
     let legend = place.bottom() + 40.0 + 20.0 * spots.len() as f64;
     figure.set_height((bottom + 42.0).max(legend));
     Some(Drawn {
@@ -134,7 +135,7 @@ fn map(figure: &mut Figure, input: &ReportInput, videos: &Videos, spots: &[Spot]
     let projection = &videos.projection;
     let (rows, columns) = (projection.rows, projection.columns);
     let plane = Plane::reduced(rows, columns, &projection.max, LONGEST_SIDE / 2);
-    let room = Rect::new(0.0, 8.0, 250.0, 300.0);
+    let room = Rect::new(0.0, 20.0, 240.0, 300.0);
     let place = put(figure, room, plane.coloured(Map::Grey, 0.0, videos.high));
     scale_bar(figure, place, columns, input.pixel_pitch_um);
     for (i, spot) in spots.iter().enumerate() {
