@@ -242,7 +242,10 @@ mod tests {
             texts(&Axis::linear(-1.0, 1.0, ""), 4),
             ["−1.0", "−0.5", "0.0", "0.5", "1.0"]
         );
-        assert_eq!(texts(&Axis::about([3.0, 3.0].into_iter(), ""), 2).len(), 3);
+        assert_eq!(
+            texts(&Axis::about([3.0, 3.0].into_iter(), ""), 2),
+            ["2", "4"]
+        );
         let log = Axis::about([0.9, 100.0].into_iter(), "");
         assert_eq!(texts(&log, 5), ["1", "2", "5", "10", "20", "50", "100"]);
         let log = Axis::about([1e-5, 1.0].into_iter(), "");

@@ -67,22 +67,21 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
     )
     .height;
     let mut figure = Figure::new(800.0, top + 3.0 * (height + gap) + 4.0);
-    let difference: Vec<Vec<f32>> = (bins.iter())
-        .map(|&t| {
-            let pairs = videos.video.bin(t).iter().zip(truth.bin(t));
-            pairs.map(|(v, truth)| v - truth).collect()
-        })
-        .collect();
     let half = DIFFERENCE * videos.high;
     for (row, name) in ["truth", "reconstruction", "difference"].iter().enumerate() {
         let y = top + row as f64 * (height + gap);
         let mut last = Rect::new(left, y, cell, height);
         for (i, &bin) in bins.iter().enumerate() {
             let room = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
+            let difference: Vec<f32>;
             let (values, map, range) = match row {
                 0 => (truth.bin(bin), Map::Light, (0.0, videos.high)),
                 1 => (videos.video.bin(bin), Map::Light, (0.0, videos.high)),
-                _ => (difference[i].as_slice(), Map::Signed, (-half, half)),
+                _ => {
+                    let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
+                    difference = pairs.map(|(v, truth)| v - truth).collect();
+                    (difference.as_slice(), Map::Signed, (-half, half))
+                }
             };
             let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
             last = put(&mut figure, room, plane.coloured(map, range.0, range.1));
