@@ -104,9 +104,8 @@ fn nice(step: f64) -> f64 {
 fn log_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
     let (first, last) = (low.log10().ceil() as i32, high.log10().floor() as i32);
     let inside = |&(v, _): &(f64, String)| v >= low && v <= high;
-    let decades = last - first + 1;
-    if decades >= 3 {
-        let stride = (decades as usize).div_ceil(count.max(1));
+    if (high / low).log10() >= 2.5 {
+        let stride = ((last - first + 1) as usize).div_ceil(count.max(1));
         let tick = |e: i32| (10_f64.powi(e), format!("10{}", raised(e)));
         return (first..=last).step_by(stride.max(1)).map(tick).collect();
     }

@@ -31,7 +31,10 @@ pub(crate) fn colour_bar(
     (low, high): (f32, f32),
     unit: &str,
 ) {
-    let height = beside.height.max(80.0);
+    // The numbers, and the name of the quantity, need room beside low pictures too.
+    let height = beside
+        .height
+        .max(if unit.is_empty() { 80.0 } else { 112.0 });
     let bar = Rect::new(beside.right() + 10.0, beside.y, 10.0, height);
     let ramp: Vec<f32> = (0..128).rev().map(|i| i as f32).collect();
     let ramp = Plane::reduced(128, 1, &ramp, 128).coloured(map, 0.0, 127.0);

@@ -6,6 +6,9 @@ use crate::chart::{Axis, Chart, Labels};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::number;
 
+/// What a panel shows, and its label.
+type Quantity = (&'static str, fn(&Iteration) -> f64);
+
 /// Draws residual, change and PSNR (or objective) against iterations; nothing for fewer
 /// than two of them.
 pub(super) fn draw(iterations: &[Iteration]) -> Option<Drawn> {
@@ -15,11 +18,11 @@ pub(super) fn draw(iterations: &[Iteration]) -> Option<Drawn> {
     }
     let mut figure = Figure::new(800.0, 300.0);
     let has_psnr = iterations.iter().any(|i| i.psnr_db.is_some());
-    let third: (&str, fn(&Iteration) -> f64) = match has_psnr {
+    let third: Quantity = match has_psnr {
         true => ("PSNR (dB)", |i| i.psnr_db.unwrap_or(f64::NAN)),
         false => ("objective", |i| i.objective),
     };
-    let panels: [(&str, fn(&Iteration) -> f64); 3] = [
+    let panels: [Quantity; 3] = [
         ("residual/σ", |i| i.residual_over_sigma),
         ("relative change", |i| i.change),
         third,

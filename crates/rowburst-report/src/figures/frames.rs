@@ -1,6 +1,6 @@
 //! Selected frames with their times, beside the truth.
 
-use rowburst::{TimeGrid, Video};
+use rowburst::{Shape, TimeGrid, Video};
 
 use super::{Drawn, Section, Videos};
 use crate::ReportInput;
@@ -12,6 +12,8 @@ use crate::pixels::Plane;
 
 /// Longest side of a frame of the sheet, in pixels.
 const FRAME_SIDE: usize = 512;
+/// Room above a frame for its time and rows.
+const HEAD: f64 = 40.0;
 /// Scale of the difference row, as a share of the white point.
 const DIFFERENCE: f32 = 0.25;
 
@@ -54,48 +56,59 @@ fn stamp(figure: &mut Figure, input: &ReportInput, place: Rect, bin: usize) {
     figure.text(middle, place.y - 6.0, Anchor::Middle, "muted", &read);
 }
 
+/// How many frames stand side by side, of `most` (for square ones).
+fn per_line(shape: Shape, most: usize) -> usize {
+    match shape.columns as f64 / shape.rows as f64 {
+        aspect if aspect > 3.0 => most / 3,
+        aspect if aspect > 1.6 => most / 2,
+        _ => most,
+    }
+    .max(1)
+}
+
 /// Truth, reconstruction and difference, one below the other.
 fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize]) -> Drawn {
     let shape = videos.video.shape();
-    let (left, top, gap) = (24.0, 40.0, 6.0);
-    let cell = (800.0 - left - 74.0 - 5.0 * gap) / 6.0;
-    let height = fit(
-        Rect::new(0.0, 0.0, cell, 1.6 * cell),
-        2.0,
-        shape.rows,
-        shape.columns,
-    )
-    .height;
-    let mut figure = Figure::new(800.0, top + 3.0 * (height + gap) + 4.0);
+    let across = per_line(shape, 6);
+    let (left, gap) = (24.0, 6.0);
+    let cell = (800.0 - left - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let room = Rect::new(0.0, 0.0, cell, 1.6 * cell);
+    let height = fit(room, 2.0, shape.rows, shape.columns).height;
+    // The upright names need some length.
+    let pitch = (height + gap).max(108.0);
+    let group = HEAD + 3.0 * pitch + 4.0;
+    let groups = bins.chunks(across);
+    let mut figure = Figure::new(800.0, groups.len() as f64 * group);
     let half = DIFFERENCE * videos.high;
-    for (row, name) in ["truth", "reconstruction", "difference"].iter().enumerate() {
-        let y = top + row as f64 * (height + gap);
-        let mut last = Rect::new(left, y, cell, height);
-        for (i, &bin) in bins.iter().enumerate() {
-            let room = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
-            let difference: Vec<f32>;
-            let (values, map, range) = match row {
-                0 => (truth.bin(bin), Map::Light, (0.0, videos.high)),
-                1 => (videos.video.bin(bin), Map::Light, (0.0, videos.high)),
-                _ => {
-                    let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
-                    difference = pairs.map(|(v, truth)| v - truth).collect();
-                    (difference.as_slice(), Map::Signed, (-half, half))
+    let light = (Map::Light, (0.0, videos.high));
+    let signed = (Map::Signed, (-half, half));
+    for (top, bins) in groups.enumerate().map(|(i, bins)| (i as f64 * group, bins)) {
+        for (row, name) in ["truth", "reconstruction", "difference"].iter().enumerate() {
+            let y = top + HEAD + row as f64 * pitch;
+            let (map, range) = if row == 2 { signed } else { light };
+            let mut last = room;
+            for (i, &bin) in bins.iter().enumerate() {
+                let room = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
+                let difference: Vec<f32>;
+                let values = match row {
+                    0 => truth.bin(bin),
+                    1 => videos.video.bin(bin),
+                    _ => {
+                        let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
+                        difference = pairs.map(|(v, truth)| v - truth).collect();
+                        &difference
+                    }
+                };
+                let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
+                last = put(&mut figure, room, plane.coloured(map, range.0, range.1));
+                if row == 0 {
+                    stamp(&mut figure, input, last, bin);
                 }
-            };
-            let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
-            last = put(&mut figure, room, plane.coloured(map, range.0, range.1));
-            if row == 0 {
-                stamp(&mut figure, input, last, bin);
             }
-        }
-        figure.text_upwards(left - 8.0, y + height / 2.0, "strong", name);
-        let (map, range) = match row {
-            2 => (Map::Signed, (-half, half)),
-            _ => (Map::Light, (0.0, videos.high)),
-        };
-        if row > 0 {
-            colour_bar(&mut figure, last, map, range, "");
+            figure.text_upwards(left - 8.0, y + height / 2.0, "strong", name);
+            if row > 0 {
+                colour_bar(&mut figure, last, map, range, "");
+            }
         }
     }
     Drawn {
@@ -116,24 +129,19 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
     }
 }
 
-/// The reconstruction alone, in rows of four.
+/// The reconstruction alone.
 fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
     let shape = videos.video.shape();
-    let (top, gap) = (40.0, 8.0);
-    let cell = (800.0 - 74.0 - 3.0 * gap) / 4.0;
-    let height = fit(
-        Rect::new(0.0, 0.0, cell, 1.4 * cell),
-        2.0,
-        shape.rows,
-        shape.columns,
-    )
-    .height;
-    let lines = bins.len().div_ceil(4) as f64;
-    let mut figure = Figure::new(800.0, lines * (top + height + gap));
+    let across = per_line(shape, 4);
+    let gap = 8.0;
+    let cell = (800.0 - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let room = Rect::new(0.0, 0.0, cell, 1.4 * cell);
+    let height = fit(room, 2.0, shape.rows, shape.columns).height;
+    let pitch = HEAD + height.max(84.0) + gap;
+    let mut figure = Figure::new(800.0, bins.len().div_ceil(across) as f64 * pitch);
     for (i, &bin) in bins.iter().enumerate() {
-        let (column, line) = ((i % 4) as f64, (i / 4) as f64);
-        let y = top + line * (top + height + gap);
-        let room = Rect::new(column * (cell + gap), y, cell, 1.4 * cell);
+        let (column, line) = ((i % across) as f64, (i / across) as f64);
+        let room = Rect::new(column * (cell + gap), HEAD + line * pitch, cell, 1.4 * cell);
         let plane = Plane::reduced(shape.rows, shape.columns, videos.video.bin(bin), FRAME_SIDE);
         let place = put(
             &mut figure,
@@ -141,7 +149,7 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
             plane.coloured(Map::Light, 0.0, videos.high),
         );
         stamp(&mut figure, input, place, bin);
-        if i % 4 == 3 || i + 1 == bins.len() {
+        if (i + 1) % across == 0 || i + 1 == bins.len() {
             colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "");
         }
     }

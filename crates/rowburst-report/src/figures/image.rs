@@ -19,9 +19,14 @@ pub(super) fn frame(input: &ReportInput) -> Drawn {
         section: Section::Measurement,
         figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
         caption: format!(
-            "The captured frame, {size} pixels, in the units of the measurement. Every row is \
-             read at its own instant. A good one uses the range well, is nowhere saturated and, \
-             behind a diffuser, looks like noise that changes from row to row."
+            "The captured frame, {size} pixels, in the units of the measurement. {} A good one \
+             uses the range well and is nowhere saturated.",
+            match input.video.shape().bins {
+                1 => "All rows integrate the same light.",
+                _ =>
+                    "Every row is read at its own instant, so that behind a diffuser it looks \
+                     like noise that changes from row to row.",
+            }
         ),
         alt: format!("Grey-scale image of the captured frame, {size} pixels."),
     }
@@ -55,12 +60,18 @@ pub(super) fn direct(input: &ReportInput, image: &Image) -> Drawn {
         name: "direct",
         section: Section::Measurement,
         figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
-        caption: "What the same camera would record without the diffuser (simulated), in the \
-                  units of the frame: each row sees the scene at its own instant only, and what \
-                  happens elsewhere meanwhile is lost."
-            .into(),
-        alt: "Grey-scale image of the scene as a rolling shutter records it without diffuser."
-            .into(),
+        caption: String::from(match input.video.shape().bins {
+            1 => {
+                "What the same camera would record without the diffuser (simulated), in the \
+                 units of the frame."
+            }
+            _ => {
+                "What the same camera would record without the diffuser (simulated), in the \
+                 units of the frame: each row sees the scene at its own instant only, and what \
+                 happens elsewhere meanwhile is lost."
+            }
+        }),
+        alt: "Grey-scale image of the scene as the camera records it without diffuser.".into(),
     }
 }
 
@@ -91,7 +102,7 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
     let range = (0.0, videos.high);
     colour_bar(&mut figure, last, Map::Light, range, "brightness");
     scale_bar(&mut figure, last, shape.columns, input.pixel_pitch_um);
-    figure.set_height(last.bottom().max(110.0) + 22.0);
+    figure.set_height(last.bottom().max(120.0) + 22.0);
     Drawn {
         name: "reconstruction",
         section: Section::Video,
@@ -114,6 +125,6 @@ fn picture(image: &Image, map: Map, unit: &str, pitch_um: Option<f64>) -> Figure
     let place = put(&mut figure, room, plane.coloured(map, low, high));
     colour_bar(&mut figure, place, map, (low, high), unit);
     scale_bar(&mut figure, place, image.columns(), pitch_um);
-    figure.set_height(place.bottom().max(90.0) + 22.0);
+    figure.set_height(place.bottom().max(100.0) + 22.0);
     figure
 }

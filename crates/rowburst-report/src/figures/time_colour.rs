@@ -18,17 +18,26 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
     .into_iter()
     .filter_map(|(name, projection)| Some((name, projection?)))
     .collect();
-    let width = if panels.len() == 2 { 390.0 } else { 800.0 };
-    let height = if panels.len() == 2 { 480.0 } else { 520.0 };
-    let mut bottom: f64 = 0.0;
-    for (i, (name, projection)) in panels.iter().enumerate() {
-        let room = Rect::new(i as f64 * (width + 20.0), 22.0, width, height);
+    // Side by side, but wide pictures one below the other.
+    let beside = panels.len() == 2 && shape.columns < 2 * shape.rows;
+    let (width, height) = if beside {
+        (390.0, 480.0)
+    } else {
+        (800.0, 520.0)
+    };
+    let (mut x, mut bottom) = (0.0, -18.0_f64);
+    for (name, projection) in panels {
+        let top = if x > 0.0 { 22.0 } else { bottom + 40.0 };
+        let room = Rect::new(x, top, width, height);
         let place = put(&mut figure, room, projection.picture(videos.high));
         let middle = place.x + place.width / 2.0;
-        figure.text(middle, 14.0, Anchor::Middle, "strong", name);
+        figure.text(middle, top - 8.0, Anchor::Middle, "strong", name);
         scale_bar(&mut figure, place, shape.columns, input.pixel_pitch_um);
         sensor_outline(&mut figure, place, input);
         bottom = bottom.max(place.bottom());
+        if beside {
+            x += width + 20.0;
+        }
     }
     let total_us = shape.bins as f64 * input.time.bin_duration_us();
     let bar = Rect::new(200.0, bottom + 30.0, 400.0, 12.0);
