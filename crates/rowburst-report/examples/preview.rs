@@ -69,7 +69,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .collect();
     let pair = |a: &str, b: &str| (a.to_string(), b.to_string());
     let input = ReportInput {
-        title: "Digits behind a diffuser",
+        title: "Preview of a report",
         frame: &frame,
         psf: &psf,
         video: &video,

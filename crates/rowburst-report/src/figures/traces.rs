@@ -8,7 +8,7 @@ use crate::chart::{Axis, Chart, Labels};
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, frequency};
-use crate::frequency::strongest_tone;
+use crate::frequency::{Tone, strongest_tone};
 use crate::panel::{put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::spots::{Spot, brightest_spots, mean3};
@@ -91,7 +91,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
         name: "traces",
         section: Section::Video,
         figure,
-        caption: caption(videos.truth.is_some(), &tones),
+        caption: caption(videos.truth.is_some(), &tones, input.time.frame_rate_hz()),
         alt: format!(
             "Brightness over time of the {} brightest spots, and a map of them.",
             spots.len()
@@ -99,7 +99,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
     })
 }
 
-fn caption(has_truth: bool, tones: &[(usize, crate::Tone)]) -> String {
+fn caption(has_truth: bool, tones: &[(usize, Tone)], rate_hz: f64) -> String {
     let mut text = String::from(
         "Brightness over time of the brightest spots (mean of 3 × 3 pixels, in the units of the \
          frame per unit of PSF sum; points at the middle of the bins)",
@@ -119,7 +119,9 @@ fn caption(has_truth: bool, tones: &[(usize, crate::Tone)]) -> String {
             frequency(tone.hertz)
         )
     });
-    text + &list.collect::<Vec<_>>().join("; ") + "."
+    text += &list.collect::<Vec<_>>().join("; ");
+    let half = frequency(rate_hz / 2.0);
+    text + &format!(". What is faster than half the frame rate, {half}, appears folded below it.")
 }
 
 /// Mean of the 3×3 pixels about a spot, in every bin.
