@@ -84,7 +84,7 @@ fn check_page(report: &Report) {
     for picture in &report.pictures {
         let (width, height) = size(&picture.png);
         assert!(
-            (300..=1700).contains(&width) && (50..=2200).contains(&height),
+            (300..=1700).contains(&width) && (50..=2400).contains(&height),
             "{}",
             picture.name
         );
