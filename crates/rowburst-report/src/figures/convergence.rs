@@ -31,7 +31,7 @@ pub(super) fn draw(iterations: &[Iteration]) -> Option<Drawn> {
     for (i, (label, value)) in panels.into_iter().enumerate() {
         let values = iterations.iter().map(value);
         let mut chart = Chart {
-            place: Rect::new(54.0 + 272.0 * i as f64, 40.0, 192.0, 210.0),
+            place: Rect::new(60.0 + 270.0 * i as f64, 40.0, 186.0, 210.0),
             x: Axis::linear(from, to, "iteration"),
             y: Axis::about(values, label),
         };
