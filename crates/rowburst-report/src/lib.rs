@@ -1,1 +1,182 @@
-//! x
+//! The report of a reconstruction: pictures, plots and one HTML page that opens offline.
+//!
+//! Pure: values in, bytes out; the caller writes the files. [`render`] draws every
+//! figure once, as SVG. The page holds that SVG, so that it is sharp on any screen
+//! and follows the light or dark theme; [`Picture::png`] is the same SVG rasterised
+//! on white with a font of its own, so no font of the system is asked for.
+//!
+//! ```text
+//! ReportInput ─▶ figures/* ─▶ Figure (SVG + panels of pixels) ─▶ page (HTML)
+//!   analysis: projection, spots, frequency, stats              └─▶ Picture (PNG)
+//! ```
+
+mod chart;
+mod colour;
+mod figure;
+mod figures;
+mod format;
+mod frequency;
+mod page;
+mod panel;
+mod pixels;
+mod projection;
+mod spots;
+mod stats;
+
+use rowburst::{Error, Image, Result, TimeGrid, Video};
+
+pub use frequency::{Tone, strongest_tone};
+pub use spots::{Spot, brightest_spots};
+
+/// What a report is made of. Everything is borrowed; nothing is changed or copied whole.
+#[derive(Debug, Clone)]
+pub struct ReportInput<'a> {
+    /// Title of the page.
+    pub title: &'a str,
+    /// The captured frame `[y, x]`, in counts (or whatever the solver was given).
+    pub frame: &'a Image,
+    /// The point spread function `[y, x]`, of any size.
+    pub psf: &'a Image,
+    /// The reconstruction `[t, y, x]`; its field may be larger than the sensor.
+    pub video: &'a Video,
+    /// The true video, of the reconstruction's shape (simulations).
+    pub truth: Option<&'a Video>,
+    /// What the camera would record without the diffuser (simulations), of any size.
+    pub direct: Option<&'a Image>,
+    /// `(b − A v)/σ`, dimensionless, of the frame's size. Values that are not finite are shown grey.
+    pub residual: &'a Image,
+    /// Instant `k[r]` at which row `r` of the frame is read.
+    pub instants: &'a [usize],
+    /// The time axis of the video: bin duration, and which bins each instant integrates.
+    pub time: &'a TimeGrid,
+    /// The course of the solver, one entry for each recorded iteration; may be empty.
+    pub convergence: &'a [Iteration],
+    /// The few big numbers, as (name, value with unit).
+    pub headline: Vec<(String, String)>,
+    /// Sections of the table of all numbers and settings needed to repeat the run,
+    /// as (section, [(name, value)]).
+    pub settings: Vec<(String, Vec<(String, String)>)>,
+    /// Pitch of the sensor's pixels in µm, for scale bars.
+    pub pixel_pitch_um: Option<f64>,
+    /// The video as an MP4 file, to be played in the page.
+    pub mp4: Option<&'a [u8]>,
+    /// Files written beside the report, as (name, what it is).
+    pub files: Vec<(String, String)>,
+    /// The command line that repeats the run.
+    pub reproduce: Option<&'a str>,
+}
+
+/// One recorded iteration of the solver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Iteration {
+    /// Number of the iteration, from 1.
+    pub iteration: usize,
+    /// Wall-clock time since the start, in seconds.
+    pub seconds: f64,
+    /// Objective `½‖W(b − A v)‖² + τ‖Ψ v‖₁`.
+    pub objective: f64,
+    /// Root mean square of `(b − A v)/σ`.
+    pub residual_over_sigma: f64,
+    /// Relative change of the video, `‖v − v'‖/‖v‖`.
+    pub change: f64,
+    /// Peak signal-to-noise ratio against the truth, in dB.
+    pub psnr_db: Option<f64>,
+}
+
+/// A finished report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// The page: one file without any external reference.
+    pub html: String,
+    /// The pictures of the page, each a file to be put beside it.
+    pub pictures: Vec<Picture>,
+}
+
+/// One picture of the report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// File name, such as `frame.png`.
+    pub name: String,
+    /// The PNG file, 8-bit RGB.
+    pub png: Vec<u8>,
+    /// What is seen, as plain text.
+    pub caption: String,
+}
+
+/// Renders the page and its pictures.
+///
+/// Cost: two passes over each video and no copy of either; besides the pictures
+/// themselves at most one raster of a picture is held at a time.
+///
+/// # Errors
+/// Inputs whose sizes contradict each other; a picture that cannot be encoded.
+pub fn render(input: &ReportInput) -> Result<Report> {
+    check(input)?;
+    let mut entries = Vec::new();
+    let mut pictures = Vec::new();
+    for drawn in figures::all(input) {
+        let name = format!("{}.png", drawn.name);
+        pictures.push(Picture {
+            png: drawn.figure.png()?,
+            caption: drawn.caption.clone(),
+            name: name.clone(),
+        });
+        entries.push(page::Entry {
+            section: drawn.section,
+            svg: drawn.figure.svg(drawn.name, &drawn.alt)?,
+            wide: drawn.figure.is_wide(),
+            file: name,
+            caption: drawn.caption,
+        });
+    }
+    Ok(Report {
+        html: page::page(input, entries),
+        pictures,
+    })
+}
+
+fn check(input: &ReportInput) -> Result<()> {
+    let shape = input.video.shape();
+    let frame = (input.frame.rows(), input.frame.columns());
+    let mismatch = |subject: &str, found: String, rule: String| {
+        Err(Error::input(
+            subject,
+            found,
+            rule,
+            "Give the report the values of one and the same reconstruction.",
+        ))
+    };
+    if let Some(truth) = input.truth.map(Video::shape).filter(|&t| t != shape) {
+        return mismatch(
+            "true video",
+            truth.to_string(),
+            format!("it has the shape of the reconstruction, {shape}"),
+        );
+    }
+    let residual = (input.residual.rows(), input.residual.columns());
+    if residual != frame {
+        return mismatch(
+            "residual map",
+            format!("{}×{} pixels", residual.0, residual.1),
+            format!("it has the size of the frame, {}×{}", frame.0, frame.1),
+        );
+    }
+    if input.instants.len() != frame.0 {
+        return mismatch(
+            "instants",
+            format!("{} entries", input.instants.len()),
+            format!("there is one for each of the {} rows", frame.0),
+        );
+    }
+    if input.time.bins() != shape.bins {
+        return mismatch(
+            "time grid",
+            format!("{} bins", input.time.bins()),
+            format!("it has the bins of the video, {}", shape.bins),
+        );
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

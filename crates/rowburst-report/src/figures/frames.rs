@@ -1,0 +1,190 @@
+//! Selected frames with their times, beside the truth.
+
+use rowburst::{Shape, TimeGrid, Video};
+
+use super::{Drawn, Section, Videos};
+use crate::ReportInput;
+use crate::colour::Map;
+use crate::figure::{Anchor, Figure, Rect};
+use crate::format::{TimeUnit, rows};
+use crate::panel::{colour_bar, fit, put};
+use crate::pixels::Plane;
+
+/// Longest side of a frame of the sheet, in pixels.
+const FRAME_SIDE: usize = 512;
+/// Room above a frame for its time and rows.
+const HEAD: f64 = 40.0;
+/// Scale of the difference row, as a share of the white point.
+const DIFFERENCE: f32 = 0.25;
+
+/// Draws the contact sheet.
+pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Drawn {
+    let bins = videos.video.shape().bins;
+    match videos.truth {
+        Some(truth) => compared(input, videos, truth, &spread(bins, 6)),
+        None => alone(input, videos, &spread(bins, 8)),
+    }
+}
+
+/// `count` bins (or all, if fewer) spread evenly over the video.
+fn spread(bins: usize, count: usize) -> Vec<usize> {
+    let count = count.min(bins);
+    (0..count)
+        .map(|i| (2 * i + 1) * bins / (2 * count))
+        .collect()
+}
+
+/// The rows of the frame that see `bin`, in ascending order.
+fn rows_of_bin(instants: &[usize], time: &TimeGrid, bin: usize) -> Vec<usize> {
+    let sees = |&row: &usize| {
+        let weights = time.instants().get(instants[row]);
+        weights.is_some_and(|w| {
+            let at = bin.checked_sub(w.first_bin).and_then(|i| w.weights.get(i));
+            at.is_some_and(|&weight| weight > 0.0)
+        })
+    };
+    (0..instants.len()).filter(sees).collect()
+}
+
+fn stamp(figure: &mut Figure, input: &ReportInput, place: Rect, bin: usize) {
+    let step_us = input.time.bin_duration_us();
+    let unit = TimeUnit::of(input.time.bins() as f64 * step_us);
+    let time = unit.stamp(bin as f64 * step_us, step_us);
+    let middle = place.x + place.width / 2.0;
+    figure.text(middle, place.y - 20.0, Anchor::Middle, "strong", &time);
+    let read = rows(&rows_of_bin(input.instants, input.time, bin));
+    figure.text(middle, place.y - 6.0, Anchor::Middle, "muted", &read);
+}
+
+/// How many frames stand side by side, of `most` (for square ones).
+fn per_line(shape: Shape, most: usize) -> usize {
+    match shape.columns as f64 / shape.rows as f64 {
+        aspect if aspect > 3.0 => most / 3,
+        aspect if aspect > 1.6 => most / 2,
+        _ => most,
+    }
+    .max(1)
+}
+
+/// Truth, reconstruction and difference, one below the other.
+fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize]) -> Drawn {
+    let shape = videos.video.shape();
+    let across = per_line(shape, 6);
+    let (left, gap) = (24.0, 6.0);
+    let cell = (800.0 - left - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let room = Rect::new(0.0, 0.0, cell, 1.6 * cell);
+    let height = fit(room, 2.0, shape.rows, shape.columns).height;
+    // The upright names need some length.
+    let pitch = (height + gap).max(108.0);
+    let group = HEAD + 3.0 * pitch + 4.0;
+    let groups = bins.chunks(across);
+    let mut figure = Figure::new(800.0, groups.len() as f64 * group);
+    let half = DIFFERENCE * videos.high;
+    let light = (Map::Light, (0.0, videos.high));
+    let signed = (Map::Signed, (-half, half));
+    for (top, bins) in groups.enumerate().map(|(i, bins)| (i as f64 * group, bins)) {
+        for (row, name) in ["truth", "reconstruction", "difference"].iter().enumerate() {
+            let y = top + HEAD + row as f64 * pitch;
+            let (map, range) = if row == 2 { signed } else { light };
+            let mut last = room;
+            for (i, &bin) in bins.iter().enumerate() {
+                let room = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
+                let difference: Vec<f32>;
+                let values = match row {
+                    0 => truth.bin(bin),
+                    1 => videos.video.bin(bin),
+                    _ => {
+                        let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
+                        difference = pairs.map(|(v, truth)| v - truth).collect();
+                        &difference
+                    }
+                };
+                let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
+                last = put(&mut figure, room, plane.coloured(map, range.0, range.1));
+                if row == 0 {
+                    stamp(&mut figure, input, last, bin);
+                }
+            }
+            figure.text_upwards(left - 8.0, y + height / 2.0, "strong", name);
+            if row > 0 {
+                colour_bar(&mut figure, last, map, range, "");
+            }
+        }
+    }
+    Drawn {
+        name: "frames",
+        section: Section::Video,
+        figure,
+        caption: format!(
+            "{} of {} frames: truth, reconstruction and their difference (reconstruction − truth, \
+             on a quarter of the scale). Above each, the time at which its bin begins and the \
+             rows that see it. Brightness in the units of the frame per unit of PSF sum. In a \
+             good one the two upper rows look the same and the third is blank.",
+            bins.len(),
+            shape.bins
+        ),
+        alt:
+            "Contact sheet of frames: truth above, reconstruction in the middle, difference below."
+                .into(),
+    }
+}
+
+/// The reconstruction alone.
+fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
+    let shape = videos.video.shape();
+    let across = per_line(shape, 4);
+    let gap = 8.0;
+    let cell = (800.0 - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let room = Rect::new(0.0, 0.0, cell, 1.4 * cell);
+    let height = fit(room, 2.0, shape.rows, shape.columns).height;
+    let pitch = HEAD + height.max(84.0) + gap;
+    let mut figure = Figure::new(800.0, bins.len().div_ceil(across) as f64 * pitch);
+    for (i, &bin) in bins.iter().enumerate() {
+        let (column, line) = ((i % across) as f64, (i / across) as f64);
+        let room = Rect::new(column * (cell + gap), HEAD + line * pitch, cell, 1.4 * cell);
+        let plane = Plane::reduced(shape.rows, shape.columns, videos.video.bin(bin), FRAME_SIDE);
+        let place = put(
+            &mut figure,
+            room,
+            plane.coloured(Map::Light, 0.0, videos.high),
+        );
+        stamp(&mut figure, input, place, bin);
+        if (i + 1) % across == 0 || i + 1 == bins.len() {
+            colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "");
+        }
+    }
+    Drawn {
+        name: "frames",
+        section: Section::Video,
+        figure,
+        caption: format!(
+            "{} of {} reconstructed frames. Above each, the time at which its bin begins and the \
+             rows that see it. Brightness in the units of the frame per unit of PSF sum. A good \
+             one shows sharp objects on a dark, quiet ground.",
+            bins.len(),
+            shape.bins
+        ),
+        alt: "Contact sheet of reconstructed frames.".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_spread_over_the_video() {
+        assert_eq!(spread(54, 6), [4, 13, 22, 31, 40, 49]);
+        assert_eq!(spread(2, 6), [0, 1]);
+        assert_eq!(spread(1, 8), [0]);
+    }
+
+    #[test]
+    fn rows_of_a_bin_follow_the_exposure() {
+        let time = TimeGrid::rolling(4, 10.0, 2.0, 1);
+        assert_eq!(rows_of_bin(&[0, 1, 2, 3], &time, 0), [0]);
+        assert_eq!(rows_of_bin(&[0, 1, 2, 3], &time, 2), [1, 2]);
+        assert_eq!(rows_of_bin(&[3, 2, 1, 0], &time, 4), [0]);
+        assert!(rows_of_bin(&[9], &time, 0).is_empty());
+    }
+}

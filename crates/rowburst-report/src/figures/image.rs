@@ -1,0 +1,130 @@
+//! Single pictures: the captured frame, the PSF, the scene without diffuser, a still reconstruction.
+
+use rowburst::Image;
+
+use super::{Drawn, Section, Videos};
+use crate::ReportInput;
+use crate::colour::Map;
+use crate::figure::{Anchor, Figure, Rect};
+use crate::panel::{colour_bar, put, scale_bar};
+use crate::pixels::{LONGEST_SIDE, Plane};
+use crate::stats::{display_high, display_low};
+
+/// The captured frame.
+pub(super) fn frame(input: &ReportInput) -> Drawn {
+    let image = input.frame;
+    let size = format!("{} × {}", image.rows(), image.columns());
+    Drawn {
+        name: "frame",
+        section: Section::Measurement,
+        figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
+        caption: format!(
+            "The captured frame, {size} pixels, in the units of the measurement. {} A good one \
+             uses the range well and is nowhere saturated.",
+            match input.video.shape().bins {
+                1 => "All rows integrate the same light.",
+                _ =>
+                    "Every row is read at its own instant, so that behind a diffuser it looks \
+                     like noise that changes from row to row.",
+            }
+        ),
+        alt: format!("Grey-scale image of the captured frame, {size} pixels."),
+    }
+}
+
+/// The point spread function.
+pub(super) fn psf(input: &ReportInput) -> Drawn {
+    let image = input.psf;
+    let size = format!("{} × {}", image.rows(), image.columns());
+    Drawn {
+        name: "psf",
+        section: Section::Measurement,
+        figure: picture(
+            image,
+            Map::Light,
+            "share of the light",
+            input.pixel_pitch_um,
+        ),
+        caption: format!(
+            "The point spread function, {size} pixels: where the diffuser sends the light of one \
+             point, dimensionless. A good one spreads over all rows in fine, sharp grains \
+             without a bright core."
+        ),
+        alt: format!("Image of the point spread function, {size} pixels."),
+    }
+}
+
+/// What the camera would record without the diffuser.
+pub(super) fn direct(input: &ReportInput, image: &Image) -> Drawn {
+    Drawn {
+        name: "direct",
+        section: Section::Measurement,
+        figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
+        caption: String::from(match input.video.shape().bins {
+            1 => {
+                "What the same camera would record without the diffuser (simulated), in the \
+                 units of the frame."
+            }
+            _ => {
+                "What the same camera would record without the diffuser (simulated), in the \
+                 units of the frame: each row sees the scene at its own instant only, and what \
+                 happens elsewhere meanwhile is lost."
+            }
+        }),
+        alt: "Grey-scale image of the scene as the camera records it without diffuser.".into(),
+    }
+}
+
+/// A reconstruction of a single bin, beside its truth.
+pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
+    let shape = videos.video.shape();
+    let mut figure = Figure::new(800.0, 0.0);
+    let panels: Vec<_> = [
+        ("reconstruction", Some(videos.video)),
+        ("truth", videos.truth),
+    ]
+    .into_iter()
+    .filter_map(|(name, video)| Some((name, video?)))
+    .collect();
+    let width = if panels.len() == 2 { 340.0 } else { 690.0 };
+    let mut last = Rect::new(0.0, 0.0, 0.0, 0.0);
+    for (i, (name, video)) in panels.iter().enumerate() {
+        let room = Rect::new(i as f64 * (width + 10.0), 22.0, width, 560.0);
+        let plane = Plane::reduced(shape.rows, shape.columns, video.bin(0), LONGEST_SIDE);
+        last = put(
+            &mut figure,
+            room,
+            plane.coloured(Map::Light, 0.0, videos.high),
+        );
+        let middle = last.x + last.width / 2.0;
+        figure.text(middle, 14.0, Anchor::Middle, "strong", name);
+    }
+    let range = (0.0, videos.high);
+    colour_bar(&mut figure, last, Map::Light, range, "brightness");
+    scale_bar(&mut figure, last, shape.columns, input.pixel_pitch_um);
+    figure.set_height(last.bottom().max(120.0) + 22.0);
+    Drawn {
+        name: "reconstruction",
+        section: Section::Video,
+        figure,
+        caption: "The reconstruction: a single time bin, since every row integrates the same \
+                  light. Brightness in the units of the frame per unit of PSF sum. A good one \
+                  shows sharp objects on a dark, quiet ground."
+            .into(),
+        alt: "Image of the reconstructed scene.".into(),
+    }
+}
+
+/// An image with its colour bar and a scale bar.
+fn picture(image: &Image, map: Map, unit: &str, pitch_um: Option<f64>) -> Figure {
+    let high = display_high(image.data());
+    let low = display_low(image.data(), high);
+    let mut figure = Figure::new(330.0, 0.0);
+    let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
+    let room = Rect::new(0.0, 2.0, 250.0, 320.0);
+    let place = put(&mut figure, room, plane.coloured(map, low, high));
+    colour_bar(&mut figure, place, map, (low, high), unit);
+    scale_bar(&mut figure, place, image.columns(), pitch_um);
+    figure.set_height(place.bottom().max(100.0) + 22.0);
+    figure
+}

@@ -1,0 +1,97 @@
+//! The whole video in one picture: time as colour.
+
+use super::{Drawn, Section, Videos};
+use crate::ReportInput;
+use crate::figure::{Anchor, Figure, Rect};
+use crate::format::TimeUnit;
+use crate::panel::{put, scale_bar};
+use crate::projection::{Projection, legend};
+
+/// Draws the projection of the reconstruction, beside that of the truth.
+pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projection>) -> Drawn {
+    let shape = videos.video.shape();
+    let mut figure = Figure::new(800.0, 0.0);
+    let panels: Vec<_> = [
+        ("reconstruction", Some(&videos.projection)),
+        ("truth", truth.as_ref()),
+    ]
+    .into_iter()
+    .filter_map(|(name, projection)| Some((name, projection?)))
+    .collect();
+    // Side by side, but wide pictures one below the other.
+    let beside = panels.len() == 2 && shape.columns < 2 * shape.rows;
+    let (width, height) = if beside {
+        (390.0, 480.0)
+    } else {
+        (800.0, 520.0)
+    };
+    let (mut x, mut bottom) = (0.0, -18.0_f64);
+    for (name, projection) in panels {
+        let top = if x > 0.0 { 22.0 } else { bottom + 40.0 };
+        let room = Rect::new(x, top, width, height);
+        let place = put(&mut figure, room, projection.picture(videos.high));
+        let middle = place.x + place.width / 2.0;
+        figure.text(middle, top - 8.0, Anchor::Middle, "strong", name);
+        scale_bar(&mut figure, place, shape.columns, input.pixel_pitch_um);
+        sensor_outline(&mut figure, place, input);
+        bottom = bottom.max(place.bottom());
+        if beside {
+            x += width + 20.0;
+        }
+    }
+    let total_us = shape.bins as f64 * input.time.bin_duration_us();
+    let bar = Rect::new(200.0, bottom + 30.0, 400.0, 12.0);
+    figure.raster(bar, legend(shape.bins));
+    figure.rect(bar, "axis", "");
+    let unit = TimeUnit::of(total_us);
+    for fraction in [0.0, 0.25, 0.5, 0.75, 1.0] {
+        let text = unit.stamp(fraction * total_us, 0.1 * unit.us);
+        let x = bar.x + fraction * bar.width;
+        figure.text(x, bar.bottom() + 16.0, Anchor::Middle, "muted", &text);
+    }
+    figure.set_height(bar.bottom() + 24.0);
+    Drawn {
+        name: "time-colour",
+        section: Section::Video,
+        figure,
+        caption: format!(
+            "The whole video of {} bins in one picture: hue is time (equal steps of time are \
+             equal steps of hue, blue first, red last), brightness the largest value over time. \
+             What is lit all the time is grey.{} A good one shows each object in one pure colour \
+             on black; mixed colours are events that were not told apart.",
+            shape.bins,
+            if is_larger(input) {
+                " The dashed line is the edge of the sensor."
+            } else {
+                ""
+            }
+        ),
+        alt: format!(
+            "Projection of the video over time with time shown as hue from blue at 0 to red at {}.",
+            unit.stamp(total_us, 0.1 * unit.us)
+        ),
+    }
+}
+
+fn is_larger(input: &ReportInput) -> bool {
+    let shape = input.video.shape();
+    shape.rows > input.frame.rows() || shape.columns > input.frame.columns()
+}
+
+/// Marks the sensor in the middle of a field that is larger.
+fn sensor_outline(figure: &mut Figure, place: Rect, input: &ReportInput) {
+    if !is_larger(input) {
+        return;
+    }
+    let shape = input.video.shape();
+    let span = |field: usize, sensor: usize, length: f64| {
+        let pixel = length / field as f64;
+        let offset = field.saturating_sub(sensor) / 2;
+        (offset as f64 * pixel, sensor.min(field) as f64 * pixel)
+    };
+    let (y, height) = span(shape.rows, input.frame.rows(), place.height);
+    let (x, width) = span(shape.columns, input.frame.columns(), place.width);
+    let outline = Rect::new(place.x + x, place.y + y, width, height);
+    let style = r##"fill="none" stroke="#fff" stroke-opacity="0.6" stroke-dasharray="4 4""##;
+    figure.rect(outline, "mark", style);
+}

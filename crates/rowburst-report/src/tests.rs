@@ -1,0 +1,241 @@
+//! The whole report, on ordinary and on odd inputs.
+
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
+use rowburst::{Image, Shape, TimeGrid, Video};
+
+use super::*;
+
+/// Values of a reconstruction, owned.
+struct Case {
+    frame: Image,
+    psf: Image,
+    video: Video,
+    truth: Option<Video>,
+    residual: Image,
+    instants: Vec<usize>,
+    time: TimeGrid,
+    convergence: Vec<Iteration>,
+}
+
+impl Case {
+    /// A video of `shape` on a sensor of `rows · columns`: a dim ramp and a moving spot.
+    fn new(shape: Shape, rows: usize, columns: usize) -> Self {
+        let mut video = Video::zeros(shape);
+        for t in 0..shape.bins {
+            let at = (t * 7) % shape.pixels();
+            video.bin_mut(t)[at] = 5.0;
+        }
+        let ramp = Image::from_fn(rows, columns, |y, x| ((y * 13 + x * 7) % 11) as f32 - 5.0);
+        Self {
+            frame: ramp.clone(),
+            psf: Image::from_fn(3, 5, |y, x| (y + x) as f32),
+            truth: Some(video.clone()),
+            video,
+            residual: ramp,
+            instants: (0..rows).map(|r| r % shape.bins).collect(),
+            time: match shape.bins {
+                1 => TimeGrid::single(1000.0),
+                bins => TimeGrid::rolling(bins, 9.6, 1.0, 1),
+            },
+            convergence: (1..20)
+                .map(|i| Iteration {
+                    iteration: i,
+                    seconds: 0.01 * i as f64,
+                    objective: 1.0 / i as f64,
+                    residual_over_sigma: 10.0 / i as f64,
+                    change: 0.5_f64.powi(i as i32),
+                    psnr_db: None,
+                })
+                .collect(),
+        }
+    }
+
+    fn input(&self) -> ReportInput<'_> {
+        ReportInput {
+            title: "A title",
+            frame: &self.frame,
+            psf: &self.psf,
+            video: &self.video,
+            truth: self.truth.as_ref(),
+            direct: Some(&self.frame),
+            residual: &self.residual,
+            instants: &self.instants,
+            time: &self.time,
+            convergence: &self.convergence,
+            headline: Vec::new(),
+            settings: Vec::new(),
+            pixel_pitch_um: None,
+            mp4: None,
+            files: Vec::new(),
+            reproduce: None,
+        }
+    }
+
+    fn names(&self) -> Vec<String> {
+        let report = render(&self.input()).expect("a report");
+        check_page(&report);
+        report.pictures.into_iter().map(|p| p.name).collect()
+    }
+}
+
+/// Every picture is a PNG of some size, every data URI too, and nothing is asked for from outside.
+fn check_page(report: &Report) {
+    for picture in &report.pictures {
+        let (width, height) = size(&picture.png);
+        assert!(
+            (300..=1700).contains(&width) && (50..=2400).contains(&height),
+            "{}",
+            picture.name
+        );
+        assert!(!picture.caption.is_empty() && report.html.contains(&picture.name));
+    }
+    let mut images = 0;
+    for piece in report.html.split("data:image/png;base64,").skip(1) {
+        let data = piece.split('"').next().expect("the end of an attribute");
+        let (width, height) = size(&BASE64_STANDARD.decode(data).expect("base64"));
+        assert!(width > 0 && height > 0);
+        images += 1;
+    }
+    assert!(images >= 5);
+    for attribute in ["src=\"", "href=\"", "url("] {
+        for value in report.html.split(attribute).skip(1) {
+            assert!(value.starts_with("data:"), "{attribute}{:.40}", value);
+        }
+    }
+    assert!(report.html.contains("default-src 'none'") && !report.html.contains("<script"));
+    let svgs: Vec<&str> = report.html.split("<svg").skip(1).collect();
+    assert_eq!(svgs.len(), report.pictures.len());
+    assert!(svgs.iter().all(|svg| svg.contains("<title id=")));
+    assert!(!report.html.contains("NaN") && !report.html.contains("\"inf"));
+}
+
+fn size(png: &[u8]) -> (u32, u32) {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+        .read_info()
+        .expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
+    reader.next_frame(&mut pixels).expect("its pixels");
+    reader.info().size()
+}
+
+#[test]
+fn an_ordinary_case_has_all_pictures() {
+    let case = Case::new(Shape::new(20, 24, 30), 24, 30);
+    let expected = "time-colour frames traces frame psf direct residual convergence";
+    let expected: Vec<String> = expected.split(' ').map(|n| format!("{n}.png")).collect();
+    assert_eq!(case.names(), expected);
+}
+
+#[test]
+fn a_single_bin_is_shown_large() {
+    let mut case = Case::new(Shape::new(1, 24, 30), 24, 30);
+    assert_eq!(case.names()[..2], ["reconstruction.png", "frame.png"]);
+    case.truth = None;
+    assert_eq!(case.names()[..2], ["reconstruction.png", "frame.png"]);
+}
+
+#[test]
+fn odd_shapes_are_drawn() {
+    for (shape, rows, columns) in [
+        (Shape::new(1, 1, 1), 1, 1),
+        (Shape::new(2, 1, 1), 1, 1),
+        (Shape::new(5, 40, 1), 40, 1),
+        (Shape::new(5, 1, 40), 1, 40),
+        (Shape::new(7, 50, 60), 24, 30),
+        (Shape::new(3, 700, 20), 700, 20),
+        (Shape::new(2, 10, 2000), 10, 2000),
+    ] {
+        let mut case = Case::new(shape, rows, columns);
+        assert!(case.names().len() >= 6, "{shape}");
+        case.truth = None;
+        assert!(case.names().len() >= 6, "{shape}");
+    }
+}
+
+#[test]
+fn dark_video_and_short_convergence_leave_figures_out() {
+    let mut case = Case::new(Shape::new(4, 8, 8), 8, 8);
+    case.video.data_mut().fill(0.0);
+    case.truth = None;
+    case.convergence.truncate(1);
+    assert_eq!(
+        case.names(),
+        [
+            "time-colour.png",
+            "frames.png",
+            "frame.png",
+            "psf.png",
+            "direct.png",
+            "residual.png"
+        ]
+    );
+}
+
+#[test]
+fn values_that_are_not_finite_do_no_harm() {
+    let mut case = Case::new(Shape::new(9, 8, 8), 8, 8);
+    case.residual.data_mut()[3] = f32::NAN;
+    case.frame.data_mut()[5] = f32::INFINITY;
+    case.video.data_mut()[9] = f32::NAN;
+    case.video.data_mut()[10] = f32::INFINITY;
+    case.convergence[2].change = f64::NAN;
+    case.convergence[4].objective = f64::INFINITY;
+    case.names();
+    case.residual.data_mut().fill(f32::NAN);
+    case.video.data_mut().fill(f32::MAX);
+    case.frame.data_mut().fill(f32::MIN);
+    case.psf.data_mut().fill(f32::NEG_INFINITY);
+    for iteration in &mut case.convergence {
+        iteration.seconds = f64::NAN;
+        iteration.residual_over_sigma = f64::NAN;
+    }
+    case.names();
+}
+
+#[test]
+fn texts_are_escaped() {
+    let case = Case::new(Shape::new(3, 8, 8), 8, 8);
+    let evil = "<script>alert(\"1\")</script>&";
+    let pair = (evil.to_string(), evil.to_string());
+    let report = render(&ReportInput {
+        title: evil,
+        headline: vec![pair.clone()],
+        settings: vec![(evil.into(), vec![pair.clone()])],
+        files: vec![pair],
+        reproduce: Some(evil),
+        mp4: Some(&[0, 1, 2]),
+        ..case.input()
+    })
+    .expect("a report");
+    assert!(!report.html.contains("<script"));
+    assert_eq!(report.html.matches("&lt;script&gt;").count(), 10);
+    assert!(report.html.contains("src=\"data:video/mp4;base64,AAEC\""));
+}
+
+#[test]
+fn sizes_that_contradict_each_other_are_errors() {
+    let case = Case::new(Shape::new(3, 8, 8), 8, 8);
+    let other = Case::new(Shape::new(4, 8, 9), 8, 9);
+    let wrong = [
+        ReportInput {
+            truth: Some(&other.video),
+            ..case.input()
+        },
+        ReportInput {
+            residual: &other.frame,
+            ..case.input()
+        },
+        ReportInput {
+            instants: &[0],
+            ..case.input()
+        },
+        ReportInput {
+            time: &other.time,
+            ..case.input()
+        },
+    ];
+    for input in wrong {
+        assert!(matches!(render(&input), Err(Error::Input { .. })));
+    }
+}
