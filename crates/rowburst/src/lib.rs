@@ -15,16 +15,25 @@
 
 pub mod camera;
 pub mod error;
+pub mod forward;
 pub mod image;
+pub mod linop;
+pub mod measurement;
+pub mod metrics;
 pub mod noise;
+pub mod prox;
 pub mod psf;
+pub mod reconstruct;
 pub mod shape;
 pub mod shutter;
 pub mod simulate;
+pub mod solve;
+pub mod vecmath;
 pub mod video;
 
 pub use camera::{Camera, Sensor};
 pub use error::{Error, Result};
+pub use forward::RollingShutter;
 pub use image::Image;
 pub use psf::Psf;
 pub use shape::{Shape, TimeGrid};

@@ -1,0 +1,119 @@
+//! Two ways to convolve one instant's light and keep some rows, and the choice.
+
+use super::{planar::Planar, rowwise::Rowwise};
+use crate::{Camera, Psf};
+
+/// Sizes of sensor and field, and how they lie on each other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Geometry {
+    pub rows: usize,
+    pub columns: usize,
+    pub field_rows: usize,
+    pub field_columns: usize,
+    pub offset_rows: usize,
+    pub offset_columns: usize,
+}
+
+impl Geometry {
+    pub fn new(camera: &Camera) -> Self {
+        let (field_rows, field_columns) = camera.field();
+        let (offset_rows, offset_columns) = camera.field_offset();
+        Self {
+            rows: camera.rows(),
+            columns: camera.columns(),
+            field_rows,
+            field_columns,
+            offset_rows,
+            offset_columns,
+        }
+    }
+
+    /// Row displacement from field row `y` to sensor row `r`.
+    pub fn row_displacement(&self, r: usize, y: usize) -> isize {
+        r as isize - y as isize + self.offset_rows as isize
+    }
+
+    /// Column displacement from field column `x'` to sensor column `x`.
+    pub fn column_displacement(&self, x: usize, field_x: usize) -> isize {
+        x as isize - field_x as isize + self.offset_columns as isize
+    }
+
+    /// FFT length along x at which a circular convolution does not wrap around.
+    pub fn fft_columns(&self) -> usize {
+        smooth_length(self.columns + self.field_columns - 1)
+    }
+
+    /// FFT length along y at which a circular convolution does not wrap around.
+    pub fn fft_rows(&self) -> usize {
+        smooth_length(self.rows + self.field_rows - 1)
+    }
+}
+
+/// The cheaper of the two ways for this geometry.
+pub(super) enum Engine {
+    Rowwise(Rowwise),
+    Planar(Planar),
+}
+
+/// Work space of one thread.
+pub(super) enum Scratch {
+    Rowwise(super::rowwise::Scratch),
+    Planar(super::planar::Scratch),
+}
+
+impl Engine {
+    pub fn cheapest(geometry: &Geometry, psf: &Psf, rows_of: &[Vec<usize>]) -> Self {
+        // Real operations per x-frequency: 8 for a complex multiply–add, 5 n log2 n
+        // for a complex FFT of length n, there and back.
+        let reads: usize = rows_of.iter().map(Vec::len).sum();
+        let rowwise = 8.0 * (reads * geometry.field_rows) as f64;
+        let n = geometry.fft_rows() as f64;
+        let planar = rows_of.len() as f64 * 10.0 * n * n.log2();
+        if rowwise <= planar {
+            Self::Rowwise(Rowwise::new(geometry, psf))
+        } else {
+            Self::Planar(Planar::new(geometry, psf))
+        }
+    }
+
+    pub fn scratch(&self) -> Scratch {
+        match self {
+            Self::Rowwise(engine) => Scratch::Rowwise(engine.scratch()),
+            Self::Planar(engine) => Scratch::Planar(engine.scratch()),
+        }
+    }
+
+    /// `values[i, x]`: row `rows[i]` of the convolved light of a field.
+    pub fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+        match (self, scratch) {
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.read(light, rows, values, s),
+            (Self::Planar(engine), Scratch::Planar(s)) => engine.read(light, rows, values, s),
+            _ => unreachable!("scratch comes from the same engine"),
+        }
+    }
+
+    /// The adjoint of [`Self::read`]; overwrites `light`.
+    pub fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+        match (self, scratch) {
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.spread(values, rows, light, s),
+            (Self::Planar(engine), Scratch::Planar(s)) => engine.spread(values, rows, light, s),
+            _ => unreachable!("scratch comes from the same engine"),
+        }
+    }
+}
+
+/// Smallest even length ≥ `length` whose only prime factors are 2, 3 and 5: the
+/// lengths at which the FFT crate is fastest.
+pub(super) fn smooth_length(length: usize) -> usize {
+    let is_smooth = |mut n: usize| {
+        for factor in [2, 3, 5] {
+            while n.is_multiple_of(factor) {
+                n /= factor;
+            }
+        }
+        n == 1
+    };
+    (length.max(2)..)
+        .find(|&n| n.is_multiple_of(2) && is_smooth(n))
+        .expect("a smooth number lies below twice any number")
+}

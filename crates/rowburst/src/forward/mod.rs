@@ -1,0 +1,220 @@
+//! The forward model `b = A v` of a rolling-shutter camera behind a diffuser.
+//!
+//! ```text
+//! b[r, x] = Σ_j w[r, j] Σ_{y',x'} v[j, y', x'] · p[r − sy(y'), x − sx(x')]
+//! ```
+//!
+//! (Eqs. 1–4), with `sy(y') = y' − oy`, `sx(x') = x' − ox` the position of a field
+//! pixel on the sensor, and no wrap-around. The row-time weights act through the
+//! instant at which a row is read, `w[r, j] = w_{k[r]}[j]`, so `A = S·T`: `T`
+//! integrates the video over the exposure of each instant, and `S` convolves each
+//! instant's light and keeps the rows that are read then.
+
+mod engine;
+mod gram;
+mod planar;
+mod rowwise;
+
+use crate::linop::LinearOperator;
+use crate::{Camera, Psf, Shape, TimeGrid};
+use engine::{Engine, Geometry};
+use rayon::prelude::*;
+use std::borrow::Cow;
+
+/// The operator `A`: from a video `[t, y, x]` to a frame `[y, x]`.
+///
+/// Adjoint: exact, `Aᵀ = Tᵀ Sᵀ`. Cost: for each instant one short real FFT per
+/// field row, and a multiply–add over the field for each row that is read; the
+/// rows that are not read are never computed. Where an instant reads many rows
+/// (`global`), 2-D FFTs take over, whichever needs less arithmetic.
+pub struct RollingShutter {
+    video: Shape,
+    time: TimeGrid,
+    geometry: Geometry,
+    rows_of: Vec<Vec<usize>>,
+    engine: Engine,
+    psf: Psf,
+}
+
+impl RollingShutter {
+    /// The operator of `camera` behind a diffuser with `psf`.
+    pub fn new(camera: &Camera, psf: &Psf) -> Self {
+        let time = camera.time().clone();
+        let mut rows_of = vec![Vec::new(); time.instants().len()];
+        for (row, &instant) in camera.instants().iter().enumerate() {
+            rows_of[instant].push(row);
+        }
+        let geometry = Geometry::new(camera);
+        let engine = Engine::cheapest(&geometry, psf, &rows_of);
+        Self {
+            video: camera.video_shape(),
+            time,
+            geometry,
+            rows_of,
+            engine,
+            psf: psf.clone(),
+        }
+    }
+
+    /// Shape of the video.
+    pub fn video_shape(&self) -> Shape {
+        self.video
+    }
+
+    /// Rows and columns of the frame.
+    pub fn frame_shape(&self) -> (usize, usize) {
+        (self.geometry.rows, self.geometry.columns)
+    }
+
+    /// The rows that each instant reads.
+    pub fn rows_of_instants(&self) -> &[Vec<usize>] {
+        &self.rows_of
+    }
+
+    /// The time axis of the video.
+    pub fn time(&self) -> &TimeGrid {
+        &self.time
+    }
+
+    /// An approximate `(A Aᵀ + ρI)⁻¹ r` for operators that convolve whole planes: as if
+    /// the sensor had no edge, where it is a division by `|P̂|² + ρ` at each spatial
+    /// frequency. Symmetric and positive definite. `None` where rows are convolved one
+    /// by one.
+    pub fn circulant_inverse(&self, r: &[f32], rho: f64) -> Option<Vec<f32>> {
+        let Engine::Planar(planar) = &self.engine else {
+            return None;
+        };
+        let columns = self.geometry.columns;
+        let mut scratch = planar.scratch();
+        let mut out = vec![0.0f32; r.len()];
+        for (rows, run) in self.rows_of.iter().zip(self.time.instants()) {
+            let values: Vec<f32> = rows
+                .iter()
+                .flat_map(|&row| &r[row * columns..(row + 1) * columns])
+                .copied()
+                .collect();
+            let weight: f64 = run.weights.iter().map(|w| w * w).sum();
+            let mut divided = vec![0.0f32; values.len()];
+            planar.divide(&values, rows, weight, rho, &mut divided, &mut scratch);
+            for (&row, values) in rows.iter().zip(divided.chunks_exact(columns)) {
+                out[row * columns..(row + 1) * columns].copy_from_slice(values);
+            }
+        }
+        Some(out)
+    }
+
+    /// The light that instant `i` integrates: `Σ_j w_i[j] v_j`.
+    fn integrate<'v>(&self, video: &'v [f32], instant: usize) -> Cow<'v, [f32]> {
+        let run = &self.time.instants()[instant];
+        let pixels = self.video.pixels();
+        let bin = |j: usize| &video[j * pixels..(j + 1) * pixels];
+        if run.weights == [1.0] {
+            return Cow::Borrowed(bin(run.first_bin));
+        }
+        let mut light = vec![0.0f32; pixels];
+        for (k, &weight) in run.weights.iter().enumerate() {
+            add_scaled(&mut light, bin(run.first_bin + k), weight as f32);
+        }
+        Cow::Owned(light)
+    }
+}
+
+impl LinearOperator for RollingShutter {
+    fn domain_len(&self) -> usize {
+        self.video.voxels()
+    }
+
+    fn range_len(&self) -> usize {
+        self.geometry.rows * self.geometry.columns
+    }
+
+    fn apply(&self, video: &[f32], frame: &mut [f32]) {
+        assert_eq!(video.len(), self.domain_len(), "length of the video");
+        assert_eq!(frame.len(), self.range_len(), "length of the frame");
+        let columns = self.geometry.columns;
+        let read: Vec<Vec<f32>> = (0..self.rows_of.len())
+            .into_par_iter()
+            .map_init(
+                || self.engine.scratch(),
+                |scratch, instant| {
+                    let rows = &self.rows_of[instant];
+                    let mut values = vec![0.0; rows.len() * columns];
+                    let light = self.integrate(video, instant);
+                    self.engine.read(&light, rows, &mut values, scratch);
+                    values
+                },
+            )
+            .collect();
+        for (rows, values) in self.rows_of.iter().zip(&read) {
+            for (&row, values) in rows.iter().zip(values.chunks_exact(columns)) {
+                frame[row * columns..(row + 1) * columns].copy_from_slice(values);
+            }
+        }
+    }
+
+    fn adjoint(&self, frame: &[f32], video: &mut [f32]) {
+        assert_eq!(video.len(), self.domain_len(), "length of the video");
+        assert_eq!(frame.len(), self.range_len(), "length of the frame");
+        let columns = self.geometry.columns;
+        let pixels = self.video.pixels();
+        let instants = self.time.instants();
+        let spread = |instant: usize, light: &mut [f32], scratch: &mut engine::Scratch| {
+            let rows = &self.rows_of[instant];
+            let values: Vec<f32> = rows
+                .iter()
+                .flat_map(|&row| &frame[row * columns..(row + 1) * columns])
+                .copied()
+                .collect();
+            self.engine.spread(&values, rows, light, scratch);
+        };
+        let one_bin_each =
+            self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1);
+        if one_bin_each {
+            // Bin j is instant j: no second video is needed.
+            video
+                .par_chunks_exact_mut(pixels)
+                .enumerate()
+                .for_each_init(
+                    || self.engine.scratch(),
+                    |scratch, (instant, light)| {
+                        spread(instant, light, scratch);
+                        let weight = instants[instant].weights[0] as f32;
+                        if weight != 1.0 {
+                            light.iter_mut().for_each(|v| *v *= weight);
+                        }
+                    },
+                );
+            return;
+        }
+        let mut lights = vec![0.0f32; instants.len() * pixels];
+        lights
+            .par_chunks_exact_mut(pixels)
+            .enumerate()
+            .for_each_init(
+                || self.engine.scratch(),
+                |scratch, (instant, light)| spread(instant, light, scratch),
+            );
+        video
+            .par_chunks_exact_mut(pixels)
+            .enumerate()
+            .for_each(|(j, bin)| {
+                bin.fill(0.0);
+                for (run, light) in instants.iter().zip(lights.chunks_exact(pixels)) {
+                    if (run.first_bin..run.first_bin + run.weights.len()).contains(&j) {
+                        add_scaled(bin, light, run.weights[j - run.first_bin] as f32);
+                    }
+                }
+            });
+    }
+}
+
+fn add_scaled(sum: &mut [f32], term: &[f32], weight: f32) {
+    crate::vecmath::simd(
+        #[inline(always)]
+        || {
+            for (s, &t) in sum.iter_mut().zip(term) {
+                *s += weight * t;
+            }
+        },
+    );
+}

@@ -1,0 +1,203 @@
+//! Convolution of the whole plane by 2-D FFTs, for instants that read many rows.
+
+use super::engine::Geometry;
+use crate::Psf;
+use rayon::prelude::*;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::num_complex::Complex32;
+use rustfft::{Fft, FftPlanner};
+use std::sync::Arc;
+
+pub(super) struct Planar {
+    geometry: Geometry,
+    /// Spectrum of the PSF, `[x-frequency, y-frequency]`, with the transforms' scale.
+    psf: Vec<Complex32>,
+    width: usize,
+    height: usize,
+    frequencies: usize,
+    row_forward: Arc<dyn RealToComplex<f32>>,
+    row_inverse: Arc<dyn ComplexToReal<f32>>,
+    column_forward: Arc<dyn Fft<f32>>,
+    column_inverse: Arc<dyn Fft<f32>>,
+}
+
+/// Spectra of rows `[y, x-frequency]` and of the plane `[x-frequency, y]`.
+pub(super) struct Scratch {
+    rows: Vec<Complex32>,
+    plane: Vec<Complex32>,
+}
+
+impl Planar {
+    pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
+        let (width, height) = (geometry.fft_columns(), geometry.fft_rows());
+        let mut real = RealFftPlanner::<f32>::new();
+        let mut complex = FftPlanner::<f32>::new();
+        let mut planar = Self {
+            geometry: geometry.clone(),
+            psf: Vec::new(),
+            width,
+            height,
+            frequencies: width / 2 + 1,
+            row_forward: real.plan_fft_forward(width),
+            row_inverse: real.plan_fft_inverse(width),
+            column_forward: complex.plan_fft_forward(height),
+            column_inverse: complex.plan_fft_inverse(height),
+        };
+        planar.psf = planar.kernel_spectrum(psf);
+        planar
+    }
+
+    fn kernel_spectrum(&self, psf: &Psf) -> Vec<Complex32> {
+        // Index i along an axis is the displacement i + offset; negative ones wrap.
+        let wrapped = |i: usize, positive: usize, length: usize| {
+            if i < positive {
+                i as isize
+            } else {
+                i as isize - length as isize
+            }
+        };
+        let g = &self.geometry;
+        let mut kernel = vec![0.0f32; self.width * self.height];
+        for (y, line) in kernel.chunks_exact_mut(self.width).enumerate() {
+            let dy = wrapped(y, g.rows, self.height) + g.offset_rows as isize;
+            for (x, value) in line.iter_mut().enumerate() {
+                let dx = wrapped(x, g.columns, self.width) + g.offset_columns as isize;
+                *value = psf.at_displacement(dy, dx);
+            }
+        }
+        let mut scratch = self.scratch();
+        let rows: Vec<usize> = (0..self.height).collect();
+        self.transform(&kernel, self.width, &rows, &mut scratch);
+        let scale = 1.0 / (self.width * self.height) as f32;
+        scratch.plane.iter().map(|c| c * scale).collect()
+    }
+
+    pub fn scratch(&self) -> Scratch {
+        let size = self.frequencies * self.height;
+        Scratch {
+            rows: vec![Complex32::ZERO; size],
+            plane: vec![Complex32::ZERO; size],
+        }
+    }
+
+    /// Spectrum of the plane whose row `at[i]` is row `i` of `lines`; the rest is zero.
+    fn transform(&self, lines: &[f32], columns: usize, at: &[usize], scratch: &mut Scratch) {
+        let rows = &mut scratch.rows[..at.len() * self.frequencies];
+        rows.par_chunks_exact_mut(self.frequencies)
+            .zip(lines.par_chunks_exact(columns))
+            .for_each_init(
+                || {
+                    (
+                        vec![0.0f32; self.width],
+                        self.row_forward.make_scratch_vec(),
+                    )
+                },
+                |(line, fft), (spectrum, values)| {
+                    line[..columns].copy_from_slice(values);
+                    line[columns..].fill(0.0);
+                    self.row_forward
+                        .process_with_scratch(line, spectrum, fft)
+                        .expect("lengths match");
+                },
+            );
+        let rows = &scratch.rows;
+        scratch
+            .plane
+            .par_chunks_exact_mut(self.height)
+            .enumerate()
+            .for_each_init(
+                || vec![Complex32::ZERO; self.column_forward.get_inplace_scratch_len()],
+                |fft, (f, column)| {
+                    column.fill(Complex32::ZERO);
+                    for (i, &y) in at.iter().enumerate() {
+                        column[y] = rows[i * self.frequencies + f];
+                    }
+                    self.column_forward.process_with_scratch(column, fft);
+                },
+            );
+    }
+
+    /// Row `at[i]` of the plane into row `i` of `lines`.
+    fn invert(&self, scratch: &mut Scratch, columns: usize, at: &[usize], lines: &mut [f32]) {
+        scratch
+            .plane
+            .par_chunks_exact_mut(self.height)
+            .for_each_init(
+                || vec![Complex32::ZERO; self.column_inverse.get_inplace_scratch_len()],
+                |fft, column| self.column_inverse.process_with_scratch(column, fft),
+            );
+        let plane = &scratch.plane;
+        lines.par_chunks_exact_mut(columns).zip(at).for_each_init(
+            || {
+                let spectrum = vec![Complex32::ZERO; self.frequencies];
+                (
+                    spectrum,
+                    vec![0.0f32; self.width],
+                    self.row_inverse.make_scratch_vec(),
+                )
+            },
+            |(spectrum, line, fft), (values, &y)| {
+                for (f, c) in spectrum.iter_mut().enumerate() {
+                    *c = plane[f * self.height + y];
+                }
+                spectrum[0].im = 0.0;
+                spectrum[self.frequencies - 1].im = 0.0;
+                self.row_inverse
+                    .process_with_scratch(spectrum, line, fft)
+                    .expect("ends are real");
+                values.copy_from_slice(&line[..columns]);
+            },
+        );
+    }
+
+    pub fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+        let field: Vec<usize> = (0..self.geometry.field_rows).collect();
+        self.transform(light, self.geometry.field_columns, &field, scratch);
+        let plane = scratch.plane.par_chunks_exact_mut(self.height);
+        plane
+            .zip(self.psf.par_chunks_exact(self.height))
+            .for_each(|(column, kernel)| {
+                column.iter_mut().zip(kernel).for_each(|(c, k)| *c *= k);
+            });
+        self.invert(scratch, self.geometry.columns, rows, values);
+    }
+
+    pub fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+        self.transform(values, self.geometry.columns, rows, scratch);
+        let plane = scratch.plane.par_chunks_exact_mut(self.height);
+        plane
+            .zip(self.psf.par_chunks_exact(self.height))
+            .for_each(|(column, kernel)| {
+                column
+                    .iter_mut()
+                    .zip(kernel)
+                    .for_each(|(c, k)| *c *= k.conj());
+            });
+        let field: Vec<usize> = (0..self.geometry.field_rows).collect();
+        self.invert(scratch, self.geometry.field_columns, &field, light);
+    }
+    /// `values / (weight·|P̂|² + ρ)` at each spatial frequency of the padded plane.
+    pub fn divide(
+        &self,
+        values: &[f32],
+        rows: &[usize],
+        weight: f64,
+        rho: f64,
+        out: &mut [f32],
+        scratch: &mut Scratch,
+    ) {
+        self.transform(values, self.geometry.columns, rows, scratch);
+        // The stored spectrum carries 1/size, which the division must not see twice.
+        let size = (self.width * self.height) as f64;
+        let plane = scratch.plane.par_chunks_exact_mut(self.height);
+        plane
+            .zip(self.psf.par_chunks_exact(self.height))
+            .for_each(|(column, kernel)| {
+                for (c, k) in column.iter_mut().zip(kernel) {
+                    let power = weight * size * size * f64::from(k.norm_sqr());
+                    *c *= (1.0 / (size * (power + rho))) as f32;
+                }
+            });
+        self.invert(scratch, self.geometry.columns, rows, out);
+    }
+}

@@ -1,0 +1,182 @@
+//! Convolution of only the rows that are read: FFTs along x, sums along y.
+//!
+//! Row `r` of the convolution needs every field row once:
+//! `B_r(f) = Σ_y V_y(f) · P_{r−sy(y)}(f)`, with `V_y`, `P_d` the spectra along x
+//! of a field row and of a PSF row. No FFT along y, no padded plane.
+
+use super::engine::Geometry;
+use crate::Psf;
+use crate::vecmath::simd;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::num_complex::Complex32;
+use std::sync::Arc;
+
+pub(super) struct Rowwise {
+    geometry: Geometry,
+    /// Spectra of the PSF rows, one for each row displacement, smallest first.
+    psf: Vec<Complex32>,
+    frequencies: usize,
+    length: usize,
+    forward: Arc<dyn RealToComplex<f32>>,
+    inverse: Arc<dyn ComplexToReal<f32>>,
+}
+
+pub(super) struct Scratch {
+    line: Vec<f32>,
+    rows: Vec<Complex32>,
+    one: Vec<Complex32>,
+    fft: Vec<Complex32>,
+}
+
+impl Rowwise {
+    pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
+        let length = geometry.fft_columns();
+        let mut planner = RealFftPlanner::<f32>::new();
+        let forward = planner.plan_fft_forward(length);
+        let inverse = planner.plan_fft_inverse(length);
+        let frequencies = length / 2 + 1;
+        let displacements = geometry.rows + geometry.field_rows - 1;
+        let mut spectra = vec![Complex32::ZERO; displacements * frequencies];
+        let mut line = vec![0.0f32; length];
+        for (d, spectrum) in spectra.chunks_exact_mut(frequencies).enumerate() {
+            let dy = d as isize + geometry.row_displacement(0, geometry.field_rows - 1);
+            line.fill(0.0);
+            // A field pixel stands at its own index x', so index i of the kernel is the
+            // displacement i + ox; negative indices wrap around to the end.
+            for x in 0..geometry.columns {
+                line[x] = psf.at_displacement(dy, geometry.column_displacement(x, 0));
+            }
+            for x in 1..geometry.field_columns {
+                line[length - x] = psf.at_displacement(dy, geometry.column_displacement(0, x));
+            }
+            forward.process(&mut line, spectrum).expect("lengths match");
+            // The transforms are not normalised: the kernel carries 1/length.
+            spectrum.iter_mut().for_each(|c| *c /= length as f32);
+        }
+        Self {
+            geometry: geometry.clone(),
+            psf: spectra,
+            frequencies,
+            length,
+            forward,
+            inverse,
+        }
+    }
+
+    pub fn scratch(&self) -> Scratch {
+        let fft = self
+            .forward
+            .get_scratch_len()
+            .max(self.inverse.get_scratch_len());
+        Scratch {
+            line: vec![0.0; self.length],
+            rows: Vec::new(),
+            one: vec![Complex32::ZERO; self.frequencies],
+            fft: vec![Complex32::ZERO; fft],
+        }
+    }
+
+    /// Spectrum of the PSF row that leads from field row `y` to sensor row `r`.
+    fn kernel(&self, r: usize, y: usize) -> &[Complex32] {
+        let d = r + self.geometry.field_rows - 1 - y;
+        &self.psf[d * self.frequencies..(d + 1) * self.frequencies]
+    }
+
+    pub fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+        let Scratch {
+            line,
+            rows: sums,
+            one,
+            fft,
+        } = scratch;
+        sums.clear();
+        sums.resize(rows.len() * self.frequencies, Complex32::ZERO);
+        for (y, field_row) in light.chunks_exact(self.geometry.field_columns).enumerate() {
+            // Recovered scenes are sparse: most rows of most bins are dark.
+            if field_row.iter().all(|&v| v == 0.0) {
+                continue;
+            }
+            line[..field_row.len()].copy_from_slice(field_row);
+            line[field_row.len()..].fill(0.0);
+            self.forward
+                .process_with_scratch(line, one, fft)
+                .expect("lengths match");
+            for (&r, sum) in rows.iter().zip(sums.chunks_exact_mut(self.frequencies)) {
+                multiply_add(sum, one, self.kernel(r, y));
+            }
+        }
+        let columns = self.geometry.columns;
+        for (sum, values) in sums
+            .chunks_exact_mut(self.frequencies)
+            .zip(values.chunks_exact_mut(columns))
+        {
+            self.invert(sum, line, fft);
+            values.copy_from_slice(&line[..columns]);
+        }
+    }
+
+    pub fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+        let Scratch {
+            line,
+            rows: spectra,
+            one,
+            fft,
+        } = scratch;
+        spectra.resize(rows.len() * self.frequencies, Complex32::ZERO);
+        let columns = self.geometry.columns;
+        for (values, spectrum) in values
+            .chunks_exact(columns)
+            .zip(spectra.chunks_exact_mut(self.frequencies))
+        {
+            line[..columns].copy_from_slice(values);
+            line[columns..].fill(0.0);
+            self.forward
+                .process_with_scratch(line, spectrum, fft)
+                .expect("lengths match");
+        }
+        let field_columns = self.geometry.field_columns;
+        for (y, field_row) in light.chunks_exact_mut(field_columns).enumerate() {
+            one.fill(Complex32::ZERO);
+            for (&r, spectrum) in rows.iter().zip(spectra.chunks_exact(self.frequencies)) {
+                multiply_conjugate_add(one, spectrum, self.kernel(r, y));
+            }
+            self.invert(one, line, fft);
+            field_row.copy_from_slice(&line[..field_columns]);
+        }
+    }
+
+    fn invert(&self, spectrum: &mut [Complex32], line: &mut [f32], fft: &mut [Complex32]) {
+        // Sums of products of real signals' spectra: real at both ends up to rounding.
+        spectrum[0].im = 0.0;
+        spectrum[self.frequencies - 1].im = 0.0;
+        self.inverse
+            .process_with_scratch(spectrum, line, fft)
+            .expect("ends are real");
+    }
+}
+
+/// `sum += a · b`.
+pub(super) fn multiply_add(sum: &mut [Complex32], a: &[Complex32], b: &[Complex32]) {
+    simd(
+        #[inline(always)]
+        || {
+            for ((s, a), b) in sum.iter_mut().zip(a).zip(b) {
+                s.re += a.re * b.re - a.im * b.im;
+                s.im += a.re * b.im + a.im * b.re;
+            }
+        },
+    );
+}
+
+/// `sum += a · conj(b)`.
+pub(super) fn multiply_conjugate_add(sum: &mut [Complex32], a: &[Complex32], b: &[Complex32]) {
+    simd(
+        #[inline(always)]
+        || {
+            for ((s, a), b) in sum.iter_mut().zip(a).zip(b) {
+                s.re += a.re * b.re + a.im * b.im;
+                s.im += a.im * b.re - a.re * b.im;
+            }
+        },
+    );
+}

@@ -1,0 +1,30 @@
+//! Linear operators: a matrix-free map and its exact adjoint.
+//!
+//! Operators know no optics. Every implementation passes [`laws`]: linearity,
+//! the adjoint identity, and that outputs are overwritten whatever they held.
+
+pub mod laws;
+mod weighted;
+
+pub use weighted::Weighted;
+
+/// A linear map from `domain_len` to `range_len` numbers.
+pub trait LinearOperator: Sync {
+    /// Length of the input of [`Self::apply`].
+    fn domain_len(&self) -> usize;
+
+    /// Length of the output of [`Self::apply`].
+    fn range_len(&self) -> usize;
+
+    /// `y = A x`; overwrites `y`.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    fn apply(&self, x: &[f32], y: &mut [f32]);
+
+    /// `x = Aᵀ y`; overwrites `x`.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    fn adjoint(&self, y: &[f32], x: &mut [f32]);
+}

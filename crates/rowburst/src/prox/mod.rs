@@ -1,0 +1,29 @@
+//! Proximal operators of the priors.
+
+pub mod variation;
+
+pub use variation::{Variation, VariationWeights};
+
+use crate::solve::Support;
+
+/// A convex prior `R(v)` with the constraint `v ≥ 0` inside.
+///
+/// An iterative prox may keep its inner state from call to call, so that each call
+/// goes on where the last one stopped.
+pub trait Prox: Send {
+    /// `z = argmin_{z≥0} ½‖z − q‖² + scale·R(z)`; overwrites `z`.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    fn prox(&mut self, q: &[f32], scale: f64, z: &mut [f32]);
+
+    /// `R(z)`.
+    fn value(&self, z: &[f32]) -> f64;
+
+    /// Estimate of the number of values in `z` that the data are free to choose;
+    /// differences below `tolerance` count as none.
+    fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64;
+
+    /// From now on the prox is taken over videos that are zero outside `support`.
+    fn restrict(&mut self, support: &Support);
+}

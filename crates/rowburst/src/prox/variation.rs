@@ -1,0 +1,428 @@
+//! Isotropic spatial total variation, temporal differences and ℓ1, with `v ≥ 0`.
+//!
+//! ```text
+//! R(v) = w_s Σ √((∂y v)² + (∂x v)²) + w_t Σ |∂t v| + w_1 Σ |v|
+//! ```
+//!
+//! with forward differences that are zero at the last row, column and bin (Neumann
+//! boundary). The prox is solved in the dual (Chambolle 2004; Beck & Teboulle 2009):
+//! `z(p) = max(0, q − s·w_1 − Dᵀp)` with `p` in the balls of radius `s·w`, by
+//! projected gradient steps `p ← P(p + step·D z(p))`. The dual is kept from call to
+//! call; inside an outer solver that changes `q` little by little, two steps a call
+//! lose nothing against five accelerated ones, and need no momentum arrays
+//! (measured: equal PSNR to 0.01 dB on digits of 12 and 18 px at every iteration).
+
+use super::Prox;
+use crate::Shape;
+use crate::solve::Support;
+use crate::vecmath::simd;
+use rayon::prelude::*;
+
+/// Dual steps of one call of [`Prox::prox`] inside an outer solver.
+const STEPS: usize = 2;
+
+/// Length of a dual step over `1/‖D‖²`; up to 2 converges.
+const STEP: f32 = 1.9;
+
+/// The weights of the three parts of [`Variation`]; a part with weight 0 is absent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VariationWeights {
+    /// `w_s`: isotropic total variation in space.
+    pub space: f64,
+    /// `w_t`: absolute differences from bin to bin.
+    pub time: f64,
+    /// `w_1`: absolute values.
+    pub l1: f64,
+}
+
+/// The prior `R` above over videos of one shape.
+pub struct Variation {
+    shape: Shape,
+    weights: VariationWeights,
+    steps: usize,
+    dual_y: Vec<f32>,
+    dual_x: Vec<f32>,
+    dual_t: Vec<f32>,
+    /// Scale that the duals were left at; they are multiples of it.
+    scale: f64,
+    support: Option<Support>,
+}
+
+impl Variation {
+    /// The prior with its dual at zero.
+    pub fn new(shape: Shape, weights: VariationWeights) -> Self {
+        let space = if weights.space > 0.0 {
+            shape.voxels()
+        } else {
+            0
+        };
+        let time = if weights.time > 0.0 {
+            shape.voxels()
+        } else {
+            0
+        };
+        Self {
+            shape,
+            weights,
+            steps: STEPS,
+            dual_y: vec![0.0; space],
+            dual_x: vec![0.0; space],
+            dual_t: vec![0.0; time],
+            scale: 0.0,
+            support: None,
+        }
+    }
+
+    /// The same with `steps` dual steps a call, for a prox that stands alone.
+    #[must_use]
+    pub fn with_steps(mut self, steps: usize) -> Self {
+        self.steps = steps;
+        self
+    }
+
+    fn rescale_duals(&mut self, scale: f64) {
+        if self.scale > 0.0 && self.scale != scale {
+            let factor = (scale / self.scale) as f32;
+            for dual in [&mut self.dual_y, &mut self.dual_x, &mut self.dual_t] {
+                dual.par_iter_mut().for_each(|p| *p *= factor);
+            }
+        }
+        self.scale = scale;
+    }
+
+    /// `z(p)`: the primal point of the dual.
+    fn primal(&self, q: &[f32], scale: f64, z: &mut [f32]) {
+        let pixels = self.shape.pixels();
+        let shrink = (scale * self.weights.l1) as f32;
+        z.par_chunks_exact_mut(pixels)
+            .enumerate()
+            .for_each(|(t, z)| {
+                let bin = t * pixels..(t + 1) * pixels;
+                simd(
+                    #[inline(always)]
+                    || {
+                        for (z, q) in z.iter_mut().zip(&q[bin.clone()]) {
+                            *z = q - shrink;
+                        }
+                        if !self.dual_y.is_empty() {
+                            let (py, px) = (&self.dual_y[bin.clone()], &self.dual_x[bin.clone()]);
+                            add_divergence(z, py, px, self.shape.columns);
+                        }
+                        if !self.dual_t.is_empty() {
+                            add(z, &self.dual_t[bin.clone()], 1.0);
+                            if t > 0 {
+                                add(z, &self.dual_t[bin.start - pixels..bin.start], -1.0);
+                            }
+                        }
+                        match &self.support {
+                            None => z.iter_mut().for_each(|z| *z = z.max(0.0)),
+                            Some(support) => {
+                                for (z, &lit) in z.iter_mut().zip(&support.mask()[bin.clone()]) {
+                                    *z = z.max(0.0) * f32::from(lit);
+                                }
+                            }
+                        }
+                    },
+                );
+            });
+    }
+
+    /// One projected gradient step of the dual from its primal point `z`.
+    fn step_dual(&mut self, z: &[f32], scale: f64) {
+        let (pixels, columns, bins) = (self.shape.pixels(), self.shape.columns, self.shape.bins);
+        let space = (scale * self.weights.space) as f32;
+        let time = (scale * self.weights.time) as f32;
+        // ‖D‖² ≤ 4 for each axis that is differenced.
+        let axes =
+            if self.dual_y.is_empty() { 0 } else { 2 } + usize::from(!self.dual_t.is_empty());
+        let step = STEP / (4 * axes.max(1)) as f32;
+        let dual_y = self.dual_y.par_chunks_exact_mut(pixels);
+        let dual_x = self.dual_x.par_chunks_exact_mut(pixels);
+        dual_y.zip(dual_x).enumerate().for_each(|(t, (py, px))| {
+            let z = &z[t * pixels..(t + 1) * pixels];
+            simd(
+                #[inline(always)]
+                || step_space(py, px, z, columns, space, step),
+            );
+        });
+        self.dual_t
+            .par_chunks_exact_mut(pixels)
+            .enumerate()
+            .for_each(|(t, p)| {
+                if t + 1 < bins {
+                    let (now, next) = z[t * pixels..(t + 2) * pixels].split_at(pixels);
+                    simd(
+                        #[inline(always)]
+                        || {
+                            for ((p, now), next) in p.iter_mut().zip(now).zip(next) {
+                                *p = (*p + step * (next - now)).max(-time).min(time);
+                            }
+                        },
+                    );
+                }
+            });
+    }
+}
+
+impl Prox for Variation {
+    fn prox(&mut self, q: &[f32], scale: f64, z: &mut [f32]) {
+        assert_eq!(q.len(), self.shape.voxels(), "length of the point");
+        assert_eq!(z.len(), self.shape.voxels(), "length of the result");
+        self.rescale_duals(scale);
+        self.primal(q, scale, z);
+        if self.dual_y.is_empty() && self.dual_t.is_empty() {
+            return;
+        }
+        for _ in 0..self.steps {
+            self.step_dual(z, scale);
+            self.primal(q, scale, z);
+        }
+    }
+
+    fn value(&self, z: &[f32]) -> f64 {
+        let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
+        let VariationWeights { space, time, l1 } = self.weights;
+        (0..self.shape.bins)
+            .into_par_iter()
+            .map(|t| {
+                let bin = &z[t * pixels..(t + 1) * pixels];
+                let mut value = 0.0;
+                for (i, &v) in bin.iter().enumerate() {
+                    let below = bin.get(i + columns).map_or(0.0, |b| b - v);
+                    let right = if (i + 1) % columns == 0 {
+                        0.0
+                    } else {
+                        bin[i + 1] - v
+                    };
+                    value += space * f64::from((below * below + right * right).sqrt());
+                    value += l1 * f64::from(v.abs());
+                    if time > 0.0 && t + 1 < self.shape.bins {
+                        value += time * f64::from((z[(t + 1) * pixels + i] - v).abs());
+                    }
+                }
+                value
+            })
+            .sum()
+    }
+
+    /// The lit voxels that differ from all their predecessors (left, above, before)
+    /// along the axes that the prior couples: the number of plateaus, which for a
+    /// total variation is what the data choose (Tibshirani & Taylor 2012).
+    fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
+        let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
+        let (space, time) = (!self.dual_y.is_empty(), !self.dual_t.is_empty());
+        let free: usize = (0..self.shape.bins)
+            .into_par_iter()
+            .map(|t| {
+                let start = t * pixels;
+                let is_free = |i: &usize| {
+                    let v = z[start + i];
+                    let differs = |at: usize| (v - z[at]).abs() > tolerance;
+                    v > tolerance
+                        && (!space || i % columns == 0 || differs(start + i - 1))
+                        && (!space || *i < columns || differs(start + i - columns))
+                        && (!time || t == 0 || differs(start + i - pixels))
+                };
+                (0..pixels).filter(is_free).count()
+            })
+            .sum();
+        free as f64
+    }
+
+    fn restrict(&mut self, support: &Support) {
+        self.support = Some(support.clone());
+    }
+}
+
+/// `z += a·p`.
+#[inline(always)]
+fn add(z: &mut [f32], p: &[f32], a: f32) {
+    for (z, p) in z.iter_mut().zip(p) {
+        *z += a * p;
+    }
+}
+
+/// `z −= Dᵀp` over one bin: `−(Dᵀp)[y,x] = py[y,x] − py[y−1,x] + px[y,x] − px[y,x−1]`.
+#[inline(always)]
+fn add_divergence(z: &mut [f32], py: &[f32], px: &[f32], columns: usize) {
+    add(z, py, 1.0);
+    add(&mut z[columns..], py, -1.0);
+    add(z, px, 1.0);
+    let lines = z.chunks_exact_mut(columns).zip(px.chunks_exact(columns));
+    for (z, px) in lines {
+        add(&mut z[1..], px, -1.0);
+    }
+}
+
+/// The spatial dual of one bin, a step along `D z` and back into the ball of `radius`.
+#[inline(always)]
+fn step_space(py: &mut [f32], px: &mut [f32], z: &[f32], columns: usize, radius: f32, step: f32) {
+    let rows = z.len() / columns;
+    for y in 0..rows {
+        let line = y * columns..(y + 1) * columns;
+        // The last row has no row below: its difference is zero.
+        let below = if y + 1 < rows {
+            (y + 1) * columns
+        } else {
+            y * columns
+        };
+        let (z, below) = (&z[line.clone()], &z[below..below + columns]);
+        let (py, px) = (&mut py[line.clone()], &mut px[line]);
+        for x in 0..columns - 1 {
+            project(
+                &mut py[x],
+                &mut px[x],
+                step * (below[x] - z[x]),
+                step * (z[x + 1] - z[x]),
+                radius,
+            );
+        }
+        let x = columns - 1;
+        project(
+            &mut py[x],
+            &mut px[x],
+            step * (below[x] - z[x]),
+            0.0,
+            radius,
+        );
+    }
+}
+
+#[inline(always)]
+fn project(py: &mut f32, px: &mut f32, dy: f32, dx: f32, radius: f32) {
+    let (a, b) = (*py + dy, *px + dx);
+    let shrink = radius / radius.max((a * a + b * b).sqrt());
+    (*py, *px) = (a * shrink, b * shrink);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::vecmath::{distance_squared, dot, norm};
+    use rand::{RngExt, SeedableRng};
+
+    fn random(length: usize, seed: u64) -> Vec<f32> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        (0..length)
+            .map(|_| rng.random_range(-0.5f32..1.0))
+            .collect()
+    }
+
+    fn prox(shape: Shape, weights: VariationWeights, q: &[f32], scale: f64) -> Vec<f32> {
+        let mut z = vec![f32::NAN; shape.voxels()];
+        Variation::new(shape, weights)
+            .with_steps(3000)
+            .prox(q, scale, &mut z);
+        z
+    }
+
+    const WEIGHTS: [VariationWeights; 4] = [
+        VariationWeights {
+            space: 1.0,
+            time: 0.0,
+            l1: 0.0,
+        },
+        VariationWeights {
+            space: 1.0,
+            time: 0.5,
+            l1: 0.2,
+        },
+        VariationWeights {
+            space: 0.0,
+            time: 1.0,
+            l1: 0.0,
+        },
+        VariationWeights {
+            space: 0.0,
+            time: 0.0,
+            l1: 1.0,
+        },
+    ];
+    const SHAPES: [(usize, usize, usize); 4] = [(3, 5, 7), (1, 8, 6), (4, 1, 5), (2, 6, 1)];
+
+    #[test]
+    fn is_firmly_non_expansive() {
+        for weights in WEIGHTS {
+            for (bins, rows, columns) in SHAPES {
+                let shape = Shape::new(bins, rows, columns);
+                let (a, b) = (random(shape.voxels(), 1), random(shape.voxels(), 2));
+                let (pa, pb) = (prox(shape, weights, &a, 0.2), prox(shape, weights, &b, 0.2));
+                let moved: Vec<f32> = pa.iter().zip(&pb).map(|(x, y)| x - y).collect();
+                let apart: Vec<f32> = a.iter().zip(&b).map(|(x, y)| x - y).collect();
+                assert!(dot(&moved, &moved) <= dot(&moved, &apart) + 1e-4);
+            }
+        }
+    }
+
+    /// `z = prox(q)` is the minimiser: no other point of a random bundle is better, and
+    /// `⟨q − z, z⟩ = scale·R(z)`, which holds for every positively homogeneous `R`
+    /// (Moreau: `q − z` is in `scale·∂R(z)`).
+    #[test]
+    fn is_the_minimiser() {
+        for weights in WEIGHTS {
+            for (bins, rows, columns) in SHAPES {
+                let shape = Shape::new(bins, rows, columns);
+                let q = random(shape.voxels(), 3);
+                let z = prox(shape, weights, &q, 0.15);
+                let prior = Variation::new(shape, weights);
+                let cost = |z: &[f32]| 0.5 * distance_squared(z, &q) + 0.15 * prior.value(z);
+                let rest: Vec<f32> = q.iter().zip(&z).map(|(q, z)| q - z).collect();
+                let gap = dot(&rest, &z) - 0.15 * prior.value(&z);
+                assert!(
+                    gap.abs() < 1e-3 * (1.0 + norm(&q)),
+                    "{weights:?} {shape}: {gap}"
+                );
+                let best = cost(&z);
+                for seed in 10..30 {
+                    let direction = random(shape.voxels(), seed);
+                    let other: Vec<f32> = z
+                        .iter()
+                        .zip(&direction)
+                        .map(|(z, d)| (z + 0.02 * (d - 0.25)).max(0.0))
+                        .collect();
+                    assert!(cost(&other) >= best - 1e-4, "{weights:?} {shape}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn l1_alone_is_the_non_negative_soft_threshold() {
+        let shape = Shape::new(1, 1, 4);
+        let z = prox(shape, WEIGHTS[3], &[1.0, 0.3, 0.1, -2.0], 0.2);
+        for (z, expected) in z.iter().zip([0.8, 0.1, 0.0, 0.0]) {
+            assert!((z - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_constant_video_keeps_its_value() {
+        let shape = Shape::new(3, 4, 5);
+        let z = prox(
+            shape,
+            VariationWeights {
+                space: 1.0,
+                time: 1.0,
+                l1: 0.0,
+            },
+            &vec![0.7; 60],
+            5.0,
+        );
+        assert!(z.iter().all(|v| (v - 0.7).abs() < 1e-5));
+    }
+
+    #[test]
+    fn plateaus_are_the_degrees_of_freedom() {
+        let shape = Shape::new(2, 4, 4);
+        let mut z = vec![0.0f32; 32];
+        for i in [5, 6, 9, 10] {
+            z[i] = 1.0;
+            z[16 + i] = 1.0;
+        }
+        z[15] = 0.5;
+        let space = Variation::new(shape, WEIGHTS[0]);
+        assert_eq!(space.degrees_of_freedom(&z, 1e-3), 3.0);
+        let both = Variation::new(shape, WEIGHTS[1]);
+        assert_eq!(both.degrees_of_freedom(&z, 1e-3), 2.0);
+    }
+}

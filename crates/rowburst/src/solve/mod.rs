@@ -1,0 +1,65 @@
+//! Solvers for `min_{v≥0} ½‖b − A v‖² + τ R(v)` (Eq. 5); they know operators, not optics.
+
+pub mod admm;
+pub mod blocks;
+pub mod conjugate_gradient;
+pub mod support;
+
+pub use support::Support;
+
+use crate::linop::LinearOperator;
+
+/// Why a solver stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StopReason {
+    /// The video no longer changes.
+    Converged,
+    /// The largest number of iterations was reached first.
+    IterationLimit,
+    /// The observer stopped it because its time was up.
+    TimeBudget,
+    /// The observer stopped it because the user asked.
+    Interrupted,
+}
+
+impl StopReason {
+    /// The word in `result.json`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::IterationLimit => "iteration-limit",
+            Self::TimeBudget => "time-budget",
+            Self::Interrupted => "interrupted",
+        }
+    }
+}
+
+/// Solves `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
+pub trait GramSolver: Send {
+    /// Overwrites `y`, and `gram_y` with `A P Aᵀ y`.
+    fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]);
+}
+
+/// The data term `½‖b − A v‖²` as a solver sees it.
+pub trait DataTerm {
+    /// `A`.
+    fn operator(&self) -> &dyn LinearOperator;
+
+    /// `b`.
+    fn measured(&self) -> &[f32];
+
+    /// Number of measurements that carry information.
+    fn informative(&self) -> usize;
+
+    /// Typical size of a diagonal element of `A Aᵀ`.
+    fn scale(&self) -> f64;
+
+    /// See [`GramSolver::solve`].
+    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]);
+
+    /// Root mean square of `residual` over the measurements that see each bin.
+    fn misfit_of_bins(&self, residual: &[f32]) -> Vec<f64>;
+
+    /// From now on videos are zero outside `support`.
+    fn restrict(&mut self, support: &Support);
+}

@@ -1,0 +1,96 @@
+//! Dot products and norms with f64 accumulation, and the SIMD gate.
+//!
+//! Hot loops are plain Rust; [`simd`] compiles them once for each instruction set
+//! and picks the widest that the processor has at run time.
+
+use rayon::prelude::*;
+
+/// Elements per parallel task of the reductions below; fixed, so that a sum does
+/// not depend on the number of threads.
+const CHUNK: usize = 1 << 14;
+
+/// Runs `work` compiled for the widest instruction set of this processor.
+///
+/// `work` and what it calls must be `#[inline(always)]` to be compiled along.
+#[inline(always)]
+pub fn simd<R>(work: impl FnOnce() -> R) -> R {
+    struct Work<F>(F);
+    impl<R, F: FnOnce() -> R> pulp::NullaryFnOnce for Work<F> {
+        type Output = R;
+        #[inline(always)]
+        fn call(self) -> R {
+            self.0()
+        }
+    }
+    pulp::Arch::new().dispatch(Work(work))
+}
+
+/// `Σ aᵢ bᵢ`.
+pub fn dot(a: &[f32], b: &[f32]) -> f64 {
+    reduce(a, b, |a, b| f64::from(a) * f64::from(b))
+}
+
+/// `Σ aᵢ²`.
+pub fn norm_squared(a: &[f32]) -> f64 {
+    dot(a, a)
+}
+
+/// `√Σ aᵢ²`.
+pub fn norm(a: &[f32]) -> f64 {
+    norm_squared(a).sqrt()
+}
+
+/// `Σ (aᵢ − bᵢ)²`.
+pub fn distance_squared(a: &[f32], b: &[f32]) -> f64 {
+    reduce(a, b, |a, b| f64::from(a - b).powi(2))
+}
+
+fn reduce(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64 + Sync + Copy) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let partial: Vec<f64> = a
+        .par_chunks(CHUNK)
+        .zip(b.par_chunks(CHUNK))
+        .map(|(a, b)| simd(|| sum_of_lanes(a, b, term)))
+        .collect();
+    partial.iter().sum()
+}
+
+/// Eight running sums let the compiler use SIMD lanes without reordering one sum.
+#[inline(always)]
+fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64) -> f64 {
+    let mut lanes = [0.0; 8];
+    let (a8, a_rest) = a.as_chunks::<8>();
+    let (b8, b_rest) = b.as_chunks::<8>();
+    for (a, b) in a8.iter().zip(b8) {
+        for lane in 0..8 {
+            lanes[lane] += term(a[lane], b[lane]);
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(&a, &b)| term(a, b)).sum();
+    lanes.iter().sum::<f64>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_agree_with_the_naive_ones() {
+        for length in [0, 1, 7, 8, 9, 100_003] {
+            let a: Vec<f32> = (0..length).map(|i| (i as f32 * 0.37).sin()).collect();
+            let b: Vec<f32> = (0..length).map(|i| (i as f32 * 0.11).cos()).collect();
+            let naive: f64 = a
+                .iter()
+                .zip(&b)
+                .map(|(&a, &b)| f64::from(a) * f64::from(b))
+                .sum();
+            assert!((dot(&a, &b) - naive).abs() < 1e-9 * (length as f64 + 1.0));
+            let far: f64 = a
+                .iter()
+                .zip(&b)
+                .map(|(&a, &b)| f64::from(a - b).powi(2))
+                .sum();
+            assert!((distance_squared(&a, &b) - far).abs() < 1e-9 * (length as f64 + 1.0));
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! What the integration tests share.
+#![allow(dead_code)]
+
+use ndarray_npy::ReadNpyExt;
+use rowburst::camera::CameraParams;
+use rowburst::{Camera, Sensor, Shutter};
+use std::path::{Path, PathBuf};
+
+/// Folders of the oracle's cases.
+pub fn oracle_cases() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/oracle");
+    let mut cases: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
+    cases.sort();
+    assert!(cases.len() >= 8, "the oracle's cases are here");
+    cases
+}
+
+/// Shape and values of a `.npy` file of f32 or f64.
+pub fn read_f32(path: &Path) -> (Vec<usize>, Vec<f32>) {
+    let open = || std::fs::File::open(path).unwrap();
+    if let Ok(array) = ndarray::ArrayD::<f32>::read_npy(open()) {
+        return (array.shape().to_vec(), array.iter().copied().collect());
+    }
+    let array = ndarray::ArrayD::<f64>::read_npy(open()).unwrap();
+    (
+        array.shape().to_vec(),
+        array.iter().map(|&v| v as f32).collect(),
+    )
+}
+
+/// The camera of a case's `experiment.toml` (only the keys that the oracle uses).
+pub fn camera_of(case: &Path) -> Camera {
+    let text = std::fs::read_to_string(case.join("experiment.toml")).unwrap();
+    let value = |key: &str| -> String {
+        let line = text
+            .lines()
+            .find(|l| l.starts_with(&format!("{key} =")))
+            .unwrap();
+        line.split('=')
+            .nth(1)
+            .unwrap()
+            .trim()
+            .trim_matches('"')
+            .to_string()
+    };
+    let shutter = match value("shutter").as_str() {
+        "top-down" => Shutter::TopDown,
+        "bottom-up" => Shutter::BottomUp,
+        "dual-inside-out" => Shutter::DualInsideOut,
+        "dual-outside-in" => Shutter::DualOutsideIn,
+        "global" => Shutter::Global,
+        other => panic!("shutter {other}"),
+    };
+    Camera::new(CameraParams {
+        rows: value("rows").parse().unwrap(),
+        columns: value("columns").parse().unwrap(),
+        shutter,
+        row_time_us: value("row_time_us").parse().unwrap(),
+        exposure_us: value("exposure_us").parse().unwrap(),
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .unwrap()
+}
