@@ -1,1 +1,45 @@
-fn main() {}
+//! `rowburst`: one rolling-shutter frame in, a 100,000 fps video out.
+//!
+//! Arguments become library calls and files; no maths here. Standard output carries
+//! results, standard error the talk. Exit status: 0 done, 1 the work failed, 2 the
+//! input or the command line is wrong.
+
+mod args;
+mod demo;
+mod inputs;
+mod outcome;
+mod progress;
+mod reconstruct;
+mod simulate;
+
+use args::{Cli, Verb};
+use clap::Parser;
+use rowburst::Error;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    if let Some(threads) = cli.threads
+        && let Err(error) = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.into())
+            .build_global()
+    {
+        eprintln!("error: --threads {threads}: {error}");
+        return ExitCode::from(1);
+    }
+    let done = match cli.verb {
+        Verb::Demo(args) => demo::run(&args),
+        Verb::Simulate(args) => simulate::run(&args),
+        Verb::Reconstruct(args) => reconstruct::run(&args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(match error {
+                Error::Input { .. } => 2,
+                Error::Work { .. } => 1,
+            })
+        }
+    }
+}

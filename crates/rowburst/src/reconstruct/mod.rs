@@ -16,7 +16,7 @@ use data::FrameData;
 use std::ops::ControlFlow;
 
 /// What the user chooses.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Recipe {
     /// The prior; `default` does well on sparse scenes, still or moving.
     pub prior: Prior,

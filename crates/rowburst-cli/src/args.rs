@@ -1,0 +1,183 @@
+//! The command line.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// One frame of a rolling-shutter camera behind a diffuser in, a 100,000 fps video out.
+#[derive(Debug, Parser)]
+#[command(name = "rowburst", version, about, max_term_width = 100)]
+pub struct Cli {
+    /// Threads to use [default: all cores]
+    #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    #[command(subcommand)]
+    pub verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Simulate the paper's experiment, reconstruct it and show how good it is
+    Demo(DemoArgs),
+    /// Make the frame that a camera would record of a scene
+    Simulate(SimulateArgs),
+    /// Recover the video from one frame
+    Reconstruct(ReconstructArgs),
+}
+
+/// Simulate the paper's experiment, reconstruct it and show how good it is.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst demo --scene leds -o leds\n  then open leds/report.html"
+)]
+pub struct DemoArgs {
+    /// The paper's Fig. 2 (digits) or Fig. 3 (leds), or a digit that moves
+    #[arg(long, value_enum, default_value_t = DemoScene::Digits)]
+    pub scene: DemoScene,
+    /// Seed of scene, speckle and noise
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Signal-to-noise ratio: rms of the noiseless frame over the noise
+    #[arg(long, default_value_t = 256.0)]
+    pub snr: f64,
+    /// Folder for all results
+    #[arg(short, long, default_value = "rowburst-demo")]
+    pub output: PathBuf,
+    /// Print result.json to standard output instead of a summary
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DemoScene {
+    /// 54 digits, each in its own place for one bin of 9.6 µs (Fig. 2)
+    Digits,
+    /// Three LEDs blinking at 20,833, 34,722 and 52,083 Hz (Fig. 3)
+    Leds,
+    /// One digit moving by up to 0.8 pixels a bin
+    Moving,
+}
+
+impl DemoScene {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Digits => "digits",
+            Self::Leds => "leds",
+            Self::Moving => "moving",
+        }
+    }
+}
+
+/// Make the frame that a camera would record of a scene.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst simulate experiment.toml --scene digits --seed 3 -o sim\n  rowburst reconstruct sim/experiment.toml --frame sim/frame.npy --truth sim/truth.npy -o result"
+)]
+pub struct SimulateArgs {
+    /// The camera, as an experiment file
+    pub experiment: PathBuf,
+    /// digits, leds, moving, or a video file (.npy, multi-page .tif) that is fitted to the field
+    #[arg(long)]
+    pub scene: String,
+    /// PSF to use; without one (here or in the experiment) a speckle PSF is computed
+    #[arg(long)]
+    pub psf: Option<PathBuf>,
+    /// Signal-to-noise ratio: rms of the noiseless frame over the noise; "inf" for none
+    #[arg(long, default_value_t = 256.0, value_parser = parse_snr)]
+    pub snr: f64,
+    /// Shot and read noise instead of --snr: electrons in the brightest pixel of the frame.
+    /// Needs gain_electrons_per_count and read_noise_electrons in [camera]
+    #[arg(long, conflicts_with = "snr")]
+    pub peak_electrons: Option<f64>,
+    /// Seed of scene, speckle and noise
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Height of the font of digits and moving, in pixels
+    #[arg(long, default_value_t = 12)]
+    pub digit_px: usize,
+    #[command(flatten)]
+    pub optics: OpticsArgs,
+    /// Folder for experiment.toml, frame.npy, psf.npy, truth.npy and the frame without diffuser
+    #[arg(short, long)]
+    pub output: PathBuf,
+}
+
+/// The optics of the computed speckle PSF. The defaults give a grain of 2.5 pixels of
+/// 6.5 µm and an envelope that reaches over 108 rows.
+#[derive(Debug, Clone, Copy, Args)]
+#[command(next_help_heading = "Speckle PSF")]
+pub struct OpticsArgs {
+    /// Wavelength in nanometres
+    #[arg(long, default_value_t = 532.0)]
+    pub wavelength_nm: f64,
+    /// Diameter of the pupil in millimetres
+    #[arg(long, default_value_t = 1.71)]
+    pub pupil_mm: f64,
+    /// Focal length of the lens in millimetres
+    #[arg(long, default_value_t = 50.0)]
+    pub focal_length_mm: f64,
+    /// Magnification from scene to sensor
+    #[arg(long, default_value_t = 1.0 / 22.5)]
+    pub magnification: f64,
+    /// Image-side numerical aperture, instead of the pupil's diameter
+    #[arg(long, conflicts_with = "pupil_mm")]
+    pub na: Option<f64>,
+    /// Full width at half maximum of the diffuser's scattering, in degrees
+    #[arg(long, default_value_t = 1.0)]
+    pub diffuser_deg: f64,
+}
+
+/// Recover the video from one frame.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html"
+)]
+pub struct ReconstructArgs {
+    /// The experiment file: camera, calibration, field, recipe
+    pub experiment: PathBuf,
+    /// The raw frame (.npy, .tif, .png, .bmp)
+    #[arg(long)]
+    pub frame: PathBuf,
+    /// The PSF, instead of the experiment's
+    #[arg(long)]
+    pub psf: Option<PathBuf>,
+    /// A frame without light, instead of the experiment's
+    #[arg(long)]
+    pub dark: Option<PathBuf>,
+    /// A frame of even light, instead of the experiment's
+    #[arg(long)]
+    pub flat: Option<PathBuf>,
+    /// A mask of pixels not to use (anything but 0), instead of the experiment's
+    #[arg(long)]
+    pub bad_pixels: Option<PathBuf>,
+    /// The true video, to compare with
+    #[arg(long)]
+    pub truth: Option<PathBuf>,
+    /// The prior: auto, or terms of l1, tv, tdiff, support joined by +, such as tv+0.5*tdiff
+    #[arg(long, allow_hyphen_values = true)]
+    pub prior: Option<String>,
+    /// Weight of the prior: auto, or a number above zero
+    #[arg(long, allow_hyphen_values = true)]
+    pub tau: Option<String>,
+    /// Standard deviation of the noise in counts [default: from the calibration, or the frame]
+    #[arg(long, allow_hyphen_values = true)]
+    pub noise_sigma: Option<f64>,
+    /// Stop after this time and keep the best so far
+    #[arg(long, allow_hyphen_values = true)]
+    pub time_budget_s: Option<f64>,
+    /// Stop after this many iterations
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_iterations: Option<u32>,
+    /// Print result.json to standard output instead of a summary
+    #[arg(long)]
+    pub json: bool,
+    /// Folder for all results
+    #[arg(short, long)]
+    pub output: PathBuf,
+}
+
+fn parse_snr(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(snr) if snr > 0.0 => Ok(snr),
+        _ => Err("the ratio is a number above zero, or inf for no noise".into()),
+    }
+}

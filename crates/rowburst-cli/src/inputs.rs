@@ -1,0 +1,96 @@
+//! Files into values: frames, PSFs and videos of an experiment.
+
+use rowburst::measurement::Corrections;
+use rowburst::{Camera, Error, Image, Psf, Result, Video};
+use rowburst_io::{Calibration, Capture, Level, read_image, read_video};
+use std::path::Path;
+
+/// A recorded frame, and the counts at which its file ends if they are integers.
+pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {
+    let Capture { image, level } = read_image(path)?;
+    let end = match level {
+        Level::Counts { bits } if bits <= 16 => Some(f64::from(1u32 << bits) - 1.0),
+        Level::Counts { .. } | Level::Float => None,
+    };
+    Ok((image, end))
+}
+
+/// Dark, flat and bad pixels of `calibration`.
+pub fn read_corrections(
+    calibration: &Calibration,
+    container_end: Option<f64>,
+) -> Result<Corrections> {
+    let read = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {
+        path.as_deref()
+            .map(|path| read_image(path).map(|capture| capture.image))
+            .transpose()
+    };
+    Ok(Corrections {
+        dark: read(&calibration.dark)?,
+        flat: read(&calibration.flat)?,
+        bad_pixels: read(&calibration.bad_pixels)?,
+        saturation_counts: container_end,
+    })
+}
+
+/// The PSF of `path` on the working grid of `camera`.
+///
+/// A file of integers is a raw capture: the camera's dark frame (if it has the same
+/// size) or bias is taken from it, and what falls below zero is set to zero. A file of
+/// floats is taken as it is. With binning, a PSF of the raw sensor's size, or larger
+/// than the working grid can use, is binned.
+pub fn read_psf(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<Psf> {
+    let Capture { mut image, level } = read_image(path)?;
+    if matches!(level, Level::Counts { .. }) {
+        match dark.filter(|d| (d.rows(), d.columns()) == (image.rows(), image.columns())) {
+            Some(dark) => image
+                .data_mut()
+                .iter_mut()
+                .zip(dark.data())
+                .for_each(|(p, d)| *p -= d),
+            None => {
+                let bias = camera.sensor().bias_counts.unwrap_or(0.0) as f32;
+                image.data_mut().iter_mut().for_each(|p| *p -= bias);
+            }
+        }
+        image.data_mut().iter_mut().for_each(|p| *p = p.max(0.0));
+    }
+    let binning = camera.sensor().binning;
+    if binning > 1 {
+        let (rows, columns) = (image.rows(), image.columns());
+        let raw = (camera.rows() * binning, camera.columns() * binning);
+        let (field_rows, field_columns) = camera.field();
+        let too_large =
+            rows > camera.rows() + field_rows && columns > camera.columns() + field_columns;
+        if (rows, columns) == raw || too_large {
+            eprintln!(
+                "{}: {rows}×{columns} raw pixels, binned by {binning}",
+                path.display()
+            );
+            image = image.binned(binning);
+        }
+    }
+    Psf::new(image).map_err(|e| e.within(path.display()))
+}
+
+/// The true video, checked against the shape that `camera` gives.
+pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
+    let video = read_video(path)?;
+    if let Some(bad) = video.data().iter().position(|v| !v.is_finite()) {
+        return Err(Error::input(
+            path.display().to_string(),
+            format!("{} at voxel {bad}", video.data()[bad]),
+            "every value of the truth is a finite number",
+            "Leave --truth out to reconstruct without a comparison.",
+        ));
+    }
+    if video.shape() != camera.video_shape() {
+        return Err(Error::input(
+            path.display().to_string(),
+            video.shape(),
+            format!("the camera gives a video of {}", camera.video_shape()),
+            "Leave --truth out, or give the truth on the grid of the reconstruction.",
+        ));
+    }
+    Ok(video)
+}

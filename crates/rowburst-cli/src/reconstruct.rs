@@ -1,0 +1,463 @@
+//! `rowburst reconstruct`: files in, video and report out.
+
+use crate::args::ReconstructArgs;
+use crate::inputs::{read_corrections, read_frame, read_psf, read_truth};
+use crate::outcome::{Outcome, peak_memory_bytes, short};
+use crate::progress::{Watch, stop_on_ctrl_c};
+use rowburst::measurement::{Measurement, correct};
+use rowburst::metrics::{psnr_db, ssim};
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction};
+use rowburst::simulate::direct_frame;
+use rowburst::{Camera, Error, Psf, Result, Video};
+use rowburst_io::{
+    Calibration, Experiment, OutputFolder, Tau, TiffScale, write_npy_video, write_tiff_video,
+};
+use rowburst_report::{Iteration, ReportInput};
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+/// Files of a result, and what they are.
+const FILES: [(&str, &str); 5] = [
+    ("video.npy", "the video, float32 [t, y, x], in counts"),
+    (
+        "video.tif",
+        "the same as an ImageJ time stack (Fiji, napari)",
+    ),
+    ("video.mp4", "the same slowed down, for browsers and slides"),
+    ("report.html", "this page"),
+    ("result.json", "the numbers, for programs"),
+];
+
+pub fn run(args: &ReconstructArgs) -> Result<()> {
+    let folder = OutputFolder::create(&args.output)?;
+    let experiment = Experiment::read(&args.experiment)?;
+    let camera = experiment.camera()?;
+    let recipe = recipe_of(args, &experiment)?;
+    let budget = time_budget(args)?;
+    let calibration = Calibration {
+        psf: args.psf.clone().or(experiment.calibration.psf),
+        dark: args.dark.clone().or(experiment.calibration.dark),
+        flat: args.flat.clone().or(experiment.calibration.flat),
+        bad_pixels: args
+            .bad_pixels
+            .clone()
+            .or(experiment.calibration.bad_pixels),
+    };
+    let Some(psf_path) = &calibration.psf else {
+        return Err(Error::input(
+            args.experiment.display().to_string(),
+            "no PSF",
+            "a reconstruction needs the point-spread function",
+            "Give --psf FILE, or psf = \"FILE\" under [calibration].",
+        ));
+    };
+    let (raw, container_end) = read_frame(&args.frame)?;
+    let corrections = read_corrections(&calibration, container_end)?;
+    let psf = read_psf(psf_path, &camera, corrections.dark.as_ref())?;
+    let measurement =
+        correct(&raw, &camera, &corrections).map_err(|e| e.within(args.frame.display()))?;
+    let truth = args
+        .truth
+        .as_deref()
+        .map(|path| read_truth(path, &camera))
+        .transpose()?;
+    drop((raw, corrections));
+
+    let stop = stop_on_ctrl_c();
+    let started = Instant::now();
+    let problem = Problem::new(&measurement, &camera, &psf, recipe)?;
+    let setup = started.elapsed();
+    let left = budget.map(|b| b.saturating_sub(setup));
+    let mut watch = Watch::new(problem.sigma(), truth.as_ref(), left, stop);
+    let solved = problem.solve(&mut |progress| watch.observe(progress));
+    let seconds = watch.seconds();
+    watch.finish();
+    let found = solved?;
+
+    let run = Run {
+        args,
+        camera: &camera,
+        psf: &psf,
+        measurement: &measurement,
+        truth: truth.as_ref(),
+        found: &found,
+        curve: &watch.curve,
+    };
+    let outcome = run.outcome(recipe, setup.as_secs_f64(), seconds);
+    let outcome = run.write(&folder, outcome)?;
+    let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
+    if args.json {
+        println!("{json}");
+    } else {
+        print_summary(&outcome, args);
+    }
+    Ok(())
+}
+
+fn recipe_of(args: &ReconstructArgs, experiment: &Experiment) -> Result<Recipe> {
+    let asked = args
+        .prior
+        .as_deref()
+        .or(experiment.reconstruction.prior.as_deref());
+    let prior = asked.map_or(Ok(Prior::AUTO), str::parse)?;
+    let tau = match (args.tau.as_deref(), experiment.reconstruction.tau) {
+        (Some("auto"), _) | (None, None | Some(Tau::Auto)) => None,
+        (None, Some(Tau::Value(tau))) => Some(tau),
+        (Some(text), _) => Some(text.parse().map_err(|_| {
+            Error::input(
+                "--tau",
+                format!("\"{text}\""),
+                "τ is auto or a number above zero",
+                "Leave it out: the program finds it.",
+            )
+        })?),
+    };
+    Ok(Recipe {
+        prior,
+        tau,
+        noise_sigma: args.noise_sigma,
+        max_iterations: args.max_iterations.map(|n| n as usize),
+    })
+}
+
+fn time_budget(args: &ReconstructArgs) -> Result<Option<Duration>> {
+    let Some(seconds) = args.time_budget_s else {
+        return Ok(None);
+    };
+    match Duration::try_from_secs_f64(seconds) {
+        Ok(budget) if !budget.is_zero() => Ok(Some(budget)),
+        _ => Err(Error::input(
+            "--time-budget-s",
+            seconds,
+            "a budget is a number of seconds above zero",
+            "Leave it out to run until it has converged.",
+        )),
+    }
+}
+
+/// A finished run, ready to be written.
+struct Run<'a> {
+    args: &'a ReconstructArgs,
+    camera: &'a Camera,
+    psf: &'a Psf,
+    measurement: &'a Measurement,
+    truth: Option<&'a Video>,
+    found: &'a Reconstruction,
+    curve: &'a [Iteration],
+}
+
+impl Run<'_> {
+    fn outcome(&self, recipe: Recipe, setup_seconds: f64, seconds: f64) -> Outcome {
+        let found = self.found;
+        let shape = found.video.shape();
+        Outcome {
+            version: env!("CARGO_PKG_VERSION"),
+            prior: recipe.prior.to_string(),
+            tau: found.tau,
+            tau_rule: if recipe.tau.is_some() {
+                "given"
+            } else {
+                "discrepancy principle"
+            },
+            noise_sigma: found.sigma,
+            noise_sigma_source: found.sigma_source.name(),
+            residual_over_sigma: found.residual_over_sigma,
+            objective: found.objective,
+            support_fraction: found.support,
+            iterations: found.iterations,
+            stop_reason: found.stop_reason.name(),
+            seconds,
+            setup_seconds,
+            peak_memory_bytes: None,
+            frames: shape.bins,
+            rows: shape.rows,
+            columns: shape.columns,
+            frame_rate_hz: self.camera.time().frame_rate_hz(),
+            bad_pixels: self.measurement.bad(),
+            saturated_pixels: self.measurement.saturated(),
+            threads: rayon::current_num_threads(),
+            seed: 0,
+            psnr_db: self.truth.map(|t| psnr_db(found.video.data(), t.data())),
+            ssim: self.truth.map(|t| ssim(&found.video, t)),
+            warnings: self.warnings(),
+        }
+    }
+
+    /// What the user should know before trusting the video.
+    fn warnings(&self) -> Vec<String> {
+        let found = self.found;
+        let mut warnings = Vec::new();
+        if found.residual_over_sigma > 1.5 {
+            warnings.push(format!(
+                "the residual is {:.1} times the noise: the model does not explain the frame, or the solver was stopped early; check PSF, shutter, row time and noise level",
+                found.residual_over_sigma
+            ));
+        }
+        if found.video.max() <= 0.0 {
+            warnings.push("the video is dark: noise of this level explains the whole frame; check --noise-sigma".into());
+        }
+        let missing = self.measurement.saturated();
+        if missing > 0 {
+            warnings.push(format!("{missing} saturated pixels were left out"));
+        }
+        warnings
+    }
+
+    /// Writes all files, `result.json` last: where it is, the result is whole.
+    fn write(&self, folder: &OutputFolder, mut outcome: Outcome) -> Result<Outcome> {
+        let video = &self.found.video;
+        let time = self.camera.time();
+        folder.write("video.npy", |w| write_npy_video(w, video))?;
+        let scale = TiffScale {
+            frame_interval_s: time.bin_duration_us() * 1e-6,
+            pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
+        };
+        folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
+        let mut mp4 = Vec::new();
+        rowburst_io::write_mp4(&mut mp4, video)?;
+        folder.write("video.mp4", |w| put(w, &mp4))?;
+
+        outcome.peak_memory_bytes = peak_memory_bytes();
+        let direct = self.truth.map(|truth| direct_frame(self.camera, truth));
+        let reproduce = self.command_line();
+        let report = rowburst_report::render(&ReportInput {
+            title: &format!("Rowburst: {}", self.args.frame.display()),
+            frame: self.measurement.image(),
+            psf: self.psf.image(),
+            video,
+            truth: self.truth,
+            direct: direct.as_ref(),
+            residual: &self.found.residual,
+            instants: self.camera.instants(),
+            time,
+            convergence: self.curve,
+            headline: headline(&outcome),
+            settings: self.settings(&outcome),
+            pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
+            mp4: Some(&mp4),
+            files: FILES
+                .map(|(name, what)| (name.into(), what.into()))
+                .to_vec(),
+            reproduce: Some(&reproduce),
+        })?;
+        for picture in &report.pictures {
+            folder.write(&picture.name, |w| put(w, &picture.png))?;
+        }
+        folder.write("report.html", |w| put(w, report.html.as_bytes()))?;
+        drop(report);
+        outcome.peak_memory_bytes = peak_memory_bytes();
+        let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
+        folder.write("result.json", |w| put(w, format!("{json}\n").as_bytes()))?;
+        Ok(outcome)
+    }
+
+    fn command_line(&self) -> String {
+        let args = self.args;
+        let mut line = format!(
+            "rowburst reconstruct {} --frame {}",
+            args.experiment.display(),
+            args.frame.display()
+        );
+        let paths = [
+            ("--psf", &args.psf),
+            ("--dark", &args.dark),
+            ("--flat", &args.flat),
+            ("--bad-pixels", &args.bad_pixels),
+            ("--truth", &args.truth),
+        ];
+        for (flag, path) in paths {
+            if let Some(path) = path {
+                line += &format!(" {flag} {}", path.display());
+            }
+        }
+        let texts = [
+            ("--prior", args.prior.clone()),
+            ("--tau", args.tau.clone()),
+            ("--noise-sigma", args.noise_sigma.map(|v| v.to_string())),
+            ("--time-budget-s", args.time_budget_s.map(|v| v.to_string())),
+            (
+                "--max-iterations",
+                args.max_iterations.map(|v| v.to_string()),
+            ),
+        ];
+        for (flag, text) in texts {
+            if let Some(text) = text {
+                line += &format!(" {flag} {text}");
+            }
+        }
+        line + &format!(" -o {}", args.output.display())
+    }
+
+    fn settings(&self, outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
+        let camera = self.camera;
+        let sensor = camera.sensor();
+        let pair = |name: &str, value: String| (name.to_string(), value);
+        let mut of_camera = vec![
+            pair(
+                "rows × columns",
+                format!("{} × {}", camera.rows(), camera.columns()),
+            ),
+            pair("shutter", camera.shutter().name().into()),
+            pair("row_time_us", camera.params().row_time_us.to_string()),
+            pair("exposure_us", camera.params().exposure_us.to_string()),
+            pair("bins_per_row", camera.params().bins_per_row.to_string()),
+            pair(
+                "field",
+                format!("{} × {}", camera.field().0, camera.field().1),
+            ),
+            pair("binning", sensor.binning.to_string()),
+        ];
+        let optional = [
+            ("pixel_pitch_um", sensor.pixel_pitch_um),
+            ("bit_depth", sensor.bit_depth.map(f64::from)),
+            ("bias_counts", sensor.bias_counts),
+            ("gain_electrons_per_count", sensor.gain_electrons_per_count),
+            ("read_noise_electrons", sensor.read_noise_electrons),
+            ("full_well_counts", sensor.full_well_counts),
+        ];
+        for (name, value) in optional {
+            if let Some(value) = value {
+                of_camera.push(pair(name, value.to_string()));
+            }
+        }
+        let psf = self.psf.image();
+        let of_solver = vec![
+            pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
+            pair("prior R", outcome.prior.clone()),
+            pair(
+                "τ",
+                format!("{} ({})", short(outcome.tau), outcome.tau_rule),
+            ),
+            pair(
+                "σ",
+                format!(
+                    "{} counts ({})",
+                    short(outcome.noise_sigma),
+                    outcome.noise_sigma_source
+                ),
+            ),
+            pair("residual/σ", format!("{:.4}", outcome.residual_over_sigma)),
+            pair("objective at the end", short(outcome.objective)),
+            pair(
+                "voxels allowed to be lit",
+                format!("{:.2} %", 100.0 * outcome.support_fraction),
+            ),
+            pair("iterations", outcome.iterations.to_string()),
+            pair("stopped", outcome.stop_reason.into()),
+            pair("PSF", format!("{} × {} pixels", psf.rows(), psf.columns())),
+            pair(
+                "bad and saturated pixels",
+                format!("{} and {}", outcome.bad_pixels, outcome.saturated_pixels),
+            ),
+        ];
+        let of_run = vec![
+            pair("rowburst", outcome.version.into()),
+            pair("threads", outcome.threads.to_string()),
+            pair(
+                "set-up and solving",
+                format!(
+                    "{:.2} s and {:.2} s",
+                    outcome.setup_seconds, outcome.seconds
+                ),
+            ),
+            pair(
+                "peak memory",
+                outcome
+                    .peak_memory_bytes
+                    .map_or("unknown".into(), |b| format!("{} MB", b / 1_000_000)),
+            ),
+            pair(
+                "warnings",
+                if outcome.warnings.is_empty() {
+                    "none".into()
+                } else {
+                    outcome.warnings.join("; ")
+                },
+            ),
+        ];
+        vec![
+            ("Camera".into(), of_camera),
+            ("Reconstruction".into(), of_solver),
+            ("Run".into(), of_run),
+        ]
+    }
+}
+
+fn headline(outcome: &Outcome) -> Vec<(String, String)> {
+    let mut lines = Vec::new();
+    if let Some(psnr) = outcome.psnr_db {
+        lines.push(("PSNR".to_string(), format!("{psnr:.1} dB")));
+    }
+    if let Some(ssim) = outcome.ssim {
+        lines.push(("SSIM".to_string(), format!("{ssim:.4}")));
+    }
+    lines.extend([
+        (
+            "Residual/σ".to_string(),
+            format!("{:.2}", outcome.residual_over_sigma),
+        ),
+        (
+            "Frame rate".to_string(),
+            format!("{} fps", thousands(outcome.frame_rate_hz)),
+        ),
+        ("Frames".to_string(), outcome.frames.to_string()),
+        (
+            "Time".to_string(),
+            format!("{:.2} s", outcome.setup_seconds + outcome.seconds),
+        ),
+    ]);
+    lines
+}
+
+fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
+    println!(
+        "{} frames of {}×{} at {} fps from one frame, in {:.2} s (set-up {:.2} s, {} iterations, {})",
+        outcome.frames,
+        outcome.rows,
+        outcome.columns,
+        thousands(outcome.frame_rate_hz),
+        outcome.setup_seconds + outcome.seconds,
+        outcome.setup_seconds,
+        outcome.iterations,
+        outcome.stop_reason,
+    );
+    if let (Some(psnr), Some(ssim)) = (outcome.psnr_db, outcome.ssim) {
+        println!("PSNR {psnr:.2} dB, SSIM {ssim:.4} against the truth");
+    }
+    println!(
+        "residual/σ {:.3}, τ {} ({}), σ {} ({}), prior {}",
+        outcome.residual_over_sigma,
+        short(outcome.tau),
+        outcome.tau_rule,
+        short(outcome.noise_sigma),
+        outcome.noise_sigma_source,
+        outcome.prior,
+    );
+    for warning in &outcome.warnings {
+        println!("warning: {warning}");
+    }
+    println!("open {}", args.output.join("report.html").display());
+}
+
+/// A whole number with a comma every three digits.
+fn thousands(value: f64) -> String {
+    let digits = format!("{value:.0}");
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+fn put(w: &mut impl Write, bytes: &[u8]) -> Result<()> {
+    w.write_all(bytes).map_err(|e| {
+        Error::work(
+            "output",
+            e,
+            "Free space on the disk, or choose another folder with -o.",
+        )
+    })
+}

@@ -1,0 +1,258 @@
+//! `rowburst simulate`: the frame that a camera would record of a scene.
+
+use crate::args::{OpticsArgs, SimulateArgs};
+use crate::inputs::read_psf;
+use crate::outcome::short;
+use rowburst::linop::LinearOperator;
+use rowburst::noise::Noise;
+use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, scene, speckle_psf};
+use rowburst::{Camera, Error, Image, Psf, Result, RollingShutter, Video};
+use rowburst_io::{
+    Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_tiff_image,
+};
+use serde_json::json;
+use std::io::Write;
+use std::path::Path;
+
+/// What is to be simulated.
+pub struct Plan<'a> {
+    pub experiment: Experiment,
+    pub scene: &'a str,
+    pub psf: Option<&'a Path>,
+    pub noise: NoiseChoice,
+    pub seed: u64,
+    pub digit_px: usize,
+    pub optics: OpticsArgs,
+    pub output: &'a Path,
+}
+
+/// How much noise.
+#[derive(Debug, Clone, Copy)]
+pub enum NoiseChoice {
+    /// Gaussian; infinite for none.
+    Snr(f64),
+    /// Shot and read noise.
+    PeakElectrons(f64),
+}
+
+pub fn run(args: &SimulateArgs) -> Result<()> {
+    let noise = match args.peak_electrons {
+        Some(electrons) => NoiseChoice::PeakElectrons(electrons),
+        None => NoiseChoice::Snr(args.snr),
+    };
+    write(&Plan {
+        experiment: Experiment::read(&args.experiment)?,
+        scene: &args.scene,
+        psf: args.psf.as_deref(),
+        noise,
+        seed: args.seed,
+        digit_px: args.digit_px,
+        optics: args.optics,
+        output: &args.output,
+    })?;
+    let folder = args.output.display();
+    println!("{folder}/frame.npy");
+    println!("{folder}/experiment.toml");
+    eprintln!(
+        "next: rowburst reconstruct {folder}/experiment.toml --frame {folder}/frame.npy --truth {folder}/truth.npy -o RESULT"
+    );
+    Ok(())
+}
+
+/// Simulates and writes everything that `reconstruct` needs.
+pub fn write(plan: &Plan) -> Result<()> {
+    let folder = OutputFolder::create(plan.output)?;
+    let camera = plan.experiment.camera()?;
+    let psf = psf_of(plan, &camera)?;
+    let scene = scene_of(plan, &camera)?;
+    let operator = RollingShutter::new(&camera, &psf);
+    let mut frame = vec![0.0; operator.range_len()];
+    operator.apply(scene.data(), &mut frame);
+    let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
+    let noise = match plan.noise {
+        NoiseChoice::Snr(snr) if snr.is_infinite() => Noise::None,
+        NoiseChoice::Snr(snr) => Noise::Gaussian { snr },
+        NoiseChoice::PeakElectrons(peak_electrons) => Noise::Camera { peak_electrons },
+    };
+    let recorded = noise.apply(&noiseless, camera.sensor(), plan.seed)?;
+    let direct = direct_frame(&camera, &scene);
+    let mut truth = scene;
+    truth
+        .data_mut()
+        .iter_mut()
+        .for_each(|v| *v = (f64::from(*v) * recorded.scale) as f32);
+
+    folder.write("psf.npy", |w| write_npy_image(w, psf.image()))?;
+    folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
+    folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
+    folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
+    let notes = json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "scene": plan.scene,
+        "seed": plan.seed,
+        "noise": match plan.noise {
+            NoiseChoice::Snr(snr) => json!({ "model": "gaussian", "snr": snr.is_finite().then_some(snr) }),
+            NoiseChoice::PeakElectrons(n) => json!({ "model": "shot and read noise", "peak_electrons": n }),
+        },
+        "noise_sigma": recorded.sigma,
+        "counts_per_unit_of_scene": recorded.scale,
+        "saturated_pixels": recorded.saturated,
+        "psf": match &plan.psf.map(Path::to_path_buf).or(plan.experiment.calibration.psf.clone()) {
+            Some(path) => json!(path.display().to_string()),
+            None => json!({
+                "wavelength_nm": plan.optics.wavelength_nm,
+                "pupil_mm": plan.optics.na.is_none().then_some(plan.optics.pupil_mm),
+                "na": plan.optics.na,
+                "focal_length_mm": plan.optics.focal_length_mm,
+                "magnification": plan.optics.magnification,
+                "diffuser_fwhm_deg": plan.optics.diffuser_deg,
+                "pixel_pitch_um": pixel_pitch_um(&camera),
+            }),
+        },
+    });
+    folder.write("simulation.json", |w| put(w, &format!("{notes:#}\n")))?;
+    let experiment = written_experiment(plan, &folder);
+    if let (Some(order), rowburst::Shutter::Custom(k)) = (&experiment.row_order, camera.shutter()) {
+        let name = order
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let k: Vec<i64> = k.iter().map(|&k| k as i64).collect();
+        folder.write(&name, |w| rowburst_io::write_npy_i64(w, &[k.len()], &k))?;
+    }
+    folder.write("experiment.toml", |w| {
+        put(w, &experiment.to_toml(folder.path()))
+    })?;
+    eprintln!(
+        "frame: {}×{} pixels, noise {} ({}), {} saturated",
+        camera.rows(),
+        camera.columns(),
+        short(recorded.sigma),
+        match plan.noise {
+            NoiseChoice::Snr(snr) => format!("SNR {snr}"),
+            NoiseChoice::PeakElectrons(n) => format!("{n} electrons in the brightest pixel"),
+        },
+        recorded.saturated
+    );
+    Ok(())
+}
+
+/// The experiment as it is after the simulation: the frame is on the working grid, and
+/// the PSF lies beside it.
+fn written_experiment(plan: &Plan, folder: &OutputFolder) -> Experiment {
+    let mut experiment = plan.experiment.clone();
+    experiment.params.sensor.binning = 1;
+    experiment.calibration = rowburst_io::Calibration {
+        psf: Some(folder.path().join("psf.npy")),
+        ..rowburst_io::Calibration::default()
+    };
+    if matches!(experiment.params.shutter, rowburst::Shutter::Custom(_)) {
+        experiment.row_order = Some(folder.path().join("row_order.npy"));
+    }
+    experiment
+}
+
+fn put(w: &mut impl Write, text: &str) -> Result<()> {
+    w.write_all(text.as_bytes()).map_err(|e| {
+        Error::work(
+            "output",
+            e,
+            "Free space on the disk, or choose another folder with -o.",
+        )
+    })
+}
+
+fn pixel_pitch_um(camera: &Camera) -> f64 {
+    camera
+        .sensor()
+        .pixel_pitch_um
+        .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
+}
+
+fn psf_of(plan: &Plan, camera: &Camera) -> Result<Psf> {
+    if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
+        return read_psf(path, camera, None);
+    }
+    let optics = plan.optics;
+    let lens = Aperture::Lens {
+        diameter_mm: optics.pupil_mm,
+        focal_length_mm: optics.focal_length_mm,
+        magnification: optics.magnification,
+    };
+    let aperture = match optics.na {
+        None => lens,
+        Some(na) => Aperture::ImageNa {
+            na,
+            image_distance_mm: lens.image_distance_mm(),
+        },
+    };
+    let optics = SpeckleOptics {
+        wavelength_nm: optics.wavelength_nm,
+        aperture,
+        diffuser_fwhm_deg: optics.diffuser_deg,
+        pixel_pitch_um: pixel_pitch_um(camera),
+    };
+    eprintln!(
+        "speckle PSF: grain {:.2} px, envelope {:.0} px",
+        optics.grain_px(),
+        optics.envelope_fwhm_px()
+    );
+    // Every displacement from the field to the sensor.
+    let (field_rows, field_columns) = camera.field();
+    let (rows, columns) = (
+        camera.rows() + field_rows - 1,
+        camera.columns() + field_columns - 1,
+    );
+    speckle_psf(&optics, rows | 1, columns | 1, plan.seed)
+}
+
+fn scene_of(plan: &Plan, camera: &Camera) -> Result<Video> {
+    let shape = camera.video_shape();
+    match plan.scene {
+        "digits" => scene::digits(shape, plan.digit_px, plan.seed),
+        "moving" => scene::moving_digit(shape, plan.digit_px, 1, plan.seed),
+        "leds" => {
+            let (video, leds) = scene::leds(
+                shape,
+                camera.time().bin_duration_us(),
+                pixel_pitch_um(camera),
+                plan.seed,
+            )?;
+            for led in &leds {
+                eprintln!(
+                    "LED at row {:.1}, column {:.1}: {:.0} Hz",
+                    led.y, led.x, led.frequency_hz
+                );
+            }
+            Ok(video)
+        }
+        name => {
+            let path = Path::new(name);
+            if !path.exists() && path.extension().is_none() {
+                return Err(Error::input(
+                    "--scene",
+                    format!("\"{name}\""),
+                    "a scene is digits, leds, moving or a video file",
+                    "Check the name, or give a .npy or multi-page .tif file.",
+                ));
+            }
+            let video = read_video(path)?;
+            scene::fit(&video, shape).map_err(|e| e.within(path.display()))
+        }
+    }
+}
+
+impl OpticsArgs {
+    /// The defaults of the command line.
+    pub fn demo() -> Self {
+        Self {
+            wavelength_nm: 532.0,
+            pupil_mm: 1.71,
+            focal_length_mm: 50.0,
+            magnification: 1.0 / 22.5,
+            na: None,
+            diffuser_deg: 1.0,
+        }
+    }
+}
