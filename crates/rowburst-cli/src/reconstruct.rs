@@ -17,12 +17,13 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 /// Files of a result, and what they are.
-const FILES: [(&str, &str); 5] = [
+const FILES: &[(&str, &str)] = &[
     ("video.npy", "the video, float32 [t, y, x], in counts"),
     (
         "video.tif",
         "the same as an ImageJ time stack (Fiji, napari)",
     ),
+    #[cfg(feature = "mp4")]
     ("video.mp4", "the same slowed down, for browsers and slides"),
     ("report.html", "this page"),
     ("result.json", "the numbers, for programs"),
@@ -213,9 +214,10 @@ impl Run<'_> {
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
         };
         folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
-        let mut mp4 = Vec::new();
-        rowburst_io::write_mp4(&mut mp4, video)?;
-        folder.write("video.mp4", |w| put(w, &mp4))?;
+        let mp4 = encoded(video)?;
+        if let Some(mp4) = &mp4 {
+            folder.write("video.mp4", |w| put(w, mp4))?;
+        }
 
         outcome.peak_memory_bytes = peak_memory_bytes();
         let direct = self.truth.map(|truth| direct_frame(self.camera, truth));
@@ -234,10 +236,11 @@ impl Run<'_> {
             headline: headline(&outcome),
             settings: self.settings(&outcome),
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
-            mp4: Some(&mp4),
+            mp4: mp4.as_deref(),
             files: FILES
-                .map(|(name, what)| (name.into(), what.into()))
-                .to_vec(),
+                .iter()
+                .map(|&(name, what)| (name.into(), what.into()))
+                .collect(),
             reproduce: Some(&reproduce),
         })?;
         for picture in &report.pictures {
@@ -381,6 +384,20 @@ impl Run<'_> {
             ("Run".into(), of_run),
         ]
     }
+}
+
+/// The video as MP4; `None` in a build without the feature `mp4`.
+#[cfg(feature = "mp4")]
+fn encoded(video: &Video) -> Result<Option<Vec<u8>>> {
+    let mut mp4 = Vec::new();
+    rowburst_io::write_mp4(&mut mp4, video)?;
+    Ok(Some(mp4))
+}
+
+/// The video as MP4; `None` in a build without the feature `mp4`.
+#[cfg(not(feature = "mp4"))]
+fn encoded(_: &Video) -> Result<Option<Vec<u8>>> {
+    Ok(None)
 }
 
 fn headline(outcome: &Outcome) -> Vec<(String, String)> {

@@ -41,13 +41,17 @@ pub(crate) fn colour_bar(
     figure.raster(bar, ramp);
     figure.rect(bar, "axis", "");
     let (low, high) = (f64::from(low), f64::from(high));
-    for (value, y) in [
-        (high, bar.y + 10.0),
-        (0.5 * (low + high), bar.y + height / 2.0 + 4.0),
-        (low, bar.bottom()),
+    let middle = number(0.5 * (low + high), 3);
+    for (text, y) in [
+        (number(high, 3), bar.y + 10.0),
+        (middle, bar.y + height / 2.0 + 4.0),
+        (number(low, 3), bar.bottom()),
     ] {
-        let text = number(value, 3);
-        figure.text(bar.right() + 5.0, y, Anchor::Start, "muted", &text);
+        // The name of the quantity stands beside the middle: a long number would meet it.
+        let meets = !unit.is_empty() && y > bar.y + 10.0 && y < bar.bottom();
+        if !(meets && text.chars().count() > 5) {
+            figure.text(bar.right() + 5.0, y, Anchor::Start, "muted", &text);
+        }
     }
     figure.text_upwards(bar.right() + 56.0, bar.y + height / 2.0, "muted", unit);
 }
