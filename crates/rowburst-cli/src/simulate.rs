@@ -1,7 +1,7 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
 use crate::args::{OpticsArgs, SimulateArgs};
-use crate::inputs::read_psf;
+use crate::inputs::{check_memory, read_psf};
 use crate::outcome::short;
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
@@ -63,6 +63,8 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
 pub fn write(plan: &Plan) -> Result<()> {
     let folder = OutputFolder::create(plan.output)?;
     let camera = plan.experiment.camera()?;
+    check_noise(plan, &camera)?;
+    check_memory(&plan.experiment.path, &camera)?;
     let psf = psf_of(plan, &camera)?;
     let scene = scene_of(plan, &camera)?;
     let operator = RollingShutter::new(&camera, &psf);
@@ -135,6 +137,36 @@ pub fn write(plan: &Plan) -> Result<()> {
         },
         recorded.saturated
     );
+    Ok(())
+}
+
+/// Shot noise can only be made where it is known what an electron is.
+fn check_noise(plan: &Plan, camera: &Camera) -> Result<()> {
+    let NoiseChoice::PeakElectrons(electrons) = plan.noise else {
+        return Ok(());
+    };
+    if !(electrons.is_finite() && electrons > 0.0) {
+        return Err(Error::input(
+            "--peak-electrons",
+            electrons,
+            "the brightest pixel holds a number of electrons above zero",
+            "Give a number below the full well: full wells hold 10⁴ to 10⁶ electrons.",
+        ));
+    }
+    let sensor = camera.sensor();
+    for (key, value) in [
+        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
+        ("read_noise_electrons", sensor.read_noise_electrons),
+    ] {
+        if value.is_none() {
+            return Err(Error::input(
+                format!("{}: [camera]", plan.experiment.path.display()),
+                format!("no `{key}`"),
+                "--peak-electrons needs the sensor's gain and read noise",
+                format!("Add a line `{key} = …` to [camera], or use --snr."),
+            ));
+        }
+    }
     Ok(())
 }
 

@@ -43,6 +43,20 @@ impl OutputFolder {
         &self.path
     }
 
+    /// Takes away the file `name` of an earlier run, where there is one.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        let path = self.path.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                Err(fault::writing(&error).within(path.display()))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Writes the file `name` by `write`: into a hidden temporary file, which takes
     /// the name only once all of it is on disk. After an error an older file of that
     /// name is as it was.
