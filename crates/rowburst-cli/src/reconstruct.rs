@@ -15,7 +15,6 @@ use rowburst_io::{
     Calibration, Experiment, OutputFolder, Tau, TiffScale, write_npy_video, write_tiff_video,
 };
 use rowburst_report::{Iteration, ReportInput};
-use std::io::Write;
 use std::time::{Duration, Instant};
 
 /// Files of a result, and what they are.
@@ -225,7 +224,7 @@ impl Run<'_> {
         folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
         let mut mp4 = Vec::new();
         rowburst_io::write_mp4(&mut mp4, video)?;
-        folder.write("video.mp4", |w| put(w, &mp4))?;
+        folder.write_bytes("video.mp4", &mp4)?;
 
         outcome.peak_memory_bytes = peak_memory_bytes();
         let direct = self.truth.map(|truth| direct_frame(self.camera, truth));
@@ -251,13 +250,13 @@ impl Run<'_> {
             reproduce: Some(&reproduce),
         })?;
         for picture in &report.pictures {
-            folder.write(&picture.name, |w| put(w, &picture.png))?;
+            folder.write_bytes(&picture.name, &picture.png)?;
         }
-        folder.write("report.html", |w| put(w, report.html.as_bytes()))?;
+        folder.write_bytes("report.html", report.html.as_bytes())?;
         drop(report);
         outcome.peak_memory_bytes = peak_memory_bytes();
         let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
-        folder.write("result.json", |w| put(w, format!("{json}\n").as_bytes()))?;
+        folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
         Ok(outcome)
     }
 
@@ -460,14 +459,4 @@ fn thousands(value: f64) -> String {
         text.push(digit);
     }
     text
-}
-
-fn put(w: &mut impl Write, bytes: &[u8]) -> Result<()> {
-    w.write_all(bytes).map_err(|e| {
-        Error::work(
-            "output",
-            e,
-            "Free space on the disk, or choose another folder with -o.",
-        )
-    })
 }

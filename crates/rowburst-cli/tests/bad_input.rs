@@ -251,12 +251,7 @@ fn frames() {
                 });
             },
             "reconstruct experiment.toml --frame frame.npy --flat bad.tif -o out",
-            [
-                "bad.tif",
-                "0 at row 2, column 7",
-                "above zero",
-                "bad_pixels",
-            ],
+            ["bad.tif", "found 0;", "above zero", "bad_pixels"],
         ),
     ]);
 }
@@ -479,7 +474,7 @@ fn files() {
             BAD_PSF,
             [
                 "bad.npy",
-                "zero in every pixel",
+                "a sum of 0",
                 "a PSF holds light",
                 "Check the exposure",
             ],
@@ -686,9 +681,9 @@ fn experiments() {
             |lab| camera(lab, "rows = 12", "rows = 9000000000000000000"),
             GOOD,
             [
-                "experiment.toml: rows",
+                "line 2, [camera] rows",
                 "9000000000000000000",
-                "at most",
+                "at most 65536",
                 "size of the frame",
             ],
         ),
@@ -700,7 +695,7 @@ fn experiments() {
                 "line 2, [camera] rows",
                 "string \"108\"",
                 "a whole number",
-                "Write",
+                "Correct this line",
             ],
         ),
         case(
@@ -711,7 +706,7 @@ fn experiments() {
                 "line 2, [camera] rows",
                 "integer -12",
                 "a whole number",
-                "Write",
+                "Correct this line",
             ],
         ),
         case(
@@ -734,6 +729,17 @@ fn experiments() {
                 "12×8",
                 "at least as large as the sensor of 12×10",
                 "Leave [field] out",
+            ],
+        ),
+        case(
+            "enormous field",
+            |lab| more(lab, "[field]\nrows = 9000000000\ncolumns = 10"),
+            GOOD,
+            [
+                "line 8, [field] rows",
+                "9000000000",
+                "at most 65536",
+                "size of the frame",
             ],
         ),
         case(
@@ -863,7 +869,7 @@ fn experiments() {
             |lab| more(lab, "[reconstruction]\ntau = -1"),
             GOOD,
             [
-                "experiment.toml: line 9, [reconstruction] tau",
+                "experiment.toml: line 8, [reconstruction] tau",
                 "-1",
                 "above zero",
                 "\"auto\"",
@@ -996,13 +1002,23 @@ fn options() {
             "scene file with NaN",
             |lab| lab.video("scene.npy", [6, ROWS, COLUMNS], |_| f32::NAN),
             "simulate experiment.toml --scene scene.npy -o out",
-            ["scene.npy", "NaN", "finite", "Replace"],
+            [
+                "scene.npy",
+                "NaN at bin 0",
+                "finite",
+                "Subtract the background",
+            ],
         ),
         case(
             "dark scene",
             |lab| lab.video("scene.npy", [6, ROWS, COLUMNS], |_| 0.0),
             "simulate experiment.toml --scene scene.npy -o out",
-            ["scene.npy", "zero", "light", "Check"],
+            [
+                "scene.npy",
+                "no light",
+                "above zero",
+                "Check that the scene",
+            ],
         ),
         case(
             "SNR 0",
@@ -1075,19 +1091,151 @@ fn options() {
             "digits that do not fit",
             nothing,
             "simulate experiment.toml --scene digits --digit-px 200 -o out",
-            ["--digit-px", "200", "", ""],
+            ["--digit-px 200", "6×12×10", "a digit needs", "larger field"],
         ),
         case(
             "negative wavelength",
-            nothing,
+            |lab| lab.experiment(CAMERA),
             "simulate experiment.toml --scene digits --digit-px 7 --wavelength-nm -532 -o out",
-            ["--wavelength-nm", "-532", "", ""],
+            ["--wavelength-nm", "-532", "above zero", "Visible light"],
         ),
         case(
             "no diffuser angle",
-            nothing,
+            |lab| lab.experiment(CAMERA),
             "simulate experiment.toml --scene digits --digit-px 7 --diffuser-deg 0 -o out",
-            ["--diffuser-deg", "0", "", ""],
+            ["--diffuser-deg", "found 0;", "above 0°", "data sheet"],
         ),
     ]);
+}
+
+#[test]
+fn a_video_beyond_the_memory() {
+    let lab = Lab::new();
+    let text = "exposure_us = 500\nbins_per_row = 64\n[field]\nrows = 65536\ncolumns = 65536\n";
+    lab.experiment(&CAMERA.replace("exposure_us = 9.6\n", text));
+    for arguments in [
+        "reconstruct experiment.toml --frame frame.npy --psf psf.npy -o out",
+        "simulate experiment.toml --scene digits --psf psf.npy -o out",
+    ] {
+        let output = lab.run(arguments);
+        let text = String::from_utf8_lossy(&output.stderr);
+        println!("{text}");
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        for part in [
+            "experiment.toml",
+            "65536×65536",
+            "no memory",
+            "[field] smaller",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        assert!(lab.files("out").is_empty());
+    }
+}
+
+/// A small disk of its own, gone when dropped.
+#[cfg(target_os = "linux")]
+struct Disk<'a> {
+    lab: &'a Lab,
+}
+
+#[cfg(target_os = "linux")]
+impl<'a> Disk<'a> {
+    /// Mounts it at `out`; `None`, with a message, where only the system may.
+    fn mount(lab: &'a Lab, options: &str) -> Option<Self> {
+        let out = lab.path("out");
+        std::fs::create_dir(&out).unwrap();
+        let mounted = std::process::Command::new("mount")
+            .args(["-t", "tmpfs", "-o", options, "tmpfs"])
+            .arg(&out)
+            .output();
+        if mounted.is_ok_and(|output| output.status.success()) {
+            return Some(Self { lab });
+        }
+        eprintln!("skipped: a disk of {options} cannot be mounted here");
+        None
+    }
+
+    /// Fills it to the last byte.
+    fn fill(&self) {
+        use std::io::Write;
+        let mut file = std::fs::File::create(self.lab.path("out/filler")).unwrap();
+        while file.write_all(&[0; 512]).is_ok() {}
+    }
+}
+
+#[cfg(target_os = "linux")]
+impl Drop for Disk<'_> {
+    fn drop(&mut self) {
+        let out = self.lab.path("out");
+        let gone = std::process::Command::new("umount").arg(&out).status();
+        if !gone.is_ok_and(|status| status.success()) {
+            eprintln!("{} stays mounted", out.display());
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_fills_up() {
+    let lab = Lab::new();
+    let Some(disk) = Disk::mount(&lab, "size=64k") else {
+        return;
+    };
+    let output = lab.run(GOOD);
+    let text = String::from_utf8_lossy(&output.stderr);
+    println!("{text}");
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    for part in ["out/", "No space left", "Free space on this disk", "-o"] {
+        assert!(text.contains(part), "lacks {part}: {text}");
+    }
+    let files = lab.files("out");
+    assert!(!files.iter().any(|name| name == "result.json"), "{files:?}");
+    assert!(
+        !files.iter().any(|name| name.ends_with(".part")),
+        "{files:?}"
+    );
+    assert_eq!(lab.array("out/video.npy").shape(), [6, ROWS, COLUMNS]);
+    drop(disk);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_keeps_no_result_of_an_earlier_run() {
+    let lab = Lab::new();
+    let Some(disk) = Disk::mount(&lab, "size=16m") else {
+        return;
+    };
+    lab.done(GOOD);
+    assert!(lab.path("out/result.json").exists());
+    disk.fill();
+    let output = lab.run("reconstruct experiment.toml --frame frame.npy --tau 1e-3 -o out");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("Free space"), "{text}");
+    assert!(!lab.path("out/result.json").exists());
+    // The old one or the new one, but whole.
+    assert_eq!(lab.array("out/video.npy").shape(), [6, ROWS, COLUMNS]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn folders_that_cannot_be_written_to() {
+    let lab = Lab::new();
+    let check = |out: &str| {
+        let output = lab.run(&format!(
+            "reconstruct experiment.toml --frame frame.npy -o {out}"
+        ));
+        let text = String::from_utf8_lossy(&output.stderr);
+        println!("{text}");
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        for part in [out, "cannot be written to", "results go to", "with -o"] {
+            assert!(text.contains(part), "lacks {part}: {text}");
+        }
+    };
+    check("/proc/rowburst");
+    if let Some(_disk) = Disk::mount(&lab, "ro") {
+        check("out");
+        check("out/below");
+    }
 }

@@ -79,6 +79,14 @@ impl OutputFolder {
         file.sync_all().map_err(fault)?;
         hidden.persist(&path).map_err(|e| fault(e.error))
     }
+
+    /// Writes `bytes` as the file `name`, as [`OutputFolder::write`] does.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        self.write(name, |w| w.write_all(bytes).map_err(|e| fault::writing(&e)))
+    }
 }
 
 /// A hidden file in `folder` that is removed when dropped, with the permissions of
