@@ -57,7 +57,8 @@ pub(crate) fn read_array(source: &Source, mut file: impl Read) -> Result<Array> 
             "Save or copy it again: it is cut short or damaged.",
         ));
     };
-    let mut data = source.room(1, 1, total)?;
+    // Decoded in small runs: no page is held beside the numbers.
+    let mut data = source.room(total, 1, 1)?;
     let mut buffer = vec![0; 8192 * header.size];
     while data.len() < total {
         let count = (total - data.len()).min(8192);

@@ -10,84 +10,74 @@
 
 use super::RollingShutter;
 use crate::solve::Support;
+use crate::vecmath::simd;
 use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, Par};
+use faer::reborrow::ReborrowMut;
+use faer::{Accum, Mat, MatMut, Par};
 
 impl RollingShutter {
-    /// `S_i S_iᵀ` in f64 for the rows of instant `i`, row after row: the index of
-    /// column `x` of the instant's `a`-th row is `a · columns + x`.
+    /// `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
+    /// of column `x` of the instant's `a`-th row is `a · columns + x`.
     ///
     /// Cost: about `2 (rows·columns)² · field_rows` multiply–adds, with the number of
     /// rows of this instant.
-    fn spatial_gram(&self, instant: usize) -> Mat<f64> {
+    fn add_spatial_gram(&self, instant: usize, weight: f64, mut sum: MatMut<f64>) {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
         let columns = g.columns;
-        let size = rows.len() * columns;
-        let psf = |r: usize, y: usize, dx: isize| {
-            f64::from(self.psf.at_displacement(g.row_displacement(r, y), dx))
+        // PSF values `[x, y]` that lead to column `x0 + x` of row `r` from a field column.
+        let cut_out = |r: usize, x0: usize, field_x: usize| {
+            Mat::from_fn(columns, g.field_rows, |x, y| {
+                let dx = g.column_displacement(x0 + x, field_x);
+                f64::from(self.psf.at_displacement(g.row_displacement(r, y), dx))
+            })
         };
-        let enters = Mat::from_fn(size, g.field_rows, |i, y| {
-            psf(
-                rows[i / columns],
-                y,
-                g.column_displacement(i % columns + 1, 0),
-            )
-        });
-        let leaves = Mat::from_fn(size, g.field_rows, |i, y| {
-            psf(
-                rows[i / columns],
-                y,
-                g.column_displacement(i % columns, g.field_columns - 1),
-            )
-        });
-        let mut gram = Mat::<f64>::zeros(size, size);
-        matmul(
-            &mut gram,
-            Accum::Replace,
-            &enters,
-            enters.transpose(),
-            1.0,
-            Par::Seq,
-        );
-        matmul(
-            &mut gram,
-            Accum::Add,
-            &leaves,
-            leaves.transpose(),
-            -1.0,
-            Par::Seq,
-        );
-        // `gram` holds at (x, x') the step to (x+1, x'+1). First each row's edge x = 0 …
         let edges = self.first_columns(rows);
-        // … then running sums down every diagonal of every pair of rows.
+        let mut steps = Mat::<f64>::zeros(columns, columns);
         for (a, b) in (0..rows.len()).flat_map(|a| (0..rows.len()).map(move |b| (a, b))) {
+            let enters = |row: usize| cut_out(rows[row], 1, 0);
+            let leaves = |row: usize| cut_out(rows[row], 0, g.field_columns - 1);
+            let replace = Accum::Replace;
+            matmul(
+                &mut steps,
+                replace,
+                enters(a),
+                enters(b).transpose(),
+                1.0,
+                Par::Seq,
+            );
+            matmul(
+                &mut steps,
+                Accum::Add,
+                leaves(a),
+                leaves(b).transpose(),
+                -1.0,
+                Par::Seq,
+            );
+            let edge = |a: usize, b: usize| &edges[(a * rows.len() + b) * columns..][..columns];
             for diagonal in -(columns as isize - 1)..columns as isize {
                 let (mut x, mut x2) = ((-diagonal).max(0) as usize, diagonal.max(0) as usize);
                 let mut value = if diagonal >= 0 {
-                    edges[(a * columns, b * columns + x2)]
+                    edge(a, b)[x2]
                 } else {
-                    edges[(b * columns, a * columns + x)]
+                    edge(b, a)[x]
                 };
                 while x < columns && x2 < columns {
-                    let step = gram[(a * columns + x, b * columns + x2)];
-                    gram[(a * columns + x, b * columns + x2)] = value;
-                    value += step;
+                    sum[(a * columns + x, b * columns + x2)] += weight * value;
+                    value += steps[(x, x2)];
                     (x, x2) = (x + 1, x2 + 1);
                 }
             }
         }
-        gram
     }
 
-    /// `G[(a,0),(b,x')]`, at row `a · columns` of the matrix returned.
-    fn first_columns(&self, rows: &[usize]) -> Mat<f64> {
+    /// `G[(a,0),(b,x')]`, at `(a · number of rows + b) · columns + x'`.
+    fn first_columns(&self, rows: &[usize]) -> Vec<f64> {
         let g = &self.geometry;
-        let columns = g.columns;
-        let mut edges = Mat::<f64>::zeros(rows.len() * columns, rows.len() * columns);
+        let mut edges = vec![0.0; rows.len() * rows.len() * g.columns];
         // All column displacements that any (x, ξ) has, in one line per PSF row.
         let first = g.column_displacement(0, g.field_columns - 1);
-        let width = columns + g.field_columns - 1;
+        let width = g.columns + g.field_columns - 1;
         let line = |r: usize, y: usize| -> Vec<f64> {
             let dy = g.row_displacement(r, y);
             (0..width)
@@ -96,12 +86,10 @@ impl RollingShutter {
         };
         for y in 0..g.field_rows {
             let lines: Vec<Vec<f64>> = rows.iter().map(|&r| line(r, y)).collect();
-            for (a, line_a) in lines.iter().enumerate() {
-                for (b, line_b) in lines.iter().enumerate() {
-                    for x in 0..columns {
-                        let pairs = line_a[..g.field_columns].iter().zip(&line_b[x..]);
-                        edges[(a * columns, b * columns + x)] += lanes_dot(pairs);
-                    }
+            let pairs = lines.iter().flat_map(|a| lines.iter().map(move |b| (a, b)));
+            for ((a, b), edge) in pairs.zip(edges.chunks_exact_mut(g.columns)) {
+                for (x, value) in edge.iter_mut().enumerate() {
+                    *value += lanes_dot(&a[..g.field_columns], &b[x..x + g.field_columns]);
                 }
             }
         }
@@ -109,39 +97,77 @@ impl RollingShutter {
     }
 }
 
-fn lanes_dot<'a>(pairs: impl Iterator<Item = (&'a f64, &'a f64)>) -> f64 {
-    pairs.map(|(a, b)| a * b).sum()
+fn lanes_dot(a: &[f64], b: &[f64]) -> f64 {
+    simd(
+        #[inline(always)]
+        || {
+            let mut lanes = [0.0f64; 8];
+            let (a8, a_rest) = a.as_chunks::<8>();
+            let (b8, b_rest) = b.as_chunks::<8>();
+            for (a, b) in a8.iter().zip(b8) {
+                for lane in 0..8 {
+                    lanes[lane] += a[lane] * b[lane];
+                }
+            }
+            let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+            lanes.iter().sum::<f64>() + rest
+        },
+    )
 }
 
 impl RollingShutter {
-    /// The diagonal block of `A P Aᵀ` of the rows of instant `i`, in f64, with `P` the
-    /// projection onto `support` (`None`: every voxel). Indices as in
+    /// Adds to `sum` the diagonal block of `A P Aᵀ` of the rows of instant `i`, in f64,
+    /// with `P` the projection onto `support` (`None`: every voxel). Indices as in
     /// [`Self::indices_of`].
     ///
     /// The blocks are all of `A P Aᵀ` where no bin is seen by two instants.
-    pub fn gram_block(&self, instant: usize, support: Option<&Support>) -> Mat<f64> {
+    pub fn add_gram_block(&self, instant: usize, support: Option<&Support>, mut sum: MatMut<f64>) {
         let run = &self.time.instants()[instant];
-        let mut gram = Mat::<f64>::zeros(0, 0);
         let mut open_weight = 0.0;
         for (k, weight) in run.weights.iter().enumerate() {
             match support.and_then(|s| s.pixels_of(run.first_bin + k)) {
                 None => open_weight += weight * weight,
-                Some(pixels) => add_outer(
-                    &mut gram,
-                    &self.columns_of(instant, &pixels),
-                    weight * weight,
-                ),
+                Some(pixels) => {
+                    let a = self.columns_of(instant, &pixels);
+                    let weight = weight * weight;
+                    matmul(
+                        sum.rb_mut(),
+                        Accum::Add,
+                        &a,
+                        a.transpose(),
+                        weight,
+                        Par::Seq,
+                    );
+                }
             }
         }
         if open_weight > 0.0 {
-            let full = self.spatial_gram(instant);
-            if gram.nrows() == 0 {
-                gram = full * open_weight;
-            } else {
-                gram += full * open_weight;
+            self.add_spatial_gram(instant, open_weight, sum);
+        }
+    }
+
+    /// The diagonal element of `A Aᵀ` of the sensor's pixel `(row, column)`.
+    pub fn pixel_power(&self, row: usize, column: usize) -> f64 {
+        let g = &self.geometry;
+        let sees = |rows: &Vec<usize>| rows.contains(&row);
+        let instant = self
+            .rows_of
+            .iter()
+            .position(sees)
+            .expect("every row is read");
+        let exposure: f64 = self.time.instants()[instant]
+            .weights
+            .iter()
+            .map(|w| w * w)
+            .sum();
+        let mut power = 0.0;
+        for y in 0..g.field_rows {
+            for x in 0..g.field_columns {
+                let (dy, dx) = (g.row_displacement(row, y), g.column_displacement(column, x));
+                power += f64::from(self.psf.at_displacement(dy, dx)).powi(2);
             }
         }
-        gram
+        exposure * power
     }
 
     /// Positions in the frame of the rows of instant `i`, in the order of its block.
@@ -165,14 +191,6 @@ impl RollingShutter {
             )
         })
     }
-}
-
-/// `gram += weight · a aᵀ`, from nothing if `gram` is still empty.
-fn add_outer(gram: &mut Mat<f64>, a: &Mat<f64>, weight: f64) {
-    if gram.nrows() == 0 {
-        *gram = Mat::zeros(a.nrows(), a.nrows());
-    }
-    matmul(gram, Accum::Add, a, a.transpose(), weight, Par::Seq);
 }
 
 #[cfg(test)]
@@ -235,9 +253,14 @@ mod tests {
             for support in [None, Some(&some)] {
                 let expected = brute_force(&operator, support);
                 for instant in 0..operator.rows_of_instants().len() {
-                    let gram = operator.gram_block(instant, support);
                     let indices = operator.indices_of(instant);
+                    let mut gram = Mat::zeros(indices.len(), indices.len());
+                    operator.add_gram_block(instant, support, gram.as_mut());
                     for (i, &row) in indices.iter().enumerate() {
+                        if support.is_none() {
+                            let power = operator.pixel_power(row / columns, row % columns);
+                            assert!((power - gram[(i, i)]).abs() < 1e-7);
+                        }
                         for (j, &column) in indices.iter().enumerate() {
                             let error = (gram[(i, j)] - f64::from(expected[row][column])).abs();
                             assert!(error < 1e-7, "{camera:?} {instant} {i} {j}: {error}");

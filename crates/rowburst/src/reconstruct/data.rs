@@ -2,11 +2,12 @@
 
 use crate::linop::{LinearOperator, Weighted};
 use crate::measurement::Measurement;
-use crate::solve::blocks::{Block, Blocks};
+use crate::solve::blocks::Blocks;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
 use crate::solve::{DataTerm, GramSolver, Support};
 use crate::{RollingShutter, Shape};
-use rayon::prelude::*;
+use faer::MatMut;
+use faer::reborrow::ReborrowMut;
 use std::sync::Arc;
 
 /// Gram blocks larger than this, or in total than that, are not built.
@@ -38,7 +39,12 @@ impl FrameData {
             informative = weights.iter().filter(|w| **w > 0.0).count();
         }
         let operator = Arc::new(Weighted::new(operator, weights));
-        let scale = typical_power(operator.inner());
+        // Halfway between the middle and the edge of the sensor.
+        let (rows, columns) = operator.inner().frame_shape();
+        let scale = operator
+            .inner()
+            .pixel_power(rows / 4, columns / 4)
+            .max(f64::MIN_POSITIVE);
         let exact = operator.inner().time().is_disjoint();
         let gram = match blocks(&operator, None) {
             Some(blocks) if exact => Gram::Exact(blocks),
@@ -116,9 +122,7 @@ impl DataTerm for FrameData {
     fn restrict(&mut self, support: &Support) {
         match &mut self.gram {
             Gram::Exact(exact) => {
-                if let Some(blocks) = blocks(&self.operator, Some(support)) {
-                    *exact = blocks;
-                }
+                exact.refill(|i, sum| fill(&self.operator, i, Some(support), sum));
             }
             Gram::Iterative(solver) => {
                 let blocks = blocks(&self.operator, Some(support));
@@ -140,39 +144,33 @@ fn blocks(operator: &Weighted<RollingShutter>, support: Option<&Support>) -> Opt
             .iter()
             .map(|rows| rows.len() * columns)
     };
-    let bytes: usize = sizes().map(|size| 16 * size * size).sum();
+    let bytes: usize = sizes().map(|size| 8 * size * size).sum();
     if sizes().any(|size| size > LARGEST_BLOCK) || bytes > MOST_BYTES {
         return None;
     }
-    let block = |instant: usize| {
-        let indices = shutter.indices_of(instant);
-        let mut gram = shutter.gram_block(instant, support);
-        if let Some(weights) = operator.weights() {
-            for (j, &column) in indices.iter().enumerate() {
-                for (i, &row) in indices.iter().enumerate() {
-                    gram[(i, j)] *= f64::from(weights[row]) * f64::from(weights[column]);
-                }
-            }
-        }
-        Block::new(indices, gram)
-    };
-    Some(Blocks::new(
-        (0..shutter.rows_of_instants().len())
-            .into_par_iter()
-            .map(block)
-            .collect(),
-    ))
+    let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
+    Some(Blocks::new(indices.collect(), |i, sum| {
+        fill(operator, i, support, sum)
+    }))
 }
 
-/// Typical diagonal element of `A Aᵀ`: `Σ_j w_j² Σ p²` over the field, halfway between
-/// the middle and the edge of the sensor.
-fn typical_power(operator: &RollingShutter) -> f64 {
-    let (rows, columns) = operator.frame_shape();
-    let mut unit = vec![0.0f32; rows * columns];
-    unit[(rows / 4) * columns + columns / 4] = 1.0;
-    let mut video = vec![0.0f32; operator.domain_len()];
-    operator.adjoint(&unit, &mut video);
-    crate::vecmath::norm_squared(&video).max(f64::MIN_POSITIVE)
+/// Writes the block of instant `i` of `W A P Aᵀ W` over zeros.
+fn fill(
+    operator: &Weighted<RollingShutter>,
+    instant: usize,
+    support: Option<&Support>,
+    mut sum: MatMut<f64>,
+) {
+    let shutter = operator.inner();
+    shutter.add_gram_block(instant, support, sum.rb_mut());
+    if let Some(weights) = operator.weights() {
+        let indices = shutter.indices_of(instant);
+        for (j, &column) in indices.iter().enumerate() {
+            for (i, &row) in indices.iter().enumerate() {
+                sum[(i, j)] *= f64::from(weights[row]) * f64::from(weights[column]);
+            }
+        }
+    }
 }
 
 struct BlockPreconditioner(Blocks);

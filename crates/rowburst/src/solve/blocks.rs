@@ -3,86 +3,70 @@
 //! Factors are f64: the eigenvalues of `G` span six decades and more.
 
 use super::GramSolver;
-use crate::{Error, Result};
-use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, Side};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt;
+use faer::{Mat, MatMut, MatRef, Par, Spec};
 use rayon::prelude::*;
+use std::cmp::Ordering;
 
-/// A diagonal block of `G` with its Cholesky factor at the last `ρ`.
-pub struct Block {
-    indices: Vec<usize>,
-    gram: Mat<f64>,
-    factor: Option<Llt<f64>>,
-}
-
-impl Block {
-    /// The block of the elements `indices` of the whole vector.
-    ///
-    /// # Panics
-    /// If `gram` is not square of that size.
-    pub fn new(indices: Vec<usize>, gram: Mat<f64>) -> Self {
-        assert_eq!((gram.nrows(), gram.ncols()), (indices.len(), indices.len()));
-        Self {
-            indices,
-            gram,
-            factor: None,
-        }
-    }
-
-    fn factorise(&mut self, rho: f64) -> Result<()> {
-        let shifted = Mat::from_fn(self.indices.len(), self.indices.len(), |i, j| {
-            self.gram[(i, j)] + if i == j { rho } else { 0.0 }
-        });
-        self.factor = Some(shifted.llt(Side::Lower).map_err(|_| {
-            Error::work(
-                "data term",
-                "a Gram matrix is not positive definite: numbers overflowed",
-                "Check that frame and PSF hold plausible values.",
-            )
-        })?);
-        Ok(())
-    }
-
-    fn solve(&self, r: &[f32]) -> Mat<f64> {
-        let factor = self.factor.as_ref().expect("factorised before solving");
-        let mut y = Mat::from_fn(self.indices.len(), 1, |i, _| f64::from(r[self.indices[i]]));
-        factor.solve_in_place(&mut y);
-        y
-    }
-}
-
-/// All blocks; together they cover every element once.
+/// The diagonal blocks of `G`; together they cover every element once.
 pub struct Blocks {
     blocks: Vec<Block>,
     rho: f64,
 }
 
+/// A diagonal block of `G` with its Cholesky factor at the last `ρ`.
+///
+/// One square, column after column, holds both: `G` above its diagonal, which is kept
+/// apart, and the factor on and below it.
+struct Block {
+    indices: Vec<usize>,
+    diagonal: Vec<f64>,
+    square: Vec<f64>,
+    is_factorised: bool,
+}
+
 impl Blocks {
-    /// The block-diagonal matrix of `blocks`.
-    pub fn new(blocks: Vec<Block>) -> Self {
-        Self { blocks, rho: 0.0 }
+    /// Blocks over the elements `indices` each of the whole vector; `fill(i, G_i)` writes
+    /// the symmetric block `i` over zeros.
+    pub fn new(indices: Vec<Vec<usize>>, fill: impl Fn(usize, MatMut<f64>) + Sync) -> Self {
+        let empty = |indices: Vec<usize>| Block {
+            diagonal: vec![0.0; indices.len()],
+            square: vec![0.0; indices.len().pow(2)],
+            indices,
+            is_factorised: false,
+        };
+        let mut blocks = Self {
+            blocks: indices.into_iter().map(empty).collect(),
+            rho: 0.0,
+        };
+        blocks.refill(fill);
+        blocks
     }
 
-    /// Replaces block `i`.
-    pub fn replace(&mut self, i: usize, block: Block) {
-        self.blocks[i] = block;
-    }
-
-    /// Median of the diagonal of `G`.
-    pub fn median_diagonal(&self) -> f64 {
-        let mut diagonal: Vec<f64> = self
-            .blocks
-            .iter()
-            .flat_map(|b| (0..b.indices.len()).map(|i| b.gram[(i, i)]))
-            .collect();
-        let middle = diagonal.len() / 2;
-        *diagonal.select_nth_unstable_by(middle, f64::total_cmp).1
+    /// Writes all blocks anew, in the memory of the old ones.
+    pub fn refill(&mut self, fill: impl Fn(usize, MatMut<f64>) + Sync) {
+        self.blocks
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(i, block)| {
+                let size = block.indices.len();
+                block.square.fill(0.0);
+                fill(
+                    i,
+                    MatMut::from_column_major_slice_mut(&mut block.square, size, size),
+                );
+                for (j, diagonal) in block.diagonal.iter_mut().enumerate() {
+                    *diagonal = block.square[j * size + j];
+                }
+                block.is_factorised = false;
+            });
     }
 
     /// `y = (G + ρI)⁻¹ r`; overwrites `y`. Factors anew only where `ρ` or a block changed.
     ///
     /// # Panics
-    /// If a block is not finite: its maker checks its numbers.
+    /// If a block is not finite, or `ρ` is lost in its rounding.
     pub fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]) {
         let changed = rho != self.rho;
         self.rho = rho;
@@ -90,10 +74,8 @@ impl Blocks {
             .blocks
             .par_iter_mut()
             .map(|block| {
-                if changed || block.factor.is_none() {
-                    block
-                        .factorise(rho)
-                        .expect("G is positive semi-definite and ρ above zero");
+                if changed || !block.is_factorised {
+                    block.factorise(rho);
                 }
                 block.solve(r)
             })
@@ -103,6 +85,45 @@ impl Blocks {
                 y[at] = part[(i, 0)] as f32;
             }
         }
+    }
+}
+
+impl Block {
+    fn factorise(&mut self, rho: f64) {
+        let size = self.indices.len();
+        // Beside: the factorisation writes above the diagonal, too.
+        let mut factor = Mat::from_fn(size, size, |i, j| match i.cmp(&j) {
+            Ordering::Less => 0.0,
+            Ordering::Equal => self.diagonal[j] + rho,
+            Ordering::Greater => self.square[i * size + j],
+        });
+        let need = llt::factor::cholesky_in_place_scratch::<f64>(size, Par::Seq, Spec::default());
+        llt::factor::cholesky_in_place(
+            factor.as_mut(),
+            llt::factor::LltRegularization::default(),
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(need)),
+            Spec::default(),
+        )
+        .expect("G is positive semi-definite and ρ well above its rounding");
+        for j in 0..size {
+            let lower = j * size + j..(j + 1) * size;
+            self.square[lower].copy_from_slice(&factor.col_as_slice(j)[j..]);
+        }
+        self.is_factorised = true;
+    }
+
+    fn solve(&self, r: &[f32]) -> Mat<f64> {
+        let size = self.indices.len();
+        let mut y = Mat::from_fn(size, 1, |i, _| f64::from(r[self.indices[i]]));
+        let need = llt::solve::solve_in_place_scratch::<f64>(size, 1, Par::Seq);
+        llt::solve::solve_in_place(
+            MatRef::from_column_major_slice(&self.square, size, size),
+            y.as_mut(),
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(need)),
+        );
+        y
     }
 }
 
@@ -123,10 +144,9 @@ mod tests {
     fn solves_interleaved_blocks_at_changing_rho() {
         let a = Mat::from_fn(3, 2, |i, j| (i * 2 + j) as f64 * 0.3 - 0.4);
         let gram = &a * a.transpose();
-        let mut blocks = Blocks::new(vec![
-            Block::new(vec![0, 2, 4], gram.clone()),
-            Block::new(vec![1, 3, 5], &gram * 2.0),
-        ]);
+        let mut blocks = Blocks::new(vec![vec![0, 2, 4], vec![1, 3, 5]], |i, mut block| {
+            block.copy_from(&gram * faer::Scale((i + 1) as f64));
+        });
         let r = [1.0f32, -0.5, 0.25, 2.0, 0.1, 0.7];
         for rho in [0.1, 0.01, 0.3] {
             let (mut y, mut gram_y) = ([0.0f32; 6], [0.0f32; 6]);

@@ -12,11 +12,12 @@ pub trait Preconditioner: Send {
 }
 
 /// Most iterations of one call.
-const ITERATIONS: usize = 30;
+const ITERATIONS: usize = 100;
 
-/// The residual at which a call stops, over the right-hand side. The caller accounts
-/// for what is left, and the next call starts from this one's result.
-const TOLERANCE: f64 = 1e-2;
+/// The residual at which a call stops, over `ρ‖y‖`, which is what the data term leaves
+/// unexplained. The caller accounts for what is left, and the next call starts from
+/// this one's result.
+const TOLERANCE: f64 = 0.1;
 
 /// State kept from call to call.
 pub struct ConjugateGradient {
@@ -71,9 +72,8 @@ impl ConjugateGradient {
         let mut direction = s.clone();
         let mut product = vec![0.0f32; r.len()];
         let mut slope = dot(&rest, &s);
-        let goal = TOLERANCE * norm(r);
         for _ in 0..ITERATIONS {
-            if norm(&rest) <= goal || slope <= 0.0 {
+            if norm(&rest) <= TOLERANCE * rho * norm(y) || slope <= 0.0 {
                 break;
             }
             gram(&direction, &mut product);

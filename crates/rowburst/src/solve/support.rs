@@ -2,12 +2,13 @@
 
 use crate::Shape;
 use rayon::prelude::*;
+use std::sync::Arc;
 
-/// A set of voxels; a solver restricted to it keeps all others dark.
+/// A set of voxels; a solver restricted to it keeps all others dark. Clones share it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Support {
     shape: Shape,
-    mask: Vec<u8>,
+    mask: Arc<Vec<u8>>,
 }
 
 /// A bin of which more than this part is in the support is left open: the restriction
@@ -19,7 +20,7 @@ impl Support {
     pub fn full(shape: Shape) -> Self {
         Self {
             shape,
-            mask: vec![1; shape.voxels()],
+            mask: Arc::new(vec![1; shape.voxels()]),
         }
     }
 
@@ -44,7 +45,10 @@ impl Support {
             }
             open_if_crowded(mask);
         });
-        Self { shape, mask }
+        Self {
+            shape,
+            mask: Arc::new(mask),
+        }
     }
 
     /// The same with, in the bins `missed`, the voxels whose value in `correlation` is
@@ -60,11 +64,12 @@ impl Support {
             "length of the video"
         );
         let pixels = self.shape.pixels();
+        let all = Arc::make_mut(&mut self.mask);
         for &t in missed {
             let bin = &correlation[t * pixels..(t + 1) * pixels];
             let half = 0.5 * bin.iter().copied().fold(0.0f32, f32::max);
             if half > 0.0 {
-                let mask = &mut self.mask[t * pixels..(t + 1) * pixels];
+                let mask = &mut all[t * pixels..(t + 1) * pixels];
                 mark_with_neighbours(mask, bin, self.shape.columns, half);
                 open_if_crowded(mask);
             }
@@ -95,7 +100,7 @@ impl Support {
     pub fn apply(&self, video: &mut [f32]) {
         video
             .par_iter_mut()
-            .zip(&self.mask)
+            .zip(self.mask.par_iter())
             .for_each(|(v, &lit)| *v *= f32::from(lit));
     }
 }

@@ -1,0 +1,222 @@
+//! The whole road on small problems of every kind: simulate, reconstruct, compare.
+
+use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Measurement;
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{Problem, Recipe, Reconstruction};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::solve::StopReason;
+use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
+use std::ops::ControlFlow;
+
+struct Case {
+    camera: Camera,
+    psf: Psf,
+    truth: Video,
+    frame: Image,
+    sigma: f64,
+}
+
+impl Case {
+    /// A moving digit seen at SNR 256.
+    fn new(shutter: Shutter, exposure_us: f64, field: Option<(usize, usize)>) -> Self {
+        let camera = Camera::new(CameraParams {
+            rows: 48,
+            columns: 40,
+            shutter,
+            row_time_us: 10.0,
+            exposure_us,
+            bins_per_row: 1,
+            field,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let optics = SpeckleOptics {
+            diffuser_fwhm_deg: 0.5,
+            ..SpeckleOptics::demo()
+        };
+        let (rows, columns) = camera.field();
+        let psf = speckle_psf(&optics, 48 + rows - 1, 40 + columns - 1, 5).unwrap();
+        let truth = scene::moving_digit(camera.video_shape(), 8, 1, 3).unwrap();
+        let operator = RollingShutter::new(&camera, &psf);
+        let mut frame = vec![0.0; operator.range_len()];
+        operator.apply(truth.data(), &mut frame);
+        let noiseless = Image::new(48, 40, frame).unwrap();
+        let recorded = Noise::Gaussian { snr: 256.0 }
+            .apply(&noiseless, camera.sensor(), 7)
+            .unwrap();
+        Self {
+            camera,
+            psf,
+            truth,
+            frame: recorded.frame,
+            sigma: recorded.sigma,
+        }
+    }
+
+    fn solve(&self, recipe: Recipe) -> Reconstruction {
+        let measurement = Measurement::new(self.frame.clone()).unwrap();
+        let problem = Problem::new(&measurement, &self.camera, &self.psf, recipe).unwrap();
+        problem.solve(&mut |_| ControlFlow::Continue(())).unwrap()
+    }
+
+    fn psnr(&self, found: &Reconstruction) -> f64 {
+        psnr_db(found.video.data(), self.truth.data())
+    }
+}
+
+/// Every shutter, exposures shorter and longer than a row, a field beyond the sensor:
+/// with the data step exact (blocks) and iterative (long exposure, global). A single
+/// shutter has 40 measurements a bin for a digit of 30 pixels: hard.
+#[test]
+fn every_kind_of_camera_gives_a_good_video() {
+    let shuffled: Vec<usize> = (0..48).map(|r| (r * 7) % 24).collect();
+    let cases = [
+        (Shutter::DualInsideOut, 10.0, None, 36.0),
+        (Shutter::DualOutsideIn, 5.0, None, 36.5),
+        (Shutter::Custom(shuffled), 10.0, None, 36.0),
+        (Shutter::TopDown, 10.0, None, 26.5),
+        (Shutter::BottomUp, 10.0, None, 26.5),
+        (Shutter::DualInsideOut, 25.0, None, 34.0),
+        (Shutter::DualInsideOut, 10.0, Some((60, 52)), 38.0),
+        (Shutter::Global, 10.0, None, 42.0),
+    ];
+    let mut failed = false;
+    for (shutter, exposure_us, field, at_least) in cases {
+        let name = format!("{} {exposure_us} {field:?}", shutter.name());
+        let case = Case::new(shutter, exposure_us, field);
+        let found = case.solve(Recipe::default());
+        let psnr = case.psnr(&found);
+        println!(
+            "{name}: {psnr:.1} dB, residual/σ {:.2}, σ/true {:.2}, {} iterations, {:?}",
+            found.residual_over_sigma,
+            found.sigma / case.sigma,
+            found.iterations,
+            found.stop_reason
+        );
+        failed |= psnr < at_least;
+    }
+    assert!(!failed, "a video is worse than it should be");
+}
+
+/// Multiplying the frame by a constant multiplies the video, and nothing else.
+#[test]
+fn nothing_depends_on_the_units_of_the_frame() {
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let found = case.solve(Recipe::default());
+    let scaled = Case {
+        frame: Image::from_fn(48, 40, |y, x| 4096.0 * case.frame.at(y, x)),
+        ..Case::new(Shutter::DualInsideOut, 10.0, None)
+    };
+    let found_scaled = scaled.solve(Recipe::default());
+    let expected: Vec<f32> = found.video.data().iter().map(|v| 4096.0 * v).collect();
+    let error = rowburst::vecmath::distance_squared(found_scaled.video.data(), &expected).sqrt()
+        / rowburst::vecmath::norm(&expected);
+    assert!(error < 1e-3, "{error}");
+}
+
+/// With τ given, the result is the minimum: no nearby video has a lower objective.
+#[test]
+fn a_fixed_tau_reaches_the_minimum() {
+    use rowburst::prox::{Prox, Variation};
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let prior = "tv+0.5*tdiff".parse().unwrap();
+    let auto = case.solve(Recipe {
+        prior,
+        ..Recipe::default()
+    });
+    let recipe = Recipe {
+        prior,
+        tau: Some(auto.tau),
+        max_iterations: Some(2000),
+        ..Recipe::default()
+    };
+    let found = case.solve(recipe);
+    let operator = RollingShutter::new(&case.camera, &case.psf);
+    let penalty = Variation::new(case.camera.video_shape(), prior.weights);
+    let objective = |video: &[f32]| {
+        let mut frame = vec![0.0; operator.range_len()];
+        operator.apply(video, &mut frame);
+        0.5 * rowburst::vecmath::distance_squared(&frame, case.frame.data())
+            + auto.tau * penalty.value(video)
+    };
+    let best = objective(found.video.data());
+    assert!((best - found.objective).abs() < 1e-3 * best);
+    for other in [
+        case.truth.data(),
+        auto.video.data(),
+        &vec![0.0; found.video.data().len()][..],
+    ] {
+        for step in [1.0, 0.1, 0.01, -0.01] {
+            let moved = found.video.data().iter().zip(other);
+            let moved: Vec<f32> = moved.map(|(v, o)| (v + step * (o - v)).max(0.0)).collect();
+            assert!(
+                objective(&moved) >= best * (1.0 - 1e-3),
+                "step {step}: {} < {best}",
+                objective(&moved)
+            );
+        }
+    }
+}
+
+#[test]
+fn the_noise_is_read_from_the_frame() {
+    for seed_case in [Shutter::DualInsideOut, Shutter::Global] {
+        let case = Case::new(seed_case, 10.0, None);
+        let measurement = Measurement::new(case.frame.clone()).unwrap();
+        let estimate = rowburst::reconstruct::estimate_sigma(&measurement, &case.psf);
+        assert!(
+            (0.8..1.3).contains(&(estimate / case.sigma)),
+            "{}",
+            estimate / case.sigma
+        );
+    }
+}
+
+#[test]
+fn an_observer_can_stop_it() {
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let measurement = Measurement::new(case.frame.clone()).unwrap();
+    let problem = Problem::new(&measurement, &case.camera, &case.psf, Recipe::default()).unwrap();
+    let found = problem
+        .solve(&mut |progress| match progress.iteration {
+            7 => ControlFlow::Break(StopReason::TimeBudget),
+            _ => ControlFlow::Continue(()),
+        })
+        .unwrap();
+    assert_eq!(
+        (found.iterations, found.stop_reason),
+        (7, StopReason::TimeBudget)
+    );
+    assert!(found.video.max() > 0.0);
+}
+
+/// Bad pixels with weight zero do no harm.
+#[test]
+fn pixels_of_weight_zero_are_ignored() {
+    use rowburst::measurement::{Corrections, correct};
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let clean = case.psnr(&case.solve(Recipe::default()));
+    let is_bad = |y: usize, x: usize| (y * 40 + x) % 67 == 0;
+    let broken = Image::from_fn(48, 40, |y, x| {
+        if is_bad(y, x) {
+            1.0
+        } else {
+            case.frame.at(y, x)
+        }
+    });
+    let corrections = Corrections {
+        bad_pixels: Some(Image::from_fn(48, 40, |y, x| {
+            f32::from(u8::from(is_bad(y, x)))
+        })),
+        ..Corrections::default()
+    };
+    let measurement = correct(&broken, &case.camera, &corrections).unwrap();
+    let problem = Problem::new(&measurement, &case.camera, &case.psf, Recipe::default()).unwrap();
+    let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+    let psnr = case.psnr(&found);
+    println!("clean {clean:.1} dB, with 1.5 % bad pixels {psnr:.1} dB");
+    assert!(psnr > clean - 1.0, "{psnr} against {clean}");
+}
