@@ -36,8 +36,8 @@ pub struct DemoArgs {
     /// Seed of scene, speckle and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Signal-to-noise ratio: rms of the noiseless frame over the noise
-    #[arg(long, default_value_t = 256.0)]
+    /// Signal-to-noise ratio: rms of the noiseless frame over the noise; "inf" for none
+    #[arg(long, default_value_t = 256.0, value_parser = parse_snr, allow_hyphen_values = true)]
     pub snr: f64,
     /// Folder for all results
     #[arg(short, long, default_value = "rowburst-demo")]
@@ -82,11 +82,11 @@ pub struct SimulateArgs {
     #[arg(long)]
     pub psf: Option<PathBuf>,
     /// Signal-to-noise ratio: rms of the noiseless frame over the noise; "inf" for none
-    #[arg(long, default_value_t = 256.0, value_parser = parse_snr)]
+    #[arg(long, default_value_t = 256.0, value_parser = parse_snr, allow_hyphen_values = true)]
     pub snr: f64,
     /// Shot and read noise instead of --snr: electrons in the brightest pixel of the frame.
     /// Needs gain_electrons_per_count and read_noise_electrons in [camera]
-    #[arg(long, conflicts_with = "snr")]
+    #[arg(long, conflicts_with = "snr", allow_hyphen_values = true)]
     pub peak_electrons: Option<f64>,
     /// Seed of scene, speckle and noise
     #[arg(long, default_value_t = 1)]
@@ -107,22 +107,22 @@ pub struct SimulateArgs {
 #[command(next_help_heading = "Speckle PSF")]
 pub struct OpticsArgs {
     /// Wavelength in nanometres
-    #[arg(long, default_value_t = 532.0)]
+    #[arg(long, default_value_t = 532.0, allow_hyphen_values = true)]
     pub wavelength_nm: f64,
     /// Diameter of the pupil in millimetres
-    #[arg(long, default_value_t = 1.71)]
+    #[arg(long, default_value_t = 1.71, allow_hyphen_values = true)]
     pub pupil_mm: f64,
     /// Focal length of the lens in millimetres
-    #[arg(long, default_value_t = 50.0)]
+    #[arg(long, default_value_t = 50.0, allow_hyphen_values = true)]
     pub focal_length_mm: f64,
     /// Magnification from scene to sensor
-    #[arg(long, default_value_t = 1.0 / 22.5)]
+    #[arg(long, default_value_t = 1.0 / 22.5, allow_hyphen_values = true)]
     pub magnification: f64,
     /// Image-side numerical aperture, instead of the pupil's diameter
-    #[arg(long, conflicts_with = "pupil_mm")]
+    #[arg(long, conflicts_with = "pupil_mm", allow_hyphen_values = true)]
     pub na: Option<f64>,
     /// Full width at half maximum of the diffuser's scattering, in degrees
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub diffuser_deg: f64,
 }
 

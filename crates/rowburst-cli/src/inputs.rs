@@ -21,9 +21,7 @@ pub fn read_corrections(
     container_end: Option<f64>,
 ) -> Result<Corrections> {
     let read = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {
-        path.as_deref()
-            .map(|path| read_image(path).map(|capture| capture.image))
-            .transpose()
+        path.as_deref().map(read_finite).transpose()
     };
     Ok(Corrections {
         dark: read(&calibration.dark)?,
@@ -32,6 +30,58 @@ pub fn read_corrections(
         saturation_counts: container_end,
     })
 }
+
+/// A correction: every pixel counts, so every pixel is finite.
+fn read_finite(path: &Path) -> Result<Image> {
+    let image = read_image(path)?.image;
+    match image.first_non_finite() {
+        None => Ok(image),
+        Some((y, x)) => Err(Error::input(
+            path.display().to_string(),
+            format!("{} at row {y}, column {x}", image.at(y, x)),
+            "every pixel of a dark, a flat or a mask is a finite number",
+            "Record it again, or replace the pixel by the mean of its neighbours.",
+        )),
+    }
+}
+
+/// Names the file in an error of the corrections: that of `frame` where it is none of
+/// `calibration`.
+pub fn naming_file(error: Error, frame: &Path, calibration: &Calibration) -> Error {
+    let subject = match &error {
+        Error::Input { subject, .. } | Error::Work { subject, .. } => subject.as_str(),
+    };
+    let path = match subject {
+        "dark" => calibration.dark.as_deref(),
+        "flat" => calibration.flat.as_deref(),
+        "bad_pixels" => calibration.bad_pixels.as_deref(),
+        _ => None,
+    };
+    let place = path.unwrap_or(frame).display().to_string();
+    error.within(place)
+}
+
+/// Refuses a video that this machine has no memory for, before anything is allocated:
+/// the program would be ended without a word.
+pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
+    let shape = camera.video_shape();
+    let voxels = shape
+        .rows
+        .checked_mul(shape.columns)
+        .and_then(|pixels| pixels.checked_mul(shape.bins));
+    let needed = voxels.and_then(|n| n.checked_mul(COPIES));
+    if needed.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
+        return Ok(());
+    }
+    Err(Error::work(
+        experiment.display().to_string(),
+        format!("no memory for {COPIES} copies of a video of {shape}"),
+        "Make [field] smaller, bin the frame, or use a machine with more memory.",
+    ))
+}
+
+/// Copies of the video, in float32, that a reconstruction holds at its peak.
+const COPIES: usize = 12;
 
 /// The PSF of `path` on the working grid of `camera`.
 ///
@@ -76,18 +126,25 @@ pub fn read_psf(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<Ps
 /// The true video, checked against the shape that `camera` gives.
 pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
     let video = read_video(path)?;
+    let shape = video.shape();
     if let Some(bad) = video.data().iter().position(|v| !v.is_finite()) {
         return Err(Error::input(
             path.display().to_string(),
-            format!("{} at voxel {bad}", video.data()[bad]),
+            format!(
+                "{} at bin {}, row {}, column {}",
+                video.data()[bad],
+                bad / shape.pixels(),
+                bad % shape.pixels() / shape.columns,
+                bad % shape.columns
+            ),
             "every value of the truth is a finite number",
             "Leave --truth out to reconstruct without a comparison.",
         ));
     }
-    if video.shape() != camera.video_shape() {
+    if shape != camera.video_shape() {
         return Err(Error::input(
             path.display().to_string(),
-            video.shape(),
+            shape,
             format!("the camera gives a video of {}", camera.video_shape()),
             "Leave --truth out, or give the truth on the grid of the reconstruction.",
         ));

@@ -1,7 +1,9 @@
 //! `rowburst reconstruct`: files in, video and report out.
 
 use crate::args::ReconstructArgs;
-use crate::inputs::{read_corrections, read_frame, read_psf, read_truth};
+use crate::inputs::{
+    check_memory, naming_file, read_corrections, read_frame, read_psf, read_truth,
+};
 use crate::outcome::{Outcome, peak_memory_bytes, short};
 use crate::progress::{Watch, stop_on_ctrl_c};
 use rowburst::measurement::{Measurement, correct};
@@ -13,7 +15,6 @@ use rowburst_io::{
     Calibration, Experiment, OutputFolder, Tau, TiffScale, write_npy_video, write_tiff_video,
 };
 use rowburst_report::{Iteration, ReportInput};
-use std::io::Write;
 use std::time::{Duration, Instant};
 
 /// Files of a result, and what they are.
@@ -55,8 +56,9 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     let (raw, container_end) = read_frame(&args.frame)?;
     let corrections = read_corrections(&calibration, container_end)?;
     let psf = read_psf(psf_path, &camera, corrections.dark.as_ref())?;
-    let measurement =
-        correct(&raw, &camera, &corrections).map_err(|e| e.within(args.frame.display()))?;
+    let measurement = correct(&raw, &camera, &corrections)
+        .map_err(|e| naming_file(e, &args.frame, &calibration))?;
+    check_memory(&args.experiment, &camera)?;
     let truth = args
         .truth
         .as_deref()
@@ -96,11 +98,16 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
 }
 
 fn recipe_of(args: &ReconstructArgs, experiment: &Experiment) -> Result<Recipe> {
-    let asked = args
-        .prior
-        .as_deref()
-        .or(experiment.reconstruction.prior.as_deref());
-    let prior = asked.map_or(Ok(Prior::AUTO), str::parse)?;
+    let prior = match (&args.prior, &experiment.reconstruction.prior) {
+        (Some(name), _) => name.parse()?,
+        (None, Some(name)) => name.parse().map_err(|mut error| {
+            if let Error::Input { subject, .. } = &mut error {
+                *subject = format!("{}: [reconstruction] prior", args.experiment.display());
+            }
+            error
+        })?,
+        (None, None) => Prior::AUTO,
+    };
     let tau = match (args.tau.as_deref(), experiment.reconstruction.tau) {
         (Some("auto"), _) | (None, None | Some(Tau::Auto)) => None,
         (None, Some(Tau::Value(tau))) => Some(tau),
@@ -208,6 +215,8 @@ impl Run<'_> {
     fn write(&self, folder: &OutputFolder, mut outcome: Outcome) -> Result<Outcome> {
         let video = &self.found.video;
         let time = self.camera.time();
+        // That of an earlier run would vouch for files that are no longer its own.
+        folder.remove("result.json")?;
         folder.write("video.npy", |w| write_npy_video(w, video))?;
         let scale = TiffScale {
             frame_interval_s: time.bin_duration_us() * 1e-6,
@@ -216,7 +225,7 @@ impl Run<'_> {
         folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
         let mp4 = encoded(video)?;
         if let Some(mp4) = &mp4 {
-            folder.write("video.mp4", |w| put(w, mp4))?;
+            folder.write_bytes("video.mp4", mp4)?;
         }
 
         outcome.peak_memory_bytes = peak_memory_bytes();
@@ -244,13 +253,13 @@ impl Run<'_> {
             reproduce: Some(&reproduce),
         })?;
         for picture in &report.pictures {
-            folder.write(&picture.name, |w| put(w, &picture.png))?;
+            folder.write_bytes(&picture.name, &picture.png)?;
         }
-        folder.write("report.html", |w| put(w, report.html.as_bytes()))?;
+        folder.write_bytes("report.html", report.html.as_bytes())?;
         drop(report);
         outcome.peak_memory_bytes = peak_memory_bytes();
         let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
-        folder.write("result.json", |w| put(w, format!("{json}\n").as_bytes()))?;
+        folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
         Ok(outcome)
     }
 
@@ -467,14 +476,4 @@ fn thousands(value: f64) -> String {
         text.push(digit);
     }
     text
-}
-
-fn put(w: &mut impl Write, bytes: &[u8]) -> Result<()> {
-    w.write_all(bytes).map_err(|e| {
-        Error::work(
-            "output",
-            e,
-            "Free space on the disk, or choose another folder with -o.",
-        )
-    })
 }

@@ -1,7 +1,7 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
 use crate::args::{OpticsArgs, SimulateArgs};
-use crate::inputs::read_psf;
+use crate::inputs::{check_memory, read_psf};
 use crate::outcome::short;
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
@@ -11,7 +11,6 @@ use rowburst_io::{
     Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_tiff_image,
 };
 use serde_json::json;
-use std::io::Write;
 use std::path::Path;
 
 /// What is to be simulated.
@@ -63,18 +62,27 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
 pub fn write(plan: &Plan) -> Result<()> {
     let folder = OutputFolder::create(plan.output)?;
     let camera = plan.experiment.camera()?;
+    check_noise(plan, &camera)?;
+    check_memory(&plan.experiment.path, &camera)?;
     let psf = psf_of(plan, &camera)?;
     let scene = scene_of(plan, &camera)?;
     let operator = RollingShutter::new(&camera, &psf);
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(scene.data(), &mut frame);
+    // Scene and PSF are never negative: what is below zero is rounding of the transforms.
+    frame
+        .iter_mut()
+        .filter(|b| **b < 0.0)
+        .for_each(|b| *b = 0.0);
     let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
     let noise = match plan.noise {
         NoiseChoice::Snr(snr) if snr.is_infinite() => Noise::None,
         NoiseChoice::Snr(snr) => Noise::Gaussian { snr },
         NoiseChoice::PeakElectrons(peak_electrons) => Noise::Camera { peak_electrons },
     };
-    let recorded = noise.apply(&noiseless, camera.sensor(), plan.seed)?;
+    let recorded = noise
+        .apply(&noiseless, camera.sensor(), plan.seed)
+        .map_err(|e| e.within(plan.scene))?;
     let direct = direct_frame(&camera, &scene);
     let mut truth = scene;
     truth
@@ -110,7 +118,7 @@ pub fn write(plan: &Plan) -> Result<()> {
             }),
         },
     });
-    folder.write("simulation.json", |w| put(w, &format!("{notes:#}\n")))?;
+    folder.write_bytes("simulation.json", format!("{notes:#}\n").as_bytes())?;
     let experiment = written_experiment(plan, &folder);
     if let (Some(order), rowburst::Shutter::Custom(k)) = (&experiment.row_order, camera.shutter()) {
         let name = order
@@ -121,9 +129,8 @@ pub fn write(plan: &Plan) -> Result<()> {
         let k: Vec<i64> = k.iter().map(|&k| k as i64).collect();
         folder.write(&name, |w| rowburst_io::write_npy_i64(w, &[k.len()], &k))?;
     }
-    folder.write("experiment.toml", |w| {
-        put(w, &experiment.to_toml(folder.path()))
-    })?;
+    let text = experiment.to_toml(folder.path());
+    folder.write_bytes("experiment.toml", text.as_bytes())?;
     eprintln!(
         "frame: {}×{} pixels, noise {} ({}), {} saturated",
         camera.rows(),
@@ -135,6 +142,36 @@ pub fn write(plan: &Plan) -> Result<()> {
         },
         recorded.saturated
     );
+    Ok(())
+}
+
+/// Shot noise can only be made where it is known what an electron is.
+fn check_noise(plan: &Plan, camera: &Camera) -> Result<()> {
+    let NoiseChoice::PeakElectrons(electrons) = plan.noise else {
+        return Ok(());
+    };
+    if !(electrons.is_finite() && electrons > 0.0) {
+        return Err(Error::input(
+            "--peak-electrons",
+            electrons,
+            "the brightest pixel holds a number of electrons above zero",
+            "Give a number below the full well: full wells hold 10⁴ to 10⁶ electrons.",
+        ));
+    }
+    let sensor = camera.sensor();
+    for (key, value) in [
+        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
+        ("read_noise_electrons", sensor.read_noise_electrons),
+    ] {
+        if value.is_none() {
+            return Err(Error::input(
+                format!("{}: [camera]", plan.experiment.path.display()),
+                format!("no `{key}`"),
+                "--peak-electrons needs the sensor's gain and read noise",
+                format!("Add a line `{key} = …` to [camera], or use --snr."),
+            ));
+        }
+    }
     Ok(())
 }
 
@@ -151,16 +188,6 @@ fn written_experiment(plan: &Plan, folder: &OutputFolder) -> Experiment {
         experiment.row_order = Some(folder.path().join("row_order.npy"));
     }
     experiment
-}
-
-fn put(w: &mut impl Write, text: &str) -> Result<()> {
-    w.write_all(text.as_bytes()).map_err(|e| {
-        Error::work(
-            "output",
-            e,
-            "Free space on the disk, or choose another folder with -o.",
-        )
-    })
 }
 
 fn pixel_pitch_um(camera: &Camera) -> f64 {
@@ -193,25 +220,46 @@ fn psf_of(plan: &Plan, camera: &Camera) -> Result<Psf> {
         diffuser_fwhm_deg: optics.diffuser_deg,
         pixel_pitch_um: pixel_pitch_um(camera),
     };
-    eprintln!(
-        "speckle PSF: grain {:.2} px, envelope {:.0} px",
-        optics.grain_px(),
-        optics.envelope_fwhm_px()
-    );
     // Every displacement from the field to the sensor.
     let (field_rows, field_columns) = camera.field();
     let (rows, columns) = (
         camera.rows() + field_rows - 1,
         camera.columns() + field_columns - 1,
     );
-    speckle_psf(&optics, rows | 1, columns | 1, plan.seed)
+    let psf = speckle_psf(&optics, rows | 1, columns | 1, plan.seed).map_err(naming_option)?;
+    eprintln!(
+        "speckle PSF: grain {:.2} px, envelope {:.0} px",
+        optics.grain_px(),
+        optics.envelope_fwhm_px()
+    );
+    Ok(psf)
+}
+
+/// Names the option in an error of the optics, or the key where it comes from the
+/// experiment.
+fn naming_option(mut error: Error) -> Error {
+    if let Error::Input { subject, .. } = &mut error {
+        let option = match subject.as_str() {
+            "wavelength_nm" => "--wavelength-nm",
+            "diameter_mm" => "--pupil-mm",
+            "na" => "--na",
+            "focal_length_mm" | "image_distance_mm" => "--focal-length-mm",
+            "magnification" => "--magnification",
+            "diffuser_fwhm_deg" => "--diffuser-deg",
+            "pixel_pitch_um" => "[camera] pixel_pitch_um",
+            other => other,
+        };
+        *subject = option.to_string();
+    }
+    error
 }
 
 fn scene_of(plan: &Plan, camera: &Camera) -> Result<Video> {
     let shape = camera.video_shape();
+    let of_font = |error: Error| error.within(format!("--digit-px {}", plan.digit_px));
     match plan.scene {
-        "digits" => scene::digits(shape, plan.digit_px, plan.seed),
-        "moving" => scene::moving_digit(shape, plan.digit_px, 1, plan.seed),
+        "digits" => scene::digits(shape, plan.digit_px, plan.seed).map_err(of_font),
+        "moving" => scene::moving_digit(shape, plan.digit_px, 1, plan.seed).map_err(of_font),
         "leds" => {
             let (video, leds) = scene::leds(
                 shape,

@@ -247,8 +247,8 @@ fn line(text: &mut String, key: &str, value: Option<impl Into<toml::Value>>) {
 fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Result<CameraParams> {
     camera.check_keys(&CAMERA_KEYS)?;
     field.check_keys(&["rows", "columns"])?;
-    let rows = camera.required("rows", camera.count("rows")?)?;
-    let columns = camera.required("columns", camera.count("columns")?)?;
+    let rows = camera.required("rows", camera.side("rows")?)?;
+    let columns = camera.required("columns", camera.side("columns")?)?;
     let shutter = read_shutter(camera, row_order)?;
     let exposure_us = camera.number("exposure_us")?;
     let row_time_us = match shutter {
@@ -266,8 +266,8 @@ fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Resul
         field: match field.entries {
             None => None,
             Some(_) => Some((
-                field.required("rows", field.count("rows")?)?,
-                field.required("columns", field.count("columns")?)?,
+                field.required("rows", field.side("rows")?)?,
+                field.required("columns", field.side("columns")?)?,
             )),
         },
         sensor: Sensor {

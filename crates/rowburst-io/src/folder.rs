@@ -43,6 +43,20 @@ impl OutputFolder {
         &self.path
     }
 
+    /// Takes away the file `name` of an earlier run, where there is one.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        let path = self.path.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                Err(fault::writing(&error).within(path.display()))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Writes the file `name` by `write`: into a hidden temporary file, which takes
     /// the name only once all of it is on disk. After an error an older file of that
     /// name is as it was.
@@ -64,6 +78,14 @@ impl OutputFolder {
         // A disk that is full may say so only now.
         file.sync_all().map_err(fault)?;
         hidden.persist(&path).map_err(|e| fault(e.error))
+    }
+
+    /// Writes `bytes` as the file `name`, as [`OutputFolder::write`] does.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        self.write(name, |w| w.write_all(bytes).map_err(|e| fault::writing(&e)))
     }
 }
 

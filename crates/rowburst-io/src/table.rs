@@ -5,6 +5,10 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+/// Longest side of a sensor or a field: twice that of the largest sensors, and short
+/// enough that a table of its pixels can be made.
+const MOST_PIXELS: usize = 65_536;
+
 /// One table of a file, by its name in brackets.
 #[derive(Clone, Copy)]
 pub(crate) struct Table<'a> {
@@ -103,6 +107,19 @@ impl<'a> Table<'a> {
         number
             .map(Some)
             .ok_or_else(|| self.wrong_type(key, value, "a whole number from 0"))
+    }
+
+    /// The length of a side of a sensor or a field, in pixels.
+    pub fn side(&self, key: &str) -> Result<Option<usize>> {
+        match self.count(key)? {
+            Some(side) if side > MOST_PIXELS => Err(self.error(
+                key,
+                side,
+                &format!("a side has at most {MOST_PIXELS} pixels"),
+                "Give the size of the frame in pixels.",
+            )),
+            side => Ok(side),
+        }
     }
 
     /// The value that a required key must have.

@@ -1,0 +1,261 @@
+//! Keeps the floors of the house: imports only go down (see ARCHITECTURE.md).
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// What a room stands on. A room is a module at the top of the crate.
+struct Room {
+    name: &'static str,
+    floor: usize,
+    /// Rooms on the same floor or below; a room may always use itself and floor 0.
+    uses: &'static [&'static str],
+}
+
+const fn room(name: &'static str, floor: usize, uses: &'static [&'static str]) -> Room {
+    Room { name, floor, uses }
+}
+
+const ROOMS: [Room; 18] = [
+    room("error", 0, &[]),
+    room("shape", 0, &[]),
+    room("vecmath", 0, &[]),
+    // Values know no operators.
+    room("image", 1, &[]),
+    room("video", 1, &["image"]),
+    room("psf", 1, &["image"]),
+    room("shutter", 1, &[]),
+    room("camera", 1, &["shutter"]),
+    // Maths knows no optics. `solve::Support` is named apart, see EXCEPTIONS.
+    room("linop", 1, &[]),
+    room("prox", 1, &["linop"]),
+    room("measurement", 2, &["image", "camera"]),
+    room(
+        "forward",
+        2,
+        &["image", "psf", "shutter", "camera", "linop"],
+    ),
+    // Noise is never inside A.
+    room("noise", 2, &["image", "camera"]),
+    room(
+        "simulate",
+        2,
+        &["image", "video", "psf", "shutter", "camera"],
+    ),
+    room("metrics", 2, &["image", "video"]),
+    // The solver knows neither what a pixel is nor where it comes from.
+    room("solve", 2, &["linop", "prox"]),
+    // The only place where physics meets the solver.
+    room(
+        "reconstruct",
+        3,
+        &[
+            "image",
+            "video",
+            "psf",
+            "shutter",
+            "camera",
+            "linop",
+            "prox",
+            "measurement",
+            "forward",
+            "metrics",
+            "solve",
+        ],
+    ),
+    room("lib", 4, &[]),
+];
+
+/// What is re-exported at the crate's root, and where it lives.
+const ROOT: [(&str, &str); 12] = [
+    ("Camera", "camera"),
+    ("Sensor", "camera"),
+    ("Error", "error"),
+    ("Result", "error"),
+    ("RollingShutter", "forward"),
+    ("Image", "image"),
+    ("Psf", "psf"),
+    ("Shape", "shape"),
+    ("TimeGrid", "shape"),
+    ("Shutter", "shutter"),
+    ("Video", "video"),
+    ("CameraParams", "camera"),
+];
+
+/// Steps that go up, and why they are borne with: (room, path).
+///
+/// `Support` is a value (the voxels that may be lit) that the priors and the Gram
+/// matrix need; it lies in `solve` because the solver finds it. It belongs on floor 1.
+const EXCEPTIONS: [(&str, &str); 2] = [("prox", "solve::Support"), ("forward", "solve::Support")];
+
+#[test]
+fn imports_only_go_down() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut faults = Vec::new();
+    let mut used = BTreeSet::new();
+    for path in files(&source) {
+        let name = room_of(path.strip_prefix(&source).unwrap());
+        let Some(room) = ROOMS.iter().find(|room| room.name == name) else {
+            faults.push(format!("{}: give the room {name} a floor", path.display()));
+            continue;
+        };
+        if room.name == "lib" {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        for import in imports(&text) {
+            if let Some(exception) = EXCEPTIONS
+                .iter()
+                .find(|(room, path)| *room == name && *path == import)
+            {
+                used.insert(*exception);
+                continue;
+            }
+            if let Err(why) = judge(room, &import) {
+                faults.push(format!("{}: crate::{import}: {why}", path.display()));
+            }
+        }
+    }
+    for exception in EXCEPTIONS {
+        if !used.contains(&exception) {
+            faults.push(format!("{exception:?} is no longer needed in EXCEPTIONS"));
+        }
+    }
+    assert!(faults.is_empty(), "\n{}", faults.join("\n"));
+}
+
+/// Whether `room` may import `crate::import`.
+fn judge(room: &Room, import: &str) -> Result<(), String> {
+    let head = import.split("::").next().unwrap_or_default();
+    let name = ROOT
+        .iter()
+        .find(|(item, _)| *item == head)
+        .map_or(head, |(_, home)| home);
+    let Some(other) = ROOMS.iter().find(|other| other.name == name) else {
+        return Err("no room has this name; add it to ROOMS or ROOT".into());
+    };
+    if other.floor > room.floor {
+        return Err(format!(
+            "{} (floor {}) is above {} (floor {})",
+            other.name, other.floor, room.name, room.floor
+        ));
+    }
+    let known = other.name == room.name || other.floor == 0 || room.uses.contains(&other.name);
+    if !known {
+        return Err(format!("{} does not know {}", room.name, other.name));
+    }
+    Ok(())
+}
+
+/// The room of a source file: its first folder or its name.
+fn room_of(path: &Path) -> String {
+    let first = path.iter().next().unwrap().to_string_lossy();
+    first.trim_end_matches(".rs").to_string()
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else if path.extension().is_some_and(|end| end == "rs") {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Every path after `crate::` in code before the tests, braces of an import opened.
+///
+/// Tests may use what they like: they stand outside the house.
+fn imports(text: &str) -> Vec<String> {
+    let code: String = text
+        .lines()
+        .take_while(|line| line.trim() != "#[cfg(test)]" || line.starts_with(' '))
+        .map(|line| line.split("//").next().unwrap_or_default())
+        .collect::<Vec<_>>()
+        .join(" ");
+    let mut paths = Vec::new();
+    for rest in code.split("crate::").skip(1) {
+        // `pub(in crate::…)` and `$crate::…` do not occur; a tree ends with its brace.
+        let mut depth = 0usize;
+        let end = rest.find(|c: char| match c {
+            '{' => {
+                depth += 1;
+                false
+            }
+            '}' if depth > 0 => {
+                depth -= 1;
+                false
+            }
+            ',' | ' ' if depth > 0 => false,
+            c => !(c.is_alphanumeric() || c == '_' || c == ':'),
+        });
+        open(&rest[..end.unwrap_or(rest.len())], "", &mut paths);
+    }
+    paths
+}
+
+/// Opens the braces of `tree`: `a::{b, c::d}` becomes `a::b` and `a::c::d`.
+fn open(tree: &str, prefix: &str, paths: &mut Vec<String>) {
+    let tree = tree.trim();
+    let Some((head, branches)) = tree.split_once('{') else {
+        if !tree.is_empty() {
+            let name = tree.split(" as ").next().unwrap_or(tree).trim();
+            paths.push(format!("{prefix}{}", name.trim_end_matches("::")));
+        }
+        return;
+    };
+    let prefix = format!("{prefix}{}", head.trim());
+    let branches = branches.strip_suffix('}').unwrap_or(branches);
+    let (mut depth, mut start) = (0usize, 0);
+    for (at, c) in branches.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth = depth.saturating_sub(1),
+            ',' if depth == 0 => {
+                open(&branches[start..at], &prefix, paths);
+                start = at + 1;
+            }
+            _ => {}
+        }
+    }
+    open(&branches[start..], &prefix, paths);
+}
+
+#[test]
+fn imports_are_found() {
+    let text = "use crate::{Error, solve::{Support, admm::{self, Progress}}};\n\
+                use crate::vecmath::simd;\n\
+                // crate::forward is only spoken of\n\
+                fn f() { crate::metrics::psnr_db(a, b); }\n\
+                #[cfg(test)]\nmod tests { use crate::camera::Camera; }\n";
+    assert_eq!(
+        imports(text),
+        [
+            "Error",
+            "solve::Support",
+            "solve::admm::self",
+            "solve::admm::Progress",
+            "vecmath::simd",
+            "metrics::psnr_db",
+        ]
+    );
+    let solve = ROOMS.iter().find(|room| room.name == "solve").unwrap();
+    assert!(judge(solve, "vecmath::simd").is_ok());
+    assert!(judge(solve, "prox::Prox").is_ok());
+    for optics in [
+        "Psf",
+        "Shutter",
+        "camera::Camera",
+        "forward::Engine",
+        "RollingShutter",
+    ] {
+        assert!(judge(solve, optics).is_err(), "{optics}");
+    }
+    let prox = ROOMS.iter().find(|room| room.name == "prox").unwrap();
+    for optics in ["Psf", "Camera", "forward", "solve::admm"] {
+        assert!(judge(prox, optics).is_err(), "{optics}");
+    }
+}
