@@ -1,6 +1,7 @@
 //! `result.json`: the numbers of a run.
 
 use serde::Serialize;
+use std::io::Write;
 
 /// Everything that `result.json` says.
 #[derive(Debug, Clone, Serialize)]
@@ -54,4 +55,9 @@ pub fn short(value: f64) -> String {
     } else {
         format!("{value:.3e}")
     }
+}
+
+/// Writes a line of results to standard output; a reader that has gone away is no error.
+pub fn say(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stdout(), "{line}");
 }

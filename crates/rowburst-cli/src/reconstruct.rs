@@ -4,7 +4,7 @@ use crate::args::ReconstructArgs;
 use crate::inputs::{
     check_memory, naming_file, read_corrections, read_frame, read_psf, read_truth,
 };
-use crate::outcome::{Outcome, peak_memory_bytes, short};
+use crate::outcome::{Outcome, peak_memory_bytes, say, short};
 use crate::progress::{Watch, stop_on_ctrl_c};
 use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
@@ -90,7 +90,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     let outcome = run.write(&folder, outcome)?;
     let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
     if args.json {
-        println!("{json}");
+        say(json);
     } else {
         print_summary(&outcome, args);
     }
@@ -436,7 +436,7 @@ fn headline(outcome: &Outcome) -> Vec<(String, String)> {
 }
 
 fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
-    println!(
+    say(format_args!(
         "{} frames of {}×{} at {} fps from one frame, in {:.2} s (set-up {:.2} s, {} iterations, {})",
         outcome.frames,
         outcome.rows,
@@ -446,11 +446,13 @@ fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
         outcome.setup_seconds,
         outcome.iterations,
         outcome.stop_reason,
-    );
+    ));
     if let (Some(psnr), Some(ssim)) = (outcome.psnr_db, outcome.ssim) {
-        println!("PSNR {psnr:.2} dB, SSIM {ssim:.4} against the truth");
+        say(format_args!(
+            "PSNR {psnr:.2} dB, SSIM {ssim:.4} against the truth"
+        ));
     }
-    println!(
+    say(format_args!(
         "residual/σ {:.3}, τ {} ({}), σ {} ({}), prior {}",
         outcome.residual_over_sigma,
         short(outcome.tau),
@@ -458,11 +460,14 @@ fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
         short(outcome.noise_sigma),
         outcome.noise_sigma_source,
         outcome.prior,
-    );
+    ));
     for warning in &outcome.warnings {
-        println!("warning: {warning}");
+        say(format_args!("warning: {warning}"));
     }
-    println!("open {}", args.output.join("report.html").display());
+    say(format_args!(
+        "open {}",
+        args.output.join("report.html").display()
+    ));
 }
 
 /// A whole number with a comma every three digits.

@@ -2,7 +2,7 @@
 
 use crate::args::{OpticsArgs, SimulateArgs};
 use crate::inputs::{check_memory, read_psf};
-use crate::outcome::short;
+use crate::outcome::{say, short};
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, scene, speckle_psf};
@@ -50,8 +50,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         output: &args.output,
     })?;
     let folder = args.output.display();
-    println!("{folder}/frame.npy");
-    println!("{folder}/experiment.toml");
+    say(format_args!("{folder}/frame.npy\n{folder}/experiment.toml"));
     eprintln!(
         "next: rowburst reconstruct {folder}/experiment.toml --frame {folder}/frame.npy --truth {folder}/truth.npy -o RESULT"
     );

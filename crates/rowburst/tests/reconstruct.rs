@@ -199,7 +199,7 @@ fn pixels_of_weight_zero_are_ignored() {
     use rowburst::measurement::{Corrections, correct};
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let clean = case.psnr(&case.solve(Recipe::default()));
-    let is_bad = |y: usize, x: usize| (y * 40 + x) % 67 == 0;
+    let is_bad = |y: usize, x: usize| (y * 40 + x).is_multiple_of(67);
     let broken = Image::from_fn(48, 40, |y, x| {
         if is_bad(y, x) {
             1.0

@@ -43,8 +43,8 @@ impl Rowwise {
             line.fill(0.0);
             // A field pixel stands at its own index x', so index i of the kernel is the
             // displacement i + ox; negative indices wrap around to the end.
-            for x in 0..geometry.columns {
-                line[x] = psf.at_displacement(dy, geometry.column_displacement(x, 0));
+            for (x, value) in line[..geometry.columns].iter_mut().enumerate() {
+                *value = psf.at_displacement(dy, geometry.column_displacement(x, 0));
             }
             for x in 1..geometry.field_columns {
                 line[length - x] = psf.at_displacement(dy, geometry.column_displacement(0, x));

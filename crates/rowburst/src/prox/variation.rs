@@ -189,7 +189,7 @@ impl Prox for Variation {
                 let mut value = 0.0;
                 for (i, &v) in bin.iter().enumerate() {
                     let below = bin.get(i + columns).map_or(0.0, |b| b - v);
-                    let right = if (i + 1) % columns == 0 {
+                    let right = if (i + 1).is_multiple_of(columns) {
                         0.0
                     } else {
                         bin[i + 1] - v
@@ -219,7 +219,7 @@ impl Prox for Variation {
                     let v = z[start + i];
                     let differs = |at: usize| (v - z[at]).abs() > tolerance;
                     v > tolerance
-                        && (!space || i % columns == 0 || differs(start + i - 1))
+                        && (!space || i.is_multiple_of(columns) || differs(start + i - 1))
                         && (!space || *i < columns || differs(start + i - columns))
                         && (!time || t == 0 || differs(start + i - pixels))
                 };

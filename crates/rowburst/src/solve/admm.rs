@@ -277,8 +277,8 @@ impl State {
                 },
             );
         });
-        for i in 0..m {
-            self.au[i] = self.az[i] + (1.0 - alpha) * self.au[i] + alpha * gram_y[i];
+        for ((au, az), gram_y) in self.au.iter_mut().zip(&self.az).zip(&gram_y) {
+            *au = az + (1.0 - alpha) * *au + alpha * gram_y;
         }
     }
 
