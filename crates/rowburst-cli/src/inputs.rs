@@ -70,7 +70,10 @@ pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
         .checked_mul(shape.columns)
         .and_then(|pixels| pixels.checked_mul(shape.bins));
     let needed = voxels.and_then(|n| n.checked_mul(COPIES));
-    if needed.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
+    // Never less than 64 MiB: after a smaller block is given back, glibc keeps all later
+    // blocks of that size for itself, and the peak of memory rises by a fifth.
+    let tried = needed.map(|n| n.max(16 << 20));
+    if tried.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
         return Ok(());
     }
     Err(Error::work(
