@@ -10,7 +10,7 @@
 //! projected gradient steps `p ← P(p + step·D z(p))`. The dual is kept from call to
 //! call; inside an outer solver that changes `q` little by little, two steps a call
 //! lose nothing against five accelerated ones, and need no momentum arrays
-//! (measured: equal PSNR to 0.01 dB on digits of 12 and 18 px at every iteration).
+//! (in a trial on digits of 12 and 18 px: equal PSNR to 0.02 dB after 80 and 120 iterations).
 
 use super::Prox;
 use crate::Shape;

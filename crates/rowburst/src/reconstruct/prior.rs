@@ -21,8 +21,8 @@ pub struct Prior {
 impl Prior {
     /// The default: `tv+0.5*tdiff+support`.
     ///
-    /// The temporal weight costs scenes that change from bin to bin nothing (digits of
-    /// 12 px: 48.8 dB with and 48.7 dB without) and gives moving ones 3 dB.
+    /// The temporal weight costs digits that change in every bin nothing (48.0 dB with
+    /// and without) and gives a moving digit 0.2 dB, without the support 3.7 dB.
     pub const AUTO: Self = Self {
         weights: VariationWeights {
             space: 1.0,

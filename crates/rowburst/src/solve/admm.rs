@@ -18,7 +18,7 @@
 //! puts `x` on the bound, corrected a little in every iteration; `τ = ρβ` comes out.
 //! The `df` values that the fit spends (see [`Prox::degrees_of_freedom`]) take their
 //! share of the noise with them, so the bound lies below `σ²m`; at `σ²m` itself
-//! pictures of digits are over-smoothed and lose 1.5 dB.
+//! pictures of digits are over-smoothed (1.5 dB in a trial without the support).
 //!
 //! **Support.** A sparse scene lights few voxels. Once the video has taken shape, it is
 //! restricted to its bright voxels and their neighbours, found anew every few
@@ -70,8 +70,9 @@ impl AdmmParams {
         Self {
             tau,
             relaxation: 1.6,
-            // From 0.005 to 0.012 digits, LEDs and a moving digit end within 0.3 dB of
-            // each other; the larger, the fewer iterations.
+            // From 0.005 to 0.012 digits and a moving digit end within 0.4 dB of each
+            // other, in a trial before the support was refined as it is now; the
+            // larger, the fewer iterations.
             threshold: 0.01,
             max_iterations: 300,
             tolerance: 1e-4,
