@@ -15,6 +15,9 @@ use faer::linalg::matmul::matmul;
 use faer::reborrow::ReborrowMut;
 use faer::{Accum, Mat, MatMut, Par};
 
+/// Columns of `S_i` that are held at once.
+const COLUMNS_AT_ONCE: usize = 128;
+
 impl RollingShutter {
     /// `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
     /// of column `x` of the instant's `a`-th row is `a · columns + x`.
@@ -128,16 +131,18 @@ impl RollingShutter {
             match support.and_then(|s| s.pixels_of(run.first_bin + k)) {
                 None => open_weight += weight * weight,
                 Some(pixels) => {
-                    let a = self.columns_of(instant, &pixels);
-                    let weight = weight * weight;
-                    matmul(
-                        sum.rb_mut(),
-                        Accum::Add,
-                        &a,
-                        a.transpose(),
-                        weight,
-                        Par::Seq,
-                    );
+                    // A few columns at a time: those of a crowded bin are several videos' worth.
+                    for pixels in pixels.chunks(COLUMNS_AT_ONCE) {
+                        let a = self.columns_of(instant, pixels);
+                        matmul(
+                            sum.rb_mut(),
+                            Accum::Add,
+                            &a,
+                            a.transpose(),
+                            weight * weight,
+                            Par::Seq,
+                        );
+                    }
                 }
             }
         }
