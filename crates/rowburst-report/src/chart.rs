@@ -49,6 +49,20 @@ impl Axis {
         Self::linear(low - margin, high + margin, label)
     }
 
+    /// A logarithmic axis.
+    ///
+    /// # Panics
+    /// If an end is not positive.
+    pub(crate) fn logarithmic(low: f64, high: f64, label: impl Into<String>) -> Self {
+        assert!(low > 0.0, "a logarithm needs positive ends");
+        Self {
+            low,
+            high: if high > low { high } else { 10.0 * low },
+            log: true,
+            label: label.into(),
+        }
+    }
+
     /// Position of `value`, 0 at the low end and 1 at the high one.
     fn fraction(&self, value: f64) -> f64 {
         match self.log {

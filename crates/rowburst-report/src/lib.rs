@@ -7,6 +7,7 @@
 //!
 //! ```text
 //! ReportInput ─▶ figures/* ─▶ Figure (SVG + panels of pixels) ─▶ page (HTML)
+//! Sheet (calibrations, design) ─▶ curves and maps ─┘
 //!   analysis: projection, spots, frequency, stats              └─▶ Picture (PNG)
 //! ```
 
@@ -20,12 +21,14 @@ mod page;
 mod panel;
 mod pixels;
 mod projection;
+mod sheet;
 mod spots;
 mod stats;
 
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
 pub use frequency::{Tone, strongest_tone};
+pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 pub use spots::{Spot, brightest_spots};
 
 /// What a report is made of. Everything is borrowed; nothing is changed or copied whole.
@@ -121,13 +124,13 @@ pub fn render(input: &ReportInput) -> Result<Report> {
             caption: drawn.caption.clone(),
             name: name.clone(),
         });
-        entries.push(page::Entry {
-            section: drawn.section,
+        let entry = page::Entry {
             svg: drawn.figure.svg(drawn.name, &drawn.alt)?,
             wide: drawn.figure.is_wide(),
             file: name,
             caption: drawn.caption,
-        });
+        };
+        entries.push((drawn.section, entry));
     }
     Ok(Report {
         html: page::page(input, entries),

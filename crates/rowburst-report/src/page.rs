@@ -16,7 +16,6 @@ const POLICY: &str =
 
 /// A figure of the page.
 pub(crate) struct Entry {
-    pub section: Section,
     pub svg: String,
     /// Whether it takes the full width.
     pub wide: bool,
@@ -24,46 +23,102 @@ pub(crate) struct Entry {
     pub caption: String,
 }
 
-/// The page with its figures. All texts are escaped; the SVGs are ours.
-pub(crate) fn page(input: &ReportInput, entries: Vec<Entry>) -> String {
-    let section = |section: Section| {
-        let figures = entries.iter().filter(move |e| e.section == section);
-        html! { div.figures { @for entry in figures { (figure(entry)) } } }
-    };
-    html! {
-        (DOCTYPE)
-        html lang="en-GB" {
-            head {
-                meta charset="utf-8";
-                meta http-equiv="Content-Security-Policy" content=(POLICY);
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                meta name="generator" content={ "Rowburst " (env!("CARGO_PKG_VERSION")) };
-                title { (input.title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                header {
-                    h1 { (input.title) }
-                    p.summary { (summary(input)) }
-                    (headline(input))
+/// A page: words, figures and tables.
+pub(crate) struct Page<'a> {
+    pub title: &'a str,
+    pub summary: String,
+    /// What the reader must know before the numbers.
+    pub warnings: &'a [String],
+    pub headline: &'a [(String, String)],
+    pub parts: Vec<Part<'a>>,
+    pub settings: &'a [(String, Vec<(String, String)>)],
+    pub files: &'a [(String, String)],
+    pub reproduce: Option<&'a str>,
+}
+
+/// A heading with what stands under it.
+pub(crate) struct Part<'a> {
+    pub heading: &'a str,
+    pub mp4: Option<&'a [u8]>,
+    pub entries: Vec<Entry>,
+}
+
+/// The page of a reconstruction.
+pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> String {
+    let mut parts = [
+        (Section::Video, "Reconstruction"),
+        (Section::Measurement, "Measurement"),
+        (Section::Fit, "Fit"),
+    ]
+    .map(|(section, heading)| {
+        let part = Part {
+            heading,
+            mp4: input.mp4.filter(|_| section == Section::Video),
+            entries: Vec::new(),
+        };
+        (section, part)
+    });
+    for (section, entry) in entries {
+        let part = parts.iter_mut().find(|(of, _)| *of == section);
+        part.expect("every section has its part")
+            .1
+            .entries
+            .push(entry);
+    }
+    Page {
+        title: input.title,
+        summary: summary(input),
+        warnings: &[],
+        headline: &input.headline,
+        parts: parts.into_iter().map(|(_, part)| part).collect(),
+        settings: &input.settings,
+        files: &input.files,
+        reproduce: input.reproduce,
+    }
+    .html()
+}
+
+impl Page<'_> {
+    /// The HTML. All texts are escaped; the SVGs are ours.
+    pub(crate) fn html(&self) -> String {
+        html! {
+            (DOCTYPE)
+            html lang="en-GB" {
+                head {
+                    meta charset="utf-8";
+                    meta http-equiv="Content-Security-Policy" content=(POLICY);
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    meta name="color-scheme" content="light dark";
+                    meta name="generator" content={ "Rowburst " (env!("CARGO_PKG_VERSION")) };
+                    title { (self.title) }
+                    style { (PreEscaped(STYLE)) }
                 }
-                main {
-                    section {
-                        h2 { "Reconstruction" }
-                        @if let Some(mp4) = input.mp4 { (movie(mp4)) }
-                        (section(Section::Video))
+                body {
+                    header {
+                        h1 { (self.title) }
+                        p.summary { (self.summary) }
+                        @for warning in self.warnings {
+                            p.warning role="note" { strong { "Warning: " } (warning) }
+                        }
+                        (headline(self.headline))
                     }
-                    section { h2 { "Measurement" } (section(Section::Measurement)) }
-                    section { h2 { "Fit" } (section(Section::Fit)) }
-                    (settings(input))
-                    (files(input))
+                    main {
+                        @for part in &self.parts {
+                            section {
+                                h2 { (part.heading) }
+                                @if let Some(mp4) = part.mp4 { (movie(mp4)) }
+                                div.figures { @for entry in &part.entries { (figure(entry)) } }
+                            }
+                        }
+                        (settings(self.settings))
+                        (files(self.files, self.reproduce))
+                    }
+                    footer { p { "Rowburst " (env!("CARGO_PKG_VERSION")) ", rolling-shutter compressive imaging." } }
                 }
-                footer { p { "Rowburst " (env!("CARGO_PKG_VERSION")) ", rolling-shutter compressive imaging." } }
             }
         }
+        .into_string()
     }
-    .into_string()
 }
 
 /// One line of what was made of what.
@@ -91,11 +146,11 @@ fn summary(input: &ReportInput) -> String {
     )
 }
 
-fn headline(input: &ReportInput) -> Markup {
+fn headline(headline: &[(String, String)]) -> Markup {
     html! {
-        @if !input.headline.is_empty() {
+        @if !headline.is_empty() {
             dl.headline {
-                @for (name, value) in &input.headline {
+                @for (name, value) in headline {
                     div { dt { (name) } dd { (value) } }
                 }
             }
@@ -122,14 +177,14 @@ fn movie(mp4: &[u8]) -> Markup {
     }
 }
 
-fn settings(input: &ReportInput) -> Markup {
+fn settings(settings: &[(String, Vec<(String, String)>)]) -> Markup {
     html! {
-        @if !input.settings.is_empty() {
+        @if !settings.is_empty() {
             section {
                 h2 { "Numbers and settings" }
                 p { "All that is needed to repeat the run." }
                 div.tables {
-                    @for (name, rows) in &input.settings {
+                    @for (name, rows) in settings {
                         table {
                             caption { (name) }
                             tbody {
@@ -145,19 +200,19 @@ fn settings(input: &ReportInput) -> Markup {
     }
 }
 
-fn files(input: &ReportInput) -> Markup {
+fn files(files: &[(String, String)], reproduce: Option<&str>) -> Markup {
     html! {
-        @if input.reproduce.is_some() || !input.files.is_empty() {
+        @if reproduce.is_some() || !files.is_empty() {
             section {
                 h2 { "Files and command" }
-                @if !input.files.is_empty() {
+                @if !files.is_empty() {
                     dl.files {
-                        @for (name, what) in &input.files {
+                        @for (name, what) in files {
                             dt { code { (name) } } dd { (what) }
                         }
                     }
                 }
-                @if let Some(command) = input.reproduce {
+                @if let Some(command) = reproduce {
                     p { "To repeat the run:" }
                     pre { code { (command) } }
                 }
