@@ -1,5 +1,7 @@
 //! The command line.
 
+use crate::calibrate::CalibrateArgs;
+use crate::design::DesignArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -22,6 +24,10 @@ pub enum Verb {
     Simulate(SimulateArgs),
     /// Recover the video from one frame
     Reconstruct(ReconstructArgs),
+    /// Calibrate a camera and a diffuser from captures of your own
+    Calibrate(CalibrateArgs),
+    /// What a camera, a lens and a diffuser can do before they are bought
+    Design(DesignArgs),
 }
 
 /// Simulate the paper's experiment, reconstruct it and show how good it is.

@@ -5,7 +5,9 @@
 //! input or the command line is wrong.
 
 mod args;
+mod calibrate;
 mod demo;
+mod design;
 mod inputs;
 mod outcome;
 mod progress;
@@ -31,6 +33,8 @@ fn main() -> ExitCode {
         Verb::Demo(args) => demo::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Reconstruct(args) => reconstruct::run(&args),
+        Verb::Calibrate(args) => calibrate::run(&args),
+        Verb::Design(args) => design::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

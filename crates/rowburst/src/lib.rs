@@ -13,7 +13,9 @@
 //! Arrays are C order; a video is `[t, y, x]`, an image `[y, x]`, and `y` is the
 //! axis that the shutter scans.
 
+pub mod calibrate;
 pub mod camera;
+pub mod design;
 pub mod error;
 pub mod forward;
 pub mod image;
@@ -21,6 +23,7 @@ pub mod linop;
 pub mod measurement;
 pub mod metrics;
 pub mod noise;
+pub mod patches;
 pub mod prox;
 pub mod psf;
 pub mod reconstruct;
@@ -28,6 +31,7 @@ pub mod shape;
 pub mod shutter;
 pub mod simulate;
 pub mod solve;
+pub mod support;
 pub mod vecmath;
 pub mod video;
 
@@ -35,7 +39,9 @@ pub use camera::{Camera, Sensor};
 pub use error::{Error, Result};
 pub use forward::RollingShutter;
 pub use image::Image;
+pub use patches::PatchSet;
 pub use psf::Psf;
 pub use shape::{Shape, TimeGrid};
 pub use shutter::Shutter;
+pub use support::Support;
 pub use video::Video;

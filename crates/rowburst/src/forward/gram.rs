@@ -9,7 +9,7 @@
 //! those of the column that leaves: two matrix products and a running sum.
 
 use super::RollingShutter;
-use crate::solve::Support;
+use crate::Support;
 use crate::vecmath::simd;
 use faer::linalg::matmul::matmul;
 use faer::reborrow::ReborrowMut;

@@ -4,7 +4,7 @@ pub mod variation;
 
 pub use variation::{Variation, VariationWeights};
 
-use crate::solve::Support;
+use crate::Support;
 
 /// A convex prior `R(v)` with the constraint `v ≥ 0` inside.
 ///

@@ -14,7 +14,7 @@
 
 use super::Prox;
 use crate::Shape;
-use crate::solve::Support;
+use crate::Support;
 use crate::vecmath::simd;
 use rayon::prelude::*;
 

@@ -28,10 +28,10 @@
 //! they cannot explain what was measured of a bin, its threshold is lowered and the
 //! voxels are added to which the residual points, `Aᵀ(b − A v)`; in the end all are.
 
-use super::{DataTerm, StopReason, Support};
-use crate::Shape;
+use super::{DataTerm, StopReason};
 use crate::prox::Prox;
 use crate::vecmath::{distance_squared, norm, simd};
+use crate::{Shape, Support};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 

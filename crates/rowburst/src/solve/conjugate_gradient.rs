@@ -1,7 +1,7 @@
 //! Preconditioned conjugate gradients for `(A P Aᵀ + ρI) y = r`, where `A Aᵀ` has no
 //! small blocks: exposures longer than a row, a global shutter.
 
-use super::Support;
+use crate::Support;
 use crate::linop::LinearOperator;
 use crate::vecmath::{dot, norm};
 

@@ -3,10 +3,8 @@
 pub mod admm;
 pub mod blocks;
 pub mod conjugate_gradient;
-pub mod support;
 
-pub use support::Support;
-
+use crate::Support;
 use crate::linop::LinearOperator;
 
 /// Why a solver stopped.
