@@ -1,8 +1,10 @@
 //! Files into values: frames, PSFs and videos of an experiment.
 
 use rowburst::measurement::Corrections;
-use rowburst::{Camera, Error, Image, Psf, Result, Video};
-use rowburst_io::{Calibration, Capture, Level, read_image, read_video};
+use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, Video};
+use rowburst_io::{
+    Calibration, Capture, Level, is_patch_set, read_image, read_patch_set, read_video,
+};
 use std::path::Path;
 
 /// A recorded frame, and the counts at which its file ends if they are integers.
@@ -92,7 +94,7 @@ const COPIES: usize = 12;
 /// size) or bias is taken from it, and what falls below zero is set to zero. A file of
 /// floats is taken as it is. With binning, a PSF of the raw sensor's size, or larger
 /// than the working grid can use, is binned.
-pub fn read_psf(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<Psf> {
+fn read_psf(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<Psf> {
     let Capture { mut image, level } = read_image(path)?;
     if matches!(level, Level::Counts { .. }) {
         match dark.filter(|d| (d.rows(), d.columns()) == (image.rows(), image.columns())) {
@@ -124,6 +126,14 @@ pub fn read_psf(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<Ps
         }
     }
     Psf::new(image).map_err(|e| e.within(path.display()))
+}
+
+/// The PSFs of `path`: a patch set as it is, one image as [`read_psf`] takes it.
+pub fn read_psfs(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<PatchSet> {
+    if is_patch_set(path) {
+        return read_patch_set(path);
+    }
+    read_psf(path, camera, dark).map(PatchSet::from)
 }
 
 /// The true video, checked against the shape that `camera` gives.

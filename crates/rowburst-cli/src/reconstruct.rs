@@ -2,7 +2,7 @@
 
 use crate::args::ReconstructArgs;
 use crate::inputs::{
-    check_memory, naming_file, read_corrections, read_frame, read_psf, read_truth,
+    check_memory, naming_file, read_corrections, read_frame, read_psfs, read_truth,
 };
 use crate::outcome::{Outcome, peak_memory_bytes, say, short};
 use crate::progress::{Watch, stop_on_ctrl_c};
@@ -10,7 +10,7 @@ use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction};
 use rowburst::simulate::direct_frame;
-use rowburst::{Camera, Error, Psf, Result, Video};
+use rowburst::{Camera, Error, PatchSet, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, Tau, TiffScale, write_npy_video, write_tiff_video,
 };
@@ -55,7 +55,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     };
     let (raw, container_end) = read_frame(&args.frame)?;
     let corrections = read_corrections(&calibration, container_end)?;
-    let psf = read_psf(psf_path, &camera, corrections.dark.as_ref())?;
+    let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
     let measurement = correct(&raw, &camera, &corrections)
         .map_err(|e| naming_file(e, &args.frame, &calibration))?;
     check_memory(&args.experiment, &camera)?;
@@ -68,7 +68,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
 
     let stop = stop_on_ctrl_c();
     let started = Instant::now();
-    let problem = Problem::new(&measurement, &camera, &psf, recipe)?;
+    let problem = Problem::new(&measurement, &camera, &psfs, recipe)?;
     let setup = started.elapsed();
     let left = budget.map(|b| b.saturating_sub(setup));
     let mut watch = Watch::new(problem.sigma(), truth.as_ref(), left, stop);
@@ -80,7 +80,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     let run = Run {
         args,
         camera: &camera,
-        psf: &psf,
+        psfs: &psfs,
         measurement: &measurement,
         truth: truth.as_ref(),
         found: &found,
@@ -147,7 +147,7 @@ fn time_budget(args: &ReconstructArgs) -> Result<Option<Duration>> {
 struct Run<'a> {
     args: &'a ReconstructArgs,
     camera: &'a Camera,
-    psf: &'a Psf,
+    psfs: &'a PatchSet,
     measurement: &'a Measurement,
     truth: Option<&'a Video>,
     found: &'a Reconstruction,
@@ -234,7 +234,7 @@ impl Run<'_> {
         let report = rowburst_report::render(&ReportInput {
             title: &format!("Rowburst: {}", self.args.frame.display()),
             frame: self.measurement.image(),
-            psf: self.psf.image(),
+            psf: self.psfs.central().image(),
             video,
             truth: self.truth,
             direct: direct.as_ref(),
@@ -332,7 +332,7 @@ impl Run<'_> {
                 of_camera.push(pair(name, value.to_string()));
             }
         }
-        let psf = self.psf.image();
+        let psf = self.psfs.central().image();
         let of_solver = vec![
             pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
             pair("prior R", outcome.prior.clone()),
@@ -356,7 +356,13 @@ impl Run<'_> {
             ),
             pair("iterations", outcome.iterations.to_string()),
             pair("stopped", outcome.stop_reason.into()),
-            pair("PSF", format!("{} × {} pixels", psf.rows(), psf.columns())),
+            pair(
+                "PSF",
+                match self.psfs.psfs().len() {
+                    1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
+                    n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
+                },
+            ),
             pair(
                 "bad and saturated pixels",
                 format!("{} and {}", outcome.bad_pixels, outcome.saturated_pixels),

@@ -1,14 +1,15 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
 use crate::args::{OpticsArgs, SimulateArgs};
-use crate::inputs::{check_memory, read_psf};
+use crate::inputs::{check_memory, read_psfs};
 use crate::outcome::{say, short};
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, scene, speckle_psf};
-use rowburst::{Camera, Error, Image, Psf, Result, RollingShutter, Video};
+use rowburst::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use rowburst_io::{
-    Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_tiff_image,
+    Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_patch_set,
+    write_tiff_image,
 };
 use serde_json::json;
 use std::path::Path;
@@ -63,9 +64,9 @@ pub fn write(plan: &Plan) -> Result<()> {
     let camera = plan.experiment.camera()?;
     check_noise(plan, &camera)?;
     check_memory(&plan.experiment.path, &camera)?;
-    let psf = psf_of(plan, &camera)?;
+    let psfs = psfs_of(plan, &camera)?;
     let scene = scene_of(plan, &camera)?;
-    let operator = RollingShutter::new(&camera, &psf);
+    let operator = RollingShutter::new(&camera, &psfs);
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(scene.data(), &mut frame);
     // Scene and PSF are never negative: what is below zero is rounding of the transforms.
@@ -89,7 +90,7 @@ pub fn write(plan: &Plan) -> Result<()> {
         .iter_mut()
         .for_each(|v| *v = (f64::from(*v) * recorded.scale) as f32);
 
-    folder.write("psf.npy", |w| write_npy_image(w, psf.image()))?;
+    let psf_file = write_psfs(&folder, &psfs)?;
     folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
     folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
     folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
@@ -118,7 +119,7 @@ pub fn write(plan: &Plan) -> Result<()> {
         },
     });
     folder.write_bytes("simulation.json", format!("{notes:#}\n").as_bytes())?;
-    let experiment = written_experiment(plan, &folder);
+    let experiment = written_experiment(plan, &folder, psf_file);
     if let (Some(order), rowburst::Shutter::Custom(k)) = (&experiment.row_order, camera.shutter()) {
         let name = order
             .file_name()
@@ -176,17 +177,27 @@ fn check_noise(plan: &Plan, camera: &Camera) -> Result<()> {
 
 /// The experiment as it is after the simulation: the frame is on the working grid, and
 /// the PSF lies beside it.
-fn written_experiment(plan: &Plan, folder: &OutputFolder) -> Experiment {
+fn written_experiment(plan: &Plan, folder: &OutputFolder, psf_file: &str) -> Experiment {
     let mut experiment = plan.experiment.clone();
     experiment.params.sensor.binning = 1;
     experiment.calibration = rowburst_io::Calibration {
-        psf: Some(folder.path().join("psf.npy")),
+        psf: Some(folder.path().join(psf_file)),
         ..rowburst_io::Calibration::default()
     };
     if matches!(experiment.params.shutter, rowburst::Shutter::Custom(_)) {
         experiment.row_order = Some(folder.path().join("row_order.npy"));
     }
     experiment
+}
+
+/// Writes the PSF, or the patch set, and gives the name of its file.
+fn write_psfs(folder: &OutputFolder, psfs: &PatchSet) -> Result<&'static str> {
+    if let [psf] = psfs.psfs() {
+        folder.write("psf.npy", |w| write_npy_image(w, psf.image()))?;
+        return Ok("psf.npy");
+    }
+    write_patch_set(folder, "psf-patches", psfs)?;
+    Ok("psf-patches.toml")
 }
 
 fn pixel_pitch_um(camera: &Camera) -> f64 {
@@ -196,9 +207,9 @@ fn pixel_pitch_um(camera: &Camera) -> f64 {
         .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
 }
 
-fn psf_of(plan: &Plan, camera: &Camera) -> Result<Psf> {
+fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
     if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
-        return read_psf(path, camera, None);
+        return read_psfs(path, camera, None);
     }
     let optics = plan.optics;
     let lens = Aperture::Lens {
@@ -231,7 +242,7 @@ fn psf_of(plan: &Plan, camera: &Camera) -> Result<Psf> {
         optics.grain_px(),
         optics.envelope_fwhm_px()
     );
-    Ok(psf)
+    Ok(psf.into())
 }
 
 /// Names the option in an error of the optics, or the key where it comes from the

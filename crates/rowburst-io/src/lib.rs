@@ -34,7 +34,7 @@ pub use folder::OutputFolder;
 #[cfg(feature = "mp4")]
 pub use mp4::write_mp4;
 pub use npy::{write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
-pub use patches::{is_patch_set, patch_set_toml, read_patch_set};
+pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
 pub use read::{Capture, Level, read_colour_image, read_image, read_stack, read_video};
 pub use tiff::{TiffScale, write_tiff_image, write_tiff_video};

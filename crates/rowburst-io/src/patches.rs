@@ -6,8 +6,10 @@
 //! ```
 
 use crate::fault;
+use crate::folder::OutputFolder;
+use crate::npy::write_npy_video;
 use crate::read::read_stack;
-use rowburst::{Error, PatchSet, Psf, Result};
+use rowburst::{Error, PatchSet, Psf, Result, Shape, Video};
 use std::path::Path;
 
 /// Whether `path` names a patch set and not an image.
@@ -60,28 +62,37 @@ pub fn read_patch_set(path: &Path) -> Result<PatchSet> {
     PatchSet::new(psfs, offsets).map_err(|e| e.within(path.display()))
 }
 
-/// The text of a patch set whose stack `[patch, y, x]` is the file `psfs` beside it.
-pub fn patch_set_toml(set: &PatchSet, psfs: &str) -> String {
+/// Writes `set` as `NAME.toml` and the stack `NAME.npy` beside it.
+///
+/// # Errors
+/// Failed writes.
+pub fn write_patch_set(folder: &OutputFolder, name: &str, set: &PatchSet) -> Result<()> {
+    let first = set.psfs()[0].image();
+    let pages = set.psfs().iter().flat_map(|p| p.image().data()).copied();
+    let shape = Shape::new(set.psfs().len(), first.rows(), first.columns());
+    let stack = Video::new(shape, pages.collect())?;
+    let file = format!("{name}.npy");
+    folder.write(&file, |w| write_npy_video(w, &stack))?;
     let offsets: Vec<String> = set
         .offsets_px()
         .iter()
         .map(|(y, x)| format!("    [{y:?}, {x:?}],\n"))
         .collect();
-    format!(
+    let text = format!(
         "# PSFs at several places of the field: psf = \"…\" under [calibration] takes this file.\n\
          # [patch, y, x]\npsfs = {}\n\
          # Row and column offset of each source from the middle of the field, in pixels.\n\
          offsets_px = [\n{}]\n",
-        toml::Value::from(psfs),
+        toml::Value::from(file),
         offsets.concat()
-    )
+    );
+    folder.write_bytes(&format!("{name}.toml"), text.as_bytes())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{OutputFolder, write_npy_video};
-    use rowburst::{Image, Shape, Video};
+    use rowburst::Image;
 
     #[test]
     fn a_set_comes_back_as_it_was_written() {
@@ -89,19 +100,7 @@ mod tests {
         let folder = OutputFolder::create(base.path()).unwrap();
         let psf = |i: usize| Psf::new(Image::from_fn(4, 5, |y, x| (i + y * x) as f32)).unwrap();
         let set = PatchSet::new(vec![psf(1), psf(2)], vec![(-1.5, 0.0), (2.25, 1e-3)]).unwrap();
-        let pages: Vec<f32> = set
-            .psfs()
-            .iter()
-            .flat_map(|p| p.image().data())
-            .copied()
-            .collect();
-        let stack = Video::new(Shape::new(2, 4, 5), pages).unwrap();
-        folder
-            .write("p.npy", |w| write_npy_video(w, &stack))
-            .unwrap();
-        folder
-            .write_bytes("p.toml", patch_set_toml(&set, "p.npy").as_bytes())
-            .unwrap();
+        write_patch_set(&folder, "p", &set).unwrap();
         let path = base.path().join("p.toml");
         assert!(is_patch_set(&path));
         let read = read_patch_set(&path).unwrap();

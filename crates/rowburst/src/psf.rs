@@ -69,6 +69,35 @@ impl Psf {
     }
 }
 
+/// A stretch of a row of a PSF.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stretch<'a> {
+    /// How many displacements that the PSF does not cover lie before it.
+    pub start: usize,
+    /// The values from there on to the end of the row; displacements beyond are zero.
+    pub values: &'a [f32],
+}
+
+impl Psf {
+    /// The values at the displacements `(dy, dx)`, `(dy, dx + 1)`, … that it covers.
+    pub fn row_from(&self, dy: isize, dx: isize) -> Stretch<'_> {
+        let columns = self.image.columns();
+        let y = dy + (self.image.rows() / 2) as isize;
+        let x = dx + (columns / 2) as isize;
+        if !(0..self.image.rows() as isize).contains(&y) || x >= columns as isize {
+            return Stretch {
+                start: 0,
+                values: &[],
+            };
+        }
+        let row = &self.image.data()[y as usize * columns..(y as usize + 1) * columns];
+        Stretch {
+            start: (-x).max(0) as usize,
+            values: &row[x.max(0) as usize..],
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,6 +110,23 @@ mod tests {
         assert_eq!(psf.at_displacement(0, 0), psf.image().at(2, 2));
         assert_eq!(psf.at_displacement(2, 0), 0.0);
         assert_eq!(psf.at_displacement(-2, 2), psf.image().at(0, 4));
+    }
+
+    #[test]
+    fn rows_are_runs_of_displacements() {
+        let psf = Psf::new(Image::from_fn(4, 5, |y, x| (y * 5 + x) as f32)).unwrap();
+        for dy in -4..5 {
+            for dx in -9..9 {
+                let stretch = psf.row_from(dy, dx);
+                for i in 0..12usize {
+                    let value = i
+                        .checked_sub(stretch.start)
+                        .and_then(|i| stretch.values.get(i));
+                    let expected = psf.at_displacement(dy, dx + i as isize);
+                    assert_eq!(value.copied().unwrap_or(0.0), expected, "{dy} {dx} {i}");
+                }
+            }
+        }
     }
 
     #[test]

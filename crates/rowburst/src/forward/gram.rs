@@ -6,11 +6,13 @@
 //!
 //! Moving both columns by one shifts the sum over field columns `ξ` by one, so a
 //! step along a diagonal adds the products of the column that enters and takes away
-//! those of the column that leaves: two matrix products and a running sum.
+//! those of the column that leaves: two matrix products and a running sum. A PSF that
+//! changes over the field has no such diagonals: there the columns of `S_i` are written
+//! out, some at a time, and multiplied.
 
-use super::RollingShutter;
-use crate::Support;
+use super::{Layer, RollingShutter};
 use crate::vecmath::simd;
+use crate::{Psf, Support};
 use faer::linalg::matmul::matmul;
 use faer::reborrow::ReborrowMut;
 use faer::{Accum, Mat, MatMut, Par};
@@ -25,6 +27,15 @@ impl RollingShutter {
     /// Cost: about `2 (rows·columns)² · field_rows` multiply–adds, with the number of
     /// rows of this instant.
     fn add_spatial_gram(&self, instant: usize, weight: f64, mut sum: MatMut<f64>) {
+        let [
+            Layer {
+                psf, share: None, ..
+            },
+        ] = self.layers.as_slice()
+        else {
+            let pixels: Vec<usize> = (0..self.video.pixels()).collect();
+            return self.add_gram_of(instant, &pixels, weight, sum);
+        };
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
         let columns = g.columns;
@@ -32,10 +43,10 @@ impl RollingShutter {
         let cut_out = |r: usize, x0: usize, field_x: usize| {
             Mat::from_fn(columns, g.field_rows, |x, y| {
                 let dx = g.column_displacement(x0 + x, field_x);
-                f64::from(self.psf.at_displacement(g.row_displacement(r, y), dx))
+                f64::from(psf.at_displacement(g.row_displacement(r, y), dx))
             })
         };
-        let edges = self.first_columns(rows);
+        let edges = self.first_columns(psf, rows);
         let mut steps = Mat::<f64>::zeros(columns, columns);
         for (a, b) in (0..rows.len()).flat_map(|a| (0..rows.len()).map(move |b| (a, b))) {
             let enters = |row: usize| cut_out(rows[row], 1, 0);
@@ -75,7 +86,7 @@ impl RollingShutter {
     }
 
     /// `G[(a,0),(b,x')]`, at `(a · number of rows + b) · columns + x'`.
-    fn first_columns(&self, rows: &[usize]) -> Vec<f64> {
+    fn first_columns(&self, psf: &Psf, rows: &[usize]) -> Vec<f64> {
         let g = &self.geometry;
         let mut edges = vec![0.0; rows.len() * rows.len() * g.columns];
         // All column displacements that any (x, ξ) has, in one line per PSF row.
@@ -84,7 +95,7 @@ impl RollingShutter {
         let line = |r: usize, y: usize| -> Vec<f64> {
             let dy = g.row_displacement(r, y);
             (0..width)
-                .map(|i| f64::from(self.psf.at_displacement(dy, first + i as isize)))
+                .map(|i| f64::from(psf.at_displacement(dy, first + i as isize)))
                 .collect()
         };
         for y in 0..g.field_rows {
@@ -131,23 +142,22 @@ impl RollingShutter {
             match support.and_then(|s| s.pixels_of(run.first_bin + k)) {
                 None => open_weight += weight * weight,
                 Some(pixels) => {
-                    // A few columns at a time: those of a crowded bin are several videos' worth.
-                    for pixels in pixels.chunks(COLUMNS_AT_ONCE) {
-                        let a = self.columns_of(instant, pixels);
-                        matmul(
-                            sum.rb_mut(),
-                            Accum::Add,
-                            &a,
-                            a.transpose(),
-                            weight * weight,
-                            Par::Seq,
-                        );
-                    }
+                    self.add_gram_of(instant, &pixels, weight * weight, sum.rb_mut());
                 }
             }
         }
         if open_weight > 0.0 {
             self.add_spatial_gram(instant, open_weight, sum);
+        }
+    }
+
+    /// `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.
+    fn add_gram_of(&self, instant: usize, pixels: &[usize], weight: f64, mut sum: MatMut<f64>) {
+        // A few columns at a time: those of a crowded bin are several videos' worth.
+        for pixels in pixels.chunks(COLUMNS_AT_ONCE) {
+            let a = self.columns_of(instant, pixels);
+            let add = Accum::Add;
+            matmul(sum.rb_mut(), add, &a, a.transpose(), weight, Par::Seq);
         }
     }
 
@@ -166,11 +176,11 @@ impl RollingShutter {
             .map(|w| w * w)
             .sum();
         let mut power = 0.0;
-        for y in 0..g.field_rows {
-            for x in 0..g.field_columns {
-                let (dy, dx) = (g.row_displacement(row, y), g.column_displacement(column, x));
-                power += f64::from(self.psf.at_displacement(dy, dx)).powi(2);
-            }
+        for pixel in 0..self.video.pixels() {
+            let (y, x) = (pixel / g.field_columns, pixel % g.field_columns);
+            let (dy, dx) = (g.row_displacement(row, y), g.column_displacement(column, x));
+            let shares = self.layers.iter().map(|layer| layer.value(pixel, dy, dx));
+            power += shares.sum::<f64>().powi(2);
         }
         exposure * power
     }
@@ -187,14 +197,35 @@ impl RollingShutter {
     fn columns_of(&self, instant: usize, pixels: &[usize]) -> Mat<f64> {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
-        Mat::from_fn(rows.len() * g.columns, pixels.len(), |i, p| {
-            let (y, x) = (pixels[p] / g.field_columns, pixels[p] % g.field_columns);
-            let dy = g.row_displacement(rows[i / g.columns], y);
-            f64::from(
-                self.psf
-                    .at_displacement(dy, g.column_displacement(i % g.columns, x)),
-            )
-        })
+        let mut columns = Mat::<f64>::zeros(rows.len() * g.columns, pixels.len());
+        for (&pixel, column) in pixels.iter().zip(columns.col_iter_mut()) {
+            let column = column.try_as_col_major_mut().expect("columns are whole");
+            let column = column.as_slice_mut();
+            let (y, x) = (pixel / g.field_columns, pixel % g.field_columns);
+            let first = g.column_displacement(0, x);
+            for layer in &self.layers {
+                let share = layer.share.as_ref().map_or(1.0, |share| share[pixel]);
+                if share == 0.0 {
+                    continue;
+                }
+                let lines = column.chunks_exact_mut(g.columns);
+                for (&row, line) in rows.iter().zip(lines) {
+                    let values = layer.psf.row_from(g.row_displacement(row, y), first);
+                    for (sum, value) in line[values.start..].iter_mut().zip(values.values) {
+                        *sum += f64::from(share) * f64::from(*value);
+                    }
+                }
+            }
+        }
+        columns
+    }
+}
+
+impl Layer {
+    /// What a pixel of the field sends to the displacement `(dy, dx)` by this layer.
+    fn value(&self, pixel: usize, dy: isize, dx: isize) -> f64 {
+        let share = self.share.as_ref().map_or(1.0, |share| share[pixel]);
+        f64::from(share) * f64::from(self.psf.at_displacement(dy, dx))
     }
 }
 

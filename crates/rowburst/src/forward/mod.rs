@@ -5,7 +5,9 @@
 //! ```
 //!
 //! (Eqs. 1–4), with `sy(y') = y' − oy`, `sx(x') = x' − ox` the position of a field
-//! pixel on the sensor, and no wrap-around. The row-time weights act through the
+//! pixel on the sensor, and no wrap-around. Where the PSF changes over the field
+//! (`PatchSet`), `p` is `Σ_c a_c(y', x') p_c`: the light of the field is shared out among
+//! the layers `a_c v`, and each is convolved with its own PSF. The row-time weights act through the
 //! instant at which a row is read, `w[r, j] = w_{k[r]}[j]`, so `A = S·T`: `T`
 //! integrates the video over the exposure of each instant, and `S` convolves each
 //! instant's light and keeps the rows that are read then.
@@ -14,10 +16,13 @@ mod engine;
 mod gram;
 mod planar;
 mod rowwise;
+#[cfg(test)]
+mod tests;
 
 use crate::linop::LinearOperator;
-use crate::{Camera, Psf, Shape, TimeGrid};
+use crate::{Camera, PatchSet, Psf, Shape, TimeGrid};
 use engine::{Engine, Geometry};
+use planar::Planar;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -26,33 +31,53 @@ use std::borrow::Cow;
 /// Adjoint: exact, `Aᵀ = Tᵀ Sᵀ`. Cost: for each instant one short real FFT per
 /// field row, and a multiply–add over the field for each row that is read; the
 /// rows that are not read are never computed. Where an instant reads many rows
-/// (`global`), 2-D FFTs take over, whichever needs less arithmetic.
+/// (`global`), 2-D FFTs take over, whichever needs less arithmetic. All that once for
+/// each PSF that a pixel's light is shared out among.
 pub struct RollingShutter {
     video: Shape,
     time: TimeGrid,
     geometry: Geometry,
     rows_of: Vec<Vec<usize>>,
-    engine: Engine,
+    layers: Vec<Layer>,
+    /// Mean of `|P̂|²` over the field at each frequency of a plane; empty where rows are
+    /// convolved one by one.
+    plane_power: Vec<f32>,
+}
+
+/// A PSF with its part of the field.
+struct Layer {
     psf: Psf,
+    /// `a_c` of every pixel of the field; `None`: 1.
+    share: Option<Vec<f32>>,
+    engine: Engine,
+}
+
+/// Work space of one thread.
+struct Scratch {
+    engine: engine::Scratch,
+    /// Light of the field, and values of the rows, of one of several layers.
+    light: Vec<f32>,
+    values: Vec<f32>,
 }
 
 impl RollingShutter {
-    /// The operator of `camera` behind a diffuser with `psf`.
-    pub fn new(camera: &Camera, psf: &Psf) -> Self {
+    /// The operator of `camera` behind a diffuser with one PSF (`&Psf`) or with one that
+    /// changes over the field (`&PatchSet`).
+    pub fn new(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
         let time = camera.time().clone();
         let mut rows_of = vec![Vec::new(); time.instants().len()];
         for (row, &instant) in camera.instants().iter().enumerate() {
             rows_of[instant].push(row);
         }
         let geometry = Geometry::new(camera);
-        let engine = Engine::cheapest(&geometry, psf, &rows_of);
+        let layers = layers_of(psf.into(), &geometry, &rows_of);
         Self {
             video: camera.video_shape(),
             time,
+            plane_power: plane_power(&layers),
             geometry,
             rows_of,
-            engine,
-            psf: psf.clone(),
+            layers,
         }
     }
 
@@ -77,11 +102,11 @@ impl RollingShutter {
     }
 
     /// An approximate `(A Aᵀ + ρI)⁻¹ r` for operators that convolve whole planes: as if
-    /// the sensor had no edge, where it is a division by `|P̂|² + ρ` at each spatial
-    /// frequency. Symmetric and positive definite. `None` where rows are convolved one
+    /// the sensor had no edge, where it is a division by `|P̂|² + ρ` (the mean over the
+    /// field) at each spatial frequency. Symmetric and positive definite. `None` where rows are convolved one
     /// by one.
     pub fn circulant_inverse(&self, r: &[f32], rho: f64) -> Option<Vec<f32>> {
-        let Engine::Planar(planar) = &self.engine else {
+        let Engine::Planar(planar) = &self.layers[0].engine else {
             return None;
         };
         let columns = self.geometry.columns;
@@ -95,12 +120,81 @@ impl RollingShutter {
                 .collect();
             let weight: f64 = run.weights.iter().map(|w| w * w).sum();
             let mut divided = vec![0.0f32; values.len()];
-            planar.divide(&values, rows, weight, rho, &mut divided, &mut scratch);
+            let power = (self.plane_power.as_slice(), weight);
+            planar.divide(&values, rows, power, rho, &mut divided, &mut scratch);
             for (&row, values) in rows.iter().zip(divided.chunks_exact(columns)) {
                 out[row * columns..(row + 1) * columns].copy_from_slice(values);
             }
         }
         Some(out)
+    }
+
+    fn scratch(&self) -> Scratch {
+        let several = self.layers.iter().any(|layer| layer.share.is_some());
+        Scratch {
+            engine: self.layers[0].engine.scratch(),
+            light: vec![0.0; if several { self.video.pixels() } else { 0 }],
+            values: Vec::new(),
+        }
+    }
+
+    /// `values[i, x]`: row `rows[i]` of the convolved light of a field.
+    fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+        if let [
+            Layer {
+                share: None,
+                engine,
+                ..
+            },
+        ] = self.layers.as_slice()
+        {
+            return engine.read(light, rows, values, &mut scratch.engine);
+        }
+        values.fill(0.0);
+        scratch.values.resize(values.len(), 0.0);
+        for layer in &self.layers {
+            match &layer.share {
+                None => scratch.light.copy_from_slice(light),
+                Some(share) => {
+                    let shared = scratch.light.iter_mut().zip(light).zip(share);
+                    shared.for_each(|((s, v), a)| *s = a * v);
+                }
+            }
+            let Scratch {
+                engine,
+                light,
+                values: part,
+            } = scratch;
+            layer.engine.read(light, rows, part, engine);
+            add_scaled(values, part, 1.0);
+        }
+    }
+
+    /// The adjoint of [`Self::read`]; overwrites `light`.
+    fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+        if let [
+            Layer {
+                share: None,
+                engine,
+                ..
+            },
+        ] = self.layers.as_slice()
+        {
+            return engine.spread(values, rows, light, &mut scratch.engine);
+        }
+        light.fill(0.0);
+        for layer in &self.layers {
+            layer
+                .engine
+                .spread(values, rows, &mut scratch.light, &mut scratch.engine);
+            match &layer.share {
+                None => add_scaled(light, &scratch.light, 1.0),
+                Some(share) => {
+                    let shared = light.iter_mut().zip(&scratch.light).zip(share);
+                    shared.for_each(|((v, s), a)| *v += a * s);
+                }
+            }
+        }
     }
 
     /// The light that instant `i` integrates: `Σ_j w_i[j] v_j`.
@@ -135,12 +229,12 @@ impl LinearOperator for RollingShutter {
         let read: Vec<Vec<f32>> = (0..self.rows_of.len())
             .into_par_iter()
             .map_init(
-                || self.engine.scratch(),
+                || self.scratch(),
                 |scratch, instant| {
                     let rows = &self.rows_of[instant];
                     let mut values = vec![0.0; rows.len() * columns];
                     let light = self.integrate(video, instant);
-                    self.engine.read(&light, rows, &mut values, scratch);
+                    self.read(&light, rows, &mut values, scratch);
                     values
                 },
             )
@@ -158,14 +252,14 @@ impl LinearOperator for RollingShutter {
         let columns = self.geometry.columns;
         let pixels = self.video.pixels();
         let instants = self.time.instants();
-        let spread = |instant: usize, light: &mut [f32], scratch: &mut engine::Scratch| {
+        let spread = |instant: usize, light: &mut [f32], scratch: &mut Scratch| {
             let rows = &self.rows_of[instant];
             let values: Vec<f32> = rows
                 .iter()
                 .flat_map(|&row| &frame[row * columns..(row + 1) * columns])
                 .copied()
                 .collect();
-            self.engine.spread(&values, rows, light, scratch);
+            self.spread(&values, rows, light, scratch);
         };
         let one_bin_each =
             self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1);
@@ -175,7 +269,7 @@ impl LinearOperator for RollingShutter {
                 .par_chunks_exact_mut(pixels)
                 .enumerate()
                 .for_each_init(
-                    || self.engine.scratch(),
+                    || self.scratch(),
                     |scratch, (instant, light)| {
                         spread(instant, light, scratch);
                         let weight = instants[instant].weights[0] as f32;
@@ -191,7 +285,7 @@ impl LinearOperator for RollingShutter {
             .par_chunks_exact_mut(pixels)
             .enumerate()
             .for_each_init(
-                || self.engine.scratch(),
+                || self.scratch(),
                 |scratch, (instant, light)| spread(instant, light, scratch),
             );
         video
@@ -206,6 +300,52 @@ impl LinearOperator for RollingShutter {
                 }
             });
     }
+}
+
+/// The layers of `set` that have a say in the field.
+fn layers_of(set: PatchSet, geometry: &Geometry, rows_of: &[Vec<usize>]) -> Vec<Layer> {
+    let engine = |psf: &Psf| Engine::cheapest(geometry, psf, rows_of);
+    if let [psf] = set.psfs() {
+        return vec![Layer {
+            engine: engine(psf),
+            psf: psf.clone(),
+            share: None,
+        }];
+    }
+    let shares = set.shares(geometry.field_rows, geometry.field_columns);
+    let layers = set.psfs().iter().zip(shares);
+    layers
+        .filter(|(_, share)| !share.is_empty())
+        .map(|(psf, share)| Layer {
+            engine: engine(psf),
+            psf: psf.clone(),
+            share: Some(share),
+        })
+        .collect()
+}
+
+/// `|Σ_c a_c P̂_c|²`, its mean over the field, at each frequency of a plane.
+fn plane_power(layers: &[Layer]) -> Vec<f32> {
+    let planes: Vec<&Planar> = layers
+        .iter()
+        .filter_map(|layer| match &layer.engine {
+            Engine::Planar(planar) => Some(planar),
+            Engine::Rowwise(_) => None,
+        })
+        .collect();
+    let mut power = Vec::new();
+    for (i, a) in planes.iter().enumerate() {
+        for (j, b) in planes.iter().enumerate().take(i + 1) {
+            let together = match (&layers[i].share, &layers[j].share) {
+                (Some(a), Some(b)) => crate::vecmath::dot(a, b) / a.len() as f64,
+                _ => 1.0,
+            };
+            // Both orders of a pair.
+            let weight = if i == j { together } else { 2.0 * together };
+            a.add_power(b, weight, &mut power);
+        }
+    }
+    power
 }
 
 fn add_scaled(sum: &mut [f32], term: &[f32], weight: f32) {

@@ -176,25 +176,35 @@ impl Planar {
         let field: Vec<usize> = (0..self.geometry.field_rows).collect();
         self.invert(scratch, self.geometry.field_columns, &field, light);
     }
-    /// `values / (weight·|P̂|² + ρ)` at each spatial frequency of the padded plane.
+
+    /// Adds `weight·Re(P̂ Q̂*)` of this PSF and that of `other` at every frequency.
+    pub fn add_power(&self, other: &Self, weight: f64, power: &mut Vec<f32>) {
+        power.resize(self.psf.len(), 0.0);
+        // The stored spectra carry 1/size.
+        let scale = weight * ((self.width * self.height) as f64).powi(2);
+        for ((sum, p), q) in power.iter_mut().zip(&self.psf).zip(&other.psf) {
+            *sum += (scale * f64::from(p.re * q.re + p.im * q.im)) as f32;
+        }
+    }
+
+    /// `values / (weight·power + ρ)` at each spatial frequency of the padded plane.
     pub fn divide(
         &self,
         values: &[f32],
         rows: &[usize],
-        weight: f64,
+        (power, weight): (&[f32], f64),
         rho: f64,
         out: &mut [f32],
         scratch: &mut Scratch,
     ) {
         self.transform(values, self.geometry.columns, rows, scratch);
-        // The stored spectrum carries 1/size, which the division must not see twice.
         let size = (self.width * self.height) as f64;
         let plane = scratch.plane.par_chunks_exact_mut(self.height);
         plane
-            .zip(self.psf.par_chunks_exact(self.height))
-            .for_each(|(column, kernel)| {
-                for (c, k) in column.iter_mut().zip(kernel) {
-                    let power = weight * size * size * f64::from(k.norm_sqr());
+            .zip(power.par_chunks_exact(self.height))
+            .for_each(|(column, power)| {
+                for (c, &power) in column.iter_mut().zip(power) {
+                    let power = weight * f64::from(power.max(0.0));
                     *c *= (1.0 / (size * (power + rho))) as f32;
                 }
             });

@@ -11,7 +11,7 @@ use crate::measurement::Measurement;
 use crate::prox::Variation;
 use crate::solve::admm::{self, AdmmParams, Progress, TauRule};
 use crate::solve::{DataTerm, StopReason};
-use crate::{Camera, Error, Image, Psf, Result, RollingShutter, Video};
+use crate::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use data::FrameData;
 use std::ops::ControlFlow;
 
@@ -89,15 +89,17 @@ pub struct Reconstruction {
 
 impl Problem {
     /// Sets up the reconstruction of `measurement`: operator, Gram factors, noise level.
+    /// `psf` is one for the whole field (`&Psf`) or one for each part of it (`&PatchSet`).
     ///
     /// # Errors
     /// A `τ` or `σ` that is not above zero, or a noise level that cannot be found.
     pub fn new(
         measurement: &Measurement,
         camera: &Camera,
-        psf: &Psf,
+        psf: impl Into<PatchSet>,
         recipe: Recipe,
     ) -> Result<Self> {
+        let psf = psf.into();
         for (name, value) in [("--tau", recipe.tau), ("--noise-sigma", recipe.noise_sigma)] {
             if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
                 return Err(Error::input(
@@ -111,7 +113,10 @@ impl Problem {
         let (sigma, sigma_source) = match (recipe.noise_sigma, measurement.sigma()) {
             (Some(sigma), _) => (sigma, SigmaSource::Given),
             (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
-            (None, None) => (estimate_sigma(measurement, psf), SigmaSource::Frame),
+            (None, None) => (
+                estimate_sigma(measurement, psf.central()),
+                SigmaSource::Frame,
+            ),
         };
         let tau = recipe
             .tau

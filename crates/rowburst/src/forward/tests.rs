@@ -1,0 +1,145 @@
+//! A PSF that changes over the field: brute force, laws, Gram blocks.
+
+use crate::camera::CameraParams;
+use crate::linop::{LinearOperator, laws};
+use crate::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter, Support};
+use faer::Mat;
+use rand::{RngExt, SeedableRng};
+
+fn random_psf(rows: usize, columns: usize, rng: &mut rand_pcg::Pcg64) -> Psf {
+    let values = (0..rows * columns).map(|_| rng.random_range(0.0f32..1.0));
+    Psf::new(Image::new(rows, columns, values.collect()).unwrap()).unwrap()
+}
+
+fn cases() -> Vec<(Camera, PatchSet)> {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(12);
+    let line: &[(f64, f64)] = &[(0.0, -4.0), (0.0, 0.5), (0.0, 4.0)];
+    let grid: &[(f64, f64)] = &[(-3.0, -3.0), (-3.0, 3.0), (3.0, -3.0), (3.0, 3.0)];
+    let scattered: &[(f64, f64)] = &[(-3.0, 2.0), (0.0, 0.0), (4.0, -4.0)];
+    let cases = [
+        (Shutter::DualInsideOut, (8, 7), Some((10, 11)), 1.0, line),
+        (Shutter::TopDown, (5, 6), None, 2.5, grid),
+        (Shutter::Global, (9, 8), Some((12, 12)), 1.0, scattered),
+        (Shutter::Global, (24, 26), Some((30, 29)), 1.0, grid),
+    ];
+    cases
+        .into_iter()
+        .map(|(shutter, (rows, columns), field, exposure_us, offsets)| {
+            let camera = Camera::new(CameraParams {
+                rows,
+                columns,
+                shutter,
+                row_time_us: 1.0,
+                exposure_us,
+                bins_per_row: 1,
+                field,
+                sensor: Sensor::default(),
+            });
+            let psfs = offsets.iter().map(|_| random_psf(11, 13, &mut rng));
+            let set = PatchSet::new(psfs.collect(), offsets.to_vec()).unwrap();
+            (camera.unwrap(), set)
+        })
+        .collect()
+}
+
+/// Every light path, one by one, in float64.
+fn brute_force(camera: &Camera, set: &PatchSet, video: &[f32]) -> Vec<f32> {
+    let shape = camera.video_shape();
+    let (oy, ox) = camera.field_offset();
+    let mut frame = vec![0.0f64; camera.rows() * camera.columns()];
+    for y in 0..shape.rows {
+        for field_x in 0..shape.columns {
+            let offset = |i: usize, side: usize| i as f64 - (side / 2) as f64;
+            let weights = set.weights_at(offset(y, shape.rows), offset(field_x, shape.columns));
+            for r in 0..camera.rows() {
+                let run = &camera.time().instants()[camera.instants()[r]];
+                for x in 0..camera.columns() {
+                    let dy = r as isize + oy as isize - y as isize;
+                    let dx = x as isize + ox as isize - field_x as isize;
+                    let value = |c: usize| f64::from(set.psfs()[c].at_displacement(dy, dx));
+                    let psf: f64 = weights.iter().map(|&(c, a)| a * value(c)).sum();
+                    for (k, weight) in run.weights.iter().enumerate() {
+                        let at = ((run.first_bin + k) * shape.rows + y) * shape.columns + field_x;
+                        frame[r * camera.columns() + x] += weight * f64::from(video[at]) * psf;
+                    }
+                }
+            }
+        }
+    }
+    frame.into_iter().map(|b| b as f32).collect()
+}
+
+#[test]
+fn patches_agree_with_brute_force_and_obey_the_laws() {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(13);
+    for (camera, set) in cases() {
+        let operator = RollingShutter::new(&camera, &set);
+        let video: Vec<f32> = (0..operator.domain_len()).map(|_| rng.random()).collect();
+        let mut frame = vec![f32::NAN; operator.range_len()];
+        operator.apply(&video, &mut frame);
+        let expected = brute_force(&camera, &set, &video);
+        let error = crate::vecmath::distance_squared(&frame, &expected).sqrt()
+            / crate::vecmath::norm(&expected);
+        assert!(error < 1e-6, "{camera:?}: relative error {error}");
+        laws::check(&operator, 3);
+    }
+}
+
+#[test]
+fn equal_patches_are_one_psf() {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(14);
+    let (camera, set) = cases().swap_remove(0);
+    let psf = random_psf(9, 9, &mut rng);
+    let same = vec![psf.clone(); set.psfs().len()];
+    let same = PatchSet::new(same, set.offsets_px().to_vec()).unwrap();
+    let (one, many) = (
+        RollingShutter::new(&camera, &psf),
+        RollingShutter::new(&camera, &same),
+    );
+    let video: Vec<f32> = (0..one.domain_len()).map(|_| rng.random()).collect();
+    let (mut a, mut b) = (vec![0.0; one.range_len()], vec![0.0; one.range_len()]);
+    one.apply(&video, &mut a);
+    many.apply(&video, &mut b);
+    assert!(crate::vecmath::distance_squared(&a, &b).sqrt() < 1e-5 * crate::vecmath::norm(&a));
+}
+
+#[test]
+fn blocks_of_patches_agree_with_operator_calls() {
+    for (camera, set) in cases().into_iter().take(3) {
+        let operator = RollingShutter::new(&camera, &set);
+        let shape = operator.video_shape();
+        let video: Vec<f32> = (0..shape.voxels()).map(|i| (i * 37 % 100) as f32).collect();
+        let some = Support::above(&video, shape, &vec![97.0; shape.bins]);
+        for support in [None, Some(&some)] {
+            let gram: Vec<Vec<f32>> = (0..operator.range_len())
+                .map(|i| {
+                    let mut unit = vec![0.0; operator.range_len()];
+                    unit[i] = 1.0;
+                    let mut video = vec![0.0; operator.domain_len()];
+                    operator.adjoint(&unit, &mut video);
+                    if let Some(support) = support {
+                        support.apply(&mut video);
+                    }
+                    operator.apply(&video, &mut unit);
+                    unit
+                })
+                .collect();
+            for instant in 0..operator.rows_of_instants().len() {
+                let indices = operator.indices_of(instant);
+                let mut block = Mat::zeros(indices.len(), indices.len());
+                operator.add_gram_block(instant, support, block.as_mut());
+                for (i, &row) in indices.iter().enumerate() {
+                    if support.is_none() {
+                        let columns = camera.columns();
+                        let power = operator.pixel_power(row / columns, row % columns);
+                        assert!((power - block[(i, i)]).abs() < 1e-7);
+                    }
+                    for (j, &column) in indices.iter().enumerate() {
+                        let error = (block[(i, j)] - f64::from(gram[row][column])).abs();
+                        assert!(error < 1e-7, "{camera:?} {instant} {i} {j}: {error}");
+                    }
+                }
+            }
+        }
+    }
+}
