@@ -109,7 +109,7 @@ pub struct SimulateArgs {
 
 /// The optics of the computed speckle PSF. The defaults give a grain of 2.5 pixels of
 /// 6.5 µm and an envelope that reaches over 108 rows.
-#[derive(Debug, Clone, Copy, Args)]
+#[derive(Debug, Clone, Copy, PartialEq, Args)]
 #[command(next_help_heading = "Speckle PSF")]
 pub struct OpticsArgs {
     /// Wavelength in nanometres
@@ -179,6 +179,9 @@ pub struct ReconstructArgs {
     /// Folder for all results
     #[arg(short, long)]
     pub output: PathBuf,
+    /// Seed of the simulation that the frame comes from, for result.json
+    #[arg(skip)]
+    pub seed: u64,
 }
 
 fn parse_snr(text: &str) -> Result<f64, String> {

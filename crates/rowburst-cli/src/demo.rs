@@ -55,6 +55,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         time_budget_s: None,
         max_iterations: None,
         json: args.json,
+        seed: args.seed,
         output: args.output.clone(),
     })
 }

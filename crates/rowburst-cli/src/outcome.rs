@@ -30,7 +30,7 @@ pub struct Outcome {
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
     pub threads: usize,
-    /// Nothing in a reconstruction is random yet; 0.
+    /// Of the simulation in a demo; 0 else: nothing in a reconstruction is random.
     pub seed: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub psnr_db: Option<f64>,

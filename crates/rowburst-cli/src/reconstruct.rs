@@ -184,7 +184,7 @@ impl Run<'_> {
             bad_pixels: self.measurement.bad(),
             saturated_pixels: self.measurement.saturated(),
             threads: rayon::current_num_threads(),
-            seed: 0,
+            seed: self.args.seed,
             psnr_db: self.truth.map(|t| psnr_db(found.video.data(), t.data())),
             ssim: self.truth.map(|t| ssim(&found.video, t)),
             warnings: self.warnings(),

@@ -209,6 +209,12 @@ fn pixel_pitch_um(camera: &Camera) -> f64 {
 
 fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
     if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
+        if plan.optics != OpticsArgs::demo() {
+            eprintln!(
+                "note: the options of the speckle PSF have no effect: the PSF is {}",
+                path.display()
+            );
+        }
         return read_psfs(path, camera, None);
     }
     let optics = plan.optics;

@@ -7,10 +7,21 @@ use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// A folder that results are written to.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A folder that results are written to. One that was made for them and has got none
+/// is removed when dropped: a run that was refused leaves nothing behind.
+#[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
+    is_new: bool,
+}
+
+impl Drop for OutputFolder {
+    fn drop(&mut self) {
+        if self.is_new {
+            // A folder that holds anything stays.
+            let _ = fs::remove_dir(&self.path);
+        }
+    }
 }
 
 impl OutputFolder {
@@ -20,6 +31,7 @@ impl OutputFolder {
     /// # Errors
     /// A path that is a file, or a folder that may not be written to.
     pub fn create(path: &Path) -> Result<Self> {
+        let is_new = !path.exists();
         let made = fs::create_dir_all(path).and_then(|()| temporary(path, "check").map(drop));
         made.map_err(|error| {
             let found = match error.kind() {
@@ -35,7 +47,10 @@ impl OutputFolder {
                 "Choose another folder with -o.",
             )
         })?;
-        Ok(Self { path: path.into() })
+        Ok(Self {
+            path: path.into(),
+            is_new,
+        })
     }
 
     /// Its path.
@@ -127,6 +142,17 @@ mod tests {
         assert!(message.contains("note.txt: solver: gave up"), "{message}");
         assert_eq!(fs::read(&file).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["note.txt"]);
+    }
+
+    #[test]
+    fn an_empty_folder_does_not_stay() {
+        let base = tempfile::tempdir().unwrap();
+        let path = base.path().join("out");
+        drop(OutputFolder::create(&path).unwrap());
+        assert!(!path.exists());
+        fs::create_dir(&path).unwrap();
+        drop(OutputFolder::create(&path).unwrap());
+        assert!(path.exists());
     }
 
     #[test]

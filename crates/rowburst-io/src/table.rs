@@ -1,13 +1,10 @@
 //! A TOML table that is read key by key, with errors that name the line.
 
+use rowburst::camera::MOST_PIXELS;
 use rowburst::{Error, Result};
 use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
-
-/// Longest side of a sensor or a field: twice that of the largest sensors, and short
-/// enough that a table of its pixels can be made.
-const MOST_PIXELS: usize = 65_536;
 
 /// One table of a file, by its name in brackets.
 #[derive(Clone, Copy)]

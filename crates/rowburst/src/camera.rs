@@ -78,6 +78,10 @@ impl Sensor {
     }
 }
 
+/// Longest side of a sensor or a field: twice that of the largest sensors, and short
+/// enough that a table of its pixels can be made.
+pub const MOST_PIXELS: usize = 65_536;
+
 impl Camera {
     /// Checks `params` and works out the time grid.
     ///
@@ -86,11 +90,11 @@ impl Camera {
     pub fn new(params: CameraParams) -> Result<Self> {
         for (key, value) in [("rows", params.rows), ("columns", params.columns)] {
             require(
-                value >= 1,
+                (1..=MOST_PIXELS).contains(&value),
                 key,
                 value,
-                "a sensor has at least one",
-                "Give the size of the frame.",
+                format!("a sensor has at least one and at most {MOST_PIXELS}"),
+                "Give the size of the frame in pixels.",
             )?;
         }
         for (key, value) in [
@@ -122,6 +126,15 @@ impl Camera {
                     params.rows, params.columns
                 ),
                 "Leave [field] out to reconstruct what lies on the sensor.",
+            )?;
+        }
+        if let Some((rows, columns)) = params.field {
+            require(
+                rows.max(columns) <= MOST_PIXELS,
+                "[field]",
+                format!("{rows}×{columns}"),
+                format!("a side has at most {MOST_PIXELS} pixels"),
+                "Give the size of the field in pixels of the working grid.",
             )?;
         }
         check_sensor(&params.sensor)?;
