@@ -2,7 +2,7 @@
 
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
-use rowburst::measurement::Measurement;
+use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{Problem, Recipe, Reconstruction};
@@ -173,6 +173,21 @@ fn the_noise_is_read_from_the_frame() {
             estimate / case.sigma
         );
     }
+}
+
+#[test]
+fn the_noise_is_read_from_a_frame_that_lacks_pixels_in_every_row() {
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let corrections = Corrections {
+        bad_pixels: Some(Image::from_fn(48, 40, |y, x| {
+            if (7 * y) % 40 == x { 1.0 } else { 0.0 }
+        })),
+        ..Corrections::default()
+    };
+    let measurement = correct(&case.frame, &case.camera, &corrections).unwrap();
+    let estimate = rowburst::reconstruct::estimate_sigma(&measurement, &case.psf);
+    let ratio = estimate / case.sigma;
+    assert!((0.7..1.6).contains(&ratio), "{ratio}");
 }
 
 #[test]

@@ -4,8 +4,8 @@
 //! spectrum of a row holds only noise. Each row is one instant, so rows, not columns,
 //! are transformed; a Hann window keeps the strong low frequencies from leaking.
 
-use crate::Psf;
 use crate::measurement::Measurement;
+use crate::{Image, Psf};
 use realfft::RealFftPlanner;
 
 /// Part of the frequencies that are taken for noise: those that the PSF passes least.
@@ -18,45 +18,40 @@ const NOISE_BAND: f64 = 0.1;
 /// below two pixels).
 pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> f64 {
     let image = measurement.image();
-    let columns = image.columns();
     let weights = measurement.weights();
-    let window: Vec<f64> = (0..columns)
+    let (length, windows) = windows(image, weights);
+    let window: Vec<f64> = (0..length)
         .map(|x| {
-            (std::f64::consts::PI * (x as f64 + 0.5) / columns as f64)
+            (std::f64::consts::PI * (x as f64 + 0.5) / length as f64)
                 .sin()
                 .powi(2)
         })
         .collect();
     let window_power: f64 = window.iter().map(|w| w * w).sum();
-    let passed = transfer(psf, columns);
+    let passed = transfer(psf, length);
     let mut order: Vec<usize> = (1..passed.len()).collect();
     order.sort_by(|&a, &b| passed[a].total_cmp(&passed[b]));
     order.truncate(((passed.len() as f64 * NOISE_BAND).ceil() as usize).max(1));
+    // The last frequency of an even length is real: its power has another law.
+    let real_end = if length.is_multiple_of(2) {
+        length / 2
+    } else {
+        usize::MAX
+    };
 
     let mut planner = RealFftPlanner::<f64>::new();
-    let fft = planner.plan_fft_forward(columns);
+    let fft = planner.plan_fft_forward(length);
     let mut spectrum = fft.make_output_vec();
     let mut powers = Vec::new();
-    for y in 0..image.rows() {
-        // A pixel without information would write its own edges into the spectrum.
-        let missing = weights.is_some_and(|w| w[y * columns..(y + 1) * columns].contains(&0.0));
-        if missing {
-            continue;
-        }
-        let mut line: Vec<f64> = (0..columns)
+    for start in windows {
+        let mut line: Vec<f64> = (0..length)
             .map(|x| {
-                let weight = weights.map_or(1.0, |w| f64::from(w[y * columns + x]));
-                weight * window[x] * f64::from(image.at(y, x))
+                let weight = weights.map_or(1.0, |w| f64::from(w[start + x]));
+                weight * window[x] * f64::from(image.data()[start + x])
             })
             .collect();
         fft.process(&mut line, &mut spectrum)
             .expect("lengths match");
-        // The last frequency of an even length is real: its power has another law.
-        let real_end = if columns.is_multiple_of(2) {
-            columns / 2
-        } else {
-            usize::MAX
-        };
         powers.extend(
             order
                 .iter()
@@ -76,6 +71,36 @@ pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> f64 {
     (median / (std::f64::consts::LN_2 * window_power))
         .sqrt()
         .max(floor)
+}
+
+/// Shortest window of a row that still has frequencies to choose from.
+const SHORTEST: usize = 16;
+
+/// Where in the frame the windows begin that are transformed, and their length: whole
+/// rows; where most rows lack a pixel, whose edges would be written into the spectrum,
+/// parts of rows that lack none.
+fn windows(image: &Image, weights: Option<&[f32]>) -> (usize, Vec<usize>) {
+    let columns = image.columns();
+    let mut length = columns;
+    loop {
+        let mut starts = Vec::new();
+        for y in 0..image.rows() {
+            let mut run = 0;
+            for at in y * columns..(y + 1) * columns {
+                let usable = weights.is_none_or(|w| w[at] > 0.0);
+                run = if usable { run + 1 } else { 0 };
+                if run == length {
+                    starts.push(at + 1 - length);
+                    run = 0;
+                }
+            }
+        }
+        let enough = starts.len() * length * 8 >= image.data().len();
+        if enough || length / 2 < SHORTEST {
+            return (length, starts);
+        }
+        length /= 2;
+    }
 }
 
 /// Power that the PSF passes at each frequency of a row of `columns` pixels.
