@@ -202,18 +202,18 @@ fn files_of_all_kinds_give_keys_and_maps() {
     assert_eq!(
         lab.files("sensor"),
         [
-            "bad-pixels.png",
+            "bad-pixels-map.png",
             "bad_pixels.png",
             "dark-histogram.png",
+            "dark-map.png",
             "dark.npy",
-            "dark.png",
             "flat.npy",
-            "flat.png",
             "photon-transfer.png",
             "read-noise-histogram.png",
-            "read-noise.png",
+            "read-noise-map.png",
             "read_noise.npy",
             "report.html",
+            "response-map.png",
             "response.npy",
             "row-means.png",
             "sensor.json",
@@ -330,13 +330,13 @@ fn bad_input_says_what_to_do() {
             name: "one dark",
             prepare: |lab, s| stack(lab, "d.npy", &s.frames(0.0, 1)),
             arguments: PLAIN,
-            says: ["--darks", "found 1 frames", "Record 20"],
+            says: ["--darks", "found 1 frame;", "Record 20"],
         },
         Case {
             name: "one flat",
             prepare: |lab, s| stack(lab, "f.npy", &s.frames(8000.0, 1)),
             arguments: PLAIN,
-            says: ["--flats", "found 1 frames", "Record 20"],
+            says: ["--flats", "found 1 frame;", "Record 20"],
         },
         Case {
             name: "flats of another size",
@@ -487,7 +487,7 @@ fn poor_captures_are_warned_of() {
                 });
                 stack(lab, "f.npy", &flats);
             },
-            "differ in light by 3.9 %",
+            "differ in light by 4.0 %",
         ),
         (
             "uneven light",

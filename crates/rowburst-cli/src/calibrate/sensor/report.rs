@@ -28,6 +28,10 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
         range: Some(middle(values)),
     };
     let response = kept(&found.response);
+    // Means of whole counts over n frames are multiples of 1/n.
+    let step = found
+        .whole_counts
+        .then(|| 1.0 / found.dark_drift.len() as f64);
     let sections = vec![
         (
             "Noise",
@@ -35,18 +39,18 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
                 drawing(
                     "photon-transfer",
                     photon_transfer(found),
-                    "Variance of a pixel, from differences of two flats of one level, over the light: each ring is a level and a range of the field's brightness. The slope of the line is 1/gain; rings on it mean shot noise and nothing else. Grey rings were left out: saturated, or above 70 % of it.",
+                    "Variance of a pixel, from differences of two flats of one level, over the light: each ring is a level and a range of the field's brightness. The slope of the line is 1/gain; rings on it mean shot noise and nothing else. Those left out are saturated, or above 70 % of saturation.",
                     "Rings of variance against light, and the fitted line.",
                 ),
                 drawing(
                     "read-noise-histogram",
-                    histogram(&read, "read noise (electrons)"),
+                    histogram(&read, "read noise (electrons)", None),
                     "Read noise of the usable pixels: a hump with a short tail. With few darks the hump is wide by chance.",
                     "Histogram of the read noise of the pixels.",
                 ),
                 drawing(
                     "dark-histogram",
-                    histogram(&dark, "dark level (counts)"),
+                    histogram(&dark, "dark level (counts)", step),
                     "Dark level of the usable pixels, mean over all darks.",
                     "Histogram of the dark level of the pixels.",
                 ),
@@ -62,25 +66,25 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
             "Maps",
             vec![
                 drawing(
-                    "dark",
+                    "dark-map",
                     map(&found.dark, "dark (counts)", &dark),
                     "Mean dark. Columns, corners and glow are taken away by it. Black and white are the middle 99 %.",
                     "Map of the dark level.",
                 ),
                 drawing(
-                    "flat",
+                    "response-map",
                     map(&found.response, "response", &response),
                     "Response to the flats' light, mean 1. What is uneven in the light itself shows here as well, and would be taken for the sensor's.",
                     "Map of the response.",
                 ),
                 drawing(
-                    "read-noise",
+                    "read-noise-map",
                     map(&found.read_noise, "read noise (electrons)", &read),
                     "Read noise of each pixel: even grain is best.",
                     "Map of the read noise.",
                 ),
                 drawing(
-                    "bad-pixels",
+                    "bad-pixels-map",
                     Plot::Map {
                         image: &faults,
                         quantity: "bad pixels in a spot",
@@ -257,13 +261,20 @@ fn middle(values: &[f64]) -> (f32, f32) {
     }
 }
 
-fn histogram(values: &[f64], quantity: &'static str) -> Plot<'static> {
+/// A histogram, each bar of which holds as many multiples of `step` as any other.
+fn histogram(values: &[f64], quantity: &'static str, step: Option<f64>) -> Plot<'static> {
     const BARS: usize = 48;
     let (low, high) = middle(values);
     let (low, high) = (f64::from(low), f64::from(high));
     // A margin, so that the tails are seen.
     let (low, high) = (low - 0.15 * (high - low), high + 0.15 * (high - low));
-    let width = (high - low) / BARS as f64;
+    let mut width = (high - low) / BARS as f64;
+    let (mut low, mut high) = (low, high);
+    if let Some(step) = step {
+        width = (width / step).ceil() * step;
+        low = ((low / step).floor() - 0.5) * step;
+        high = low + BARS as f64 * width;
+    }
     let mut counts = [0.0; BARS];
     for value in values {
         let at = ((value - low) / width).floor();

@@ -21,6 +21,7 @@ pub mod rows;
 pub mod stack;
 pub mod stats;
 pub mod transfer;
+mod warnings;
 
 use crate::{Error, Image, Result};
 use levels::{Level, check_light, end_of_counts, levels, lights};
@@ -28,7 +29,7 @@ use pixels::ROUNDING_VARIANCE;
 use rows::Banding;
 use stack::Moments;
 pub use stack::Stack;
-use transfer::{TransferLine, TransferPoint};
+use transfer::{Lit, TransferLine, TransferPoint};
 
 /// A calibrated sensor; maps are `[y, x]` on the grid of the frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,17 +163,14 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     }
 
     let banding = rows::banding(darks, &dark, &usable);
-    let pixel_noise = (banding.pixel_counts.powi(2), banding.pixel_dof);
-    let (transfer, line, full_well) = transfer_curve(
+    let lit = Lit {
         flats,
-        &levels,
-        &dark.mean,
-        &light,
-        &usable,
-        pixel_noise,
-        end,
-        bias,
-    )?;
+        levels: &levels,
+        dark: &dark.mean,
+        response: &light,
+        usable: &usable,
+    };
+    let (transfer, line, full_well) = transfer_curve(lit, &banding, end, bias)?;
     let gain = 1.0 / line.slope;
     let in_light = pixels::unstable_in_light(flats, &trusted, &dark.mean, &line);
     let unstable: Vec<bool> = noisy.iter().zip(&in_light).map(|(a, b)| a | b).collect();
@@ -217,19 +215,17 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     Ok(found)
 }
 
-/// Points, line and saturation. The points behind the line depend on where the counts end.
-#[allow(clippy::too_many_arguments)]
+/// Points, line and saturation: which points the line goes through depends on where the
+/// counts end, which is `end` if readings pile up there.
 fn transfer_curve(
-    flats: &Stack,
-    levels: &[Level],
-    dark: &[f64],
-    light: &[f64],
-    usable: &[bool],
-    pixel_noise: (f64, f64),
+    lit: Lit,
+    banding: &Banding,
     end: Option<f64>,
     bias: f64,
 ) -> Result<(Vec<TransferPoint>, TransferLine, Option<FullWell>)> {
-    let mut points = transfer::curve(flats, levels, dark, light, usable, pixel_noise);
+    let Lit { flats, levels, .. } = lit;
+    let dark_variance = banding.pixel_counts.powi(2);
+    let mut points = transfer::curve(lit, (dark_variance, banding.pixel_dof));
     if points.len() == 1 {
         return Err(Error::input(
             "--flats",
@@ -264,7 +260,7 @@ fn transfer_curve(
             "--flats",
             format!(
                 "a variance of {variance:.3} counts² at {light:.1} counts of light, {:.3} without light",
-                pixel_noise.0
+                dark_variance
             ),
             "shot noise grows with the light, in flats that are not saturated",
             "Give raw frames (no averaging, denoising or compression), two or more at each level, at about half of the range.",
@@ -286,10 +282,11 @@ fn trusted(levels: &[Level]) -> Vec<&Level> {
 /// Counts² of variance per count of light, from the brightest level alone and with its
 /// scatter over the pixels: an upper bound, for telling dead pixels from faint flats.
 fn rough_gain(flats: &Stack, levels: &[&Level], light: &[f64]) -> f64 {
-    let Some(level) = levels.last() else {
-        return 0.0;
-    };
-    let [.., a, b] = level.frames[..] else {
+    let pair = levels
+        .iter()
+        .rev()
+        .find_map(|level| level.frames.last_chunk());
+    let Some(&[a, b]) = pair else {
         return 0.0;
     };
     let (a, b) = (flats.image(a).data(), flats.image(b).data());
@@ -328,8 +325,6 @@ fn without_rounding(variance: f64, whole_counts: bool) -> f64 {
         variance
     }
 }
-
-mod warnings;
 
 #[cfg(test)]
 mod tests;

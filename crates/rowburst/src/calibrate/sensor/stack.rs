@@ -20,7 +20,11 @@ impl Stack {
         if frames.len() < 2 {
             return Err(Error::input(
                 format!("--{kind}"),
-                format!("{} frames", frames.len()),
+                format!(
+                    "{} frame{}",
+                    frames.len(),
+                    if frames.len() == 1 { "" } else { "s" }
+                ),
                 "noise is what differs from frame to frame: at least two are needed",
                 "Record 20 or more with nothing changed between them.",
             ));

@@ -266,6 +266,22 @@ fn flicker_leaves_the_gain() {
     assert_eq!(found.faults.count(), 0);
 }
 
+/// A bias that drifts from frame to frame is no noise of the pixels.
+#[test]
+fn drift_leaves_the_read_noise() {
+    let mut sensor = Simulated::new(60, 80, 22);
+    let (darks, flats) = (sensor.darks(20), sensor.flats(&[3000.0], 10));
+    let drifted = |i: usize| {
+        let mut image = darks.image(i).clone();
+        image.data_mut().iter_mut().for_each(|p| *p += i as f32);
+        (format!("dark{i}"), image)
+    };
+    let drifted = Stack::new("darks", (0..20).map(drifted).collect()).unwrap();
+    let found = calibrate(&drifted, &flats).unwrap();
+    near(found.read_noise_electrons, 2.5, 0.05, "read noise");
+    assert!(found.warnings.iter().any(|w| w.contains("drifts by 9.5")));
+}
+
 #[test]
 fn the_flat_is_a_frame_with_its_dark() {
     let mut sensor = Simulated::new(40, 50, 19).with_faults();

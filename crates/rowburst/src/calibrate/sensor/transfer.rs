@@ -60,18 +60,25 @@ const MODEL_ERROR: f64 = 0.01;
 /// above, real sensors bend.
 const FIT_RANGE: f64 = 0.7;
 
-/// Points of all levels with at least two frames, the point of the darks first.
-///
+/// Flats, and what is known of their pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Lit<'a> {
+    /// The flats.
+    pub flats: &'a Stack,
+    /// Their levels.
+    pub levels: &'a [Level],
+    /// Counts of each pixel without light.
+    pub dark: &'a [f64],
+    /// Light of each pixel, in any unit.
+    pub response: &'a [f64],
+    /// Whether a pixel is to be used.
+    pub usable: &'a [bool],
+}
+
+/// Points of all levels with at least two frames, the point of the darks first:
 /// `dark_variance` is the variance of a dark pixel without row noise, from `dark_samples`
-/// degrees of freedom; `response` the light of each pixel, in any unit.
-pub fn curve(
-    flats: &Stack,
-    levels: &[Level],
-    dark: &[f64],
-    response: &[f64],
-    usable: &[bool],
-    (dark_variance, dark_samples): (f64, f64),
-) -> Vec<TransferPoint> {
+/// degrees of freedom.
+pub fn curve(lit: Lit, (dark_variance, dark_samples): (f64, f64)) -> Vec<TransferPoint> {
     let mut points = vec![TransferPoint {
         light: 0.0,
         variance: dark_variance,
@@ -79,30 +86,20 @@ pub fn curve(
         level: None,
         used: true,
     }];
-    let (bin_of, bins) = brightness_bins(response, usable);
-    for (index, level) in levels.iter().enumerate() {
+    let (bin_of, bins) = brightness_bins(lit.response, lit.usable);
+    for (index, level) in lit.levels.iter().enumerate() {
         let mut sums = vec![Sum::default(); bins];
         for pair in level.frames.chunks_exact(2) {
-            add_pair(
-                flats,
-                (pair[0], pair[1]),
-                dark,
-                dark_variance,
-                &bin_of,
-                &mut sums,
-            );
+            add_pair(lit, (pair[0], pair[1]), dark_variance, &bin_of, &mut sums);
         }
-        points.extend(
-            sums.iter()
-                .filter(|s| s.samples > 0.0)
-                .map(|sum| TransferPoint {
-                    light: sum.light / sum.samples,
-                    variance: sum.squares / sum.samples,
-                    samples: sum.samples,
-                    level: Some(index),
-                    used: false,
-                }),
-        );
+        let filled = sums.iter().filter(|s| s.samples > 0.0);
+        points.extend(filled.map(|sum| TransferPoint {
+            light: sum.light / sum.samples,
+            variance: sum.squares / sum.samples,
+            samples: sum.samples,
+            level: Some(index),
+            used: false,
+        }));
     }
     points
 }
@@ -128,9 +125,8 @@ fn brightness_bins(response: &[f64], usable: &[bool]) -> (Vec<Option<u8>>, usize
 
 /// Adds the scaled differences of frames `a` and `b` to the sums of their bins.
 fn add_pair(
-    flats: &Stack,
+    Lit { flats, dark, .. }: Lit,
     (a, b): (usize, usize),
-    dark: &[f64],
     dark_variance: f64,
     bin_of: &[Option<u8>],
     sums: &mut [Sum],
