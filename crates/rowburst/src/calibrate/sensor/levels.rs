@@ -108,18 +108,11 @@ impl Level {
 
 /// Refuses flats that are darker than the darks, not lit, or all saturated. `noise` is
 /// the standard deviation of a dark pixel in counts.
-pub fn check_light(
-    flats: &Stack,
-    lights: &[f64],
-    levels: &[Level],
-    dark_level: f64,
-    noise: f64,
-) -> Result<()> {
+pub fn check_light(lights: &[f64], levels: &[Level], dark_level: f64, noise: f64) -> Result<()> {
     let middle = median(&mut lights.to_vec());
+    let brightest = lights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let found = format!(
-        "{middle:+.2} counts against the darks' {dark_level:.2} in {} (median of {} flats)",
-        flats.name(0),
-        flats.len()
+        "flats {middle:+.2} counts above the darks' {dark_level:.2} (median; the brightest {brightest:+.2})"
     );
     let refused = |rule: &str, remedy: &str| Err(Error::input("--flats", &found, rule, remedy));
     if levels.iter().all(|level| level.clipped > SATURATED) {
@@ -136,7 +129,7 @@ pub fn check_light(
             "Check that --darks and --flats are not swapped, and that the cap was on for the darks.",
         );
     }
-    if middle <= noise {
+    if brightest <= noise {
         return refused(
             "the light in a flat exceeds the noise of a dark pixel",
             "Check the lamp and the shutter; aim at half of the range.",

@@ -144,7 +144,7 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     let lights = lights(flats, &dark.mean, &usable);
     let levels = levels(flats, &lights, end, &usable);
     let bias = stats::mean(kept(&dark.mean, &usable));
-    check_light(flats, &lights, &levels, bias, typical.sqrt())?;
+    check_light(&lights, &levels, bias, typical.sqrt())?;
 
     let trusted = trusted(&levels);
     let (light, frames) = pixels::response(flats, &trusted, &dark.mean);

@@ -153,6 +153,23 @@ fn a_series_of_levels_ends_at_saturation() {
     assert_eq!(found.levels.len(), levels.len());
 }
 
+/// Fifty pairs, each of a light of its own in steps finer than levels are told apart by.
+#[test]
+fn a_fine_series_of_pairs_gives_the_gain() {
+    let mut sensor = Simulated::new(60, 80, 23).with_faults();
+    sensor.end = 4095.0;
+    let lights: Vec<f64> = (1..=50).map(|i| 36.0 * f64::from(i)).collect();
+    let (darks, flats) = (sensor.darks(50), sensor.flats(&lights, 2));
+    let found = calibrate(&darks, &flats).unwrap();
+    near(found.gain_electrons_per_count, 0.45, 0.02, "gain");
+    near(found.read_noise_electrons, 2.5, 0.05, "read noise");
+    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    assert_eq!(
+        found.faults.unstable.iter().filter(|u| **u).count(),
+        sensor.unstable.len()
+    );
+}
+
 /// A pixel that is full before the converter ends: no pile-up, but less and less noise.
 #[test]
 fn a_variance_that_falls_is_a_full_well() {

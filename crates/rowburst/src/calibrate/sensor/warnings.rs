@@ -103,12 +103,20 @@ fn dark_frames(found: &SensorCalibration, darks: &Stack, usable: &[bool], says: 
 }
 
 fn light(found: &SensorCalibration, lights: &[f64], usable: &[bool], says: &mut Vec<String>) {
-    let spread = |level: &Level| {
-        let own = || level.frames.iter().map(|&i| lights[i]);
-        (own().fold(f64::MIN, f64::max) - own().fold(f64::MAX, f64::min)) / level.light
+    // Steps from frame to frame as they were taken. A fine series of levels has steps
+    // between its levels only, a lamp that flickers between nearly all frames.
+    let step = |level: &Level| {
+        let mut order = level.frames.clone();
+        order.sort_unstable();
+        let steps = order
+            .windows(2)
+            .map(|pair| (lights[pair[0]] - lights[pair[1]]).abs());
+        let mut steps: Vec<f64> = steps.collect();
+        steps.sort_by(f64::total_cmp);
+        steps.get(steps.len() / 3).map(|step| step / level.light)
     };
     let whole = found.levels.iter().filter(|l| l.is_whole());
-    let flicker = whole.map(spread).fold(0.0, f64::max);
+    let flicker = stats::median(&mut whole.filter_map(step).collect::<Vec<f64>>());
     if flicker > FLICKER {
         says.push(format!(
             "flats of one level differ in light by {:.1} %; pairs were scaled to equal light; a steady (direct-current) lamp is better",
