@@ -294,9 +294,12 @@ fn a_calibrated_frame_loses_less_than_half_a_decibel() {
     );
 }
 
+/// Puts captures into the folder.
+type Prepare = fn(&Lab, &Simulated);
+
 struct Case {
     name: &'static str,
-    prepare: fn(&Lab, &Simulated),
+    prepare: Prepare,
     arguments: &'static str,
     says: [&'static str; 3],
 }
@@ -477,7 +480,7 @@ fn bmp() -> Vec<u8> {
 
 #[test]
 fn poor_captures_are_warned_of() {
-    let cases: [(&str, fn(&Lab, &Simulated), &str); 4] = [
+    let cases: [(&str, Prepare, &str); 4] = [
         ("few darks", |_, _| {}, "record 10 or more"),
         (
             "a lamp that flickers",
