@@ -9,7 +9,8 @@ use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
 /// The page and its pictures.
 pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
     let reproduce = command_line(args);
-    let faults = fault_map(found);
+    let spot = spot_px(found);
+    let faults = fault_map(found, spot);
     let kept = |image: &Image| -> Vec<f64> {
         let pixels = image.data().iter().enumerate();
         let good = pixels.filter(|(i, _)| !found.faults.is_bad(*i));
@@ -91,7 +92,7 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
                         range: Some((0.0, faults.max().max(1.0))),
                     },
                     &format!(
-                        "{} pixels that get no weight. Single pixels scattered at random are what sensors have; whole rows, columns or corners point to the frames.",
+                        "{} pixels that get no weight, counted in spots of {spot}×{spot}. Single pixels scattered at random are what sensors have; whole rows, columns or corners point to the frames.",
                         found.faults.count()
                     ),
                     "Map of the bad pixels.",
@@ -332,10 +333,14 @@ fn rows(found: &SensorCalibration) -> Plot<'static> {
 /// Longest side of the picture of bad pixels: single ones must stay visible.
 const SPOTS: usize = 130;
 
-/// Bad pixels counted in square spots.
-fn fault_map(found: &SensorCalibration) -> Image {
+/// Side of a spot of that picture, in pixels.
+fn spot_px(found: &SensorCalibration) -> usize {
+    found.dark.rows().max(found.dark.columns()).div_ceil(SPOTS)
+}
+
+/// Bad pixels counted in spots of `spot` × `spot`.
+fn fault_map(found: &SensorCalibration, spot: usize) -> Image {
     let (rows, columns) = (found.dark.rows(), found.dark.columns());
-    let spot = rows.max(columns).div_ceil(SPOTS);
     let mut map = Image::zeros(rows.div_ceil(spot), columns.div_ceil(spot));
     let wide = map.columns();
     for i in (0..rows * columns).filter(|&i| found.faults.is_bad(i)) {
