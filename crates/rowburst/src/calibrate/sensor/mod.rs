@@ -6,7 +6,7 @@
 //!
 //! 1. Mean and variance of each pixel over the darks: bias map, read noise, hot pixels,
 //!    noise of whole rows ([`rows`]).
-//! 2. Flats sorted by their light ([`levels`]); where their counts end.
+//! 2. Flats sorted by their light ([`mod@levels`]); where their counts end.
 //! 3. Response of each pixel, dead pixels, and the photon transfer curve from differences
 //!    of flats: electrons per count ([`transfer`]).
 //! 4. Pixels that are noisier than their light explains ([`pixels`]).
