@@ -251,7 +251,12 @@ fn frames() {
                 });
             },
             "reconstruct experiment.toml --frame frame.npy --flat bad.tif -o out",
-            ["bad.tif", "found 0;", "above zero", "bad_pixels"],
+            [
+                "bad.tif",
+                "found 0 at row 2, column 7;",
+                "above zero",
+                "bad_pixels",
+            ],
         ),
     ]);
 }

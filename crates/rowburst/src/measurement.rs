@@ -1,10 +1,12 @@
 //! From raw counts to a measurement: what the sensor did to the light is undone.
 //!
-//! `b = (raw − dark) / flat`; pixels that are bad or saturated get weight zero, and
-//! where gain and read noise are known all others get the weight of their noise,
-//! `σ² = (counts·gain + read²) / gain²` counts².
+//! `b = (raw − dark) · ⟨flat − dark⟩ / (flat − dark)`; pixels that are bad or saturated
+//! get weight zero, and where gain and read noise are known all others get the weight of
+//! their noise, `σ² = (counts·gain + read²) / gain²` counts², and 1/12 more where the
+//! counts are rounded. `bias_counts` stands in for a dark frame that is not there.
 
 use crate::{Camera, Error, Image, Result};
+use std::borrow::Cow;
 
 /// A frame that may be handed to a solver.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,12 +18,13 @@ pub struct Measurement {
     saturated: usize,
 }
 
-/// What is known of the sensor beside [`crate::Sensor`]; all on the grid of the raw frame.
+/// What is known of the sensor beside [`crate::Sensor`]; all on the grid of the frame, or
+/// on that of the raw pixels where the frame is already binned.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Corrections {
     /// Counts without light; takes the place of `bias_counts`.
     pub dark: Option<Image>,
-    /// Response to even light; only its shape matters.
+    /// A frame of even light, dark level included; only the shape of its light matters.
     pub flat: Option<Image>,
     /// Pixels that are not to be used: anything but zero.
     pub bad_pixels: Option<Image>,
@@ -36,8 +39,9 @@ impl Measurement {
     /// A frame that needs no correction, with even noise.
     ///
     /// # Errors
-    /// As [`correct`].
+    /// A frame with values that are not finite, or without light.
     pub fn new(image: Image) -> Result<Self> {
+        check_finite(&image)?;
         check_light(&image)?;
         Ok(Self {
             image,
@@ -76,145 +80,160 @@ impl Measurement {
 
 /// The measurement in `raw`, a frame of the working grid of `camera` or of its raw
 /// pixels (`binning` times as many along each side), which are then binned by mean.
+/// Corrections of raw pixels are binned too where the frame already is; one bad pixel
+/// then makes its whole block bad, since it is mixed into it.
 ///
 /// # Errors
 /// A frame of another size, with values that are not finite, without light or all
-/// saturated; corrections of another size; a flat that is not positive.
+/// saturated; corrections of another size or not finite; a flat that is no brighter than
+/// the dark in a usable pixel.
 pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Result<Measurement> {
     let binning = binning_of(raw, camera)?;
-    if let Some((y, x)) = raw.first_non_finite() {
-        return Err(Error::input(
-            "frame",
-            format!("{} at row {y}, column {x}", raw.at(y, x)),
-            "every pixel of a frame is a finite number",
-            "Mark the pixel in bad_pixels and give it any finite value.",
-        ));
-    }
+    check_finite(raw)?;
     check_light(raw)?;
     let sensor = camera.sensor();
-    let same_size = |name: &str, image: &Image| -> Result<()> {
-        if (image.rows(), image.columns()) == (raw.rows(), raw.columns())
-            && image.first_non_finite().is_none()
-        {
-            return Ok(());
-        }
-        Err(Error::input(
-            name,
-            format!("{}×{} pixels", image.rows(), image.columns()),
-            format!(
-                "it has the frame's {}×{} pixels, all finite",
-                raw.rows(),
-                raw.columns()
-            ),
-            "Record it with the camera settings of the frame.",
-        ))
-    };
-    let end = sensor.saturation_counts().or(corrections.saturation_counts);
-    let mut image = raw.clone();
-    let mut usable = vec![1.0f32; raw.data().len()];
-    let mut saturated = 0;
-    if let Some(end) = end {
-        for (usable, &count) in usable.iter_mut().zip(raw.data()) {
-            if f64::from(count) >= end {
-                *usable = 0.0;
-                saturated += 1;
-            }
-        }
-    }
-    if saturated as f64 > MOST_MISSING * raw.data().len() as f64 {
-        return Err(Error::input(
-            "frame",
-            format!("{saturated} of {} pixels saturated", raw.data().len()),
-            "at least half of the pixels hold information",
-            "Shorten the exposure or dim the light.",
-        ));
-    }
+    let fitted = |name, image| on_grid_of(raw, name, image, sensor.binning / binning);
+    let pixels = raw.data().len();
+    let mut usable = vec![1.0f32; pixels];
     let mut bad = 0;
     if let Some(map) = &corrections.bad_pixels {
-        same_size("bad_pixels", map)?;
-        for (usable, &flag) in usable.iter_mut().zip(map.data()) {
+        for (usable, &flag) in usable.iter_mut().zip(fitted("bad_pixels", map)?.data()) {
             if flag != 0.0 {
                 *usable = 0.0;
                 bad += 1;
             }
         }
-        if bad as f64 > MOST_MISSING * raw.data().len() as f64 {
+        if bad as f64 > MOST_MISSING * pixels as f64 {
             return Err(Error::input(
                 "bad_pixels",
-                format!("{bad} of {} pixels", raw.data().len()),
+                format!("{bad} of {pixels} pixels"),
                 "at least half of the pixels are usable",
                 "Mark bad pixels with a value other than 0, good ones with 0.",
             ));
         }
     }
-    match (&corrections.dark, sensor.bias_counts) {
-        (Some(dark), _) => {
-            same_size("dark", dark)?;
-            image
-                .data_mut()
-                .iter_mut()
-                .zip(dark.data())
-                .for_each(|(p, d)| *p -= d);
+    let end = sensor.saturation_counts().or(corrections.saturation_counts);
+    let mut saturated = 0;
+    if let Some(end) = end {
+        for (usable, &count) in usable.iter_mut().zip(raw.data()) {
+            if f64::from(count) >= end && *usable > 0.0 {
+                *usable = 0.0;
+                saturated += 1;
+            }
         }
-        (None, Some(bias)) => image.data_mut().iter_mut().for_each(|p| *p -= bias as f32),
-        (None, None) => {}
     }
-    let mut variance = noise_variance(&image, camera);
+    if (saturated + bad) as f64 > MOST_MISSING * pixels as f64 {
+        let also = if bad > 0 {
+            format!(", {bad} bad")
+        } else {
+            String::new()
+        };
+        return Err(Error::input(
+            "frame",
+            format!("{saturated} of {pixels} pixels saturated{also}"),
+            "at least half of the pixels hold information",
+            "Shorten the exposure or dim the light.",
+        ));
+    }
+    let dark = match (&corrections.dark, sensor.bias_counts) {
+        (Some(dark), _) => Some(fitted("dark", dark)?),
+        (None, Some(bias)) => {
+            let level = Image::from_fn(raw.rows(), raw.columns(), |_, _| bias as f32);
+            Some(Cow::Owned(level))
+        }
+        (None, None) => None,
+    };
+    let mut image = raw.clone();
+    subtract(&mut image, dark.as_deref());
+    let mut variance = noise_variance(&image, camera, sensor.binning / binning);
     if let Some(flat) = &corrections.flat {
-        same_size("flat", flat)?;
-        divide_by_flat(
-            &mut image,
-            variance.as_mut(),
-            flat,
-            corrections.dark.as_ref(),
-            &usable,
-        )?;
+        let mut response = fitted("flat", flat)?.into_owned();
+        subtract(&mut response, dark.as_deref());
+        divide_by_response(&mut image, variance.as_mut(), &response, &usable)?;
     }
     finish(image, &usable, variance, binning, (bad, saturated))
 }
 
-/// Variance of the noise of each raw pixel in counts².
-fn noise_variance(image: &Image, camera: &Camera) -> Option<Vec<f64>> {
-    let gain = camera.sensor().gain_electrons_per_count?;
-    let read = camera.sensor().read_noise_electrons?;
-    // An instant's mean count stands for the expected light of a pixel that noise
-    // may have pushed below zero.
-    let variance =
-        |&count: &f32| (f64::from(count.max(0.0)) * gain + read * read).max(1e-12) / (gain * gain);
+/// A correction on the grid of the frame `raw`, of which a pixel is the mean of
+/// `mixed × mixed` raw ones.
+fn on_grid_of<'a>(
+    raw: &Image,
+    name: &str,
+    image: &'a Image,
+    mixed: usize,
+) -> Result<Cow<'a, Image>> {
+    if let Some((y, x)) = image.first_non_finite() {
+        return Err(Error::input(
+            name,
+            format!("{} at row {y}, column {x}", image.at(y, x)),
+            "every pixel of a dark, a flat or a mask is a finite number",
+            "Record it again, or replace the pixel by the mean of its neighbours.",
+        ));
+    }
+    let (rows, columns) = (raw.rows(), raw.columns());
+    if (image.rows(), image.columns()) == (rows, columns) {
+        return Ok(Cow::Borrowed(image));
+    }
+    let mut rule = format!("it has the frame's {rows}×{columns} pixels");
+    if mixed > 1 {
+        let unbinned = (rows * mixed, columns * mixed);
+        if (image.rows(), image.columns()) == unbinned {
+            return Ok(Cow::Owned(image.binned(mixed)));
+        }
+        rule += &format!(", or {}×{} before binning", unbinned.0, unbinned.1);
+    }
+    Err(Error::input(
+        name,
+        format!("{}×{} pixels", image.rows(), image.columns()),
+        rule,
+        "Record it with the camera settings of the frame.",
+    ))
+}
+
+/// Takes `dark` from `image`, where there is one.
+fn subtract(image: &mut Image, dark: Option<&Image>) {
+    if let Some(dark) = dark {
+        let pixels = image.data_mut().iter_mut().zip(dark.data());
+        pixels.for_each(|(p, d)| *p -= d);
+    }
+}
+
+/// Variance of rounding to whole counts.
+const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
+
+/// Variance of the noise of each pixel in counts², where it is the mean of `mixed × mixed`
+/// raw ones.
+fn noise_variance(image: &Image, camera: &Camera, mixed: usize) -> Option<Vec<f64>> {
+    let sensor = camera.sensor();
+    let gain = sensor.gain_electrons_per_count?;
+    let read = sensor.read_noise_electrons?;
+    let rounding = sensor.bit_depth.map_or(0.0, |_| ROUNDING_VARIANCE);
+    let raw_pixels = (mixed * mixed) as f64;
+    // The count itself stands for the expected light; noise may have pushed it below zero.
+    let variance = |&count: &f32| {
+        let electrons = (f64::from(count.max(0.0)) * gain + read * read).max(1e-12);
+        (electrons / (gain * gain) + rounding) / raw_pixels
+    };
     Some(image.data().iter().map(variance).collect())
 }
 
-fn divide_by_flat(
+fn divide_by_response(
     image: &mut Image,
     variance: Option<&mut Vec<f64>>,
-    flat: &Image,
-    dark: Option<&Image>,
+    response: &Image,
     usable: &[f32],
 ) -> Result<()> {
-    let mut response = flat.clone();
-    if let Some(dark) = dark {
-        response
-            .data_mut()
-            .iter_mut()
-            .zip(dark.data())
-            .for_each(|(f, d)| *f -= d);
-    }
-    let good = || {
-        response
-            .data()
-            .iter()
-            .zip(usable)
-            .filter(|(_, u)| **u > 0.0)
-            .map(|(f, _)| *f)
-    };
-    if let Some(worst) = good().find(|&f| f <= 0.0) {
+    let pixels = || response.data().iter().zip(usable);
+    if let Some(at) = pixels().position(|(&f, &u)| u > 0.0 && f <= 0.0) {
+        let (y, x) = (at / response.columns(), at % response.columns());
         return Err(Error::input(
             "flat",
-            worst,
-            "every usable pixel responds to light: its flat is above zero (after the dark)",
-            "Record a brighter flat, or mark the pixel in bad_pixels.",
+            format!("{} at row {y}, column {x}", response.at(y, x)),
+            "every usable pixel responds to light: less the dark, its flat is above zero",
+            "Give the flat as it was recorded, dark level included; record a brighter one, or mark the pixel in bad_pixels.",
         ));
     }
+    let good = || pixels().filter(|(_, u)| **u > 0.0).map(|(f, _)| *f);
     let mean = good().map(f64::from).sum::<f64>() / good().count() as f64;
     let gain: Vec<f64> = response
         .data()
@@ -308,6 +327,18 @@ fn binning_of(raw: &Image, camera: &Camera) -> Result<usize> {
     ))
 }
 
+fn check_finite(frame: &Image) -> Result<()> {
+    match frame.first_non_finite() {
+        None => Ok(()),
+        Some((y, x)) => Err(Error::input(
+            "frame",
+            format!("{} at row {y}, column {x}", frame.at(y, x)),
+            "every pixel of a frame is a finite number",
+            "Mark the pixel in bad_pixels and give it any finite value.",
+        )),
+    }
+}
+
 fn check_light(image: &Image) -> Result<()> {
     let (low, high) = (image.min(), image.max());
     if low == high {
@@ -333,119 +364,4 @@ fn check_light(image: &Image) -> Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::camera::CameraParams;
-    use crate::{Sensor, Shutter};
-
-    fn camera(sensor: Sensor) -> Camera {
-        Camera::new(CameraParams {
-            rows: 4,
-            columns: 6,
-            shutter: Shutter::TopDown,
-            row_time_us: 1.0,
-            exposure_us: 1.0,
-            bins_per_row: 1,
-            field: None,
-            sensor,
-        })
-        .unwrap()
-    }
-
-    fn ramp(rows: usize, columns: usize) -> Image {
-        Image::from_fn(rows, columns, |y, x| 100.0 + (y * columns + x) as f32)
-    }
-
-    #[test]
-    fn dark_flat_and_bad_pixels() {
-        let raw = ramp(4, 6);
-        let corrections = Corrections {
-            dark: Some(Image::from_fn(4, 6, |_, _| 100.0)),
-            flat: Some(Image::from_fn(
-                4,
-                6,
-                |y, _| if y == 1 { 150.0 } else { 200.0 },
-            )),
-            bad_pixels: Some(Image::from_fn(4, 6, |y, x| {
-                if (y, x) == (2, 3) { 255.0 } else { 0.0 }
-            })),
-            saturation_counts: Some(123.0),
-        };
-        let m = correct(&raw, &camera(Sensor::default()), &corrections).unwrap();
-        // The mean response over the 22 usable pixels is (6·50 + 16·100)/22.
-        let mean = 1900.0 / 22.0;
-        assert!((f64::from(m.image().at(1, 2)) - 8.0 * mean / 50.0).abs() < 1e-4);
-        assert!((f64::from(m.image().at(3, 1)) - 19.0 * mean / 100.0).abs() < 1e-4);
-        let weights = m.weights().unwrap();
-        assert_eq!(
-            (weights[2 * 6 + 3], weights[3 * 6 + 5], weights[0]),
-            (0.0, 0.0, 1.0)
-        );
-        assert_eq!((m.bad(), m.saturated()), (1, 1));
-    }
-
-    #[test]
-    fn weights_follow_shot_and_read_noise() {
-        let sensor = Sensor {
-            bias_counts: Some(100.0),
-            gain_electrons_per_count: Some(2.0),
-            read_noise_electrons: Some(3.0),
-            ..Sensor::default()
-        };
-        let m = correct(&ramp(4, 6), &camera(sensor), &Corrections::default()).unwrap();
-        let sigma = |count: f64| ((count * 2.0 + 9.0) / 4.0).sqrt();
-        let weights = m.weights().unwrap();
-        for count in [0, 5, 23] {
-            let expected = m.sigma().unwrap() / sigma(count as f64);
-            assert!((f64::from(weights[count]) - expected).abs() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn raw_pixels_are_binned() {
-        let sensor = Sensor {
-            binning: 2,
-            ..Sensor::default()
-        };
-        let m = correct(
-            &ramp(8, 12),
-            &camera(sensor.clone()),
-            &Corrections::default(),
-        )
-        .unwrap();
-        assert_eq!(m.image(), &ramp(8, 12).binned(2));
-        assert_eq!(m.weights(), None);
-        assert!(
-            correct(
-                &ramp(4, 6),
-                &camera(sensor.clone()),
-                &Corrections::default()
-            )
-            .is_ok()
-        );
-        let error = correct(&ramp(4, 12), &camera(sensor), &Corrections::default()).unwrap_err();
-        assert!(error.to_string().contains("8×12 before binning"), "{error}");
-    }
-
-    #[test]
-    fn frames_without_information_are_refused() {
-        let camera = camera(Sensor {
-            bit_depth: Some(8),
-            ..Sensor::default()
-        });
-        let refused = |image: Image| {
-            correct(&image, &camera, &Corrections::default())
-                .unwrap_err()
-                .to_string()
-        };
-        assert!(refused(Image::zeros(4, 6)).contains("zero in every pixel"));
-        assert!(refused(Image::from_fn(4, 6, |_, _| 255.0)).contains("255 in every pixel"));
-        assert!(
-            refused(Image::from_fn(4, 6, |y, _| if y < 3 { 255.0 } else { 9.0 }))
-                .contains("18 of 24")
-        );
-        let mut nan = ramp(4, 6);
-        nan.data_mut()[8] = f32::NAN;
-        assert!(refused(nan).contains("row 1, column 2"));
-    }
-}
+mod tests;

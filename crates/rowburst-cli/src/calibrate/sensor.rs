@@ -1,12 +1,313 @@
-//! To be written.
+//! `rowburst calibrate sensor`: darks and flats into the sensor's part of an experiment.
 
+mod report;
+
+use crate::outcome::{say, short};
 use clap::Args;
-use rowburst::Result;
+use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack, calibrate};
+use rowburst::{Error, Image, Result, Sensor};
+use rowburst_io::{Calibration, Experiment, OutputFolder, read_stack, write_npy_image, write_png8};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
 
-/// To be written.
+/// Bias, noise, gain, full well and bad pixels from dark and flat frames.
+///
+/// Darks: 20 or more with the cap on, at the exposure and gain of use. Flats: raw frames of
+/// even, steady light, two or more at each of several levels, from dim to just saturated; one level
+/// at half of the range will do. Files, folders and multi-page stacks may be mixed.
 #[derive(Debug, Args)]
-pub struct SensorArgs {}
+#[command(
+    after_help = "Example:\n  rowburst calibrate sensor --darks darks/ --flats flats/ --experiment experiment.toml -o sensor\n  rowburst reconstruct sensor/experiment.toml --frame capture.tif -o result"
+)]
+pub struct SensorArgs {
+    /// Frames without light: files (.npy, .tif, .png, .bmp; stacks too) or folders of them
+    #[arg(long, required = true, num_args = 1.., value_name = "FRAME")]
+    pub darks: Vec<PathBuf>,
+    /// Frames of even light, two or more at each level: files, stacks or folders
+    #[arg(long, required = true, num_args = 1.., value_name = "FRAME")]
+    pub flats: Vec<PathBuf>,
+    /// An experiment file, to be written to the folder with the results in it
+    #[arg(long, value_name = "EXPERIMENT.toml")]
+    pub experiment: Option<PathBuf>,
+    /// Print sensor.json to standard output instead of a summary
+    #[arg(long)]
+    pub json: bool,
+    /// Folder for maps, summary and report
+    #[arg(short, long)]
+    pub output: PathBuf,
+}
 
-pub fn run(_args: &SensorArgs) -> Result<()> {
-    unimplemented!("{}", "sensor")
+pub fn run(args: &SensorArgs) -> Result<()> {
+    let experiment = args
+        .experiment
+        .as_deref()
+        .map(Experiment::read)
+        .transpose()?;
+    let darks = Stack::new("darks", read_frames("--darks", &args.darks)?)?;
+    let flats = Stack::new("flats", read_frames("--flats", &args.flats)?)?;
+    if let Some(experiment) = &experiment {
+        check_fits(experiment, &darks)?;
+        check_kept(experiment, &args.output)?;
+    }
+    eprintln!("{} darks, {} flats", darks.len(), flats.len());
+    let found = calibrate(&darks, &flats)?;
+    for warning in &found.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let summary = summary(&found, &darks, &flats);
+    let folder = OutputFolder::create(&args.output)?;
+    write(args, &folder, &found, experiment, &summary)?;
+    if args.json {
+        say(format_args!("{summary:#}"));
+    } else {
+        print_summary(&found, &folder);
+    }
+    Ok(())
+}
+
+/// Endings of the files that a folder is searched for.
+const ENDINGS: [&str; 5] = ["npy", "tif", "tiff", "png", "bmp"];
+
+/// The frames of `paths`, with names for messages; those of a folder by file name.
+fn read_frames(option: &str, paths: &[PathBuf]) -> Result<Vec<(String, Image)>> {
+    let mut frames = Vec::new();
+    for path in paths {
+        let files = if path.is_dir() {
+            files_of(option, path)?
+        } else {
+            vec![path.clone()]
+        };
+        for file in files {
+            let pages = read_stack(&file)?;
+            let several = pages.len() > 1;
+            for (page, image) in pages.into_iter().enumerate() {
+                let mut name = file.display().to_string();
+                if several {
+                    name += &format!(" page {}", page + 1);
+                }
+                frames.push((name, image));
+            }
+        }
+    }
+    Ok(frames)
+}
+
+/// The images in `folder`, by name.
+fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|error| {
+        Error::work(
+            folder.display().to_string(),
+            format!("cannot read: {error}"),
+            "Check its permissions.",
+        )
+    })?;
+    let is_image = |path: &PathBuf| {
+        let hidden = path
+            .file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        !hidden && path.is_file() && ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
+    };
+    let mut files: Vec<PathBuf> = entries
+        .flatten()
+        .map(|e| e.path())
+        .filter(is_image)
+        .collect();
+    files.sort();
+    if files.is_empty() {
+        return Err(Error::input(
+            folder.display().to_string(),
+            "a folder without images",
+            format!("{option} takes frames as .npy, .tif, .png or .bmp, or folders of them"),
+            "Name the folder that the frames lie in.",
+        ));
+    }
+    Ok(files)
+}
+
+/// Calibration frames are raw: they have the sensor's pixels before binning.
+fn check_fits(experiment: &Experiment, darks: &Stack) -> Result<()> {
+    let params = &experiment.params;
+    let binning = params.sensor.binning;
+    let expected = (params.rows * binning, params.columns * binning);
+    if darks.size() == expected {
+        return Ok(());
+    }
+    let (rows, columns) = darks.size();
+    Err(Error::input(
+        darks.name(0),
+        format!("{rows}×{columns} pixels"),
+        format!(
+            "{} has {}×{} raw pixels (rows and columns times binning = {binning})",
+            experiment.path.display(),
+            expected.0,
+            expected.1
+        ),
+        "Record darks and flats as the raw frames are, or correct rows, columns and binning in [camera].",
+    ))
+}
+
+/// The experiment file that is given keeps its comments: it is not written over.
+fn check_kept(experiment: &Experiment, output: &Path) -> Result<()> {
+    let written = output.join("experiment.toml").canonicalize();
+    match (experiment.path.canonicalize(), written) {
+        (Ok(given), Ok(written)) if given == written => Err(Error::input(
+            "--experiment",
+            experiment.path.display(),
+            "the calibrated experiment is written to another folder than the one it is made from",
+            "Choose another folder with -o.",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// `sensor.json`.
+fn summary(found: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
+    let faults = &found.faults;
+    let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
+    let (rows, columns) = darks.size();
+    let gain = found.gain_electrons_per_count;
+    let levels: Vec<Value> = found
+        .levels
+        .iter()
+        .map(|level| {
+            json!({
+                "light_counts": level.light,
+                "flats": level.frames.len(),
+                "clipped_fraction": level.clipped,
+            })
+        })
+        .collect();
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "rows": rows,
+        "columns": columns,
+        "darks": darks.len(),
+        "flats": flats.len(),
+        "flat_pairs": found.pairs,
+        "flat_levels": levels,
+        "bias_counts": found.bias_counts,
+        "dark_signal_counts": Value::Null,
+        "read_noise_electrons": found.read_noise_electrons,
+        "read_noise_rms_electrons": found.read_noise_rms_electrons,
+        "gain_electrons_per_count": gain,
+        "gain_relative_error": found.gain_error,
+        "full_well_counts": found.full_well.map(|full| full.counts),
+        "full_well_sign": found.full_well.map(|full| match full.sign {
+            FullSign::Clipped => "readings pile up",
+            FullSign::Turnover => "variance falls",
+        }),
+        "bad_pixels": faults.count(),
+        "hot_pixels": count(&faults.hot),
+        "dead_pixels": count(&faults.dead),
+        "unstable_pixels": count(&faults.unstable),
+        "response_non_uniformity": found.non_uniformity,
+        "flat_relative_error": found.flat_error,
+        "banding_counts": found.banding.row_counts,
+        "banding_electrons": found.banding.row_counts * gain,
+        "banding_is_real": found.banding.is_real,
+        "fixed_row_pattern_counts": found.banding.fixed_counts,
+        "remarks": found.remarks(),
+        "warnings": found.warnings,
+    })
+}
+
+/// Writes all files, `sensor.json` last: where it is, the calibration is whole.
+fn write(
+    args: &SensorArgs,
+    folder: &OutputFolder,
+    found: &SensorCalibration,
+    experiment: Option<Experiment>,
+    summary: &Value,
+) -> Result<()> {
+    folder.remove("sensor.json")?;
+    let maps = [
+        ("dark.npy", &found.dark),
+        ("flat.npy", &found.flat),
+        ("response.npy", &found.response),
+        ("read_noise.npy", &found.read_noise),
+    ];
+    for (name, map) in maps {
+        folder.write(name, |w| write_npy_image(w, map))?;
+    }
+    let (rows, columns) = (found.dark.rows(), found.dark.columns());
+    let mask: Vec<u8> = (0..rows * columns)
+        .map(|i| if found.faults.is_bad(i) { 255 } else { 0 })
+        .collect();
+    folder.write("bad_pixels.png", |w| write_png8(w, rows, columns, &mask))?;
+    folder.write_bytes("sensor.toml", keys(found).as_bytes())?;
+    if let Some(experiment) = experiment {
+        let text = calibrated(experiment, found, folder.path()).to_toml(folder.path());
+        folder.write_bytes("experiment.toml", text.as_bytes())?;
+    }
+    let report = report::render(found, args)?;
+    for picture in &report.pictures {
+        folder.write_bytes(&picture.name, &picture.png)?;
+    }
+    folder.write_bytes("report.html", report.html.as_bytes())?;
+    folder.write_bytes("sensor.json", format!("{summary:#}\n").as_bytes())
+}
+
+/// `experiment` with what was `found` about the sensor; the files lie in `folder`.
+fn calibrated(experiment: Experiment, found: &SensorCalibration, folder: &Path) -> Experiment {
+    let mut params = experiment.params;
+    params.sensor = Sensor {
+        bias_counts: Some(found.bias_counts.max(0.0)),
+        gain_electrons_per_count: Some(found.gain_electrons_per_count),
+        read_noise_electrons: Some(found.read_noise_electrons),
+        // What these flats do not reach an earlier calibration may have known.
+        full_well_counts: found
+            .full_well
+            .map(|full| full.counts)
+            .or(params.sensor.full_well_counts),
+        ..params.sensor
+    };
+    Experiment {
+        params,
+        calibration: Calibration {
+            dark: Some(folder.join("dark.npy")),
+            flat: Some(folder.join("flat.npy")),
+            bad_pixels: Some(folder.join("bad_pixels.png")),
+            ..experiment.calibration
+        },
+        ..experiment
+    }
+}
+
+/// `sensor.toml`: the keys to be copied into an experiment file.
+fn keys(found: &SensorCalibration) -> String {
+    let mut text = String::from("# For an experiment file in this folder.\n[camera]\n");
+    text += &format!("bias_counts = {:?}\n", found.bias_counts.max(0.0));
+    text += &format!(
+        "gain_electrons_per_count = {:?}\nread_noise_electrons = {:?}\n",
+        found.gain_electrons_per_count, found.read_noise_electrons
+    );
+    if let Some(full) = found.full_well {
+        text += &format!("full_well_counts = {:?}\n", full.counts);
+    }
+    text + "\n[calibration]\ndark = \"dark.npy\"\nflat = \"flat.npy\"\nbad_pixels = \"bad_pixels.png\"\n"
+}
+
+fn print_summary(found: &SensorCalibration, folder: &OutputFolder) {
+    let faults = &found.faults;
+    let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
+    say(format_args!(
+        "gain {} electrons per count (±{:.1} %), read noise {} electrons, bias {} counts",
+        short(found.gain_electrons_per_count),
+        100.0 * found.gain_error,
+        short(found.read_noise_electrons),
+        short(found.bias_counts)
+    ));
+    match found.full_well {
+        Some(full) => say(format_args!("full well {} counts", short(full.counts))),
+        None => say("full well not reached by these flats"),
+    }
+    say(format_args!(
+        "{} bad pixels: {} hot, {} dead, {} unstable",
+        faults.count(),
+        count(&faults.hot),
+        count(&faults.dead),
+        count(&faults.unstable)
+    ));
+    say(format_args!("{}/report.html", folder.path().display()));
 }

@@ -1,0 +1,387 @@
+//! The page of a calibrated sensor.
+
+use super::SensorArgs;
+use crate::outcome::short;
+use rowburst::calibrate::sensor::SensorCalibration;
+use rowburst::{Image, Result};
+use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
+
+/// The page and its pictures.
+pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
+    let reproduce = command_line(args);
+    let spot = spot_px(found);
+    let faults = fault_map(found, spot);
+    let kept = |image: &Image| -> Vec<f64> {
+        let pixels = image.data().iter().enumerate();
+        let good = pixels.filter(|(i, _)| !found.faults.is_bad(*i));
+        good.map(|(_, &p)| f64::from(p)).collect()
+    };
+    let (dark, read) = (kept(&found.dark), kept(&found.read_noise));
+    let drawing = |name, plot, caption: &str, alt: &str| Drawing {
+        name,
+        plot,
+        caption: caption.into(),
+        alt: alt.into(),
+    };
+    let map = |image, quantity, values: &[f64]| Plot::Map {
+        image,
+        quantity,
+        range: Some(middle(values)),
+    };
+    let response = kept(&found.response);
+    // Means of whole counts over n frames are multiples of 1/n.
+    let step = found
+        .whole_counts
+        .then(|| 1.0 / found.dark_drift.len() as f64);
+    let sections = vec![
+        (
+            "Noise",
+            vec![
+                drawing(
+                    "photon-transfer",
+                    photon_transfer(found),
+                    "Variance of a pixel, from differences of two flats of one level, over the light: each ring is a level and a range of the field's brightness. The slope of the line is 1/gain; rings on it mean shot noise and nothing else. Those left out are saturated, or above 70 % of saturation.",
+                    "Rings of variance against light, and the fitted line.",
+                ),
+                drawing(
+                    "read-noise-histogram",
+                    histogram(&read, "read noise (electrons)", None),
+                    "Read noise of the usable pixels: a hump with a short tail. With few darks the hump is wide by chance.",
+                    "Histogram of the read noise of the pixels.",
+                ),
+                drawing(
+                    "dark-histogram",
+                    histogram(&dark, "dark level (counts)", step),
+                    "Dark level of the usable pixels, mean over all darks.",
+                    "Histogram of the dark level of the pixels.",
+                ),
+                drawing(
+                    "row-means",
+                    rows(found),
+                    "Mean of each row of the first dark above the mean dark. The dashed lines are twice what pixel noise gives: rows that wander far outside have noise of their own (banding).",
+                    "Row means of one dark frame over the rows.",
+                ),
+            ],
+        ),
+        (
+            "Maps",
+            vec![
+                drawing(
+                    "dark-map",
+                    map(&found.dark, "dark (counts)", &dark),
+                    "Mean dark. Columns, corners and glow are taken away by it. Black and white are the middle 99 %.",
+                    "Map of the dark level.",
+                ),
+                drawing(
+                    "response-map",
+                    map(&found.response, "response", &response),
+                    "Response to the flats' light, mean 1. What is uneven in the light itself shows here as well, and would be taken for the sensor's.",
+                    "Map of the response.",
+                ),
+                drawing(
+                    "read-noise-map",
+                    map(&found.read_noise, "read noise (electrons)", &read),
+                    "Read noise of each pixel: even grain is best.",
+                    "Map of the read noise.",
+                ),
+                drawing(
+                    "bad-pixels-map",
+                    Plot::Map {
+                        image: &faults,
+                        quantity: "bad pixels in a spot",
+                        range: Some((0.0, faults.max().max(1.0))),
+                    },
+                    &format!(
+                        "{} pixels that get no weight, counted in spots of {spot}×{spot}. Single pixels scattered at random are what sensors have; whole rows, columns or corners point to the frames.",
+                        found.faults.count()
+                    ),
+                    "Map of the bad pixels.",
+                ),
+            ],
+        ),
+    ];
+    Sheet {
+        title: "Rowburst: sensor",
+        summary: format!(
+            "{}×{} pixels, from {} darks and {} flats at {} levels of light.",
+            found.dark.rows(),
+            found.dark.columns(),
+            found.dark_drift.len(),
+            found.levels.iter().map(|l| l.frames.len()).sum::<usize>(),
+            found.levels.len()
+        ),
+        warnings: found.warnings.clone(),
+        headline: headline(found),
+        sections,
+        tables: tables(found),
+        files: files(args),
+        reproduce: Some(&reproduce),
+    }
+    .render()
+}
+
+fn pair(name: &str, value: String) -> (String, String) {
+    (name.into(), value)
+}
+
+fn headline(found: &SensorCalibration) -> Vec<(String, String)> {
+    let gain = short(found.gain_electrons_per_count);
+    let full = found.full_well.map_or("not reached".into(), |full| {
+        format!("{} counts", short(full.counts))
+    });
+    vec![
+        pair("gain", format!("{gain} electrons per count")),
+        pair(
+            "read noise",
+            format!("{} electrons", short(found.read_noise_electrons)),
+        ),
+        pair("bias", format!("{} counts", short(found.bias_counts))),
+        pair("full well", full),
+        pair("bad pixels", found.faults.count().to_string()),
+    ]
+}
+
+fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
+    let gain = found.gain_electrons_per_count;
+    let electrons = |counts: f64| {
+        format!(
+            "{} counts, {} electrons",
+            short(counts),
+            short(counts * gain)
+        )
+    };
+    let percent = |part: f64| format!("{:.2} %", 100.0 * part);
+    let count = |flags: &[bool]| flags.iter().filter(|f| **f).count().to_string();
+    let banding = &found.banding;
+    let numbers = vec![
+        pair("gain, standard error", percent(found.gain_error)),
+        pair(
+            "read noise, median",
+            format!("{} electrons", short(found.read_noise_electrons)),
+        ),
+        pair(
+            "read noise, rms",
+            format!("{} electrons", short(found.read_noise_rms_electrons)),
+        ),
+        pair("response, pixel to pixel", percent(found.non_uniformity)),
+        pair("error of a pixel of the flat", percent(found.flat_error)),
+        pair("banding: a row's own noise", electrons(banding.row_counts)),
+        pair(
+            "what pixel noise gives a row's mean",
+            electrons(banding.expected_counts),
+        ),
+        pair(
+            "banding is more than chance",
+            if banding.is_real { "yes" } else { "no" }.into(),
+        ),
+        pair(
+            "fixed pattern of rows (in the dark)",
+            electrons(banding.fixed_counts),
+        ),
+    ];
+    let faults = vec![
+        pair("hot: dark level stands out", count(&found.faults.hot)),
+        pair(
+            "dead: response far from its neighbours'",
+            count(&found.faults.dead),
+        ),
+        pair(
+            "unstable: noise out of proportion",
+            count(&found.faults.unstable),
+        ),
+    ];
+    let levels = found.levels.iter().map(|level| {
+        pair(
+            &format!("{} counts of light", short(level.light)),
+            format!(
+                "{} flats, {} clipped",
+                level.frames.len(),
+                percent(level.clipped)
+            ),
+        )
+    });
+    let remarks = found.remarks().into_iter().filter_map(|remark| {
+        let (name, text) = remark.split_once(": ")?;
+        Some(pair(name, text.into()))
+    });
+    vec![
+        ("Numbers".into(), numbers),
+        ("Bad pixels".into(), faults),
+        ("Levels of the flats".into(), levels.collect()),
+        ("What this rests on".into(), remarks.collect()),
+    ]
+}
+
+fn photon_transfer(found: &SensorCalibration) -> Plot<'static> {
+    let points = |used: bool| -> Vec<(f64, f64)> {
+        let own = found.transfer.iter().filter(|p| p.used == used);
+        own.map(|p| (p.light, p.variance)).collect()
+    };
+    let (used, left) = (points(true), points(false));
+    let all = || used.iter().chain(&left);
+    let far = all().map(|p| p.0).fold(0.0, f64::max);
+    let high = all().map(|p| p.1).fold(found.line.at(far), f64::max);
+    let line = (0..=100).map(|i| far * f64::from(i) / 100.0);
+    let mut curves = vec![Curve {
+        name: format!(
+            "fit: {} electrons per count",
+            short(found.gain_electrons_per_count)
+        ),
+        points: line.map(|light| (light, found.line.at(light))).collect(),
+        ink: Ink::Line,
+    }];
+    curves.push(Curve {
+        name: "used".into(),
+        points: used.clone(),
+        ink: Ink::Dots,
+    });
+    if !left.is_empty() {
+        curves.push(Curve {
+            name: "left out".into(),
+            points: left.clone(),
+            ink: Ink::Dots,
+        });
+    }
+    Plot::Curves {
+        x: ("light (counts above dark)", Scale::Linear(0.0, 1.04 * far)),
+        y: ("variance (counts²)", Scale::Linear(0.0, 1.06 * high)),
+        curves,
+    }
+}
+
+/// Ends of the middle 99 % of `values`.
+fn middle(values: &[f64]) -> (f32, f32) {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |part: f64| sorted[((sorted.len() - 1) as f64 * part).round() as usize] as f32;
+    let (low, high) = (at(0.005), at(0.995));
+    if high > low {
+        (low, high)
+    } else {
+        (low - 0.5, high + 0.5)
+    }
+}
+
+/// A histogram, each bar of which holds as many multiples of `step` as any other.
+fn histogram(values: &[f64], quantity: &'static str, step: Option<f64>) -> Plot<'static> {
+    const BARS: usize = 48;
+    let (low, high) = middle(values);
+    let (low, high) = (f64::from(low), f64::from(high));
+    // A margin, so that the tails are seen.
+    let (low, high) = (low - 0.15 * (high - low), high + 0.15 * (high - low));
+    let mut width = (high - low) / BARS as f64;
+    let (mut low, mut high) = (low, high);
+    if let Some(step) = step {
+        width = (width / step).ceil() * step;
+        low = ((low / step).floor() - 0.5) * step;
+        high = low + BARS as f64 * width;
+    }
+    let mut counts = [0.0; BARS];
+    for value in values {
+        let at = ((value - low) / width).floor();
+        if (0.0..BARS as f64).contains(&at) {
+            counts[at as usize] += 1.0;
+        }
+    }
+    let most = counts.iter().copied().fold(1.0, f64::max);
+    let points = counts.iter().enumerate();
+    Plot::Curves {
+        x: (quantity, Scale::Linear(low, high)),
+        y: ("pixels", Scale::Linear(0.0, 1.05 * most)),
+        curves: vec![Curve {
+            name: String::new(),
+            points: points
+                .map(|(i, &n)| (low + (i as f64 + 0.5) * width, n))
+                .collect(),
+            ink: Ink::Bars,
+        }],
+    }
+}
+
+fn rows(found: &SensorCalibration) -> Plot<'static> {
+    let banding = &found.banding;
+    let last = banding.first.len().max(2) as f64 - 1.0;
+    let level = |name: &str, value: f64| Curve {
+        name: name.into(),
+        points: vec![(0.0, value), (last, value)],
+        ink: Ink::Expected,
+    };
+    let bound = 2.0 * banding.expected_counts;
+    let most = banding
+        .first
+        .iter()
+        .fold(1.5 * bound, |m, v| m.max(v.abs()));
+    let points = banding.first.iter().enumerate();
+    Plot::Curves {
+        x: ("row", Scale::Linear(0.0, last)),
+        y: (
+            "mean above dark (counts)",
+            Scale::Linear(-1.1 * most, 1.1 * most),
+        ),
+        curves: vec![
+            Curve {
+                name: "first dark".into(),
+                points: points.map(|(y, &v)| (y as f64, v)).collect(),
+                ink: Ink::Line,
+            },
+            level("pixel noise alone: 19 of 20 rows between these", bound),
+            level("", -bound),
+        ],
+    }
+}
+
+/// Longest side of the picture of bad pixels: single ones must stay visible.
+const SPOTS: usize = 130;
+
+/// Side of a spot of that picture, in pixels.
+fn spot_px(found: &SensorCalibration) -> usize {
+    found.dark.rows().max(found.dark.columns()).div_ceil(SPOTS)
+}
+
+/// Bad pixels counted in spots of `spot` × `spot`.
+fn fault_map(found: &SensorCalibration, spot: usize) -> Image {
+    let (rows, columns) = (found.dark.rows(), found.dark.columns());
+    let mut map = Image::zeros(rows.div_ceil(spot), columns.div_ceil(spot));
+    let wide = map.columns();
+    for i in (0..rows * columns).filter(|&i| found.faults.is_bad(i)) {
+        map.data_mut()[(i / columns / spot) * wide + i % columns / spot] += 1.0;
+    }
+    map
+}
+
+fn files(args: &SensorArgs) -> Vec<(String, String)> {
+    let mut files = vec![
+        pair("dark.npy", "mean dark, counts".into()),
+        pair("flat.npy", "flat frame, counts, dark level included".into()),
+        pair("response.npy", "response to light, mean 1".into()),
+        pair(
+            "read_noise.npy",
+            "read noise of each pixel, electrons".into(),
+        ),
+        pair("bad_pixels.png", "255 where a pixel is bad".into()),
+        pair("sensor.toml", "keys for an experiment file".into()),
+    ];
+    if args.experiment.is_some() {
+        files.push(pair(
+            "experiment.toml",
+            "your experiment with these keys".into(),
+        ));
+    }
+    files.push(pair("sensor.json", "the numbers, for programs".into()));
+    files
+}
+
+fn command_line(args: &SensorArgs) -> String {
+    let mut line = String::from("rowburst calibrate sensor --darks");
+    for path in &args.darks {
+        line += &format!(" {}", path.display());
+    }
+    line += " --flats";
+    for path in &args.flats {
+        line += &format!(" {}", path.display());
+    }
+    if let Some(path) = &args.experiment {
+        line += &format!(" --experiment {}", path.display());
+    }
+    line + &format!(" -o {}", args.output.display())
+}
