@@ -119,7 +119,7 @@ pub(super) fn minimise(
         if better {
             jacobian = jacobian_at(&at, steps, residual);
         }
-        if !better || gain < 1e-9 {
+        if !better || gain < 1e-7 {
             break;
         }
     }

@@ -243,7 +243,7 @@ fn periodic(
     }
     let periods = fit.cycles_per_row * count_of(&orders[best]) as f64;
     check_periods(periods, frequency_hz)?;
-    check_agreement(frames, &orders[best], fit, frequency_hz)?;
+    check_agreement(frames, &orders[best], frequency_hz)?;
     if params.expected_row_time_us.is_none() {
         check_alias(fit.cycles_per_row, frequency_hz, None)?;
     }
@@ -453,20 +453,21 @@ fn total_power(frames: &[Vec<f64>], k: &[usize], degree: usize) -> periodogram::
 /// The fit at the strongest frequency, or at a half or a third of it where that
 /// explains more: an exposure of about a period can leave a harmonic on top.
 fn fundamental(frames: &[Vec<f64>], k: &[usize], start: f64) -> PeriodicFit {
-    let mut best = periodic::fit(frames, k, start);
-    for part in [2.0, 3.0] {
-        let lower = best.cycles_per_row.min(start) / part;
+    let coarse = |start: f64, harmonics: usize| periodic::fit(frames, k, start, harmonics);
+    let (mut from, mut lowest) = (start, coarse(start, 2).optimum.rss);
+    for part in [2usize, 3] {
+        let lower = start / part as f64;
         if lower * (count_of(k) as f64) < 1.0 {
             break;
         }
-        let other = periodic::fit(frames, k, start / part);
-        let near = (other.cycles_per_row * part / start - 1.0).abs() < 0.1;
-        // Twice the harmonics always leave a little less.
-        if near && other.optimum.rss < 0.5 * best.optimum.rss {
-            best = other;
+        let other = coarse(lower, 2 * part);
+        let near = (other.cycles_per_row / lower - 1.0).abs() < 0.1;
+        // More harmonics always leave a little less.
+        if near && other.optimum.rss < 0.5 * lowest {
+            (from, lowest) = (other.cycles_per_row, other.optimum.rss);
         }
     }
-    best
+    periodic::fit(frames, k, from, periodic::MOST_HARMONICS)
 }
 
 fn explained(frames: &[Vec<f64>], rss: f64, degree: usize) -> f64 {
@@ -555,26 +556,16 @@ fn rounded(value: f64) -> f64 {
     }
 }
 
-fn check_agreement(
-    frames: &[Vec<f64>],
-    k: &[usize],
-    all: &PeriodicFit,
-    frequency_hz: f64,
-) -> Result<()> {
+fn check_agreement(frames: &[Vec<f64>], k: &[usize], frequency_hz: f64) -> Result<()> {
     let width = 1.0 / count_of(k) as f64;
-    let row_times: Vec<f64> = frames
+    let peaks: Vec<f64> = frames
         .iter()
         .map(|frame| periodogram::periodogram(frame, k, 2).peak().0)
         .collect();
-    let nu = all.cycles_per_row;
-    let agrees = |peak: &f64| {
-        let harmonic = (peak / nu).round().max(1.0);
-        (peak - harmonic * nu).abs() < width
-    };
-    let Some(odd) = row_times.iter().position(|p| !agrees(p)) else {
+    let Some(odd) = peaks.iter().position(|p| (p - peaks[0]).abs() > width) else {
         return Ok(());
     };
-    let list: Vec<String> = row_times
+    let list: Vec<String> = peaks
         .iter()
         .map(|p| format!("{:.3}", p / frequency_hz * 1e6))
         .collect();
@@ -641,7 +632,8 @@ fn expected_warning(row_time_us: f64, params: &TimingParams) -> Vec<String> {
 }
 
 fn depth(low: f64, high: f64) -> f64 {
-    (high - low) / (high + low)
+    // The fit may swing below zero where the light is out.
+    ((high - low) / (high + low)).min(1.0)
 }
 
 fn spectrum(frames: &[Vec<f64>], k: &[usize], fit: &PeriodicFit) -> Vec<(f64, f64)> {

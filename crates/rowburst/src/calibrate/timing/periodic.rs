@@ -28,7 +28,8 @@ pub(super) struct PeriodicFit {
 /// Highest frequency of a harmonic in cycles per row time: beyond half a cycle it would
 /// pass for a lower one.
 const HIGHEST: f64 = 0.47;
-const MOST_HARMONICS: usize = 40;
+/// A square wave seen through an exposure of a hundredth of its period still has them.
+pub(super) const MOST_HARMONICS: usize = 32;
 
 /// Degree of the profiles: a lamp and a lens vary slowly. With few periods a higher
 /// one would bend along with them.
@@ -36,12 +37,12 @@ pub(super) fn degree(periods: f64) -> usize {
     if periods < 6.0 { 2 } else { 4 }
 }
 
-/// Fits from the frequency `start`, first with few harmonics: high ones have many minima close together.
-pub(super) fn fit(frames: &[Vec<f64>], k: &[usize], start: f64) -> PeriodicFit {
+/// Fits up to so many `harmonics` from the frequency `start`, first with few harmonics: high ones have many minima close together.
+pub(super) fn fit(frames: &[Vec<f64>], k: &[usize], start: f64, harmonics: usize) -> PeriodicFit {
     let instants = k.iter().max().map_or(1, |last| last + 1);
     let most = ((HIGHEST / start) as usize)
         .min(instants / 6)
-        .clamp(1, MOST_HARMONICS);
+        .clamp(1, harmonics);
     let profile = polynomials(k.len(), degree(start * instants as f64));
     let trend = |y: &Vec<f64>| sum(&profile, &linear(&profile, y).weights);
     let mut gain: Vec<Vec<f64>> = frames.iter().map(trend).collect();
@@ -66,7 +67,7 @@ pub(super) fn fit(frames: &[Vec<f64>], k: &[usize], start: f64) -> PeriodicFit {
 }
 
 /// Profiles and frequency in turns: each is linear, or nearly so, given the other.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 3;
 
 fn fit_once(
     frames: &[Vec<f64>],
@@ -80,7 +81,7 @@ fn fit_once(
     for _ in 1..ROUNDS {
         let before = found.optimum.rss;
         found = round(frames, k, profile, gain, found.cycles_per_row, count);
-        if found.optimum.rss > 0.999 * before {
+        if found.optimum.rss > 0.99 * before {
             break;
         }
     }
