@@ -178,7 +178,7 @@ fn candidates(timing: &Timing) -> Drawing<'_> {
                 Scale::Linear(0.5, place(timing.candidates.len()) - 0.5),
             ),
             y: (
-                "χ² beyond the best order's (below 1: 1)",
+                "χ² beyond the best (below 1: 1)",
                 Scale::Log(0.5, 3.0 * highest),
             ),
             curves: vec![
