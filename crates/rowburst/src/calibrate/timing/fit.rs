@@ -119,7 +119,7 @@ pub(super) fn minimise(
         if better {
             jacobian = jacobian_at(&at, steps, residual);
         }
-        if !better || gain < 1e-7 {
+        if !better || gain < 1e-6 {
             break;
         }
     }

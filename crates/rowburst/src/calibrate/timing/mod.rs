@@ -10,6 +10,7 @@
 
 mod fit;
 mod matched;
+mod pattern;
 mod periodic;
 mod periodogram;
 mod rows;
@@ -233,9 +234,26 @@ fn periodic(
         fits.push(Some(fundamental(frames, k, start)));
     }
     let fits: Vec<PeriodicFit> = fits.into_iter().flatten().collect();
-    let best = (0..fits.len())
-        .min_by(|&a, &b| fits[a].optimum.rss.total_cmp(&fits[b].optimum.rss))
-        .unwrap_or(0);
+    let mut fits = refined(frames, &orders, same_as, &fits);
+    let mut best = best_of(&fits);
+    let mut cleaned: Option<Vec<Vec<f64>>> = None;
+    if pattern::can_be_told(&fits[best]) {
+        let (mut all, mut refits): (Vec<_>, Vec<PeriodicFit>) = (Vec::new(), Vec::new());
+        for (o, k) in orders.iter().enumerate() {
+            if same_as[o] == o {
+                let (rows, fit) = pattern::fit_without(frames, k, &fits[o]);
+                all.push(rows);
+                refits.push(fit);
+            } else {
+                all.push(Vec::clone(&all[same_as[o]]));
+                refits.push(refits[same_as[o]].clone());
+            }
+        }
+        fits = refits;
+        best = best_of(&fits);
+        cleaned = Some(all.swap_remove(best));
+    }
+    let frames = cleaned.as_ref().unwrap_or(frames);
     let fit = &fits[best];
     let explained = explained(frames, fit.optimum.rss, fit.profile.len() - 1);
     if !seen || explained < LEAST_EXPLAINED {
@@ -435,11 +453,23 @@ fn square_exposure(
     }
 }
 
+fn best_of(fits: &[PeriodicFit]) -> usize {
+    (0..fits.len())
+        .min_by(|&a, &b| fits[a].optimum.rss.total_cmp(&fits[b].optimum.rss))
+        .unwrap_or(0)
+}
+
 /// The frequency to start from, in cycles per row time, and whether it stands out.
 fn start_of(frames: &[Vec<f64>], k: &[usize]) -> (f64, bool) {
-    let power = total_power(frames, k, 2);
-    let (peak, above) = power.peak();
-    (peak, above > CLEAR_PEAK)
+    let mut best = total_power(frames, k, 2).peak();
+    if frames.len() >= pattern::FEWEST_FRAMES {
+        // What all frames share would hide weak stripes.
+        let other = total_power(&pattern::over_their_mean(frames), k, 2).peak();
+        if other.1 > best.1 {
+            best = other;
+        }
+    }
+    (best.0, best.1 > CLEAR_PEAK)
 }
 
 fn total_power(frames: &[Vec<f64>], k: &[usize], degree: usize) -> periodogram::Periodogram {
@@ -449,6 +479,11 @@ fn total_power(frames: &[Vec<f64>], k: &[usize], degree: usize) -> periodogram::
     }
     power
 }
+
+/// Harmonics by which the orders are first compared.
+const FIRST_HARMONICS: usize = 8;
+/// An order that leaves this many times what the best one leaves is refined no further.
+const HOPELESS: f64 = 4.0;
 
 /// The fit at the strongest frequency, or at a half or a third of it where that
 /// explains more: an exposure of about a period can leave a harmonic on top.
@@ -467,7 +502,33 @@ fn fundamental(frames: &[Vec<f64>], k: &[usize], start: f64) -> PeriodicFit {
             (from, lowest) = (other.cycles_per_row, other.optimum.rss);
         }
     }
-    periodic::fit(frames, k, from, periodic::MOST_HARMONICS)
+    coarse(from, FIRST_HARMONICS)
+}
+
+/// `fits` with all harmonics where there is hope.
+fn refined(
+    frames: &[Vec<f64>],
+    orders: &[Vec<usize>],
+    same_as: [usize; 4],
+    fits: &[PeriodicFit],
+) -> Vec<PeriodicFit> {
+    let lowest = fits[best_of(fits)].optimum.rss;
+    let mut all: Vec<PeriodicFit> = Vec::new();
+    for (o, fit) in fits.iter().enumerate() {
+        all.push(if same_as[o] != o {
+            all[same_as[o]].clone()
+        } else if fit.optimum.rss > HOPELESS * lowest {
+            fit.clone()
+        } else {
+            periodic::fit(
+                frames,
+                &orders[o],
+                fit.cycles_per_row,
+                periodic::MOST_HARMONICS,
+            )
+        });
+    }
+    all
 }
 
 fn explained(frames: &[Vec<f64>], rss: f64, degree: usize) -> f64 {

@@ -23,6 +23,8 @@ pub(super) struct PeriodicFit {
     pub profile: Basis,
     /// Values less parameters.
     pub freedom: f64,
+    /// By how much parameters that are not in the fit raise variances.
+    pub loss: f64,
 }
 
 /// Highest frequency of a harmonic in cycles per row time: beyond half a cycle it would
@@ -117,6 +119,7 @@ fn round(
         steady: Vec::new(),
         profile: profile.clone(),
         freedom: (frames.len() * k.len()) as f64 - own as f64 - 1.0,
+        loss: 1.0,
     };
     for (y, gain) in frames.iter().zip(gain) {
         let fit = linear(&columns(&waves, gain, profile), y);
@@ -174,7 +177,7 @@ impl PeriodicFit {
     pub fn error(&self) -> (f64, f64) {
         let run = self.model[0].len();
         let (errors, related) = self.optimum.errors(self.freedom, run);
-        (errors[0], related)
+        (errors[0] * self.loss.sqrt(), related)
     }
 
     /// The course of the light over a period, as `frame` shows it, in the middle row:
