@@ -298,7 +298,7 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
     let (tau, exposure) = (unit * found.theta[0].exp(), unit * found.theta[1].exp());
     let mut model = Vec::new();
     let mut extremes = (0.0, 0.0);
-    for f in 0..count {
+    for (f, seen) in frames.iter().enumerate() {
         let (fit, course) = loose(&found.theta, f);
         // Light brightens: a course that darkens the rows is another light.
         if fit.weights[0] <= 0.0 {
@@ -312,13 +312,7 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
                 steady + fit.weights[0] * high,
             );
         }
-        model.push(
-            frames[f]
-                .iter()
-                .zip(&fit.residual)
-                .map(|(y, e)| y - e)
-                .collect(),
-        );
+        model.push(seen.iter().zip(&fit.residual).map(|(y, e)| y - e).collect());
     }
     let (exposure, exposure_error) = match tied(frames, k, signal, &found, unit) {
         Some(tied) if tied.variance < TIED_HOLDS * found.rss / freedom.max(1.0) => tied.exposure,

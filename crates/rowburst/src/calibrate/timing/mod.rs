@@ -221,7 +221,7 @@ fn periodic(
     let orders = instants(rows);
     // One sweep either way is the same to a light of unknown course, and so are two
     // sweeps of an even number of rows.
-    let same_as = [0, 0, 2, if rows % 2 == 0 { 2 } else { 3 }];
+    let same_as = [0, 0, 2, if rows.is_multiple_of(2) { 2 } else { 3 }];
     let mut seen = false;
     let mut fits: Vec<Option<PeriodicFit>> = Vec::new();
     for (o, k) in orders.iter().enumerate() {
