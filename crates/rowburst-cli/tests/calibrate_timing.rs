@@ -147,6 +147,7 @@ fn bad_input_names_what_to_do() {
     lab.write("bad.csv", "time_us,value\n0,0\n1,x\n");
     lab.write("back.csv", "0,0\n5,1\n3,0\n");
     lab.write("slow.csv", "0,0\n1e9,1\n2e9,1\n");
+    lab.write("pulses.csv", "0,0\n0,1\n900,1\n900,0\n2500,0\n");
     lab.experiment(
         "[camera]\nrows = 512\ncolumns = 8\nshutter = \"top-down\"\nrow_time_us = 9.6\nexposure_us = 9.6\n",
     );
@@ -200,7 +201,8 @@ fn bad_input_names_what_to_do() {
         ("led.npy", "--signal bad.csv", "bad.csv, line 3"),
         ("led.npy", "--signal back.csv", "never go back"),
         ("led.npy", "--signal gone.csv", "gone.csv"),
-        ("led.npy", "--signal slow.csv", "the signal explains"),
+        ("led.npy", "--signal slow.csv", "Cut it to the time about"),
+        ("still.npy", "--signal pulses.csv", "the signal explains"),
     ];
     for (frames, options, words) in cases {
         let arguments = format!("calibrate timing {frames} {options}");

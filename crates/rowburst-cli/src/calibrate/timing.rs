@@ -164,6 +164,10 @@ fn naming(mut error: Error, args: &TimingArgs, plan: &Plan) -> Error {
                 *subject = names.join(", ");
                 return error;
             }
+            "signal" => {
+                let path = args.signal.as_ref().map(|p| p.display().to_string());
+                *subject = path.unwrap_or_default();
+            }
             "duty" => *subject = "--duty".into(),
             "expected_row_time_us" => *subject = "[camera] row_time_us".into(),
             text if text.starts_with("frequency_hz") => {

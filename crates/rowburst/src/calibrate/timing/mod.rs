@@ -130,6 +130,8 @@ pub const FEWEST_ROWS_A_PERIOD: f64 = 4.0;
 const CLEAR_PEAK: f64 = 20.0;
 /// A fit that explains less of the rows is none.
 const LEAST_EXPLAINED: f64 = 0.2;
+/// A signal of more row times is many frames long, and would take hours to search.
+const LONGEST_SIGNAL: f64 = 65_536.0;
 /// A row with more saturated pixels than this has lost the shape of the light.
 const MOST_SATURATED: f64 = 0.01;
 
@@ -322,6 +324,18 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
         Some(expected) => (expected / 1.3, expected * 1.3),
         None => params.row_times_us,
     };
+    let (first, last) = signal.span_us();
+    if (last - first) / range.0 > LONGEST_SIGNAL {
+        return Err(Error::input(
+            "signal",
+            format!("a course of {} ms", (last - first) * 1e-3),
+            format!(
+                "it lasts no longer than {LONGEST_SIGNAL} of the shortest row times looked for, {} µs",
+                range.0
+            ),
+            "Cut it to the time about the frame, check that its times are in microseconds, or give the expected row time.",
+        ));
+    }
     let fits = matched::fit_all(frames, &orders, signal, range);
     let best = (0..fits.len())
         .filter(|&o| fits[o].is_some())
