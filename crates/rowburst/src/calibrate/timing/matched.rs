@@ -7,7 +7,9 @@
 use super::fit::{Basis, Optimum, dot, linear, minimise, polynomials};
 use super::signal::{After, Signal};
 use rayon::prelude::*;
-use rustfft::{FftPlanner, num_complex::Complex64};
+use rustfft::{Fft, FftPlanner, num_complex::Complex64};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
 
 /// The fit of one readout order.
 pub(super) struct MatchedFit {
@@ -94,9 +96,10 @@ fn coarse(
             lengths.map(move |l| (tau, l * tau)).collect::<Vec<_>>()
         })
         .collect();
+    let plans = Plans::default();
     let found: Vec<Vec<Start>> = tried
         .par_iter()
-        .map(|&(tau, exposure)| correlate(&folded, signal, tau, exposure, total))
+        .map(|&(tau, exposure)| correlate(&plans, &folded, signal, (tau, exposure), total))
         .collect();
     (0..orders.len())
         .map(|o| {
@@ -145,13 +148,32 @@ fn smoothness(signal: &Signal, tau: f64, instants: usize) -> f64 {
     ((spread / change.max(1e-300)).sqrt() * step / tau).clamp(0.5, instants as f64)
 }
 
+/// Transforms of each length, planned once: a plan costs as much as several transforms.
+#[derive(Default)]
+struct Plans(Mutex<HashMap<usize, [Arc<dyn Fft<f64>>; 2]>>);
+
+impl Plans {
+    /// Forward and inverse, of `length`.
+    fn of(&self, length: usize) -> [Arc<dyn Fft<f64>>; 2] {
+        let mut plans = self.0.lock().expect("no thread panics while planning");
+        let plan = || {
+            let mut planner = FftPlanner::new();
+            [
+                planner.plan_fft_forward(length),
+                planner.plan_fft_inverse(length),
+            ]
+        };
+        plans.entry(length).or_insert_with(plan).clone()
+    }
+}
+
 /// The best moment for each of the folded orders, by correlation at all moments that are
 /// whole row times apart.
 fn correlate(
+    plans: &Plans,
     folded: &[(Vec<f64>, Vec<f64>)],
     signal: &Signal,
-    tau: f64,
-    exposure: f64,
+    (tau, exposure): (f64, f64),
     total: f64,
 ) -> Vec<Start> {
     let (first, last) = signal.span_us();
@@ -168,11 +190,7 @@ fn correlate(
     let course: Vec<f64> = (0..moments + longest)
         .map(|i| signal.exposed(begin + i as f64 * tau, exposure))
         .collect();
-    let mut planner = FftPlanner::new();
-    let (forward, inverse) = (
-        planner.plan_fft_forward(length),
-        planner.plan_fft_inverse(length),
-    );
+    let [forward, inverse] = plans.of(length);
     let spectrum = |values: &[f64]| {
         let mut padded: Vec<Complex64> = values.iter().map(|&v| Complex64::new(v, 0.0)).collect();
         padded.resize(length, Complex64::default());
@@ -397,5 +415,6 @@ fn tied(
 fn moment_of(rows: &[f64], k: &[usize], signal: &Signal, tau: f64, exposure: f64) -> f64 {
     let trend = linear(&polynomials(rows.len(), 1), rows).residual;
     let folded = [fold(&trend, k)];
-    correlate(&folded, signal, tau, exposure, dot(&trend, &trend))[0].offset_us
+    let total = dot(&trend, &trend);
+    correlate(&Plans::default(), &folded, signal, (tau, exposure), total)[0].offset_us
 }
