@@ -150,11 +150,14 @@ fn smoothness(signal: &Signal, tau: f64, instants: usize) -> f64 {
 
 /// Transforms of each length, planned once: a plan costs as much as several transforms.
 #[derive(Default)]
-struct Plans(Mutex<HashMap<usize, [Arc<dyn Fft<f64>>; 2]>>);
+struct Plans(Mutex<HashMap<usize, Plan>>);
+
+/// Forward and inverse.
+type Plan = [Arc<dyn Fft<f64>>; 2];
 
 impl Plans {
     /// Forward and inverse, of `length`.
-    fn of(&self, length: usize) -> [Arc<dyn Fft<f64>>; 2] {
+    fn of(&self, length: usize) -> Plan {
         let mut plans = self.0.lock().expect("no thread panics while planning");
         let plan = || {
             let mut planner = FftPlanner::new();
