@@ -251,9 +251,13 @@ fn periodic(
                 refits.push(refits[same_as[o]].clone());
             }
         }
-        fits = refits;
-        best = best_of(&fits);
-        cleaned = Some(all.swap_remove(best));
+        let variance = |f: &PeriodicFit| f.optimum.rss / f.freedom.max(1.0);
+        let cleaner = best_of(&refits);
+        // Without a scene to take out it would cost what the frames say of the stripes.
+        if variance(&refits[cleaner]) < 0.7 * variance(&fits[best]) {
+            (fits, best) = (refits, cleaner);
+            cleaned = Some(all.swap_remove(best));
+        }
     }
     let frames = cleaned.as_ref().unwrap_or(frames);
     let fit = &fits[best];
