@@ -36,7 +36,16 @@ fn pure_speckle_has_contrast_one_its_grain_and_no_core() {
         for seed in 1..4 {
             let light = speckle(grain, width, size, seed);
             let s = statistics(&light);
-            println!("{grain} {width}: {:.3} {:.2} {:.2} KS {:.3} noise {:.3} lit {:.2} {:.2}", s.contrast, s.grain_y_px, s.grain_x_px, s.exponential_distance, s.noise_part, s.lit_part, s.lit_edge_part);
+            println!(
+                "{grain} {width}: {:.3} {:.2} {:.2} KS {:.3} noise {:.3} lit {:.2} {:.2}",
+                s.contrast,
+                s.grain_y_px,
+                s.grain_x_px,
+                s.exponential_distance,
+                s.noise_part,
+                s.lit_part,
+                s.lit_edge_part
+            );
             println!("{:?}", ballistic_core(&light, s.grain_px));
         }
     }

@@ -46,7 +46,11 @@ impl File {
     }
 
     fn file_name(&self) -> String {
-        self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+        self.path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
     }
 }
 
@@ -84,12 +88,18 @@ fn images_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| {
-            let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-            let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+            let ending = path
+                .extension()
+                .map(|e| e.to_string_lossy().to_ascii_lowercase());
+            let hidden = path
+                .file_name()
+                .is_some_and(|n| n.to_string_lossy().starts_with('.'));
             path.is_file() && !hidden && ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
         })
         .collect();
-    found.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));
+    found.sort_by_cached_key(|path| {
+        natural(&path.file_name().unwrap_or_default().to_string_lossy())
+    });
     Ok(found)
 }
 
@@ -179,10 +189,14 @@ fn which(files: &[File], name: &str) -> Option<usize> {
         let first = hits.next();
         if hits.next().is_some() { None } else { first }
     };
-    let by_name = files.iter().enumerate().filter(|(_, f)| f.file_name() == name);
-    let by_stem = files
+    let by_name = files
         .iter()
         .enumerate()
-        .filter(|(_, f)| f.path.file_stem().is_some_and(|s| s.to_string_lossy() == name));
+        .filter(|(_, f)| f.file_name() == name);
+    let by_stem = files.iter().enumerate().filter(|(_, f)| {
+        f.path
+            .file_stem()
+            .is_some_and(|s| s.to_string_lossy() == name)
+    });
     only(Box::new(by_name.map(|(i, _)| i))).or_else(|| only(Box::new(by_stem.map(|(i, _)| i))))
 }

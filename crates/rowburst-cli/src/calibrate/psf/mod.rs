@@ -27,7 +27,12 @@ pub struct PsfArgs {
     #[arg(long)]
     pub dark: Option<PathBuf>,
     /// Exposure of each capture in milliseconds, if they differ: 1,10,100
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, conflicts_with = "positions_mm")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        conflicts_with = "positions_mm"
+    )]
     pub exposures_ms: Vec<f64>,
     /// Places of the source: a file of lines capture,x_mm,y_mm
     #[arg(long)]

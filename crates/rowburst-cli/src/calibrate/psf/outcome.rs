@@ -59,6 +59,8 @@ pub struct Memory {
     pub isoplanatic_range_mm: Option<f64>,
     /// Pairs of distance in mm and correlation.
     pub correlation: Vec<(f64, f64)>,
+    /// The same of the parts of the captures that overlap, by capture.
+    pub overlap_correlation: Vec<f64>,
     pub patch_spacing_mm: f64,
     pub patches: usize,
     /// Along rows (y) and columns (x).
@@ -88,6 +90,7 @@ impl Memory {
             fitted_captures: effect.fitted.iter().filter(|f| **f).count(),
             isoplanatic_range_mm: effect.range_mm,
             correlation: effect.correlation.clone(),
+            overlap_correlation: effect.overlap.clone(),
             patch_spacing_mm: effect.spacing_mm,
             patches,
             patches_needed,
@@ -132,7 +135,8 @@ pub fn warnings(
             speckle.contrast
         ));
     }
-    let pattern = (speckle.lit_part * (speckle.envelope.rows() * speckle.envelope.columns()) as f64).sqrt();
+    let pattern =
+        (speckle.lit_part * (speckle.envelope.rows() * speckle.envelope.columns()) as f64).sqrt();
     if speckle.grain_px > pattern / 8.0 {
         warnings.push(format!(
             "the grain of {:.1} px is a large part of the pattern of {pattern:.0} px: the source is extended, or this is no speckle; take a smaller pinhole, or open the aperture",
@@ -158,7 +162,12 @@ pub fn warnings(
 }
 
 /// What the numbers rest on.
-pub fn remarks(light: &Light, speckle: &Speckle, reach: &RowReach, effect: Option<&MemoryEffect>) -> Vec<String> {
+pub fn remarks(
+    light: &Light,
+    speckle: &Speckle,
+    reach: &RowReach,
+    effect: Option<&MemoryEffect>,
+) -> Vec<String> {
     let mut remarks = Vec::new();
     match &light.floor {
         Some(floor) if floor.unlit => remarks.push(format!(
@@ -172,7 +181,10 @@ pub fn remarks(light: &Light, speckle: &Speckle, reach: &RowReach, effect: Optio
         None => {}
     }
     if speckle.lit_edge_part > 0.1 {
-        remarks.push("the pattern reaches the edges of the capture: light beyond them is not in the PSF".into());
+        remarks.push(
+            "the pattern reaches the edges of the capture: light beyond them is not in the PSF"
+                .into(),
+        );
     }
     if reach.extrapolated {
         remarks.push(format!(
@@ -189,7 +201,7 @@ pub fn remarks(light: &Light, speckle: &Speckle, reach: &RowReach, effect: Optio
         }
         let lost = effect.fitted.iter().filter(|f| !**f).count();
         if lost > 0 {
-            remarks.push(format!("{lost} captures lie beyond the memory effect's reach: their shift was predicted by the others'"));
+            remarks.push(format!("{lost} captures correlate too little with the middle one for a shift of their own: it was looked for within a grain of what the others predict"));
         }
     }
     remarks

@@ -25,11 +25,21 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
     });
     let sensor_rows: Vec<f64> = (0..pages.reach.map.columns()).map(|r| r as f64).collect();
     let mut sections = vec![
-        ("PSF", vec![psf_map(&relative), histogram(pages.speckle), grain(pages.speckle)]),
+        (
+            "PSF",
+            vec![
+                psf_map(&relative),
+                histogram(pages.speckle),
+                grain(pages.speckle),
+            ],
+        ),
         ("Reach", vec![reach(pages, &sensor_rows)]),
     ];
     if let Some((effect, places)) = pages.effect {
-        sections.push(("Memory effect", vec![memory(effect), shifts(effect, places)]));
+        sections.push((
+            "Memory effect",
+            vec![memory(effect), shifts(effect, places)],
+        ));
     }
     let mut warnings = outcome.warnings.clone();
     warnings.extend(outcome.remarks.iter().map(|r| format!("Note: {r}")));
@@ -39,13 +49,19 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
         ("psf.json", "the numbers, for programs"),
     ];
     if patches {
-        files.push(("psf-patches.toml", "the patch set: psf = under [calibration] takes it"));
+        files.push((
+            "psf-patches.toml",
+            "the patch set: psf = under [calibration] takes it",
+        ));
         files.push(("psf-patches.npy", "its PSFs, float32 [patch, y, x]"));
     }
     if pages.args.experiment.is_some() {
         files.push(("experiment.toml", "the experiment with this PSF"));
     }
-    let files = files.into_iter().map(|(n, w)| (n.into(), w.into())).collect();
+    let files = files
+        .into_iter()
+        .map(|(n, w)| (n.into(), w.into()))
+        .collect();
     Sheet {
         title: "Rowburst: PSF",
         summary: format!(
@@ -70,11 +86,17 @@ fn headline(outcome: &Outcome) -> Vec<(String, String)> {
     let mut all = vec![
         pair("contrast", format!("{:.3}", outcome.contrast)),
         pair("grain", format!("{:.2} px", outcome.grain_px)),
-        pair("ballistic light", format!("{:.2} %", 100.0 * outcome.ballistic_fraction)),
+        pair(
+            "ballistic light",
+            format!("{:.2} %", 100.0 * outcome.ballistic_fraction),
+        ),
         pair("reach at the far edge", short(outcome.row_reach.worst)),
     ];
     if let Some(memory) = &outcome.memory {
-        all.push(pair("shift", format!("{:.1} px/mm", memory.shift_px_per_mm)));
+        all.push(pair(
+            "shift",
+            format!("{:.1} px/mm", memory.shift_px_per_mm),
+        ));
         let range = memory.isoplanatic_range_mm;
         all.push(pair(
             "isoplanatic range",
@@ -86,12 +108,30 @@ fn headline(outcome: &Outcome) -> Vec<(String, String)> {
 
 fn tables(outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
     let mut speckle = vec![
-        pair("grain along rows (y)", format!("{:.2} px", outcome.grain_y_px)),
-        pair("grain along columns (x)", format!("{:.2} px", outcome.grain_x_px)),
-        pair("distance to the negative exponential", format!("{:.3}", outcome.exponential_distance)),
-        pair("noise in the variance", format!("{:.1} %", 100.0 * outcome.noise_part)),
-        pair("lit part of the capture", format!("{:.1} %", 100.0 * outcome.lit_fraction)),
-        pair("saturated pixels", format!("{:.2} %", 100.0 * outcome.saturated_fraction)),
+        pair(
+            "grain along rows (y)",
+            format!("{:.2} px", outcome.grain_y_px),
+        ),
+        pair(
+            "grain along columns (x)",
+            format!("{:.2} px", outcome.grain_x_px),
+        ),
+        pair(
+            "distance to the negative exponential",
+            format!("{:.3}", outcome.exponential_distance),
+        ),
+        pair(
+            "noise in the variance",
+            format!("{:.1} %", 100.0 * outcome.noise_part),
+        ),
+        pair(
+            "lit part of the capture",
+            format!("{:.1} %", 100.0 * outcome.lit_fraction),
+        ),
+        pair(
+            "saturated pixels",
+            format!("{:.2} %", 100.0 * outcome.saturated_fraction),
+        ),
         pair("binning", outcome.binning.to_string()),
     ];
     if let Some(floor) = outcome.floor_counts {
@@ -114,9 +154,15 @@ fn tables(outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
         tables.push((
             "Memory effect".to_string(),
             vec![
-                pair("residual of the linear map", format!("{:.2} px", memory.shift_residual_px)),
+                pair(
+                    "residual of the linear map",
+                    format!("{:.2} px", memory.shift_residual_px),
+                ),
                 pair("captures in its fit", memory.fitted_captures.to_string()),
-                pair("spacing of patches", format!("{:.3} mm", memory.patch_spacing_mm)),
+                pair(
+                    "spacing of patches",
+                    format!("{:.3} mm", memory.patch_spacing_mm),
+                ),
                 pair("patches written", memory.patches.to_string()),
                 pair(
                     "patches needed (rows × columns)",
@@ -220,14 +266,22 @@ fn reach<'a>(pages: &'a Pages, sensor_rows: &'a [f64]) -> Drawing<'a> {
         name: "reach",
         plot: Plot::Grid {
             image: &pages.reach.map,
-            quantity: ("light over mean", 0.0, pages.reach.map.max().clamp(1.5, 4.0)),
+            quantity: (
+                "light over mean",
+                0.0,
+                pages.reach.map.max().clamp(1.5, 4.0),
+            ),
             x: ("sensor row", sensor_rows),
             y: ("source at sensor row", &pages.reach.source_rows),
         },
         caption: format!(
             "Light of each part of the field on each sensor row, relative to its mean over the rows. Good: no black corner. Light of the bottom must reach the top row and the other way round: there it is {}{}, {} are needed.",
             short(outcome.worst),
-            if outcome.extrapolated { " (continued beyond the capture by a Gaussian)" } else { "" },
+            if outcome.extrapolated {
+                " (continued beyond the capture by a Gaussian)"
+            } else {
+                ""
+            },
             short(outcome.least)
         ),
         alt: "A map that is brightest along the diagonal".into(),
@@ -241,7 +295,9 @@ fn memory(effect: &MemoryEffect) -> Drawing<'static> {
         points: vec![(0.0, value), (end, value)],
         ink: Ink::Expected,
     };
-    let range = effect.range_mm.map_or("not reached".into(), |r| format!("{r:.3} mm"));
+    let range = effect
+        .range_mm
+        .map_or("not reached".into(), |r| format!("{r:.3} mm"));
     Drawing {
         name: "memory-effect",
         plot: Plot::Curves {
@@ -273,7 +329,11 @@ fn shifts(effect: &MemoryEffect, places: &[(f64, f64)]) -> Drawing<'static> {
             .map(|i| {
                 let d = (places[i].0 - reference.0, places[i].1 - reference.1);
                 let (y, x) = effect.predicted_px(d);
-                let error = if along_x { effect.shifts_px[i].1 - x } else { effect.shifts_px[i].0 - y };
+                let error = if along_x {
+                    effect.shifts_px[i].1 - x
+                } else {
+                    effect.shifts_px[i].0 - y
+                };
                 (d.0.hypot(d.1), error)
             })
             .collect()
@@ -326,8 +386,14 @@ fn command_line(args: &PsfArgs) -> String {
     }
     for (flag, value) in [
         ("--binning", args.binning.map(|b| b.to_string())),
-        ("--saturation-counts", args.saturation_counts.map(|v| v.to_string())),
-        ("--expected-grain-px", args.expected_grain_px.map(|v| v.to_string())),
+        (
+            "--saturation-counts",
+            args.saturation_counts.map(|v| v.to_string()),
+        ),
+        (
+            "--expected-grain-px",
+            args.expected_grain_px.map(|v| v.to_string()),
+        ),
         ("--field", args.field.map(|(r, c)| format!("{r}x{c}"))),
     ] {
         if let Some(value) = value {

@@ -6,9 +6,9 @@ use super::outcome::{Memory, Outcome, RowReach, remarks, warnings};
 use super::report::{Pages, render};
 use crate::outcome::{say, short};
 use rowburst::calibrate::psf::{
-    Light, MemoryEffect, MergeParams, Placed, Shot, ballistic_core, centroid, chosen, memory_effect,
-    merge, noise_of, patch_set, patches_needed, placed, row_reach, span_px, statistics,
-    without_noise,
+    Light, MemoryEffect, MergeParams, Placed, Shot, ballistic_core, centroid, chosen,
+    memory_effect, merge, noise_of, patch_set, patches_needed, placed, row_reach, span_px,
+    statistics, without_noise,
 };
 use rowburst::{Error, Image, PatchSet, Result, Shape, Video};
 use rowburst_io::{
@@ -20,7 +20,11 @@ const NOISE_FLOOR_SIGMAS: f64 = 3.0;
 
 pub fn run(args: &PsfArgs) -> Result<()> {
     let folder = OutputFolder::create(&args.output)?;
-    let experiment = args.experiment.as_deref().map(Experiment::read).transpose()?;
+    let experiment = args
+        .experiment
+        .as_deref()
+        .map(Experiment::read)
+        .transpose()?;
     let plan = Plan::new(args, experiment.as_ref())?;
     let files = captures::read(args)?;
     let places = args
@@ -64,10 +68,17 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     .remove(0);
 
     let sensor_rows = experiment.as_ref().map_or(rows, |e| e.params.rows);
-    let field = args.field.or(experiment.as_ref().and_then(|e| e.params.field));
-    let field = field.or(experiment.as_ref().map(|e| (e.params.rows, e.params.columns)));
+    let field = args
+        .field
+        .or(experiment.as_ref().and_then(|e| e.params.field));
+    let field = field.or(experiment
+        .as_ref()
+        .map(|e| (e.params.rows, e.params.columns)));
     let field_rows = field.map_or(sensor_rows, |f| f.0);
-    let covered = (-middle.0.floor() as isize, rows as isize - 1 - middle.0.ceil() as isize);
+    let covered = (
+        -middle.0.floor() as isize,
+        rows as isize - 1 - middle.0.ceil() as isize,
+    );
     let reach = row_reach(
         &psf,
         sensor_rows,
@@ -88,15 +99,22 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         }
         _ => None,
     };
-    let memory = effect.as_ref().zip(places.as_ref()).map(|(effect, places)| {
-        let extent = field.map_or_else(
-            || span_px(places, effect),
-            |f| (f.0 as f64, f.1 as f64),
-        );
-        let count = patches.as_ref().map_or(0, |p| p.psfs().len());
-        Memory::new(effect, count, patches_needed(effect, extent))
-    });
-    let mut warned = warnings(light, &speckle, core.as_ref(), &row_reach, args.expected_grain_px);
+    let memory = effect
+        .as_ref()
+        .zip(places.as_ref())
+        .map(|(effect, places)| {
+            let extent =
+                field.map_or_else(|| span_px(places, effect), |f| (f.0 as f64, f.1 as f64));
+            let count = patches.as_ref().map_or(0, |p| p.psfs().len());
+            Memory::new(effect, count, patches_needed(effect, extent))
+        });
+    let mut warned = warnings(
+        light,
+        &speckle,
+        core.as_ref(),
+        &row_reach,
+        args.expected_grain_px,
+    );
     warned.extend(saturated_places(&lights, reference, &groups));
     let outcome = Outcome {
         version: env!("CARGO_PKG_VERSION"),
@@ -104,7 +122,11 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         columns: psf.image().columns(),
         binning: plan.binning,
         captures: lights.iter().map(|l| l.used).sum(),
-        left_out: lights.iter().flat_map(|l| &l.left_out).map(|o| o.0.clone()).collect(),
+        left_out: lights
+            .iter()
+            .flat_map(|l| &l.left_out)
+            .map(|o| o.0.clone())
+            .collect(),
         contrast: speckle.contrast,
         grain_px: speckle.grain_px,
         grain_y_px: speckle.grain_y_px,
@@ -175,9 +197,7 @@ impl Plan {
             }
         }
         Ok(Self {
-            dark: dark
-                .map(|path| Ok(read_image(path)?.image))
-                .transpose()?,
+            dark: dark.map(|path| Ok(read_image(path)?.image)).transpose()?,
             exposures_ms: args.exposures_ms.clone(),
             saturation_counts: args
                 .saturation_counts
@@ -280,7 +300,11 @@ fn write(
     }
     if let Some(mut experiment) = experiment {
         let several = patches.is_some_and(|p| p.psfs().len() > 1);
-        let file = if several { "psf-patches.toml" } else { "psf.npy" };
+        let file = if several {
+            "psf-patches.toml"
+        } else {
+            "psf.npy"
+        };
         experiment.calibration.psf = Some(folder.path().join(file));
         if pages.args.dark.is_some() {
             experiment.calibration.dark.clone_from(&pages.args.dark);
@@ -308,24 +332,39 @@ fn print_summary(outcome: &Outcome, effect: Option<&MemoryEffect>, args: &PsfArg
         "grain        {:.2} px (rows {:.2}, columns {:.2})",
         outcome.grain_px, outcome.grain_y_px, outcome.grain_x_px
     ));
-    say(format!("ballistic    {:.2} %", 100.0 * outcome.ballistic_fraction));
-    say(format!("saturated    {:.2} %", 100.0 * outcome.saturated_fraction));
+    say(format!(
+        "ballistic    {:.2} %",
+        100.0 * outcome.ballistic_fraction
+    ));
+    say(format!(
+        "saturated    {:.2} %",
+        100.0 * outcome.saturated_fraction
+    ));
     say(format!(
         "row reach    {} of the mean at the far edge ({})",
         short(outcome.row_reach.worst),
-        if outcome.row_reach.enough { "enough" } else { "too little" }
+        if outcome.row_reach.enough {
+            "enough"
+        } else {
+            "too little"
+        }
     ));
     if let (Some(memory), Some(effect)) = (&outcome.memory, effect) {
         say(format!(
             "shift        {:.2} px/mm (residual {:.2} px)",
             memory.shift_px_per_mm, memory.shift_residual_px
         ));
-        let range = effect.range_mm.map_or("beyond the places".into(), |r| format!("{r:.3} mm"));
+        let range = effect
+            .range_mm
+            .map_or("beyond the places".into(), |r| format!("{r:.3} mm"));
         say(format!("isoplanatic  {range}"));
         say(format!(
             "patches      {} written, {} × {} needed",
             memory.patches, memory.patches_needed.0, memory.patches_needed.1
         ));
     }
-    say(format!("report       {}", args.output.join("report.html").display()));
+    say(format!(
+        "report       {}",
+        args.output.join("report.html").display()
+    ));
 }

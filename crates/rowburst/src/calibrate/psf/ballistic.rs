@@ -49,7 +49,11 @@ fn search(light: &Image, envelope: &Image, grain: f64) -> Option<Core> {
     let (rows, columns) = (light.rows(), light.columns());
     let least = 0.05 * envelope.max();
     let ratio = Image::from_fn(rows, columns, |y, x| {
-        if envelope.at(y, x) > least { light.at(y, x) / envelope.at(y, x) } else { 1.0 }
+        if envelope.at(y, x) > least {
+            light.at(y, x) / envelope.at(y, x)
+        } else {
+            1.0
+        }
     });
     let short = rows.min(columns) as f64;
     let mut best: Option<(f64, usize, f64)> = None;
@@ -61,7 +65,8 @@ fn search(light: &Image, envelope: &Image, grain: f64) -> Option<Core> {
         let grains = 1.0 + 11.09 * (scale / grain).powi(2);
         let windows = (rows * columns) as f64 / (1.133 * grain * grain * grains);
         let mean = smoothed(&ratio, scale);
-        let at = (0..mean.data().len()).max_by(|&a, &b| mean.data()[a].total_cmp(&mean.data()[b]))?;
+        let at =
+            (0..mean.data().len()).max_by(|&a, &b| mean.data()[a].total_cmp(&mean.data()[b]))?;
         let height = f64::from(mean.data()[at]);
         let evidence = grains * (height - 1.0 - height.max(1e-9).ln());
         let surprise = evidence - (windows.max(1.0) / FALSE_ALARM).ln();

@@ -99,7 +99,9 @@ impl Envelope {
     /// The model at every pixel.
     pub fn quadratic(&self) -> Image {
         let image = Image::from_fn(self.size.0, self.size.1, |y, x| {
-            dot(&self.coefficients, &self.terms(y as f64, x as f64)).clamp(-80.0, 80.0).exp() as f32
+            dot(&self.coefficients, &self.terms(y as f64, x as f64))
+                .clamp(-80.0, 80.0)
+                .exp() as f32
         });
         let least = LEAST as f32 * image.max();
         let mut image = image;
@@ -128,7 +130,11 @@ impl Envelope {
         let sigma = self.rows.min(self.columns) as f64 / 8.0;
         let (ratio, kept) = (smoothed(&ratio, sigma), smoothed(&kept, sigma));
         let rest = Image::from_fn(self.rows, self.columns, |y, x| {
-            if kept.at(y, x) > 0.05 { ratio.at(y, x) / kept.at(y, x) } else { 1.0 }
+            if kept.at(y, x) > 0.05 {
+                ratio.at(y, x) / kept.at(y, x)
+            } else {
+                1.0
+            }
         });
         Image::from_fn(self.size.0, self.size.1, |y, x| {
             model.at(y, x) * self.between(&rest, y, x)
@@ -182,7 +188,10 @@ fn solve(mut rows: [[f64; 7]; 6]) -> [f64; 6] {
         for (j, other) in rows.iter_mut().enumerate() {
             if j != i {
                 let factor = other[i];
-                other.iter_mut().zip(row).for_each(|(o, r)| *o -= factor * r);
+                other
+                    .iter_mut()
+                    .zip(row)
+                    .for_each(|(o, r)| *o -= factor * r);
             }
         }
     }

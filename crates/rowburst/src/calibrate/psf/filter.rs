@@ -123,7 +123,11 @@ fn lanczos(part: f64) -> [f64; 2 * LANCZOS + 1] {
     let half = LANCZOS as f64;
     let weight = |i: usize| {
         let x = i as f64 - half + part;
-        if x.abs() < half { sinc(x) * sinc(x / half) } else { 0.0 }
+        if x.abs() < half {
+            sinc(x) * sinc(x / half)
+        } else {
+            0.0
+        }
     };
     let taps: [f64; 2 * LANCZOS + 1] = std::array::from_fn(weight);
     let sum: f64 = taps.iter().sum();

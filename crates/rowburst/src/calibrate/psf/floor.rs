@@ -81,7 +81,9 @@ fn rough_grain(image: &Image) -> f64 {
         for y in 0..image.rows() {
             let row = image.row(y);
             let pairs = row.iter().zip(row.iter().skip(d));
-            sum += pairs.map(|(a, b)| (f64::from(*a) - mean) * (f64::from(*b) - mean)).sum::<f64>();
+            sum += pairs
+                .map(|(a, b)| (f64::from(*a) - mean) * (f64::from(*b) - mean))
+                .sum::<f64>();
         }
         sum
     };
@@ -90,7 +92,9 @@ fn rough_grain(image: &Image) -> f64 {
         return 1.0;
     }
     let fall = (one / two).ln().max(1e-3);
-    (3.0 * 4.0 * std::f64::consts::LN_2 / fall).sqrt().clamp(1.0, 30.0)
+    (3.0 * 4.0 * std::f64::consts::LN_2 / fall)
+        .sqrt()
+        .clamp(1.0, 30.0)
 }
 
 /// What [`without_noise`] left.
@@ -115,7 +119,11 @@ pub fn without_noise(light: &Image, grain: f64, sigma: f64, k: f64) -> Cleaned {
     let least = (k * sigma / independent.sqrt()) as f32;
     let unlit = |y: usize, x: usize| sigma > 0.0 && mean.at(y, x) < least;
     let image = Image::from_fn(light.rows(), light.columns(), |y, x| {
-        if unlit(y, x) { 0.0 } else { light.at(y, x).max(0.0) }
+        if unlit(y, x) {
+            0.0
+        } else {
+            light.at(y, x).max(0.0)
+        }
     });
     let mut empty = 0;
     for y in 0..light.rows() {
@@ -133,7 +141,12 @@ pub fn noise_of(light: &Image) -> f64 {
     let mut squares: Vec<(f32, f64)> = Vec::new();
     for y in (0..light.rows().saturating_sub(1)).step_by(2) {
         for x in (0..light.columns().saturating_sub(1)).step_by(2) {
-            let block = [light.at(y, x), light.at(y, x + 1), light.at(y + 1, x), light.at(y + 1, x + 1)];
+            let block = [
+                light.at(y, x),
+                light.at(y, x + 1),
+                light.at(y + 1, x),
+                light.at(y + 1, x + 1),
+            ];
             let twist = f64::from(block[0] - block[1] - block[2] + block[3]) / 2.0;
             squares.push((block.iter().sum(), twist * twist));
         }

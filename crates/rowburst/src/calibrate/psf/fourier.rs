@@ -70,10 +70,15 @@ impl Correlation {
 
     /// Place of the highest value among displacements up to half the grid.
     pub fn highest(&self) -> (isize, isize) {
-        let best = (0..self.values.len()).max_by(|&a, &b| self.values[a].total_cmp(&self.values[b]));
+        let best =
+            (0..self.values.len()).max_by(|&a, &b| self.values[a].total_cmp(&self.values[b]));
         let best = best.expect("a grid has points");
         let signed = |i: usize, n: usize| {
-            if i > n / 2 { i as isize - n as isize } else { i as isize }
+            if i > n / 2 {
+                i as isize - n as isize
+            } else {
+                i as isize
+            }
         };
         (
             signed(best / self.columns, self.rows),
@@ -114,7 +119,11 @@ impl Correlation {
                 -(h[0] * g[1] - h[1] * g[0]) / det,
             );
             at = (at.0 + step.0, at.1 + step.1);
-            if (at.0 - start.0 as f64).abs().max((at.1 - start.1 as f64).abs()) > 1.0 {
+            if (at.0 - start.0 as f64)
+                .abs()
+                .max((at.1 - start.1 as f64).abs())
+                > 1.0
+            {
                 return (start.0 as f64, start.1 as f64);
             }
             if step.0.hypot(step.1) < 1e-4 {
@@ -129,9 +138,17 @@ impl Correlation {
         let phase = |n: usize, d: f64| -> Vec<(f64, f64, f64)> {
             (0..n)
                 .map(|k| {
-                    let k = if 2 * k > n { k as f64 - n as f64 } else { k as f64 };
+                    let k = if 2 * k > n {
+                        k as f64 - n as f64
+                    } else {
+                        k as f64
+                    };
                     // The highest frequency of an even length has no sign of its own.
-                    let omega = if (2.0 * k - n as f64).abs() < 0.5 { 0.0 } else { TAU * k / n as f64 };
+                    let omega = if (2.0 * k - n as f64).abs() < 0.5 {
+                        0.0
+                    } else {
+                        TAU * k / n as f64
+                    };
                     let (sin, cos) = (omega * d).sin_cos();
                     (omega, cos, sin)
                 })
@@ -161,10 +178,7 @@ impl Correlation {
                 -turned[2][0],
             ]
         });
-        let total = sums.reduce(
-            || [0.0; 5],
-            |a, b| std::array::from_fn(|i| a[i] + b[i]),
-        );
+        let total = sums.reduce(|| [0.0; 5], |a, b| std::array::from_fn(|i| a[i] + b[i]));
         ([total[0], total[1]], [total[2], total[3], total[4]])
     }
 }
@@ -222,7 +236,8 @@ mod tests {
         let texture = Image::from_fn(60, 90, |y, x| {
             let (y, x) = (y as f64, x as f64);
             let window = (-((y - 30.0) / 11.0).powi(2) - ((x - 45.0) / 16.0).powi(2)).exp();
-            (window * (1.0 + (0.9 * x + 0.4 * y).sin() + (1.3 * y - 0.2 * x * y / 20.0).cos())) as f32
+            (window * (1.0 + (0.9 * x + 0.4 * y).sin() + (1.3 * y - 0.2 * x * y / 20.0).cos()))
+                as f32
         });
         let moved = shifted(&texture, 60, 90, -4.37, 6.81);
         let (a, b) = (Spectrum::of(&moved, 0, 0), Spectrum::of(&texture, 0, 0));
@@ -230,7 +245,10 @@ mod tests {
         let peak = correlation.highest();
         assert_eq!(peak, (-4, 7));
         let (dy, dx) = correlation.refine(peak);
-        assert!((dy + 4.37).abs() < 0.01 && (dx - 6.81).abs() < 0.01, "{dy} {dx}");
+        assert!(
+            (dy + 4.37).abs() < 0.01 && (dx - 6.81).abs() < 0.01,
+            "{dy} {dx}"
+        );
         assert_eq!(correlation.highest_near((-3.0, 6.0), 3.0), (-4, 7));
     }
 }

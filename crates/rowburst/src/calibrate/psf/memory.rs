@@ -3,8 +3,12 @@
 //! Each capture is registered to the one nearest to the middle of the places by the peak
 //! of the cross-correlation. A linear map `M` from millimetres to pixels is fitted to the
 //! shifts of those that still correlate well; around what it predicts the peak of the others
-//! is looked for, since beyond the range the highest peak is chance. The correlation of the
-//! registered, overlapping parts against the distance is the memory-effect curve.
+//! is looked for, since beyond the range the highest peak is chance.
+//!
+//! The correlation is that of whole captures, `Σ a b / √(Σ a² Σ b²)` of the intensities over
+//! their local mean, less 1, after registration: light that left the frame counts as lost,
+//! as in the peak of a cross-correlation, by which such curves are published. The
+//! correlation of the overlapping parts alone, higher by the lost part, is given too.
 //!
 //! Reference: I. Freund, M. Rosenbluh, S. Feng, Phys. Rev. Lett. 61, 2328 (1988).
 
@@ -40,8 +44,8 @@ pub struct MemoryEffect {
     pub shift_px_per_mm: f64,
     /// Rms distance of the fitted shifts from `M`, in pixels.
     pub residual_px: f64,
-    /// Correlation of each capture with the reference.
-    pub values: Vec<f64>,
+    /// Correlation of the overlapping part of each capture with the reference.
+    pub overlap: Vec<f64>,
     /// Distance from the reference in mm and correlation, by distance.
     pub correlation: Vec<(f64, f64)>,
     /// Distance at which the correlation falls to 0.5; `None` if it never does.
@@ -67,7 +71,10 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
         .iter()
         .map(|p| (p.0 - places[reference].0, p.1 - places[reference].1))
         .collect();
-    let flat: Vec<Image> = captures.par_iter().map(|c| flattened(&c.light, grain)).collect();
+    let flat: Vec<Image> = captures
+        .par_iter()
+        .map(|c| flattened(&c.light, grain))
+        .collect();
     let spectra: Vec<Spectrum> = flat.par_iter().map(|f| Spectrum::of(f, 0, 0)).collect();
     let energy: Vec<f64> = flat.iter().map(energy).collect();
     let own = &spectra[reference];
@@ -87,7 +94,7 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
     let shifts: Vec<(f64, f64)> = first.iter().map(|f| f.0).collect();
     let fit = fit(&delta, &shifts, &mut fitted, reference, grain)?;
 
-    let found: Vec<((f64, f64), f64)> = (0..captures.len())
+    let found: Vec<((f64, f64), (f64, f64))> = (0..captures.len())
         .into_par_iter()
         .map(|i| {
             let shift = if fitted[i] {
@@ -95,7 +102,7 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
             } else {
                 near_prediction(&spectra[i].correlate(own), mapped(&fit, delta[i]), grain)
             };
-            (shift, overlap_correlation(&flat[i], &flat[reference], shift))
+            (shift, registered(&flat[i], &flat[reference], shift))
         })
         .collect();
     let residuals = (0..captures.len()).filter(|&i| fitted[i]).map(|i| {
@@ -104,11 +111,10 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
     });
     let count = fitted.iter().filter(|f| **f).count();
     let residual_px = (residuals.sum::<f64>() / count as f64).sqrt();
-    let values: Vec<f64> = found.iter().map(|f| f.1).collect();
     let mut correlation: Vec<(f64, f64)> = delta
         .iter()
-        .zip(&values)
-        .map(|(d, &v)| (d.0.hypot(d.1), v))
+        .zip(&found)
+        .map(|(d, f)| (d.0.hypot(d.1), f.1.0))
         .collect();
     correlation.sort_by(|a, b| a.0.total_cmp(&b.0));
     let farthest = correlation.last().map_or(0.0, |c| c.0);
@@ -119,7 +125,7 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
         shift_px_per_mm: magnitude(&fit, &delta),
         px_per_mm: fit,
         residual_px,
-        values,
+        overlap: found.iter().map(|f| f.1.1).collect(),
         range_mm: falls_to(&correlation, 0.5),
         spacing_mm: falls_to(&correlation, 0.7).unwrap_or(farthest),
         correlation,
@@ -146,7 +152,13 @@ fn check(places: &[(f64, f64)]) -> Result<()> {
         if let Some(j) = places[..i].iter().position(|b| b == a) {
             return Err(Error::input(
                 "--positions-mm",
-                format!("captures {} and {} both at x = {} mm, y = {} mm", j + 1, i + 1, a.1, a.0),
+                format!(
+                    "captures {} and {} both at x = {} mm, y = {} mm",
+                    j + 1,
+                    i + 1,
+                    a.1,
+                    a.0
+                ),
                 "each capture has a place of its own",
                 "Check the file, or join captures of one place to one multi-page file.",
             ));
@@ -174,7 +186,11 @@ fn flattened(light: &Image, grain: f64) -> Image {
     let mean = smoothed(light, sigma);
     let least = 0.1 * mean.max();
     Image::from_fn(light.rows(), light.columns(), |y, x| {
-        if mean.at(y, x) > least { light.at(y, x) / mean.at(y, x) - 1.0 } else { 0.0 }
+        if mean.at(y, x) > least {
+            light.at(y, x) / mean.at(y, x) - 1.0
+        } else {
+            0.0
+        }
     })
 }
 
@@ -197,8 +213,9 @@ fn near_prediction(correlation: &Correlation, predicted: (f64, f64), grain: f64)
     }
 }
 
-/// Pearson's correlation of `moved`, taken back by `shift`, with `still` where both are lit.
-fn overlap_correlation(moved: &Image, still: &Image, shift: (f64, f64)) -> f64 {
+/// Correlation of `moved`, taken back by `shift`, with `still`: of the whole captures, and
+/// of the parts where both are lit.
+fn registered(moved: &Image, still: &Image, shift: (f64, f64)) -> (f64, f64) {
     let (rows, columns) = (still.rows(), still.columns());
     let back = shifted(moved, rows, columns, -shift.0, -shift.1);
     // The interpolation reads seven pixels to each side.
@@ -208,6 +225,12 @@ fn overlap_correlation(moved: &Image, still: &Image, shift: (f64, f64)) -> f64 {
         from..to.max(from)
     };
     let mut sums = Sums::default();
+    let product = back.data().iter().zip(still.data());
+    let product: f64 = product.map(|(a, b)| f64::from(a * b)).sum();
+    let whole = product
+        / (energy(moved) * energy(still))
+            .sqrt()
+            .max(f64::MIN_POSITIVE);
     for y in range(rows, shift.0) {
         for x in range(columns, shift.1) {
             let (a, b) = (back.at(y, x), still.at(y, x));
@@ -216,7 +239,7 @@ fn overlap_correlation(moved: &Image, still: &Image, shift: (f64, f64)) -> f64 {
             }
         }
     }
-    sums.correlation()
+    (whole, sums.correlation())
 }
 
 type Matrix = [[f64; 2]; 2];
@@ -250,7 +273,10 @@ fn fit(
             let (y, x) = mapped(&m, delta[i]);
             (shifts[i].0 - y).hypot(shifts[i].1 - x)
         };
-        let worst = used.iter().copied().max_by(|&a, &b| off(a).total_cmp(&off(b)));
+        let worst = used
+            .iter()
+            .copied()
+            .max_by(|&a, &b| off(a).total_cmp(&off(b)));
         match worst {
             Some(i) if i != reference && off(i) > (2.0 * grain).max(3.0) => fitted[i] = false,
             _ => return Ok(m),
@@ -335,7 +361,9 @@ fn falls_to(curve: &[(f64, f64)], level: f64) -> Option<f64> {
         }
     }
     let means: Vec<(f64, f64)> = means.iter().map(|m| (m.0, m.1 / m.2)).collect();
-    let pair = means.windows(2).find(|w| w[0].1 >= level && w[1].1 < level)?;
+    let pair = means
+        .windows(2)
+        .find(|w| w[0].1 >= level && w[1].1 < level)?;
     let part = (pair[0].1 - level) / (pair[0].1 - pair[1].1);
     Some(pair[0].0 + part * (pair[1].0 - pair[0].0))
 }

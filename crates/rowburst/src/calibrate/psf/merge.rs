@@ -92,7 +92,10 @@ pub fn merge(shots: &[Shot], params: &MergeParams) -> Result<Light> {
         });
     }
     let (kept, left_out) = agreeing(shots, &rates)?;
-    let several = params.exposures_ms.iter().any(|t| *t != params.exposures_ms[0]);
+    let several = params
+        .exposures_ms
+        .iter()
+        .any(|t| *t != params.exposures_ms[0]);
     let (image, saturated) = sum(&rates, &kept, several);
     let saturated_part = saturated as f64 / image.data().len() as f64;
     if saturated_part > MOST_SATURATED {
@@ -104,7 +107,9 @@ pub fn merge(shots: &[Shot], params: &MergeParams) -> Result<Light> {
         ));
     }
     let floor = (!floors.is_empty()).then(|| {
-        let of = |value: fn(&Floor) -> f64| kept.iter().map(|&i| value(&floors[i])).sum::<f64>() / kept.len() as f64;
+        let of = |value: fn(&Floor) -> f64| {
+            kept.iter().map(|&i| value(&floors[i])).sum::<f64>() / kept.len() as f64
+        };
         Floor {
             counts: of(|f| f.counts),
             unlit: kept.iter().all(|&i| floors[i].unlit),
@@ -142,7 +147,11 @@ fn check(shots: &[Shot], params: &MergeParams) -> Result<()> {
             return Err(Error::input(
                 &shot.name,
                 size(image),
-                format!("all captures have one size; {} has {}", first.name, size(&first.image)),
+                format!(
+                    "all captures have one size; {} has {}",
+                    first.name,
+                    size(&first.image)
+                ),
                 "Record all captures with one region of interest and binning, or leave this one out.",
             ));
         }
@@ -253,21 +262,35 @@ fn agreeing(shots: &[Shot], rates: &[Rate]) -> Result<(Vec<usize>, Vec<(String, 
     let mut kept = all.clone();
     let mut values = Vec::new();
     for _ in 0..2 {
-        values = all.iter().map(|&i| correlation(&rates[i], rates, &kept, i)).collect();
+        values = all
+            .iter()
+            .map(|&i| correlation(&rates[i], rates, &kept, i))
+            .collect();
         let mut sorted: Vec<f64> = kept.iter().map(|&i| values[i]).collect();
         sorted.sort_by(f64::total_cmp);
         let typical = sorted[sorted.len() / 2];
         if typical < SAME_PATTERN || all.len() == 2 && sorted[0] < SAME_PATTERN {
-            let worst = all.iter().min_by(|&&a, &&b| values[a].total_cmp(&values[b]));
+            let worst = all
+                .iter()
+                .min_by(|&&a, &&b| values[a].total_cmp(&values[b]));
             let worst = *worst.expect("there are two or more");
             return Err(Error::input(
                 &shots[worst].name,
-                format!("a correlation of {:.2} with the other captures", values[worst]),
-                format!("captures that are averaged show one pattern: a correlation above {SAME_PATTERN}"),
+                format!(
+                    "a correlation of {:.2} with the other captures",
+                    values[worst]
+                ),
+                format!(
+                    "captures that are averaged show one pattern: a correlation above {SAME_PATTERN}"
+                ),
                 "Fix source, diffuser and camera; if the source was moved on purpose, give the places with --positions-mm.",
             ));
         }
-        kept = all.iter().copied().filter(|&i| values[i] >= OUTLIER * typical).collect();
+        kept = all
+            .iter()
+            .copied()
+            .filter(|&i| values[i] >= OUTLIER * typical)
+            .collect();
     }
     let out = all.iter().filter(|i| !kept.contains(i));
     let left_out = out.map(|&i| (shots[i].name.clone(), values[i])).collect();
@@ -322,7 +345,11 @@ impl Sums {
         let n = self.n.max(1.0);
         let (a, b) = (self.a / n, self.b / n);
         let variance = (self.aa / n - a * a) * (self.bb / n - b * b);
-        if variance > 0.0 { (self.ab / n - a * b) / variance.sqrt() } else { 0.0 }
+        if variance > 0.0 {
+            (self.ab / n - a * b) / variance.sqrt()
+        } else {
+            0.0
+        }
     }
 }
 
@@ -349,7 +376,11 @@ fn sum(rates: &[Rate], kept: &[usize], several: bool) -> (Image, usize) {
             light = f64::from(rates[shortest].image.data()[p]);
             time = rates[shortest].exposure;
         }
-        let lost = if several { full == kept.len() } else { 2 * full >= kept.len() && full > 0 };
+        let lost = if several {
+            full == kept.len()
+        } else {
+            2 * full >= kept.len() && full > 0
+        };
         saturated += usize::from(lost);
         image.data_mut()[p] = (light / time) as f32;
     }

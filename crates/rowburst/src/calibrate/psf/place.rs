@@ -22,7 +22,10 @@ pub fn centroid(envelope: &Image) -> (f64, f64) {
     if sum > 0.0 {
         (y_sum / sum, x_sum / sum)
     } else {
-        ((envelope.rows() / 2) as f64, (envelope.columns() / 2) as f64)
+        (
+            (envelope.rows() / 2) as f64,
+            (envelope.columns() / 2) as f64,
+        )
     }
 }
 
@@ -38,12 +41,21 @@ pub fn placed(lights: &[&Image], moves: &[(f64, f64)]) -> Result<Vec<Psf>> {
     let mut padding = (0usize, 0usize);
     for (light, m) in lights.iter().zip(moves) {
         let (y, x) = lost(light, *m);
-        let needed = |lost: f64, m: f64| if lost > CUT { m.abs().ceil() as usize } else { 0 };
+        let needed = |lost: f64, m: f64| {
+            if lost > CUT {
+                m.abs().ceil() as usize
+            } else {
+                0
+            }
+        };
         padding.0 = padding.0.max(needed(y, m.0));
         padding.1 = padding.1.max(needed(x, m.1));
     }
     let psf = |(light, m): (&&Image, &(f64, f64))| {
-        let (rows, columns) = (light.rows() + 2 * padding.0, light.columns() + 2 * padding.1);
+        let (rows, columns) = (
+            light.rows() + 2 * padding.0,
+            light.columns() + 2 * padding.1,
+        );
         let (dy, dx) = (m.0 + padding.0 as f64, m.1 + padding.1 as f64);
         let mut image = shifted(light, rows, columns, dy, dx);
         image.data_mut().iter_mut().for_each(|p| *p = p.max(0.0));
@@ -128,7 +140,10 @@ fn covering(places: &[(f64, f64)], reference: usize, spacing_mm: f64) -> Vec<usi
     let mut kept: Vec<usize> = Vec::new();
     for i in order {
         // Covering circles overlap: three quarters keep neighbours within the spacing.
-        if kept.iter().all(|&k| distance(places[i], places[k]) > 0.75 * spacing_mm) {
+        if kept
+            .iter()
+            .all(|&k| distance(places[i], places[k]) > 0.75 * spacing_mm)
+        {
             kept.push(i);
         }
     }
@@ -150,7 +165,11 @@ fn thinned(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
         while at < end {
             let even = end / steps * ((at / end * steps + 1e-6).floor() + 1.0);
             let target = even.min(at + spacing) + 1e-9;
-            let next = ahead.iter().copied().filter(|&d| d > at && d <= target).next_back();
+            let next = ahead
+                .iter()
+                .copied()
+                .filter(|&d| d > at && d <= target)
+                .next_back();
             at = next.unwrap_or_else(|| ahead.iter().copied().find(|&d| d > at).unwrap_or(end));
             kept.push(start + sign * at);
         }
@@ -160,7 +179,9 @@ fn thinned(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
 
 /// Extent `(rows, columns)` in pixels that the geometric images of `places` span.
 pub fn span_px(places: &[(f64, f64)], effect: &MemoryEffect) -> (f64, f64) {
-    let offsets: Vec<(f64, f64)> = (0..places.len()).map(|i| offset(places, effect, i)).collect();
+    let offsets: Vec<(f64, f64)> = (0..places.len())
+        .map(|i| offset(places, effect, i))
+        .collect();
     let span = |of: fn(&(f64, f64)) -> f64| {
         let values = || offsets.iter().map(of);
         values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
@@ -197,7 +218,10 @@ pub fn patch_set(
     let moves: Vec<(f64, f64)> = offsets
         .iter()
         .map(|o| {
-            let zero = ((lights[0].rows() / 2) as f64, (lights[0].columns() / 2) as f64);
+            let zero = (
+                (lights[0].rows() / 2) as f64,
+                (lights[0].columns() / 2) as f64,
+            );
             (zero.0 - middle.0 - o.0, zero.1 - middle.1 - o.1)
         })
         .collect();

@@ -54,13 +54,15 @@ pub fn row_reach(
     let mut map = Image::zeros(sources, rows);
     let mut extrapolated = false;
     for (i, source) in source_rows.iter().enumerate() {
-        let shares: Vec<f64> = (0..rows)
-            .map(|r| profile.at(r as f64 - source))
-            .collect();
+        let shares: Vec<f64> = (0..rows).map(|r| profile.at(r as f64 - source)).collect();
         let mean = shares.iter().sum::<f64>() / rows as f64;
         let line = &mut map.data_mut()[i * rows..(i + 1) * rows];
         for (to, share) in line.iter_mut().zip(shares) {
-            *to = if mean > 0.0 { (share / mean) as f32 } else { 0.0 };
+            *to = if mean > 0.0 {
+                (share / mean) as f32
+            } else {
+                0.0
+            };
         }
     }
     let worst = map.at(0, rows - 1).min(map.at(sources - 1, 0));
@@ -157,11 +159,18 @@ fn log_parabola(first: isize, shares: &[f64]) -> [f64; 3] {
         for (j, other) in normal.iter_mut().enumerate() {
             if j != i {
                 let factor = other[i];
-                other.iter_mut().zip(row).for_each(|(o, r)| *o -= factor * r);
+                other
+                    .iter_mut()
+                    .zip(row)
+                    .for_each(|(o, r)| *o -= factor * r);
             }
         }
     }
-    let [a, b, c] = [normal[0][3], normal[1][3] / scale, normal[2][3] / (scale * scale)];
+    let [a, b, c] = [
+        normal[0][3],
+        normal[1][3] / scale,
+        normal[2][3] / (scale * scale),
+    ];
     // A profile that rises outwards says nothing of what lies beyond.
     if c < 0.0 { [a, b, c] } else { flat() }
 }

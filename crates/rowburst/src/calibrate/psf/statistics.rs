@@ -62,12 +62,17 @@ pub fn statistics(light: &Image) -> Speckle {
         let envelope = local_mean(light, grain);
         let normalised = Normalised::new(light, &envelope);
         let auto = Autocovariance::of(&normalised);
-        grain = (auto.width_y * auto.width_x).sqrt().clamp(1.0, short as f64 / 4.0);
+        grain = (auto.width_y * auto.width_x)
+            .sqrt()
+            .clamp(1.0, short as f64 / 4.0);
         result = Some((envelope, normalised, auto));
     }
     let (mut envelope, normalised, auto) = result.expect("there are three rounds");
     let top = high(&envelope);
-    envelope.data_mut().iter_mut().for_each(|p| *p = (*p / top).min(1.0));
+    envelope
+        .data_mut()
+        .iter_mut()
+        .for_each(|p| *p = (*p / top).min(1.0));
     let (histogram, distance) = normalised.against_exponential();
     Speckle {
         contrast: (auto.variance * (1.0 - auto.noise_part)).sqrt() / normalised.mean,
@@ -107,7 +112,11 @@ impl Normalised {
             if envelope.at(y, x) > least { 1.0 } else { 0.0 }
         });
         let values = Image::from_fn(light.rows(), light.columns(), |y, x| {
-            if lit.at(y, x) > 0.0 { light.at(y, x) / envelope.at(y, x) } else { 0.0 }
+            if lit.at(y, x) > 0.0 {
+                light.at(y, x) / envelope.at(y, x)
+            } else {
+                0.0
+            }
         });
         let count: f64 = lit.data().iter().map(|&l| f64::from(l)).sum();
         let sum: f64 = values.data().iter().map(|&v| f64::from(v)).sum();
@@ -208,7 +217,6 @@ fn noise_part(line: &[f64]) -> f64 {
     }
     (1.0 - (4.0 * one - two) / (3.0 * zero)).clamp(0.0, 0.9)
 }
-
 
 /// Full width at half maximum of a curve from its maximum, 1, on: between two points
 /// as a Gaussian has it, `ln c` linear in `d²`.
