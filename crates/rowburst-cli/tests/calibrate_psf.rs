@@ -4,6 +4,9 @@
 mod common;
 
 use common::{Lab, pattern};
+use rowburst::Image;
+use rowburst::calibrate::psf::{ballistic_core, statistics};
+use rowburst::simulate::speckle::{Aperture, SpeckleOptics, speckle_psf};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -111,15 +114,14 @@ fn the_memory_effect_is_that_of_the_scan() {
     assert!((span / 320.0 - 1.0).abs() < 0.02, "{xs:?}");
 }
 
-/// Bright grains of about three pixels that look like speckle, the same in every run, in
+/// Grains of about four pixels that look like speckle, the same in every run, in
 /// 12 bits without noise.
 fn grains(seed: usize) -> impl Fn(usize, usize) -> f32 {
     move |y, x| {
         let (mut re, mut im) = (0.0f32, 0.0f32);
         for k in 0..60 {
             let angle = |s: usize| pattern(k * 7 + s, seed) - 0.5;
-            let phase =
-                6.2832 * (angle(1) * 0.55 * y as f32 + angle(2) * 0.55 * x as f32 + angle(3));
+            let phase = 6.2832 * (angle(1) * 0.2 * y as f32 + angle(2) * 0.2 * x as f32 + angle(3));
             re += phase.cos();
             im += phase.sin();
         }
@@ -136,8 +138,8 @@ fn exposures_are_merged_and_outliers_named() {
         move |y: usize, x: usize| (100.0 + gain * light(y, x)).min(4095.0).round()
     };
     lab.image("dark.png", 96, 90, |_, _| 100.0);
-    lab.image("long.png", 96, 90, recorded(6.0));
-    lab.image("short.png", 96, 90, recorded(0.6));
+    lab.image("long.png", 96, 90, recorded(2.0));
+    lab.image("short.png", 96, 90, recorded(0.2));
     let result = calibrated(
         &lab,
         "long.png short.png --dark dark.png --exposures-ms 10,1",
@@ -153,8 +155,8 @@ fn exposures_are_merged_and_outliers_named() {
         "{alone}"
     );
 
-    lab.image("a.png", 96, 90, recorded(0.61));
-    lab.image("b.png", 96, 90, recorded(0.59));
+    lab.image("a.png", 96, 90, recorded(0.21));
+    lab.image("b.png", 96, 90, recorded(0.19));
     lab.image("moved.png", 96, 90, grains(4));
     let result = calibrated(&lab, "short.png a.png b.png moved.png --dark dark.png");
     assert_eq!(
@@ -285,4 +287,58 @@ fn a_source_that_is_no_point_is_warned_of() {
     lab.image("point.png", 64, 60, grains(1));
     let result = calibrated(&lab, "point.png --dark dark.png --expected-grain-px 1");
     assert!(warned(&result, "wider than the 1.0 px"), "{result}");
+}
+
+/// Simulated speckle of a grain of `grain` pixels under an envelope of `width` pixels.
+fn speckle(grain: f64, width: f64, size: (usize, usize), seed: u64) -> Image {
+    let (distance_mm, pitch): (f64, f64) = (50.0, 6.5);
+    let angle = 2.0 * (width * pitch / 2e3 / distance_mm).atan();
+    let optics = SpeckleOptics {
+        wavelength_nm: 532.0,
+        aperture: Aperture::ImageNa {
+            na: 0.532 / (2.0 * grain * pitch),
+            image_distance_mm: distance_mm,
+        },
+        diffuser_fwhm_deg: angle.to_degrees(),
+        pixel_pitch_um: pitch,
+    };
+    let psf = speckle_psf(&optics, size.0, size.1, seed).unwrap();
+    psf.image().clone()
+}
+
+#[test]
+fn simulated_speckle_has_its_numbers_and_a_planted_core_is_found() {
+    for (grain, width, size) in [
+        (4.0, 160.0, (256, 240)),
+        (6.0, 900.0, (240, 320)),
+        (2.5, 140.0, (215, 215)),
+    ] {
+        for seed in 1..4 {
+            let mut light = speckle(grain, width, size, seed);
+            let found = statistics(&light);
+            println!("{grain} {width}: {} {}", found.contrast, found.grain_px);
+            assert!((0.88..1.08).contains(&found.contrast), "{}", found.contrast);
+            let ratio = found.grain_px / (1.03 * grain);
+            assert!((0.85..1.15).contains(&ratio), "{grain}: {}", found.grain_px);
+            assert_eq!(ballistic_core(&light, found.grain_px), None);
+            // A focus as wide as a grain with 3 parts of light to 100.
+            let (cy, cx) = (size.0 as f64 * 0.45, size.1 as f64 * 0.55);
+            let sigma = grain / 2.355;
+            let peak = 0.03 / (2.0 * std::f64::consts::PI * sigma * sigma);
+            for y in 0..size.0 {
+                for x in 0..size.1 {
+                    let r = (y as f64 - cy).powi(2) + (x as f64 - cx).powi(2);
+                    let value = peak * (-0.5 * r / (sigma * sigma)).exp();
+                    light.data_mut()[y * size.1 + x] += value as f32;
+                }
+            }
+            let core = ballistic_core(&light, found.grain_px).unwrap();
+            println!("{core:?}");
+            assert!((0.02..0.045).contains(&core.fraction), "{core:?}");
+            assert!(
+                (core.at_px.0 - cy).hypot(core.at_px.1 - cx) < grain,
+                "{core:?}"
+            );
+        }
+    }
 }

@@ -20,8 +20,9 @@ pub struct Pages<'a> {
 
 pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
     let outcome = pages.outcome;
+    let highest = pages.psf.max();
     let relative = Image::from_fn(pages.psf.rows(), pages.psf.columns(), |y, x| {
-        pages.psf.at(y, x) / pages.psf.max()
+        pages.psf.at(y, x) / highest
     });
     let sensor_rows: Vec<f64> = (0..pages.reach.map.columns()).map(|r| r as f64).collect();
     let mut sections = vec![

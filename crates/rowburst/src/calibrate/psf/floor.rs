@@ -65,12 +65,24 @@ fn unlit_level(image: &Image) -> Option<f64> {
             }
         }
     }
-    (shared < ALIKE * variance).then_some(level)
+    let pixels = (order.len() * side * (side - 1)) as f64;
+    let noise = shared < ALIKE * variance && variance / pixels < CALM * variance_of(image);
+    noise.then_some(level)
 }
 
 /// Correlation of neighbouring pixels above which a cell is lit: grains of two pixels
 /// have 0.5.
 const ALIKE: f64 = 0.25;
+
+/// Variance of an unlit cell against that of the whole image: fine speckle has alike ones.
+const CALM: f64 = 0.1;
+
+fn variance_of(image: &Image) -> f64 {
+    let count = image.data().len() as f64;
+    let mean = image.data().iter().map(|&p| f64::from(p)).sum::<f64>() / count;
+    let squares = image.data().iter().map(|&p| (f64::from(p) - mean).powi(2));
+    squares.sum::<f64>() / count
+}
 
 /// Rough size of the structure in pixels, from how fast neighbours part: for a Gaussian
 /// autocovariance of FWHM `g`, `1 − c(2)/c(1) ≈ 3·4 ln 2/g²`.

@@ -152,7 +152,7 @@ impl Normalised {
             if let Some(bin) = histogram.get_mut((value / BIN) as usize) {
                 *bin += 1.0 / (count * BIN);
             }
-            let expected = 1.0 - (-value).exp();
+            let expected = 1.0 - (-value.max(0.0)).exp();
             let (below, above) = (i as f64 / count, (i + 1) as f64 / count);
             distance = distance.max(expected - below).max(above - expected);
         }
