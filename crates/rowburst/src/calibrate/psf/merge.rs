@@ -85,7 +85,9 @@ pub fn merge(shots: &[Shot], params: &MergeParams) -> Result<Light> {
             floors.push(floor);
         }
         let exposure = params.exposures_ms.get(i).copied().unwrap_or(1.0);
+        let sum: f64 = image.data().iter().map(|&p| f64::from(p)).sum();
         rates.push(Rate {
+            scale: 1.0 / (sum / image.data().len() as f64).max(1e-30),
             image,
             full,
             exposure,
@@ -129,6 +131,8 @@ struct Rate {
     image: Image,
     full: Vec<bool>,
     exposure: f64,
+    /// One over its mean: a bright capture does not outvote the others.
+    scale: f64,
 }
 
 fn check(shots: &[Shot], params: &MergeParams) -> Result<()> {
@@ -308,8 +312,8 @@ fn correlation(rate: &Rate, rates: &[Rate], others: &[usize], own: usize) -> f64
         let (mut light, mut time) = (0.0, 0.0);
         for &i in others {
             if i != own && !rates[i].full[p] {
-                light += f64::from(rates[i].image.data()[p]);
-                time += rates[i].exposure;
+                light += f64::from(rates[i].image.data()[p]) * rates[i].scale;
+                time += rates[i].exposure * rates[i].scale;
             }
         }
         if time > 0.0 {
