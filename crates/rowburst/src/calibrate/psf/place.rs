@@ -165,11 +165,7 @@ fn thinned(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
         while at < end {
             let even = end / steps * ((at / end * steps + 1e-6).floor() + 1.0);
             let target = even.min(at + spacing) + 1e-9;
-            let next = ahead
-                .iter()
-                .copied()
-                .filter(|&d| d > at && d <= target)
-                .next_back();
+            let next = ahead.iter().copied().rfind(|&d| d > at && d <= target);
             at = next.unwrap_or_else(|| ahead.iter().copied().find(|&d| d > at).unwrap_or(end));
             kept.push(start + sign * at);
         }
