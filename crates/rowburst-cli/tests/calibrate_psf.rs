@@ -121,7 +121,8 @@ fn grains(seed: usize) -> impl Fn(usize, usize) -> f32 {
         let (mut re, mut im) = (0.0f32, 0.0f32);
         for k in 0..60 {
             let angle = |s: usize| pattern(k * 7 + s, seed) - 0.5;
-            let phase = 6.2832 * (angle(1) * 0.2 * y as f32 + angle(2) * 0.2 * x as f32 + angle(3));
+            let phase = std::f32::consts::TAU
+                * (angle(1) * 0.2 * y as f32 + angle(2) * 0.2 * x as f32 + angle(3));
             re += phase.cos();
             im += phase.sin();
         }
