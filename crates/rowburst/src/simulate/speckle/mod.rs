@@ -181,7 +181,11 @@ impl SpeckleOptics {
         2.0e3 * self.aperture.image_distance_mm() * half_angle.tan() / self.pixel_pitch_um
     }
 
-    fn check(&self) -> Result<()> {
+    /// Checks that the optics can be.
+    ///
+    /// # Errors
+    /// Those of [`speckle_psf`] but for sizes.
+    pub fn check(&self) -> Result<()> {
         require_positive(
             "wavelength_nm",
             self.wavelength_nm,
