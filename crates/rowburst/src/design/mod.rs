@@ -4,10 +4,11 @@
 //! ([`spread`]), the speckle's contrast over colour ([`speckle`]), frame rate, expected
 //! signal-to-noise ratio, and how many pixels of a bin may be lit ([`sparsity`]).
 //!
-//! **Reach.** The paper asks that light from the bottom of the field reach the top row:
-//! with rows `L` apart, `z·tan(θ/2) ≥ L·pitch`, the half angle of the diffuser at half
-//! maximum. Row and source at opposite ends are then joined by half the light of those at
-//! one height; the smallest angle is `2·atan(L·pitch/z)`.
+//! **Reach.** The paper asks that light from the bottom of the field reach the top row.
+//! An envelope is taken to reach to where it has fallen to a tenth of its middle,
+//! [`REACH`]; for a Gaussian whose half maximum lies at `z·tan(θ/2)` that is √(ln 10/ln 2) =
+//! 1.82 times as far, so for rows `L` apart the smallest angle is
+//! `2·atan(L·pitch/(1.82 z))`.
 //!
 //! **Signal.** `k` bright pixels of `N` electrons each a bin, `p` the PSF between field
 //! point and pixel, averaged over both: a pixel of the frame has
@@ -25,11 +26,14 @@ pub mod speckle;
 pub mod spread;
 #[cfg(test)]
 mod tests;
+mod verdict;
 
 use crate::simulate::SpeckleOptics;
 use crate::{Camera, Error, Psf, Result};
 use speckle::{Dispersion, Grains};
 use spread::Spread;
+
+pub use verdict::verdicts;
 
 /// The light and what the sensor makes of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,6 +73,12 @@ impl Default for LightParams {
         }
     }
 }
+
+/// Light of the worst row, over that of a row level with the source, that counts as
+/// reached. Digits of 108×108 pixels at SNR 256 and two seeds came back at 47.1 to 48.0 dB
+/// with diffusers from 0.84°, the smallest by this rule, to 2°; at 44.5 and 47.1 dB with
+/// 0.6° (0.011 of the light), at 32.7 and 34.4 dB with 0.4°.
+pub const REACH: f64 = 0.1;
 
 /// Rms phase of the simulated diffuser in radians, see [`crate::simulate::speckle`].
 const SIMULATED_RMS_PHASE: f64 = 4.0;
@@ -218,20 +228,16 @@ pub fn assess(
     let path_rms_nm = light
         .diffuser_path_rms_nm
         .unwrap_or(SIMULATED_RMS_PHASE / std::f64::consts::TAU * optics.wavelength_nm);
-    let dispersion = Dispersion::new(
-        camera,
-        &grains,
-        envelope,
-        optics.wavelength_nm,
-        path_rms_nm,
-    );
+    let dispersion = Dispersion::new(camera, &grains, envelope, optics.wavelength_nm, path_rms_nm);
     let contrast_kept = dispersion.contrast_kept(light.source_bandwidth_nm);
     let spread = match psf {
         Some(psf) => Spread::of_psf(camera, psf),
         None => Spread::gaussian(camera, envelope, grains.contrast() * contrast_kept),
     };
     let needed_mm = spread.needed_px as f64 * optics.pixel_pitch_um * 1e-3;
-    let smallest = 2.0 * (needed_mm / optics.aperture.image_distance_mm()).atan();
+    let tenth_over_half = (REACH.ln() / 0.5f64.ln()).sqrt();
+    let tangent = needed_mm / (tenth_over_half * optics.aperture.image_distance_mm());
+    let smallest = 2.0 * tangent.atan();
     let params = camera.params();
     let instants = camera.time().instants().len() as f64;
     let own_frame_us = match camera.shutter() {
@@ -268,8 +274,8 @@ pub fn signal(camera: &Camera, spread: &Spread, light: &LightParams) -> Signal {
     let sources = light.bright_pixels as f64 * bins_in_exposure;
     let electrons = light.photons * light.quantum_efficiency;
     let mean = electrons * sources * spread.mean;
-    let square = sources * spread.mean_square
-        + (sources * (sources - 1.0)).max(0.0) * spread.square_of_mean;
+    let square =
+        sources * spread.mean_square + (sources * (sources - 1.0)).max(0.0) * spread.square_of_mean;
     let rms = electrons * square.sqrt();
     let raw_pixels = params.sensor.binning.pow(2) as f64;
     let rounding = light.electrons_per_count.map_or(0.0, |g| g * g / 12.0);

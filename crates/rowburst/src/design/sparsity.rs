@@ -154,6 +154,31 @@ pub fn constant(m: f64, k: f64, n: usize) -> f64 {
     m / (k * (n as f64 / k).ln())
 }
 
+/// `C` of the paper's camera with the speckle of [`crate::simulate::SpeckleOptics::demo`],
+/// at an SNR: what [`success_map`] found (`rowburst design`, seed 1).
+pub fn usual_constant(snr: f64) -> f64 {
+    const MEASURED: [(f64, f64); 6] = [
+        (8.0, 4.0),
+        (16.0, 2.8),
+        (32.0, 2.3),
+        (64.0, 2.0),
+        (128.0, 1.95),
+        (256.0, 1.9),
+    ];
+    let above = MEASURED.partition_point(|m| m.0 < snr);
+    match (
+        above.checked_sub(1).map(|i| MEASURED[i]),
+        MEASURED.get(above),
+    ) {
+        (Some(low), Some(high)) => {
+            let part = (snr / low.0).ln() / (high.0 / low.0).ln();
+            low.1 + part * (high.1 - low.1)
+        }
+        (Some(last), None) => last.1,
+        (None, _) => MEASURED[0].1,
+    }
+}
+
 /// The largest `k ≤ n/e` with `m ≥ C·k·ln(n/k)`; on that range the right side rises.
 pub fn recoverable(m: f64, constant: f64, n: usize) -> f64 {
     let n = n as f64;
@@ -256,6 +281,12 @@ pub fn success_map(
 }
 
 impl SuccessMap {
+    /// `C` at `snr`; `None` where fewer than half of the bins came back at the smallest `k`.
+    pub fn constant_at(&self, snr: f64) -> Option<f64> {
+        let k = self.k50_at(snr);
+        (k > 0.0).then(|| constant(self.measurements_per_bin, k, self.field_pixels))
+    }
+
     /// Non-zero pixels that half of the bins survive at `snr`: between the ratios tried
     /// by interpolation over the logarithm, beyond them that of the nearest.
     pub fn k50_at(&self, snr: f64) -> f64 {
@@ -295,7 +326,11 @@ fn success_rate(
     snr: f64,
 ) -> Result<f64> {
     // The same scenes at every SNR: what differs is the noise alone.
-    let truth = random_pixels(camera, k, params.seed.wrapping_mul(1009).wrapping_add(k as u64));
+    let truth = random_pixels(
+        camera,
+        k,
+        params.seed.wrapping_mul(1009).wrapping_add(k as u64),
+    );
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(truth.data(), &mut frame);
     frame.iter_mut().for_each(|b| *b = b.max(0.0));
@@ -370,9 +405,7 @@ fn smoothed(bin: &[f32], columns: usize, kernel: &[f64]) -> Vec<f64> {
         let i = (at / stride % length) as isize;
         let (from, to) = ((-reach).max(-i), reach.min(length as isize - 1 - i));
         (from..=to)
-            .map(|d| {
-                kernel[d.unsigned_abs()] * values[at.wrapping_add_signed(d * stride as isize)]
-            })
+            .map(|d| kernel[d.unsigned_abs()] * values[at.wrapping_add_signed(d * stride as isize)])
             .sum()
     };
     let values: Vec<f64> = bin.iter().map(|&v| f64::from(v)).collect();

@@ -21,7 +21,8 @@ pub struct Spread {
     /// Light that the worst row gets from the other end of the field, over that of a row
     /// level with the source.
     pub reach: f64,
-    /// Light of each sensor row over that of the brightest, `[source row, sensor row]`.
+    /// Light of each sensor row over that of a row level with the source,
+    /// `[source row, sensor row]`; of long sides, up to 256 rows evenly spaced.
     pub rows: Image,
     /// Part of the light that misses the sensor: mean over the field.
     pub lost_mean: f64,
@@ -34,6 +35,9 @@ pub struct Spread {
     /// Mean over the pixels of the square of the mean over the field.
     pub(super) square_of_mean: f64,
 }
+
+/// Rows of the map from source to sensor.
+const LARGEST_MAP: usize = 256;
 
 /// Field and sensor along one axis.
 struct Axis {
@@ -60,20 +64,26 @@ impl Axis {
     /// mean and smallest sum over the sensor.
     fn means(&self, g: impl Fn(isize) -> f64) -> [f64; 5] {
         let (field, sensor) = (self.field as f64, self.sensor as f64);
-        let mut per_pixel = vec![0.0; self.sensor];
-        let (mut square, mut total, mut smallest) = (0.0, 0.0, f64::INFINITY);
-        for from in 0..self.field {
-            let mut share = 0.0;
-            for (to, sum) in per_pixel.iter_mut().enumerate() {
-                let value = g(self.displacement(from, to));
-                share += value;
-                square += value * value;
-                *sum += value / field;
-            }
-            total += share;
-            smallest = f64::min(smallest, share);
+        // Running sums of g over all displacements make every sum a difference.
+        let (first, last) = self.ends();
+        let mut running = vec![0.0];
+        let mut square = 0.0;
+        for d in first..=last {
+            let value = g(d);
+            square += value * value * self.pairs(d);
+            running.push(running[running.len() - 1] + value);
         }
-        let of_mean: f64 = per_pixel.iter().map(|p| p * p).sum();
+        let over = |from: isize, count: usize| {
+            let start = (from - first) as usize;
+            running[start + count] - running[start]
+        };
+        let shares = (0..self.field).map(|from| over(self.displacement(from, 0), self.sensor));
+        let (total, smallest) = shares.fold((0.0, f64::INFINITY), |(sum, least), share| {
+            (sum + share, f64::min(least, share))
+        });
+        let from_field =
+            (0..self.sensor).map(|to| over(self.displacement(self.field - 1, to), self.field));
+        let of_mean: f64 = from_field.map(|sum| (sum / field).powi(2)).sum();
         [
             total / (field * sensor),
             square / (field * sensor),
@@ -81,6 +91,22 @@ impl Axis {
             total / field,
             smallest,
         ]
+    }
+
+    /// `g` over source and sensor, thinned out where there are many.
+    fn map(&self, g: impl Fn(isize) -> f64) -> Image {
+        let sides = [self.field, self.sensor].map(|n| n.min(LARGEST_MAP));
+        Image::from_fn(sides[0], sides[1], |i, j| {
+            let (from, to) = (i * self.field / sides[0], j * self.sensor / sides[1]);
+            g(self.displacement(from, to)) as f32
+        })
+    }
+
+    /// Pairs of field and sensor pixel that lie `d` apart.
+    fn pairs(&self, d: isize) -> f64 {
+        let first = 0.max(d - self.offset as isize);
+        let last = (self.sensor as isize).min(d - self.offset as isize + self.field as isize);
+        (last - first).max(0) as f64
     }
 }
 
@@ -115,9 +141,7 @@ impl Spread {
         let scale = 1.0 / (sigma * std::f64::consts::TAU.sqrt());
         let [y, x] = axes(camera);
         let needed_px = needed_rows(camera);
-        let rows = Image::from_fn(y.field, y.sensor, |from, to| {
-            relative(y.displacement(from, to)) as f32
-        });
+        let rows = y.map(relative);
         let [y, x] = [&y, &x].map(|axis| axis.means(|d| scale * relative(d)));
         Self {
             needed_px,
@@ -137,9 +161,7 @@ impl Spread {
         let needed_px = needed_rows(camera);
         let profile = RowProfile::new(psf, needed_px);
         let (up, down) = y.ends();
-        let rows = Image::from_fn(y.field, y.sensor, |from, to| {
-            profile.at(y.displacement(from, to)) as f32
-        });
+        let rows = y.map(|d| profile.at(d));
 
         let sums = Sums::new(psf);
         // The displacements from one field point to the whole sensor, and from the whole
@@ -183,22 +205,16 @@ impl Spread {
 
 /// Sum over all pairs of field point and pixel of the square of the PSF between them.
 fn mean_square(psf: &Psf, y: &Axis, x: &Axis) -> f64 {
-    // Pairs of an axis that lie `d` apart.
-    let pairs = |axis: &Axis, d: isize| {
-        let first = 0.max(d - axis.offset as isize);
-        let last = (axis.sensor as isize - 1).min(d - axis.offset as isize + axis.field as isize - 1);
-        (last - first + 1).max(0) as f64
-    };
     let image = psf.image();
     let (middle_y, middle_x) = (image.rows() as isize / 2, image.columns() as isize / 2);
     let across: Vec<f64> = (0..image.columns() as isize)
-        .map(|i| pairs(x, i - middle_x))
+        .map(|i| x.pairs(i - middle_x))
         .collect();
     (0..image.rows())
         .map(|i| {
             let row = image.row(i).iter().zip(&across);
             let sum: f64 = row.map(|(&p, n)| f64::from(p).powi(2) * n).sum();
-            sum * pairs(y, i as isize - middle_y)
+            sum * y.pairs(i as isize - middle_y)
         })
         .sum()
 }
