@@ -37,23 +37,22 @@ pub fn run(args: &DesignArgs) -> Result<()> {
         Some(path) => Some(OutputFolder::create(path)?),
         None => None,
     };
-    let psf = match given {
-        Some(psf) => Ok(psf),
-        None => simulated(&plan, &plan.camera, found.envelope_fwhm_px),
-    };
-    let map = if args.quick {
-        None
-    } else {
-        Some(map_of(&plan, &found, psf.as_ref().map_err(Clone::clone)?)?)
+    let map = match args.quick {
+        true => None,
+        false => Some(map_of(&plan, &found, given.as_ref())?),
     };
     let outcome = Outcome::new(&plan, &found, map.as_ref(), started.elapsed().as_secs_f64());
     if let Some(folder) = &folder {
+        // One that cannot be simulated is only not shown.
+        let psf = match given {
+            Some(psf) => Some(psf),
+            None => simulated(&plan, &plan.camera, found.envelope_fwhm_px).ok(),
+        };
         let page = page::Page {
             plan: &plan,
             found: &found,
             map: map.as_ref(),
-            // Without the map a PSF that cannot be simulated is only not shown.
-            psf: psf.as_ref().ok(),
+            psf: psf.as_ref(),
             outcome: &outcome,
             reproduce: &args.command_line(),
         };
@@ -87,16 +86,14 @@ fn simulated(plan: &Plan, camera: &Camera, fwhm_px: f64) -> Result<Psf> {
     )
 }
 
-/// The success map, with the PSF itself or, on a smaller camera, with speckle of the same
-/// grain and an envelope in proportion.
-fn map_of(plan: &Plan, found: &Assessment, psf: &Psf) -> Result<SuccessMap> {
+/// The success map, with the given PSF, or with speckle of the grain and, where the trial
+/// camera is smaller, an envelope in proportion.
+fn map_of(plan: &Plan, found: &Assessment, given: Option<&Psf>) -> Result<SuccessMap> {
     let camera = trial_camera(&plan.camera)?;
-    let smaller = camera.rows() < plan.camera.rows();
-    let scaled = if smaller && plan.psf.is_none() {
-        let part = camera.rows() as f64 / plan.camera.rows() as f64;
-        Some(simulated(plan, &camera, part * found.envelope_fwhm_px)?)
-    } else {
-        None
+    let part = camera.rows() as f64 / plan.camera.rows() as f64;
+    let psf = match given {
+        Some(psf) => psf.clone(),
+        None => simulated(plan, &camera, part * found.envelope_fwhm_px)?,
     };
     let grain_px = found
         .measured_grain_px
@@ -115,15 +112,10 @@ fn map_of(plan: &Plan, found: &Assessment, psf: &Psf) -> Result<SuccessMap> {
         camera.rows(),
         camera.columns()
     ));
-    let map = success_map(
-        &camera,
-        scaled.as_ref().unwrap_or(psf),
-        &params,
-        &mut |part| {
-            bar.set_position((1000.0 * part) as u64);
-            ControlFlow::Continue(())
-        },
-    );
+    let map = success_map(&camera, &psf, &params, &mut |part| {
+        bar.set_position((1000.0 * part) as u64);
+        ControlFlow::Continue(())
+    });
     bar.finish_and_clear();
     map
 }

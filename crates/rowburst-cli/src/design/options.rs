@@ -81,10 +81,10 @@ pub struct CameraArgs {
 #[command(next_help_heading = "Light and noise")]
 pub struct LightArgs {
     /// Photons of one bright scene pixel in one bin that pass the lens
-    #[arg(long, default_value_t = 1e7, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 2e7, allow_hyphen_values = true)]
     pub photons: f64,
     /// Bright pixels of the scene in a bin
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 10)]
     pub bright_pixels: usize,
     /// Electrons per photon, up to 1
     #[arg(long, default_value_t = 0.6, allow_hyphen_values = true)]

@@ -57,8 +57,8 @@ impl Page<'_> {
             plot: Plot::Grid {
                 image: reach,
                 quantity: ("light", 0.0, 1.0),
-                x: ("sensor row", &to),
-                y: ("field row", &from),
+                x: ("sensor row, from the top", &to),
+                y: ("field row, from the top", &from),
             },
             caption: "Light that each sensor row gets from each row of the field, over that of a row level with the source. The corners, from the bottom of the field to the top row and back, need 0.1 or more.".into(),
             alt: "Map of light over sensor row and field row.".into(),
@@ -74,7 +74,7 @@ impl Page<'_> {
                 caption: match &self.plan.psf {
                     Some(path) => format!("The PSF of {}.", path.display()),
                     None => format!(
-                        "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Brightest grains are white.",
+                        "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Light that falls outside of it is not shown.",
                         outcome.grain_fwhm_px, outcome.envelope_fwhm_px
                     ),
                 },
@@ -186,7 +186,7 @@ impl Page<'_> {
                     },
                 ],
             },
-            caption: "Rms of the noiseless frame over shot, read and rounding noise. Steeper at the left, where read noise rules; half as steep at the right, where shot noise does. The full well is not part of the curve.".into(),
+            caption: "Rms of the noiseless frame over shot, read and rounding noise. Under shot noise ten times the light give 3.2 times the SNR, under read noise ten times. The full well is not part of the curve.".into(),
             alt: "Curve of SNR over photons.".into(),
         }
     }
@@ -294,7 +294,7 @@ fn success_drawing<'a>(map: &SuccessMap, rates: &'a Image, steps: &'a [Vec<f64>]
             y: ("SNR of a pixel", &steps[1]),
         },
         caption: format!(
-            "Part of {} bins that came back right, over the number of scattered non-zero pixels and the SNR: {} reconstructions with prior l1+support. Right: at the resolution of a grain the error is below {} of the norm. White is success; cells far from the edge are not tried and have the value of their neighbour.",
+            "Part of {} bins that came back right, over the number of scattered non-zero pixels and the SNR: {} reconstructions with prior l1+support. Right: at the resolution of a grain the error is below {} of the norm. Bright is success; cells far from the edge are not tried and have the value of their neighbour.",
             map.trials, map.reconstructions, map.params.tolerance
         ),
         alt: "Map of success over sparsity and SNR.".into(),

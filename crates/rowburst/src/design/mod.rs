@@ -58,12 +58,12 @@ pub struct LightParams {
 }
 
 impl Default for LightParams {
-    /// A scientific CMOS camera of the paper's kind, twenty bright pixels, laser light.
+    /// A scientific CMOS camera of the paper's kind, ten bright pixels, laser light.
     fn default() -> Self {
         Self {
-            // A mean of about 6000 electrons in the pixels of 108×108.
-            photons: 1e7,
-            bright_pixels: 20,
+            // A mean of about 3400 electrons in the pixels of 108×108.
+            photons: 2e7,
+            bright_pixels: 10,
             quantum_efficiency: 0.6,
             read_noise_electrons: 1.5,
             electrons_per_count: None,
@@ -103,14 +103,14 @@ impl LightParams {
         positive(
             "photons",
             self.photons,
-            "Give the photons of one bright scene pixel in one bin that pass the lens, such as 1e7.",
+            "Give the photons of one bright scene pixel in one bin that pass the lens, such as 2e7.",
         )?;
         if self.bright_pixels == 0 {
             return Err(Error::input(
                 "bright_pixels",
                 0,
                 "a scene has at least one bright pixel in a bin",
-                "Give the number of scene pixels that are lit at once, such as 20.",
+                "Give the number of scene pixels that are lit at once, such as 10.",
             ));
         }
         let efficiency = self.quantum_efficiency;

@@ -41,15 +41,15 @@ pub struct SparsityParams {
 }
 
 impl SparsityParams {
-    /// Ten values of `k` from 2 to a quarter of the `m` measurements of a bin, and the
+    /// Ten values of `k` from a 54th to a fifth of the `m` measurements of a bin, and the
     /// ratios from 8 to the 256 of the paper.
     ///
     /// 160 iterations end near the rates of 300: at SNR 64 half of the bins of 216
     /// measurements survive 16.7 pixels instead of 17.3.
     pub fn for_measurements(m: f64, grain_px: f64, seed: u64) -> Self {
-        let most = (0.25 * m).max(4.0);
+        let (least, most) = ((m / 54.0).max(2.0), (m / 5.0).max(4.0));
         let steps = 10;
-        let k = |i: usize| 2.0 * (most / 2.0).powf(i as f64 / (steps - 1) as f64);
+        let k = |i: usize| least * (most / least).powf(i as f64 / (steps - 1) as f64);
         let mut ks: Vec<usize> = (0..steps).map(|i| k(i).round() as usize).collect();
         ks.dedup();
         Self {
@@ -159,11 +159,11 @@ pub fn constant(m: f64, k: f64, n: usize) -> f64 {
 pub fn usual_constant(snr: f64) -> f64 {
     const MEASURED: [(f64, f64); 6] = [
         (8.0, 4.0),
-        (16.0, 2.8),
-        (32.0, 2.3),
-        (64.0, 2.0),
+        (16.0, 3.0),
+        (32.0, 2.2),
+        (64.0, 2.05),
         (128.0, 1.95),
-        (256.0, 1.9),
+        (256.0, 1.8),
     ];
     let above = MEASURED.partition_point(|m| m.0 < snr);
     match (
