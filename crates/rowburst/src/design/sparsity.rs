@@ -16,7 +16,6 @@ use crate::camera::CameraParams;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::noise::Noise;
-use crate::prox::VariationWeights;
 use crate::reconstruct::{Prior, Problem, Recipe};
 use crate::{Camera, Error, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
 use rand::{RngExt, SeedableRng};
@@ -158,12 +157,12 @@ pub fn constant(m: f64, k: f64, n: usize) -> f64 {
 /// at an SNR: what [`success_map`] found (`rowburst design`, seed 1).
 pub fn usual_constant(snr: f64) -> f64 {
     const MEASURED: [(f64, f64); 6] = [
-        (8.0, 4.0),
-        (16.0, 3.0),
-        (32.0, 2.2),
-        (64.0, 2.05),
-        (128.0, 1.95),
-        (256.0, 1.8),
+        (8.0, 3.92),
+        (16.0, 2.99),
+        (32.0, 2.37),
+        (64.0, 1.96),
+        (128.0, 1.96),
+        (256.0, 1.87),
     ];
     let above = MEASURED.partition_point(|m| m.0 < snr);
     match (
@@ -337,14 +336,7 @@ fn success_rate(
     let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
     let recorded = Noise::Gaussian { snr }.apply(&noiseless, &Sensor::default(), params.seed)?;
     let recipe = Recipe {
-        prior: Prior {
-            weights: VariationWeights {
-                space: 0.0,
-                time: 0.0,
-                l1: 1.0,
-            },
-            support: true,
-        },
+        prior: "l1+support".parse::<Prior>()?,
         noise_sigma: Some(recorded.sigma),
         max_iterations: Some(params.max_iterations),
         ..Recipe::default()
