@@ -11,9 +11,7 @@ use crate::outcome::say;
 use indicatif::{ProgressBar, ProgressStyle};
 use options::Plan;
 use outcome::{Outcome, print_summary};
-use rowburst::design::sparsity::{
-    SparsityParams, SuccessMap, measurements_per_bin, success_map, trial_camera,
-};
+use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
 use rowburst::design::{Assessment, assess};
 use rowburst::simulate::speckle_psf;
 use rowburst::{Camera, Psf, Result};
@@ -98,8 +96,7 @@ fn map_of(plan: &Plan, found: &Assessment, given: Option<&Psf>) -> Result<Succes
     let grain_px = found
         .measured_grain_px
         .unwrap_or_else(|| found.grains.fwhm_px());
-    let params =
-        SparsityParams::for_measurements(measurements_per_bin(&camera), grain_px, plan.seed);
+    let params = SparsityParams::for_camera(&camera, grain_px, plan.seed);
     let bar = if std::io::stderr().is_terminal() {
         ProgressBar::new(1000)
     } else {

@@ -40,13 +40,17 @@ pub struct SparsityParams {
 }
 
 impl SparsityParams {
-    /// Ten values of `k` from a 54th to a fifth of the `m` measurements of a bin, and the
-    /// ratios from 8 to the 256 of the paper.
+    /// Ten values of `k` from a 54th to a fifth of the measurements of a bin of `camera`,
+    /// but no more than [`success_map`] takes, and the ratios from 8 to the 256 of the
+    /// paper.
     ///
     /// 160 iterations end near the rates of 300: at SNR 64 half of the bins of 216
     /// measurements survive 16.7 pixels instead of 17.3.
-    pub fn for_measurements(m: f64, grain_px: f64, seed: u64) -> Self {
-        let (least, most) = ((m / 54.0).max(2.0), (m / 5.0).max(4.0));
+    pub fn for_camera(camera: &Camera, grain_px: f64, seed: u64) -> Self {
+        let m = measurements_per_bin(camera);
+        let largest = (camera.video_shape().pixels() / CROWDED).max(1) as f64;
+        let most = (m / 5.0).max(4.0).min(largest);
+        let least = (m / 54.0).max(2.0).min(most);
         let steps = 10;
         let k = |i: usize| least * (most / least).powf(i as f64 / (steps - 1) as f64);
         let mut ks: Vec<usize> = (0..steps).map(|i| k(i).round() as usize).collect();
@@ -84,6 +88,8 @@ pub struct SuccessMap {
     pub field_pixels: usize,
 }
 
+/// Field pixels for each lit one in a trial, at least: more could not all be apart.
+const CROWDED: usize = 16;
 /// Largest side of the sensor that is simulated: a reconstruction takes about a second.
 const LARGEST_SIDE: usize = 108;
 /// The same where an exposure couples the bins, which is dearer.
@@ -214,7 +220,7 @@ pub fn success_map(
     observer: &mut dyn FnMut(f64) -> ControlFlow<()>,
 ) -> Result<SuccessMap> {
     let pixels = camera.video_shape().pixels();
-    if let Some(k) = params.ks.iter().find(|&&k| k == 0 || 16 * k > pixels) {
+    if let Some(k) = params.ks.iter().find(|&&k| k == 0 || CROWDED * k > pixels) {
         return Err(Error::input(
             "non-zero pixels per bin",
             k,

@@ -391,7 +391,7 @@ fn small_map(seed: u64) -> sparsity::SuccessMap {
         ks: vec![2, 4, 6, 9, 13, 20],
         snrs: vec![8.0, 128.0],
         max_iterations: 120,
-        ..SparsityParams::for_measurements(80.0, 2.6, seed)
+        ..SparsityParams::for_camera(&camera, 2.6, seed)
     };
     let mut last = 0.0;
     success_map(&camera, &psf, &params, &mut |part| {
@@ -435,9 +435,31 @@ fn success_falls_with_k_and_rises_with_snr() {
 fn a_stopped_map_says_so() {
     let camera = camera(20, 20, None);
     let psf = speckle_psf(&SpeckleOptics::demo(), 39, 39, 1).unwrap();
-    let params = SparsityParams::for_measurements(40.0, 2.6, 1);
+    let params = SparsityParams::for_camera(&camera, 2.6, 1);
     let error = success_map(&camera, &psf, &params, &mut |_| ControlFlow::Break(())).unwrap_err();
     assert!(matches!(error, Error::Work { .. }), "{error}");
+}
+
+#[test]
+fn cameras_with_few_pixels_or_one_bin_have_a_map() {
+    let psf = speckle_psf(&SpeckleOptics::demo(), 31, 31, 1).unwrap();
+    let mut global = camera(16, 16, None).params().clone();
+    global.shutter = Shutter::Global;
+    for params in [global, camera(4, 16, None).params().clone()] {
+        let camera = Camera::new(params).unwrap();
+        let mut params = SparsityParams::for_camera(&camera, 2.6, 1);
+        params.snrs = vec![64.0];
+        params.max_iterations = 60;
+        let map = success_map(&camera, &psf, &params, &mut |_| ControlFlow::Continue(())).unwrap();
+        println!("{:?} {:.2?}", params.ks, map.rates);
+        assert_eq!(map.rates[0].len(), params.ks.len());
+        assert!(
+            params
+                .ks
+                .iter()
+                .all(|k| 16 * k <= camera.video_shape().pixels())
+        );
+    }
 }
 
 #[test]
