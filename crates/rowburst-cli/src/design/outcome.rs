@@ -48,6 +48,8 @@ pub struct Outcome {
     pub field_pixels: usize,
     pub bright_pixels: usize,
     pub recoverable_pixels_per_bin: f64,
+    /// More than half of the bins came back at the most pixels tried.
+    pub recoverable_is_lower_bound: bool,
     /// `C` of `m = C·k·ln(n/k)` at the expected SNR; null where nothing is recovered.
     pub sparsity_constant: Option<f64>,
     /// "trials", or "rule" where the trials were left out.
@@ -146,6 +148,7 @@ impl Outcome {
             field_pixels: found.field_pixels,
             bright_pixels: plan.light.bright_pixels,
             recoverable_pixels_per_bin: pixels,
+            recoverable_is_lower_bound: map.is_some_and(|m| m.is_lower_bound_at(snr)),
             sparsity_constant: constant,
             sparsity_source: if map.is_some() { "trials" } else { "rule" },
             success_map: map.map(Map::new),
@@ -297,8 +300,14 @@ impl Outcome {
             line(
                 "recoverable",
                 format!(
-                    "about {:.0} scattered pixels a bin at SNR {:.0}",
-                    self.recoverable_pixels_per_bin, self.snr_per_pixel
+                    "{} {:.0} scattered pixels a bin at SNR {:.0}",
+                    if self.recoverable_is_lower_bound {
+                        "at least"
+                    } else {
+                        "about"
+                    },
+                    self.recoverable_pixels_per_bin,
+                    self.snr_per_pixel
                 ),
             ),
             line(

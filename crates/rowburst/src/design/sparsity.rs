@@ -292,6 +292,13 @@ impl SuccessMap {
         (k > 0.0).then(|| constant(self.measurements_per_bin, k, self.field_pixels))
     }
 
+    /// Whether more than half of the bins came back at the largest `k` tried: what is
+    /// found for `snr` is then a lower bound.
+    pub fn is_lower_bound_at(&self, snr: f64) -> bool {
+        let largest = self.params.ks.last().copied().unwrap_or(0);
+        self.k50_at(snr) >= largest as f64
+    }
+
     /// Non-zero pixels that half of the bins survive at `snr`: between the ratios tried
     /// by interpolation over the logarithm, beyond them that of the nearest.
     pub fn k50_at(&self, snr: f64) -> f64 {

@@ -453,6 +453,7 @@ fn cameras_with_few_pixels_or_one_bin_have_a_map() {
         let map = success_map(&camera, &psf, &params, &mut |_| ControlFlow::Continue(())).unwrap();
         println!("{:?} {:.2?}", params.ks, map.rates);
         assert_eq!(map.rates[0].len(), params.ks.len());
+        assert!(map.is_lower_bound_at(64.0));
         assert!(
             params
                 .ks
