@@ -10,10 +10,8 @@ use rowburst::calibrate::psf::{
     memory_effect, merge, noise_of, patch_set, patches_needed, placed, row_reach, span_px,
     statistics, without_noise,
 };
-use rowburst::{Error, Image, PatchSet, Result, Shape, Video};
-use rowburst_io::{
-    Experiment, OutputFolder, patch_set_toml, read_image, write_npy_image, write_npy_video,
-};
+use rowburst::{Error, Image, PatchSet, Result};
+use rowburst_io::{Experiment, OutputFolder, read_image, write_npy_image, write_patch_set};
 
 /// Standard deviations of noise above which light is light.
 const NOISE_FLOOR_SIGMAS: f64 = 3.0;
@@ -290,13 +288,7 @@ fn write(
     }
     folder.write("psf.npy", |w| write_npy_image(w, pages.psf))?;
     if let Some(set) = patches {
-        let first = set.psfs()[0].image();
-        let shape = Shape::new(set.psfs().len(), first.rows(), first.columns());
-        let pages = set.psfs().iter().flat_map(|p| p.image().data()).copied();
-        let stack = Video::new(shape, pages.collect())?;
-        folder.write("psf-patches.npy", |w| write_npy_video(w, &stack))?;
-        let toml = patch_set_toml(set, "psf-patches.npy");
-        folder.write_bytes("psf-patches.toml", toml.as_bytes())?;
+        write_patch_set(folder, "psf-patches", set)?;
     }
     if let Some(mut experiment) = experiment {
         let several = patches.is_some_and(|p| p.psfs().len() > 1);

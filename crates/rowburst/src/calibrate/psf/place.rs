@@ -159,14 +159,12 @@ fn thinned(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
         ahead.retain(|&d| d > 1e-6);
         ahead.sort_by(f64::total_cmp);
         let Some(&end) = ahead.last() else { continue };
-        // Even steps: the last patch is not left close behind the one before.
-        let steps = (end / spacing - 1e-9).ceil().max(1.0);
         let mut at = 0.0;
         while at < end {
-            let even = end / steps * ((at / end * steps + 1e-6).floor() + 1.0);
-            let target = even.min(at + spacing) + 1e-9;
-            let next = ahead.iter().copied().rfind(|&d| d > at && d <= target);
-            at = next.unwrap_or_else(|| ahead.iter().copied().find(|&d| d > at).unwrap_or(end));
+            let within = |d: &f64| *d > at && *d <= at + spacing + 1e-9;
+            let mut beyond = ahead.iter().copied().filter(|d| *d > at);
+            let next = ahead.iter().copied().rfind(within);
+            at = next.or_else(|| beyond.next()).unwrap_or(end);
             kept.push(start + sign * at);
         }
     }
@@ -223,4 +221,22 @@ pub fn patch_set(
         .collect();
     let kept: Vec<&Image> = kept.iter().map(|&i| &lights[i]).collect();
     PatchSet::new(placed(&kept, &moves)?, offsets)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_no_closer_than_they_need_be() {
+        let lines: Vec<f64> = (-20..=20).map(|i| 0.05 * f64::from(i)).collect();
+        let mut kept = thinned(&lines, 0.0, 0.19);
+        kept.sort_by(f64::total_cmp);
+        // Steps of 0.15, and the ends.
+        assert_eq!(kept.len(), 15);
+        assert!((kept[0] + 1.0).abs() < 1e-9 && (kept[14] - 1.0).abs() < 1e-9);
+        assert!(kept.windows(2).all(|w| w[1] - w[0] < 0.19));
+        // Lines farther apart than the spacing are all needed.
+        assert_eq!(thinned(&[-3.0, 0.0, 3.0], 0.0, 1.0).len(), 3);
+    }
 }
