@@ -100,6 +100,7 @@ impl Page<'_> {
                 outcome.frame_rate_hz
             ),
             warnings: outcome.warnings.clone(),
+            notes: Vec::new(),
             headline: headline(outcome),
             sections,
             tables,

@@ -42,8 +42,6 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
             vec![memory(effect), shifts(effect, places)],
         ));
     }
-    let mut warnings = outcome.warnings.clone();
-    warnings.extend(outcome.remarks.iter().map(|r| format!("Note: {r}")));
     let command = command_line(pages.args);
     let mut files = vec![
         ("psf.npy", "the PSF, float32, sums to 1"),
@@ -69,7 +67,8 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
             "{} captures, {} × {} pixels of the working grid",
             outcome.captures, outcome.rows, outcome.columns
         ),
-        warnings,
+        warnings: outcome.warnings.clone(),
+        notes: outcome.remarks.clone(),
         headline: headline(outcome),
         sections,
         tables: tables(outcome),
