@@ -343,3 +343,19 @@ fn simulated_speckle_has_its_numbers_and_a_planted_core_is_found() {
         }
     }
 }
+
+#[test]
+fn the_experiment_written_reconstructs() {
+    let lab = Lab::empty();
+    lab.image("pinhole.png", 96, 90, grains(5));
+    lab.experiment(
+        "[camera]\nrows = 48\ncolumns = 44\nshutter = \"dual-inside-out\"\nrow_time_us = 9.6\nexposure_us = 9.6\n",
+    );
+    calibrated(&lab, "pinhole.png --experiment experiment.toml");
+    lab.done("simulate out/experiment.toml --scene digits --digit-px 8 -o sim");
+    let result = lab.done(
+        "reconstruct out/experiment.toml --frame sim/frame.npy --truth sim/truth.npy --json -o video",
+    );
+    let result: Value = serde_json::from_str(&result).unwrap();
+    assert!(result["psnr_db"].as_f64().unwrap() > 25.0, "{result}");
+}
