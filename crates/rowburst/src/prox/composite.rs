@@ -17,9 +17,9 @@
 //!
 //! **Accuracy.** `R` is homogeneous, so the duality gap of the prox at `z(p)` is
 //! `s R(z) − ⟨q − z, z⟩`, and `‖z − prox(q)‖ ≤ √(2 gap)` as the prox is strongly convex.
-//! The steps go on until this is below [`ACCURACY`] of how far `q` has moved since the last call,
-//! which is the outer solver's own error (a relative-error criterion as in Eckstein & Yao
-//! 2018), or there have been [`MOST_STEPS`].
+//! The steps go on until this is below how far `q` has moved since the last call, which
+//! is the outer solver's own error (a relative-error criterion as in Eckstein & Yao
+//! 2018), and at least 2; a cap of 4 bounds the time of a call.
 
 use super::dual::DualTerm;
 use super::{Prox, Variation, VariationWeights};
@@ -28,11 +28,14 @@ use crate::{Shape, Support};
 use rayon::prelude::*;
 
 /// Largest error of a prox over the outer solver's last movement.
-const ACCURACY: f64 = 0.3;
+const ACCURACY: f64 = 1.0;
 
-/// Fewest and most dual steps of a call inside an outer solver.
+/// Fewest and most dual steps of a call inside an outer solver. With the dual kept, what a call
+/// leaves undone the next one does: at most 2, 4 or 12 steps a call gave a moving digit
+/// the same 29.8 dB in the same 200 iterations of `tv3d`, and soft blobs the same 22.6 dB of
+/// `wavelet` with 2 and 12; the bound on the error is pessimistic, and 12 steps took twice the time.
 const FEWEST_STEPS: usize = 2;
-const MOST_STEPS: usize = 12;
+const MOST_STEPS: usize = 4;
 
 /// Length of a dual step over the largest that is safe by half; up to 2 converges.
 const STEP: f64 = 1.9;

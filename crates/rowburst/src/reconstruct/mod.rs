@@ -129,6 +129,7 @@ impl Problem {
         }
         let operator = RollingShutter::new(camera, psf);
         recipe.prior.check_bins(operator.video_shape().bins)?;
+        params.threshold *= recipe.prior.threshold_factor(operator.video_shape());
         let prior = recipe.prior.prox(operator.video_shape());
         Ok(Self {
             columns: camera.columns(),
