@@ -335,16 +335,18 @@ fn accuracy_follows_the_outer_movement() {
     prior.prox(&near, 0.3, &mut z);
     let few = prior.steps_taken();
     assert!(few > 2, "{few}");
-    let exact = prox(
-        Composite::new(shape, NONE, 0.0).with(1.0, term("tv3d", shape)),
-        &near,
-        0.3,
-    );
-    let far: Vec<f32> = random(shape.voxels(), 8).iter().map(|v| 10.0 * v).collect();
-    for _ in 0..100 {
+    let mut exact = vec![0.0; q.len()];
+    Composite::new(shape, NONE, 0.0)
+        .with(1.0, term("tv3d", shape))
+        .with_steps(5000)
+        .prox(&near, 0.3, &mut exact);
+    let error = |z: &[f32]| distance_squared(z, &exact).sqrt() / norm(&exact);
+    let first = error(&z);
+    for _ in 0..400 {
         prior.prox(&near, 0.3, &mut z);
     }
-    assert!(distance_squared(&z, &exact).sqrt() < 1e-3 * norm(&exact));
+    assert!(error(&z) < 0.002 && first > 0.02, "{first} {}", error(&z));
+    let far: Vec<f32> = random(shape.voxels(), 8).iter().map(|v| 10.0 * v).collect();
     prior.prox(&far, 0.3, &mut z);
     assert_eq!(prior.steps_taken(), 2);
 }
