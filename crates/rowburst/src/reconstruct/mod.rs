@@ -4,11 +4,11 @@ mod data;
 mod prior;
 mod sigma;
 
-pub use prior::Prior;
+pub use prior::{FurtherWeights, Prior};
 pub use sigma::estimate_sigma;
 
 use crate::measurement::Measurement;
-use crate::prox::Variation;
+use crate::prox::Prox;
 use crate::solve::admm::{self, AdmmParams, Progress, TauRule};
 use crate::solve::{DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
@@ -54,7 +54,7 @@ impl SigmaSource {
 /// A reconstruction set up and ready to run.
 pub struct Problem {
     data: FrameData,
-    prior: Variation,
+    prior: Box<dyn Prox>,
     params: AdmmParams,
     recipe: Recipe,
     sigma: f64,
@@ -92,7 +92,8 @@ impl Problem {
     /// `psf` is one for the whole field (`&Psf`) or one for each part of it (`&PatchSet`).
     ///
     /// # Errors
-    /// A `τ` or `σ` that is not above zero, or a noise level that cannot be found.
+    /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a prior
+    /// over time for a video of one bin.
     pub fn new(
         measurement: &Measurement,
         camera: &Camera,
@@ -127,7 +128,9 @@ impl Problem {
             params.max_iterations = most;
         }
         let operator = RollingShutter::new(camera, psf);
-        let prior = Variation::new(operator.video_shape(), recipe.prior.weights);
+        recipe.prior.check_bins(operator.video_shape().bins)?;
+        params.threshold *= recipe.prior.threshold_factor(operator.video_shape());
+        let prior = recipe.prior.prox(operator.video_shape());
         Ok(Self {
             columns: camera.columns(),
             data: FrameData::new(operator, measurement),
@@ -160,7 +163,7 @@ impl Problem {
         let shape = self.data.shape();
         let solution = admm::solve(
             &mut self.data,
-            &mut self.prior,
+            &mut *self.prior,
             shape,
             &self.params,
             observer,
