@@ -3,9 +3,13 @@
 //! Operators know no optics. Every implementation passes [`laws`]: linearity,
 //! the adjoint identity, and that outputs are overwritten whatever they held.
 
+mod differences;
 pub mod laws;
+mod norm;
 mod weighted;
 
+pub use differences::{Axis, Differences};
+pub use norm::operator_norm;
 pub use weighted::Weighted;
 
 /// A linear map from `domain_len` to `range_len` numbers.
