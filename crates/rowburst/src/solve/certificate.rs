@@ -133,6 +133,14 @@ impl<'a> Certifier<'a> {
         self.bound(y, &pull, p);
     }
 
+    /// The `p` that `steps` steps fit to `y`.
+    pub(super) fn fitted(mut self, y: &[f32], steps: usize) -> Vec<f32> {
+        let mut pull = vec![0.0; self.reach.len()];
+        self.objective.operator().adjoint(y, &mut pull);
+        self.fit(&pull, steps);
+        self.p
+    }
+
     /// Step 1 of the module's list, for `pull = Aᵀy`.
     fn fit(&mut self, pull: &[f32], steps: usize) {
         let k = self.objective.differences();

@@ -14,7 +14,7 @@
 //! against the step that it is part of. At the minimum that `p` is the certificate's.
 
 use super::admm::Progress;
-use super::run::{Iterate, Watch, relative_change};
+use super::run::{Iterate, Watch, begin, relative_change};
 use super::{Certified, Limits, Objective, StopReason};
 use crate::linop::{LinearOperator, operator_norm};
 use crate::vecmath::{distance_squared, dot};
@@ -47,19 +47,19 @@ pub(super) const MARGIN: f64 = 1.02;
 /// Inner steps from one check of the prox's gap to the next.
 const INNER_CHECK: usize = 5;
 
-/// Minimises `objective` from `v = 0`.
+/// Minimises `objective` from the video `start` or else from darkness.
 pub fn solve(
     objective: &Objective,
+    start: Option<&[f32]>,
     params: &FistaParams,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
 ) -> Certified {
     let operator = objective.operator();
     let norm = (MARGIN * operator_norm(operator)).max(f64::MIN_POSITIVE.sqrt());
     let step = 1.0 / norm.powi(2);
-    let (n, m) = (operator.domain_len(), operator.range_len());
-    let (mut video, mut light) = (vec![0.0f32; n], vec![0.0f32; m]);
-    let (mut ahead, mut ahead_light) = (vec![0.0f32; n], vec![0.0f32; m]);
-    let mut pull = vec![0.0f32; n];
+    let (mut video, mut light) = begin(objective, start);
+    let (mut ahead, mut ahead_light) = (video.clone(), light.clone());
+    let mut pull = vec![0.0f32; video.len()];
     let mut inner = Inner::new(objective, step);
     let mut watch = Watch::new(objective, params.limits, observer);
     let mut t = 1.0f64;
@@ -75,7 +75,7 @@ pub fn solve(
         let before_light = light.clone();
         operator.apply(&video, &mut light);
 
-        let back: f64 = (0..n)
+        let back: f64 = (0..video.len())
             .map(|i| f64::from(ahead[i] - video[i]) * f64::from(video[i] - before[i]))
             .sum();
         let next = if back > 0.0 {

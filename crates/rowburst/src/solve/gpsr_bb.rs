@@ -10,7 +10,7 @@
 //! ```
 
 use super::admm::Progress;
-use super::run::{Iterate, Watch, relative_change};
+use super::run::{Iterate, Watch, begin, relative_change};
 use super::{Certified, Limits, Objective, StopReason};
 use crate::linop::operator_norm;
 use crate::vecmath::{dot, norm_squared};
@@ -48,12 +48,13 @@ impl Default for GpsrParams {
     }
 }
 
-/// Minimises an objective with `ℓ1` alone, from `v = 0`.
+/// Minimises an objective with `ℓ1` alone, from the video `start` or else from darkness.
 ///
 /// # Errors
 /// An objective with total variation or temporal differences in it.
 pub fn solve(
     objective: &Objective,
+    start: Option<&[f32]>,
     params: &GpsrParams,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
 ) -> Result<Certified> {
@@ -71,8 +72,7 @@ pub fn solve(
     let (shortest, longest) = (params.step_bounds.0 * unit, params.step_bounds.1 * unit);
     let price = objective.price() as f32;
     let (n, m) = (operator.domain_len(), operator.range_len());
-    let mut video = vec![0.0f32; n];
-    let mut light = vec![0.0f32; m];
+    let (mut video, mut light) = begin(objective, start);
     let (mut gradient, mut direction, mut change) =
         (vec![0.0f32; n], vec![0.0f32; n], vec![0.0; m]);
     let mut watch = Watch::new(objective, params.limits, observer);

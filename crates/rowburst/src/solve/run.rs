@@ -87,7 +87,8 @@ impl<'a, 'o> Watch<'a, 'o> {
     pub fn see(&mut self, iterate: &Iterate) -> ControlFlow<StopReason> {
         self.iterations += 1;
         let k = self.iterations;
-        let certifies = k.is_multiple_of(CERTIFY_EVERY) || k == self.limits.max_iterations;
+        let certifies =
+            k == 1 || k.is_multiple_of(CERTIFY_EVERY) || k == self.limits.max_iterations;
         if certifies {
             self.certify(iterate);
         }
@@ -152,4 +153,20 @@ pub(super) fn relative_change(now: &[f32], before: &[f32]) -> f64 {
     } else {
         crate::vecmath::distance_squared(now, before).sqrt() / size
     }
+}
+
+/// The first video, and `A` of it: `start` without what is below zero, or darkness.
+///
+/// # Panics
+/// If its length is not that of the problem.
+pub(super) fn begin(objective: &Objective, start: Option<&[f32]>) -> (Vec<f32>, Vec<f32>) {
+    let operator = objective.operator();
+    let mut light = vec![0.0; operator.range_len()];
+    let Some(start) = start else {
+        return (vec![0.0; operator.domain_len()], light);
+    };
+    assert_eq!(start.len(), operator.domain_len(), "length of the start");
+    let video: Vec<f32> = start.iter().map(|v| v.max(0.0)).collect();
+    operator.apply(&video, &mut light);
+    (video, light)
 }
