@@ -14,8 +14,8 @@
 //! 1. `p` is fitted: accelerated projected gradient steps on `½‖(Aᵀy − Kᵀp − τ w_1)₊‖²`, from
 //!    the last `p`. (Without differences there is none, and step 2 is exact.)
 //! 2. What is left is repaired, by scaling `y` and `p` down (where `w_1 > 0`), or by taking
-//!    a little of an even light, `y − δ·A1`, which lowers `Aᵀy` everywhere. The better one
-//!    counts.
+//!    a little of a light that is even in each bin from `y`, which lowers `Aᵀy` everywhere.
+//!    The better one counts.
 //! 3. Along `s·y`, `0 ≤ s ≤ 1`, which keeps the constraint too, the best `s` is taken.
 //!
 //! A bound holds for good, so the largest one is kept. Sums are f64, `Aᵀy` is f32: the bound
@@ -77,8 +77,7 @@ pub struct Certifier<'a> {
     /// The dual of the differences.
     p: Vec<f32>,
     best: f64,
-    /// `A1`, and `AᵀA1`.
-    even: Vec<f32>,
+    /// `AᵀA1`.
     reach: Vec<f32>,
 }
 
@@ -95,7 +94,6 @@ impl<'a> Certifier<'a> {
             p: vec![0.0; objective.differences().range_len()],
             // y = 0 keeps the constraint.
             best: 0.0,
-            even,
             reach,
         }
     }
@@ -191,28 +189,35 @@ impl<'a> Certifier<'a> {
         // p may be scaled down, but not up.
         let most = if p.is_empty() { s } else { s.min(1.0) };
         self.best = self.best.max(self.along(y, most));
-        // y − δ·A1
-        let delta = over
-            .iter()
-            .zip(&self.reach)
-            .map(|(&over, &reach)| (f64::from(over) - price, f64::from(reach)))
-            .filter(|(over, _)| *over > 0.0)
-            .map(|(over, reach)| {
-                if reach > 0.0 {
-                    over / reach
-                } else {
-                    f64::INFINITY
-                }
-            })
-            .fold(0.0, f64::max);
-        if delta > 0.0 && delta.is_finite() {
-            let mixed: Vec<f32> = y
-                .iter()
-                .zip(&self.even)
-                .map(|(&y, &even)| (f64::from(y) - delta * f64::from(even)) as f32)
-                .collect();
-            self.best = self.best.max(self.along(&mixed, 1.0));
+        over.iter_mut().for_each(|o| *o -= price as f32);
+        self.repair(y, &over);
+    }
+
+    /// Takes an even light in each bin from `y`, as much as the bin's voxels need that are
+    /// too high by `over`; scaled, since bins that share their instants share it.
+    fn repair(&mut self, y: &[f32], over: &[f32]) {
+        let pixels = self.objective.shape().pixels();
+        let mut light = vec![0.0f32; over.len()];
+        let bins = over
+            .chunks_exact(pixels)
+            .zip(self.reach.chunks_exact(pixels));
+        for (light, (over, reach)) in light.chunks_exact_mut(pixels).zip(bins) {
+            light.fill(largest_ratio(over, reach) as f32);
         }
+        let operator = self.objective.operator();
+        let mut seen = vec![0.0f32; y.len()];
+        operator.apply(&light, &mut seen);
+        operator.adjoint(&seen, &mut light);
+        let delta = largest_ratio(over, &light);
+        if !(delta > 0.0 && delta.is_finite()) {
+            return;
+        }
+        let mixed: Vec<f32> = y
+            .iter()
+            .zip(&seen)
+            .map(|(&y, &seen)| (f64::from(y) - delta * f64::from(seen)) as f32)
+            .collect();
+        self.best = self.best.max(self.along(&mixed, 1.0));
     }
 
     /// The largest `D(s·y)` for `0 ≤ s ≤ most`.
@@ -226,8 +231,46 @@ impl<'a> Certifier<'a> {
     }
 }
 
+/// The largest `over/reach` of the voxels with `over > 0`, at least 0.
+fn largest_ratio(over: &[f32], reach: &[f32]) -> f64 {
+    let pairs = over.iter().zip(reach).filter(|(over, _)| **over > 0.0);
+    pairs.fold(0.0, |most, (&over, &reach)| {
+        let ratio = if reach > 0.0 {
+            f64::from(over) / f64::from(reach)
+        } else {
+            f64::INFINITY
+        };
+        most.max(ratio)
+    })
+}
+
 /// `b − A v`.
 pub(super) fn residual(objective: &Objective, light: &[f32]) -> Vec<f32> {
     let pairs = objective.measured().iter().zip(light);
     pairs.map(|(b, a)| b - a).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn says_what_it_means() {
+        let text = |primal, dual| Certificate { primal, dual }.to_string();
+        assert_eq!(
+            text(1.001, 1.0),
+            "the objective is within 0.10 % of its minimum"
+        );
+        assert_eq!(
+            text(1.25, 1.0),
+            "the objective is within 25 % of its minimum"
+        );
+        assert_eq!(
+            text(4.0, 1.0),
+            "the objective is within 300 % of its minimum"
+        );
+        assert!(text(1.0, 0.0).starts_with("nothing is known"));
+        assert!(text(f64::INFINITY, 0.0).starts_with("nothing is known"));
+        assert!(text(0.0, 0.0).contains("0.001 %"));
+    }
 }

@@ -96,6 +96,11 @@ impl<'a> Objective<'a> {
         &self.differences
     }
 
+    /// Shape of the video.
+    pub fn shape(&self) -> Shape {
+        self.shape
+    }
+
     /// The weights in `R`.
     pub fn weights(&self) -> VariationWeights {
         self.weights
@@ -137,7 +142,7 @@ impl<'a> Objective<'a> {
         let (rows, columns) = space.split_at(space.len() / 2);
         let lengths = rows.iter().zip(columns);
         let isotropic: f64 = lengths
-            .map(|(a, b)| f64::from(*a).hypot(f64::from(*b)))
+            .map(|(a, b)| (f64::from(*a).powi(2) + f64::from(*b).powi(2)).sqrt())
             .sum();
         let absolute: f64 = time.iter().map(|d| f64::from(d.abs())).sum();
         self.tau * (self.weights.space * isotropic + self.weights.time * absolute)

@@ -15,8 +15,8 @@
 //! from the norms.
 
 use super::admm::Progress;
-use super::fista::MARGIN;
 use super::certificate::{Certifier, residual};
+use super::fista::MARGIN;
 use super::run::{Iterate, Watch, begin, relative_change};
 use super::{Certified, Limits, Objective, StopReason};
 use crate::linop::{LinearOperator, operator_norm};
