@@ -214,6 +214,8 @@ impl Solver {
             Self::Fista => {
                 let params = FistaParams {
                     limits,
+                    // Enough for these small videos.
+                    inner_steps: 40,
                     ..FistaParams::default()
                 };
                 fista::solve(objective, start, &params, observer)
@@ -259,23 +261,18 @@ fn all_agree(weights: VariationWeights, part: f64, threshold: f64, most: usize) 
         .filter(|s| weights == L1 || !matches!(s, Solver::Gpsr(_)));
     for &solver in solvers {
         let begin = std::time::Instant::now();
-        let mut log = String::new();
+        // Its steps with differences are few and dear.
         let most = if solver == Solver::Fista && weights != L1 {
-            800
+            600
         } else {
             most
         };
-        let found = solver.solve(&objective, None, limits(most, 5e-5), &mut |p| {
-            if [100, 200, 400, 800, 1600].contains(&p.iteration) {
-                log += &format!(" {:.6e}", p.objective);
-            }
-            go_on(p)
-        });
+        let found = solver.solve(&objective, None, limits(most, 5e-5), &mut go_on);
         println!(
-            "{solver:?}: {:.6e}, {} iterations, {:?}; {}; {log}",
+            "{solver:?} {:?}: {:.6e}, {} iterations; {}",
+            begin.elapsed(),
             found.certificate.primal,
             found.iterations,
-            begin.elapsed(),
             found.certificate
         );
         assert!(found.certificate.excess() < 2e-3, "{solver:?}");
@@ -287,7 +284,7 @@ fn all_agree(weights: VariationWeights, part: f64, threshold: f64, most: usize) 
     assert!(worst - best < 1e-4 * best, "{values:?}");
     // ... and that is the minimum.
     assert!(
-        best >= bound * (1.0 - 1e-6) && best < bound * (1.0 + 3e-4),
+        best >= bound * (1.0 - 1e-6) && best < bound * (1.0 + 6e-4),
         "{bound}"
     );
 }
@@ -407,15 +404,15 @@ fn the_gap_bounds_the_distance_to_the_minimum_along_every_solver() {
     let data = Data::frame();
     for (weights, part) in [(L1, 0.1), (ALL, 0.003)] {
         let objective = data.objective(weights, data.tau(part));
-        let reference = Solver::Fista.solve(&objective, None, limits(600, 1e-4), &mut go_on);
+        let reference = Solver::Fista.solve(&objective, None, limits(400, 1e-4), &mut go_on);
         let least = reference.certificate.primal;
         for solver in EVERY {
             if weights != L1 && matches!(solver, Solver::Gpsr(_)) {
                 continue;
             }
             let mut excesses = Vec::new();
-            let stages = [1, 5, 25, 125, 625];
-            solver.solve(&objective, None, limits(625, 0.0), &mut |p| {
+            let stages = [1, 5, 25, 125, 500];
+            solver.solve(&objective, None, limits(500, 0.0), &mut |p| {
                 if stages.contains(&p.iteration) {
                     let certificate = Certifier::new(&objective).certify(p.video, 300);
                     let missing = objective.value(p.video) - least;
@@ -461,25 +458,19 @@ fn the_result_of_another_solver_is_certified() {
     let objective = data.objective(TV, tau);
     let primal = objective.value(&default.video);
     let alone = Certifier::new(&objective).certify(&default.video, 500);
-    println!("alone: {:.2e}", alone.excess());
-    for solver in [Solver::PrimalDual, Solver::Fista] {
-        for iterations in [20, 100, 500] {
-            let found = solver.solve(
-                &objective,
-                Some(&default.video),
-                limits(iterations, 1e-4),
-                &mut go_on,
-            );
-            let certificate = Certificate {
-                primal,
-                dual: found.certificate.dual,
-            };
-            println!(
-                "{solver:?} {iterations}: {certificate} ({:.2e})",
-                certificate.excess()
-            );
-        }
-    }
+    let found = Solver::Fista.solve(
+        &objective,
+        Some(&default.video),
+        limits(100, 1e-4),
+        &mut go_on,
+    );
+    let certificate = Certificate {
+        primal,
+        dual: found.certificate.dual,
+    };
+    println!("alone: {alone}; after FISTA: {certificate}");
+    assert!((0.0..2e-2).contains(&alone.excess()), "{alone}");
+    assert!((0.0..1e-3).contains(&certificate.excess()), "{certificate}");
 }
 
 #[test]
@@ -501,10 +492,7 @@ fn a_warm_start_is_a_start_from_there() {
             &mut go_on,
         );
         println!("{solver:?} {} {}", found.iterations, again.iterations);
-        assert!(
-            again.iterations <= 40 && again.iterations < found.iterations,
-            "{solver:?}"
-        );
+        assert!(again.iterations < found.iterations / 2, "{solver:?}");
     }
 }
 

