@@ -162,7 +162,11 @@ fn bad_input_names_what_to_do() {
             "--frequency-hz 1000 --signal bad.csv",
             "cannot be used with",
         ),
-        ("led.npy", "--frequency-hz 1000 --repeat", "--signal"),
+        (
+            "led.npy",
+            "--frequency-hz 1000 --repeat",
+            "cannot be used with",
+        ),
         ("short.npy", "--frequency-hz 1000", "periods of the light"),
         ("still.npy", "--frequency-hz 1000", "no stripes"),
         (

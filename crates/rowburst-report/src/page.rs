@@ -29,6 +29,8 @@ pub(crate) struct Page<'a> {
     pub summary: String,
     /// What the reader must know before the numbers.
     pub warnings: &'a [String],
+    /// What the numbers rest on.
+    pub notes: &'a [String],
     pub headline: &'a [(String, String)],
     pub parts: Vec<Part<'a>>,
     pub settings: &'a [(String, Vec<(String, String)>)],
@@ -69,6 +71,7 @@ pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> Strin
         title: input.title,
         summary: summary(input),
         warnings: &[],
+        notes: &[],
         headline: &input.headline,
         parts: parts.into_iter().map(|(_, part)| part).collect(),
         settings: &input.settings,
@@ -101,6 +104,7 @@ impl Page<'_> {
                             p.warning role="note" { strong { "Warning: " } (warning) }
                         }
                         (headline(self.headline))
+                        @for note in self.notes { p.summary { (note) } }
                     }
                     main {
                         @for part in &self.parts {

@@ -40,7 +40,7 @@ pub struct TimingArgs {
     #[arg(long)]
     pub signal: Option<PathBuf>,
     /// The course starts anew at its last time, instead of keeping its last value
-    #[arg(long, requires = "signal")]
+    #[arg(long, requires = "signal", conflicts_with = "frequency_hz")]
     pub repeat: bool,
     /// A frame without light, instead of the experiment's
     #[arg(long)]

@@ -28,8 +28,6 @@ pub fn write(
             "the experiment with these numbers".into(),
         ));
     }
-    let mut warnings = timing.warnings.clone();
-    warnings.extend(timing.advice.clone());
     let rows = timing.profiles[0].0.len();
     let report = Sheet {
         title: "Rowburst: timing of a camera",
@@ -37,7 +35,8 @@ pub fn write(
             "{} of {rows} rows of a light that changes",
             plural(args.frames.len(), "frame")
         ),
-        warnings,
+        warnings: timing.warnings.clone(),
+        notes: timing.advice.clone().into_iter().collect(),
         headline: vec![
             ("row time".into(), row_time(timing)),
             ("shutter".into(), names(timing)),

@@ -10,18 +10,24 @@
 
 mod fit;
 mod matched;
+mod orders;
 mod pattern;
 mod periodic;
 mod periodogram;
+mod refusals;
 mod rows;
+mod search;
 mod signal;
 mod square;
 
 pub use signal::{After, Signal};
 
 use crate::{Error, Image, Result, Shutter};
+use orders::{advice, candidate, left};
 use periodic::PeriodicFit;
+use refusals::{check_agreement, check_alias, check_periods, expected_warning, unseen};
 use rows::RowSignals;
+use search::{best_of, fundamental, refined, start_of, total_power};
 
 /// The light in the frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -471,84 +477,6 @@ fn square_exposure(
     }
 }
 
-fn best_of(fits: &[PeriodicFit]) -> usize {
-    (0..fits.len())
-        .min_by(|&a, &b| fits[a].optimum.rss.total_cmp(&fits[b].optimum.rss))
-        .unwrap_or(0)
-}
-
-/// The frequency to start from, in cycles per row time, and whether it stands out.
-fn start_of(frames: &[Vec<f64>], k: &[usize]) -> (f64, bool) {
-    let mut best = total_power(frames, k, 2).peak();
-    if frames.len() >= pattern::FEWEST_FRAMES {
-        // What all frames share would hide weak stripes.
-        let other = total_power(&pattern::over_their_mean(frames), k, 2).peak();
-        if other.1 > best.1 {
-            best = other;
-        }
-    }
-    (best.0, best.1 > CLEAR_PEAK)
-}
-
-fn total_power(frames: &[Vec<f64>], k: &[usize], degree: usize) -> periodogram::Periodogram {
-    let mut power = periodogram::periodogram(&frames[0], k, degree);
-    for frame in &frames[1..] {
-        power.include(&periodogram::periodogram(frame, k, degree));
-    }
-    power
-}
-
-/// Harmonics by which the orders are first compared.
-const FIRST_HARMONICS: usize = 8;
-/// An order that leaves this many times what the best one leaves is refined no further.
-const HOPELESS: f64 = 4.0;
-
-/// The fit at the strongest frequency, or at a half or a third of it where that
-/// explains more: an exposure of about a period can leave a harmonic on top.
-fn fundamental(frames: &[Vec<f64>], k: &[usize], start: f64) -> PeriodicFit {
-    let coarse = |start: f64, harmonics: usize| periodic::fit(frames, k, start, harmonics);
-    let (mut from, mut lowest) = (start, coarse(start, 2).optimum.rss);
-    for part in [2usize, 3] {
-        let lower = start / part as f64;
-        if lower * (count_of(k) as f64) < 1.0 {
-            break;
-        }
-        let other = coarse(lower, 2 * part);
-        let near = (other.cycles_per_row / lower - 1.0).abs() < 0.1;
-        // More harmonics always leave a little less.
-        if near && other.optimum.rss < 0.5 * lowest {
-            (from, lowest) = (other.cycles_per_row, other.optimum.rss);
-        }
-    }
-    coarse(from, FIRST_HARMONICS)
-}
-
-/// `fits` with all harmonics where there is hope.
-fn refined(
-    frames: &[Vec<f64>],
-    orders: &[Vec<usize>],
-    same_as: [usize; 4],
-    fits: &[PeriodicFit],
-) -> Vec<PeriodicFit> {
-    let lowest = fits[best_of(fits)].optimum.rss;
-    let mut all: Vec<PeriodicFit> = Vec::new();
-    for (o, fit) in fits.iter().enumerate() {
-        all.push(if same_as[o] != o {
-            all[same_as[o]].clone()
-        } else if fit.optimum.rss > HOPELESS * lowest {
-            fit.clone()
-        } else {
-            periodic::fit(
-                frames,
-                &orders[o],
-                fit.cycles_per_row,
-                periodic::MOST_HARMONICS,
-            )
-        });
-    }
-    all
-}
-
 fn explained(frames: &[Vec<f64>], rss: f64, degree: usize) -> f64 {
     let profile = fit::polynomials(frames[0].len(), degree);
     let total: f64 = frames
@@ -562,152 +490,6 @@ fn explained(frames: &[Vec<f64>], rss: f64, degree: usize) -> f64 {
         })
         .sum();
     if total > 0.0 { 1.0 - rss / total } else { 0.0 }
-}
-
-fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
-    Error::input(
-        "frames",
-        format!(
-            "no stripes that stand out of noise and scene (a periodic light explains {:.0} % of the rows' variance)",
-            100.0 * explained.max(0.0)
-        ),
-        format!(
-            "the rows show the stripes of a light of {frequency_hz} Hz, at least {FEWEST_PERIODS} periods in {rows} rows"
-        ),
-        "Light the sensor by the lamp alone, shorten the exposure to less than half a period, or choose a frequency that gives 5 to 50 periods in a readout.",
-    )
-}
-
-fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
-    if periods >= FEWEST_PERIODS {
-        return Ok(());
-    }
-    Err(Error::input(
-        "frames",
-        format!("{periods:.2} periods of the light in the readout of a frame"),
-        format!(
-            "at least {FEWEST_PERIODS} are needed to tell the light from the profile of the lamp"
-        ),
-        format!(
-            "Blink at {} Hz or more; about {} Hz gives 20 periods.",
-            rounded(1.1 * FEWEST_PERIODS / periods * frequency_hz),
-            rounded(20.0 / periods * frequency_hz)
-        ),
-    ))
-}
-
-fn check_alias(cycles_per_row: f64, frequency_hz: f64, expected: Option<f64>) -> Result<()> {
-    let most = if expected.is_some() {
-        0.45
-    } else {
-        1.0 / FEWEST_ROWS_A_PERIOD
-    };
-    if cycles_per_row <= most {
-        return Ok(());
-    }
-    let slower = rounded(0.1 / cycles_per_row * frequency_hz);
-    let found = match expected {
-        Some(expected) => format!(
-            "a period of {:.2} row times at the row time of {expected} µs that is expected",
-            1.0 / cycles_per_row
-        ),
-        None => format!("stripes of {:.2} rows", 1.0 / cycles_per_row),
-    };
-    Err(Error::input(
-        format!("frequency_hz = {frequency_hz}"),
-        found,
-        match expected {
-            Some(_) => "a period lasts more than two row times, or the light aliases: its stripes look like those of a slower one".to_string(),
-            None => format!("stripes of fewer than {FEWEST_ROWS_A_PERIOD} rows may be an alias of a faster light, which would give another row time"),
-        },
-        format!("Blink more slowly: about {slower} Hz gives 10 rows a period."),
-    ))
-}
-
-/// To two digits.
-fn rounded(value: f64) -> f64 {
-    let unit = 10f64.powf(value.abs().log10().floor() - 1.0);
-    let rounded = (value / unit).round() * unit;
-    if unit >= 1.0 {
-        rounded.round()
-    } else {
-        rounded
-    }
-}
-
-fn check_agreement(frames: &[Vec<f64>], k: &[usize], frequency_hz: f64) -> Result<()> {
-    let width = 1.0 / count_of(k) as f64;
-    let peaks: Vec<f64> = frames
-        .iter()
-        .map(|frame| periodogram::periodogram(frame, k, 2).peak().0)
-        .collect();
-    let Some(odd) = peaks.iter().position(|p| (p - peaks[0]).abs() > width) else {
-        return Ok(());
-    };
-    let list: Vec<String> = peaks
-        .iter()
-        .map(|p| format!("{:.3}", p / frequency_hz * 1e6))
-        .collect();
-    Err(Error::input(
-        format!("frame {}", odd + 1),
-        format!("row times that disagree: {} µs", list.join(", ")),
-        "all frames are of one light and one setting of the camera",
-        "Leave out the frames of another frequency or another readout rate.",
-    ))
-}
-
-fn candidate(
-    shutter: Shutter,
-    row_time_us: f64,
-    rss: f64,
-    freedom: f64,
-    best: f64,
-    related: f64,
-    variance: f64,
-) -> Candidate {
-    let variance = variance.max(f64::MIN_POSITIVE);
-    let excess = (rss - best) / related.max(f64::MIN_POSITIVE);
-    Candidate {
-        shutter,
-        row_time_us,
-        chi2: rss / variance / freedom.max(1.0),
-        excess,
-        left: excess < CLEAR_MARGIN,
-    }
-}
-
-fn left(candidates: &[Candidate]) -> Vec<Shutter> {
-    let mut left: Vec<&Candidate> = candidates.iter().filter(|c| c.left).collect();
-    left.sort_by(|a, b| a.excess.total_cmp(&b.excess));
-    left.iter().map(|c| c.shutter.clone()).collect()
-}
-
-fn advice(candidates: &[Candidate], periodic: bool) -> Option<String> {
-    let left = left(candidates);
-    let dual = |s: &Shutter| matches!(s, Shutter::DualInsideOut | Shutter::DualOutsideIn);
-    let both = left.iter().any(dual) && !left.iter().all(dual);
-    match (left.len(), periodic) {
-        (0 | 1, _) => None,
-        (_, true) if both => Some("these stripes mirror each other about the middle row by chance: a frame of another phase tells one sweep from two; a chirp or an unequal double pulse of known course (a signal file) decides the direction too".into()),
-        (_, true) => Some("a light of which only the frequency is known cannot tell a direction from its reverse: a chirp or an unequal double pulse of known course (a signal file) decides".into()),
-        (_, false) => Some("this course of light fits several orders: one that is not symmetric in time decides, such as a chirp or two pulses of unequal length, within the readout of a frame".into()),
-    }
-}
-
-fn expected_warning(row_time_us: f64, params: &TimingParams) -> Vec<String> {
-    let off = |expected: &f64| (row_time_us / expected - 1.0).abs() > 0.02;
-    let warning = |expected: f64| {
-        format!(
-            "the row time found, {row_time_us:.4} µs, is not the expected {expected} µs ({:+.1} %): check the frequency of the light, and that the experiment is of this camera setting",
-            100.0 * (row_time_us / expected - 1.0)
-        )
-    };
-    params
-        .expected_row_time_us
-        .filter(off)
-        .map(warning)
-        .into_iter()
-        .collect()
 }
 
 fn depth(low: f64, high: f64) -> f64 {
