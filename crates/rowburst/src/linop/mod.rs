@@ -5,12 +5,16 @@
 
 mod bins;
 mod cosine;
+mod differences;
 pub mod laws;
+mod norm;
 mod wavelet;
 mod weighted;
 
 pub use bins::{Band, BinTransform, OverBins};
 pub use cosine::Cosine;
+pub use differences::{Axis, Differences};
+pub use norm::operator_norm;
 pub use wavelet::Wavelet;
 pub use weighted::Weighted;
 

@@ -2,7 +2,17 @@
 
 pub mod admm;
 pub mod blocks;
+pub mod certificate;
 pub mod conjugate_gradient;
+pub mod fista;
+pub mod gpsr_bb;
+pub mod objective;
+pub mod primal_dual;
+mod run;
+
+pub use certificate::{Certificate, Certifier};
+pub use objective::Objective;
+pub use run::{Certified, Limits};
 
 use crate::Support;
 use crate::linop::LinearOperator;
