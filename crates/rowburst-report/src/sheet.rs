@@ -156,6 +156,7 @@ impl Sheet<'_> {
             summary: self.summary.clone(),
             warnings: &self.warnings,
             headline: &self.headline,
+            fit: None,
             parts,
             settings: &self.tables,
             files: &self.files,

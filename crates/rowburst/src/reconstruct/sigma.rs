@@ -71,9 +71,8 @@ impl Bands {
         };
         let blind = complex(&order[..part(NOISE_BAND, 1)]);
         let passed = complex(&order[order.len() - part(PASSED_BAND, 2)..]);
-        let mean = |band: &[usize]| {
-            band.iter().map(|&f| power[f]).sum::<f64>() / band.len().max(1) as f64
-        };
+        let mean =
+            |band: &[usize]| band.iter().map(|&f| power[f]).sum::<f64>() / band.len().max(1) as f64;
         Self {
             leak: mean(&blind) / mean(&passed).max(f64::MIN_POSITIVE),
             length,

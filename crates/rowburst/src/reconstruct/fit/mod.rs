@@ -20,7 +20,8 @@
 //! | rows paired or overlapped wrongly (shutter, exposure too long, frame moved along `y`) | `χ²`, where the scene changes |
 //! | two rows an instant taken for one (dual for single) | a video that runs back and forth |
 //! | light outside the field, support too tight, bad pixels and columns | `χ²` of few instants, columns, pixels |
-//! | stopped early | the residual still falls, or has just begun to |
+//! | stopped early | few iterations, or a residual that still falls |
+//! | pixels that hold no light of the scene | the blind band, or a solver that ran away |
 //! | too few measurements to tell | `df/m` |
 //!
 //! **No residual can tell** what another video explains as well: time reversed
@@ -78,6 +79,8 @@ pub struct FitStatistics {
     pub chi_squared: f64,
     /// Standard deviation of `chi_squared` for a good fit, `√(2/(m − df))`.
     pub chi_squared_error: f64,
+    /// `‖r‖ / ‖W b/σ‖`: a dark video leaves 1.
+    pub residual_over_frame: f64,
     /// `df/m`: values that the fit has chosen freely over measurements.
     pub freedom: f64,
     /// Rms of `r` in the tenth of the horizontal frequencies that the optics pass least;

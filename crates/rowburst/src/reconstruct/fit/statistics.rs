@@ -53,9 +53,8 @@ pub(super) fn of(evidence: &Evidence) -> FitStatistics {
     let blind_count = evidence.bands.blind_count();
     let value = |at: usize| f64::from(r[at]);
     let correlation = |step: usize, limit: usize| {
-        let pairs = (0..r.len() - step.min(r.len())).filter(|&at| {
-            (step != 1 || at % columns < limit) && usable(at) && usable(at + step)
-        });
+        let pairs = (0..r.len() - step.min(r.len()))
+            .filter(|&at| (step != 1 || at % columns < limit) && usable(at) && usable(at + step));
         let (mut sum, mut n) = (0.0, 0usize);
         pairs.for_each(|at| {
             sum += value(at) * value(at + step);
@@ -66,6 +65,8 @@ pub(super) fn of(evidence: &Evidence) -> FitStatistics {
     FitStatistics {
         chi_squared: chi(total, pixels.len()),
         chi_squared_error: (2.0 / (m - spent)).sqrt(),
+        residual_over_frame: total.sqrt()
+            / crate::vecmath::norm(evidence.measured).max(f64::MIN_POSITIVE),
         freedom: evidence.freedom / m,
         noise_floor: (blind_count >= 8)
             .then(|| evidence.bands.blind_rms(value))

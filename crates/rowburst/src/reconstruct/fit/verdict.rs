@@ -28,12 +28,16 @@ const FREEDOM: f64 = 0.8;
 /// at least 0.15 in the wrong one.
 const MIRRORED: f64 = 0.08;
 /// Part of the voxels that the support admits; a sparse scene takes a tenth at most.
-const WIDE_SUPPORT: f64 = 0.2;
+const WIDE_SUPPORT: f64 = 0.3;
 /// Iterations before which no video has taken shape: the solver follows the brightness
 /// for 60 and then looks for the support.
 const EARLY: usize = 120;
 /// Residual over that at four fifths of the iterations, where it still falls.
-const FALLING: f64 = 0.9;
+const FALLING: f64 = 0.85;
+/// Residual over the frame itself beyond which more iterations are not what is missing.
+const FAR: f64 = 0.3;
+/// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
+const RAN_AWAY: f64 = 1.5;
 
 pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
     if evidence.video.max() <= 0.0 {
@@ -45,11 +49,16 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
     if let Some(found) = noise_level(evidence, s) {
         return found;
     }
+    let suspicious = |reason: String| (Verdict::Suspicious, reason);
+    if let Some(mirrored) = s.mirrored.filter(|m| *m > MIRRORED) {
+        return suspicious(format!(
+            "the video runs back and forth (bins mirrored in time are more alike than others, by {mirrored:.2}): the shutter is probably a dual one, which reads two rows in an instant"
+        ));
+    }
     let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
     if s.chi_squared > limit {
         return misfit(evidence, s, limit);
     }
-    let suspicious = |reason: String| (Verdict::Suspicious, reason);
     if s.chi_squared < TOO_LOW {
         return suspicious(format!(
             "the residual is only {:.2} of the noise: the fit has followed the noise{}",
@@ -65,11 +74,6 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
         return suspicious(format!(
             "the residual has {excess:.2} times the noise at the scale of the speckle: {}",
             culprits(evidence, s)
-        ));
-    }
-    if let Some(mirrored) = s.mirrored.filter(|m| *m > MIRRORED) {
-        return suspicious(format!(
-            "the video runs back and forth (bins mirrored in time are more alike than others, by {mirrored:.2}): the shutter is probably a dual one, which reads two rows in an instant"
         ));
     }
     if s.freedom > FREEDOM {
@@ -88,7 +92,8 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
         "the residual is white noise of the expected strength: PSF, camera and noise level explain the frame",
     );
     if !s.tests_timing {
-        reason += "; the order and times of the rows are not tested, since no two rows see the same bin";
+        reason +=
+            "; the order and times of the rows are not tested, since no two rows see the same bin";
     }
     (Verdict::Good, reason)
 }
@@ -112,7 +117,7 @@ fn noise_level(evidence: &Evidence, s: &FitStatistics) -> Option<(Verdict, Strin
         SigmaSource::Frame => "give a σ of",
     };
     let effect = if high {
-        "the solver has fitted noise"
+        "the solver has fitted noise (or the frame has detail finer than the optics pass: bad pixels or columns that are not marked)"
     } else {
         "the video is smoother than the frame allows"
     };
@@ -132,20 +137,33 @@ fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, Strin
     let ratio = digits(s.chi_squared.sqrt());
     let stopped = evidence.stop_reason != StopReason::Converged;
     let iterations = evidence.history.len();
-    if stopped && (iterations < EARLY || s.residual_trend < FALLING) {
+    let suspicious = |reason: String| (Verdict::Suspicious, reason);
+    if stopped && iterations < EARLY {
+        let more = match evidence.stop_reason {
+            StopReason::TimeBudget => "time",
+            _ => "iterations",
+        };
+        return suspicious(format!(
+            "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; give it more {more}, and judge then"
+        ));
+    }
+    if s.residual_over_frame > RAN_AWAY {
         return (
-            Verdict::Suspicious,
+            Verdict::Bad,
             format!(
-                "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; give it more {}, and judge then",
-                match evidence.stop_reason {
-                    StopReason::TimeBudget => "time",
-                    _ => "iterations",
-                }
+                "the residual is {} times the frame itself: the solver ran away, as it does where no video comes near the frame: bad, hot or saturated pixels that are not marked, a σ that is too small, or a PSF or shutter that is wrong",
+                digits(s.residual_over_frame)
             ),
         );
     }
     if let Some(reason) = local(s, limit, stopped) {
-        return (Verdict::Suspicious, reason);
+        return suspicious(reason);
+    }
+    if stopped && s.residual_trend < FALLING && s.residual_over_frame < FAR {
+        return suspicious(format!(
+            "stopped early, after {iterations} iterations: the residual is {ratio} times the noise and still falls; give it more iterations, and if it stays, {}",
+            culprits(evidence, s)
+        ));
     }
     let verdict = if s.chi_squared > BAD {
         Verdict::Bad
@@ -154,7 +172,7 @@ fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, Strin
     };
     let (misfits, all) = s.misfit_instants;
     let place = if all > 1 {
-        format!(" in {misfits} of {all} instants")
+        format!(" ({misfits} of {all} instants do not fit)")
     } else {
         String::new()
     };
@@ -220,11 +238,9 @@ fn culprits(evidence: &Evidence, s: &FitStatistics) -> String {
     }
     list.push("the PSF does not belong to this frame (another diffuser, distance or camera position, or a background left in it)");
     if s.tests_timing {
-        list.push("rows see the scene at other times than assumed (shutter order, exposure too long, frame shifted along y)");
+        list.push("rows see the scene at other times than assumed (shutter, exposure too long, frame shifted along y)");
     }
-    let mut text = String::from("no video explains this frame: ");
-    text += &list.join("; or ");
-    text
+    list.join("; or ")
 }
 
 fn digits(value: f64) -> String {
@@ -232,6 +248,7 @@ fn digits(value: f64) -> String {
         v if v >= 100.0 => format!("{v:.0}"),
         v if v >= 10.0 => format!("{v:.1}"),
         v if v >= 0.1 => format!("{v:.2}"),
+        v if v >= 0.01 => format!("{v:.3}"),
         v => format!("{v:.2e}"),
     }
 }
