@@ -46,6 +46,15 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
             "the video is dark: noise of this level explains the whole frame".into(),
         );
     }
+    if s.residual_over_frame > RAN_AWAY && evidence.history.len() >= EARLY {
+        return (
+            Verdict::Bad,
+            format!(
+                "the residual is {} times the frame itself: the solver ran away, as it does where no video comes near the frame: dead, hot or saturated pixels that are not marked, a σ that is too small, or a PSF or shutter that is wrong",
+                digits(s.residual_over_frame)
+            ),
+        );
+    }
     if let Some(found) = noise_level(evidence, s) {
         return found;
     }
@@ -147,15 +156,6 @@ fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, Strin
             "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; give it more {more}, and judge then"
         ));
     }
-    if s.residual_over_frame > RAN_AWAY {
-        return (
-            Verdict::Bad,
-            format!(
-                "the residual is {} times the frame itself: the solver ran away, as it does where no video comes near the frame: bad, hot or saturated pixels that are not marked, a σ that is too small, or a PSF or shutter that is wrong",
-                digits(s.residual_over_frame)
-            ),
-        );
-    }
     if let Some(reason) = local(s, limit, stopped) {
         return suspicious(reason);
     }
@@ -239,6 +239,9 @@ fn culprits(evidence: &Evidence, s: &FitStatistics) -> String {
     list.push("the PSF does not belong to this frame (another diffuser, distance or camera position, or a background left in it)");
     if s.tests_timing {
         list.push("rows see the scene at other times than assumed (shutter, exposure too long, frame shifted along y)");
+    }
+    if evidence.stop_reason != StopReason::Converged {
+        list.push("the solver did not converge");
     }
     list.join("; or ")
 }
