@@ -236,7 +236,7 @@ fn culprits(evidence: &Evidence, s: &FitStatistics) -> String {
     if evidence.tau_is_given {
         list.push("τ is given, and too large");
     }
-    list.push("the PSF does not belong to this frame (another diffuser, distance or camera position, or a background left in it)");
+    list.push("the PSF does not belong to this frame (another diffuser or distance, turned, or with a background left in it)");
     if s.tests_timing {
         list.push("rows see the scene at other times than assumed (shutter, exposure too long, frame shifted along y)");
     }
