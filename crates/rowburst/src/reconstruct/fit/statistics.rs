@@ -218,3 +218,72 @@ fn small_picture(video: &Video, t: usize) -> Vec<f64> {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraParams;
+    use crate::{Sensor, Shape, Shutter};
+
+    fn camera(shutter: Shutter, exposure_us: f64) -> Camera {
+        Camera::new(CameraParams {
+            rows: 32,
+            columns: 8,
+            shutter,
+            row_time_us: 10.0,
+            exposure_us,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap()
+    }
+
+    /// A dot in each bin, at `place(t)`.
+    fn dots(bins: usize, place: impl Fn(usize) -> usize) -> Video {
+        let mut video = Video::zeros(Shape::new(bins, 32, 8));
+        for t in 0..bins {
+            video.bin_mut(t)[place(t)] = 1.0;
+        }
+        video
+    }
+
+    #[test]
+    fn a_video_that_runs_back_and_forth_is_mirrored() {
+        let single = camera(Shutter::TopDown, 10.0);
+        let forth = dots(32, |t| 8 * t);
+        let back = dots(32, |t| 8 * t.min(31 - t));
+        assert_eq!(mirrored(&single, &forth), Some(0.0));
+        assert_eq!(mirrored(&single, &back), Some(1.0));
+        // Not a sign of anything where nothing moves, or where two rows are read at once.
+        let still = dots(32, |_| 77);
+        assert!(mirrored(&single, &still).unwrap().abs() < 1e-12);
+        let dual = camera(Shutter::DualInsideOut, 10.0);
+        assert_eq!(mirrored(&dual, &dots(16, |t| t)), None);
+    }
+
+    #[test]
+    fn timing_is_tested_where_two_rows_see_a_bin() {
+        assert!(!tests_timing(&camera(Shutter::TopDown, 10.0)));
+        assert!(tests_timing(&camera(Shutter::TopDown, 15.0)));
+        assert!(tests_timing(&camera(Shutter::DualInsideOut, 10.0)));
+        assert!(tests_timing(&camera(Shutter::Global, 10.0)));
+    }
+
+    #[test]
+    fn the_trend_is_that_of_the_last_fifth() {
+        assert_eq!(trend(&[]), 1.0);
+        let falling: Vec<f64> = (0..10).map(|k| 10.0 - f64::from(k)).collect();
+        assert_eq!(trend(&falling), 0.5);
+    }
+
+    #[test]
+    fn lines_that_stand_out_are_named() {
+        let pixels: Vec<usize> = (0..300).collect();
+        let power = |at: usize| if at % 30 == 4 { 9.0 } else { 1.0 };
+        let lines = Lines::new(&pixels, 30, |at| at % 30, power);
+        assert_eq!(lines.misfits, [4]);
+        assert_eq!(lines.worst(), (4, 9.0));
+        assert_eq!(lines.rest, (290.0, 290));
+    }
+}
