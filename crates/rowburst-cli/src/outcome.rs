@@ -1,5 +1,6 @@
 //! `result.json`: the numbers of a run.
 
+use rowburst::reconstruct::FitStatistics;
 use serde::Serialize;
 use std::io::Write;
 
@@ -36,7 +37,64 @@ pub struct Outcome {
     pub psnr_db: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim: Option<f64>,
+    /// good, suspicious or bad.
+    pub fit: &'static str,
+    pub fit_reason: String,
+    pub fit_statistics: FitNumbers,
     pub warnings: Vec<String>,
+}
+
+/// What the verdict on the fit rests on; see `rowburst::reconstruct::FitStatistics`.
+#[derive(Debug, Clone, Serialize)]
+pub struct FitNumbers {
+    pub chi_squared: f64,
+    pub chi_squared_error: f64,
+    pub residual_over_frame: f64,
+    /// Values that the fit has chosen freely over measurements.
+    pub freedom: f64,
+    /// Noise over σ; null where the frame is too small to tell.
+    pub noise_floor: Option<f64>,
+    pub passed_level: Option<f64>,
+    pub correlation_x: f64,
+    pub correlation_y: f64,
+    pub correlation_with_model: f64,
+    pub misfit_instants: usize,
+    pub worst_instant: usize,
+    pub worst_instant_chi_squared: f64,
+    pub misfit_columns: usize,
+    pub worst_column: usize,
+    pub worst_column_chi_squared: f64,
+    pub lone_pixels: usize,
+    pub residual_trend: f64,
+    /// Null where instants read several rows.
+    pub mirrored: Option<f64>,
+    pub tests_timing: bool,
+}
+
+impl From<&FitStatistics> for FitNumbers {
+    fn from(s: &FitStatistics) -> Self {
+        Self {
+            chi_squared: s.chi_squared,
+            chi_squared_error: s.chi_squared_error,
+            residual_over_frame: s.residual_over_frame,
+            freedom: s.freedom,
+            noise_floor: s.noise_floor,
+            passed_level: s.passed_level,
+            correlation_x: s.correlation_x,
+            correlation_y: s.correlation_y,
+            correlation_with_model: s.correlation_with_model,
+            misfit_instants: s.misfit_instants.0,
+            worst_instant: s.worst_instant.0,
+            worst_instant_chi_squared: s.worst_instant.1,
+            misfit_columns: s.misfit_columns.0,
+            worst_column: s.worst_column.0,
+            worst_column_chi_squared: s.worst_column.1,
+            lone_pixels: s.lone_pixels,
+            residual_trend: s.residual_trend,
+            mirrored: s.mirrored,
+            tests_timing: s.tests_timing,
+        }
+    }
 }
 
 /// Largest memory that this process has held, in bytes (Linux).

@@ -4,17 +4,17 @@ use crate::args::ReconstructArgs;
 use crate::inputs::{
     check_memory, naming_file, read_corrections, read_frame, read_psfs, read_truth,
 };
-use crate::outcome::{Outcome, peak_memory_bytes, say, short};
+use crate::outcome::{FitNumbers, Outcome, peak_memory_bytes, say, short};
 use crate::progress::{Watch, stop_on_ctrl_c};
 use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction};
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::{Camera, Error, PatchSet, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, Tau, TiffScale, write_npy_video, write_tiff_video,
 };
-use rowburst_report::{Iteration, ReportInput};
+use rowburst_report::{Iteration, Judgement, ReportInput};
 use std::time::{Duration, Instant};
 
 /// Files of a result, and what they are.
@@ -187,6 +187,9 @@ impl Run<'_> {
             seed: self.args.seed,
             psnr_db: self.truth.map(|t| psnr_db(found.video.data(), t.data())),
             ssim: self.truth.map(|t| ssim(&found.video, t)),
+            fit: found.fit.verdict.name(),
+            fit_reason: found.fit.reason.clone(),
+            fit_statistics: FitNumbers::from(&found.fit.statistics),
             warnings: self.warnings(),
         }
     }
@@ -195,10 +198,11 @@ impl Run<'_> {
     fn warnings(&self) -> Vec<String> {
         let found = self.found;
         let mut warnings = Vec::new();
-        if found.residual_over_sigma > 1.5 {
+        if found.fit.verdict != Verdict::Good {
             warnings.push(format!(
-                "the residual is {:.1} times the noise: the model does not explain the frame, or the solver was stopped early; check PSF, shutter, row time and noise level",
-                found.residual_over_sigma
+                "the fit is {}: {}",
+                found.fit.verdict.name(),
+                found.fit.reason
             ));
         }
         if found.video.max() <= 0.0 {
@@ -243,6 +247,10 @@ impl Run<'_> {
             time,
             convergence: self.curve,
             headline: headline(&outcome),
+            fit: Some(Judgement {
+                verdict: outcome.fit,
+                reason: &outcome.fit_reason,
+            }),
             settings: self.settings(&outcome),
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
             mp4: mp4.as_deref(),
@@ -349,6 +357,33 @@ impl Run<'_> {
                 ),
             ),
             pair("residual/σ", format!("{:.4}", outcome.residual_over_sigma)),
+            pair("fit", format!("{}: {}", outcome.fit, outcome.fit_reason)),
+            pair(
+                "χ² per degree of freedom",
+                format!(
+                    "{} ± {}",
+                    short(outcome.fit_statistics.chi_squared),
+                    short(outcome.fit_statistics.chi_squared_error)
+                ),
+            ),
+            pair(
+                "noise over σ, outside the optics' band",
+                outcome
+                    .fit_statistics
+                    .noise_floor
+                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
+            ),
+            pair(
+                "residual/σ inside it",
+                outcome
+                    .fit_statistics
+                    .passed_level
+                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
+            ),
+            pair(
+                "free values per measurement",
+                format!("{:.2}", outcome.fit_statistics.freedom),
+            ),
             pair("objective at the end", short(outcome.objective)),
             pair(
                 "voxels allowed to be lit",
@@ -424,6 +459,7 @@ fn headline(outcome: &Outcome) -> Vec<(String, String)> {
         lines.push(("SSIM".to_string(), format!("{ssim:.4}")));
     }
     lines.extend([
+        ("Fit".to_string(), outcome.fit.to_string()),
         (
             "Residual/σ".to_string(),
             format!("{:.2}", outcome.residual_over_sigma),
@@ -467,6 +503,9 @@ fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
         outcome.noise_sigma_source,
         outcome.prior,
     ));
+    if outcome.fit == Verdict::Good.name() {
+        say(format_args!("the fit is good: {}", outcome.fit_reason));
+    }
     for warning in &outcome.warnings {
         say(format_args!("warning: {warning}"));
     }

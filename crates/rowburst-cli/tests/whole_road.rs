@@ -54,6 +54,8 @@ fn has_all_keys(result: &Value, with_truth: bool) {
         ("tau", number),
         ("noise_sigma", number),
         ("residual_over_sigma", number),
+        ("fit", text),
+        ("fit_reason", text),
         ("iterations", whole),
         ("stop_reason", text),
         ("seconds", number),
@@ -65,6 +67,12 @@ fn has_all_keys(result: &Value, with_truth: bool) {
     ];
     for (key, kind) in keys {
         assert!(kind(&result[key]), "{key} in {result:#}");
+    }
+    for key in ["chi_squared", "freedom", "residual_over_frame"] {
+        assert!(
+            number(&result["fit_statistics"][key]),
+            "{key} in {result:#}"
+        );
     }
     let memory = &result["peak_memory_bytes"];
     assert!(
@@ -89,6 +97,10 @@ fn demo(scene: &str) -> f64 {
     }
     let result = lab.result("out");
     has_all_keys(&result, true);
+    assert_eq!(result["fit"], "good", "{result:#}");
+    assert!(said.contains("the fit is good"), "{said}");
+    let page = String::from_utf8(lab.read("out/report.html")).unwrap();
+    assert!(page.contains("Fit: good. "), "the report says it");
     assert_eq!(result["frames"], 54);
     assert_eq!(lab.array("out/video.npy").shape(), [54, 108, 108]);
     assert!((result["frame_rate_hz"].as_f64().unwrap() - 104_166.7).abs() < 1.0);
@@ -240,6 +252,9 @@ fn a_time_budget_stops_and_writes() {
     let result = lab.result("out");
     has_all_keys(&result, true);
     assert_eq!(result["stop_reason"], "time-budget", "{result:#}");
+    assert_eq!(result["fit"], "suspicious", "{result:#}");
+    let reason = result["fit_reason"].as_str().unwrap();
+    assert!(reason.starts_with("stopped early"), "{reason}");
     assert_eq!(lab.array("out/video.npy").shape(), [54, 108, 108]);
 }
 

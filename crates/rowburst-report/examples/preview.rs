@@ -86,6 +86,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             pair("reconstruction", "1.9 s"),
             pair("frame rate", "104 167 Hz"),
         ],
+        fit: Some(rowburst_report::Judgement {
+            verdict: "good",
+            reason: "the residual is white noise of the expected strength",
+        }),
         settings: vec![
             (
                 "Camera".into(),

@@ -56,6 +56,8 @@ pub struct ReportInput<'a> {
     pub convergence: &'a [Iteration],
     /// The few big numbers, as (name, value with unit).
     pub headline: Vec<(String, String)>,
+    /// Whether the model explains the frame.
+    pub fit: Option<Judgement<'a>>,
     /// Sections of the table of all numbers and settings needed to repeat the run,
     /// as (section, [(name, value)]).
     pub settings: Vec<(String, Vec<(String, String)>)>,
@@ -67,6 +69,15 @@ pub struct ReportInput<'a> {
     pub files: Vec<(String, String)>,
     /// The command line that repeats the run.
     pub reproduce: Option<&'a str>,
+}
+
+/// What is thought of a fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Judgement<'a> {
+    /// `good`, or another word, which is then drawn as a warning.
+    pub verdict: &'a str,
+    /// Why, without a full stop.
+    pub reason: &'a str,
 }
 
 /// One recorded iteration of the solver.

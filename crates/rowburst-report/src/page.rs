@@ -4,9 +4,9 @@ use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::ReportInput;
 use crate::figures::Section;
 use crate::format::{TimeUnit, grouped, number};
+use crate::{Judgement, ReportInput};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -32,6 +32,7 @@ pub(crate) struct Page<'a> {
     /// What the numbers rest on.
     pub notes: &'a [String],
     pub headline: &'a [(String, String)],
+    pub fit: Option<Judgement<'a>>,
     pub parts: Vec<Part<'a>>,
     pub settings: &'a [(String, Vec<(String, String)>)],
     pub files: &'a [(String, String)],
@@ -73,6 +74,7 @@ pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> Strin
         warnings: &[],
         notes: &[],
         headline: &input.headline,
+        fit: input.fit,
         parts: parts.into_iter().map(|(_, part)| part).collect(),
         settings: &input.settings,
         files: &input.files,
@@ -105,6 +107,7 @@ impl Page<'_> {
                         }
                         (headline(self.headline))
                         @for note in self.notes { p.summary { (note) } }
+                        @if let Some(fit) = self.fit { (judgement(fit)) }
                     }
                     main {
                         @for part in &self.parts {
@@ -160,6 +163,23 @@ fn headline(headline: &[(String, String)]) -> Markup {
             }
         }
     }
+}
+
+fn judgement(fit: Judgement) -> Markup {
+    html! {
+        p.fit.warning[fit.verdict != "good"] role="note" {
+            strong { "Fit: " (fit.verdict) ". " } (capital(fit.reason)) "."
+        }
+    }
+}
+
+/// `sentence` with its first letter as a capital; one of more bytes, such as σ, stays.
+fn capital(sentence: &str) -> String {
+    let mut text = sentence.to_string();
+    if let Some(first) = text.get_mut(..1) {
+        first.make_ascii_uppercase();
+    }
+    text
 }
 
 fn figure(entry: &Entry) -> Markup {

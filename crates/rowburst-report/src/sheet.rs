@@ -159,6 +159,7 @@ impl Sheet<'_> {
             warnings: &self.warnings,
             notes: &self.notes,
             headline: &self.headline,
+            fit: None,
             parts,
             settings: &self.tables,
             files: &self.files,

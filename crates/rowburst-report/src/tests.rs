@@ -64,6 +64,7 @@ impl Case {
             time: &self.time,
             convergence: &self.convergence,
             headline: Vec::new(),
+            fit: None,
             settings: Vec::new(),
             pixel_pitch_um: None,
             mp4: None,
@@ -201,6 +202,10 @@ fn texts_are_escaped() {
     let report = render(&ReportInput {
         title: evil,
         headline: vec![pair.clone()],
+        fit: Some(Judgement {
+            verdict: evil,
+            reason: evil,
+        }),
         settings: vec![(evil.into(), vec![pair.clone()])],
         files: vec![pair],
         reproduce: Some(evil),
@@ -209,8 +214,34 @@ fn texts_are_escaped() {
     })
     .expect("a report");
     assert!(!report.html.contains("<script"));
-    assert_eq!(report.html.matches("&lt;script&gt;").count(), 10);
+    assert_eq!(report.html.matches("&lt;script&gt;").count(), 12);
     assert!(report.html.contains("src=\"data:video/mp4;base64,AAEC\""));
+}
+
+#[test]
+fn the_fit_is_a_warning_unless_it_is_good() {
+    let case = Case::new(Shape::new(3, 8, 8), 8, 8);
+    let page = |verdict| {
+        let fit = Judgement {
+            verdict,
+            reason: "the PSF is another's",
+        };
+        let input = ReportInput {
+            fit: Some(fit),
+            ..case.input()
+        };
+        render(&input).expect("a report").html
+    };
+    let sentence = "</strong>The PSF is another's.";
+    assert!(page("good").contains("<p class=\"fit\""));
+    assert!(page("bad").contains("<p class=\"fit warning\""));
+    assert!(page("good").contains(sentence) && page("bad").contains("Fit: bad. "));
+    assert!(
+        !render(&case.input())
+            .expect("a report")
+            .html
+            .contains("Fit: ")
+    );
 }
 
 #[test]

@@ -66,6 +66,11 @@ impl FrameData {
         }
     }
 
+    /// `W`, if not all 1.
+    pub fn weights(&self) -> Option<&[f32]> {
+        self.operator.weights()
+    }
+
     pub fn shape(&self) -> Shape {
         self.operator.inner().video_shape()
     }

@@ -1,9 +1,11 @@
 //! From a measurement to a video: the only place where physics meets the solver.
 
 mod data;
+mod fit;
 mod prior;
 mod sigma;
 
+pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use prior::{FurtherWeights, Prior};
 pub use sigma::estimate_sigma;
 
@@ -13,6 +15,7 @@ use crate::solve::admm::{self, AdmmParams, Progress, TauRule};
 use crate::solve::{DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use data::FrameData;
+use sigma::Bands;
 use std::ops::ControlFlow;
 
 /// What the user chooses.
@@ -59,7 +62,8 @@ pub struct Problem {
     recipe: Recipe,
     sigma: f64,
     sigma_source: SigmaSource,
-    columns: usize,
+    camera: Camera,
+    bands: Bands,
 }
 
 /// A reconstructed video with what is needed to judge it.
@@ -85,6 +89,8 @@ pub struct Reconstruction {
     pub stop_reason: StopReason,
     /// Part of the voxels that were allowed to be lit at the end.
     pub support: f64,
+    /// Whether the model explains the frame.
+    pub fit: Fit,
 }
 
 impl Problem {
@@ -127,12 +133,14 @@ impl Problem {
         if let Some(most) = recipe.max_iterations {
             params.max_iterations = most;
         }
+        let bands = Bands::new(measurement, psf.central());
         let operator = RollingShutter::new(camera, psf);
         recipe.prior.check_bins(operator.video_shape().bins)?;
         params.threshold *= recipe.prior.threshold_factor(operator.video_shape());
         let prior = recipe.prior.prox(operator.video_shape());
         Ok(Self {
-            columns: camera.columns(),
+            camera: camera.clone(),
+            bands,
             data: FrameData::new(operator, measurement),
             prior,
             params,
@@ -161,12 +169,16 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<Reconstruction> {
         let shape = self.data.shape();
+        let mut history = Vec::new();
         let solution = admm::solve(
             &mut self.data,
             &mut *self.prior,
             shape,
             &self.params,
-            observer,
+            &mut |progress| {
+                history.push(progress.residual_rms);
+                observer(progress)
+            },
         );
         if !solution.objective.is_finite() {
             return Err(Error::work(
@@ -182,9 +194,32 @@ impl Problem {
             .iter()
             .map(|r| (f64::from(*r) / self.sigma) as f32)
             .collect();
+        let columns = self.camera.columns();
+        let residual = Image::new(residual.len() / columns, columns, residual)?;
+        let video = Video::new(shape, solution.video)?;
+        let scaled = self.data.measured().iter();
+        let measured: Vec<f32> = scaled
+            .map(|b| (f64::from(*b) / self.sigma) as f32)
+            .collect();
+        let faint = (0.01 * admm::brightness(video.data())) as f32;
+        let fit = fit::judge(&fit::Evidence {
+            residual: &residual,
+            measured: &measured,
+            weights: self.data.weights(),
+            camera: &self.camera,
+            bands: &self.bands,
+            video: &video,
+            freedom: self.prior.degrees_of_freedom(video.data(), faint),
+            history: &history,
+            sigma: self.sigma,
+            sigma_source: self.sigma_source,
+            tau_is_given: self.recipe.tau.is_some(),
+            stop_reason: solution.stop_reason,
+            support: solution.support,
+        });
         Ok(Reconstruction {
-            video: Video::new(shape, solution.video)?,
-            residual: Image::new(residual.len() / self.columns, self.columns, residual)?,
+            video,
+            residual,
             residual_over_sigma: residual_rms / self.sigma,
             tau: solution.tau,
             objective: solution.objective,
@@ -193,6 +228,7 @@ impl Problem {
             iterations: solution.iterations,
             stop_reason: solution.stop_reason,
             support: solution.support,
+            fit,
         })
     }
 }

@@ -11,6 +11,9 @@ use realfft::RealFftPlanner;
 /// Part of the frequencies that are taken for noise: those that the PSF passes least.
 const NOISE_BAND: f64 = 0.1;
 
+/// Part of the frequencies that the PSF passes best.
+const PASSED_BAND: f64 = 0.25;
+
 /// Standard deviation of the noise in `measurement` in counts (weight 1), from the
 /// tenth of the horizontal frequencies that `psf` passes least.
 ///
@@ -18,59 +21,115 @@ const NOISE_BAND: f64 = 0.1;
 /// below two pixels).
 pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> f64 {
     let image = measurement.image();
-    let weights = measurement.weights();
-    let (length, windows) = windows(image, weights);
-    let window: Vec<f64> = (0..length)
-        .map(|x| {
-            (std::f64::consts::PI * (x as f64 + 0.5) / length as f64)
-                .sin()
-                .powi(2)
-        })
-        .collect();
-    let window_power: f64 = window.iter().map(|w| w * w).sum();
-    let passed = transfer(psf, length);
-    let mut order: Vec<usize> = (1..passed.len()).collect();
-    order.sort_by(|&a, &b| passed[a].total_cmp(&passed[b]));
-    order.truncate(((passed.len() as f64 * NOISE_BAND).ceil() as usize).max(1));
-    // The last frequency of an even length is real: its power has another law.
-    let real_end = if length.is_multiple_of(2) {
-        length / 2
-    } else {
-        usize::MAX
-    };
-
-    let mut planner = RealFftPlanner::<f64>::new();
-    let fft = planner.plan_fft_forward(length);
-    let mut spectrum = fft.make_output_vec();
-    let mut powers = Vec::new();
-    for start in windows {
-        let mut line: Vec<f64> = (0..length)
-            .map(|x| {
-                let weight = weights.map_or(1.0, |w| f64::from(w[start + x]));
-                weight * window[x] * f64::from(image.data()[start + x])
-            })
-            .collect();
-        fft.process(&mut line, &mut spectrum)
-            .expect("lengths match");
-        powers.extend(
-            order
-                .iter()
-                .filter(|&&f| f != real_end)
-                .map(|&f| spectrum[f].norm_sqr()),
-        );
-    }
+    let bands = Bands::new(measurement, psf);
+    let blind = bands.blind_rms(|at| {
+        let weight = measurement.weights().map_or(1.0, |w| f64::from(w[at]));
+        weight * f64::from(image.data()[at])
+    });
     let rms = (crate::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
     // A noiseless frame still has the rounding of its numbers.
     let floor = 1e-5 * rms;
-    if powers.is_empty() {
-        return floor.max(rms / 256.0);
+    blind.map_or(floor.max(rms / 256.0), |blind| blind.max(floor))
+}
+
+/// The horizontal frequencies that the optics pass least and best, and where in a frame
+/// they can be measured.
+pub(super) struct Bands {
+    length: usize,
+    starts: Vec<usize>,
+    window: Vec<f64>,
+    blind: Vec<usize>,
+    passed: Vec<usize>,
+    leak: f64,
+}
+
+impl Bands {
+    pub fn new(measurement: &Measurement, psf: &Psf) -> Self {
+        let (length, starts) = windows(measurement.image(), measurement.weights());
+        let window = (0..length)
+            .map(|x| {
+                (std::f64::consts::PI * (x as f64 + 0.5) / length as f64)
+                    .sin()
+                    .powi(2)
+            })
+            .collect();
+        let power = transfer(psf, length);
+        let mut order: Vec<usize> = (1..power.len()).collect();
+        order.sort_by(|&a, &b| power[a].total_cmp(&power[b]));
+        let part = |share: f64, least: usize| {
+            let count = (power.len() as f64 * share).ceil() as usize;
+            count.max(least).min(order.len())
+        };
+        // The last frequency of an even length is real: its power has another law.
+        let real_end = if length.is_multiple_of(2) {
+            length / 2
+        } else {
+            usize::MAX
+        };
+        let complex = |band: &[usize]| -> Vec<usize> {
+            band.iter().copied().filter(|&f| f != real_end).collect()
+        };
+        let blind = complex(&order[..part(NOISE_BAND, 1)]);
+        let passed = complex(&order[order.len() - part(PASSED_BAND, 2)..]);
+        let mean =
+            |band: &[usize]| band.iter().map(|&f| power[f]).sum::<f64>() / band.len().max(1) as f64;
+        Self {
+            leak: mean(&blind) / mean(&passed).max(f64::MIN_POSITIVE),
+            length,
+            starts,
+            window,
+            blind,
+            passed,
+        }
     }
-    let middle = powers.len() / 2;
-    let median = *powers.select_nth_unstable_by(middle, f64::total_cmp).1;
-    // The power of complex Gaussian noise is exponential: its median is ln 2 of its mean.
-    (median / (std::f64::consts::LN_2 * window_power))
-        .sqrt()
-        .max(floor)
+
+    /// Number of values behind [`Self::blind_rms`].
+    pub fn blind_count(&self) -> usize {
+        self.starts.len() * self.blind.len()
+    }
+
+    /// Power that the optics pass in the blind band over that in the passed one.
+    pub fn leak(&self) -> f64 {
+        self.leak
+    }
+
+    /// Root mean square per pixel of white noise that has the median power of the blind
+    /// band of `value(i)`, `i` the pixel of the frame; `None` where no row is whole
+    /// enough. A median, which a few disturbed rows do not move.
+    pub fn blind_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
+        let mut powers = self.powers(&self.blind, value);
+        if powers.is_empty() {
+            return None;
+        }
+        let middle = powers.len() / 2;
+        let median = *powers.select_nth_unstable_by(middle, f64::total_cmp).1;
+        // The power of complex Gaussian noise is exponential: its median is ln 2 of its mean.
+        Some((median / std::f64::consts::LN_2).sqrt())
+    }
+
+    /// Root mean square per pixel of white noise that has the mean power of the passed
+    /// band.
+    pub fn passed_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
+        let powers = self.powers(&self.passed, value);
+        let count = powers.len();
+        (count > 0).then(|| (powers.iter().sum::<f64>() / count as f64).sqrt())
+    }
+
+    /// Power of each row's window at each frequency of `band`, 1 for unit white noise.
+    fn powers(&self, band: &[usize], value: impl Fn(usize) -> f64) -> Vec<f64> {
+        let fft = RealFftPlanner::<f64>::new().plan_fft_forward(self.length);
+        let mut spectrum = fft.make_output_vec();
+        let window_power: f64 = self.window.iter().map(|w| w * w).sum();
+        let mut powers = Vec::with_capacity(self.starts.len() * band.len());
+        for &start in &self.starts {
+            let line = self.window.iter().enumerate();
+            let mut line: Vec<f64> = line.map(|(x, w)| w * value(start + x)).collect();
+            fft.process(&mut line, &mut spectrum)
+                .expect("lengths match");
+            powers.extend(band.iter().map(|&f| spectrum[f].norm_sqr() / window_power));
+        }
+        powers
+    }
 }
 
 /// Shortest window of a row that still has frequencies to choose from.

@@ -88,7 +88,7 @@ const FIRST_GUESS: f64 = 10.0;
 /// First iteration that counts the degrees of freedom: before, everything is lit.
 const COUNT_AFTER: usize = 40;
 /// Largest part of the measurements that the fit is allowed to spend.
-const MOST_FREEDOM: f64 = 0.3;
+pub(crate) const MOST_FREEDOM: f64 = 0.3;
 /// Iteration at which the support is found first, and from then on every so many.
 const SUPPORT_AFTER: usize = 60;
 const SUPPORT_EVERY: usize = 20;
@@ -442,7 +442,7 @@ const CHUNK: usize = 1 << 14;
 
 /// Brightness of what is lit, `√(Σ v⁴ / Σ v²)` over the positive part: a mean in which
 /// faint haze has no say.
-fn brightness(video: &[f32]) -> f64 {
+pub(crate) fn brightness(video: &[f32]) -> f64 {
     let parts: Vec<(f64, f64)> = video
         .par_chunks(CHUNK)
         .map(|chunk| {

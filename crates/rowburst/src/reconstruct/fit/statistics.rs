@@ -1,0 +1,289 @@
+//! The numbers of a residual.
+
+use super::{Evidence, FitStatistics, Without};
+use crate::solve::admm::MOST_FREEDOM;
+use crate::{Camera, Video};
+
+/// `|r|` of a pixel that stands out: noise passes it in one pixel of 1.7 million.
+const OUTLIER: f64 = 5.0;
+
+/// How far the `χ²` of a line of `n` pixels may lie above 1: `(1 + 6√(2/n)) · 1.25`. Six
+/// standard deviations for the noise; a quarter for light that is unevenly hard to fit.
+fn limit_of_line(n: usize) -> f64 {
+    1.25 * (1.0 + 6.0 * (2.0 / n.max(1) as f64).sqrt())
+}
+
+/// Power that the optics may pass in the blind band, over that in the passed one, for it
+/// to count as blind: a misfit of 30 σ then leaves 0.3 σ of it.
+const BLIND: f64 = 1e-4;
+
+/// Fewest bins of which it can be said that they are mirrored.
+const FEWEST_MIRRORED: usize = 16;
+/// Nearest bins that are compared: neighbours are alike in any order.
+const NEAREST: usize = 6;
+/// Largest side of the small pictures that are compared, and pairs for each pair.
+const SMALL: usize = 32;
+const COMPARISONS: usize = 8;
+
+pub(super) fn of(evidence: &Evidence) -> FitStatistics {
+    let (rows, columns) = (evidence.residual.rows(), evidence.residual.columns());
+    let r = evidence.residual.data();
+    let usable = |at: usize| evidence.weights.is_none_or(|w| w[at] > 0.0);
+    let pixels: Vec<usize> = (0..r.len()).filter(|&at| usable(at)).collect();
+    let m = pixels.len().max(1) as f64;
+    let spent = evidence.freedom.min(MOST_FREEDOM * m);
+    // χ² of a part of the pixels: each has its share of the freedom.
+    let chi = |sum: f64, count: usize| sum / (count.max(1) as f64 * (1.0 - spent / m));
+    let power = |at: usize| f64::from(r[at]).powi(2);
+    let total: f64 = pixels.iter().map(|&at| power(at)).sum();
+
+    let instants = evidence.camera.instants();
+    let count = evidence.camera.time().instants().len();
+    let of_instants = Lines::new(&pixels, count, |at| instants[at / columns], power);
+    let of_columns = Lines::new(&pixels, columns, |at| at % columns, power);
+    let stands_out = |at: usize| usable(at) && power(at) > OUTLIER * OUTLIER;
+    let lone = |at: usize| {
+        let x = at % columns;
+        let beside = (x > 0 && stands_out(at - 1)) || (x + 1 < columns && stands_out(at + 1));
+        stands_out(at) && !beside
+    };
+    let lone: Vec<usize> = pixels.iter().copied().filter(|&at| lone(at)).collect();
+    let without_lone = total - lone.iter().map(|&at| power(at)).sum::<f64>();
+
+    let blind_count = evidence.bands.blind_count();
+    let value = |at: usize| f64::from(r[at]);
+    let correlation = |step: usize, limit: usize| {
+        let pairs = (0..r.len() - step.min(r.len()))
+            .filter(|&at| (step != 1 || at % columns < limit) && usable(at) && usable(at + step));
+        let (mut sum, mut n) = (0.0, 0usize);
+        pairs.for_each(|at| {
+            sum += value(at) * value(at + step);
+            n += 1;
+        });
+        sum / n.max(1) as f64 / (total / m).max(f64::MIN_POSITIVE)
+    };
+    FitStatistics {
+        chi_squared: chi(total, pixels.len()),
+        chi_squared_error: (2.0 / (m - spent)).sqrt(),
+        residual_over_frame: total.sqrt()
+            / crate::vecmath::norm(evidence.measured).max(f64::MIN_POSITIVE),
+        freedom: evidence.freedom / m,
+        noise_floor: (blind_count >= 8)
+            .then(|| evidence.bands.blind_rms(value))
+            .flatten(),
+        // Of a median of exponential powers, as an rms.
+        noise_floor_error: 0.72 / (blind_count.max(1) as f64).sqrt(),
+        floor_is_blind: evidence.bands.leak() < BLIND,
+        passed_level: evidence.bands.passed_rms(value),
+        correlation_x: correlation(1, columns - 1),
+        correlation_y: if rows > 1 {
+            correlation(columns, columns)
+        } else {
+            0.0
+        },
+        correlation_with_model: correlation_with_model(evidence, &pixels),
+        misfit_instants: (of_instants.misfits.len(), count),
+        worst_instant: of_instants.worst(),
+        misfit_columns: (of_columns.misfits.len(), columns),
+        worst_column: of_columns.worst(),
+        chi_squared_without: Without {
+            instants: chi(of_instants.rest.0, of_instants.rest.1),
+            columns: chi(of_columns.rest.0, of_columns.rest.1),
+            pixels: chi(without_lone, pixels.len() - lone.len()),
+        },
+        lone_pixels: lone.len(),
+        residual_trend: trend(evidence.history),
+        mirrored: mirrored(evidence.camera, evidence.video),
+        tests_timing: tests_timing(evidence.camera),
+    }
+}
+
+/// Sums of `r²` over instants or columns.
+struct Lines {
+    mean: Vec<f64>,
+    misfits: Vec<usize>,
+    /// Sum and number of pixels of all other lines.
+    rest: (f64, usize),
+}
+
+impl Lines {
+    fn new(
+        pixels: &[usize],
+        lines: usize,
+        line_of: impl Fn(usize) -> usize,
+        power: impl Fn(usize) -> f64,
+    ) -> Self {
+        let mut sums = vec![(0.0, 0usize); lines];
+        for &at in pixels {
+            let sum = &mut sums[line_of(at)];
+            *sum = (sum.0 + power(at), sum.1 + 1);
+        }
+        let is_misfit = |(sum, n): (f64, usize)| n > 0 && sum / n as f64 > limit_of_line(n);
+        let (mut misfits, mut rest) = (Vec::new(), (0.0, 0));
+        for (line, &sum) in sums.iter().enumerate() {
+            if is_misfit(sum) {
+                misfits.push(line);
+            } else {
+                rest = (rest.0 + sum.0, rest.1 + sum.1);
+            }
+        }
+        let mean = sums.iter().map(|(sum, n)| sum / (*n).max(1) as f64);
+        Self {
+            mean: mean.collect(),
+            misfits,
+            rest,
+        }
+    }
+
+    fn worst(&self) -> (usize, f64) {
+        let all = self.mean.iter().copied().enumerate();
+        all.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0))
+    }
+}
+
+fn correlation_with_model(evidence: &Evidence, pixels: &[usize]) -> f64 {
+    let r = evidence.residual.data();
+    let (mut both, mut residual, mut model) = (0.0, 0.0, 0.0);
+    for &at in pixels {
+        let (r, b) = (f64::from(r[at]), f64::from(evidence.measured[at]));
+        let a = b - r;
+        both += r * a;
+        residual += r * r;
+        model += a * a;
+    }
+    both / (residual * model).sqrt().max(f64::MIN_POSITIVE)
+}
+
+fn trend(history: &[f64]) -> f64 {
+    let Some(&last) = history.last() else {
+        return 1.0;
+    };
+    let before = history[(history.len() * 4 / 5).min(history.len() - 1)];
+    if before > 0.0 { last / before } else { 1.0 }
+}
+
+/// Whether two rows see the same bin.
+fn tests_timing(camera: &Camera) -> bool {
+    !camera.time().is_disjoint() || camera.instants().len() > camera.time().instants().len()
+}
+
+/// See [`FitStatistics::mirrored`].
+fn mirrored(camera: &Camera, video: &Video) -> Option<f64> {
+    let one_row_each = camera.instants().len() == camera.time().instants().len();
+    let bins = video.shape().bins;
+    if !one_row_each || bins < FEWEST_MIRRORED {
+        return None;
+    }
+    let small: Vec<Vec<f64>> = (0..bins).map(|t| small_picture(video, t)).collect();
+    let norms: Vec<f64> = small.iter().map(|p| dot(p, p).sqrt()).collect();
+    let brightest = norms.iter().copied().fold(0.0, f64::max);
+    let likeness = |a: usize, b: usize| {
+        let both_lit = norms[a].min(norms[b]) > 0.05 * brightest;
+        both_lit.then(|| dot(&small[a], &small[b]) / (norms[a] * norms[b]))
+    };
+    let (mut excess, mut pairs) = (0.0, 0usize);
+    for a in 0..bins / 2 {
+        let lag = bins - 1 - 2 * a;
+        let Some(found) = likeness(a, a + lag).filter(|_| lag >= NEAREST) else {
+            continue;
+        };
+        let others: Vec<f64> = (0..bins - lag)
+            .filter(|s| s.abs_diff(a) >= NEAREST / 2)
+            .step_by(((bins - lag) / COMPARISONS).max(1))
+            .filter_map(|s| likeness(s, s + lag))
+            .collect();
+        if !others.is_empty() {
+            excess += found - others.iter().sum::<f64>() / others.len() as f64;
+            pairs += 1;
+        }
+    }
+    (pairs >= FEWEST_MIRRORED / 4).then(|| excess / pairs as f64)
+}
+
+/// Bin `t` in blocks, at most [`SMALL`] along a side.
+fn small_picture(video: &Video, t: usize) -> Vec<f64> {
+    let shape = video.shape();
+    let block = shape.rows.max(shape.columns).div_ceil(SMALL);
+    let width = shape.columns.div_ceil(block);
+    let mut small = vec![0.0; width * shape.rows.div_ceil(block)];
+    let bin = &video.data()[t * shape.pixels()..(t + 1) * shape.pixels()];
+    for (y, row) in bin.chunks_exact(shape.columns).enumerate() {
+        for (x, &v) in row.iter().enumerate() {
+            small[y / block * width + x / block] += f64::from(v);
+        }
+    }
+    small
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraParams;
+    use crate::{Sensor, Shape, Shutter};
+
+    fn camera(shutter: Shutter, exposure_us: f64) -> Camera {
+        Camera::new(CameraParams {
+            rows: 32,
+            columns: 8,
+            shutter,
+            row_time_us: 10.0,
+            exposure_us,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap()
+    }
+
+    /// A dot in each bin, at `place(t)`.
+    fn dots(bins: usize, place: impl Fn(usize) -> usize) -> Video {
+        let mut video = Video::zeros(Shape::new(bins, 32, 8));
+        for t in 0..bins {
+            video.bin_mut(t)[place(t)] = 1.0;
+        }
+        video
+    }
+
+    #[test]
+    fn a_video_that_runs_back_and_forth_is_mirrored() {
+        let single = camera(Shutter::TopDown, 10.0);
+        let forth = dots(32, |t| 8 * t);
+        let back = dots(32, |t| 8 * t.min(31 - t));
+        assert_eq!(mirrored(&single, &forth), Some(0.0));
+        assert_eq!(mirrored(&single, &back), Some(1.0));
+        // Not a sign of anything where nothing moves, or where two rows are read at once.
+        let still = dots(32, |_| 77);
+        assert!(mirrored(&single, &still).unwrap().abs() < 1e-12);
+        let dual = camera(Shutter::DualInsideOut, 10.0);
+        assert_eq!(mirrored(&dual, &dots(16, |t| t)), None);
+    }
+
+    #[test]
+    fn timing_is_tested_where_two_rows_see_a_bin() {
+        assert!(!tests_timing(&camera(Shutter::TopDown, 10.0)));
+        assert!(tests_timing(&camera(Shutter::TopDown, 15.0)));
+        assert!(tests_timing(&camera(Shutter::DualInsideOut, 10.0)));
+        assert!(tests_timing(&camera(Shutter::Global, 10.0)));
+    }
+
+    #[test]
+    fn the_trend_is_that_of_the_last_fifth() {
+        assert_eq!(trend(&[]), 1.0);
+        let falling: Vec<f64> = (0..10).map(|k| 10.0 - f64::from(k)).collect();
+        assert_eq!(trend(&falling), 0.5);
+    }
+
+    #[test]
+    fn lines_that_stand_out_are_named() {
+        let pixels: Vec<usize> = (0..300).collect();
+        let power = |at: usize| if at % 30 == 4 { 9.0 } else { 1.0 };
+        let lines = Lines::new(&pixels, 30, |at| at % 30, power);
+        assert_eq!(lines.misfits, [4]);
+        assert_eq!(lines.worst(), (4, 9.0));
+        assert_eq!(lines.rest, (290.0, 290));
+    }
+}

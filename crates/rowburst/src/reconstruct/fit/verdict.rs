@@ -1,0 +1,259 @@
+//! From the numbers to a verdict and a sentence.
+//!
+//! The thresholds were set on fits with the right model (`campaign` in
+//! `crates/rowburst/tests/fit.rs`; digits, a moving digit and LEDs, SNR 256 and 32, shot
+//! noise, a larger field; 48×40 pixels, seeds 1 to 5): in 90 fits with two rows an instant
+//! the noise floor lay between 0.89 and 1.08, and `χ²` in 86 of them between 0.96 and 1.25.
+//! In the other four one or two instants lacked light, and they are called suspicious for
+//! it. Single shutters, with half the measurements for each bin, are mostly suspicious.
+
+use super::{Evidence, FitStatistics, SigmaSource, StopReason, Verdict};
+
+/// `χ²` from which a fit is suspicious (and four of its standard deviations), and bad.
+const SUSPICIOUS: f64 = 1.25;
+const DEVIATIONS: f64 = 4.0;
+const BAD: f64 = 4.0;
+/// `χ²` below which noise has been fitted: `df` takes at most 0.3 off.
+const TOO_LOW: f64 = 0.5;
+/// Factor by which `σ` may be wrong before the fit is suspicious, and bad.
+const FLOOR: f64 = 1.5;
+const FLOOR_BAD: f64 = 5.0;
+/// `r` in the passed band over that in the blind one.
+const STRUCTURE: f64 = 1.25;
+/// Part of the instants, columns and pixels that counts as a few.
+const FEW_INSTANTS: f64 = 0.25;
+const FEW_COLUMNS: f64 = 0.1;
+const FEW_PIXELS: f64 = 0.02;
+/// Values chosen freely for each measurement: a wrong model would be followed as well.
+const FREEDOM: f64 = 0.8;
+/// Likeness of mirrored bins above that of others; at most 0.02 in the right order, and
+/// at least 0.15 in the wrong one.
+const MIRRORED: f64 = 0.08;
+/// Part of the voxels that the support admits; a sparse scene takes a tenth at most.
+const WIDE_SUPPORT: f64 = 0.3;
+/// Iterations before which no video has taken shape: the solver follows the brightness
+/// for 60 and then looks for the support.
+const EARLY: usize = 120;
+/// Residual over that at four fifths of the iterations, where it still falls.
+const FALLING: f64 = 0.85;
+/// Residual over the frame itself beyond which more iterations are not what is missing.
+const FAR: f64 = 0.3;
+/// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
+const RAN_AWAY: f64 = 1.5;
+
+pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
+    if evidence.video.max() <= 0.0 {
+        return (
+            Verdict::Bad,
+            "the video is dark: noise of this level explains the whole frame".into(),
+        );
+    }
+    if s.residual_over_frame > RAN_AWAY && evidence.history.len() >= EARLY {
+        return (
+            Verdict::Bad,
+            format!(
+                "the residual is {} times the frame itself: the solver ran away, as it does where no video comes near the frame: dead, hot or saturated pixels that are not marked, a σ that is too small, or a PSF or shutter that is wrong",
+                digits(s.residual_over_frame)
+            ),
+        );
+    }
+    if let Some(found) = noise_level(evidence, s) {
+        return found;
+    }
+    let suspicious = |reason: String| (Verdict::Suspicious, reason);
+    if let Some(mirrored) = s.mirrored.filter(|m| *m > MIRRORED) {
+        return suspicious(format!(
+            "the video runs back and forth (bins mirrored in time are more alike than others, by {mirrored:.2}): the shutter is probably a dual one, which reads two rows in an instant"
+        ));
+    }
+    let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
+    if s.chi_squared > limit {
+        return misfit(evidence, s, limit);
+    }
+    if s.chi_squared < TOO_LOW {
+        return suspicious(format!(
+            "the residual is only {:.2} of the noise: the fit has followed the noise{}",
+            s.chi_squared.sqrt(),
+            if evidence.tau_is_given {
+                "; give a larger τ, or leave it out"
+            } else {
+                ""
+            }
+        ));
+    }
+    if let Some(excess) = structure(s) {
+        return suspicious(format!(
+            "the residual has {excess:.2} times the noise at the scale of the speckle: {}",
+            culprits(evidence, s)
+        ));
+    }
+    if s.freedom > FREEDOM {
+        return suspicious(format!(
+            "the video has {:.1} free values for each measurement: a wrong PSF or shutter would fit as well, so the fit proves nothing; a sparser scene, or a shutter that reads more rows in an instant, can be tested",
+            s.freedom
+        ));
+    }
+    if evidence.support < 1.0 && evidence.support > WIDE_SUPPORT {
+        return suspicious(format!(
+            "light is spread over {:.0} % of all voxels: the scene is not sparse, or the frame has an offset that was not taken off (dark frame, bias)",
+            100.0 * evidence.support
+        ));
+    }
+    let mut reason = String::from(
+        "the residual is white noise of the expected strength: PSF, camera and noise level explain the frame",
+    );
+    if !s.tests_timing {
+        reason +=
+            "; the order and times of the rows are not tested, since no two rows see the same bin";
+    }
+    (Verdict::Good, reason)
+}
+
+fn noise_level(evidence: &Evidence, s: &FitStatistics) -> Option<(Verdict, String)> {
+    let floor = s.noise_floor?;
+    let allowed = FLOOR * (1.0 + DEVIATIONS * s.noise_floor_error);
+    let high = floor > allowed && s.floor_is_blind;
+    let low = floor < 1.0 / allowed;
+    if !(high || low) {
+        return None;
+    }
+    let verdict = if floor.max(1.0 / floor) > FLOOR_BAD {
+        Verdict::Bad
+    } else {
+        Verdict::Suspicious
+    };
+    let check = match evidence.sigma_source {
+        SigmaSource::Given => "leave σ out, or give",
+        SigmaSource::Calibration => "check gain and read noise, or give a σ of",
+        SigmaSource::Frame => "give a σ of",
+    };
+    let effect = if high {
+        "the solver has fitted noise (or the frame has detail finer than the optics pass: bad pixels or columns that are not marked)"
+    } else {
+        "the video is smoother than the frame allows"
+    };
+    Some((
+        verdict,
+        format!(
+            "the noise of the frame is {} times the σ of {} counts ({}), and {effect}: {check} about {} counts",
+            digits(floor),
+            digits(evidence.sigma),
+            evidence.sigma_source.name(),
+            digits(floor * evidence.sigma),
+        ),
+    ))
+}
+
+fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, String) {
+    let ratio = digits(s.chi_squared.sqrt());
+    let stopped = evidence.stop_reason != StopReason::Converged;
+    let iterations = evidence.history.len();
+    let suspicious = |reason: String| (Verdict::Suspicious, reason);
+    if stopped && iterations < EARLY {
+        let more = match evidence.stop_reason {
+            StopReason::TimeBudget => "time",
+            _ => "iterations",
+        };
+        return suspicious(format!(
+            "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; give it more {more}, and judge then"
+        ));
+    }
+    if let Some(reason) = local(s, limit, stopped) {
+        return suspicious(reason);
+    }
+    if stopped && s.residual_trend < FALLING && s.residual_over_frame < FAR {
+        return suspicious(format!(
+            "stopped early, after {iterations} iterations: the residual is {ratio} times the noise and still falls; give it more iterations, and if it stays, {}",
+            culprits(evidence, s)
+        ));
+    }
+    let verdict = if s.chi_squared > BAD {
+        Verdict::Bad
+    } else {
+        Verdict::Suspicious
+    };
+    let (misfits, all) = s.misfit_instants;
+    let place = if all > 1 {
+        format!(" ({misfits} of {all} instants do not fit)")
+    } else {
+        String::new()
+    };
+    (
+        verdict,
+        format!(
+            "the residual is {ratio} times the noise{place}: {}",
+            culprits(evidence, s)
+        ),
+    )
+}
+
+/// A misfit that sits in few pixels, columns or instants.
+fn local(s: &FitStatistics, limit: f64, stopped: bool) -> Option<String> {
+    let few = |(misfits, all): (usize, usize), part: f64| {
+        misfits > 0 && misfits as f64 <= (part * all as f64).max(1.0) && all > 3
+    };
+    let (instants, columns) = (s.misfit_instants, s.misfit_columns);
+    let pixels = instants.1.max(1) * columns.1;
+    if s.lone_pixels > 0
+        && s.lone_pixels as f64 <= FEW_PIXELS * pixels as f64
+        && s.chi_squared_without.pixels < limit
+    {
+        return Some(format!(
+            "{} single pixels do not fit: mark them as bad pixels",
+            s.lone_pixels
+        ));
+    }
+    if few(columns, FEW_COLUMNS) && s.chi_squared_without.columns < limit {
+        return Some(format!(
+            "{} of {} columns do not fit, column {} worst: bad columns, or something at the edge of the frame",
+            columns.0, columns.1, s.worst_column.0
+        ));
+    }
+    if few(instants, FEW_INSTANTS) && s.chi_squared_without.instants < limit {
+        return Some(format!(
+            "the light of {} of {} instants is not all found, instant {} worst, the others fit: {}it may come from outside the field or from more of the scene than the support admits (try a larger field, or a prior without support)",
+            instants.0,
+            instants.1,
+            s.worst_instant.0,
+            if stopped {
+                "the iterations did not suffice, or "
+            } else {
+                ""
+            }
+        ));
+    }
+    None
+}
+
+/// Level of the passed band over the noise, where it is more than noise makes it.
+fn structure(s: &FitStatistics) -> Option<f64> {
+    let (passed, floor) = (s.passed_level?, s.noise_floor?);
+    let excess = passed / floor.max(1.0);
+    (excess > STRUCTURE * (1.0 + s.noise_floor_error)).then_some(excess)
+}
+
+/// What may be wrong with a model that fits nowhere.
+fn culprits(evidence: &Evidence, s: &FitStatistics) -> String {
+    let mut list = Vec::new();
+    if evidence.tau_is_given {
+        list.push("τ is given, and too large");
+    }
+    list.push("the PSF does not belong to this frame (another diffuser or distance, turned, or with a background left in it)");
+    if s.tests_timing {
+        list.push("rows see the scene at other times than assumed (shutter, exposure too long, frame shifted along y)");
+    }
+    if evidence.stop_reason != StopReason::Converged {
+        list.push("the solver did not converge");
+    }
+    list.join("; or ")
+}
+
+fn digits(value: f64) -> String {
+    match value {
+        v if v >= 100.0 => format!("{v:.0}"),
+        v if v >= 10.0 => format!("{v:.1}"),
+        v if v >= 0.1 => format!("{v:.2}"),
+        v if v >= 0.01 => format!("{v:.3}"),
+        v => format!("{v:.2e}"),
+    }
+}
