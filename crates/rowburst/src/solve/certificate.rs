@@ -258,8 +258,8 @@ mod tests {
     fn says_what_it_means() {
         let text = |primal, dual| Certificate { primal, dual }.to_string();
         assert_eq!(
-            text(1.001, 1.0),
-            "the objective is within 0.10 % of its minimum"
+            text(1.0012, 1.0),
+            "the objective is within 0.12 % of its minimum"
         );
         assert_eq!(
             text(1.25, 1.0),
