@@ -61,9 +61,9 @@ impl std::fmt::Display for Certificate {
             }
             percent if percent.is_finite() => {
                 let digits = (1.0 - percent.log10().floor()).clamp(0.0, 4.0) as usize;
-                // Up: it is a bound.
+                // Up, but for rounding: it is a bound.
                 let unit = 10f64.powi(digits as i32);
-                let percent = (percent * unit).ceil() / unit;
+                let percent = (percent * unit - 1e-6).ceil() / unit;
                 write!(
                     f,
                     "the objective is within {percent:.digits$} % of its minimum"
