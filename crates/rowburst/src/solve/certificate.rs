@@ -61,6 +61,9 @@ impl std::fmt::Display for Certificate {
             }
             percent if percent.is_finite() => {
                 let digits = (1.0 - percent.log10().floor()).clamp(0.0, 4.0) as usize;
+                // Up, but for rounding: it is a bound.
+                let unit = 10f64.powi(digits as i32);
+                let percent = (percent * unit - 1e-6).ceil() / unit;
                 write!(
                     f,
                     "the objective is within {percent:.digits$} % of its minimum"
@@ -258,8 +261,8 @@ mod tests {
     fn says_what_it_means() {
         let text = |primal, dual| Certificate { primal, dual }.to_string();
         assert_eq!(
-            text(1.001, 1.0),
-            "the objective is within 0.10 % of its minimum"
+            text(1.0012, 1.0),
+            "the objective is within 0.12 % of its minimum"
         );
         assert_eq!(
             text(1.25, 1.0),
