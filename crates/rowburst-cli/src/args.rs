@@ -158,7 +158,8 @@ pub struct ReconstructArgs {
     /// The true video, to compare with
     #[arg(long)]
     pub truth: Option<PathBuf>,
-    /// The prior: auto, or terms of l1, tv, tdiff, support joined by +, such as tv+0.5*tdiff
+    /// The prior: auto, or terms of tv, tdiff, l1, tv3d, tv3d-aniso, dct, wavelet, group, lowrank,
+    /// support joined by +, such as tv+0.5*tdiff
     #[arg(long, allow_hyphen_values = true)]
     pub prior: Option<String>,
     /// Weight of the prior: auto, or a number above zero

@@ -5,7 +5,7 @@ use crate::inputs::{check_memory, read_psfs};
 use crate::outcome::{say, short};
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
-use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, scene, speckle_psf};
+use rowburst::simulate::{SpeckleOptics, direct_frame, scene, speckle_psf};
 use rowburst::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use rowburst_io::{
     Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_patch_set,
@@ -217,25 +217,7 @@ fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
         }
         return read_psfs(path, camera, None);
     }
-    let optics = plan.optics;
-    let lens = Aperture::Lens {
-        diameter_mm: optics.pupil_mm,
-        focal_length_mm: optics.focal_length_mm,
-        magnification: optics.magnification,
-    };
-    let aperture = match optics.na {
-        None => lens,
-        Some(na) => Aperture::ImageNa {
-            na,
-            image_distance_mm: lens.image_distance_mm(),
-        },
-    };
-    let optics = SpeckleOptics {
-        wavelength_nm: optics.wavelength_nm,
-        aperture,
-        diffuser_fwhm_deg: optics.diffuser_deg,
-        pixel_pitch_um: pixel_pitch_um(camera),
-    };
+    let optics = plan.optics.optics(pixel_pitch_um(camera));
     // Every displacement from the field to the sensor.
     let (field_rows, field_columns) = camera.field();
     let (rows, columns) = (

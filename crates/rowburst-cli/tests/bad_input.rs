@@ -894,7 +894,7 @@ fn options() {
                 "--prior",
                 "\"nonsense\"",
                 "no prior has this name",
-                "l1, tv, tdiff, support",
+                "tv, tdiff, l1, tv3d, tv3d-aniso",
             ],
         ),
         case(

@@ -51,6 +51,7 @@ fn commands_of_the_readme_run() {
             .join(named.map_or("rowburst-demo", |at| command[at + 1]));
         let last = match command[0] {
             "simulate" => "experiment.toml",
+            "design" => "design.json",
             _ => "result.json",
         };
         assert!(output.join(last).is_file(), "{last} of {command:?}");

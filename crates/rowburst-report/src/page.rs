@@ -29,6 +29,8 @@ pub(crate) struct Page<'a> {
     pub summary: String,
     /// What the reader must know before the numbers.
     pub warnings: &'a [String],
+    /// What the numbers rest on.
+    pub notes: &'a [String],
     pub headline: &'a [(String, String)],
     pub fit: Option<Judgement<'a>>,
     pub parts: Vec<Part<'a>>,
@@ -70,6 +72,7 @@ pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> Strin
         title: input.title,
         summary: summary(input),
         warnings: &[],
+        notes: &[],
         headline: &input.headline,
         fit: input.fit,
         parts: parts.into_iter().map(|(_, part)| part).collect(),
@@ -104,6 +107,7 @@ impl Page<'_> {
                         }
                         (headline(self.headline))
                         @if let Some(fit) = self.fit { (judgement(fit)) }
+                        @for note in self.notes { p.summary { (note) } }
                     }
                     main {
                         @for part in &self.parts {

@@ -20,6 +20,8 @@ pub struct Sheet<'a> {
     pub summary: String,
     /// What the reader must know before the numbers, one sentence or two each.
     pub warnings: Vec<String>,
+    /// What the numbers rest on, a sentence or two each.
+    pub notes: Vec<String>,
     /// The few big numbers, as (name, value with unit).
     pub headline: Vec<(String, String)>,
     /// Headings with their drawings.
@@ -155,6 +157,7 @@ impl Sheet<'_> {
             title: self.title,
             summary: self.summary.clone(),
             warnings: &self.warnings,
+            notes: &self.notes,
             headline: &self.headline,
             fit: None,
             parts,
@@ -337,6 +340,7 @@ mod tests {
         let sheet = Sheet {
             title: "A <sheet>",
             warnings: vec!["beware".into()],
+            notes: vec!["no dark frame".into()],
             sections: vec![(
                 "Plots",
                 vec![
@@ -374,6 +378,7 @@ mod tests {
         for words in [
             "A &lt;sheet&gt;",
             "beware",
+            "no dark frame",
             "caption of curves",
             "caption of grid",
             ">Dots<",

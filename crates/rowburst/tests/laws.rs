@@ -37,7 +37,7 @@ fn every_camera_obeys_them() {
                 .unwrap();
                 let values = (0..psf_rows * psf_columns).map(|_| rng.random_range(0.0f32..1.0));
                 let image = Image::new(psf_rows, psf_columns, values.collect()).unwrap();
-                let operator = RollingShutter::new(&camera, &Psf::new(image).unwrap());
+                let operator = RollingShutter::new(&camera, Psf::new(image).unwrap());
                 laws::check(&operator, 1);
                 let weights = (0..operator.range_len()).map(|i| (i % 3) as f32).collect();
                 laws::check(&Weighted::new(operator, Some(weights)), 2);

@@ -71,7 +71,7 @@ fn patches_beat_a_single_psf_on_a_wide_field() {
     })
     .unwrap();
     // The optics: a PSF of its own every second pixel.
-    let operator = RollingShutter::new(&camera, &captured(2, &fields));
+    let operator = RollingShutter::new(&camera, captured(2, &fields));
     let truth = scene::digits(camera.video_shape(), 8, 4).unwrap();
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(truth.data(), &mut frame);

@@ -3,9 +3,15 @@
 //! Operators know no optics. Every implementation passes [`laws`]: linearity,
 //! the adjoint identity, and that outputs are overwritten whatever they held.
 
+mod bins;
+mod cosine;
 pub mod laws;
+mod wavelet;
 mod weighted;
 
+pub use bins::{Band, BinTransform, OverBins};
+pub use cosine::Cosine;
+pub use wavelet::Wavelet;
 pub use weighted::Weighted;
 
 /// A linear map from `domain_len` to `range_len` numbers.

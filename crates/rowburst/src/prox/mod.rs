@@ -1,8 +1,20 @@
 //! Proximal operators of the priors.
+//!
+//! [`Variation`] is the fused one of the default; [`Composite`] adds terms of any kind.
 
+pub mod composite;
+pub mod dual;
+pub mod lowrank;
+pub mod sparse;
 pub mod variation;
+pub mod variation3d;
 
+pub use composite::Composite;
+pub use dual::DualTerm;
+pub use lowrank::LowRank;
+pub use sparse::Sparse;
 pub use variation::{Variation, VariationWeights};
+pub use variation3d::{Isotropy, Variation3d};
 
 use crate::Support;
 
@@ -27,3 +39,6 @@ pub trait Prox: Send {
     /// From now on the prox is taken over videos that are zero outside `support`.
     fn restrict(&mut self, support: &Support);
 }
+
+#[cfg(test)]
+mod tests;

@@ -80,7 +80,7 @@ impl Variation {
         self
     }
 
-    fn rescale_duals(&mut self, scale: f64) {
+    pub(super) fn rescale_duals(&mut self, scale: f64) {
         if self.scale > 0.0 && self.scale != scale {
             let factor = (scale / self.scale) as f32;
             for dual in [&mut self.dual_y, &mut self.dual_x, &mut self.dual_t] {
@@ -91,7 +91,7 @@ impl Variation {
     }
 
     /// `z(p)`: the primal point of the dual.
-    fn primal(&self, q: &[f32], scale: f64, z: &mut [f32]) {
+    pub(super) fn primal(&self, q: &[f32], scale: f64, z: &mut [f32]) {
         let pixels = self.shape.pixels();
         let shrink = (scale * self.weights.l1) as f32;
         z.par_chunks_exact_mut(pixels)
@@ -127,15 +127,22 @@ impl Variation {
             });
     }
 
-    /// One projected gradient step of the dual from its primal point `z`.
-    fn step_dual(&mut self, z: &[f32], scale: f64) {
+    /// Whether a part of it needs the dual.
+    pub(super) fn is_dual(&self) -> bool {
+        !self.dual_y.is_empty() || !self.dual_t.is_empty()
+    }
+
+    /// An upper bound of `‖D‖²`: 4 for each axis that is differenced.
+    pub(super) fn norm_squared(&self) -> f64 {
+        let space = if self.dual_y.is_empty() { 0 } else { 2 };
+        4.0 * (space + usize::from(!self.dual_t.is_empty())) as f64
+    }
+
+    /// One projected gradient step of length `step` of the dual from its primal point `z`.
+    pub(super) fn step_dual(&mut self, z: &[f32], scale: f64, step: f32) {
         let (pixels, columns, bins) = (self.shape.pixels(), self.shape.columns, self.shape.bins);
         let space = (scale * self.weights.space) as f32;
         let time = (scale * self.weights.time) as f32;
-        // ‖D‖² ≤ 4 for each axis that is differenced.
-        let axes =
-            if self.dual_y.is_empty() { 0 } else { 2 } + usize::from(!self.dual_t.is_empty());
-        let step = STEP / (4 * axes.max(1)) as f32;
         let dual_y = self.dual_y.par_chunks_exact_mut(pixels);
         let dual_x = self.dual_x.par_chunks_exact_mut(pixels);
         dual_y.zip(dual_x).enumerate().for_each(|(t, (py, px))| {
@@ -170,11 +177,12 @@ impl Prox for Variation {
         assert_eq!(z.len(), self.shape.voxels(), "length of the result");
         self.rescale_duals(scale);
         self.primal(q, scale, z);
-        if self.dual_y.is_empty() && self.dual_t.is_empty() {
+        if !self.is_dual() {
             return;
         }
+        let step = STEP / self.norm_squared() as f32;
         for _ in 0..self.steps {
-            self.step_dual(z, scale);
+            self.step_dual(z, scale, step);
             self.primal(q, scale, z);
         }
     }
@@ -236,7 +244,7 @@ impl Prox for Variation {
 
 /// `z += a·p`.
 #[inline(always)]
-fn add(z: &mut [f32], p: &[f32], a: f32) {
+pub(super) fn add(z: &mut [f32], p: &[f32], a: f32) {
     for (z, p) in z.iter_mut().zip(p) {
         *z += a * p;
     }
@@ -244,7 +252,7 @@ fn add(z: &mut [f32], p: &[f32], a: f32) {
 
 /// `z −= Dᵀp` over one bin: `−(Dᵀp)[y,x] = py[y,x] − py[y−1,x] + px[y,x] − px[y,x−1]`.
 #[inline(always)]
-fn add_divergence(z: &mut [f32], py: &[f32], px: &[f32], columns: usize) {
+pub(super) fn add_divergence(z: &mut [f32], py: &[f32], px: &[f32], columns: usize) {
     add(z, py, 1.0);
     add(&mut z[columns..], py, -1.0);
     add(z, px, 1.0);

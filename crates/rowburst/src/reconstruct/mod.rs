@@ -6,11 +6,11 @@ mod prior;
 mod sigma;
 
 pub use fit::{Fit, FitStatistics, Verdict, Without};
-pub use prior::Prior;
+pub use prior::{FurtherWeights, Prior};
 pub use sigma::estimate_sigma;
 
 use crate::measurement::Measurement;
-use crate::prox::{Prox, Variation};
+use crate::prox::Prox;
 use crate::solve::admm::{self, AdmmParams, Progress, TauRule};
 use crate::solve::{DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
@@ -57,7 +57,7 @@ impl SigmaSource {
 /// A reconstruction set up and ready to run.
 pub struct Problem {
     data: FrameData,
-    prior: Variation,
+    prior: Box<dyn Prox>,
     params: AdmmParams,
     recipe: Recipe,
     sigma: f64,
@@ -98,7 +98,8 @@ impl Problem {
     /// `psf` is one for the whole field (`&Psf`) or one for each part of it (`&PatchSet`).
     ///
     /// # Errors
-    /// A `τ` or `σ` that is not above zero, or a noise level that cannot be found.
+    /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a prior
+    /// over time for a video of one bin.
     pub fn new(
         measurement: &Measurement,
         camera: &Camera,
@@ -134,7 +135,9 @@ impl Problem {
         }
         let bands = Bands::new(measurement, psf.central());
         let operator = RollingShutter::new(camera, psf);
-        let prior = Variation::new(operator.video_shape(), recipe.prior.weights);
+        recipe.prior.check_bins(operator.video_shape().bins)?;
+        params.threshold *= recipe.prior.threshold_factor(operator.video_shape());
+        let prior = recipe.prior.prox(operator.video_shape());
         Ok(Self {
             camera: camera.clone(),
             bands,
@@ -169,7 +172,7 @@ impl Problem {
         let mut history = Vec::new();
         let solution = admm::solve(
             &mut self.data,
-            &mut self.prior,
+            &mut *self.prior,
             shape,
             &self.params,
             &mut |progress| {

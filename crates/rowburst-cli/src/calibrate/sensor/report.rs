@@ -111,6 +111,7 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
             found.levels.len()
         ),
         warnings: found.warnings.clone(),
+        notes: Vec::new(),
         headline: headline(found),
         sections,
         tables: tables(found),

@@ -181,7 +181,22 @@ impl SpeckleOptics {
         2.0e3 * self.aperture.image_distance_mm() * half_angle.tan() / self.pixel_pitch_um
     }
 
-    fn check(&self) -> Result<()> {
+    /// The same optics with a diffuser whose envelope has another width, in pixels.
+    #[must_use]
+    pub fn with_envelope(self, fwhm_px: f64) -> Self {
+        let width_mm = fwhm_px * self.pixel_pitch_um * 1e-3;
+        let half_angle = (0.5 * width_mm / self.aperture.image_distance_mm()).atan();
+        Self {
+            diffuser_fwhm_deg: 2.0 * half_angle.to_degrees(),
+            ..self
+        }
+    }
+
+    /// Checks that the optics can be.
+    ///
+    /// # Errors
+    /// Those of [`speckle_psf`] but for sizes.
+    pub fn check(&self) -> Result<()> {
         require_positive(
             "wavelength_nm",
             self.wavelength_nm,

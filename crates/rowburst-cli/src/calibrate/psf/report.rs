@@ -1,0 +1,407 @@
+//! The page of a PSF: what its numbers look like.
+
+use super::PsfArgs;
+use super::outcome::Outcome;
+use crate::outcome::short;
+use rowburst::calibrate::psf::{BIN, MemoryEffect, Reach, Speckle};
+use rowburst::{Image, Result};
+use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
+
+/// What the page shows.
+pub struct Pages<'a> {
+    pub args: &'a PsfArgs,
+    pub psf: &'a Image,
+    pub speckle: &'a Speckle,
+    pub reach: &'a Reach,
+    /// The memory effect and the places `(y, x)` in millimetres.
+    pub effect: Option<(&'a MemoryEffect, &'a [(f64, f64)])>,
+    pub outcome: &'a Outcome,
+}
+
+pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
+    let outcome = pages.outcome;
+    let highest = pages.psf.max();
+    let relative = Image::from_fn(pages.psf.rows(), pages.psf.columns(), |y, x| {
+        pages.psf.at(y, x) / highest
+    });
+    let sensor_rows: Vec<f64> = (0..pages.reach.map.columns()).map(|r| r as f64).collect();
+    let mut sections = vec![
+        (
+            "PSF",
+            vec![
+                psf_map(&relative),
+                histogram(pages.speckle),
+                grain(pages.speckle),
+            ],
+        ),
+        ("Reach", vec![reach(pages, &sensor_rows)]),
+    ];
+    if let Some((effect, places)) = pages.effect {
+        sections.push((
+            "Memory effect",
+            vec![memory(effect), shifts(effect, places)],
+        ));
+    }
+    let command = command_line(pages.args);
+    let mut files = vec![
+        ("psf.npy", "the PSF, float32, sums to 1"),
+        ("psf.json", "the numbers, for programs"),
+    ];
+    if patches {
+        files.push((
+            "psf-patches.toml",
+            "the patch set: psf = under [calibration] takes it",
+        ));
+        files.push(("psf-patches.npy", "its PSFs, float32 [patch, y, x]"));
+    }
+    if pages.args.experiment.is_some() {
+        files.push(("experiment.toml", "the experiment with this PSF"));
+    }
+    let files = files
+        .into_iter()
+        .map(|(n, w)| (n.into(), w.into()))
+        .collect();
+    Sheet {
+        title: "Rowburst: PSF",
+        summary: format!(
+            "{} captures, {} × {} pixels of the working grid",
+            outcome.captures, outcome.rows, outcome.columns
+        ),
+        warnings: outcome.warnings.clone(),
+        notes: outcome.remarks.clone(),
+        headline: headline(outcome),
+        sections,
+        tables: tables(outcome),
+        files,
+        reproduce: Some(&command),
+    }
+    .render()
+}
+
+fn pair(name: &str, value: impl Into<String>) -> (String, String) {
+    (name.into(), value.into())
+}
+
+fn headline(outcome: &Outcome) -> Vec<(String, String)> {
+    let mut all = vec![
+        pair("contrast", format!("{:.3}", outcome.contrast)),
+        pair("grain", format!("{:.2} px", outcome.grain_px)),
+        pair(
+            "ballistic light",
+            format!("{:.2} %", 100.0 * outcome.ballistic_fraction),
+        ),
+        pair("reach at the far edge", short(outcome.row_reach.worst)),
+    ];
+    if let Some(memory) = &outcome.memory {
+        all.push(pair(
+            "shift",
+            format!("{:.1} px/mm", memory.shift_px_per_mm),
+        ));
+        let range = memory.isoplanatic_range_mm;
+        all.push(pair(
+            "isoplanatic range",
+            range.map_or("beyond the places".into(), |r| format!("{r:.3} mm")),
+        ));
+    }
+    all
+}
+
+fn tables(outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
+    let mut speckle = vec![
+        pair(
+            "grain along rows (y)",
+            format!("{:.2} px", outcome.grain_y_px),
+        ),
+        pair(
+            "grain along columns (x)",
+            format!("{:.2} px", outcome.grain_x_px),
+        ),
+        pair(
+            "distance to the negative exponential",
+            format!("{:.3}", outcome.exponential_distance),
+        ),
+        pair(
+            "noise in the variance",
+            format!("{:.1} %", 100.0 * outcome.noise_part),
+        ),
+        pair(
+            "lit part of the capture",
+            format!("{:.1} %", 100.0 * outcome.lit_fraction),
+        ),
+        pair(
+            "saturated pixels",
+            format!("{:.2} %", 100.0 * outcome.saturated_fraction),
+        ),
+        pair("binning", outcome.binning.to_string()),
+    ];
+    if let Some(floor) = outcome.floor_counts {
+        speckle.push(pair("floor", format!("{floor:.2} counts")));
+    }
+    let reach = &outcome.row_reach;
+    let mut tables = vec![
+        ("Speckle".to_string(), speckle),
+        (
+            "Reach".to_string(),
+            vec![
+                pair("sensor rows", reach.sensor_rows.to_string()),
+                pair("field rows", reach.field_rows.to_string()),
+                pair("light at the far edge over the mean", short(reach.worst)),
+                pair("needed", short(reach.least)),
+            ],
+        ),
+    ];
+    if let Some(memory) = &outcome.memory {
+        tables.push((
+            "Memory effect".to_string(),
+            vec![
+                pair(
+                    "residual of the linear map",
+                    format!("{:.2} px", memory.shift_residual_px),
+                ),
+                pair("captures in its fit", memory.fitted_captures.to_string()),
+                pair(
+                    "spacing of patches",
+                    format!("{:.3} mm", memory.patch_spacing_mm),
+                ),
+                pair("patches written", memory.patches.to_string()),
+                pair(
+                    "patches needed (rows × columns)",
+                    format!("{} × {}", memory.patches_needed.0, memory.patches_needed.1),
+                ),
+            ],
+        ));
+    }
+    tables
+}
+
+fn psf_map(relative: &Image) -> Drawing<'_> {
+    Drawing {
+        name: "psf",
+        plot: Plot::Map {
+            image: relative,
+            quantity: "of the highest",
+            range: None,
+        },
+        caption: "The PSF, zero displacement in the middle. Good: fine grains over the whole picture, no bright spot.".into(),
+        alt: "A speckle pattern".into(),
+    }
+}
+
+fn histogram(speckle: &Speckle) -> Drawing<'static> {
+    let bins: Vec<(f64, f64)> = speckle
+        .histogram
+        .iter()
+        .enumerate()
+        .filter(|(_, density)| **density > 1e-5)
+        .map(|(i, &density)| ((i as f64 + 0.5) * BIN, density))
+        .collect();
+    let end = speckle.histogram.len() as f64 * BIN;
+    let expected = (0..=80).map(|i| f64::from(i) / 80.0 * end);
+    let curves = vec![
+        Curve {
+            name: "captured".into(),
+            points: bins,
+            ink: Ink::Bars,
+        },
+        Curve {
+            name: "negative exponential: a point source behind a strong diffuser".into(),
+            points: expected.map(|x| (x, (-x).exp())).collect(),
+            ink: Ink::Expected,
+        },
+    ];
+    Drawing {
+        name: "histogram",
+        plot: Plot::Curves {
+            x: ("intensity over its local mean", Scale::Linear(0.0, end)),
+            y: ("density", Scale::Log(1e-4, 2.0)),
+            curves,
+        },
+        caption: format!(
+            "Intensities of the lit region. Good: bars along the line; a hump away from zero means low contrast, a wall at the right saturation. Kolmogorov–Smirnov distance {:.3}.",
+            speckle.exponential_distance
+        ),
+        alt: "Histogram of intensities against a falling exponential".into(),
+    }
+}
+
+fn grain(speckle: &Speckle) -> Drawing<'static> {
+    let end = ((4.0 * speckle.grain_px).ceil() as usize).clamp(6, speckle.autocovariance_y.len());
+    let curve = |name: &str, values: &[f64]| Curve {
+        name: name.into(),
+        points: values[..end.min(values.len())]
+            .iter()
+            .enumerate()
+            .map(|(d, &v)| (d as f64, v))
+            .collect(),
+        ink: Ink::Line,
+    };
+    let last = end as f64 - 1.0;
+    let curves = vec![
+        curve("along y (rows)", &speckle.autocovariance_y),
+        curve("along x (columns)", &speckle.autocovariance_x),
+        Curve {
+            name: "half".into(),
+            points: vec![(0.0, 0.5), (last, 0.5)],
+            ink: Ink::Expected,
+        },
+    ];
+    Drawing {
+        name: "grain",
+        plot: Plot::Curves {
+            x: ("displacement (px)", Scale::Linear(0.0, last)),
+            y: ("autocovariance", Scale::Linear(-0.2, 1.05)),
+            curves,
+        },
+        caption: format!(
+            "Autocovariance of the speckle: its width at half is the grain, {:.2} px. Good: both alike, 2 to 4 px on the working grid, and nothing but ripples beyond.",
+            speckle.grain_px
+        ),
+        alt: "Two curves that fall from one to about zero".into(),
+    }
+}
+
+fn reach<'a>(pages: &'a Pages, sensor_rows: &'a [f64]) -> Drawing<'a> {
+    let outcome = &pages.outcome.row_reach;
+    Drawing {
+        name: "reach",
+        plot: Plot::Grid {
+            image: &pages.reach.map,
+            quantity: (
+                "light over mean",
+                0.0,
+                pages.reach.map.max().clamp(1.5, 4.0),
+            ),
+            x: ("sensor row", sensor_rows),
+            y: ("source at sensor row", &pages.reach.source_rows),
+        },
+        caption: format!(
+            "Light of each part of the field on each sensor row, relative to its mean over the rows. Good: no black corner. Light of the bottom must reach the top row and the other way round: there it is {}{}, {} are needed.",
+            short(outcome.worst),
+            if outcome.extrapolated {
+                " (continued beyond the capture by a Gaussian)"
+            } else {
+                ""
+            },
+            short(outcome.least)
+        ),
+        alt: "A map that is brightest along the diagonal".into(),
+    }
+}
+
+fn memory(effect: &MemoryEffect) -> Drawing<'static> {
+    let end = effect.correlation.last().map_or(1.0, |c| c.0);
+    let level = |value: f64| Curve {
+        name: String::new(),
+        points: vec![(0.0, value), (end, value)],
+        ink: Ink::Expected,
+    };
+    let range = effect
+        .range_mm
+        .map_or("not reached".into(), |r| format!("{r:.3} mm"));
+    Drawing {
+        name: "memory-effect",
+        plot: Plot::Curves {
+            x: ("distance of the source (mm)", Scale::Linear(0.0, end)),
+            y: ("correlation", Scale::Linear(-0.1, 1.05)),
+            curves: vec![
+                level(0.5),
+                level(0.7),
+                Curve {
+                    name: "correlation with the middle, registered".into(),
+                    points: effect.correlation.clone(),
+                    ink: Ink::Dots,
+                },
+            ],
+        },
+        caption: format!(
+            "How far the source may move while its speckle only shifts. The isoplanatic range, where the correlation is 0.5: {range}. Patches lie {:.3} mm apart, where it is 0.7.",
+            effect.spacing_mm
+        ),
+        alt: "Dots that fall from one with the distance".into(),
+    }
+}
+
+fn shifts(effect: &MemoryEffect, places: &[(f64, f64)]) -> Drawing<'static> {
+    let reference = places[effect.reference];
+    let errors = |fitted: bool, along_x: bool| -> Vec<(f64, f64)> {
+        (0..places.len())
+            .filter(|&i| effect.fitted[i] == fitted)
+            .map(|i| {
+                let d = (places[i].0 - reference.0, places[i].1 - reference.1);
+                let (y, x) = effect.predicted_px(d);
+                let error = if along_x {
+                    effect.shifts_px[i].1 - x
+                } else {
+                    effect.shifts_px[i].0 - y
+                };
+                (d.0.hypot(d.1), error)
+            })
+            .collect()
+    };
+    let curve = |name: &str, points| Curve {
+        name: name.into(),
+        points,
+        ink: Ink::Dots,
+    };
+    let mut curves = vec![
+        curve("x, in the fit", errors(true, true)),
+        curve("y, in the fit", errors(true, false)),
+    ];
+    if effect.fitted.iter().any(|f| !f) {
+        curves.push(curve("x, beyond the range", errors(false, true)));
+        curves.push(curve("y, beyond the range", errors(false, false)));
+    }
+    Drawing {
+        name: "shift-errors",
+        plot: Plot::Curves {
+            x: ("distance of the source (mm)", Scale::Auto),
+            y: ("measured less linear shift (px)", Scale::Auto),
+            curves,
+        },
+        caption: format!(
+            "Shift of each capture less that of the linear map, {:.2} px/mm. Good: dots of the fit within a pixel and without a trend; beyond the range the peak is chance within a grain.",
+            effect.shift_px_per_mm
+        ),
+        alt: "Dots about zero".into(),
+    }
+}
+
+fn command_line(args: &PsfArgs) -> String {
+    let mut line = "rowburst calibrate psf".to_string();
+    for path in &args.captures {
+        line += &format!(" {}", path.display());
+    }
+    for (flag, path) in [
+        ("--dark", &args.dark),
+        ("--positions-mm", &args.positions_mm),
+        ("--experiment", &args.experiment),
+    ] {
+        if let Some(path) = path {
+            line += &format!(" {flag} {}", path.display());
+        }
+    }
+    if !args.exposures_ms.is_empty() {
+        let list: Vec<String> = args.exposures_ms.iter().map(f64::to_string).collect();
+        line += &format!(" --exposures-ms {}", list.join(","));
+    }
+    for (flag, value) in [
+        ("--binning", args.binning.map(|b| b.to_string())),
+        (
+            "--saturation-counts",
+            args.saturation_counts.map(|v| v.to_string()),
+        ),
+        (
+            "--expected-grain-px",
+            args.expected_grain_px.map(|v| v.to_string()),
+        ),
+        ("--field", args.field.map(|(r, c)| format!("{r}x{c}"))),
+    ] {
+        if let Some(value) = value {
+            line += &format!(" {flag} {value}");
+        }
+    }
+    if args.all_patches {
+        line += " --all-patches";
+    }
+    line + &format!(" -o {}", args.output.display())
+}

@@ -1,0 +1,362 @@
+//! From arguments through the library to files.
+
+use super::PsfArgs;
+use super::captures::{self, File};
+use super::outcome::{Memory, Outcome, RowReach, remarks, warnings};
+use super::report::{Pages, render};
+use crate::outcome::{say, short};
+use rowburst::calibrate::psf::{
+    Light, MemoryEffect, MergeParams, Placed, Shot, ballistic_core, centroid, chosen,
+    memory_effect, merge, noise_of, patch_set, patches_needed, placed, row_reach, span_px,
+    statistics, without_noise,
+};
+use rowburst::{Error, Image, PatchSet, Result};
+use rowburst_io::{Experiment, OutputFolder, read_image, write_npy_image, write_patch_set};
+
+/// Standard deviations of noise above which light is light.
+const NOISE_FLOOR_SIGMAS: f64 = 3.0;
+
+pub fn run(args: &PsfArgs) -> Result<()> {
+    let folder = OutputFolder::create(&args.output)?;
+    let experiment = args
+        .experiment
+        .as_deref()
+        .map(Experiment::read)
+        .transpose()?;
+    let plan = Plan::new(args, experiment.as_ref())?;
+    let files = captures::read(args)?;
+    let places = args
+        .positions_mm
+        .as_deref()
+        .map(|csv| captures::places(csv, &files))
+        .transpose()?;
+    let groups = groups(files, places.is_some());
+    let lights = groups
+        .iter()
+        .map(|group| plan.light(group))
+        .collect::<Result<Vec<Light>>>()?;
+
+    let (effect, placed_lights) = match &places {
+        None => (None, Vec::new()),
+        Some(places) => {
+            let rough = statistics(&lights[lights.len() / 2].image).grain_px;
+            let shots = lights.iter().zip(places).map(|(light, at)| Placed {
+                light: light.image.clone(),
+                at_mm: *at,
+            });
+            let shots: Vec<Placed> = shots.collect();
+            let effect = memory_effect(&shots, rough)?;
+            (Some(effect), shots)
+        }
+    };
+    let reference = effect.as_ref().map_or(0, |e| e.reference);
+    let light = &lights[reference];
+    let speckle = statistics(&light.image);
+    let core = ballistic_core(&light.image, speckle.grain_px);
+    let middle = centroid(&speckle.envelope);
+    let cleaned = |light: &Image| {
+        without_noise(light, speckle.grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
+    };
+    let (rows, columns) = (light.image.rows(), light.image.columns());
+    let zero = ((rows / 2) as f64, (columns / 2) as f64);
+    let psf = placed(
+        &[&cleaned(&light.image)],
+        &[(zero.0 - middle.0, zero.1 - middle.1)],
+    )?
+    .remove(0);
+
+    let sensor_rows = experiment.as_ref().map_or(rows, |e| e.params.rows);
+    let field = args
+        .field
+        .or(experiment.as_ref().and_then(|e| e.params.field));
+    let field = field.or(experiment
+        .as_ref()
+        .map(|e| (e.params.rows, e.params.columns)));
+    let field_rows = field.map_or(sensor_rows, |f| f.0);
+    let covered = (
+        -middle.0.floor() as isize,
+        rows as isize - 1 - middle.0.ceil() as isize,
+    );
+    let reach = row_reach(
+        &psf,
+        sensor_rows,
+        field_rows,
+        speckle.grain_px,
+        (speckle.lit_edge_part > 0.02).then_some(covered),
+    );
+    let row_reach = RowReach::new(&reach, sensor_rows, field_rows);
+
+    let patches = match (&effect, &places) {
+        (Some(effect), Some(places)) => {
+            let kept: Vec<usize> = match args.all_patches {
+                true => (0..places.len()).collect(),
+                false => chosen(places, effect, field),
+            };
+            let cleaned: Vec<Image> = placed_lights.iter().map(|p| cleaned(&p.light)).collect();
+            Some(patch_set(&cleaned, places, effect, &kept, middle)?)
+        }
+        _ => None,
+    };
+    let memory = effect
+        .as_ref()
+        .zip(places.as_ref())
+        .map(|(effect, places)| {
+            let extent =
+                field.map_or_else(|| span_px(places, effect), |f| (f.0 as f64, f.1 as f64));
+            let count = patches.as_ref().map_or(0, |p| p.psfs().len());
+            Memory::new(effect, count, patches_needed(effect, extent))
+        });
+    let mut warned = warnings(
+        light,
+        &speckle,
+        core.as_ref(),
+        &row_reach,
+        args.expected_grain_px,
+    );
+    warned.extend(saturated_places(&lights, reference, &groups));
+    let outcome = Outcome {
+        version: env!("CARGO_PKG_VERSION"),
+        rows: psf.image().rows(),
+        columns: psf.image().columns(),
+        binning: plan.binning,
+        captures: lights.iter().map(|l| l.used).sum(),
+        left_out: lights
+            .iter()
+            .flat_map(|l| &l.left_out)
+            .map(|o| o.0.clone())
+            .collect(),
+        contrast: speckle.contrast,
+        grain_px: speckle.grain_px,
+        grain_y_px: speckle.grain_y_px,
+        grain_x_px: speckle.grain_x_px,
+        ballistic_fraction: core.map_or(0.0, |c| c.fraction),
+        ballistic_at_px: core.map(|c| c.at_px),
+        saturated_fraction: light.saturated_part,
+        exponential_distance: speckle.exponential_distance,
+        noise_part: speckle.noise_part,
+        lit_fraction: speckle.lit_part,
+        floor_counts: light.floor.map(|f| f.counts),
+        middle_px: middle,
+        remarks: remarks(light, &speckle, &row_reach, effect.as_ref()),
+        row_reach,
+        memory,
+        warnings: warned,
+    };
+    for warning in &outcome.warnings {
+        eprintln!("warning: {warning}");
+    }
+    for remark in &outcome.remarks {
+        eprintln!("note: {remark}");
+    }
+    let pages = Pages {
+        args,
+        psf: psf.image(),
+        speckle: &speckle,
+        reach: &reach,
+        effect: effect.as_ref().zip(places.as_deref()),
+        outcome: &outcome,
+    };
+    write(&folder, &pages, experiment, patches.as_ref())?;
+    if args.json {
+        say(serde_json::to_string_pretty(&outcome).expect("plain numbers and text"));
+    } else {
+        print_summary(&outcome, effect.as_ref(), args);
+    }
+    Ok(())
+}
+
+/// What holds for every capture.
+struct Plan {
+    dark: Option<Image>,
+    exposures_ms: Vec<f64>,
+    saturation_counts: Option<f64>,
+    binning: usize,
+}
+
+impl Plan {
+    fn new(args: &PsfArgs, experiment: Option<&Experiment>) -> Result<Self> {
+        let dark = args
+            .dark
+            .as_ref()
+            .or(experiment.and_then(|e| e.calibration.dark.as_ref()));
+        let sensor = experiment.map(|e| e.camera()).transpose()?;
+        let sensor = sensor.as_ref().map(|c| c.sensor());
+        for (option, value) in [
+            ("--saturation-counts", args.saturation_counts),
+            ("--expected-grain-px", args.expected_grain_px),
+        ] {
+            if let Some(bad) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                return Err(Error::input(
+                    option,
+                    bad,
+                    "the value is a number above zero",
+                    "Leave the option out where it is not known.",
+                ));
+            }
+        }
+        Ok(Self {
+            dark: dark.map(|path| Ok(read_image(path)?.image)).transpose()?,
+            exposures_ms: args.exposures_ms.clone(),
+            saturation_counts: args
+                .saturation_counts
+                .or(sensor.and_then(|s| s.saturation_counts())),
+            binning: args
+                .binning
+                .map_or(sensor.map_or(1, |s| s.binning), usize::from),
+        })
+    }
+
+    /// The light of one place, on the working grid.
+    fn light(&self, group: &Group) -> Result<Light> {
+        let mut light = merge(
+            &group.shots,
+            &MergeParams {
+                dark: self.dark.clone(),
+                exposures_ms: self.exposures_ms.clone(),
+                saturation_counts: self.saturation_counts.or(group.container_end),
+            },
+        )?;
+        let short = light.image.rows().min(light.image.columns());
+        if short < 16 * self.binning {
+            return Err(Error::input(
+                &group.shots[0].name,
+                format!(
+                    "{}×{} pixels, binned by {}",
+                    light.image.rows(),
+                    light.image.columns(),
+                    self.binning
+                ),
+                "a PSF has 16 pixels or more along each side",
+                "Record a larger region, or bin less.",
+            ));
+        }
+        if self.binning > 1 {
+            light.image = light.image.binned(self.binning);
+        }
+        Ok(light)
+    }
+}
+
+/// Captures of one place.
+struct Group {
+    shots: Vec<Shot>,
+    container_end: Option<f64>,
+}
+
+fn groups(files: Vec<File>, by_file: bool) -> Vec<Group> {
+    let groups = files.into_iter().map(|file| Group {
+        shots: file.shots,
+        container_end: file.container_end,
+    });
+    if by_file {
+        return groups.collect();
+    }
+    let joined = groups.reduce(|mut all, one| {
+        all.shots.extend(one.shots);
+        all.container_end = all.container_end.or(one.container_end);
+        all
+    });
+    // No capture at all is an error of the library.
+    vec![joined.unwrap_or(Group {
+        shots: Vec::new(),
+        container_end: None,
+    })]
+}
+
+/// Captures besides the reference that are saturated.
+fn saturated_places(lights: &[Light], reference: usize, groups: &[Group]) -> Option<String> {
+    let others = lights.iter().zip(groups).enumerate();
+    let mut names = others
+        .filter(|(i, (light, _))| *i != reference && light.saturated_part > 1e-3)
+        .map(|(_, (_, group))| group.shots[0].name.as_str());
+    let first = names.next()?;
+    Some(format!(
+        "{} more captures are saturated, such as {first}: shorten the exposure",
+        names.count() + 1
+    ))
+}
+
+/// Writes all files, `psf.json` last: where it is, the result is whole.
+fn write(
+    folder: &OutputFolder,
+    pages: &Pages,
+    experiment: Option<Experiment>,
+    patches: Option<&PatchSet>,
+) -> Result<()> {
+    for stale in ["psf.json", "psf-patches.toml", "psf-patches.npy"] {
+        folder.remove(stale)?;
+    }
+    folder.write("psf.npy", |w| write_npy_image(w, pages.psf))?;
+    if let Some(set) = patches {
+        write_patch_set(folder, "psf-patches", set)?;
+    }
+    if let Some(mut experiment) = experiment {
+        let several = patches.is_some_and(|p| p.psfs().len() > 1);
+        let file = if several {
+            "psf-patches.toml"
+        } else {
+            "psf.npy"
+        };
+        experiment.calibration.psf = Some(folder.path().join(file));
+        if pages.args.dark.is_some() {
+            experiment.calibration.dark.clone_from(&pages.args.dark);
+        }
+        experiment.params.sensor.binning = pages.outcome.binning;
+        if let Some(field) = pages.args.field {
+            experiment.params.field = Some(field);
+        }
+        experiment.camera()?;
+        let toml = experiment.to_toml(folder.path());
+        folder.write_bytes("experiment.toml", toml.as_bytes())?;
+    }
+    let report = render(pages, patches.is_some())?;
+    for picture in &report.pictures {
+        folder.write_bytes(&picture.name, &picture.png)?;
+    }
+    folder.write_bytes("report.html", report.html.as_bytes())?;
+    let json = serde_json::to_string_pretty(pages.outcome).expect("plain numbers and text");
+    folder.write_bytes("psf.json", format!("{json}\n").as_bytes())
+}
+
+fn print_summary(outcome: &Outcome, effect: Option<&MemoryEffect>, args: &PsfArgs) {
+    say(format!("contrast     {:.3}", outcome.contrast));
+    say(format!(
+        "grain        {:.2} px (rows {:.2}, columns {:.2})",
+        outcome.grain_px, outcome.grain_y_px, outcome.grain_x_px
+    ));
+    say(format!(
+        "ballistic    {:.2} %",
+        100.0 * outcome.ballistic_fraction
+    ));
+    say(format!(
+        "saturated    {:.2} %",
+        100.0 * outcome.saturated_fraction
+    ));
+    say(format!(
+        "row reach    {} of the mean at the far edge ({})",
+        short(outcome.row_reach.worst),
+        if outcome.row_reach.enough {
+            "enough"
+        } else {
+            "too little"
+        }
+    ));
+    if let (Some(memory), Some(effect)) = (&outcome.memory, effect) {
+        say(format!(
+            "shift        {:.2} px/mm (residual {:.2} px)",
+            memory.shift_px_per_mm, memory.shift_residual_px
+        ));
+        let range = effect
+            .range_mm
+            .map_or("beyond the places".into(), |r| format!("{r:.3} mm"));
+        say(format!("isoplanatic  {range}"));
+        say(format!(
+            "patches      {} written, {} × {} needed",
+            memory.patches, memory.patches_needed.0, memory.patches_needed.1
+        ));
+    }
+    say(format!(
+        "report       {}",
+        args.output.join("report.html").display()
+    ));
+}

@@ -1,0 +1,192 @@
+//! Files of `calibrate timing` into values, and the experiment file that comes out.
+
+use super::TimingArgs;
+use rowburst::calibrate::timing::{After, Light, Signal, Timing};
+use rowburst::{Error, Image, Result, Shutter};
+use rowburst_io::{Calibration, Experiment, Level, OutputFolder, read_colour_image, write_npy_i64};
+use std::path::Path;
+
+/// What the command line asks for, read.
+pub struct Plan {
+    pub frames: Vec<Image>,
+    pub light: Light,
+    pub dark: Option<Image>,
+    pub flat: Option<Image>,
+    pub calibration: Calibration,
+    pub saturation_counts: Option<f64>,
+    /// Of a row of the frames.
+    pub expected_row_time_us: Option<f64>,
+    pub warnings: Vec<String>,
+    experiment: Option<Experiment>,
+    /// Rows of the frames in a row of the experiment.
+    binning: usize,
+}
+
+impl Plan {
+    pub fn read(args: &TimingArgs) -> Result<Self> {
+        let light = light(args)?;
+        let experiment = args
+            .experiment
+            .as_deref()
+            .map(Experiment::read)
+            .transpose()?;
+        let camera = experiment.as_ref().map(Experiment::camera).transpose()?;
+        let known = experiment
+            .as_ref()
+            .map(|e| e.calibration.clone())
+            .unwrap_or_default();
+        let calibration = Calibration {
+            dark: args.dark.clone().or(known.dark),
+            flat: args.flat.clone().or(known.flat),
+            ..Calibration::default()
+        };
+        let (mut frames, mut end) = (Vec::new(), None);
+        for path in &args.frames {
+            let capture = read_colour_image(path)?;
+            if let Level::Counts { bits } = capture.level
+                && bits <= 16
+            {
+                end = Some(f64::from(1u32 << bits) - 1.0);
+            }
+            frames.push(capture.image);
+        }
+        let extra = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {
+            path.as_deref()
+                .map(|path| Ok(read_colour_image(path)?.image))
+                .transpose()
+        };
+        let mut warnings = Vec::new();
+        let (mut binning, mut expected) = (1, None);
+        if let Some(camera) = &camera {
+            let rows = frames[0].rows();
+            let wanted = camera.sensor().binning;
+            if rows == camera.rows() * wanted {
+                binning = wanted;
+            } else if rows != camera.rows() {
+                warnings.push(format!(
+                    "the frames have {rows} rows, the experiment {}: the row time is taken to be that of both",
+                    camera.rows()
+                ));
+            }
+            if !matches!(camera.shutter(), Shutter::Global) {
+                expected = Some(camera.params().row_time_us / binning as f64);
+            }
+        }
+        let of_sensor = camera.and_then(|c| c.sensor().saturation_counts());
+        Ok(Self {
+            frames,
+            light,
+            dark: extra(&calibration.dark)?,
+            flat: extra(&calibration.flat)?,
+            calibration,
+            saturation_counts: of_sensor.or(end),
+            expected_row_time_us: expected,
+            warnings,
+            experiment,
+            binning,
+        })
+    }
+
+    /// The experiment with what was found, and what of it was not.
+    pub fn experiment_with(
+        &self,
+        timing: &Timing,
+        folder: &OutputFolder,
+    ) -> Option<(Experiment, Vec<String>)> {
+        let mut experiment = self.experiment.clone()?;
+        let mut notes = Vec::new();
+        experiment.params.row_time_us = timing.row_time_us * self.binning as f64;
+        if let Some((exposure, _)) = timing.exposure_us {
+            experiment.params.exposure_us = exposure;
+        }
+        let before = &experiment.params.shutter;
+        match timing.shutters.as_slice() {
+            [only] => experiment.params.shutter = only.clone(),
+            several if several.contains(before) => {}
+            _ => notes.push(format!(
+                "the shutter of the experiment, {}, is not among those that the light leaves: it was kept, decide and correct it",
+                before.name()
+            )),
+        }
+        match experiment.params.shutter {
+            Shutter::Custom(_) => experiment.row_order = Some(folder.path().join("row_order.npy")),
+            _ => experiment.row_order = None,
+        }
+        Some((experiment, notes))
+    }
+
+    /// Writes `experiment.toml`, and the order of a custom shutter beside it.
+    pub fn write_experiment(&self, folder: &OutputFolder, experiment: &Experiment) -> Result<()> {
+        experiment.camera()?;
+        if let Shutter::Custom(order) = &experiment.params.shutter {
+            let order: Vec<i64> = order.iter().map(|&k| k as i64).collect();
+            folder.write("row_order.npy", |w| {
+                write_npy_i64(w, &[order.len()], &order)
+            })?;
+        }
+        folder.write_bytes(
+            "experiment.toml",
+            experiment.to_toml(folder.path()).as_bytes(),
+        )
+    }
+}
+
+fn light(args: &TimingArgs) -> Result<Light> {
+    match (&args.signal, args.frequency_hz) {
+        (Some(path), _) => {
+            let after = if args.repeat {
+                After::Repeats
+            } else {
+                After::Holds
+            };
+            let points = read_points(path)?;
+            let signal = Signal::new(&points, after).map_err(|e| e.within(path.display()))?;
+            Ok(Light::Known(signal))
+        }
+        (None, Some(frequency_hz)) => Ok(Light::Periodic {
+            frequency_hz,
+            duty: args.duty,
+        }),
+        (None, None) => Err(Error::input(
+            "command line",
+            "no light",
+            "the light is known by its frequency or its course",
+            "Give --frequency-hz F or --signal FILE.csv.",
+        )),
+    }
+}
+
+/// Lines `time_us,value`; empty ones, those that begin with # and a heading are passed over.
+fn read_points(path: &Path) -> Result<Vec<(f64, f64)>> {
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Error::input(
+            path.display().to_string(),
+            format!("a file that cannot be read ({error})"),
+            "the course of the light is a text file",
+            "Check the path and the permissions.",
+        )
+    })?;
+    let mut points = Vec::new();
+    for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let number = |part: Option<&str>| part.and_then(|p| p.trim().parse::<f64>().ok());
+        let mut parts = line.split([',', ';', '\t']);
+        let pair = (number(parts.next()), number(parts.next()), parts.next());
+        match pair {
+            (Some(time), Some(value), None) => points.push((time, value)),
+            _ if points.is_empty() && line.starts_with(|c: char| c.is_alphabetic()) => {}
+            _ => {
+                return Err(Error::input(
+                    format!("{}, line {}", path.display(), i + 1),
+                    format!("\"{line}\""),
+                    "a line has two numbers, time_us,value",
+                    "Write the time in microseconds, a comma and the light, with a point for decimals.",
+                ));
+            }
+        }
+    }
+    Ok(points)
+}

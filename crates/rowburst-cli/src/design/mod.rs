@@ -1,0 +1,115 @@
+//! `rowburst design`: what a camera, a lens and a diffuser can do before they are bought.
+
+mod options;
+mod outcome;
+mod page;
+
+pub use options::DesignArgs;
+
+use crate::inputs::read_psfs;
+use crate::outcome::say;
+use indicatif::{ProgressBar, ProgressStyle};
+use options::Plan;
+use outcome::{Outcome, print_summary};
+use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
+use rowburst::design::{Assessment, assess};
+use rowburst::simulate::speckle_psf;
+use rowburst::{Camera, Psf, Result};
+use rowburst_io::OutputFolder;
+use std::io::IsTerminal;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::time::Instant;
+
+pub fn run(args: &DesignArgs) -> Result<()> {
+    let started = Instant::now();
+    let plan = args.plan()?;
+    let given = plan
+        .psf
+        .as_deref()
+        .map(|path| psf_of(path, &plan.camera))
+        .transpose()?;
+    let found = assess(&plan.camera, &plan.optics, &plan.light, given.as_ref())
+        .map_err(|e| args.naming_option(e))?;
+    let folder = match &args.output {
+        Some(path) => Some(OutputFolder::create(path)?),
+        None => None,
+    };
+    let map = match args.quick {
+        true => None,
+        false => Some(map_of(&plan, &found, given.as_ref())?),
+    };
+    let outcome = Outcome::new(&plan, &found, map.as_ref(), started.elapsed().as_secs_f64());
+    if let Some(folder) = &folder {
+        // One that cannot be simulated is only not shown.
+        let psf = match given {
+            Some(psf) => Some(psf),
+            None => simulated(&plan, &plan.camera, found.envelope_fwhm_px).ok(),
+        };
+        let page = page::Page {
+            plan: &plan,
+            found: &found,
+            map: map.as_ref(),
+            psf: psf.as_ref(),
+            outcome: &outcome,
+            reproduce: &args.command_line(),
+        };
+        page.write(folder)?;
+    }
+    if args.json {
+        say(outcome.json());
+    } else {
+        print_summary(&outcome, args.output.as_deref());
+    }
+    Ok(())
+}
+
+/// The PSF of a file; of a patch set the one in the middle.
+fn psf_of(path: &Path, camera: &Camera) -> Result<Psf> {
+    Ok(read_psfs(path, camera, None)?.central().clone())
+}
+
+/// A speckle PSF of all displacements that `camera` needs, its envelope `fwhm_px` wide.
+fn simulated(plan: &Plan, camera: &Camera, fwhm_px: f64) -> Result<Psf> {
+    let (field_rows, field_columns) = camera.field();
+    let optics = plan.optics.with_envelope(fwhm_px);
+    speckle_psf(
+        &optics,
+        (camera.rows() + field_rows - 1) | 1,
+        (camera.columns() + field_columns - 1) | 1,
+        plan.seed,
+    )
+}
+
+/// The success map, with the given PSF, or with speckle of the grain and, where the trial
+/// camera is smaller, an envelope in proportion.
+fn map_of(plan: &Plan, found: &Assessment, given: Option<&Psf>) -> Result<SuccessMap> {
+    let camera = trial_camera(&plan.camera)?;
+    let part = camera.rows() as f64 / plan.camera.rows() as f64;
+    let psf = match given {
+        Some(psf) => psf.clone(),
+        None => simulated(plan, &camera, part * found.envelope_fwhm_px)?,
+    };
+    let grain_px = found
+        .measured_grain_px
+        .unwrap_or_else(|| found.grains.fwhm_px());
+    let params = SparsityParams::for_camera(&camera, grain_px, plan.seed);
+    let bar = if std::io::stderr().is_terminal() {
+        ProgressBar::new(1000)
+    } else {
+        ProgressBar::hidden()
+    };
+    let style = ProgressStyle::with_template("{bar:30} {percent} %, about {eta} left; {msg}");
+    bar.set_style(style.expect("the template is valid"));
+    bar.set_message(format!(
+        "trial reconstructions, {}×{} pixels",
+        camera.rows(),
+        camera.columns()
+    ));
+    let map = success_map(&camera, &psf, &params, &mut |part| {
+        bar.set_position((1000.0 * part) as u64);
+        ControlFlow::Continue(())
+    });
+    bar.finish_and_clear();
+    map
+}

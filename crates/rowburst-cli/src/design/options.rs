@@ -1,0 +1,327 @@
+//! The options of `rowburst design`, and what they mean.
+
+use crate::args::OpticsArgs;
+use clap::Args;
+use rowburst::camera::CameraParams;
+use rowburst::design::LightParams;
+use rowburst::simulate::{Aperture, SpeckleOptics};
+use rowburst::{Camera, Error, Result, Sensor, Shutter};
+use rowburst_io::Experiment;
+use std::path::PathBuf;
+
+/// What a camera, a lens and a diffuser can do before they are bought.
+///
+/// Without options: the paper's camera and optics of its size.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  rowburst design -o design\n  then open design/report.html\n  rowburst design --rows 512 --columns 512 --diffuser-deg 4 --photons 1e8 --quick\n  rowburst design --experiment experiment.toml --psf psf.tif --json"
+)]
+pub struct DesignArgs {
+    /// Camera, field and PSF from an experiment file; options come first
+    #[arg(long)]
+    pub experiment: Option<PathBuf>,
+    /// A recorded PSF or patch set; without one speckle of these optics is computed
+    #[arg(long)]
+    pub psf: Option<PathBuf>,
+    #[command(flatten)]
+    pub optics: OpticsArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub light: LightArgs,
+    /// Leave out the trial reconstructions, which take most of a minute
+    #[arg(long, visible_alias = "no-map", help_heading = "Run")]
+    pub quick: bool,
+    /// Seed of speckle, scenes and noise
+    #[arg(long, default_value_t = 1, help_heading = "Run")]
+    pub seed: u64,
+    /// Print design.json to standard output instead of a summary
+    #[arg(long, help_heading = "Run")]
+    pub json: bool,
+    /// Folder for report.html, its pictures and design.json [default: none are written]
+    #[arg(short, long, help_heading = "Run")]
+    pub output: Option<PathBuf>,
+}
+
+/// The camera; what is not given comes from the experiment, or else from the paper.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Camera")]
+pub struct CameraArgs {
+    /// Rows of the frame [paper: 108]
+    #[arg(long)]
+    pub rows: Option<usize>,
+    /// Columns of the frame [paper: 108]
+    #[arg(long)]
+    pub columns: Option<usize>,
+    /// top-down, bottom-up, dual-inside-out, dual-outside-in or global [paper: dual-inside-out]
+    #[arg(long)]
+    pub shutter: Option<String>,
+    /// Time from one read-out to the next in microseconds [paper: 9.6]
+    #[arg(long, allow_hyphen_values = true)]
+    pub row_time_us: Option<f64>,
+    /// Exposure of each row in microseconds [default: a row time]
+    #[arg(long, allow_hyphen_values = true)]
+    pub exposure_us: Option<f64>,
+    /// Video frames in each row time [default: 1]
+    #[arg(long)]
+    pub bins_per_row: Option<usize>,
+    /// Pitch of the pixels in micrometres [paper: 6.5]
+    #[arg(long, allow_hyphen_values = true)]
+    pub pixel_pitch_um: Option<f64>,
+    /// Rows of the field, on the scale of the sensor [default: those of the sensor]
+    #[arg(long)]
+    pub field_rows: Option<usize>,
+    /// Columns of the field [default: those of the sensor]
+    #[arg(long)]
+    pub field_columns: Option<usize>,
+}
+
+/// The light and the sensor's answer to it.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Light and noise")]
+pub struct LightArgs {
+    /// Photons of one bright scene pixel in one bin that pass the lens
+    #[arg(long, default_value_t = 2e7, allow_hyphen_values = true)]
+    pub photons: f64,
+    /// Bright pixels of the scene in a bin
+    #[arg(long, default_value_t = 10)]
+    pub bright_pixels: usize,
+    /// Electrons per photon, up to 1
+    #[arg(long, default_value_t = 0.6, allow_hyphen_values = true)]
+    pub quantum_efficiency: f64,
+    /// Read noise in electrons rms [default: the experiment's, or 1.5]
+    #[arg(long, allow_hyphen_values = true)]
+    pub read_noise_electrons: Option<f64>,
+    /// Electrons at which a pixel is full [default: the experiment's, or 30000]
+    #[arg(long, allow_hyphen_values = true)]
+    pub full_well_electrons: Option<f64>,
+    /// Bits of the converter, over the full well [default: the experiment's, or 16]
+    #[arg(long)]
+    pub bit_depth: Option<u32>,
+    /// Full width of the source's spectrum in nanometres
+    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
+    pub source_bandwidth_nm: f64,
+    /// Rms of the optical path through the diffuser in nanometres
+    /// [default: 4 radians at the wavelength]
+    #[arg(long, allow_hyphen_values = true)]
+    pub diffuser_path_rms_nm: Option<f64>,
+}
+
+/// What is to be assessed.
+pub struct Plan {
+    pub camera: Camera,
+    pub optics: SpeckleOptics,
+    pub light: LightParams,
+    pub psf: Option<PathBuf>,
+    pub seed: u64,
+}
+
+/// Longest side of a sensor or field; the largest chips have 20,000.
+const MAX_SIDE: usize = 32_768;
+
+impl DesignArgs {
+    /// Options over experiment over the paper's camera.
+    pub fn plan(&self) -> Result<Plan> {
+        let experiment = match &self.experiment {
+            Some(path) => Some(Experiment::read(path)?),
+            None => None,
+        };
+        let of_file = experiment.as_ref().map(|e| e.params.clone());
+        let params = self.params(of_file.unwrap_or_else(paper))?;
+        let camera = Camera::new(params).map_err(|e| self.naming_option(e))?;
+        let sensor = camera.sensor();
+        let gain = sensor.gain_electrons_per_count;
+        let of_counts = sensor
+            .full_well_counts
+            .zip(gain)
+            .map(|(counts, gain)| counts * gain);
+        let usual = LightParams::default();
+        let well = self
+            .light
+            .full_well_electrons
+            .or(of_counts)
+            .or(usual.full_well_electrons);
+        let bits = sensor.bit_depth.unwrap_or(16);
+        let light = LightParams {
+            photons: self.light.photons,
+            bright_pixels: self.light.bright_pixels,
+            quantum_efficiency: self.light.quantum_efficiency,
+            read_noise_electrons: self
+                .light
+                .read_noise_electrons
+                .or(sensor.read_noise_electrons)
+                .unwrap_or(usual.read_noise_electrons),
+            electrons_per_count: gain.or(well.map(|well| well / f64::from(bits).exp2())),
+            full_well_electrons: well,
+            source_bandwidth_nm: self.light.source_bandwidth_nm,
+            diffuser_path_rms_nm: self.light.diffuser_path_rms_nm,
+        };
+        light.check().map_err(|e| self.naming_option(e))?;
+        let pitch = sensor.pixel_pitch_um;
+        let optics = self
+            .optics
+            .optics(pitch.unwrap_or(SpeckleOptics::demo().pixel_pitch_um));
+        optics.check().map_err(|e| self.naming_option(e))?;
+        Ok(Plan {
+            camera,
+            optics,
+            light,
+            psf: self
+                .psf
+                .clone()
+                .or(experiment.and_then(|e| e.calibration.psf)),
+            seed: self.seed,
+        })
+    }
+
+    fn params(&self, base: CameraParams) -> Result<CameraParams> {
+        let args = &self.camera;
+        let rows = args.rows.unwrap_or(base.rows);
+        let columns = args.columns.unwrap_or(base.columns);
+        let field = match (args.field_rows, args.field_columns, base.field) {
+            (None, None, None) => None,
+            (field_rows, field_columns, of_file) => Some((
+                field_rows.or(of_file.map(|f| f.0)).unwrap_or(rows),
+                field_columns.or(of_file.map(|f| f.1)).unwrap_or(columns),
+            )),
+        };
+        let (field_rows, field_columns) = field.unwrap_or((1, 1));
+        for (option, side) in [
+            ("--rows", rows),
+            ("--columns", columns),
+            ("--field-rows", field_rows),
+            ("--field-columns", field_columns),
+        ] {
+            if side > MAX_SIDE {
+                return Err(Error::input(
+                    option,
+                    side,
+                    format!("a design has at most {MAX_SIDE} pixels a side"),
+                    "Give the part of the sensor that is read.",
+                ));
+            }
+        }
+        let shutter = match args.shutter.as_deref() {
+            None => base.shutter,
+            Some("top-down") => Shutter::TopDown,
+            Some("bottom-up") => Shutter::BottomUp,
+            Some("dual-inside-out") => Shutter::DualInsideOut,
+            Some("dual-outside-in") => Shutter::DualOutsideIn,
+            Some("global") => Shutter::Global,
+            Some(other) => {
+                return Err(Error::input(
+                    "--shutter",
+                    format!("\"{other}\""),
+                    "a shutter is top-down, bottom-up, dual-inside-out, dual-outside-in or global",
+                    "Check the name; an order of your own goes into an experiment file (--experiment).",
+                ));
+            }
+        };
+        let row_time_us = args.row_time_us.unwrap_or(base.row_time_us);
+        let of_base = if args.row_time_us.is_some() && self.experiment.is_none() {
+            row_time_us
+        } else {
+            base.exposure_us
+        };
+        Ok(CameraParams {
+            rows,
+            columns,
+            shutter,
+            row_time_us,
+            exposure_us: args.exposure_us.unwrap_or(of_base),
+            bins_per_row: args.bins_per_row.unwrap_or(base.bins_per_row),
+            field,
+            sensor: Sensor {
+                pixel_pitch_um: args.pixel_pitch_um.or(base.sensor.pixel_pitch_um),
+                bit_depth: self.light.bit_depth.or(base.sensor.bit_depth),
+                ..base.sensor
+            },
+        })
+    }
+
+    /// Names the option in an error, or the file for a key that it gave.
+    pub fn naming_option(&self, mut error: Error) -> Error {
+        let camera = &self.camera;
+        let Error::Input { subject, .. } = &mut error else {
+            return error;
+        };
+        let of_file = match subject.as_str() {
+            "rows" => camera.rows.is_none(),
+            "columns" => camera.columns.is_none(),
+            "row_time_us" => camera.row_time_us.is_none(),
+            "exposure_us" => camera.exposure_us.is_none(),
+            "bins_per_row" => camera.bins_per_row.is_none(),
+            "pixel_pitch_um" => camera.pixel_pitch_um.is_none(),
+            "bit_depth" => self.light.bit_depth.is_none(),
+            "[field]" => camera.field_rows.is_none() && camera.field_columns.is_none(),
+            "read_noise_electrons" => self.light.read_noise_electrons.is_none(),
+            "row_order"
+            | "binning"
+            | "gain_electrons_per_count"
+            | "full_well_counts"
+            | "bias_counts" => true,
+            _ => false,
+        };
+        if let Some(path) = self.experiment.as_ref().filter(|_| of_file) {
+            return error.within(path.display());
+        }
+        let option = match subject.as_str() {
+            "diameter_mm" => "--pupil-mm".into(),
+            "image_distance_mm" => "--focal-length-mm".into(),
+            "diffuser_fwhm_deg" => "--diffuser-deg".into(),
+            "aperture" if self.optics.na.is_none() => "--pupil-mm".into(),
+            "aperture" => "--na".into(),
+            "[field]" => "--field-rows and --field-columns".into(),
+            "electrons_per_count" => "--full-well-electrons and --bit-depth".into(),
+            key if key.contains(' ') => key.to_string(),
+            key => format!("--{}", key.replace('_', "-")),
+        };
+        *subject = option;
+        error
+    }
+
+    /// The command line that repeats the run.
+    pub fn command_line(&self) -> String {
+        // What was typed, but for the way to the program.
+        let typed: Vec<String> = std::env::args().skip(1).collect();
+        format!("rowburst {}", typed.join(" "))
+    }
+}
+
+/// The camera of the paper: the Zyla's middle 108 rows.
+fn paper() -> CameraParams {
+    CameraParams {
+        rows: 108,
+        columns: 108,
+        shutter: Shutter::DualInsideOut,
+        row_time_us: 9.6,
+        exposure_us: 9.6,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    }
+}
+
+impl OpticsArgs {
+    /// These options as optics.
+    pub fn optics(&self, pixel_pitch_um: f64) -> SpeckleOptics {
+        let lens = Aperture::Lens {
+            diameter_mm: self.pupil_mm,
+            focal_length_mm: self.focal_length_mm,
+            magnification: self.magnification,
+        };
+        let aperture = match self.na {
+            None => lens,
+            Some(na) => Aperture::ImageNa {
+                na,
+                image_distance_mm: lens.image_distance_mm(),
+            },
+        };
+        SpeckleOptics {
+            wavelength_nm: self.wavelength_nm,
+            aperture,
+            diffuser_fwhm_deg: self.diffuser_deg,
+            pixel_pitch_um,
+        }
+    }
+}

@@ -1,0 +1,423 @@
+//! A light whose course is known: the row time at which the rows show that course.
+//!
+//! `s[r] = A(r) + g(r) · m(t₀ + k[r]·τ)`, `m` the light integrated over the exposure, for every
+//! readout order: a coarse search by correlation over the row time `τ` and the moment `t₀`,
+//! then least squares over `τ, t₀` and the exposure together.
+
+use super::fit::{Basis, Optimum, dot, linear, minimise, polynomials};
+use super::signal::{After, Signal};
+use rayon::prelude::*;
+use rustfft::{Fft, FftPlanner, num_complex::Complex64};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+/// The fit of one readout order.
+pub(super) struct MatchedFit {
+    pub row_time_us: f64,
+    pub row_time_error: f64,
+    pub exposure_us: f64,
+    pub exposure_error: f64,
+    /// End of the exposure of the first instant of each frame, on the signal's clock.
+    pub offsets_us: Vec<f64>,
+    pub rss: f64,
+    /// Values less parameters.
+    pub freedom: f64,
+    /// By how much related residuals raise a variance.
+    pub related: f64,
+    pub model: Vec<Vec<f64>>,
+    /// Smallest and largest light that the exposures saw, of frame 1 and in its units.
+    pub extremes: (f64, f64),
+}
+
+/// Degrees of the profiles of steady light and lamp.
+const STEADY_DEGREE: usize = 3;
+const LAMP_DEGREE: usize = 2;
+
+/// A place to start from.
+#[derive(Debug, Clone, Copy)]
+struct Start {
+    row_time_us: f64,
+    offset_us: f64,
+    exposure_us: f64,
+    /// Part of the rows' variance that it explains.
+    score: f64,
+}
+
+/// Exposures tried, in parts of the instants; one row time besides.
+const EXPOSURES: [f64; 2] = [0.04, 0.2];
+/// Starts refined for each readout order.
+const STARTS: usize = 4;
+const MOST_ROW_TIMES: f64 = 6000.0;
+
+/// The best fit of each readout order in `orders`.
+pub(super) fn fit_all(
+    frames: &[Vec<f64>],
+    orders: &[Vec<usize>],
+    signal: &Signal,
+    range_us: (f64, f64),
+) -> Vec<Option<MatchedFit>> {
+    let starts = coarse(&frames[0], orders, signal, range_us);
+    orders
+        .par_iter()
+        .zip(starts)
+        .map(|(k, starts)| {
+            let fits = starts
+                .iter()
+                .filter_map(|start| refine(frames, k, signal, *start));
+            fits.min_by(|a, b| a.rss.total_cmp(&b.rss))
+        })
+        .collect()
+}
+
+/// Starts for each order, best first.
+fn coarse(
+    rows: &[f64],
+    orders: &[Vec<usize>],
+    signal: &Signal,
+    (low, high): (f64, f64),
+) -> Vec<Vec<Start>> {
+    let trend = linear(&polynomials(rows.len(), 1), rows).residual;
+    let folded: Vec<(Vec<f64>, Vec<f64>)> = orders.iter().map(|k| fold(&trend, k)).collect();
+    let longest = folded.iter().map(|f| f.0.len()).max().unwrap_or(1);
+    // Fine enough that the ends of the frame stay in step with the course.
+    let mut row_times = Vec::new();
+    let mut tau = low;
+    while tau <= high {
+        row_times.push(tau);
+        let step = smoothness(signal, tau, longest) / longest as f64;
+        tau *= 1.0 + step.clamp((high / low).ln() / MOST_ROW_TIMES, 0.05);
+    }
+    let total = dot(&trend, &trend);
+    let tried: Vec<(f64, f64)> = row_times
+        .iter()
+        .flat_map(|&tau| {
+            let parts = EXPOSURES.map(|part| part * longest as f64);
+            let lengths = parts.into_iter().filter(|&l| l > 1.5).chain([1.0]);
+            lengths.map(move |l| (tau, l * tau)).collect::<Vec<_>>()
+        })
+        .collect();
+    let plans = Plans::default();
+    let found: Vec<Vec<Start>> = tried
+        .par_iter()
+        .map(|&(tau, exposure)| correlate(&plans, &folded, signal, (tau, exposure), total))
+        .collect();
+    (0..orders.len())
+        .map(|o| {
+            let mut all: Vec<Start> = found.iter().map(|f| f[o]).collect();
+            all.sort_by(|a, b| b.score.total_cmp(&a.score));
+            let mut kept: Vec<Start> = Vec::new();
+            for start in all {
+                let near = |s: &Start| {
+                    (s.row_time_us / start.row_time_us - 1.0).abs() < 0.01
+                        && (s.exposure_us / start.exposure_us - 1.0).abs() < 0.1
+                };
+                if !kept.iter().any(near) {
+                    kept.push(start);
+                }
+                if kept.len() == STARTS {
+                    break;
+                }
+            }
+            kept
+        })
+        .collect()
+}
+
+/// Sum of the rows read at each instant, and their number.
+fn fold(rows: &[f64], k: &[usize]) -> (Vec<f64>, Vec<f64>) {
+    let instants = k.iter().max().map_or(1, |last| last + 1);
+    let (mut sums, mut counts) = (vec![0.0; instants], vec![0.0; instants]);
+    for (value, &k) in rows.iter().zip(k) {
+        sums[k] += value;
+        counts[k] += 1.0;
+    }
+    (sums, counts)
+}
+
+/// Row times over which the light, seen at steps of `tau`, keeps its value.
+fn smoothness(signal: &Signal, tau: f64, instants: usize) -> f64 {
+    let (first, last) = signal.span_us();
+    let count = (((last - first) / tau) as usize).clamp(8, 8 * instants + 64);
+    let step = (last - first) / count as f64;
+    let values: Vec<f64> = (0..=count)
+        .map(|i| signal.exposed(first + i as f64 * step, tau))
+        .collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let spread: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    let change: f64 = values.windows(2).map(|p| (p[1] - p[0]).powi(2)).sum();
+    ((spread / change.max(1e-300)).sqrt() * step / tau).clamp(0.5, instants as f64)
+}
+
+/// Transforms of each length, planned once: a plan costs as much as several transforms.
+#[derive(Default)]
+struct Plans(Mutex<HashMap<usize, Plan>>);
+
+/// Forward and inverse.
+type Plan = [Arc<dyn Fft<f64>>; 2];
+
+impl Plans {
+    /// Forward and inverse, of `length`.
+    fn of(&self, length: usize) -> Plan {
+        let mut plans = self.0.lock().expect("no thread panics while planning");
+        let plan = || {
+            let mut planner = FftPlanner::new();
+            [
+                planner.plan_fft_forward(length),
+                planner.plan_fft_inverse(length),
+            ]
+        };
+        plans.entry(length).or_insert_with(plan).clone()
+    }
+}
+
+/// The best moment for each of the folded orders, by correlation at all moments that are
+/// whole row times apart.
+fn correlate(
+    plans: &Plans,
+    folded: &[(Vec<f64>, Vec<f64>)],
+    signal: &Signal,
+    (tau, exposure): (f64, f64),
+    total: f64,
+) -> Vec<Start> {
+    let (first, last) = signal.span_us();
+    let longest = folded.iter().map(|f| f.0.len()).max().unwrap_or(1);
+    let rounds = ((last - first) / tau).ceil() as usize;
+    let (begin, moments) = match signal.after() {
+        After::Repeats => (first, rounds.max(1)),
+        After::Holds => (
+            first - longest as f64 * tau,
+            rounds + longest + (exposure / tau).ceil() as usize,
+        ),
+    };
+    let length = (moments + longest).next_power_of_two();
+    let course: Vec<f64> = (0..moments + longest)
+        .map(|i| signal.exposed(begin + i as f64 * tau, exposure))
+        .collect();
+    let [forward, inverse] = plans.of(length);
+    let spectrum = |values: &[f64]| {
+        let mut padded: Vec<Complex64> = values.iter().map(|&v| Complex64::new(v, 0.0)).collect();
+        padded.resize(length, Complex64::default());
+        forward.process(&mut padded);
+        padded
+    };
+    // `Σ_k v_k u_{i+k}` for all moments i.
+    let correlation = |u: &[Complex64], v: &[f64]| -> Vec<f64> {
+        let mut product = spectrum(v);
+        product
+            .iter_mut()
+            .zip(u)
+            .for_each(|(v, u)| *v = u * v.conj());
+        inverse.process(&mut product);
+        product[..moments]
+            .iter()
+            .map(|p| p.re / length as f64)
+            .collect()
+    };
+    let of_course = spectrum(&course);
+    let running = |power: i32| -> Vec<f64> {
+        let mut sums = vec![0.0];
+        sums.extend(course.iter().scan(0.0, |sum, v| {
+            *sum += v.powi(power);
+            Some(*sum)
+        }));
+        sums
+    };
+    let (sums, squares) = (running(1), running(2));
+    folded
+        .iter()
+        .map(|(values, counts)| {
+            let seen = correlation(&of_course, values);
+            let n = values.len();
+            // Rows an instant: one, or two (three at the middle of an odd sensor counts little).
+            let rows = counts.iter().sum::<f64>() / n as f64;
+            let mut best = Start {
+                row_time_us: tau,
+                offset_us: begin,
+                exposure_us: exposure,
+                score: f64::NEG_INFINITY,
+            };
+            for (i, seen) in seen.iter().enumerate() {
+                let sum = sums[i + n] - sums[i];
+                let square = squares[i + n] - squares[i];
+                let spread = square - sum * sum / n as f64;
+                // A light that hardly changes while the frame is read explains nothing.
+                if *seen > 0.0 && spread > 1e-6 * square {
+                    let score = seen * seen / (rows * spread) / total.max(f64::MIN_POSITIVE);
+                    if score > best.score {
+                        best.score = score;
+                        best.offset_us = begin + i as f64 * tau;
+                    }
+                }
+            }
+            best
+        })
+        .collect()
+}
+
+fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Option<MatchedFit> {
+    if !start.score.is_finite() {
+        return None;
+    }
+    let rows = k.len();
+    let instants = k.iter().max().map_or(1, |last| last + 1) as f64;
+    let steady = polynomials(rows, STEADY_DEGREE);
+    let lamp = &steady[..=LAMP_DEGREE];
+    // θ in units of the start: row time, exposure (logarithms), moments of the middle of each frame.
+    let middle = 0.5 * (instants - 1.0);
+    let unit = start.row_time_us;
+    let loose = |theta: &[f64], f: usize| {
+        let (tau, exposure) = (unit * theta[0].exp(), unit * theta[1].exp());
+        let course: Vec<f64> = k
+            .iter()
+            .map(|&k| signal.exposed(unit * theta[2 + f] + (k as f64 - middle) * tau, exposure))
+            .collect();
+        let lit = |p: &Vec<f64>| p.iter().zip(&course).map(|(p, c)| p * c).collect();
+        let basis: Basis = lamp.iter().map(lit).chain(steady.iter().cloned()).collect();
+        (linear(&basis, &frames[f]), course)
+    };
+    let residual_of = |theta: &[f64], from: usize, to: usize| -> Vec<f64> {
+        // Exposures beyond thousands of rows are no start of anything.
+        if theta[1].abs() > 12.0 || theta[0].abs() > 1.0 {
+            return vec![1e3; (to - from) * rows];
+        }
+        (from..to)
+            .flat_map(|f| loose(theta, f).0.residual)
+            .collect()
+    };
+    let first = start.offset_us / unit + middle;
+    let exposure = (start.exposure_us / unit).ln();
+    let mut theta = vec![0.0, exposure, first];
+    let steps = |count: usize| {
+        let mut steps = vec![1e-4; 2 + count];
+        steps[0] = 1e-4 / instants;
+        steps
+    };
+    let one = minimise(&theta, &steps(1), &|t| residual_of(t, 0, 1));
+    theta = one.theta;
+    for f in 1..frames.len() {
+        let moment = moment_of(
+            &frames[f],
+            k,
+            signal,
+            unit * theta[0].exp(),
+            unit * theta[1].exp(),
+        );
+        theta.push(moment / unit + middle * theta[0].exp());
+        let other = |t: &[f64]| {
+            let mut all = theta[..2].to_vec();
+            all.extend(std::iter::repeat_n(0.0, f));
+            all.push(t[0]);
+            residual_of(&all, f, f + 1)
+        };
+        theta[2 + f] = minimise(&[theta[2 + f]], &[1e-4], &other).theta[0];
+    }
+    let count = frames.len();
+    let found: Optimum = minimise(&theta, &steps(count), &|t| residual_of(t, 0, count));
+    let own = (lamp.len() + steady.len() + 1) * count + 2;
+    let freedom = (count * rows) as f64 - own as f64;
+    let (errors, related) = found.errors(freedom, rows);
+    let (tau, exposure) = (unit * found.theta[0].exp(), unit * found.theta[1].exp());
+    let mut model = Vec::new();
+    let mut extremes = (0.0, 0.0);
+    for (f, seen) in frames.iter().enumerate() {
+        let (fit, course) = loose(&found.theta, f);
+        // Light brightens: a course that darkens the rows is another light.
+        if fit.weights[0] <= 0.0 {
+            return None;
+        }
+        if f == 0 {
+            let (low, high) = super::signal::range(course.iter().copied());
+            let steady = fit.weights[lamp.len()] - fit.weights.get(lamp.len() + 2).unwrap_or(&0.0);
+            extremes = (
+                steady + fit.weights[0] * low,
+                steady + fit.weights[0] * high,
+            );
+        }
+        model.push(seen.iter().zip(&fit.residual).map(|(y, e)| y - e).collect());
+    }
+    let (exposure, exposure_error) = match tied(frames, k, signal, &found, unit) {
+        Some(tied) if tied.variance < TIED_HOLDS * found.rss / freedom.max(1.0) => tied.exposure,
+        _ => (exposure, exposure * errors[1]),
+    };
+    Some(MatchedFit {
+        row_time_us: tau,
+        row_time_error: tau * errors[0],
+        exposure_us: exposure,
+        exposure_error,
+        offsets_us: (0..count)
+            .map(|f| unit * found.theta[2 + f] - middle * tau)
+            .collect(),
+        rss: found.rss,
+        freedom,
+        related,
+        model,
+        extremes,
+    })
+}
+
+/// A fit with one profile for steady light and lamp may leave this much more variance.
+const TIED_HOLDS: f64 = 1.15;
+const TIED_DEGREE: usize = 4;
+
+struct Tied {
+    exposure: (f64, f64),
+    variance: f64,
+}
+
+/// The fit again with steady light and lamp of one profile, `g(r)·(o + m)`: true of a lamp
+/// alone in the dark, and the exposure, which dims fast parts of the course as a profile of
+/// the lamp might, comes out several times more exact.
+fn tied(
+    frames: &[Vec<f64>],
+    k: &[usize],
+    signal: &Signal,
+    found: &Optimum,
+    unit: f64,
+) -> Option<Tied> {
+    let instants = k.iter().max().map_or(1, |last| last + 1) as f64;
+    let middle = 0.5 * (instants - 1.0);
+    let profile = polynomials(k.len(), TIED_DEGREE);
+    let count = frames.len();
+    let (first, last) = signal.span_us();
+    let whole = signal.exposed(last, last - first);
+    // θ as before, and at its end the steady light of each frame over the signal's mean.
+    let residual = |theta: &[f64]| -> Vec<f64> {
+        if theta[1].abs() > 12.0 || theta[0].abs() > 1.0 {
+            return vec![1e3; count * k.len()];
+        }
+        let (tau, exposure) = (unit * theta[0].exp(), unit * theta[1].exp());
+        let of = |f: usize| {
+            let steady = whole * theta[2 + count + f];
+            let lit = |&k: &usize| {
+                let moment = unit * theta[2 + f] + (k as f64 - middle) * tau;
+                steady + signal.exposed(moment, exposure)
+            };
+            let lit: Vec<f64> = k.iter().map(lit).collect();
+            let column = |p: &Vec<f64>| p.iter().zip(&lit).map(|(p, l)| p * l).collect();
+            let basis: Basis = profile.iter().map(column).collect();
+            linear(&basis, &frames[f]).residual
+        };
+        (0..count).flat_map(of).collect()
+    };
+    let mut theta = found.theta.clone();
+    theta.extend(std::iter::repeat_n(0.1, count));
+    let mut steps = vec![1e-4; theta.len()];
+    steps[0] = 1e-4 / instants;
+    let best = minimise(&theta, &steps, &residual);
+    let freedom = (count * k.len()) as f64 - (count * (profile.len() + 2) + 2) as f64;
+    let (errors, _) = best.errors(freedom, k.len());
+    let exposure = unit * best.theta[1].exp();
+    let error = exposure * errors[1];
+    error.is_finite().then_some(Tied {
+        exposure: (exposure, error),
+        variance: best.rss / freedom.max(1.0),
+    })
+}
+
+/// The moment of a further frame, row time and exposure known.
+fn moment_of(rows: &[f64], k: &[usize], signal: &Signal, tau: f64, exposure: f64) -> f64 {
+    let trend = linear(&polynomials(rows.len(), 1), rows).residual;
+    let folded = [fold(&trend, k)];
+    let total = dot(&trend, &trend);
+    correlate(&Plans::default(), &folded, signal, (tau, exposure), total)[0].offset_us
+}

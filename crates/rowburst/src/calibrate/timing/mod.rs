@@ -1,0 +1,517 @@
+//! Row time, shutter and exposure from frames of a light that changes in a known way.
+//!
+//! Row `r` integrates the light over the exposure that ends at `t₀ + k[r]·τ` (Eq. 2), so that a
+//! light of frequency `F` shows `ν = F·τ` cycles per row time: `τ = ν/F`. The light lights
+//! all rows, as a lamp close to the sensor or through a diffuser does.
+//!
+//! A light of unknown course and known frequency cannot tell a readout order from its
+//! reverse: played backwards it is another light of that frequency. It does tell
+//! one sweep from two, which mirror each other. A light of known course tells all.
+
+mod fit;
+mod matched;
+mod orders;
+mod pattern;
+mod periodic;
+mod periodogram;
+mod refusals;
+mod rows;
+mod search;
+mod signal;
+mod square;
+
+pub use signal::{After, Signal};
+
+use crate::{Error, Image, Result, Shutter};
+use orders::{advice, candidate, left};
+use periodic::PeriodicFit;
+use refusals::{check_agreement, check_alias, check_periods, expected_warning, unseen};
+use rows::RowSignals;
+use search::{best_of, fundamental, refined, start_of, total_power};
+
+/// The light in the frames.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Light {
+    /// A light of known frequency, of any course.
+    Periodic {
+        /// Its frequency in hertz.
+        frequency_hz: f64,
+        /// Part of the period in which it is on, for a square wave; `None` where that is not
+        /// known.
+        duty: Option<f64>,
+    },
+    /// A light of known course; when it started is not known.
+    Known(Signal),
+}
+
+/// What is known beside the frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TimingParams {
+    /// A frame without light, of the frames' size.
+    pub dark: Option<Image>,
+    /// A frame of even and steady light.
+    pub flat: Option<Image>,
+    /// Counts at and above which a pixel is saturated.
+    pub saturation_counts: Option<f64>,
+    /// The row time that is expected, to tell aliases apart: within 30 % of the truth.
+    pub expected_row_time_us: Option<f64>,
+    /// Row times among which that of a light of known course is looked for, where none
+    /// is expected. The default, 2 to 100 µs, holds those of cameras from 10 to 500 kHz line rate.
+    pub row_times_us: (f64, f64),
+}
+
+impl Default for TimingParams {
+    fn default() -> Self {
+        Self {
+            dark: None,
+            flat: None,
+            saturation_counts: None,
+            expected_row_time_us: None,
+            row_times_us: (2.0, 100.0),
+        }
+    }
+}
+
+/// What the frames say of the camera's timing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Timing {
+    /// Time from one instant to the next, in microseconds.
+    pub row_time_us: f64,
+    /// Its standard error.
+    pub row_time_us_error: f64,
+    /// Readout orders that the light leaves, best first.
+    pub shutters: Vec<Shutter>,
+    /// Exposure of a row and its standard error in microseconds; `None` where the light does not show it.
+    pub exposure_us: Option<(f64, f64)>,
+    /// How the exposure was found, or why it was not.
+    pub exposure_basis: String,
+    /// Duration of the readout of a frame, all instants, in milliseconds.
+    pub readout_ms: f64,
+    /// Periods of the light during the readout; `None` for a light that does not repeat.
+    pub periods: Option<f64>,
+    /// Of each frame, when its first instant is read: the part of a period since the
+    /// maximum of the fundamental, or the time on the signal's clock in microseconds.
+    pub phases: Vec<f64>,
+    /// `(max − min)/(max + min)` of the light that the rows of frame 1 saw, by the fit.
+    pub modulation_depth: f64,
+    /// Part of the rows' variance that the fit explains.
+    pub explained: f64,
+    /// All readout orders, those that are left out too.
+    pub candidates: Vec<Candidate>,
+    /// The rows of each frame over their mean, and what the fit says of them.
+    pub profiles: Vec<(Vec<f64>, Vec<f64>)>,
+    /// Power against cycles per row time, of the best readout order.
+    pub periodogram: Vec<(f64, f64)>,
+    /// What should be known before the numbers are used.
+    pub warnings: Vec<String>,
+    /// The light that would decide between the candidates left.
+    pub advice: Option<String>,
+}
+
+/// A readout order and how well it explains the rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    /// The order.
+    pub shutter: Shutter,
+    /// Row time of its best fit in microseconds.
+    pub row_time_us: f64,
+    /// χ² per degree of freedom, the noise being that which the best order leaves.
+    pub chi2: f64,
+    /// χ² beyond the best order's, related residuals allowed for.
+    pub excess: f64,
+    /// Whether the light leaves it.
+    pub left: bool,
+}
+
+/// An order whose χ² exceeds the best one's by this is left out: five standard errors
+/// where the orders differ by one number.
+pub const CLEAR_MARGIN: f64 = 25.0;
+/// Fewest periods in the readout: with fewer the profile of the lamp cannot be told from
+/// the course of the light.
+pub const FEWEST_PERIODS: f64 = 3.0;
+/// Fewest row times a period that are safe from aliases where no row time is expected.
+pub const FEWEST_ROWS_A_PERIOD: f64 = 4.0;
+/// A peak this far above its surroundings is no noise: the largest of 4096 values of noise
+/// exceeds it once in 10⁵ frames.
+const CLEAR_PEAK: f64 = 20.0;
+/// A fit that explains less of the rows is none.
+const LEAST_EXPLAINED: f64 = 0.2;
+/// A signal of more row times is many frames long, and would take hours to search.
+const LONGEST_SIGNAL: f64 = 65_536.0;
+/// A row with more saturated pixels than this has lost the shape of the light.
+const MOST_SATURATED: f64 = 0.01;
+
+const ORDERS: [Shutter; 4] = [
+    Shutter::TopDown,
+    Shutter::BottomUp,
+    Shutter::DualInsideOut,
+    Shutter::DualOutsideIn,
+];
+
+/// Finds row time, readout order and exposure from `frames` of `light`.
+///
+/// # Errors
+/// No frames, frames of several sizes, values that are not finite; a light that is
+/// not seen, shows fewer than three periods or aliases; frames that disagree.
+pub fn calibrate(frames: &[Image], light: &Light, params: &TimingParams) -> Result<Timing> {
+    check(light, params)?;
+    let signals = rows::row_signals(frames, params)?;
+    let mut timing = match light {
+        Light::Periodic { frequency_hz, duty } => periodic(&signals, *frequency_hz, *duty, params)?,
+        Light::Known(signal) => known(&signals, signal, params)?,
+    };
+    if signals.saturated > MOST_SATURATED {
+        timing.warnings.insert(0, format!(
+            "up to {:.0} % of the pixels of a row are saturated: the row time stands, but the shape of the stripes and so the exposure does not; dim the light",
+            100.0 * signals.saturated
+        ));
+        timing.exposure_us = None;
+        timing.exposure_basis = "the brightest rows are saturated".into();
+    }
+    Ok(timing)
+}
+
+fn check(light: &Light, params: &TimingParams) -> Result<()> {
+    let (low, high) = params.row_times_us;
+    let mut numbers = vec![("row_times_us", low), ("row_times_us", high - low)];
+    numbers.extend(
+        params
+            .expected_row_time_us
+            .map(|t| ("expected_row_time_us", t)),
+    );
+    if let Light::Periodic { frequency_hz, duty } = light {
+        numbers.push(("frequency_hz", *frequency_hz));
+        if let Some(duty) = duty.filter(|d| !(0.01..=0.99).contains(d)) {
+            return Err(Error::input(
+                "duty",
+                duty,
+                "the light is on for 0.01 to 0.99 of its period",
+                "Give the part as a fraction, such as 0.5.",
+            ));
+        }
+    }
+    match numbers
+        .into_iter()
+        .find(|(_, v)| !(v.is_finite() && *v > 0.0))
+    {
+        None => Ok(()),
+        Some((name, value)) => Err(Error::input(
+            name,
+            value,
+            "a number above zero is needed",
+            "Give the frequency of the light in hertz, times in microseconds.",
+        )),
+    }
+}
+
+fn instants(rows: usize) -> Vec<Vec<usize>> {
+    ORDERS
+        .iter()
+        .map(|s| s.instants(rows).expect("these orders fit any sensor"))
+        .collect()
+}
+
+fn count_of(k: &[usize]) -> usize {
+    k.iter().max().map_or(1, |last| last + 1)
+}
+
+fn periodic(
+    signals: &RowSignals,
+    frequency_hz: f64,
+    duty: Option<f64>,
+    params: &TimingParams,
+) -> Result<Timing> {
+    let frames = &signals.frames;
+    let rows = frames[0].len();
+    if let Some(expected) = params.expected_row_time_us {
+        check_alias(frequency_hz * expected * 1e-6, frequency_hz, Some(expected))?;
+    }
+    let orders = instants(rows);
+    // One sweep either way is the same to a light of unknown course, and so are two
+    // sweeps of an even number of rows.
+    let same_as = [0, 0, 2, if rows.is_multiple_of(2) { 2 } else { 3 }];
+    let mut seen = false;
+    let mut fits: Vec<Option<PeriodicFit>> = Vec::new();
+    for (o, k) in orders.iter().enumerate() {
+        if same_as[o] != o {
+            fits.push(fits[same_as[o]].clone());
+            continue;
+        }
+        let (start, clear) = start_of(frames, k);
+        seen |= clear;
+        fits.push(Some(fundamental(frames, k, start)));
+    }
+    let fits: Vec<PeriodicFit> = fits.into_iter().flatten().collect();
+    let mut fits = refined(frames, &orders, same_as, &fits);
+    let mut best = best_of(&fits);
+    let mut cleaned: Option<Vec<Vec<f64>>> = None;
+    if pattern::can_be_told(&fits[best]) {
+        let (mut all, mut refits): (Vec<_>, Vec<PeriodicFit>) = (Vec::new(), Vec::new());
+        for (o, k) in orders.iter().enumerate() {
+            if same_as[o] == o {
+                let (rows, fit) = pattern::fit_without(frames, k, &fits[o]);
+                all.push(rows);
+                refits.push(fit);
+            } else {
+                all.push(Vec::clone(&all[same_as[o]]));
+                refits.push(refits[same_as[o]].clone());
+            }
+        }
+        let variance = |f: &PeriodicFit| f.optimum.rss / f.freedom.max(1.0);
+        let cleaner = best_of(&refits);
+        // Without a scene to take out it would cost what the frames say of the stripes.
+        if variance(&refits[cleaner]) < 0.7 * variance(&fits[best]) {
+            (fits, best) = (refits, cleaner);
+            cleaned = Some(all.swap_remove(best));
+        }
+    }
+    let frames = cleaned.as_ref().unwrap_or(frames);
+    let fit = &fits[best];
+    let explained = explained(frames, fit.optimum.rss, fit.profile.len() - 1);
+    if !seen || explained < LEAST_EXPLAINED {
+        return Err(unseen(explained, frequency_hz, rows));
+    }
+    let periods = fit.cycles_per_row * count_of(&orders[best]) as f64;
+    check_periods(periods, frequency_hz)?;
+    check_agreement(frames, &orders[best], frequency_hz)?;
+    if params.expected_row_time_us.is_none() {
+        check_alias(fit.cycles_per_row, frequency_hz, None)?;
+    }
+    let period_us = 1e6 / frequency_hz;
+    let (error, related) = fit.error();
+    let variance = fit.optimum.rss / fit.freedom.max(1.0);
+    let candidates: Vec<Candidate> = fits
+        .iter()
+        .zip(ORDERS)
+        .map(|(f, shutter)| {
+            candidate(
+                shutter,
+                f.cycles_per_row * period_us,
+                f.optimum.rss,
+                f.freedom,
+                fit.optimum.rss,
+                variance * related,
+                variance,
+            )
+        })
+        .collect();
+    let row_time_us = fit.cycles_per_row * period_us;
+    let mut warnings = expected_warning(row_time_us, params);
+    let (exposure, exposure_basis) =
+        square_exposure(frames, &orders[best], fit, duty, &mut warnings);
+    let (low, high) = fit.extremes(0);
+    if params.dark.is_none() {
+        warnings.push("no dark frame: the modulation depth counts the bias as light".into());
+    }
+    Ok(Timing {
+        row_time_us,
+        row_time_us_error: error * period_us,
+        exposure_us: exposure.map(|(e, error)| (e * period_us, error * period_us)),
+        exposure_basis,
+        readout_ms: count_of(&orders[best]) as f64 * row_time_us * 1e-3,
+        periods: Some(periods),
+        phases: (0..frames.len()).map(|f| fit.phase(f)).collect(),
+        modulation_depth: depth(low, high),
+        explained,
+        profiles: frames
+            .iter()
+            .cloned()
+            .zip(fit.model.iter().cloned())
+            .collect(),
+        periodogram: spectrum(frames, &orders[best], fit),
+        warnings,
+        advice: advice(&candidates, true),
+        shutters: left(&candidates),
+        candidates,
+    })
+}
+
+fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result<Timing> {
+    let frames = &signals.frames;
+    let rows = frames[0].len();
+    let orders = instants(rows);
+    let range = match params.expected_row_time_us {
+        Some(expected) => (expected / 1.3, expected * 1.3),
+        None => params.row_times_us,
+    };
+    let (first, last) = signal.span_us();
+    if (last - first) / range.0 > LONGEST_SIGNAL {
+        return Err(Error::input(
+            "signal",
+            format!("a course of {} ms", (last - first) * 1e-3),
+            format!(
+                "it lasts no longer than {LONGEST_SIGNAL} of the shortest row times looked for, {} µs",
+                range.0
+            ),
+            "Cut it to the time about the frame, check that its times are in microseconds, or give the expected row time.",
+        ));
+    }
+    let fits = matched::fit_all(frames, &orders, signal, range);
+    let best = (0..fits.len())
+        .filter(|&o| fits[o].is_some())
+        .min_by(|&a, &b| {
+            let rss = |o: usize| fits[o].as_ref().map_or(f64::INFINITY, |f| f.rss);
+            rss(a).total_cmp(&rss(b))
+        });
+    let found = best.and_then(|o| Some((o, fits[o].as_ref()?)));
+    let explained = found.map_or(0.0, |(_, f)| explained(frames, f.rss, 3));
+    let Some((best, fit)) = found.filter(|_| explained > LEAST_EXPLAINED) else {
+        return Err(Error::input(
+            "frames",
+            format!(
+                "rows of which the signal explains {:.0} %",
+                100.0 * explained.max(0.0)
+            ),
+            format!(
+                "the rows show the course of the signal at a row time from {:.3} to {:.3} µs",
+                range.0, range.1
+            ),
+            "Check that the signal is that of the lamp, that it lasts longer than the readout (or repeats), and the expected row time.",
+        ));
+    };
+    let variance = fit.rss / fit.freedom.max(1.0);
+    let candidates: Vec<Candidate> = fits
+        .iter()
+        .zip(ORDERS)
+        .filter_map(|(f, shutter)| {
+            let f = f.as_ref()?;
+            Some(candidate(
+                shutter,
+                f.row_time_us,
+                f.rss,
+                f.freedom,
+                fit.rss,
+                variance * fit.related,
+                variance,
+            ))
+        })
+        .collect();
+    let mut warnings = expected_warning(fit.row_time_us, params);
+    if fit.row_time_us < 1.01 * range.0 || fit.row_time_us > range.1 / 1.01 {
+        warnings.push(format!(
+            "the row time lies at the end of the range that was searched, {:.3} to {:.3} µs: it may lie beyond",
+            range.0, range.1
+        ));
+    }
+    let shown = fit.exposure_error < LARGEST_ERROR * fit.exposure_us;
+    let (low, high) = fit.extremes;
+    Ok(Timing {
+        row_time_us: fit.row_time_us,
+        row_time_us_error: fit.row_time_error,
+        exposure_us: shown.then_some((fit.exposure_us, fit.exposure_error)),
+        exposure_basis: if shown {
+            "the known course of the light, blurred by the exposure".into()
+        } else {
+            "the light changes too slowly, or the rows are too noisy, to show the exposure".into()
+        },
+        readout_ms: count_of(&orders[best]) as f64 * fit.row_time_us * 1e-3,
+        periods: None,
+        phases: fit.offsets_us.clone(),
+        modulation_depth: depth(low, high),
+        explained,
+        profiles: frames
+            .iter()
+            .cloned()
+            .zip(fit.model.iter().cloned())
+            .collect(),
+        periodogram: {
+            let p = periodogram::periodogram(&frames[0], &orders[best], 2);
+            points(&p)
+        },
+        warnings,
+        advice: advice(&candidates, false),
+        shutters: left(&candidates),
+        candidates,
+    })
+}
+
+/// An exposure with a larger standard error than this part of it is not shown by the frame.
+const LARGEST_ERROR: f64 = 0.2;
+/// The third harmonic of a square wave or a pulse stands this many standard errors above
+/// zero, or the light may as well be a sine, whose depth is not known.
+const SHAPE_SEEN: f64 = 6.0;
+/// A trapezoid may leave this much more variance than free harmonics do; a lamp that
+/// rises slowly, or a camera that is not linear, leaves more.
+const TRAPEZOID_HOLDS: f64 = 1.5;
+
+fn square_exposure(
+    frames: &[Vec<f64>],
+    k: &[usize],
+    free: &PeriodicFit,
+    duty: Option<f64>,
+    warnings: &mut Vec<String>,
+) -> (Option<(f64, f64)>, String) {
+    if free.shape_seen() < SHAPE_SEEN {
+        return (None, "only the fundamental is seen: a sine of unknown depth does not show the exposure; a square wave or a chirp does".into());
+    }
+    let Some(square) = square::fit(frames, k, free, duty) else {
+        return (
+            None,
+            "no square wave fits: the light may be of another course; give it with a signal file"
+                .into(),
+        );
+    };
+    let variance = |rss: f64, freedom: f64| rss / freedom.max(1.0);
+    let misfit = variance(square.rss, square.freedom) / variance(free.optimum.rss, free.freedom);
+    if misfit > TRAPEZOID_HOLDS {
+        let found = format!(
+            "a square wave leaves {misfit:.1} times the variance that free harmonics leave"
+        );
+        if duty.is_none() {
+            return (
+                None,
+                format!(
+                    "{found}: the light is no square wave, or the camera is not linear; give its duty, or its course with a signal file"
+                ),
+            );
+        }
+        warnings.push(format!("{found}: the exposure may be off"));
+    }
+    match square.exposure {
+        Some((exposure, error)) if error < LARGEST_ERROR * exposure => (
+            Some((exposure, error)),
+            format!("edges of a square wave that is on for {:.3} of its period, the exposure taken to be shorter than half a period", square.duty),
+        ),
+        Some(_) => (None, "the edges of the stripes are too sharp for their width to be measured: the exposure is short against the row time or the noise".into()),
+        None => (None, format!("exposure and time of light cannot be told apart: a pulse of {:.3} of the period is not near a half; give its duty", square.duty)),
+    }
+}
+
+fn explained(frames: &[Vec<f64>], rss: f64, degree: usize) -> f64 {
+    let profile = fit::polynomials(frames[0].len(), degree);
+    let total: f64 = frames
+        .iter()
+        .map(|y| {
+            fit::linear(&profile, y)
+                .residual
+                .iter()
+                .map(|e| e * e)
+                .sum::<f64>()
+        })
+        .sum();
+    if total > 0.0 { 1.0 - rss / total } else { 0.0 }
+}
+
+fn depth(low: f64, high: f64) -> f64 {
+    // The fit may swing below zero where the light is out.
+    ((high - low) / (high + low)).min(1.0)
+}
+
+fn spectrum(frames: &[Vec<f64>], k: &[usize], fit: &PeriodicFit) -> Vec<(f64, f64)> {
+    points(&total_power(frames, k, fit.profile.len() - 1))
+}
+
+fn points(power: &periodogram::Periodogram) -> Vec<(f64, f64)> {
+    let most = power
+        .power
+        .iter()
+        .copied()
+        .fold(f64::MIN_POSITIVE, f64::max);
+    let values = power.power.iter().enumerate().skip(1);
+    values
+        .map(|(i, p)| (i as f64 * power.spacing, p / most))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests;

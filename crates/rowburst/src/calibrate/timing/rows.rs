@@ -1,0 +1,128 @@
+//! From frames to one number per row.
+
+use super::TimingParams;
+use crate::{Error, Image, Result};
+
+/// Mean of each row of each frame, over the mean of its frame.
+pub(super) struct RowSignals {
+    /// `[frame][row]`.
+    pub frames: Vec<Vec<f64>>,
+    /// Mean of each frame in counts, after the correction.
+    pub mean_counts: Vec<f64>,
+    /// Part of the pixels that are saturated, in the worst row of all frames.
+    pub saturated: f64,
+}
+
+/// Fewest rows that a fit is made of.
+const FEWEST_ROWS: usize = 16;
+
+/// Takes `dark` away, divides by `flat`, and means over the columns.
+pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<RowSignals> {
+    let Some(first) = frames.first() else {
+        return Err(Error::input(
+            "frames",
+            "none",
+            "row times are read from at least one frame",
+            "Give a frame of the blinking light.",
+        ));
+    };
+    let (rows, columns) = (first.rows(), first.columns());
+    if rows < FEWEST_ROWS {
+        return Err(Error::input(
+            "frame 1",
+            format!("{rows} rows"),
+            format!("at least {FEWEST_ROWS} rows are needed"),
+            "Read the whole sensor, not a narrow window.",
+        ));
+    }
+    let named = |i: usize| format!("frame {}", i + 1);
+    let all = frames.iter().enumerate().map(|(i, f)| (named(i), f));
+    let extra = [("dark", &params.dark), ("flat", &params.flat)];
+    let extra = extra
+        .into_iter()
+        .filter_map(|(name, image)| Some((name.to_string(), image.as_ref()?)));
+    for (name, image) in all.chain(extra) {
+        if (image.rows(), image.columns()) != (rows, columns) {
+            return Err(Error::input(
+                name,
+                format!("{}×{} pixels", image.rows(), image.columns()),
+                format!("all frames have one size, that of frame 1: {rows}×{columns}"),
+                "Record all frames with one setting of the camera.",
+            ));
+        }
+        if let Some((y, x)) = image.first_non_finite() {
+            return Err(Error::input(
+                name,
+                format!("{} at row {y}, column {x}", image.at(y, x)),
+                "every pixel of a frame is a finite number",
+                "Record it again, or replace the pixel by the mean of its neighbours.",
+            ));
+        }
+    }
+    let response = response(params, rows, columns)?;
+    let mut signals = RowSignals {
+        frames: Vec::new(),
+        mean_counts: Vec::new(),
+        saturated: 0.0,
+    };
+    for (i, frame) in frames.iter().enumerate() {
+        let mut means = Vec::with_capacity(rows);
+        for y in 0..rows {
+            let pixels = frame.row(y);
+            if let Some(end) = params.saturation_counts {
+                let full = pixels.iter().filter(|&&p| f64::from(p) >= end).count();
+                signals.saturated = signals.saturated.max(full as f64 / columns as f64);
+            }
+            let dark = params.dark.as_ref().map(|d| d.row(y));
+            let (mut sum, mut weight) = (0.0, 0.0);
+            for (x, &pixel) in pixels.iter().enumerate() {
+                sum += f64::from(pixel) - dark.map_or(0.0, |d| f64::from(d[x]));
+                weight += response.as_ref().map_or(1.0, |r| r[y * columns + x]);
+            }
+            means.push(if weight > 0.0 { sum / weight } else { f64::NAN });
+        }
+        if let Some(y) = means.iter().position(|m| m.is_nan()) {
+            return Err(Error::input(
+                "flat",
+                format!("no light in row {y}"),
+                "every row of the flat is lit",
+                "Record the flat under even light.",
+            ));
+        }
+        let mean = means.iter().sum::<f64>() / rows as f64;
+        if mean.is_nan() || mean <= 0.0 {
+            return Err(Error::input(
+                named(i),
+                format!("a mean of {mean:.1} counts above the dark"),
+                "the light brightens the frame",
+                "Check that the lamp lights the sensor and that the dark frame is dark.",
+            ));
+        }
+        signals
+            .frames
+            .push(means.iter().map(|m| m / mean).collect());
+        signals.mean_counts.push(mean);
+    }
+    Ok(signals)
+}
+
+/// Response of each pixel, the mean 1; what lies below zero is not used.
+fn response(params: &TimingParams, rows: usize, columns: usize) -> Result<Option<Vec<f64>>> {
+    let Some(flat) = &params.flat else {
+        return Ok(None);
+    };
+    let dark = |i: usize| params.dark.as_ref().map_or(0.0, |d| f64::from(d.data()[i]));
+    let pixels: Vec<f64> = (0..rows * columns)
+        .map(|i| (f64::from(flat.data()[i]) - dark(i)).max(0.0))
+        .collect();
+    let mean = pixels.iter().sum::<f64>() / pixels.len() as f64;
+    if mean <= 0.0 {
+        return Err(Error::input(
+            "flat",
+            "a flat that is no brighter than the dark",
+            "the flat is lit evenly and the dark is not lit",
+            "Check that dark and flat are not swapped.",
+        ));
+    }
+    Ok(Some(pixels.iter().map(|p| p / mean).collect()))
+}

@@ -1,0 +1,33 @@
+//! A term `‖K v‖` of a prior, seen from its dual.
+
+/// One term `w ‖K v‖` of a composite prior, with its dual variable `p` inside.
+///
+/// By duality `s w ‖K v‖ = max ⟨p, K v⟩` over the ball `‖p‖_* ≤ s w` of the dual norm; a
+/// term needs no more than `Kᵀ p` and a step of `p` back into that ball.
+pub trait DualTerm: Send {
+    /// An upper bound of `‖K‖²`.
+    fn norm_squared(&self) -> f64;
+
+    /// `z −= Kᵀ p`.
+    fn subtract_adjoint(&self, z: &mut [f32]);
+
+    /// `p ← P(p + step·K z)`, with `P` the projection on the dual ball of `radius`;
+    /// returns `‖K z‖`.
+    fn step(&mut self, z: &[f32], step: f32, radius: f32) -> f64;
+
+    /// `p *= factor`.
+    fn rescale(&mut self, factor: f32);
+
+    /// `‖K z‖`.
+    fn value(&self, z: &[f32]) -> f64;
+
+    /// Estimate of the number of values in `z` that are free under this term alone;
+    /// differences below `tolerance` count as none.
+    fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64;
+}
+
+/// `p *= factor`, in parallel.
+pub(super) fn scale(p: &mut [f32], factor: f32) {
+    use rayon::prelude::*;
+    p.par_iter_mut().for_each(|p| *p *= factor);
+}
