@@ -164,8 +164,9 @@ impl DataTerm for Data {
     fn scale(&self) -> f64 {
         self.scale
     }
-    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
         GramSolver::solve(&mut self.gram, r, rho, y, gram_y);
+        true
     }
     fn misfit_of_bins(&self, _: &[f32]) -> Vec<f64> {
         unreachable!("no support is asked for")

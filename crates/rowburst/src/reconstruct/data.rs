@@ -97,9 +97,12 @@ impl DataTerm for FrameData {
         self.scale
     }
 
-    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
         match &mut self.gram {
-            Gram::Exact(blocks) => GramSolver::solve(blocks, r, rho, y, gram_y),
+            Gram::Exact(blocks) => {
+                GramSolver::solve(blocks, r, rho, y, gram_y);
+                true
+            }
             Gram::Iterative(solver) => solver.solve(&*self.operator, r, rho, y, gram_y),
         }
     }

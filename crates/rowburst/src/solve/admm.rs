@@ -97,6 +97,9 @@ const SUPPORT_THRESHOLD: f64 = 0.1;
 /// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
 /// bound, and the dual would grow without end.
 const LOWEST_RHO: f64 = 0.3;
+/// Data steps in a row that may be solved worse than asked for: the first ones start
+/// from nothing.
+const MOST_POOR_STEPS: usize = 3;
 /// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
 /// of 216 pixels scatters by 5 %.
 const MISFIT: f64 = 1.3;
@@ -201,6 +204,8 @@ struct State {
     au: Vec<f32>,
     rho: f64,
     lowest_rho: f64,
+    /// Data steps in a row that were solved worse than asked for.
+    poor_steps: usize,
     beta: f64,
     rule: TauRule,
     relative_threshold: f64,
@@ -232,6 +237,7 @@ impl State {
             au: vec![0.0; m],
             rho: 0.01 * data.scale(),
             lowest_rho: 1e-7 * data.scale(),
+            poor_steps: 0,
             beta: 0.0,
             rule: params.tau,
             relative_threshold: params.threshold,
@@ -261,7 +267,8 @@ impl State {
             .map(|i| data.measured()[i] - self.az[i] + self.au[i])
             .collect();
         let (mut y, mut gram_y) = (vec![0.0f32; m], vec![0.0f32; m]);
-        data.solve_gram(&rest, self.rho, &mut y, &mut gram_y);
+        let solved = data.solve_gram(&rest, self.rho, &mut y, &mut gram_y);
+        self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
         data.operator().adjoint(&y, &mut self.x); // x − p
         if let Some(support) = &self.support {
@@ -318,6 +325,13 @@ impl State {
         k: usize,
     ) {
         if let TauRule::Discrepancy { sigma } = self.rule {
+            if self.poor_steps >= MOST_POOR_STEPS {
+                // The smaller ρ, the harder the step: misfit that comes of poor steps would
+                // drive it to nothing.
+                self.lowest_rho = self.lowest_rho.max(2.0 * self.rho);
+                self.rho = self.lowest_rho;
+                self.poor_steps = 0;
+            }
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
             if !(0.98..1.02).contains(&correction) {
@@ -367,7 +381,7 @@ impl State {
         let threshold = SUPPORT_THRESHOLD * brightness(&self.z);
         let mut missed: Vec<usize> = Vec::new();
         if !again {
-            self.lowest_rho = LOWEST_RHO * self.rho;
+            self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
         } else {
             let residual = self.residual(data);
             let limit = MISFIT * self.expected_rms(data);

@@ -45,7 +45,8 @@ impl ConjugateGradient {
         }
     }
 
-    /// Overwrites `y`, and `gram_y` with `A P Aᵀ y`, exact for the `y` returned.
+    /// Overwrites `y`, and `gram_y` with `A P Aᵀ y`, exact for the `y` returned; whether
+    /// `y` has reached the tolerance.
     pub fn solve(
         &mut self,
         operator: &dyn LinearOperator,
@@ -53,7 +54,7 @@ impl ConjugateGradient {
         rho: f64,
         y: &mut [f32],
         gram_y: &mut [f32],
-    ) {
+    ) -> bool {
         let mut video = vec![0.0f32; operator.domain_len()];
         let mut gram = |x: &[f32], out: &mut [f32]| {
             operator.adjoint(x, &mut video);
@@ -72,8 +73,9 @@ impl ConjugateGradient {
         let mut direction = s.clone();
         let mut product = vec![0.0f32; r.len()];
         let mut slope = dot(&rest, &s);
+        let is_reached = |rest: &[f32], y: &[f32]| norm(rest) <= TOLERANCE * rho * norm(y);
         for _ in 0..ITERATIONS {
-            if norm(&rest) <= TOLERANCE * rho * norm(y) || slope <= 0.0 {
+            if is_reached(&rest, y) || slope <= 0.0 {
                 break;
             }
             gram(&direction, &mut product);
@@ -93,5 +95,6 @@ impl ConjugateGradient {
             }
         }
         self.y.copy_from_slice(y);
+        is_reached(&rest, y)
     }
 }

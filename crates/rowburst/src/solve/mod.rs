@@ -62,8 +62,8 @@ pub trait DataTerm {
     /// Typical size of a diagonal element of `A Aᵀ`.
     fn scale(&self) -> f64;
 
-    /// See [`GramSolver::solve`].
-    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]);
+    /// See [`GramSolver::solve`]. Returns whether `y` is as good as it was asked to be.
+    fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool;
 
     /// Root mean square of `residual` over the measurements that see each bin.
     fn misfit_of_bins(&self, residual: &[f32]) -> Vec<f64>;
