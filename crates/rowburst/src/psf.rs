@@ -1,6 +1,7 @@
 //! The point-spread function.
 
 use crate::{Error, Image, Result};
+use std::sync::Arc;
 
 /// A non-negative point-spread function that sums to 1.
 ///
@@ -9,7 +10,8 @@ use crate::{Error, Image, Result};
 /// wrap-around). It may be smaller or larger than the sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Psf {
-    image: Image,
+    /// Shared by all clones: operators and patch sets hold their own.
+    image: Arc<Image>,
 }
 
 impl Psf {
@@ -47,7 +49,9 @@ impl Psf {
         for p in image.data_mut() {
             *p = (f64::from(*p) / sum) as f32;
         }
-        Ok(Self { image })
+        Ok(Self {
+            image: Arc::new(image),
+        })
     }
 
     /// The values, summing to 1.
