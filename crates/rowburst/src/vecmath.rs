@@ -1,8 +1,10 @@
-//! Dot products and norms with f64 accumulation, and the SIMD gate.
+//! Dot products and norms with f64 accumulation, small normal equations, and the SIMD gate.
 //!
 //! Hot loops are plain Rust; [`simd`] compiles them once for each instruction set
 //! and picks the widest that the processor has at run time.
 
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
 use rayon::prelude::*;
 
 /// Elements per parallel task of the reductions below; fixed, so that a sum does
@@ -70,6 +72,16 @@ fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64) -> f64 {
     lanes.iter().sum::<f64>() + rest
 }
 
+/// `x` of the normal equations `G x = b`, with `G` symmetric and positive definite and
+/// `b` as long as its side; `None` where `G` is not, or the result is not finite.
+pub fn solve_normal<Row: AsRef<[f64]>>(gram: &[Row], b: &[f64]) -> Option<Vec<f64>> {
+    let n = b.len();
+    let factor = Mat::from_fn(n, n, |i, j| gram[i].as_ref()[j]).llt(Side::Lower);
+    let x = factor.ok()?.solve(Mat::from_fn(n, 1, |i, _| b[i]));
+    let x: Vec<f64> = (0..n).map(|i| x[(i, 0)]).collect();
+    x.iter().all(|v| v.is_finite()).then_some(x)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -92,5 +104,13 @@ mod tests {
                 .sum();
             assert!((distance_squared(&a, &b) - far).abs() < 1e-9 * (length as f64 + 1.0));
         }
+    }
+
+    #[test]
+    fn normal_equations_are_solved_where_they_can_be() {
+        let x = solve_normal(&[[4.0, 2.0], [2.0, 3.0]], &[10.0, 9.0]).unwrap();
+        assert!((x[0] - 1.5).abs() < 1e-12 && (x[1] - 2.0).abs() < 1e-12);
+        assert_eq!(solve_normal(&[[1.0, 2.0], [2.0, 1.0]], &[1.0, 1.0]), None);
+        assert_eq!(solve_normal(&[[f64::NAN]], &[1.0]), None);
     }
 }

@@ -230,7 +230,7 @@ impl Layer {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::camera::CameraParams;
     use crate::linop::LinearOperator;
@@ -238,7 +238,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     /// `A P Aᵀ` by operator calls on unit vectors.
-    fn brute_force(operator: &RollingShutter, support: Option<&Support>) -> Vec<Vec<f32>> {
+    pub fn brute_force(operator: &RollingShutter, support: Option<&Support>) -> Vec<Vec<f32>> {
         (0..operator.range_len())
             .map(|i| {
                 let mut unit = vec![0.0; operator.range_len()];

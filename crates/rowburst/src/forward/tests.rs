@@ -1,5 +1,6 @@
 //! A PSF that changes over the field: brute force, laws, Gram blocks.
 
+use super::gram::tests::brute_force as gram_by_calls;
 use crate::camera::CameraParams;
 use crate::linop::{LinearOperator, laws};
 use crate::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter, Support};
@@ -111,19 +112,7 @@ fn blocks_of_patches_agree_with_operator_calls() {
         let video: Vec<f32> = (0..shape.voxels()).map(|i| (i * 37 % 100) as f32).collect();
         let some = Support::above(&video, shape, &vec![97.0; shape.bins]);
         for support in [None, Some(&some)] {
-            let gram: Vec<Vec<f32>> = (0..operator.range_len())
-                .map(|i| {
-                    let mut unit = vec![0.0; operator.range_len()];
-                    unit[i] = 1.0;
-                    let mut video = vec![0.0; operator.domain_len()];
-                    operator.adjoint(&unit, &mut video);
-                    if let Some(support) = support {
-                        support.apply(&mut video);
-                    }
-                    operator.apply(&video, &mut unit);
-                    unit
-                })
-                .collect();
+            let gram = gram_by_calls(&operator, support);
             for instant in 0..operator.rows_of_instants().len() {
                 let indices = operator.indices_of(instant);
                 let mut block = Mat::zeros(indices.len(), indices.len());

@@ -9,6 +9,7 @@
 
 use super::filter::smoothed;
 use crate::Image;
+use crate::vecmath::solve_normal;
 
 /// A cell's ratio to the model above which it counts as this: means over nine grains
 /// of speckle pass it once in a thousand cells.
@@ -70,21 +71,23 @@ impl Envelope {
         let mean = self.means.iter().sum::<f64>() / self.means.len() as f64;
         self.coefficients[0] = mean.max(f64::MIN_POSITIVE).ln();
         for _ in 0..60 {
-            let mut normal = [[0.0; 7]; 6];
+            let (mut normal, mut slope) = ([[0.0; 6]; 6], [0.0; 6]);
             for (terms, &mean) in cells.iter().zip(&self.means) {
                 let error = (mean / dot(&self.coefficients, terms).exp()).min(MOST) - 1.0;
                 for (i, row) in normal.iter_mut().enumerate() {
                     for j in 0..6 {
                         row[j] += terms[i] * terms[j];
                     }
-                    row[6] += terms[i] * error;
+                    slope[i] += terms[i] * error;
                 }
             }
             // A grid of fewer than three cells along a side leaves a term open.
             for (i, row) in normal.iter_mut().enumerate() {
                 row[i] += 1e-6 * cells.len() as f64;
             }
-            let step = solve(normal);
+            let Some(step) = solve_normal(&normal, &slope) else {
+                break;
+            };
             let largest = step.iter().fold(0.0f64, |m, s| m.max(s.abs()));
             let damping = (0.5 / largest.max(1e-300)).min(1.0);
             for (c, s) in self.coefficients.iter_mut().zip(step) {
@@ -177,23 +180,4 @@ const LOCAL_GRAINS: f64 = 12.0;
 
 fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Gauss–Jordan elimination of a positive definite system with its right-hand side.
-fn solve(mut rows: [[f64; 7]; 6]) -> [f64; 6] {
-    for i in 0..6 {
-        let pivot = rows[i][i];
-        rows[i].iter_mut().for_each(|v| *v /= pivot);
-        let row = rows[i];
-        for (j, other) in rows.iter_mut().enumerate() {
-            if j != i {
-                let factor = other[i];
-                other
-                    .iter_mut()
-                    .zip(row)
-                    .for_each(|(o, r)| *o -= factor * r);
-            }
-        }
-    }
-    rows.map(|row| row[6])
 }

@@ -6,6 +6,7 @@
 //! `s` sends the share `P[r − s]` of its light to row `r`, with `P` the sums of the PSF
 //! along its rows.
 
+use crate::vecmath::solve_normal;
 use crate::{Image, Psf};
 
 /// Shares of light by source row and sensor row.
@@ -132,16 +133,17 @@ impl Profile {
 /// Weighted fit of a Gaussian that falls off: `c ≤ 0`. Weights are the shares, so that
 /// the dark ends, where a floor may be left, count little.
 fn log_parabola(first: isize, shares: &[f64]) -> [f64; 3] {
-    let mut normal = [[0.0f64; 4]; 3];
+    let (mut normal, mut right) = ([[0.0f64; 3]; 3], [0.0f64; 3]);
     let scale = shares.len() as f64;
     for (i, &share) in shares.iter().enumerate() {
         if share > 0.0 {
             let d = (first + i as isize) as f64 / scale;
             let terms = [1.0, d, d * d];
-            for (row, a) in normal.iter_mut().zip(terms) {
-                for (to, b) in row.iter_mut().zip([1.0, d, d * d, share.ln()]) {
+            for ((row, right), a) in normal.iter_mut().zip(&mut right).zip(terms) {
+                for (to, b) in row.iter_mut().zip(terms) {
                     *to += share * a * b;
                 }
+                *right += share * a * share.ln();
             }
         }
     }
@@ -149,28 +151,12 @@ fn log_parabola(first: isize, shares: &[f64]) -> [f64; 3] {
         let mean = shares.iter().sum::<f64>() / scale;
         [mean.max(f64::MIN_POSITIVE).ln(), 0.0, 0.0]
     };
-    for i in 0..3 {
-        let pivot = normal[i][i];
-        if pivot.abs() < 1e-12 * normal[0][0].abs() || !pivot.is_finite() || pivot == 0.0 {
-            return flat();
-        }
-        normal[i].iter_mut().for_each(|v| *v /= pivot);
-        let row = normal[i];
-        for (j, other) in normal.iter_mut().enumerate() {
-            if j != i {
-                let factor = other[i];
-                other
-                    .iter_mut()
-                    .zip(row)
-                    .for_each(|(o, r)| *o -= factor * r);
-            }
-        }
-    }
-    let [a, b, c] = [
-        normal[0][3],
-        normal[1][3] / scale,
-        normal[2][3] / (scale * scale),
-    ];
+    // Fewer than three lit rows leave a term open.
+    let lit = shares.iter().filter(|&&share| share > 0.0).count();
+    let Some(found) = solve_normal(&normal, &right).filter(|_| lit >= 3) else {
+        return flat();
+    };
+    let [a, b, c] = [found[0], found[1] / scale, found[2] / (scale * scale)];
     // A profile that rises outwards says nothing of what lies beyond.
     if c < 0.0 { [a, b, c] } else { flat() }
 }

@@ -5,6 +5,8 @@
 //! Levenberg–Marquardt. The Jacobian of the projected residual gives the errors of `θ`
 //! with those of `c` included.
 
+use crate::vecmath::solve_normal;
+
 /// Columns of a linear model.
 pub(super) type Basis = Vec<Vec<f64>>;
 
@@ -100,7 +102,7 @@ pub(super) fn minimise(
             for i in 0..n {
                 damped[i][i] += damping * gram[i][i].max(f64::MIN_POSITIVE);
             }
-            let Some(step) = solve(damped, slope.clone()) else {
+            let Some(step) = solve_normal(&damped, &slope) else {
                 damping *= 10.0;
                 continue;
             };
@@ -146,28 +148,6 @@ fn jacobian_at(at: &[f64], steps: &[f64], residual: &dyn Fn(&[f64]) -> Vec<f64>)
         .collect()
 }
 
-/// Solves a small symmetric positive system by elimination.
-pub(super) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
-    let n = b.len();
-    for i in 0..n {
-        let pivot = a[i][i];
-        if pivot.is_nan() || pivot <= 1e-300 {
-            return None;
-        }
-        for j in i + 1..n {
-            let factor = a[j][i] / pivot;
-            let (above, below) = a.split_at_mut(j);
-            add(&mut below[0][i..], -factor, &above[i][i..]);
-            b[j] -= factor * b[i];
-        }
-    }
-    for i in (0..n).rev() {
-        let later: f64 = (i + 1..n).map(|j| a[i][j] * b[j]).sum();
-        b[i] = (b[i] - later) / a[i][i];
-    }
-    b.iter().all(|v| v.is_finite()).then_some(b)
-}
-
 /// Residuals this far apart still count as related: where the model does not hold
 /// exactly they are not independent.
 const RELATED: usize = 8;
@@ -193,7 +173,7 @@ impl Optimum {
         for i in 0..n {
             let mut unit = vec![0.0; n];
             unit[i] = 1.0;
-            let Some(row) = solve(gram.clone(), unit) else {
+            let Some(row) = solve_normal(&gram, &unit) else {
                 errors.push(f64::INFINITY);
                 continue;
             };
