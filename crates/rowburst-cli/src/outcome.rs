@@ -1,6 +1,6 @@
 //! `result.json`: the numbers of a run.
 
-use rowburst::reconstruct::FitStatistics;
+use rowburst::reconstruct::{Candidate, FitStatistics};
 use serde::Serialize;
 use std::io::Write;
 
@@ -9,12 +9,17 @@ use std::io::Write;
 pub struct Outcome {
     pub version: &'static str,
     pub prior: String,
+    pub prior_choice: PriorChoice,
     pub tau: f64,
     pub tau_rule: &'static str,
     pub noise_sigma: f64,
     pub noise_sigma_source: &'static str,
     pub residual_over_sigma: f64,
     pub objective: f64,
+    /// The objective is at most this part above its minimum; null where nothing is known.
+    pub objective_excess: Option<f64>,
+    /// The same as a sentence.
+    pub certificate: String,
     /// Part of the voxels that were allowed to be lit at the end.
     pub support_fraction: f64,
     pub iterations: usize,
@@ -42,6 +47,34 @@ pub struct Outcome {
     pub fit_reason: String,
     pub fit_statistics: FitNumbers,
     pub warnings: Vec<String>,
+}
+
+/// How the prior was chosen.
+#[derive(Debug, Clone, Serialize)]
+pub struct PriorChoice {
+    pub reason: String,
+    /// Null where there was no choice.
+    pub held_out_pixels: Option<usize>,
+    pub candidates: Vec<PriorCandidate>,
+}
+
+/// A prior that was tried.
+#[derive(Debug, Clone, Serialize)]
+pub struct PriorCandidate {
+    pub prior: String,
+    /// Rms of the residual over σ at pixels that the solver had not seen.
+    pub held_out_error: f64,
+    pub given_up: bool,
+}
+
+impl From<&Candidate> for PriorCandidate {
+    fn from(candidate: &Candidate) -> Self {
+        Self {
+            prior: candidate.prior.to_string(),
+            held_out_error: candidate.error,
+            given_up: candidate.given_up,
+        }
+    }
 }
 
 /// What the verdict on the fit rests on; see `rowburst::reconstruct::FitStatistics`.

@@ -23,6 +23,8 @@ pub struct Watch<'a> {
     bar: ProgressBar,
     sigma: f64,
     truth: Option<&'a Video>,
+    /// Iterations of all runs.
+    iterations: usize,
     /// Time spent on comparing with the truth, which is not the solver's.
     aside: Duration,
     /// The points of the convergence curve.
@@ -53,6 +55,7 @@ impl<'a> Watch<'a> {
             bar,
             sigma,
             truth,
+            iterations: 0,
             aside: Duration::ZERO,
             curve: Vec::new(),
         }
@@ -66,6 +69,12 @@ impl<'a> Watch<'a> {
     /// Sees one iteration.
     pub fn observe(&mut self, progress: &Progress) -> ControlFlow<StopReason> {
         let seconds = self.seconds();
+        self.iterations += 1;
+        if progress.iteration == 1 {
+            // Another run: the curve is that of the last one.
+            self.curve.clear();
+            self.bar.reset();
+        }
         if progress.iteration.is_multiple_of(RECORD_EVERY) || progress.iteration == 1 {
             let compared = Instant::now();
             self.curve.push(Iteration {
@@ -82,14 +91,15 @@ impl<'a> Watch<'a> {
         }
         self.bar.set_length(progress.max_iterations as u64);
         self.bar.set_position(progress.iteration as u64);
-        self.bar.set_message(format!(
-            "residual/σ {:.2}",
-            progress.residual_rms / self.sigma
-        ));
+        let level = progress.residual_rms / self.sigma;
+        self.bar.set_message(match progress.label {
+            "" => format!("residual/σ {level:.2}"),
+            label => format!("{label}: residual/σ {level:.2}"),
+        });
         if self.stop.load(Ordering::Relaxed) {
             return ControlFlow::Break(StopReason::Interrupted);
         }
-        let per_iteration = seconds / progress.iteration as f64;
+        let per_iteration = seconds / self.iterations as f64;
         match self.budget {
             // The next iteration would end beyond the budget.
             Some(budget) if seconds + per_iteration > budget.as_secs_f64() => {
@@ -97,6 +107,15 @@ impl<'a> Watch<'a> {
             }
             _ => ControlFlow::Continue(()),
         }
+    }
+
+    /// Takes `sigma` for the noise level, which was found meanwhile.
+    pub fn rescale(&mut self, sigma: f64) {
+        let factor = self.sigma / sigma;
+        for point in &mut self.curve {
+            point.residual_over_sigma *= factor;
+        }
+        self.sigma = sigma;
     }
 
     /// Takes the bar away.

@@ -4,15 +4,17 @@ use crate::args::ReconstructArgs;
 use crate::inputs::{
     check_memory, naming_file, read_corrections, read_frame, read_psfs, read_truth,
 };
-use crate::outcome::{FitNumbers, Outcome, peak_memory_bytes, say, short};
+use crate::outcome::{
+    FitNumbers, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, say, short,
+};
 use crate::progress::{Watch, stop_on_ctrl_c};
 use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Verdict};
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::{Camera, Error, PatchSet, Result, Video};
 use rowburst_io::{
-    Calibration, Experiment, OutputFolder, Tau, TiffScale, write_npy_video, write_tiff_video,
+    Calibration, Experiment, OutputFolder, TiffScale, write_npy_video, write_tiff_video,
 };
 use rowburst_report::{Iteration, Judgement, ReportInput};
 use std::time::{Duration, Instant};
@@ -76,6 +78,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     let seconds = watch.seconds();
     watch.finish();
     let found = solved?;
+    watch.rescale(found.sigma);
 
     let run = Run {
         args,
@@ -99,23 +102,26 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
 
 fn recipe_of(args: &ReconstructArgs, experiment: &Experiment) -> Result<Recipe> {
     let prior = match (&args.prior, &experiment.reconstruction.prior) {
-        (Some(name), _) => name.parse()?,
-        (None, Some(name)) => name.parse().map_err(|mut error| {
+        (Some(name), _) => prior_of(name)?,
+        (None, Some(name)) => prior_of(name).map_err(|mut error| {
             if let Error::Input { subject, .. } = &mut error {
                 *subject = format!("{}: [reconstruction] prior", args.experiment.display());
             }
             error
         })?,
-        (None, None) => Prior::AUTO,
+        (None, None) => None,
     };
+    // A choice takes a run for each candidate: a budget has no time for it.
+    let prior = prior.or(args.time_budget_s.map(|_| Prior::STANDARD));
     let tau = match (args.tau.as_deref(), experiment.reconstruction.tau) {
-        (Some("auto"), _) | (None, None | Some(Tau::Auto)) => None,
-        (None, Some(Tau::Value(tau))) => Some(tau),
-        (Some(text), _) => Some(text.parse().map_err(|_| {
+        (None, tau) => tau.unwrap_or_default(),
+        (Some("auto"), _) => Tau::Auto,
+        (Some("held-out"), _) => Tau::HeldOut,
+        (Some(text), _) => Tau::Given(text.parse().map_err(|_| {
             Error::input(
                 "--tau",
                 format!("\"{text}\""),
-                "τ is auto or a number above zero",
+                "τ is auto, held-out or a number above zero",
                 "Leave it out: the program finds it.",
             )
         })?),
@@ -126,6 +132,14 @@ fn recipe_of(args: &ReconstructArgs, experiment: &Experiment) -> Result<Recipe> 
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
     })
+}
+
+/// A prior by its name; `None` for `auto`.
+fn prior_of(name: &str) -> Result<Option<Prior>> {
+    match name.trim() {
+        "auto" => Ok(None),
+        name => name.parse().map(Some),
+    }
 }
 
 fn time_budget(args: &ReconstructArgs) -> Result<Option<Duration>> {
@@ -160,17 +174,20 @@ impl Run<'_> {
         let shape = found.video.shape();
         Outcome {
             version: env!("CARGO_PKG_VERSION"),
-            prior: recipe.prior.to_string(),
+            prior: found.prior.to_string(),
+            prior_choice: self.choice(recipe),
             tau: found.tau,
-            tau_rule: if recipe.tau.is_some() {
-                "given"
-            } else {
-                "discrepancy principle"
+            tau_rule: match (recipe.tau, found.sigma_source) {
+                (Tau::Given(_), _) => "given",
+                (_, SigmaSource::HeldOut) => "held-out pixels",
+                _ => "discrepancy principle",
             },
             noise_sigma: found.sigma,
             noise_sigma_source: found.sigma_source.name(),
             residual_over_sigma: found.residual_over_sigma,
-            objective: found.objective,
+            objective: found.certificate.primal,
+            objective_excess: Some(found.certificate.excess()).filter(|e| e.is_finite()),
+            certificate: found.certificate.to_string(),
             support_fraction: found.support,
             iterations: found.iterations,
             stop_reason: found.stop_reason.name(),
@@ -191,6 +208,29 @@ impl Run<'_> {
             fit_reason: found.fit.reason.clone(),
             fit_statistics: FitNumbers::from(&found.fit.statistics),
             warnings: self.warnings(),
+        }
+    }
+
+    /// How the prior came about.
+    fn choice(&self, recipe: Recipe) -> PriorChoice {
+        match &self.found.choice {
+            Some(choice) => PriorChoice {
+                reason: choice.reason(),
+                held_out_pixels: Some(choice.held_out),
+                candidates: choice.candidates.iter().map(PriorCandidate::from).collect(),
+            },
+            None => PriorChoice {
+                reason: match recipe.prior {
+                    _ if self.args.time_budget_s.is_some() && self.args.prior.is_none() => {
+                        "the standard one: a time budget leaves no time to choose"
+                    }
+                    Some(_) => "given",
+                    None => "the standard one: there was no choice to make, or it was stopped",
+                }
+                .into(),
+                held_out_pixels: None,
+                candidates: Vec::new(),
+            },
         }
     }
 
@@ -344,6 +384,7 @@ impl Run<'_> {
         let of_solver = vec![
             pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
             pair("prior R", outcome.prior.clone()),
+            pair("its choice", outcome.prior_choice.reason.clone()),
             pair(
                 "τ",
                 format!("{} ({})", short(outcome.tau), outcome.tau_rule),
@@ -384,7 +425,10 @@ impl Run<'_> {
                 "free values per measurement",
                 format!("{:.2}", outcome.fit_statistics.freedom),
             ),
-            pair("objective at the end", short(outcome.objective)),
+            pair(
+                "objective at the end",
+                format!("{}; {}", short(outcome.objective), outcome.certificate),
+            ),
             pair(
                 "voxels allowed to be lit",
                 format!("{:.2} %", 100.0 * outcome.support_fraction),
@@ -503,6 +547,10 @@ fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
         outcome.noise_sigma_source,
         outcome.prior,
     ));
+    if outcome.prior_choice.held_out_pixels.is_some() {
+        say(format_args!("prior: {}", outcome.prior_choice.reason));
+    }
+    say(&outcome.certificate);
     if outcome.fit == Verdict::Good.name() {
         say(format_args!("the fit is good: {}", outcome.fit_reason));
     }

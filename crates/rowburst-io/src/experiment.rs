@@ -5,6 +5,7 @@ use crate::npy;
 use crate::read::{Colour, Level, Source};
 use crate::table::{Table, nearest};
 use rowburst::camera::CameraParams;
+use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Result, Sensor, Shutter};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -63,15 +64,6 @@ pub struct Reconstruction {
     pub prior: Option<String>,
     /// Weight of the prior.
     pub tau: Option<Tau>,
-}
-
-/// Weight of the prior.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Tau {
-    /// Chosen from the frame.
-    Auto,
-    /// Given; finite and above zero.
-    Value(f64),
 }
 
 impl Experiment {
@@ -222,18 +214,17 @@ impl Experiment {
         if *reconstruction != Reconstruction::default() {
             text += "\n[reconstruction]\n";
             line(&mut text, "prior", reconstruction.prior.clone());
-            line(&mut text, "tau", reconstruction.tau.map(toml::Value::from));
+            line(&mut text, "tau", reconstruction.tau.map(tau_value));
         }
         text
     }
 }
 
-impl From<Tau> for toml::Value {
-    fn from(tau: Tau) -> Self {
-        match tau {
-            Tau::Auto => "auto".into(),
-            Tau::Value(tau) => tau.into(),
-        }
+fn tau_value(tau: Tau) -> toml::Value {
+    match tau {
+        Tau::Auto => "auto".into(),
+        Tau::HeldOut => "held-out".into(),
+        Tau::Given(tau) => tau.into(),
     }
 }
 
@@ -338,7 +329,8 @@ fn read_reconstruction(table: &Table) -> Result<Reconstruction> {
     let tau = match (table.number("tau"), table.text("tau")) {
         (Ok(None), _) => None,
         (_, Ok(Some("auto"))) => Some(Tau::Auto),
-        (Ok(Some(tau)), _) if tau.is_finite() && tau > 0.0 => Some(Tau::Value(tau)),
+        (_, Ok(Some("held-out"))) => Some(Tau::HeldOut),
+        (Ok(Some(tau)), _) if tau.is_finite() && tau > 0.0 => Some(Tau::Given(tau)),
         (number, text) => {
             let found = match (number, text) {
                 (Ok(Some(number)), _) => number.to_string(),
@@ -348,7 +340,7 @@ fn read_reconstruction(table: &Table) -> Result<Reconstruction> {
             return Err(table.error(
                 "tau",
                 found,
-                "tau is \"auto\" or a number above zero",
+                "tau is \"auto\", \"held-out\" or a number above zero",
                 "Write tau = \"auto\".",
             ));
         }

@@ -29,7 +29,7 @@ mod read;
 mod table;
 mod tiff;
 
-pub use experiment::{Calibration, Experiment, Reconstruction, Tau};
+pub use experiment::{Calibration, Experiment, Reconstruction};
 pub use folder::OutputFolder;
 #[cfg(feature = "mp4")]
 pub use mp4::write_mp4;

@@ -217,7 +217,7 @@ fn solver(c: &mut Criterion) {
     let measurement = Measurement::new(recorded.frame).expect("light");
     let problem = |prior: &str| {
         let recipe = Recipe {
-            prior: prior.parse::<Prior>().expect("a prior"),
+            prior: Some(prior.parse::<Prior>().expect("a prior")),
             ..Recipe::default()
         };
         Problem::new(&measurement, &camera, &psf, recipe).expect("a valid problem")
@@ -241,7 +241,7 @@ fn solver(c: &mut Criterion) {
     }
     group.bench_function("whole reconstruction, default prior", |b| {
         b.iter_batched(
-            || problem("auto"),
+            || problem("tv+0.5*tdiff+support"),
             |problem| problem.solve(&mut |_| ControlFlow::Continue(())),
             criterion::BatchSize::PerIteration,
         );

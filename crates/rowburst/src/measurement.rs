@@ -5,6 +5,10 @@
 //! their noise, `σ² = (counts·gain + read²) / gain²` counts², and 1/12 more where the
 //! counts are rounded. `bias_counts` stands in for a dark frame that is not there.
 
+mod noise_law;
+
+pub use noise_law::NoiseLaw;
+
 use crate::{Camera, Error, Image, Result};
 use std::borrow::Cow;
 
@@ -13,7 +17,7 @@ use std::borrow::Cow;
 pub struct Measurement {
     image: Image,
     weights: Option<Vec<f32>>,
-    sigma: Option<f64>,
+    noise: Option<NoiseLaw>,
     bad: usize,
     saturated: usize,
 }
@@ -46,7 +50,7 @@ impl Measurement {
         Ok(Self {
             image,
             weights: None,
-            sigma: None,
+            noise: None,
             bad: 0,
             saturated: 0,
         })
@@ -64,7 +68,12 @@ impl Measurement {
 
     /// Noise of a pixel with weight 1 by the calibration, in counts.
     pub fn sigma(&self) -> Option<f64> {
-        self.sigma
+        self.noise.as_ref().map(NoiseLaw::sigma)
+    }
+
+    /// How the noise follows the light, where gain and read noise are known.
+    pub fn noise(&self) -> Option<&NoiseLaw> {
+        self.noise.as_ref()
     }
 
     /// Number of pixels left out as bad.
@@ -145,13 +154,13 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
     };
     let mut image = raw.clone();
     subtract(&mut image, dark.as_deref());
-    let mut variance = noise_variance(&image, camera, sensor.binning / binning);
+    let mut law = noise_law_of(&image, camera, sensor.binning / binning);
     if let Some(flat) = &corrections.flat {
         let mut response = fitted("flat", flat)?.into_owned();
         subtract(&mut response, dark.as_deref());
-        divide_by_response(&mut image, variance.as_mut(), &response, &usable)?;
+        divide_by_response(&mut image, law.as_mut(), &response, &usable)?;
     }
-    finish(image, &usable, variance, binning, (bad, saturated))
+    finish(image, &usable, law, binning, (bad, saturated))
 }
 
 /// A correction on the grid of the frame `raw`, of which a pixel is the mean of
@@ -201,25 +210,23 @@ fn subtract(image: &mut Image, dark: Option<&Image>) {
 /// Variance of rounding to whole counts.
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
-/// Variance of the noise of each pixel in counts², where it is the mean of `mixed × mixed`
-/// raw ones.
-fn noise_variance(image: &Image, camera: &Camera, mixed: usize) -> Option<Vec<f64>> {
+/// Slope and floor of each pixel's variance; see [`NoiseLaw`].
+type Law = Vec<(f64, f64)>;
+
+/// The law of pixels that are the mean of `mixed × mixed` raw ones.
+fn noise_law_of(image: &Image, camera: &Camera, mixed: usize) -> Option<Law> {
     let sensor = camera.sensor();
     let gain = sensor.gain_electrons_per_count?;
     let read = sensor.read_noise_electrons?;
     let rounding = sensor.bit_depth.map_or(0.0, |_| ROUNDING_VARIANCE);
     let raw_pixels = (mixed * mixed) as f64;
-    // The count itself stands for the expected light; noise may have pushed it below zero.
-    let variance = |&count: &f32| {
-        let electrons = (f64::from(count.max(0.0)) * gain + read * read).max(1e-12);
-        (electrons / (gain * gain) + rounding) / raw_pixels
-    };
-    Some(image.data().iter().map(variance).collect())
+    let floor = (read * read / (gain * gain) + rounding) / raw_pixels;
+    Some(vec![(1.0 / (gain * raw_pixels), floor); image.data().len()])
 }
 
 fn divide_by_response(
     image: &mut Image,
-    variance: Option<&mut Vec<f64>>,
+    law: Option<&mut Law>,
     response: &Image,
     usable: &[f32],
 ) -> Result<()> {
@@ -245,11 +252,10 @@ fn divide_by_response(
         .iter_mut()
         .zip(&gain)
         .for_each(|(p, g)| *p = (f64::from(*p) * g) as f32);
-    if let Some(variance) = variance {
-        variance
-            .iter_mut()
-            .zip(&gain)
-            .for_each(|(v, g)| *v *= g * g);
+    if let Some(law) = law {
+        for ((slope, floor), g) in law.iter_mut().zip(&gain) {
+            (*slope, *floor) = (*slope * g, *floor * g * g);
+        }
     }
     Ok(())
 }
@@ -258,44 +264,52 @@ fn divide_by_response(
 fn finish(
     image: Image,
     usable: &[f32],
-    variance: Option<Vec<f64>>,
+    law: Option<Law>,
     binning: usize,
     (bad, saturated): (usize, usize),
 ) -> Result<Measurement> {
     let (rows, columns) = (image.rows() / binning, image.columns() / binning);
     let whole = (binning * binning) as f64;
     let mut binned = Image::zeros(rows, columns);
-    let mut sigma = vec![0.0f64; rows * columns];
+    let mut counts = vec![0.0f64; rows * columns];
+    let mut slope = vec![0.0f32; rows * columns];
+    let mut floor = vec![f32::INFINITY; rows * columns];
     for y in 0..rows {
         for x in 0..columns {
-            let (mut sum, mut noise, mut count) = (0.0, 0.0, 0.0);
+            let (mut sum, mut count, mut slopes, mut floors) = (0.0, 0.0, 0.0, 0.0);
             for at in (0..binning * binning)
                 .map(|i| (y * binning + i / binning) * image.columns() + x * binning + i % binning)
             {
                 if usable[at] > 0.0 {
                     sum += f64::from(image.data()[at]);
-                    noise += variance.as_ref().map_or(1.0 / whole, |v| v[at]);
                     count += 1.0;
+                    if let Some(law) = &law {
+                        slopes += law[at].0;
+                        floors += law[at].1;
+                    }
                 }
             }
+            let block = y * columns + x;
+            counts[block] = count;
             if count > 0.0 {
-                binned.data_mut()[y * columns + x] = (sum / count) as f32;
-                sigma[y * columns + x] = noise.sqrt() / count;
+                binned.data_mut()[block] = (sum / count) as f32;
+                // The mean of `count` pixels has the mean of their variances over `count`.
+                slope[block] = (slopes / (count * count)) as f32;
+                floor[block] = (floors / (count * count)) as f32;
             }
         }
     }
-    if variance.is_none() {
+    let noise = law.map(|_| NoiseLaw::new(slope, floor, binned.data()));
+    let weights = match &noise {
+        // The counts stand for the light until a model of it is there.
+        Some(noise) => Some(noise.weights(binned.data())),
+        None if bad + saturated == 0 => None,
         // Only relative noise is known: a whole block has 1.
-        sigma.iter_mut().for_each(|s| *s *= whole);
-    }
-    let even = variance.is_none() && bad + saturated == 0;
-    let mut known: Vec<f64> = sigma.iter().copied().filter(|s| *s > 0.0).collect();
-    known.sort_by(f64::total_cmp);
-    let reference = known.get(known.len() / 2).copied().unwrap_or(1.0);
-    let weight = |&s: &f64| if s > 0.0 { (reference / s) as f32 } else { 0.0 };
+        None => Some(counts.iter().map(|c| (c / whole).sqrt() as f32).collect()),
+    };
     Ok(Measurement {
-        weights: (!even).then(|| sigma.iter().map(weight).collect()),
-        sigma: variance.is_some().then_some(reference),
+        weights,
+        noise,
         image: binned,
         bad,
         saturated,

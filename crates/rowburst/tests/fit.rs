@@ -6,7 +6,7 @@ use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Problem, Recipe, Reconstruction, Verdict};
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Verdict};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter};
 use std::ops::ControlFlow;
@@ -95,7 +95,10 @@ impl Size {
             psf,
             frame: recorded.frame,
             sigma: (!calibrated).then_some(recorded.sigma),
-            recipe: Recipe::default(),
+            recipe: Recipe {
+                prior: Some(Prior::STANDARD),
+                ..Recipe::default()
+            },
         }
     }
 
@@ -168,7 +171,7 @@ impl Size {
         let stopped = |iterations| Case {
             recipe: Recipe {
                 max_iterations: Some(iterations),
-                ..Recipe::default()
+                ..base.recipe
             },
             ..base.clone()
         };

@@ -6,7 +6,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Problem, Recipe};
+use rowburst::reconstruct::{Prior, Problem, Recipe};
 use rowburst::simulate::scene;
 use rowburst::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter};
 use std::ops::ControlFlow;
@@ -81,6 +81,7 @@ fn patches_beat_a_single_psf_on_a_wide_field() {
     let measurement = Measurement::new(recorded.frame).unwrap();
     let psnr = |psfs: PatchSet| {
         let recipe = Recipe {
+            prior: Some(Prior::STANDARD),
             max_iterations: Some(120),
             ..Recipe::default()
         };

@@ -64,7 +64,7 @@ impl Case {
     /// PSNR of the reconstruction with `prior`.
     fn psnr(&self, prior: &str) -> f64 {
         let recipe = Recipe {
-            prior: prior.parse().unwrap(),
+            prior: Some(prior.parse().unwrap()),
             ..Recipe::default()
         };
         let problem = Problem::new(&self.measurement, &self.camera, &self.psf, recipe).unwrap();
@@ -215,13 +215,13 @@ fn a_prior_over_time_is_refused_for_one_bin() {
     let psf = Psf::new(Image::from_fn(5, 5, |_, _| 1.0)).unwrap();
     let set_up = |prior: &str| {
         let recipe = Recipe {
-            prior: prior.parse().unwrap(),
+            prior: Some(prior.parse().unwrap()),
             noise_sigma: Some(1.0),
             ..Recipe::default()
         };
         Problem::new(&measurement, &camera(Shutter::Global), &psf, recipe)
     };
-    assert!(set_up("auto").is_ok() && set_up("dct").is_ok());
+    assert!(set_up("tv+0.5*tdiff+support").is_ok() && set_up("dct").is_ok());
     let error = set_up("tv+group").err().unwrap().to_string();
     assert!(error.contains("group compares bins"), "{error}");
 }
@@ -252,7 +252,7 @@ fn every_prior_on_every_scene() {
             "group+0.2*l1",
             "lowrank",
             "lowrank+0.3*group",
-            "auto",
+            "tv+0.5*tdiff+support",
             "tv3d+support",
             "tv3d-aniso+support",
             "group+support",

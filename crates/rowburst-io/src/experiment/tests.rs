@@ -201,7 +201,7 @@ proptest! {
         values in prop::collection::vec(prop::option::of(positive()), 5),
         field in prop::option::of((1usize..9999, 1usize..9999)),
         files in prop::collection::vec(prop::option::of("[a-zé \"\\\\']{1,8}"), 5),
-        tau in prop_oneof![Just(None), Just(Some(Tau::Auto)), positive().prop_map(|t| Some(Tau::Value(t)))],
+        tau in prop_oneof![Just(None), Just(Some(Tau::Auto)), Just(Some(Tau::HeldOut)), positive().prop_map(|t| Some(Tau::Given(t)))],
     ) {
         let shutters = [
             Shutter::TopDown, Shutter::BottomUp, Shutter::DualInsideOut,

@@ -349,7 +349,7 @@ fn success_rate(
     let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
     let recorded = Noise::Gaussian { snr }.apply(&noiseless, &Sensor::default(), params.seed)?;
     let recipe = Recipe {
-        prior: "l1+support".parse::<Prior>()?,
+        prior: Some("l1+support".parse::<Prior>()?),
         noise_sigma: Some(recorded.sigma),
         max_iterations: Some(params.max_iterations),
         ..Recipe::default()

@@ -38,3 +38,21 @@ pub trait LinearOperator: Sync {
     /// If a length does not match.
     fn adjoint(&self, y: &[f32], x: &mut [f32]);
 }
+
+impl<O: LinearOperator + Send> LinearOperator for std::sync::Arc<O> {
+    fn domain_len(&self) -> usize {
+        self.as_ref().domain_len()
+    }
+
+    fn range_len(&self) -> usize {
+        self.as_ref().range_len()
+    }
+
+    fn apply(&self, x: &[f32], y: &mut [f32]) {
+        self.as_ref().apply(x, y);
+    }
+
+    fn adjoint(&self, y: &[f32], x: &mut [f32]) {
+        self.as_ref().adjoint(y, x);
+    }
+}

@@ -198,6 +198,18 @@ impl Prox for Composite {
     fn restrict(&mut self, support: &Support) {
         self.variation.restrict(support);
     }
+
+    fn subtract_dual(&self, v: &mut [f32]) {
+        for part in &self.terms {
+            part.term.subtract_adjoint(v);
+        }
+        self.variation.subtract_dual(v);
+        if self.group > 0.0 {
+            // Of all traces in the ball the one that leaves least.
+            v.par_iter_mut().for_each(|v| *v = v.max(0.0));
+            shrink_traces(v, self.shape.pixels(), (self.scale * self.group) as f32);
+        }
+    }
 }
 
 /// `⟨q − z, z⟩`.

@@ -38,6 +38,11 @@ pub trait Prox: Send {
 
     /// From now on the prox is taken over videos that are zero outside `support`.
     fn restrict(&mut self, support: &Support);
+
+    /// `v −= c` for a `c` with `⟨c, w⟩ ≤ scale·R(w)` for every `w ≥ 0`: the dual point at
+    /// which the last call of [`Self::prox`] ended, with its `scale`. Where that is
+    /// positive, `v` is more than the prior holds back. Elements below zero may be cut.
+    fn subtract_dual(&self, v: &mut [f32]);
 }
 
 #[cfg(test)]

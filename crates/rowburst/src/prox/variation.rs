@@ -93,7 +93,6 @@ impl Variation {
     /// `z(p)`: the primal point of the dual.
     pub(super) fn primal(&self, q: &[f32], scale: f64, z: &mut [f32]) {
         let pixels = self.shape.pixels();
-        let shrink = (scale * self.weights.l1) as f32;
         z.par_chunks_exact_mut(pixels)
             .enumerate()
             .for_each(|(t, z)| {
@@ -101,19 +100,8 @@ impl Variation {
                 simd(
                     #[inline(always)]
                     || {
-                        for (z, q) in z.iter_mut().zip(&q[bin.clone()]) {
-                            *z = q - shrink;
-                        }
-                        if !self.dual_y.is_empty() {
-                            let (py, px) = (&self.dual_y[bin.clone()], &self.dual_x[bin.clone()]);
-                            add_divergence(z, py, px, self.shape.columns);
-                        }
-                        if !self.dual_t.is_empty() {
-                            add(z, &self.dual_t[bin.clone()], 1.0);
-                            if t > 0 {
-                                add(z, &self.dual_t[bin.start - pixels..bin.start], -1.0);
-                            }
-                        }
+                        z.copy_from_slice(&q[bin.clone()]);
+                        self.subtract_from_bin(t, z, scale);
                         match &self.support {
                             None => z.iter_mut().for_each(|z| *z = z.max(0.0)),
                             Some(support) => {
@@ -125,6 +113,25 @@ impl Variation {
                     },
                 );
             });
+    }
+
+    /// `z −= s·w_1 + Dᵀp` in bin `t`.
+    #[inline(always)]
+    fn subtract_from_bin(&self, t: usize, z: &mut [f32], scale: f64) {
+        let pixels = self.shape.pixels();
+        let bin = t * pixels..(t + 1) * pixels;
+        let shrink = (scale * self.weights.l1) as f32;
+        z.iter_mut().for_each(|z| *z -= shrink);
+        if !self.dual_y.is_empty() {
+            let (py, px) = (&self.dual_y[bin.clone()], &self.dual_x[bin.clone()]);
+            add_divergence(z, py, px, self.shape.columns);
+        }
+        if !self.dual_t.is_empty() {
+            add(z, &self.dual_t[bin.clone()], 1.0);
+            if t > 0 {
+                add(z, &self.dual_t[bin.start - pixels..bin.start], -1.0);
+            }
+        }
     }
 
     /// Whether a part of it needs the dual.
@@ -239,6 +246,17 @@ impl Prox for Variation {
 
     fn restrict(&mut self, support: &Support) {
         self.support = Some(support.clone());
+    }
+
+    fn subtract_dual(&self, v: &mut [f32]) {
+        v.par_chunks_exact_mut(self.shape.pixels())
+            .enumerate()
+            .for_each(|(t, v)| {
+                simd(
+                    #[inline(always)]
+                    || self.subtract_from_bin(t, v, self.scale),
+                );
+            });
     }
 }
 

@@ -1,7 +1,8 @@
 //! The data term of a rolling-shutter frame: `½‖W(b − A v)‖²`.
 
+use super::held_out::HeldOut;
 use crate::linop::{LinearOperator, Weighted};
-use crate::measurement::Measurement;
+use crate::measurement::{Measurement, NoiseLaw};
 use crate::solve::blocks::Blocks;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
 use crate::solve::{DataTerm, GramSolver};
@@ -16,10 +17,19 @@ const MOST_BYTES: usize = 4 << 30;
 
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
-    operator: Arc<Weighted<RollingShutter>>,
+    shutter: Arc<RollingShutter>,
+    /// `W A`.
+    operator: Arc<Weighted<Arc<RollingShutter>>>,
+    /// `b` and `W b`.
+    frame: Vec<f32>,
     measured: Vec<f32>,
+    /// The weights of all pixels, those held out among them.
+    weights: Option<Vec<f32>>,
+    noise: Option<NoiseLaw>,
+    held_out: Option<HeldOut>,
     informative: usize,
     scale: f64,
+    support: Option<Support>,
     gram: Gram,
 }
 
@@ -31,53 +41,124 @@ enum Gram {
 
 impl FrameData {
     pub fn new(operator: RollingShutter, measurement: &Measurement) -> Self {
+        let shutter = Arc::new(operator);
+        let frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
-        let mut measured = measurement.image().data().to_vec();
-        let mut informative = measured.len();
-        if let Some(weights) = &weights {
-            measured.iter_mut().zip(weights).for_each(|(b, w)| *b *= w);
-            informative = weights.iter().filter(|w| **w > 0.0).count();
-        }
-        let operator = Arc::new(Weighted::new(operator, weights));
         // Halfway between the middle and the edge of the sensor.
-        let (rows, columns) = operator.inner().frame_shape();
-        let scale = operator
-            .inner()
+        let (rows, columns) = shutter.frame_shape();
+        let scale = shutter
             .pixel_power(rows / 4, columns / 4)
             .max(f64::MIN_POSITIVE);
-        let exact = operator.inner().time().is_disjoint();
+        let operator = Arc::new(Weighted::new(Arc::clone(&shutter), weights.clone()));
         let gram = match blocks(&operator, None) {
-            Some(blocks) if exact => Gram::Exact(blocks),
-            Some(blocks) => iterative(Box::new(BlockPreconditioner(blocks)), measured.len()),
-            None => {
-                let operator = Arc::clone(&operator);
-                iterative(
-                    Box::new(PlanePreconditioner { operator, scale }),
-                    measured.len(),
-                )
+            Some(blocks) if shutter.time().is_disjoint() => Gram::Exact(blocks),
+            blocks => {
+                let preconditioner = preconditioner(&operator, blocks, scale);
+                Gram::Iterative(ConjugateGradient::new(preconditioner, frame.len()))
             }
         };
-        Self {
+        let mut data = Self {
+            measured: Vec::new(),
+            informative: 0,
+            noise: measurement.noise().cloned(),
+            held_out: None,
+            support: None,
+            shutter,
             operator,
-            measured,
-            informative,
+            frame,
+            weights,
             scale,
             gram,
-        }
+        };
+        data.weigh_frame();
+        data
     }
 
-    /// `W`, if not all 1.
+    /// `W` of all pixels, if not all 1.
     pub fn weights(&self) -> Option<&[f32]> {
-        self.operator.weights()
+        self.weights.as_deref()
+    }
+
+    pub fn shutter(&self) -> &RollingShutter {
+        &self.shutter
     }
 
     pub fn shape(&self) -> Shape {
-        self.operator.inner().video_shape()
+        self.shutter.video_shape()
+    }
+
+    /// A draw of pixels to be held out.
+    pub fn held_out(&self) -> HeldOut {
+        HeldOut::draw(&self.shutter, self.weights())
+    }
+
+    /// Starts afresh, on all voxels, without the pixels of `held_out`.
+    pub fn hold_out(&mut self, held_out: Option<HeldOut>) {
+        self.held_out = held_out;
+        self.support = None;
+        self.weights_changed();
+    }
+
+    /// `W(b − A v)` at the pixels that are held out.
+    pub fn errors_held_out(&self, video: &[f32]) -> Vec<f64> {
+        let Some(held_out) = &self.held_out else {
+            return Vec::new();
+        };
+        let mut light = vec![0.0; self.frame.len()];
+        self.shutter.apply(video, &mut light);
+        let pixels = held_out.pixels().iter();
+        pixels
+            .map(|&i| {
+                let weight = self.weights.as_ref().map_or(1.0, |w| f64::from(w[i]));
+                weight * (f64::from(self.frame[i]) - f64::from(light[i]))
+            })
+            .collect()
+    }
+
+    /// Operator, Gram blocks and preconditioner with new weights.
+    fn weights_changed(&mut self) {
+        let mut weights = self.weights.clone();
+        if let Some(held_out) = &self.held_out {
+            let weights = weights.get_or_insert_with(|| vec![1.0; self.frame.len()]);
+            held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
+        }
+        self.operator = Arc::new(Weighted::new(Arc::clone(&self.shutter), weights));
+        self.weigh_frame();
+        let (operator, support) = (&self.operator, self.support.as_ref());
+        match &mut self.gram {
+            Gram::Exact(exact) => exact.refill(|i, sum| fill(operator, i, support, sum)),
+            Gram::Iterative(solver) => {
+                let blocks = blocks(operator, support);
+                let preconditioner = preconditioner(operator, blocks, self.scale);
+                solver.restart(support, preconditioner);
+            }
+        }
+    }
+
+    fn weigh_frame(&mut self) {
+        self.measured = self.frame.clone();
+        self.informative = self.frame.len();
+        if let Some(weights) = self.operator.weights() {
+            let pixels = self.measured.iter_mut().zip(weights);
+            pixels.for_each(|(b, w)| *b *= w);
+            self.informative = weights.iter().filter(|w| **w > 0.0).count();
+        }
     }
 }
 
-fn iterative(preconditioner: Box<dyn Preconditioner>, length: usize) -> Gram {
-    Gram::Iterative(ConjugateGradient::new(preconditioner, length))
+/// Blocks where there are some, else what suits whole planes.
+fn preconditioner(
+    operator: &Arc<Weighted<Arc<RollingShutter>>>,
+    blocks: Option<Blocks>,
+    scale: f64,
+) -> Box<dyn Preconditioner> {
+    match blocks {
+        Some(blocks) => Box::new(BlockPreconditioner(blocks)),
+        None => Box::new(PlanePreconditioner {
+            shutter: Arc::clone(operator.inner()),
+            scale,
+        }),
+    }
 }
 
 impl DataTerm for FrameData {
@@ -108,7 +189,7 @@ impl DataTerm for FrameData {
     }
 
     fn misfit_of_bins(&self, residual: &[f32]) -> Vec<f64> {
-        let operator = self.operator.inner();
+        let operator = self.shutter();
         let mut sums = vec![(0.0, 0usize); self.shape().bins];
         for (instant, run) in operator.time().instants().iter().enumerate() {
             let indices = operator.indices_of(instant);
@@ -128,6 +209,7 @@ impl DataTerm for FrameData {
     }
 
     fn restrict(&mut self, support: &Support) {
+        self.support = Some(support.clone());
         match &mut self.gram {
             Gram::Exact(exact) => {
                 exact.refill(|i, sum| fill(&self.operator, i, Some(support), sum));
@@ -140,10 +222,21 @@ impl DataTerm for FrameData {
             }
         }
     }
+
+    fn follow(&mut self, video: &[f32]) -> bool {
+        let Some(noise) = &self.noise else {
+            return false;
+        };
+        let mut light = vec![0.0; self.frame.len()];
+        self.shutter.apply(video, &mut light);
+        self.weights = Some(noise.weights(&light));
+        self.weights_changed();
+        true
+    }
 }
 
 /// The diagonal blocks of `W A P Aᵀ W`, one for each instant; `None` if they are too large.
-fn blocks(operator: &Weighted<RollingShutter>, support: Option<&Support>) -> Option<Blocks> {
+fn blocks(operator: &Weighted<Arc<RollingShutter>>, support: Option<&Support>) -> Option<Blocks> {
     let shutter = operator.inner();
     let (_, columns) = shutter.frame_shape();
     let sizes = || {
@@ -164,7 +257,7 @@ fn blocks(operator: &Weighted<RollingShutter>, support: Option<&Support>) -> Opt
 
 /// Writes the block of instant `i` of `W A P Aᵀ W` over zeros.
 fn fill(
-    operator: &Weighted<RollingShutter>,
+    operator: &Weighted<Arc<RollingShutter>>,
     instant: usize,
     support: Option<&Support>,
     mut sum: MatMut<f64>,
@@ -191,13 +284,13 @@ impl Preconditioner for BlockPreconditioner {
 
 /// Where whole planes are convolved: division in Fourier space; else a constant.
 struct PlanePreconditioner {
-    operator: Arc<Weighted<RollingShutter>>,
+    shutter: Arc<RollingShutter>,
     scale: f64,
 }
 
 impl Preconditioner for PlanePreconditioner {
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]) {
-        match self.operator.inner().circulant_inverse(r, rho) {
+        match self.shutter.circulant_inverse(r, rho) {
             Some(inverse) => out.copy_from_slice(&inverse),
             None => out
                 .iter_mut()

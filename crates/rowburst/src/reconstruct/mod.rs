@@ -1,18 +1,21 @@
 //! From a measurement to a video: the only place where physics meets the solver.
 
+mod choose;
 mod data;
 mod fit;
+mod held_out;
 mod prior;
 mod sigma;
 
+pub use choose::{CANDIDATES, Candidate, Choice};
 pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use prior::{FurtherWeights, Prior};
 pub use sigma::estimate_sigma;
 
 use crate::measurement::Measurement;
 use crate::prox::Prox;
-use crate::solve::admm::{self, AdmmParams, Progress, TauRule};
-use crate::solve::{DataTerm, StopReason};
+use crate::solve::admm::{self, Progress, Solution, TauRule};
+use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use data::FrameData;
 use sigma::Bands;
@@ -21,15 +24,28 @@ use std::ops::ControlFlow;
 /// What the user chooses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Recipe {
-    /// The prior; `default` does well on sparse scenes, still or moving.
-    pub prior: Prior,
-    /// `τ` of `½‖W(b − Av)‖² + τ R(v)`; `None`: found by the discrepancy principle.
-    pub tau: Option<f64>,
+    /// The prior; `None`: the one of [`CANDIDATES`] that predicts held-out pixels best.
+    pub prior: Option<Prior>,
+    /// How `τ` is found.
+    pub tau: Tau,
     /// Standard deviation of the noise in counts; `None`: from the calibration, or
     /// else from the frame itself.
     pub noise_sigma: Option<f64>,
     /// Most iterations; `None`: the solver's default.
     pub max_iterations: Option<usize>,
+}
+
+/// How `τ` of `½‖W(b − Av)‖² + τ R(v)` is found.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Tau {
+    /// By the discrepancy principle where the noise level is known or can be read from the
+    /// frame, else by held-out pixels.
+    #[default]
+    Auto,
+    /// By the pixels that are held out: the noise level is the one that predicts them best.
+    HeldOut,
+    /// Given.
+    Given(f64),
 }
 
 /// Where the noise level comes from.
@@ -41,6 +57,8 @@ pub enum SigmaSource {
     Calibration,
     /// The part of the frame's spectrum that the optics do not pass.
     Frame,
+    /// The level at which held-out pixels are predicted best.
+    HeldOut,
 }
 
 impl SigmaSource {
@@ -50,6 +68,7 @@ impl SigmaSource {
             Self::Given => "given",
             Self::Calibration => "from the calibration",
             Self::Frame => "estimated from the frame",
+            Self::HeldOut => "by held-out pixels",
         }
     }
 }
@@ -57,8 +76,6 @@ impl SigmaSource {
 /// A reconstruction set up and ready to run.
 pub struct Problem {
     data: FrameData,
-    prior: Box<dyn Prox>,
-    params: AdmmParams,
     recipe: Recipe,
     sigma: f64,
     sigma_source: SigmaSource,
@@ -75,10 +92,15 @@ pub struct Reconstruction {
     pub residual: Image,
     /// Root mean square of the residual over the pixels that hold information.
     pub residual_over_sigma: f64,
+    /// The prior.
+    pub prior: Prior,
+    /// What it was chosen among, where it was.
+    pub choice: Option<Choice>,
     /// `τ` at the end.
     pub tau: f64,
-    /// `½‖W(b − A v)‖² + τ R(v)` at the end.
-    pub objective: f64,
+    /// `½‖W(b − A v)‖² + τ R(v)` at the end, and a bound of its minimum from below: over videos up
+    /// to twice as bright, on the support, for this `τ`.
+    pub certificate: Certificate,
     /// Noise of a pixel with weight 1, in counts.
     pub sigma: f64,
     /// Where `sigma` comes from.
@@ -107,7 +129,11 @@ impl Problem {
         recipe: Recipe,
     ) -> Result<Self> {
         let psf = psf.into();
-        for (name, value) in [("--tau", recipe.tau), ("--noise-sigma", recipe.noise_sigma)] {
+        let tau = match recipe.tau {
+            Tau::Given(tau) => Some(tau),
+            Tau::Auto | Tau::HeldOut => None,
+        };
+        for (name, value) in [("--tau", tau), ("--noise-sigma", recipe.noise_sigma)] {
             if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
                 return Err(Error::input(
                     name,
@@ -120,30 +146,24 @@ impl Problem {
         let (sigma, sigma_source) = match (recipe.noise_sigma, measurement.sigma()) {
             (Some(sigma), _) => (sigma, SigmaSource::Given),
             (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
-            (None, None) => (
-                estimate_sigma(measurement, psf.central()),
-                SigmaSource::Frame,
-            ),
+            (None, None) => match estimate_sigma(measurement, psf.central()) {
+                Some(sigma) => (sigma, SigmaSource::Frame),
+                // Until held-out pixels tell.
+                None => (
+                    rms(measurement.image().data()) / 256.0,
+                    SigmaSource::HeldOut,
+                ),
+            },
         };
-        let tau = recipe
-            .tau
-            .map_or(TauRule::Discrepancy { sigma }, TauRule::Fixed);
-        let mut params = AdmmParams::new(tau);
-        params.support = recipe.prior.support;
-        if let Some(most) = recipe.max_iterations {
-            params.max_iterations = most;
-        }
         let bands = Bands::new(measurement, psf.central());
         let operator = RollingShutter::new(camera, psf);
-        recipe.prior.check_bins(operator.video_shape().bins)?;
-        params.threshold *= recipe.prior.threshold_factor(operator.video_shape());
-        let prior = recipe.prior.prox(operator.video_shape());
+        if let Some(prior) = recipe.prior {
+            prior.check_bins(operator.video_shape().bins)?;
+        }
         Ok(Self {
             camera: camera.clone(),
             bands,
             data: FrameData::new(operator, measurement),
-            prior,
-            params,
             recipe,
             sigma,
             sigma_source,
@@ -155,7 +175,7 @@ impl Problem {
         &self.recipe
     }
 
-    /// Noise of a pixel with weight 1, in counts.
+    /// Noise of a pixel with weight 1, in counts; a guess where held-out pixels are to tell.
     pub fn sigma(&self) -> f64 {
         self.sigma
     }
@@ -168,25 +188,28 @@ impl Problem {
         mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<Reconstruction> {
-        let shape = self.data.shape();
         let mut history = Vec::new();
-        let solution = admm::solve(
-            &mut self.data,
-            &mut *self.prior,
-            shape,
-            &self.params,
-            &mut |progress| {
-                history.push(progress.residual_rms);
-                observer(progress)
-            },
-        );
-        if !solution.objective.is_finite() {
+        let found = self.find(&mut |progress| {
+            if progress.iteration == 1 {
+                history.clear();
+            }
+            history.push(progress.residual_rms);
+            observer(progress)
+        });
+        let Found {
+            prior,
+            prox,
+            choice,
+            solution,
+        } = found;
+        if !solution.certificate.primal.is_finite() {
             return Err(Error::work(
                 "reconstruction",
                 "the numbers overflowed",
                 "Check that frame and PSF hold plausible values, and give --noise-sigma.",
             ));
         }
+        let shape = self.data.shape();
         let informative = self.data.informative() as f64;
         let residual_rms = crate::vecmath::norm(&solution.residual) / informative.sqrt();
         let residual: Vec<f32> = solution
@@ -209,11 +232,11 @@ impl Problem {
             camera: &self.camera,
             bands: &self.bands,
             video: &video,
-            freedom: self.prior.degrees_of_freedom(video.data(), faint),
+            freedom: prox.degrees_of_freedom(video.data(), faint),
             history: &history,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
-            tau_is_given: self.recipe.tau.is_some(),
+            tau_is_given: matches!(self.recipe.tau, Tau::Given(_)),
             stop_reason: solution.stop_reason,
             support: solution.support,
         });
@@ -222,7 +245,9 @@ impl Problem {
             residual,
             residual_over_sigma: residual_rms / self.sigma,
             tau: solution.tau,
-            objective: solution.objective,
+            certificate: solution.certificate,
+            prior,
+            choice,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
             iterations: solution.iterations,
@@ -231,4 +256,54 @@ impl Problem {
             fit,
         })
     }
+
+    /// The choices that are left to the program, then the run.
+    fn find(&mut self, observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>) -> Found {
+        let most = self.recipe.max_iterations;
+        let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
+        let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.recipe.tau == Tau::Auto;
+        if is_unknown || self.recipe.tau == Tau::HeldOut {
+            match choose::noise_level(&mut self.data, standard, most, observer) {
+                Ok(sigma) => (self.sigma, self.sigma_source) = (sigma, SigmaSource::HeldOut),
+                Err(found) => return *found,
+            }
+        }
+        let rule = match self.recipe.tau {
+            Tau::Given(tau) => TauRule::Fixed(tau),
+            Tau::Auto | Tau::HeldOut => TauRule::Discrepancy { sigma: self.sigma },
+        };
+        let shape = self.data.shape();
+        let choice = match self.recipe.prior {
+            // The candidates differ in how they treat time.
+            None if shape.bins > 1 => {
+                match choose::choose_prior(&mut self.data, rule, self.sigma, most, observer) {
+                    Ok(choice) => Some(choice),
+                    Err(found) => return *found,
+                }
+            }
+            _ => None,
+        };
+        let prior = choice.as_ref().map_or(standard, |c| c.best().prior);
+        let mut prox = prior.prox(shape);
+        let params = prior.admm_params(shape, rule, most);
+        let solution = admm::solve(&mut self.data, &mut *prox, shape, &params, observer);
+        Found {
+            prior,
+            prox,
+            choice,
+            solution,
+        }
+    }
+}
+
+/// What a run ends with.
+struct Found {
+    prior: Prior,
+    prox: Box<dyn Prox>,
+    choice: Option<Choice>,
+    solution: Solution,
+}
+
+fn rms(values: &[f32]) -> f64 {
+    crate::vecmath::norm(values) / (values.len() as f64).sqrt()
 }

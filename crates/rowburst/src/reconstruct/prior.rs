@@ -19,6 +19,7 @@ use crate::linop::{Cosine, Wavelet};
 use crate::prox::{
     Composite, Isotropy, LowRank, Prox, Sparse, Variation, Variation3d, VariationWeights,
 };
+use crate::solve::admm::{AdmmParams, TauRule};
 use crate::{Error, Result, Shape};
 
 /// A prior: weights of the convex parts, and whether the video is restricted to its
@@ -72,11 +73,11 @@ const NONE: FurtherWeights = FurtherWeights {
 };
 
 impl Prior {
-    /// The default: `tv+0.5*tdiff+support`.
+    /// What does well on sparse scenes, still or moving: `tv+0.5*tdiff+support`.
     ///
     /// The temporal weight costs digits that change in every bin nothing (48.0 dB with
     /// and without) and gives a moving digit 0.2 dB, without the support 3.7 dB.
-    pub const AUTO: Self = Self {
+    pub const STANDARD: Self = Self {
         weights: VariationWeights {
             space: 1.0,
             time: 0.5,
@@ -98,6 +99,22 @@ impl Prior {
         "lowrank",
         "support",
     ];
+
+    /// The parameters of the solver for videos of `shape`.
+    pub(super) fn admm_params(
+        &self,
+        shape: Shape,
+        rule: TauRule,
+        max_iterations: Option<usize>,
+    ) -> AdmmParams {
+        let defaults = AdmmParams::new(rule);
+        AdmmParams {
+            support: self.support,
+            threshold: defaults.threshold * self.threshold_factor(shape),
+            max_iterations: max_iterations.unwrap_or(defaults.max_iterations),
+            ..defaults
+        }
+    }
 
     /// The prox of the convex parts over videos of `shape`.
     pub fn prox(&self, shape: Shape) -> Box<dyn Prox> {
@@ -175,10 +192,10 @@ impl Prior {
     /// Checks that a video of `bins` bins has what the terms speak of.
     ///
     /// # Errors
-    /// A term over time where there is a single bin. [`Self::AUTO`] is for any video: its
+    /// A term over time where there is a single bin. [`Self::STANDARD`] is for any video: its
     /// `tdiff` does nothing there.
     pub fn check_bins(&self, bins: usize) -> Result<()> {
-        if bins > 1 || *self == Self::AUTO {
+        if bins > 1 || *self == Self::STANDARD {
             return Ok(());
         }
         let of_time = ["tdiff", "tv3d", "tv3d-aniso", "group", "lowrank"];
@@ -214,12 +231,6 @@ impl Prior {
     }
 }
 
-impl Default for Prior {
-    fn default() -> Self {
-        Self::AUTO
-    }
-}
-
 fn refuse<T>(found: &str, rule: impl Into<String>) -> Result<T> {
     Err(Error::input(
         "--prior",
@@ -236,9 +247,6 @@ impl std::str::FromStr for Prior {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        if text.trim() == "auto" {
-            return Ok(Self::AUTO);
-        }
         let mut prior = Self {
             weights: NO_VARIATION,
             further: NONE,
@@ -261,7 +269,9 @@ impl std::str::FromStr for Prior {
                 (_, Some(place)) => *place = weight,
                 ("support", None) if weight == 1.0 => prior.support = true,
                 ("support", None) => return refuse(term, "support has no weight"),
-                ("auto", None) => return refuse(text, "auto is a whole prior and stands alone"),
+                ("auto", None) => {
+                    return refuse(text, "auto is a choice of the program and stands alone");
+                }
                 (_, None) => return refuse(term, unknown(name)),
             }
         }
@@ -351,7 +361,7 @@ mod tests {
         ] {
             assert_eq!(name.parse::<Prior>().unwrap().to_string(), name);
         }
-        assert_eq!("auto".parse::<Prior>().unwrap(), Prior::AUTO);
+        assert_eq!(Prior::STANDARD.to_string(), "tv+0.5*tdiff+support");
         assert_eq!(
             " support + tv ".parse::<Prior>().unwrap().to_string(),
             "tv+support"
@@ -373,6 +383,7 @@ mod tests {
             ("*lowrank", "above zero"),
             ("tv3d+tv3d-aniso", "two forms of one term"),
             ("auto+dct", "stands alone"),
+            ("auto", "stands alone"),
             ("tv+tv", "each term stands once"),
             ("-1*tv", "above zero"),
             ("nan*tv", "above zero"),
@@ -392,7 +403,7 @@ mod tests {
             let error = prior.check_bins(1).unwrap_err().to_string();
             assert!(error.contains("needs at least 2"), "{error}");
         }
-        for name in ["auto", "tv", "l1+support", "dct", "wavelet"] {
+        for name in ["tv+0.5*tdiff+support", "tv", "l1+support", "dct", "wavelet"] {
             assert!(name.parse::<Prior>().unwrap().check_bins(1).is_ok());
         }
     }
@@ -402,7 +413,7 @@ mod tests {
     fn the_threshold_follows_the_size_of_a_term() {
         let shape = Shape::new(25, 8, 9);
         let factor = |name: &str| name.parse::<Prior>().unwrap().threshold_factor(shape);
-        for name in ["auto", "tv", "2*tv+l1"] {
+        for name in ["tv+0.5*tdiff+support", "tv", "2*tv+l1"] {
             assert_eq!(factor(name), 1.0);
         }
         assert_eq!(factor("group"), 10.0);

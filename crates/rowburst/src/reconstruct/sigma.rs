@@ -18,8 +18,8 @@ const PASSED_BAND: f64 = 0.25;
 /// tenth of the horizontal frequencies that `psf` passes least.
 ///
 /// An upper bound where the PSF passes all frequencies of the pixel grid (a grain
-/// below two pixels).
-pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> f64 {
+/// below two pixels). `None` where no part of a row is whole enough.
+pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> Option<f64> {
     let image = measurement.image();
     let bands = Bands::new(measurement, psf);
     let blind = bands.blind_rms(|at| {
@@ -29,7 +29,7 @@ pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> f64 {
     let rms = (crate::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
     // A noiseless frame still has the rounding of its numbers.
     let floor = 1e-5 * rms;
-    blind.map_or(floor.max(rms / 256.0), |blind| blind.max(floor))
+    blind.map(|blind| blind.max(floor))
 }
 
 /// The horizontal frequencies that the optics pass least and best, and where in a frame

@@ -45,6 +45,13 @@ impl ConjugateGradient {
         }
     }
 
+    /// Another operator: starts from zero with videos restricted to `support`, if there is one.
+    pub fn restart(&mut self, support: Option<&Support>, preconditioner: Box<dyn Preconditioner>) {
+        self.y.fill(0.0);
+        self.support = support.cloned();
+        self.preconditioner = preconditioner;
+    }
+
     /// Overwrites `y`, and `gram_y` with `A P Aᵀ y`, exact for the `y` returned; whether
     /// `y` has reached the tolerance.
     pub fn solve(

@@ -70,4 +70,10 @@ pub trait DataTerm {
 
     /// From now on videos are zero outside `support`.
     fn restrict(&mut self, support: &Support);
+
+    /// Follows the light of `video`, where the noise depends on it: whether `A` and `b`, of
+    /// which the weights are a part, have changed.
+    fn follow(&mut self, _video: &[f32]) -> bool {
+        false
+    }
 }

@@ -93,6 +93,7 @@ impl<'a, 'o> Watch<'a, 'o> {
             self.certify(iterate);
         }
         (self.observer)(&Progress {
+            label: "",
             iteration: k,
             max_iterations: self.limits.max_iterations,
             video: iterate.video,

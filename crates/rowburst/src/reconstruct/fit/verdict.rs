@@ -125,7 +125,7 @@ fn noise_level(evidence: &Evidence, s: &FitStatistics) -> Option<(Verdict, Strin
     let check = match evidence.sigma_source {
         SigmaSource::Given => "leave σ out, or give",
         SigmaSource::Calibration => "check gain and read noise, or give a σ of",
-        SigmaSource::Frame => "give a σ of",
+        SigmaSource::Frame | SigmaSource::HeldOut => "give a σ of",
     };
     let effect = if high {
         "the solver has fitted noise (or the frame has detail finer than the optics pass: bad pixels or columns that are not marked)"

@@ -1,90 +1,20 @@
-//! ADMM with the exact proximal step of the data term.
-//!
-//! `min_v f(v) + τ R(v)` is split into `x = z`: `x` takes the step of the data term,
-//!
-//! ```text
-//! x = argmin ½‖b − A x‖² + ρ/2 ‖x − p‖² = p + Aᵀ (A Aᵀ + ρI)⁻¹ (b − A p),   p = z − u
-//! ```
-//!
-//! and `z` the prox of the prior with `β = τ/ρ` (Boyd et al. 2011; over-relaxed).
-//! `A z` is the only product with `A` in an iteration: `A x` follows from the solve,
-//! and `A u` by addition.
-//!
-//! **Threshold.** `β` is what the prior takes from the video in a step; it is a fixed
-//! part of the video's own brightness, so nothing depends on the units of the data.
-//!
-//! **τ by discrepancy.** With the noise `σ` known the problem is `min R(v)` with
-//! `‖b − A v‖² ≤ σ²(m − df)`: the same iteration, with `ρ` now the multiplier that
-//! puts `x` on the bound, corrected a little in every iteration; `τ = ρβ` comes out.
-//! The `df` values that the fit spends (see [`Prox::degrees_of_freedom`]) take their
-//! share of the noise with them, so the bound lies below `σ²m`; at `σ²m` itself
-//! pictures of digits are over-smoothed (1.5 dB in a trial without the support).
-//!
-//! **Support.** A sparse scene lights few voxels. Once the video has taken shape, it is
-//! restricted to its bright voxels and their neighbours, found anew every few
-//! iterations: the limit of reweighted ℓ1 (Candès, Wakin & Boyd 2008). The data then
-//! determine what is left far better, and the iteration, whose slow part is light that
-//! hides in dark voxels, converges in a few steps. Where
-//! they cannot explain what was measured of a bin, its threshold is lowered and the
-//! voxels are added to which the residual points, `Aᵀ(b − A v)`; in the end all are.
+//! The variables of an iteration, and its steps.
 
-use super::{DataTerm, StopReason};
+use super::{AdmmParams, Solution, TauRule};
 use crate::prox::Prox;
-use crate::vecmath::{distance_squared, norm, simd};
+use crate::solve::{Certificate, DataTerm, StopReason};
+use crate::vecmath::{distance_squared, dot, norm, norm_squared, simd};
 use crate::{Shape, Support};
 use rayon::prelude::*;
-use std::ops::ControlFlow;
-
-/// How `τ` is found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum TauRule {
-    /// Given.
-    Fixed(f64),
-    /// By the discrepancy principle, for noise of this standard deviation.
-    Discrepancy {
-        /// Standard deviation of the noise in the units of `b`.
-        sigma: f64,
-    },
-}
-
-/// Parameters of [`solve`]; `default` is what the tables in the documentation use.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AdmmParams {
-    /// How `τ` is found.
-    pub tau: TauRule,
-    /// Over-relaxation, between 1 and 2.
-    pub relaxation: f64,
-    /// `β` over the brightness of the video.
-    pub threshold: f64,
-    /// Most iterations.
-    pub max_iterations: usize,
-    /// Relative change of the video in an iteration at which it stops.
-    pub tolerance: f64,
-    /// Whether the video is restricted to its support.
-    pub support: bool,
-}
-
-impl AdmmParams {
-    /// The defaults with `tau`.
-    pub fn new(tau: TauRule) -> Self {
-        Self {
-            tau,
-            relaxation: 1.6,
-            // From 0.005 to 0.012 digits and a moving digit end within 0.4 dB of each
-            // other, in a trial before the support was refined as it is now; the
-            // larger, the fewer iterations.
-            threshold: 0.01,
-            max_iterations: 300,
-            tolerance: 1e-4,
-            support: true,
-        }
-    }
-}
 
 /// Iterations in which the brightness that `β` refers to is followed.
 const SETTLE: usize = 60;
 /// The first data step spreads the light of a sparse scene; it is this much brighter.
 const FIRST_GUESS: f64 = 10.0;
+/// Iterations from one look at the light that the noise depends on to the next, at first;
+/// later, when it moves little, five times as many.
+const FOLLOW_EVERY: usize = 20;
+const FOLLOW_OFTEN: usize = 100;
 /// First iteration that counts the degrees of freedom: before, everything is lit.
 const COUNT_AFTER: usize = 40;
 /// Largest part of the measurements that the fit is allowed to spend.
@@ -107,101 +37,18 @@ const MISFIT: f64 = 1.3;
 /// the level at which every voxel is allowed.
 const LEVEL_STEP: f64 = 0.125;
 const OPEN: usize = 5;
+/// Brightest voxel that the certificate speaks of, over the brightest one found.
+const CEILING: f64 = 2.0;
 
-/// What an observer sees after each iteration.
-pub struct Progress<'a> {
-    /// Iterations done.
-    pub iteration: usize,
-    /// Most iterations.
-    pub max_iterations: usize,
-    /// The video of this iteration, `[t, y, x]`.
-    pub video: &'a [f32],
-    /// Root mean square of `b − A v` over the measurements that carry information.
-    pub residual_rms: f64,
-    /// `½‖b − A v‖² + τ R(v)` at the last iteration that computed it.
-    pub objective: f64,
-    /// `τ` of this iteration.
-    pub tau: f64,
-    /// Relative change of the video.
-    pub change: f64,
-    /// Part of the voxels that may be lit.
-    pub support: f64,
-}
-
-/// What [`solve`] found.
-#[derive(Debug, Clone)]
-pub struct Solution {
-    /// The video, `[t, y, x]`.
-    pub video: Vec<f32>,
-    /// `b − A v`.
-    pub residual: Vec<f32>,
-    /// `τ` at the end.
-    pub tau: f64,
-    /// `½‖b − A v‖² + τ R(v)` at the end.
-    pub objective: f64,
-    /// Iterations done.
-    pub iterations: usize,
-    /// Why it stopped.
-    pub stop_reason: StopReason,
-    /// Part of the voxels that may be lit.
-    pub support: f64,
-}
-
-/// Minimises `½‖b − A v‖² + τ R(v)` over `v ≥ 0` of `shape`, from `v = 0`.
-///
-/// `observer` sees every iteration and may stop it; the video so far is returned.
-///
-/// # Panics
-/// If the shapes of `data`, `prior` and `shape` disagree.
-pub fn solve(
-    data: &mut dyn DataTerm,
-    prior: &mut dyn Prox,
-    shape: Shape,
-    params: &AdmmParams,
-    observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> Solution {
-    let mut state = State::new(data, shape, params);
-    let mut stop_reason = StopReason::IterationLimit;
-    let mut objective = f64::INFINITY;
-    for k in 1..=params.max_iterations {
-        state.data_step(data, params);
-        let change = state.prior_step(data, prior);
-        if k % 10 == 1 {
-            objective = state.objective(data, prior);
-        }
-        let progress = Progress {
-            iteration: k,
-            max_iterations: params.max_iterations,
-            video: &state.z,
-            residual_rms: state.residual_rms(data),
-            objective,
-            tau: state.tau(),
-            change,
-            support: state.support_fraction,
-        };
-        let verdict = observer(&progress);
-        state.iterations = k;
-        if let ControlFlow::Break(reason) = verdict {
-            stop_reason = reason;
-            break;
-        }
-        state.adapt(data, prior, params, k);
-        let support_is_settled = !params.support || state.support_settled;
-        if k > SETTLE && change < params.tolerance && support_is_settled {
-            stop_reason = StopReason::Converged;
-            break;
-        }
-    }
-    state.finish(data, prior, stop_reason)
-}
-
-struct State {
+pub(super) struct State {
     shape: Shape,
     x: Vec<f32>,
     z: Vec<f32>,
     u: Vec<f32>,
     az: Vec<f32>,
     au: Vec<f32>,
+    /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last data step: `ρ y = b − A x`.
+    y: Vec<f32>,
     rho: f64,
     lowest_rho: f64,
     /// Data steps in a row that were solved worse than asked for.
@@ -212,7 +59,9 @@ struct State {
     /// Bound on `‖b − A v‖`, and `‖b − A x‖` of the last data step.
     bound: f64,
     x_misfit: f64,
-    iterations: usize,
+    /// Whether `ρ` was left as it was.
+    is_steady: bool,
+    pub iterations: usize,
     /// How often the support of each bin has been widened.
     levels: Vec<usize>,
     support: Option<Support>,
@@ -221,37 +70,65 @@ struct State {
 }
 
 impl State {
-    fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
+    pub fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
         let (n, m) = (data.operator().domain_len(), data.operator().range_len());
         assert_eq!(n, shape.voxels(), "the operator takes videos of this shape");
-        let bound = match params.tau {
-            TauRule::Fixed(_) => 0.0,
-            TauRule::Discrepancy { sigma } => sigma * (data.informative() as f64).sqrt(),
-        };
-        Self {
+        let mut state = Self {
             shape,
             x: vec![0.0; n],
             z: vec![0.0; n],
             u: vec![0.0; n],
             az: vec![0.0; m],
             au: vec![0.0; m],
+            y: vec![0.0; m],
             rho: 0.01 * data.scale(),
             lowest_rho: 1e-7 * data.scale(),
             poor_steps: 0,
             beta: 0.0,
             rule: params.tau,
             relative_threshold: params.threshold,
-            bound,
+            bound: 0.0,
             x_misfit: 0.0,
+            is_steady: false,
             iterations: 0,
             levels: vec![0; shape.bins],
             support: None,
             support_fraction: 1.0,
             support_settled: false,
+        };
+        state.aim_at(params.tau, data);
+        state
+    }
+
+    /// From now on `τ` is found by this rule.
+    pub fn aim_at(&mut self, rule: TauRule, data: &dyn DataTerm) {
+        self.rule = rule;
+        self.is_steady = false;
+        match rule {
+            TauRule::Discrepancy { sigma } => {
+                self.bound = sigma * (data.informative() as f64).sqrt();
+            }
+            TauRule::Fixed(tau) if self.beta > 0.0 => self.rho = tau / self.beta,
+            TauRule::Fixed(_) => {}
         }
     }
 
-    fn tau(&self) -> f64 {
+    /// The video, `[t, y, x]`.
+    pub fn video(&self) -> &[f32] {
+        &self.z
+    }
+
+    /// Part of the voxels that may be lit.
+    pub fn support_fraction(&self) -> f64 {
+        self.support_fraction
+    }
+
+    /// Whether `β`, `τ` and the support are what they will be.
+    pub fn is_settled(&self, params: &AdmmParams) -> bool {
+        self.iterations > SETTLE && self.is_steady && (!params.support || self.support_settled)
+    }
+
+    pub fn tau(&self) -> f64 {
         match self.rule {
             TauRule::Fixed(tau) => tau,
             TauRule::Discrepancy { .. } => self.rho * self.beta,
@@ -259,21 +136,19 @@ impl State {
     }
 
     /// `u ← q = x̂ + u` with `x̂ = αx + (1−α)z`, and `A u` along with it.
-    fn data_step(&mut self, data: &mut dyn DataTerm, params: &AdmmParams) {
+    pub fn data_step(&mut self, data: &mut dyn DataTerm, params: &AdmmParams) {
         let alpha = params.relaxation as f32;
         let m = self.az.len();
         // b − A p with p = z − u
         let rest: Vec<f32> = (0..m)
             .map(|i| data.measured()[i] - self.az[i] + self.au[i])
             .collect();
-        let (mut y, mut gram_y) = (vec![0.0f32; m], vec![0.0f32; m]);
-        let solved = data.solve_gram(&rest, self.rho, &mut y, &mut gram_y);
+        let mut gram_y = vec![0.0f32; m];
+        let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
         self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
-        data.operator().adjoint(&y, &mut self.x); // x − p
-        if let Some(support) = &self.support {
-            support.apply(&mut self.x);
-        }
+        data.operator().adjoint(&self.y, &mut self.x); // x − p
+        self.restrict_x();
         let steps = self.u.par_chunks_mut(CHUNK).zip(self.x.par_chunks(CHUNK));
         steps.zip(self.z.par_chunks(CHUNK)).for_each(|((u, x), z)| {
             simd(
@@ -291,7 +166,7 @@ impl State {
     }
 
     /// `z = prox(q)`, `u = q − z`; returns the relative change of `z`.
-    fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) -> f64 {
+    pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) -> f64 {
         if self.beta == 0.0 {
             self.follow_brightness(true);
         }
@@ -317,13 +192,8 @@ impl State {
     }
 
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
-    fn adapt(
-        &mut self,
-        data: &mut dyn DataTerm,
-        prior: &mut dyn Prox,
-        params: &AdmmParams,
-        k: usize,
-    ) {
+    pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
+        let (k, rho) = (self.iterations, self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
             if self.poor_steps >= MOST_POOR_STEPS {
                 // The smaller ρ, the harder the step: misfit that comes of poor steps would
@@ -351,6 +221,14 @@ impl State {
         {
             self.restrict(data, prior, k > SUPPORT_AFTER);
         }
+        if (k <= FOLLOW_OFTEN || k.is_multiple_of(5 * FOLLOW_EVERY))
+            && k.is_multiple_of(FOLLOW_EVERY)
+            && data.follow(&self.z)
+        {
+            data.operator().apply(&self.z, &mut self.az);
+            data.operator().apply(&self.u, &mut self.au);
+        }
+        self.is_steady = self.rho == rho;
         if k.is_multiple_of(50) {
             // A u is a long sum: start it afresh.
             data.operator().apply(&self.u, &mut self.au);
@@ -422,6 +300,43 @@ impl State {
         }
     }
 
+    /// See the module of [`super`]; overwrites `x`.
+    pub fn certify(&mut self, data: &dyn DataTerm, prior: &dyn Prox) -> Certificate {
+        let (b, tau) = (data.measured(), self.tau());
+        let brightest = self.z.par_iter().copied().reduce(|| 0.0, f32::max);
+        data.operator().adjoint(&self.y, &mut self.x);
+        // Twice: a trace has no part outside the support, and the dual may have one.
+        self.restrict_x();
+        prior.subtract_dual(&mut self.x);
+        self.restrict_x();
+        // In units of ρ up to here.
+        let over: f64 = self
+            .x
+            .par_chunks(CHUNK)
+            .map(|x| x.iter().map(|v| f64::from(v.max(0.0))).sum::<f64>())
+            .collect::<Vec<_>>()
+            .iter()
+            .sum();
+        let rise = self.rho * (dot(b, &self.y) - CEILING * f64::from(brightest) * over);
+        let size = self.rho * self.rho * norm_squared(&self.y);
+        // s·y with s·c is as good a dual point for every 0 ≤ s ≤ 1.
+        let s = if size > 0.0 {
+            (rise / size).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        Certificate {
+            primal: 0.5 * distance_squared(b, &self.az) + tau * prior.value(&self.z),
+            dual: s * rise - 0.5 * s * s * size,
+        }
+    }
+
+    fn restrict_x(&mut self) {
+        if let Some(support) = &self.support {
+            support.apply(&mut self.x);
+        }
+    }
+
     fn residual(&self, data: &dyn DataTerm) -> Vec<f32> {
         data.measured()
             .iter()
@@ -430,19 +345,26 @@ impl State {
             .collect()
     }
 
-    fn residual_rms(&self, data: &dyn DataTerm) -> f64 {
+    pub fn residual_rms(&self, data: &dyn DataTerm) -> f64 {
         (distance_squared(data.measured(), &self.az) / data.informative() as f64).sqrt()
     }
 
-    fn objective(&self, data: &dyn DataTerm, prior: &dyn Prox) -> f64 {
+    pub fn objective(&self, data: &dyn DataTerm, prior: &dyn Prox) -> f64 {
         0.5 * distance_squared(data.measured(), &self.az) + self.tau() * prior.value(&self.z)
     }
 
-    fn finish(self, data: &dyn DataTerm, prior: &dyn Prox, stop_reason: StopReason) -> Solution {
+    pub fn finish(
+        mut self,
+        data: &dyn DataTerm,
+        prior: &dyn Prox,
+        stop_reason: StopReason,
+    ) -> Solution {
+        let certificate = self.certify(data, prior);
         Solution {
+            certificate,
             residual: self.residual(data),
             tau: self.tau(),
-            objective: self.objective(data, prior),
+            objective: certificate.primal,
             iterations: self.iterations,
             stop_reason,
             support: self.support_fraction,

@@ -1,0 +1,90 @@
+//! How the noise of a pixel follows its light.
+
+/// Shot, read and rounding noise of every pixel of a measurement:
+/// `variance = slope·light + floor`, light and noise in counts.
+///
+/// With the weights of the light that a model expects, `½‖W(b − A v)‖²` has the gradient of
+/// the likelihood of a Poisson count with the floor's variance added to it (shifted Poisson;
+/// Snyder, Hammoud & White 1993): `Aᵀ(b − A v)/(slope·A v + floor)`. Following the light
+/// is Fisher scoring of that likelihood (iteratively reweighted least squares).
+#[derive(Debug, Clone, PartialEq)]
+pub struct NoiseLaw {
+    slope: Vec<f32>,
+    floor: Vec<f32>,
+    reference: f64,
+}
+
+impl NoiseLaw {
+    /// The law of pixels with these slopes (counts) and floors (counts²); a floor that is
+    /// infinite is that of a pixel without information. The noise that `light` has in the
+    /// median is that of weight 1.
+    ///
+    /// # Panics
+    /// If the lengths differ.
+    pub fn new(slope: Vec<f32>, floor: Vec<f32>, light: &[f32]) -> Self {
+        assert_eq!(slope.len(), floor.len(), "a floor for each slope");
+        let mut law = Self {
+            slope,
+            floor,
+            reference: 1.0,
+        };
+        let mut known: Vec<f64> = law
+            .variances(light)
+            .filter(|variance| variance.is_finite())
+            .collect();
+        if !known.is_empty() {
+            let middle = known.len() / 2;
+            law.reference = known
+                .select_nth_unstable_by(middle, f64::total_cmp)
+                .1
+                .sqrt();
+        }
+        law
+    }
+
+    /// Standard deviation of a pixel with weight 1, in counts.
+    pub fn sigma(&self) -> f64 {
+        self.reference
+    }
+
+    /// `σ_ref/σ` of every pixel that expects `light` counts, 0 without information.
+    ///
+    /// # Panics
+    /// If the length is not that of the law.
+    pub fn weights(&self, light: &[f32]) -> Vec<f32> {
+        self.variances(light)
+            .map(|variance| (self.reference / variance.sqrt()) as f32)
+            .collect()
+    }
+
+    /// A pixel that expects less than one electron has the noise of one: the slope is the
+    /// counts of an electron.
+    fn variances<'a>(&'a self, light: &'a [f32]) -> impl Iterator<Item = f64> + 'a {
+        assert_eq!(light.len(), self.slope.len(), "light of every pixel");
+        let laws = self.slope.iter().zip(&self.floor);
+        laws.zip(light).map(|((&slope, &floor), &light)| {
+            f64::from(slope) * f64::from(light.max(slope)) + f64::from(floor)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variance_is_that_of_electrons() {
+        // Half a count for an electron, 3 electrons of read noise.
+        let law = NoiseLaw::new(
+            vec![0.5; 3],
+            vec![2.25, 2.25, f32::INFINITY],
+            &[8.0, 8.0, 8.0],
+        );
+        // 16 electrons and 9 electrons².
+        assert!((law.sigma() - 0.5 * 25f64.sqrt()).abs() < 1e-6);
+        let weights = law.weights(&[8.0, -1.0, 8.0]);
+        assert!((weights[0] - 1.0).abs() < 1e-6);
+        assert!((f64::from(weights[1]) - 2.5 / (0.5 * 10f64.sqrt())).abs() < 1e-6);
+        assert_eq!(weights[2], 0.0);
+    }
+}

@@ -1,0 +1,87 @@
+//! Pixels that the solver does not see, to test what it finds.
+//!
+//! A video that fits the pixels it was made from may have followed their noise. It has
+//! seen nothing of pixels that are held out, so there its error is that of the video and
+//! the noise, `⟨(w(b − A v)/σ)²⟩`, and the lower of two is the better one (cross-validation;
+//! Stone 1974, Ward 2009 for compressed sensing).
+
+use crate::RollingShutter;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_pcg::Pcg64;
+
+/// Part of the pixels of each instant.
+const PART: f64 = 0.05;
+
+/// The draw is always the same: so is the result.
+const SEED: u64 = 0x0526_d017;
+
+/// Pixels that are held out: a random 5 % of those that each instant reads.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct HeldOut {
+    pixels: Vec<usize>,
+}
+
+impl HeldOut {
+    /// Draws from the pixels with a weight above zero; at least one of each instant that
+    /// has 10 or more.
+    pub fn draw(shutter: &RollingShutter, weights: Option<&[f32]>) -> Self {
+        let mut rng = Pcg64::seed_from_u64(SEED);
+        let mut pixels = Vec::new();
+        for instant in 0..shutter.rows_of_instants().len() {
+            let mut usable = shutter.indices_of(instant);
+            usable.retain(|&i| weights.is_none_or(|w| w[i] > 0.0));
+            let count = match usable.len() {
+                0..10 => 0,
+                n => ((PART * n as f64).round() as usize).max(1),
+            };
+            usable.shuffle(&mut rng);
+            pixels.extend_from_slice(&usable[..count]);
+        }
+        pixels.sort_unstable();
+        Self { pixels }
+    }
+
+    /// Indices in the frame, in order.
+    pub fn pixels(&self) -> &[usize] {
+        &self.pixels
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraParams;
+    use crate::{Camera, Image, Psf, Sensor, Shutter};
+
+    #[test]
+    fn takes_a_twentieth_of_each_instant() {
+        let camera = Camera::new(CameraParams {
+            rows: 8,
+            columns: 50,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 10.0,
+            exposure_us: 10.0,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let psf = Psf::new(Image::from_fn(5, 5, |_, _| 1.0)).unwrap();
+        let shutter = RollingShutter::new(&camera, &psf);
+        let mut weights = vec![1.0f32; 400];
+        // Of the middle rows, those of the first instant, half are bad.
+        weights[150..200].fill(0.0);
+        let held_out = HeldOut::draw(&shutter, Some(&weights));
+        for instant in 0..4 {
+            let of_instant = shutter.indices_of(instant);
+            let count = of_instant
+                .iter()
+                .filter(|i| held_out.pixels().contains(i))
+                .count();
+            assert_eq!(count, if instant == 0 { 3 } else { 5 });
+        }
+        assert!(held_out.pixels().iter().all(|&i| weights[i] > 0.0));
+        assert_eq!(held_out, HeldOut::draw(&shutter, Some(&weights)));
+    }
+}
