@@ -96,7 +96,7 @@ impl Support {
         lit as f64 / self.mask.len() as f64
     }
 
-    /// Sets all voxels outside the support to zero.
+    /// Sets all voxels outside the support to zero, and leaves what follows the video.
     pub fn apply(&self, video: &mut [f32]) {
         video
             .par_iter_mut()

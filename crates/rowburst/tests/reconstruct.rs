@@ -254,6 +254,7 @@ fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
     assert_eq!(choice.held_out, 24 * 4);
     let named = case.solve(Recipe {
         prior: Some(found.prior),
+        noise_sigma: Some(choice.best().slack * found.sigma),
         ..Recipe::default()
     });
     assert!(named.choice.is_none());

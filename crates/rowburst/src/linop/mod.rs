@@ -8,6 +8,7 @@ mod cosine;
 mod differences;
 pub mod laws;
 mod norm;
+mod two_parts;
 mod wavelet;
 mod weighted;
 
@@ -15,6 +16,7 @@ pub use bins::{Band, BinTransform, OverBins};
 pub use cosine::Cosine;
 pub use differences::{Axis, Differences};
 pub use norm::operator_norm;
+pub use two_parts::{SecondPart, TwoParts, sum_of_bins};
 pub use wavelet::Wavelet;
 pub use weighted::Weighted;
 

@@ -5,6 +5,7 @@
 pub mod composite;
 pub mod dual;
 pub mod lowrank;
+pub mod parts;
 pub mod sparse;
 pub mod variation;
 pub mod variation3d;
@@ -12,6 +13,7 @@ pub mod variation3d;
 pub use composite::Composite;
 pub use dual::DualTerm;
 pub use lowrank::LowRank;
+pub use parts::Parts;
 pub use sparse::Sparse;
 pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};

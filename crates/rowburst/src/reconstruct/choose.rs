@@ -13,7 +13,7 @@
 //! convex problem. Then that level and its neighbours are tried with the whole prior.
 
 use super::data::FrameData;
-use super::{Found, Prior};
+use super::{Found, Prior, show};
 use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
 use crate::solve::{DataTerm, StopReason};
 use crate::vecmath::norm;
@@ -28,6 +28,17 @@ pub const CANDIDATES: [&str; 3] = [
     "tv+2*tdiff+support",
     "group+support",
 ];
+
+/// What is tried as well where a scene is not sparse: light on more than a third of the voxels is
+/// often that of a background. 12 px digits and a moving one before a background three times as
+/// bright: 33.5 and 32.0 dB, without it 16.6 and 15.0 dB.
+pub const DENSE_CANDIDATES: [&str; 1] = ["tv+0.5*tdiff+0.3*l1+background+support"];
+const DENSE: f64 = 1.0 / 3.0;
+
+/// Factors on the noise level that are tried with the best prior, as long as they help. With a
+/// signal-to-noise ratio of 256 none does; at 8 digits gain 1.9 dB from 1.15, since what
+/// counts as chosen freely by the fit is then mostly noise.
+const SLACKS: [f64; 2] = [1.1, 1.2];
 
 /// Held-out error over that of the best so far after as many iterations at which a candidate
 /// is given up, early and late; LEDs stand at 3 after 100 iterations of a prior that ends best.
@@ -54,10 +65,28 @@ pub struct Choice {
 pub struct Candidate {
     /// The prior.
     pub prior: Prior,
+    /// Noise level that the discrepancy principle aimed at, over `σ`.
+    pub slack: f64,
     /// Rms of `W(b − A v)/σ` over the pixels held out.
     pub error: f64,
+    /// Part of the voxels that it lets be lit.
+    pub support: f64,
     /// Whether it was given up before its end.
     pub given_up: bool,
+}
+
+impl Candidate {
+    /// The prior, and the factor on the noise level where it is not 1.
+    pub fn name(&self) -> String {
+        if self.slack == 1.0 {
+            self.prior.to_string()
+        } else {
+            format!(
+                "{} with the noise taken {} times as strong",
+                self.prior, self.slack
+            )
+        }
+    }
 }
 
 impl Choice {
@@ -76,11 +105,11 @@ impl Choice {
         let best = self.best();
         let others = self.candidates.iter().filter(|c| **c != best).map(|c| {
             let given_up = if c.given_up { ", given up" } else { "" };
-            format!("{} {:.3} σ{given_up}", c.prior, c.error)
+            format!("{} {:.3} σ{given_up}", c.name(), c.error)
         });
         format!(
             "{} predicts {} pixels that it had not seen to {:.3} σ; {}",
-            best.prior,
+            best.name(),
             self.held_out,
             best.error,
             others.collect::<Vec<_>>().join("; ")
@@ -104,22 +133,49 @@ pub(super) fn choose_prior(
         candidates: Vec::new(),
         held_out: held_out.pixels().len(),
     };
-    let mut course: Vec<f64> = Vec::new();
-    for name in CANDIDATES {
-        let prior: Prior = name.parse().expect("a candidate is a prior");
-        data.hold_out(Some(held_out.clone()));
+    let mut best: Vec<f64> = Vec::new();
+    let mut run = |choice: &mut Choice, prior: Prior, slack: f64| -> Result<bool, Box<Found>> {
+        data.start(prior.second_part(), Some(held_out.clone()));
         let params = AdmmParams {
             tolerance: TOLERANCE,
-            ..prior.admm_params(data.shape(), rule, most)
+            ..prior.admm_params(data.shape(), slackened(rule, slack), most)
         };
-        let (candidate, errors) = try_candidate(data, prior, &params, sigma, &course, observer)?;
+        let (candidate, errors) = try_candidate(data, prior, &params, sigma, &best, observer)?;
+        let candidate = Candidate { slack, ..candidate };
         choice.candidates.push(candidate);
         if choice.best() == candidate {
-            course = errors;
+            best = errors;
+        }
+        Ok(choice.best() == candidate)
+    };
+    let named = |name: &str| name.parse().expect("a candidate is a prior");
+    for name in CANDIDATES {
+        run(&mut choice, named(name), 1.0)?;
+    }
+    if choice.best().support > DENSE {
+        for name in DENSE_CANDIDATES {
+            run(&mut choice, named(name), 1.0)?;
         }
     }
-    data.hold_out(None);
+    if let TauRule::Discrepancy { .. } = rule {
+        for slack in SLACKS {
+            let prior = choice.best().prior;
+            if !run(&mut choice, prior, slack)? {
+                break;
+            }
+        }
+    }
     Ok(choice)
+}
+
+/// The rule for noise that is `slack` times as strong.
+pub(super) fn slackened(rule: TauRule, slack: f64) -> TauRule {
+    match rule {
+        TauRule::Fixed(_) => rule,
+        TauRule::Discrepancy { sigma } => TauRule::Discrepancy {
+            sigma: slack * sigma,
+        },
+    }
 }
 
 /// Runs a candidate; also returns the course of its errors. `best` is that of the best so far.
@@ -142,10 +198,11 @@ fn try_candidate(
             .max(EARLY)
             .min(params.max_iterations);
         let reason = run.run(data, &mut *prox, until, &mut |progress| {
-            observer(&Progress {
+            let progress = Progress {
                 label: &label,
                 ..*progress
-            })
+            };
+            show(prior.second_part(), shape, &progress, observer)
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.solution(data, &*prox, reason);
@@ -169,7 +226,9 @@ fn try_candidate(
         if ended || given_up {
             let candidate = Candidate {
                 prior,
+                slack: 1.0,
                 error,
+                support: run.support(),
                 given_up: given_up && !ended,
             };
             return Ok((candidate, errors));
@@ -204,7 +263,7 @@ pub(super) fn noise_level(
         ..prior
     };
     let held_out = data.held_out();
-    data.hold_out(Some(held_out.clone()));
+    data.start(prior.second_part(), Some(held_out.clone()));
     let rms_of_frame = norm(data.measured()) / (data.informative() as f64).sqrt();
     let mut sigma = HIGHEST * rms_of_frame;
     let rule = |sigma| TauRule::Discrepancy { sigma };
@@ -220,10 +279,11 @@ pub(super) fn noise_level(
     while sigma >= LOWEST * rms_of_frame {
         let until = run.iterations() + if path.is_empty() { FIRST_LEVEL } else { LEVEL };
         let reason = run.run(data, &mut *prox, until, &mut |progress| {
-            observer(&Progress {
+            let progress = Progress {
                 label: "finding the noise level",
                 ..*progress
-            })
+            };
+            show(prior.second_part(), shape, &progress, observer)
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.solution(data, &*prox, reason);
@@ -252,7 +312,7 @@ pub(super) fn noise_level(
     let level = highest.unwrap_or(sigma);
     let mut tried: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / FALL, level, level * FALL] {
-        data.hold_out(Some(held_out.clone()));
+        data.start(whole.second_part(), Some(held_out.clone()));
         let params = AdmmParams {
             tolerance: TOLERANCE,
             ..whole.admm_params(shape, rule(sigma), most)
@@ -260,7 +320,6 @@ pub(super) fn noise_level(
         let (candidate, _) = try_candidate(data, whole, &params, 1.0, &[], observer)?;
         tried.push((sigma, candidate.error));
     }
-    data.hold_out(None);
     let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1));
     Ok(best.map_or(level, |(sigma, _)| *sigma))
 }

@@ -1,12 +1,14 @@
 //! The data term of a rolling-shutter frame: `½‖W(b − A v)‖²`.
 
 use super::held_out::HeldOut;
-use crate::linop::{LinearOperator, Weighted};
+use crate::camera::CameraParams;
+use crate::linop::{LinearOperator, SecondPart, TwoParts, Weighted, sum_of_bins};
 use crate::measurement::{Measurement, NoiseLaw};
 use crate::solve::blocks::Blocks;
+use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
 use crate::solve::{DataTerm, GramSolver};
-use crate::{RollingShutter, Shape, Support};
+use crate::{Camera, PatchSet, RollingShutter, Shape, Shutter, Support};
 use faer::MatMut;
 use faer::reborrow::ReborrowMut;
 use std::sync::Arc;
@@ -18,8 +20,14 @@ const MOST_BYTES: usize = 4 << 30;
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
     shutter: Arc<RollingShutter>,
-    /// `W A`.
+    /// `W A`, and the same of both parts of a video.
     operator: Arc<Weighted<Arc<RollingShutter>>>,
+    parts: TwoParts<Arc<Weighted<Arc<RollingShutter>>>>,
+    second: SecondPart,
+    /// What convolves the whole field at once, where the second part stands still.
+    planes: Option<RollingShutter>,
+    camera: Camera,
+    psfs: PatchSet,
     /// `b` and `W b`.
     frame: Vec<f32>,
     measured: Vec<f32>,
@@ -36,12 +44,14 @@ pub(super) struct FrameData {
 enum Gram {
     /// No bin is seen by two instants: the blocks are all there is.
     Exact(Blocks),
+    /// The same, and a part that all bins share.
+    Bordered(Blocks, Bordered),
     Iterative(ConjugateGradient),
 }
 
 impl FrameData {
-    pub fn new(operator: RollingShutter, measurement: &Measurement) -> Self {
-        let shutter = Arc::new(operator);
+    pub fn new(camera: &Camera, psfs: PatchSet, measurement: &Measurement) -> Self {
+        let shutter = Arc::new(RollingShutter::new(camera, psfs.clone()));
         let frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
         // Halfway between the middle and the edge of the sensor.
@@ -50,19 +60,26 @@ impl FrameData {
             .pixel_power(rows / 4, columns / 4)
             .max(f64::MIN_POSITIVE);
         let operator = Arc::new(Weighted::new(Arc::clone(&shutter), weights.clone()));
-        let gram = match blocks(&operator, None) {
+        let second = SecondPart::None;
+        let gram = match blocks(&operator, (None, second)) {
             Some(blocks) if shutter.time().is_disjoint() => Gram::Exact(blocks),
             blocks => {
                 let preconditioner = preconditioner(&operator, blocks, scale);
                 Gram::Iterative(ConjugateGradient::new(preconditioner, frame.len()))
             }
         };
+        let parts = TwoParts::new(Arc::clone(&operator), shutter.video_shape(), second);
         let mut data = Self {
             measured: Vec::new(),
             informative: 0,
             noise: measurement.noise().cloned(),
             held_out: None,
             support: None,
+            camera: camera.clone(),
+            psfs,
+            planes: None,
+            second,
+            parts,
             shutter,
             operator,
             frame,
@@ -92,11 +109,47 @@ impl FrameData {
         HeldOut::draw(&self.shutter, self.weights())
     }
 
-    /// Starts afresh, on all voxels, without the pixels of `held_out`.
-    pub fn hold_out(&mut self, held_out: Option<HeldOut>) {
+    /// Starts afresh, on all voxels of videos with this second part, without the pixels of
+    /// `held_out`.
+    pub fn start(&mut self, second: SecondPart, held_out: Option<HeldOut>) {
+        if second == self.second && held_out == self.held_out && self.support.is_none() {
+            return;
+        }
         self.held_out = held_out;
         self.support = None;
+        self.second = second;
+        let is_still = second == SecondPart::Still;
+        if is_still && self.planes.is_none() {
+            let (rows, columns) = self.camera.field();
+            let whole = CameraParams {
+                rows,
+                columns,
+                shutter: Shutter::Global,
+                field: None,
+                bins_per_row: 1,
+                ..self.camera.params().clone()
+            };
+            // A field too large for a sensor has no preconditioner, and takes longer.
+            let whole = Camera::new(whole).ok();
+            self.planes = whole.map(|camera| RollingShutter::new(&camera, self.psfs.clone()));
+        }
+        let empty = Gram::Exact(Blocks::new(Vec::new(), |_, _| ()));
+        self.gram = match std::mem::replace(&mut self.gram, empty) {
+            Gram::Exact(blocks) | Gram::Bordered(blocks, _) if is_still => {
+                Gram::Bordered(blocks, Bordered::default())
+            }
+            Gram::Bordered(blocks, _) => Gram::Exact(blocks),
+            other => other,
+        };
         self.weights_changed();
+    }
+
+    /// The video that both parts make.
+    pub fn sum(&self, parts: Vec<f32>) -> Vec<f32> {
+        match self.second {
+            SecondPart::None => parts,
+            second => second.sum(self.shape(), &parts),
+        }
     }
 
     /// `W(b − A v)` at the pixels that are held out.
@@ -105,7 +158,8 @@ impl FrameData {
             return Vec::new();
         };
         let mut light = vec![0.0; self.frame.len()];
-        self.shutter.apply(video, &mut light);
+        self.shutter
+            .apply(&self.second.sum(self.shape(), video), &mut light);
         let pixels = held_out.pixels().iter();
         pixels
             .map(|&i| {
@@ -123,14 +177,17 @@ impl FrameData {
             held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
         }
         self.operator = Arc::new(Weighted::new(Arc::clone(&self.shutter), weights));
+        self.parts = TwoParts::new(Arc::clone(&self.operator), self.shape(), self.second);
         self.weigh_frame();
-        let (operator, support) = (&self.operator, self.support.as_ref());
+        let (operator, lit) = (&self.operator, (self.support.as_ref(), self.second));
         match &mut self.gram {
-            Gram::Exact(exact) => exact.refill(|i, sum| fill(operator, i, support, sum)),
+            Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
+                blocks.refill(|i, sum| fill(operator, i, lit, sum));
+            }
             Gram::Iterative(solver) => {
-                let blocks = blocks(operator, support);
+                let blocks = blocks(operator, lit);
                 let preconditioner = preconditioner(operator, blocks, self.scale);
-                solver.restart(support, preconditioner);
+                solver.restart(lit.0, preconditioner);
             }
         }
     }
@@ -163,7 +220,10 @@ fn preconditioner(
 
 impl DataTerm for FrameData {
     fn operator(&self) -> &dyn LinearOperator {
-        &*self.operator
+        match self.second {
+            SecondPart::None => &*self.operator,
+            _ => &self.parts,
+        }
     }
 
     fn measured(&self) -> &[f32] {
@@ -184,7 +244,22 @@ impl DataTerm for FrameData {
                 GramSolver::solve(blocks, r, rho, y, gram_y);
                 true
             }
-            Gram::Iterative(solver) => solver.solve(&*self.operator, r, rho, y, gram_y),
+            Gram::Bordered(blocks, bordered) => {
+                let border = Border(&self.operator);
+                let planes = self.planes.as_ref();
+                let inverse = |g: &[f32], rho: f64, h: f64| {
+                    let divided = planes.and_then(|p| p.circulant_inverse(g, rho / h));
+                    divided.unwrap_or_else(|| g.to_vec())
+                };
+                bordered.solve(blocks, &border, &inverse, (r, rho), y, gram_y)
+            }
+            Gram::Iterative(solver) => {
+                let operator: &dyn LinearOperator = match self.second {
+                    SecondPart::None => &*self.operator,
+                    _ => &self.parts,
+                };
+                solver.solve(operator, r, rho, y, gram_y)
+            }
         }
     }
 
@@ -211,11 +286,12 @@ impl DataTerm for FrameData {
     fn restrict(&mut self, support: &Support) {
         self.support = Some(support.clone());
         match &mut self.gram {
-            Gram::Exact(exact) => {
-                exact.refill(|i, sum| fill(&self.operator, i, Some(support), sum));
+            Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
+                let lit = (Some(support), self.second);
+                blocks.refill(|i, sum| fill(&self.operator, i, lit, sum));
             }
             Gram::Iterative(solver) => {
-                let blocks = blocks(&self.operator, Some(support));
+                let blocks = blocks(&self.operator, (Some(support), self.second));
                 let preconditioner =
                     blocks.map(|b| Box::new(BlockPreconditioner(b)) as Box<dyn Preconditioner>);
                 solver.restrict(support, preconditioner);
@@ -228,15 +304,43 @@ impl DataTerm for FrameData {
             return false;
         };
         let mut light = vec![0.0; self.frame.len()];
-        self.shutter.apply(video, &mut light);
+        self.shutter
+            .apply(&self.second.sum(self.shape(), video), &mut light);
         self.weights = Some(noise.weights(&light));
         self.weights_changed();
         true
     }
 }
 
+/// `W A E`: a picture that all bins show.
+struct Border<'a>(&'a Weighted<Arc<RollingShutter>>);
+
+impl LinearOperator for Border<'_> {
+    fn domain_len(&self) -> usize {
+        self.0.inner().video_shape().pixels()
+    }
+
+    fn range_len(&self) -> usize {
+        self.0.range_len()
+    }
+
+    fn apply(&self, picture: &[f32], light: &mut [f32]) {
+        let bins = self.0.inner().video_shape().bins;
+        self.0.apply(&picture.repeat(bins), light);
+    }
+
+    fn adjoint(&self, light: &[f32], picture: &mut [f32]) {
+        let mut video = vec![0.0; self.0.domain_len()];
+        self.0.adjoint(light, &mut video);
+        sum_of_bins(&video, picture);
+    }
+}
+
+/// What may be lit: the support of the first part, and the second part.
+type Lit<'a> = (Option<&'a Support>, SecondPart);
+
 /// The diagonal blocks of `W A P Aᵀ W`, one for each instant; `None` if they are too large.
-fn blocks(operator: &Weighted<Arc<RollingShutter>>, support: Option<&Support>) -> Option<Blocks> {
+fn blocks(operator: &Weighted<Arc<RollingShutter>>, lit: Lit) -> Option<Blocks> {
     let shutter = operator.inner();
     let (_, columns) = shutter.frame_shape();
     let sizes = || {
@@ -251,7 +355,7 @@ fn blocks(operator: &Weighted<Arc<RollingShutter>>, support: Option<&Support>) -
     }
     let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
     Some(Blocks::new(indices.collect(), |i, sum| {
-        fill(operator, i, support, sum)
+        fill(operator, i, lit, sum)
     }))
 }
 
@@ -259,11 +363,14 @@ fn blocks(operator: &Weighted<Arc<RollingShutter>>, support: Option<&Support>) -
 fn fill(
     operator: &Weighted<Arc<RollingShutter>>,
     instant: usize,
-    support: Option<&Support>,
+    (support, second): Lit,
     mut sum: MatMut<f64>,
 ) {
     let shutter = operator.inner();
     shutter.add_gram_block(instant, support, sum.rb_mut());
+    if second == SecondPart::Video {
+        shutter.add_gram_block(instant, None, sum.rb_mut());
+    }
     if let Some(weights) = operator.weights() {
         let indices = shutter.indices_of(instant);
         for (j, &column) in indices.iter().enumerate() {

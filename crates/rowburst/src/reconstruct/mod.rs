@@ -7,16 +7,17 @@ mod held_out;
 mod prior;
 mod sigma;
 
-pub use choose::{CANDIDATES, Candidate, Choice};
+pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
 pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use prior::{FurtherWeights, Prior};
 pub use sigma::estimate_sigma;
 
+use crate::linop::SecondPart;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
 use crate::solve::admm::{self, Progress, Solution, TauRule};
 use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
+use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
 use data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
@@ -88,6 +89,8 @@ pub struct Problem {
 pub struct Reconstruction {
     /// The video in counts, `[t, y, x]`.
     pub video: Video,
+    /// The part of it that the prior has as its background.
+    pub background: Option<Video>,
     /// `W(b − A v)/σ`, `[y, x]`; 0 where a pixel holds no information.
     pub residual: Image,
     /// Root mean square of the residual over the pixels that hold information.
@@ -156,14 +159,13 @@ impl Problem {
             },
         };
         let bands = Bands::new(measurement, psf.central());
-        let operator = RollingShutter::new(camera, psf);
         if let Some(prior) = recipe.prior {
-            prior.check_bins(operator.video_shape().bins)?;
+            prior.check_bins(camera.video_shape().bins)?;
         }
         Ok(Self {
             camera: camera.clone(),
             bands,
-            data: FrameData::new(operator, measurement),
+            data: FrameData::new(camera, psf, measurement),
             recipe,
             sigma,
             sigma_source,
@@ -219,12 +221,21 @@ impl Problem {
             .collect();
         let columns = self.camera.columns();
         let residual = Image::new(residual.len() / columns, columns, residual)?;
-        let video = Video::new(shape, solution.video)?;
+        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
+        let freedom = prox.degrees_of_freedom(&solution.video, faint);
+        let background = match prior.second_part() {
+            SecondPart::None => None,
+            second => {
+                let mut parts = solution.video.clone();
+                parts[..shape.voxels()].fill(0.0);
+                Some(Video::new(shape, second.sum(shape, &parts))?)
+            }
+        };
+        let video = Video::new(shape, self.data.sum(solution.video))?;
         let scaled = self.data.measured().iter();
         let measured: Vec<f32> = scaled
             .map(|b| (f64::from(*b) / self.sigma) as f32)
             .collect();
-        let faint = (0.01 * admm::brightness(video.data())) as f32;
         let fit = fit::judge(&fit::Evidence {
             residual: &residual,
             measured: &measured,
@@ -232,7 +243,7 @@ impl Problem {
             camera: &self.camera,
             bands: &self.bands,
             video: &video,
-            freedom: prox.degrees_of_freedom(video.data(), faint),
+            freedom,
             history: &history,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
@@ -242,6 +253,7 @@ impl Problem {
         });
         Ok(Reconstruction {
             video,
+            background,
             residual,
             residual_over_sigma: residual_rms / self.sigma,
             tau: solution.tau,
@@ -283,16 +295,42 @@ impl Problem {
             }
             _ => None,
         };
-        let prior = choice.as_ref().map_or(standard, |c| c.best().prior);
+        let (prior, slack) = choice
+            .as_ref()
+            .map_or((standard, 1.0), |c| (c.best().prior, c.best().slack));
+        let rule = choose::slackened(rule, slack);
+        self.data.start(prior.second_part(), None);
         let mut prox = prior.prox(shape);
         let params = prior.admm_params(shape, rule, most);
-        let solution = admm::solve(&mut self.data, &mut *prox, shape, &params, observer);
+        let solution = admm::solve(
+            &mut self.data,
+            &mut *prox,
+            shape,
+            &params,
+            &mut |progress| show(prior.second_part(), shape, progress, observer),
+        );
         Found {
             prior,
             prox,
             choice,
             solution,
         }
+    }
+}
+
+/// Shows `observer` the video that both parts make.
+fn show(
+    second: SecondPart,
+    shape: Shape,
+    progress: &Progress,
+    observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+) -> ControlFlow<StopReason> {
+    match second {
+        SecondPart::None => observer(progress),
+        second => observer(&Progress {
+            video: &second.sum(shape, progress.video),
+            ..*progress
+        }),
     }
 }
 

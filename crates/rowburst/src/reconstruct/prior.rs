@@ -11,13 +11,18 @@
 //! | `wavelet` | `Σ \|Daubechies-4 details\|`, mean over all shifts | periodic | smooth shapes with some edges |
 //! | `group` | `Σ_pixels √(Σ_t v²)` | none | few places, any trace |
 //! | `lowrank` | `Σ singular values of time × space` | none | few shapes, each with its trace |
+//! | `background` | `√T TV(picture)` of a part that stands still | Neumann | a scene before a still background |
+//! | `lowrank-background` | `√N Σ singular values` of a part of its own | none | the same where the background blinks as a whole |
 //! | `support` | 0 on bright voxels and their neighbours, else ∞ | – | sparse scenes |
+//!
+//! With a background the video is the sum of two parts, and all other terms are those of the
+//! first one ([`crate::prox::Parts`]; `N` is the larger of pixels and bins, as in Candès et al. 2011).
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
-use crate::linop::{Cosine, Wavelet};
+use crate::linop::{Cosine, SecondPart, Wavelet};
 use crate::prox::{
-    Composite, Isotropy, LowRank, Prox, Sparse, Variation, Variation3d, VariationWeights,
+    Composite, Isotropy, LowRank, Parts, Prox, Sparse, Variation, Variation3d, VariationWeights,
 };
 use crate::solve::admm::{AdmmParams, TauRule};
 use crate::{Error, Result, Shape};
@@ -56,6 +61,10 @@ pub struct FurtherWeights {
     pub group: f64,
     /// Nuclear norm of space × time, `lowrank`.
     pub lowrank: f64,
+    /// Total variation of a part that stands still, `background`.
+    pub background: f64,
+    /// Nuclear norm of a part of its own, `lowrank-background`.
+    pub lowrank_background: f64,
 }
 
 const NO_VARIATION: VariationWeights = VariationWeights {
@@ -70,6 +79,8 @@ const NONE: FurtherWeights = FurtherWeights {
     wavelet: 0.0,
     group: 0.0,
     lowrank: 0.0,
+    background: 0.0,
+    lowrank_background: 0.0,
 };
 
 impl Prior {
@@ -87,7 +98,7 @@ impl Prior {
         support: true,
     };
     /// The names of the terms, in the order in which a prior is written.
-    pub const TERMS: [&'static str; 10] = [
+    pub const TERMS: [&'static str; 12] = [
         "tv",
         "tdiff",
         "l1",
@@ -97,6 +108,8 @@ impl Prior {
         "wavelet",
         "group",
         "lowrank",
+        "background",
+        "lowrank-background",
         "support",
     ];
 
@@ -119,14 +132,56 @@ impl Prior {
     /// The prox of the convex parts over videos of `shape`.
     pub fn prox(&self, shape: Shape) -> Box<dyn Prox> {
         let FurtherWeights {
+            background,
+            lowrank_background,
+            ..
+        } = self.further;
+        let first = self.first_prox(shape);
+        let voxels = shape.voxels();
+        match self.second_part() {
+            SecondPart::None => first,
+            SecondPart::Still => {
+                let picture = Shape::new(1, shape.rows, shape.columns);
+                let weights = VariationWeights {
+                    space: 1.0,
+                    ..NO_VARIATION
+                };
+                let second = Variation::new(picture, weights);
+                let weight = background * (shape.bins as f64).sqrt();
+                Box::new(Parts::new(voxels, first, Box::new(second), weight))
+            }
+            SecondPart::Video => {
+                let second =
+                    Composite::new(shape, NO_VARIATION, 0.0).with(1.0, LowRank::new(shape));
+                let weight = lowrank_background * (shape.pixels().max(shape.bins) as f64).sqrt();
+                Box::new(Parts::new(voxels, first, Box::new(second), weight))
+            }
+        }
+    }
+
+    /// What stands behind the part that all other terms are for.
+    pub fn second_part(&self) -> SecondPart {
+        if self.further.background > 0.0 {
+            SecondPart::Still
+        } else if self.further.lowrank_background > 0.0 {
+            SecondPart::Video
+        } else {
+            SecondPart::None
+        }
+    }
+
+    /// Without the backgrounds.
+    fn first_prox(&self, shape: Shape) -> Box<dyn Prox> {
+        let FurtherWeights {
             tv3d,
             tv3d_aniso,
             dct,
             wavelet,
             group,
             lowrank,
+            ..
         } = self.further;
-        if self.further == NONE {
+        if self.convex_of_first() == NONE {
             return Box::new(Variation::new(shape, self.weights));
         }
         let Shape {
@@ -167,7 +222,7 @@ impl Prior {
     /// of `dct` at 20.2, 20.6 and 19.4 dB with 1, 5 and 20.
     /// What [`Variation`] fuses has none: 1.
     pub fn threshold_factor(&self, shape: Shape) -> f64 {
-        if self.further == NONE {
+        if self.convex_of_first() == NONE {
             return 1.0;
         }
         let bins = shape.bins as f64;
@@ -175,7 +230,7 @@ impl Prior {
         let picture = (bins * shape.pixels() as f64 / 200.0).sqrt();
         Self::TERMS
             .into_iter()
-            .filter(|name| self.weight(name) > 0.0)
+            .filter(|name| self.weight(name) > 0.0 && !name.ends_with("background"))
             .map(|name| {
                 let unit = match name {
                     "group" => 2.0 * bins.sqrt(),
@@ -189,6 +244,15 @@ impl Prior {
             .fold(f64::INFINITY, f64::min)
     }
 
+    /// The further terms of the first part.
+    fn convex_of_first(&self) -> FurtherWeights {
+        FurtherWeights {
+            background: 0.0,
+            lowrank_background: 0.0,
+            ..self.further
+        }
+    }
+
     /// Checks that a video of `bins` bins has what the terms speak of.
     ///
     /// # Errors
@@ -198,7 +262,15 @@ impl Prior {
         if bins > 1 || *self == Self::STANDARD {
             return Ok(());
         }
-        let of_time = ["tdiff", "tv3d", "tv3d-aniso", "group", "lowrank"];
+        let of_time = [
+            "tdiff",
+            "tv3d",
+            "tv3d-aniso",
+            "group",
+            "lowrank",
+            "background",
+            "lowrank-background",
+        ];
         match of_time.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(
@@ -226,6 +298,8 @@ impl Prior {
             "wavelet" => &mut self.further.wavelet,
             "group" => &mut self.further.group,
             "lowrank" => &mut self.further.lowrank,
+            "background" => &mut self.further.background,
+            "lowrank-background" => &mut self.further.lowrank_background,
             _ => return None,
         })
     }
@@ -282,6 +356,21 @@ impl std::str::FromStr for Prior {
             return refuse(
                 text,
                 "tv3d and tv3d-aniso are two forms of one term: one of them stands",
+            );
+        }
+        if prior.further.background > 0.0 && prior.further.lowrank_background > 0.0 {
+            return refuse(
+                text,
+                "a still background is one of low rank: one of background and lowrank-background stands",
+            );
+        }
+        if seen
+            .iter()
+            .all(|name| name.ends_with("background") || *name == "support")
+        {
+            return refuse(
+                text,
+                "a background needs a convex term for what is before it",
             );
         }
         Ok(prior)
@@ -358,6 +447,8 @@ mod tests {
             "0.5*tv+wavelet",
             "group+support",
             "tv+0.2*lowrank",
+            "tv+0.5*tdiff+background+support",
+            "l1+0.5*lowrank-background",
         ] {
             assert_eq!(name.parse::<Prior>().unwrap().to_string(), name);
         }
@@ -382,6 +473,15 @@ mod tests {
             ("inf*group", "above zero"),
             ("*lowrank", "above zero"),
             ("tv3d+tv3d-aniso", "two forms of one term"),
+            (
+                "tv+background+lowrank-background",
+                "a still background is one of low rank",
+            ),
+            ("background", "a background needs a convex term"),
+            (
+                "lowrank-background+support",
+                "a background needs a convex term",
+            ),
             ("auto+dct", "stands alone"),
             ("auto", "stands alone"),
             ("tv+tv", "each term stands once"),
@@ -432,12 +532,20 @@ mod tests {
             .map(|i| (i as f32 * 0.9).sin().max(0.0))
             .collect();
         for name in Prior::TERMS.iter().filter(|name| **name != "support") {
+            // A background stands behind something.
+            let before = if name.ends_with("background") {
+                "1e-9*l1+"
+            } else {
+                ""
+            };
             let value = |text: String| {
                 let prior: Prior = text.parse().unwrap();
-                prior.prox(shape).value(&video)
+                let mut parts = video.clone();
+                parts.extend_from_slice(&video[..prior.second_part().len(shape)]);
+                prior.prox(shape).value(&parts)
             };
-            let once = value(name.to_string());
-            let twice = value(format!("2*{name}"));
+            let once = value(format!("{before}{name}"));
+            let twice = value(format!("{before}2*{name}"));
             assert!(once > 1.0 && (twice / once - 2.0).abs() < 1e-6, "{name}");
             let beside = value(format!(
                 "{name}+0.5*{}",

@@ -2,6 +2,7 @@
 
 pub mod admm;
 pub mod blocks;
+pub mod bordered;
 pub mod certificate;
 pub mod conjugate_gradient;
 pub mod fista;

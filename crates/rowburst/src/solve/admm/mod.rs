@@ -238,6 +238,11 @@ impl Admm {
         self.state.iterations
     }
 
+    /// Part of the voxels that may be lit.
+    pub fn support(&self) -> f64 {
+        self.state.support_fraction()
+    }
+
     /// The video so far.
     pub fn video(&self) -> &[f32] {
         self.state.video()

@@ -72,7 +72,10 @@ pub(super) struct State {
 impl State {
     pub fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
         let (n, m) = (data.operator().domain_len(), data.operator().range_len());
-        assert_eq!(n, shape.voxels(), "the operator takes videos of this shape");
+        assert!(
+            n >= shape.voxels(),
+            "the operator takes videos of this shape"
+        );
         let mut state = Self {
             shape,
             x: vec![0.0; n],
@@ -168,7 +171,7 @@ impl State {
     /// `z = prox(q)`, `u = q − z`; returns the relative change of `z`.
     pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) -> f64 {
         if self.beta == 0.0 {
-            self.follow_brightness(true);
+            self.set_threshold(FIRST_GUESS * brightness(&self.u));
         }
         std::mem::swap(&mut self.x, &mut self.z); // x keeps the last z
         prior.prox(&self.u, self.beta, &mut self.z);
@@ -209,13 +212,13 @@ impl State {
             }
             if k > COUNT_AFTER && k.is_multiple_of(10) {
                 let m = data.informative() as f64;
-                let tolerance = (0.01 * brightness(&self.z)) as f32;
+                let tolerance = (0.01 * brightness(self.first_part())) as f32;
                 let freedom = prior.degrees_of_freedom(&self.z, tolerance);
                 self.bound = sigma * (m - freedom.min(MOST_FREEDOM * m)).sqrt();
             }
         }
         if k < SETTLE && k.is_multiple_of(5) {
-            self.follow_brightness(false);
+            self.set_threshold(brightness(self.first_part()));
         }
         if params.support && k >= SUPPORT_AFTER && (k - SUPPORT_AFTER).is_multiple_of(SUPPORT_EVERY)
         {
@@ -235,15 +238,10 @@ impl State {
         }
     }
 
-    /// Sets `β` to its part of the brightness of the video. The scaled dual `u` is left
+    /// Sets `β` to its part of the brightness of the video's first part. The scaled dual `u` is left
     /// as it is: while the brightness still grows, multiplying it along (as a change of
     /// penalty asks for) would blow up the haze of the first iterations.
-    fn follow_brightness(&mut self, first: bool) {
-        let brightness = if first {
-            FIRST_GUESS * brightness(&self.u)
-        } else {
-            brightness(&self.z)
-        };
+    fn set_threshold(&mut self, brightness: f64) {
         if brightness <= 0.0 {
             self.beta = self.beta.max(f64::MIN_POSITIVE);
             return;
@@ -256,7 +254,7 @@ impl State {
     }
 
     fn restrict(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, again: bool) {
-        let threshold = SUPPORT_THRESHOLD * brightness(&self.z);
+        let threshold = SUPPORT_THRESHOLD * brightness(self.first_part());
         let mut missed: Vec<usize> = Vec::new();
         if !again {
             self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
@@ -279,7 +277,8 @@ impl State {
             level => threshold * LEVEL_STEP.powi(level as i32),
         };
         let cuts: Vec<f64> = (0..self.shape.bins).map(cut).collect();
-        let support = Support::above(&self.z, self.shape, &cuts).with_missed(&self.x, &missed);
+        let support = Support::above(self.first_part(), self.shape, &cuts)
+            .with_missed(&self.x[..self.shape.voxels()], &missed);
         let fraction = support.fraction();
         self.support_settled = again && missed.is_empty() && fraction > 0.9 * self.support_fraction;
         self.support_fraction = fraction;
@@ -329,6 +328,11 @@ impl State {
             primal: 0.5 * distance_squared(b, &self.az) + tau * prior.value(&self.z),
             dual: s * rise - 0.5 * s * s * size,
         }
+    }
+
+    /// What the brightness and the support are taken from.
+    fn first_part(&self) -> &[f32] {
+        &self.z[..self.shape.voxels()]
     }
 
     fn restrict_x(&mut self) {
