@@ -32,6 +32,12 @@ const FILES: &[(&str, &str)] = &[
     ("result.json", "the numbers, for programs"),
 ];
 
+/// Beside them where the prior has a background.
+const BACKGROUND_FILE: (&str, &str) = (
+    "background.npy",
+    "the part of the video that is background, float32 [t, y, x]",
+);
+
 pub fn run(args: &ReconstructArgs) -> Result<()> {
     let folder = OutputFolder::create(&args.output)?;
     let experiment = Experiment::read(&args.experiment)?;
@@ -225,7 +231,7 @@ impl Run<'_> {
                         "the standard one: a time budget leaves no time to choose"
                     }
                     Some(_) => "given",
-                    None => "the standard one: there was no choice to make, or it was stopped",
+                    None => "the standard one: a single bin or a small frame leaves nothing to choose by, or it was stopped",
                 }
                 .into(),
                 held_out_pixels: None,
@@ -262,6 +268,10 @@ impl Run<'_> {
         // That of an earlier run would vouch for files that are no longer its own.
         folder.remove("result.json")?;
         folder.write("video.npy", |w| write_npy_video(w, video))?;
+        folder.remove("background.npy")?;
+        if let Some(background) = &self.found.background {
+            folder.write("background.npy", |w| write_npy_video(w, background))?;
+        }
         let scale = TiffScale {
             frame_interval_s: time.bin_duration_us() * 1e-6,
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
@@ -296,6 +306,7 @@ impl Run<'_> {
             mp4: mp4.as_deref(),
             files: FILES
                 .iter()
+                .chain(self.found.background.as_ref().map(|_| &BACKGROUND_FILE))
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
             reproduce: Some(&reproduce),

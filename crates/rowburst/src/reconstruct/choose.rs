@@ -119,6 +119,14 @@ impl Choice {
 
 type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
 
+/// Fewest pixels held out that a choice may rest on: their mean square scatters by a fifth.
+const FEWEST_PIXELS: usize = 50;
+
+/// Whether the frame has the pixels for a choice.
+pub(super) fn can_choose(data: &FrameData) -> bool {
+    data.held_out().pixels().len() >= FEWEST_PIXELS
+}
+
 /// Tries the candidates without the pixels that are held out; what there is so far where the
 /// observer stops it.
 pub(super) fn choose_prior(

@@ -287,7 +287,7 @@ impl Problem {
         let shape = self.data.shape();
         let choice = match self.recipe.prior {
             // The candidates differ in how they treat time.
-            None if shape.bins > 1 => {
+            None if shape.bins > 1 && choose::can_choose(&self.data) => {
                 match choose::choose_prior(&mut self.data, rule, self.sigma, most, observer) {
                     Ok(choice) => Some(choice),
                     Err(found) => return *found,
