@@ -162,6 +162,20 @@ fn smooth_blobs(shape: Shape) -> Video {
     })
 }
 
+/// Discs and a bar three times as bright as the digit that moves before them, flickering with
+/// `flicker` as a whole.
+fn before_a_background(shape: Shape, flicker: f64) -> Video {
+    let moving = moving_digit(shape);
+    let level = traces(shape.bins, 1, 6);
+    video(shape, |t, y, x| {
+        let disc = |cy: f64, cx: f64, r: f64| f64::from(u8::from((y - cy).hypot(x - cx) < r));
+        let bar = f64::from(u8::from((30.0..34.0).contains(&y) && x > 6.0));
+        let still = 3.0 * disc(14.0, 10.0, 6.0) + 1.5 * disc(25.0, 30.0, 5.0) + bar;
+        let at = t * shape.pixels() + y as usize * shape.columns + x as usize;
+        f64::from(moving.data()[at]) + (1.0 + flicker * (level[t] - 0.5)) * still
+    })
+}
+
 /// `prior` is better than `tv` by at least `by` dB on `scene`, and at least `at_least`.
 fn beats_tv(scene: fn(Shape) -> Video, prior: &str, by: f64, at_least: f64) {
     let case = Case::new(scene);
@@ -175,6 +189,14 @@ fn beats_tv(scene: fn(Shape) -> Video, prior: &str, by: f64, at_least: f64) {
 #[test]
 fn group_finds_points_that_blink_at_fixed_places() {
     beats_tv(blinking_points, "group", 9.0, 37.0);
+}
+
+#[test]
+fn a_background_is_taken_apart() {
+    let still = |shape| before_a_background(shape, 0.0);
+    beats_tv(still, "tv+0.5*tdiff+0.3*l1+background", 6.0, 24.0);
+    let flickering = |shape| before_a_background(shape, 0.6);
+    beats_tv(flickering, "tv+0.5*tdiff+l1+lowrank-background", 1.0, 15.0);
 }
 
 #[test]

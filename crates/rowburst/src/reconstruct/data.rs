@@ -406,3 +406,108 @@ impl Preconditioner for PlanePreconditioner {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measurement::{Corrections, correct};
+    use crate::vecmath::norm;
+    use crate::{Image, Psf, Sensor};
+
+    fn data(shutter: Shutter) -> FrameData {
+        let camera = Camera::new(CameraParams {
+            rows: 12,
+            columns: 20,
+            shutter,
+            row_time_us: 10.0,
+            exposure_us: 10.0,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor {
+                gain_electrons_per_count: Some(2.0),
+                read_noise_electrons: Some(1.5),
+                ..Sensor::default()
+            },
+        })
+        .unwrap();
+        let psf = Psf::new(Image::from_fn(23, 39, |y, x| {
+            (1 + (7 * y * y + 13 * x + 3 * x * y) % 17) as f32
+        }))
+        .unwrap();
+        let frame = Image::from_fn(12, 20, |y, x| (5 + (3 * y + 5 * x) % 11) as f32);
+        let measurement = correct(&frame, &camera, &Corrections::default()).unwrap();
+        FrameData::new(&camera, (&psf).into(), &measurement)
+    }
+
+    /// What `solve_gram` returns fits the operator that the solver sees.
+    fn check(data: &mut FrameData, state: &str) {
+        let m = data.operator().range_len();
+        let r: Vec<f32> = (0..m)
+            .map(|i| ((i * 37 % 101) as f32 - 50.0) / 50.0)
+            .collect();
+        let rho = 0.05 * data.scale();
+        let (mut y, mut gram_y) = (vec![f32::NAN; m], vec![f32::NAN; m]);
+        assert!(data.solve_gram(&r, rho, &mut y, &mut gram_y), "{state}");
+        let mut video = vec![0.0; data.operator().domain_len()];
+        data.operator().adjoint(&y, &mut video);
+        if let Some(support) = &data.support {
+            support.apply(&mut video);
+        }
+        let mut seen = vec![0.0; m];
+        data.operator().apply(&video, &mut seen);
+        let wrong: Vec<f32> = seen.iter().zip(&gram_y).map(|(a, b)| a - b).collect();
+        assert!(norm(&wrong) < 1e-4 * norm(&gram_y), "{state}");
+        let left: Vec<f32> = (0..m)
+            .map(|i| gram_y[i] + rho as f32 * y[i] - r[i])
+            .collect();
+        assert!(norm(&left) < 0.11 * rho * norm(&y), "{state}");
+    }
+
+    #[test]
+    fn solves_with_the_operator_that_is_seen() {
+        for shutter in [Shutter::DualInsideOut, Shutter::Global] {
+            let mut data = data(shutter.clone());
+            let shape = data.shape();
+            for second in [SecondPart::None, SecondPart::Still, SecondPart::Video] {
+                if shape.bins == 1 && second != SecondPart::None {
+                    continue;
+                }
+                let state = format!("{} {second:?}", shutter.name());
+                data.start(second, None);
+                check(&mut data, &state);
+                let held_out = data.held_out();
+                data.start(second, Some(held_out.clone()));
+                assert_eq!(data.informative(), 240 - held_out.pixels().len());
+                check(&mut data, &format!("{state}, pixels held out"));
+                let bright: Vec<f32> = (0..shape.voxels()).map(|i| (i % 9) as f32).collect();
+                data.restrict(&Support::above(&bright, shape, &vec![7.5; shape.bins]));
+                check(&mut data, &format!("{state}, on a support"));
+            }
+        }
+    }
+
+    /// Twice the light has the weights of twice the light, and pixels held out keep weight 0.
+    #[test]
+    fn weights_follow_the_light() {
+        let mut data = data(Shutter::DualInsideOut);
+        let held_out = data.held_out();
+        data.start(SecondPart::Still, Some(held_out.clone()));
+        let n = data.operator().domain_len();
+        assert!(data.follow(&vec![2.0; n]));
+        // Both parts show 2: a light of 4 everywhere.
+        let mut light = vec![0.0; 240];
+        data.shutter()
+            .apply(&vec![4.0; data.shape().voxels()], &mut light);
+        let (weights, law) = (data.weights().unwrap(), data.noise.clone().unwrap());
+        assert_eq!(weights, law.weights(&light));
+        for (i, w) in data.operator.weights().unwrap().iter().enumerate() {
+            let is_held_out = held_out.pixels().contains(&i);
+            assert_eq!(*w, if is_held_out { 0.0 } else { weights[i] });
+        }
+        check(&mut data, "after following");
+        assert_eq!(
+            data.errors_held_out(&vec![2.0; n]).len(),
+            held_out.pixels().len()
+        );
+    }
+}
