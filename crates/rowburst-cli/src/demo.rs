@@ -34,6 +34,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     simulate::write(&Plan {
         experiment: Experiment::new(paper_camera()),
         scene: args.scene.name(),
+        background: None,
         psf: None,
         noise: NoiseChoice::Snr(args.snr),
         seed: args.seed,
