@@ -167,6 +167,9 @@ pub struct ReconstructArgs {
     /// The true video, to compare with
     #[arg(long)]
     pub truth: Option<PathBuf>,
+    /// A frame of the scene taken without the diffuser, of any size, shown beside the reconstruction
+    #[arg(long)]
+    pub direct: Option<PathBuf>,
     /// The prior: auto, or terms of tv, tdiff, l1, tv3d, tv3d-aniso, dct, wavelet, group, lowrank,
     /// support joined by +, such as tv+0.5*tdiff
     #[arg(long, allow_hyphen_values = true)]

@@ -50,6 +50,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         flat: None,
         bad_pixels: None,
         truth: Some(args.output.join("truth.npy")),
+        direct: Some(args.output.join("without-diffuser.tif")),
         prior: None,
         tau: None,
         noise_sigma: None,

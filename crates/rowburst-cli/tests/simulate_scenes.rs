@@ -144,14 +144,33 @@ fn electrons_of_the_scene_are_those_of_the_truth() {
         let notes = notes(&lab, "sim");
         assert_eq!(notes["noise"]["scene_electrons"], electrons);
         let peak = notes["noise"]["peak_electrons"].as_f64().unwrap();
-        // Light of all bins that reaches the sensor, of which a row sees one in 24.
-        let sent = 0.5 * truth.iter().map(|&v| f64::from(v)).sum::<f64>() / 24.0;
+        let psf = ndarray_npy::read_npy(lab.path("sim/psf.npy")).unwrap();
+        let light = noiseless(&truth, &psf).mapv(|counts| 0.5 * counts);
+        let brightest = light.iter().copied().fold(0.0, f64::max);
+        assert!((peak / brightest - 1.0).abs() < 1e-3, "{peak} {brightest}");
+        let (sum, pixels) = (light.sum(), light.len() as f64);
+        let deviation = (sum + pixels * 1.6 * 1.6).sqrt();
         assert!(
-            (0.3 * sent..1.1 * sent).contains(&recorded),
-            "{scene}: {recorded} of {sent}"
+            (recorded - sum).abs() < 5.0 * deviation,
+            "{scene}: {recorded} instead of {sum} ± {deviation}"
         );
-        assert!(peak > recorded / frame.len() as f64 && peak < electrons);
     }
+}
+
+/// The frame by its definition: bin `j` is seen by the rows `23 − j` and `24 + j`.
+fn noiseless(truth: &ndarray::Array3<f32>, psf: &ndarray::Array2<f32>) -> ndarray::Array2<f64> {
+    let mut frame = ndarray::Array2::zeros((48, 40));
+    for (j, bin) in truth.outer_iter().enumerate() {
+        for ((y, x), &value) in bin.indexed_iter().filter(|&(_, &v)| v > 0.0) {
+            for row in [23 - j, 24 + j] {
+                for column in 0..40 {
+                    let at = (psf.nrows() / 2 + row - y, psf.ncols() / 2 + column - x);
+                    frame[(row, column)] += f64::from(value) * f64::from(psf[at]);
+                }
+            }
+        }
+    }
+    frame
 }
 
 #[test]
@@ -221,5 +240,34 @@ fn what_cannot_be_is_refused() {
         &tiny,
         "simulate experiment.toml --scene digits --digit-px 7 --background 2 -o out",
         &["--background", "6×12×10", "larger field"],
+    );
+}
+
+#[test]
+fn a_direct_frame_is_shown() {
+    let lab = Lab::new();
+    lab.image("direct.png", 30, 17, |y, x| (40 * y + x) as f32);
+    let page = |more: &str| {
+        lab.done(&format!(
+            "reconstruct experiment.toml --frame frame.npy --max-iterations 5 {more} -o result"
+        ));
+        String::from_utf8(lab.read("result/report.html")).unwrap()
+    };
+    let title = ">without the diffuser</text>";
+    assert!(!page("").contains(title));
+    let with = page("--direct direct.png");
+    assert!(with.contains(title));
+    assert!(with.contains("The frame given as taken without the diffuser"));
+    assert!(with.contains("--direct direct.png"), "the command is whole");
+    refused(
+        &lab,
+        "reconstruct experiment.toml --frame frame.npy --direct lost.png -o out",
+        &["lost.png"],
+    );
+    lab.cut("direct.png", 0.5, "half.png");
+    refused(
+        &lab,
+        "reconstruct experiment.toml --frame frame.npy --direct half.png -o out",
+        &["half.png"],
     );
 }
