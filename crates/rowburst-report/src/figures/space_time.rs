@@ -294,7 +294,7 @@ fn slices(figure: &mut Figure, input: &ReportInput, videos: &Videos) {
         figure.raster(place, plane.coloured(Map::Light, range.0, range.1));
         figure.rect(place, "axis", "");
         let middle = place.x + place.width / 2.0;
-        let title = format!("brightest over y: {name}");
+        let title = format!("x–t slice: {name}");
         figure.text(middle, place.y - 8.0, Anchor::Middle, "strong", &title);
         for (value, text) in x.ticks(4) {
             let at = place.y + x.fraction(value) * place.height;
