@@ -109,6 +109,14 @@ pub struct SimulateArgs {
     /// Height of the font of digits, moving and two-moving, in pixels
     #[arg(long, default_value_t = 12)]
     pub digit_px: usize,
+    /// Rms phase of the diffuser in radians, of the same angle: 4 is speckle, 20 to 60 caustics
+    #[arg(
+        long,
+        default_value_t = 4.0,
+        value_name = "RADIANS",
+        allow_hyphen_values = true
+    )]
+    pub diffuser_phase: f64,
     #[command(flatten)]
     pub optics: OpticsArgs,
     /// Folder for experiment.toml, frame.npy, psf.npy, truth.npy and the frame without diffuser

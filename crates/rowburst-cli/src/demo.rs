@@ -39,6 +39,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         noise: NoiseChoice::Snr(args.snr),
         seed: args.seed,
         digit_px: 12,
+        diffuser_phase: 4.0,
         optics: OpticsArgs::demo(),
         output: &args.output,
     })?;

@@ -6,7 +6,7 @@ use crate::outcome::{say, short};
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
 use rowburst::simulate::scene::Led;
-use rowburst::simulate::{SpeckleOptics, direct_frame, peak_electrons, scene, speckle_psf};
+use rowburst::simulate::{SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf, scene};
 use rowburst::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use rowburst_io::{
     Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_patch_set,
@@ -25,6 +25,8 @@ pub struct Plan<'a> {
     pub noise: NoiseChoice,
     pub seed: u64,
     pub digit_px: usize,
+    /// Rms phase of the diffuser in radians.
+    pub diffuser_phase: f64,
     pub optics: OpticsArgs,
     pub output: &'a Path,
 }
@@ -54,6 +56,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         noise,
         seed: args.seed,
         digit_px: args.digit_px,
+        diffuser_phase: args.diffuser_phase,
         optics: args.optics,
         output: &args.output,
     })?;
@@ -161,6 +164,7 @@ pub fn write(plan: &Plan) -> Result<()> {
                 "focal_length_mm": plan.optics.focal_length_mm,
                 "magnification": plan.optics.magnification,
                 "diffuser_fwhm_deg": plan.optics.diffuser_deg,
+                "diffuser_phase_rad": plan.diffuser_phase,
                 "pixel_pitch_um": pixel_pitch_um(&camera),
             }),
         },
@@ -265,7 +269,7 @@ fn pixel_pitch_um(camera: &Camera) -> f64 {
 
 fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
     if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
-        if plan.optics != OpticsArgs::demo() {
+        if plan.optics != OpticsArgs::demo() || plan.diffuser_phase != 4.0 {
             eprintln!(
                 "note: the options of the speckle PSF have no effect: the PSF is {}",
                 path.display()
@@ -280,7 +284,14 @@ fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
         camera.rows() + field_rows - 1,
         camera.columns() + field_columns - 1,
     );
-    let psf = speckle_psf(&optics, rows | 1, columns | 1, plan.seed).map_err(naming_option)?;
+    let psf = phase_plate_psf(
+        &optics,
+        plan.diffuser_phase,
+        rows | 1,
+        columns | 1,
+        plan.seed,
+    )
+    .map_err(naming_option)?;
     eprintln!(
         "speckle PSF: grain {:.2} px, envelope {:.0} px",
         optics.grain_px(),
@@ -301,6 +312,7 @@ fn naming_option(mut error: Error) -> Error {
             "magnification" => "--magnification",
             "diffuser_fwhm_deg" => "--diffuser-deg",
             "pixel_pitch_um" => "[camera] pixel_pitch_um",
+            "rms_phase" => "--diffuser-phase",
             other => other,
         };
         *subject = option.to_string();

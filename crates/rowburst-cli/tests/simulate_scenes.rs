@@ -235,6 +235,20 @@ fn what_cannot_be_is_refused() {
         "simulate experiment.toml --scene three-moving -o out",
         &["--scene", "three-moving", "two-moving"],
     );
+    for phase in ["0", "3", "nan", "1000"] {
+        refused(
+            &bare,
+            &format!("simulate experiment.toml --scene moving --diffuser-phase {phase} -o out"),
+            &["--diffuser-phase", "4 to 100 radians"],
+        );
+    }
+    for snr in ["0", "-8", "8,nan", "inf"] {
+        refused(
+            &bare,
+            &format!("design --trial-snr {snr} -o out"),
+            &["--trial-snr", "above zero", "Leave it out"],
+        );
+    }
     let tiny = Lab::new();
     refused(
         &tiny,

@@ -15,7 +15,7 @@ pub mod speckle;
 
 pub use direct::direct_frame;
 pub use light::peak_electrons;
-pub use speckle::{Aperture, SpeckleOptics, speckle_psf};
+pub use speckle::{Aperture, SpeckleOptics, phase_plate_psf, speckle_psf};
 
 use crate::{Error, Result};
 
