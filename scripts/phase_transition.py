@@ -3,12 +3,12 @@
 
     cargo build --release
     python3 scripts/phase_transition.py              about a quarter of an hour
-    python3 scripts/phase_transition.py --quick      coarser, three sensors instead of six
+    python3 scripts/phase_transition.py --quick      coarser, three sensors instead of five
 
 For three PSFs, speckle and a caustic as `rowburst simulate` makes them and speckle measured behind
 ground glass, `rowburst design` reconstructs scenes of k random pixels a bin at an SNR of 256 until the
 edge of success is found. The measurements of a bin, m, are changed by the number of rows that a custom
-shutter reads at a time: 1 to 9 rows of 108 pixels, as far apart as they can be. Each PSF gets its C of
+shutter reads at a time: 1 to 6 rows of 108 pixels, as far apart as they can be. Each PSF gets its C of
 m = C k ln(n/k), the median over m, and the figure shows success beside that line.
 
 Finished runs are kept in --cache (a folder for each build of the program). Needs numpy, Pillow and
@@ -27,13 +27,15 @@ from pathlib import Path
 
 from quality_table import CAMERA, COLUMNS, ROOT, ROWS, machine, measured_psf, say, table, with_packages
 
-ROWS_AT_A_TIME = [1, 2, 3, 4, 6, 9]
+ROWS_AT_A_TIME = [1, 2, 3, 4, 6]
 SNR = 256
-CAUSTIC_RADIANS = 40
+# A smooth plate in a pupil four times as wide as the speckle's: enough of its parts fill the pupil that
+# the folds cover the field.
+CAUSTIC = ["--diffuser-phase", 80, "--pupil-mm", 6.84]
 PSFS = {
-    "speckle": f"synthetic speckle",
+    "speckle": "synthetic speckle",
     "measured": "measured speckle (220 grit ground glass)",
-    "caustic": f"caustic ({CAUSTIC_RADIANS} rad rms)",
+    "caustic": "caustic of a smooth phase plate",
 }
 
 
@@ -61,8 +63,8 @@ class Bench:
             return path
         experiment, folder = self.cache / "camera.toml", self.cache / f"{name}-simulation"
         experiment.write_text(CAMERA)
-        phase = CAUSTIC_RADIANS if name == "caustic" else 4
-        self.run("simulate", experiment, "--scene", "moving", "--diffuser-phase", phase, "--seed", self.seed, "-o", folder)
+        options = CAUSTIC if name == "caustic" else []
+        self.run("simulate", experiment, "--scene", "moving", *options, "--seed", self.seed, "-o", folder)
         path.write_bytes((folder / "psf.npy").read_bytes())
         return path
 
@@ -221,8 +223,8 @@ def main():
         ),
         "k is the number of pixels that half of the bins survive. A straight use: with C about 2, the 216 measurements of the paper's "
         "camera hold some 17 scattered pixels a bin. Things that hang together, as digits do, need fewer measurements than as many scattered pixels.",
-        f"The caustic is the far field of a smooth random phase plate in the same pupil with the same scattering angle: {CAUSTIC_RADIANS} radians rms "
-        f"instead of the 4 of the speckle (`rowburst simulate --diffuser-phase {CAUSTIC_RADIANS}`).",
+        f"The caustic is the far field of a smooth random phase plate of the same scattering angle, {CAUSTIC[1]} radians rms instead of the speckle's 4, "
+        f"in a pupil four times as wide (`rowburst simulate {' '.join(map(str, CAUSTIC))}`).",
         left_out,
     ]
     options.output.write_text("\n\n".join(t for t in text if t) + "\n")
