@@ -85,7 +85,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
                 ""
             },
             if input.direct.is_some() {
-                " Beside it in grey, the frame without the diffuser: no video can be made from it."
+                " In grey, the frame without the diffuser, in which each row has its own instant alone."
             } else {
                 ""
             }

@@ -78,7 +78,7 @@ mod tests {
     }
 
     fn noiseless(camera: &Camera, scene: &Video) -> Image {
-        let operator = RollingShutter::new(camera, &even());
+        let operator = RollingShutter::new(camera, even());
         let mut frame = vec![0.0; operator.range_len()];
         operator.apply(scene.data(), &mut frame);
         frame.iter_mut().for_each(|b| *b = b.max(0.0));
