@@ -25,7 +25,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from quality_table import CAMERA, COLUMNS, ROOT, ROWS, machine, measured_psf, say, table, with_packages
+from quality_table import (
+    CAMERA, COLUMNS, ROOT, ROWS, command_line, commit, machine, measured_psf, say, table, with_packages)
 
 ROWS_AT_A_TIME = [1, 2, 3, 4, 6]
 SNR = 256
@@ -205,24 +206,23 @@ def main():
         ])
     picture = options.output.with_suffix(".png")
     draw(maps, psfs, constants, picture)
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
-    command = " ".join(["python3 scripts/phase_transition.py", *sys.argv[1:]])
     trials = [f["trials"] for f in next(iter(maps.values()))]
     text = [
         "# How many pixels of a bin come back",
-        f"Made by `{command}` with {bench.version} ({commit}), {datetime.date.today()}, {machine()}. Do not edit: run the command again.",
+        f"Made by `{command_line('phase_transition.py')}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. Do not edit: run the command again.",
         f"![Success over non-zero pixels and measurements for {len(maps)} PSFs; above each its PSF]({picture.name})",
         f"Compressed sensing promises k non-zero pixels of n from m ≥ C·k·ln(n/k) random measurements, and leaves C open. Here it is measured: "
         f"scenes of k random single pixels in each bin of {ROWS}×{COLUMNS} pixels (n = {ROWS * COLUMNS:,}), SNR {SNR}, reconstructed with `l1+support`; a bin has come "
         f"back where it differs from its truth, at the resolution of a grain, by less than {100 * next(iter(maps.values()))[0]['largest_relative_error']:.0f} % of the norm. "
         f"The measurements of a bin are those of the {', '.join(map(str, steps))} rows that the shutter reads at a time; a cell of the figure is "
-        f"{trials[-1]} to {trials[0]} bins (cells far from the edge are not tried and have their neighbour's value). Above, the middle of each PSF.",
+        f"{trials[-1]} to {trials[0]} bins (cells far from the edge are not tried and have their neighbour's value; white: outside of what was asked). Above, the middle of each PSF.",
         table(
             ["PSF", "grain, px", "C, median", "C, range", *[f"k at m = {f['measurements_per_bin']:.0f}" for f in next(iter(maps.values()))]],
             rows,
         ),
-        "k is the number of pixels that half of the bins survive. A straight use: with C about 2, the 216 measurements of the paper's "
-        "camera hold some 17 scattered pixels a bin. Things that hang together, as digits do, need fewer measurements than as many scattered pixels.",
+        "k is the number of pixels that half of the bins survive. Things that hang together, as digits do, need fewer measurements than "
+        "as many scattered pixels. A single row (m = 108) sees little of pixels beyond the envelope of a PSF, which the line does not know. "
+        "A larger grain asks for less: places within a grain need not be told apart.",
         f"The caustic is the far field of a smooth random phase plate of the same scattering angle, {CAUSTIC[1]} radians rms instead of the speckle's 4, "
         f"in a pupil four times as wide (`rowburst simulate {' '.join(map(str, CAUSTIC))}`).",
         left_out,

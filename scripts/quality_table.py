@@ -113,6 +113,22 @@ def with_packages(cache, script, modules):
     os.execv(python, [str(python), str(script), *sys.argv[1:]])
 
 
+def command_line(script):
+    """What was typed, but for places of files, which change nothing."""
+    words, kept = sys.argv[1:], []
+    while words:
+        word = words.pop(0)
+        if word.split("=")[0] in ("--program", "--cache", "--shared", "-o", "--output"):
+            words = words if "=" in word else words[1:]
+        else:
+            kept.append(word)
+    return " ".join([f"python3 scripts/{script}", *kept])
+
+
+def commit():
+    return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+
+
 # ---------------------------------------------------------------- problems
 
 
@@ -461,7 +477,6 @@ def machine():
 
 def describe(options, bench, results, grids, tools, led_runs, skipped):
     """docs/quality.md."""
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
     seeds = f"seeds {options.seeds[0]} to {options.seeds[-1]}" if len(options.seeds) > 1 else f"seed {options.seeds[0]}"
     rows = []
     for kind, runs in results.items():
@@ -481,7 +496,7 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
         ])
     text = [
         "# Quality",
-        f"Made by `{options.command}` with {bench.version} ({commit}), {datetime.date.today()}, {machine()}. "
+        f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. "
         f"Do not edit: run the command again.",
         f"Problems of 108×108 pixels and 54 bins (dual-inside-out, 9.6 µs, simulated speckle with a grain of 2.5 px, "
         f"SNR 256 where nothing else is said), drawn anew for each of {seeds}; solved with `--prior auto --tau auto`. "
@@ -545,7 +560,7 @@ def main():
     parser.add_argument("--toolbox-iterations", type=int, default=600)
     options = parser.parse_args()
     options.seeds = [1] if options.quick else [1, 2, 3, 4, 5]
-    options.command = " ".join(["python3 scripts/quality_table.py", *sys.argv[1:]])
+    options.command = command_line("quality_table.py")
     chosen = options.only.split(",") if options.only else list(KINDS)
     unknown = [k for k in chosen if k not in KINDS]
     if unknown:
@@ -575,8 +590,8 @@ def main():
             if kind in GRID_KINDS and not options.no_grid:
                 grids[kind] = [grid(bench, kind, seed) for seed in options.seeds]
             if not options.no_toolbox:
-                # The tau of the same convex prior is near its best lambda.
-                start = bench.reconstruct(kind, options.seeds[0], "tv+0.5*tdiff")["tau"]
+                # After so few iterations the best lambda is some ten times the tau of the minimum.
+                start = 10 * bench.reconstruct(kind, options.seeds[0], "tv+0.5*tdiff")["tau"]
                 tools[kind] = toolbox(bench, kind, options.seeds[0], start, options.toolbox_iterations)
         except RuntimeError as error:
             say(f"{kind} failed: {error}")

@@ -285,3 +285,14 @@ fn a_direct_frame_is_shown() {
         &["half.png"],
     );
 }
+
+#[test]
+fn trials_are_made_at_the_snr_asked_for() {
+    let lab = Lab::empty();
+    let printed =
+        lab.done("design --rows 16 --columns 16 --diffuser-deg 0.3 --trial-snr 64,16 --json");
+    let design: Value = serde_json::from_str(&printed).unwrap();
+    let map = &design["success_map"];
+    assert_eq!(map["snr"], serde_json::json!([16.0, 64.0]));
+    assert_eq!(map["half_success_pixels"].as_array().unwrap().len(), 2);
+}
