@@ -126,7 +126,10 @@ def command_line(script):
 
 
 def commit():
-    return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+    """The commit of the sources, and whether the program's have been changed since."""
+    git = lambda *words: subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+    changed = git("status", "--porcelain", "crates", "Cargo.toml", "Cargo.lock")
+    return git("describe", "--always") + (", changed" if changed else "")
 
 
 # ---------------------------------------------------------------- problems
