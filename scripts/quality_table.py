@@ -268,13 +268,16 @@ def led_errors(led, truth, video, traces):
 
 
 def centre_of(region):
-    """Row and column of the middle of a region, or None."""
-    if isinstance(region, dict) and "y" in region and "x" in region:
-        return (region["y"] + (region.get("rows", 1) - 1) / 2, region["x"] + (region.get("columns", 1) - 1) / 2)
-    if isinstance(region, list) and len(region) >= 2:
-        rows, columns = region[2:4] if len(region) >= 4 else (1, 1)
-        return (region[0] + (rows - 1) / 2, region[1] + (columns - 1) / 2)
-    return None
+    """Row and column of the middle of a region, as an object or as [y, x, rows, columns], or None."""
+    if isinstance(region, list):
+        region = dict(zip(("y", "x", "rows", "columns"), region))
+    if not isinstance(region, dict):
+        return None
+    y, x = region.get("y", region.get("row")), region.get("x", region.get("column"))
+    if y is None or x is None:
+        return None
+    # `columns` of a region, `column` of a place.
+    return (y + (region.get("rows", 1) - 1) / 2, x + (region.get("columns", 1) - 1) / 2)
 
 
 def square_wave_frequency(trace):
