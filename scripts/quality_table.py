@@ -497,8 +497,7 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
             common([r["fit"] for r in runs]),
             common([f"`{r['prior']}`" for r in runs]),
             spread([r["seconds"] + r["setup_seconds"] for r in runs]),
-            f"{runs[0]['psnr_db']:.1f}",
-            f"{tool['psnr_db']:.1f}, {tool['seconds']:.0f} s" if tool else "",
+            *([f"{runs[0]['psnr_db']:.1f}", f"{tool['psnr_db']:.1f}, {tool['seconds']:.0f} s" if tool else ""] if tools else []),
         ])
     text = [
         "# Quality",
@@ -515,8 +514,11 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
         f"The last two columns are seed {options.seeds[0]} alone: the program beside PyProximal's primal–dual method with total variation "
         f"(`tv`; with `0.5*tdiff` where the scene stays or moves), {options.toolbox_iterations} iterations, "
         f"at the λ that is best by the truth, on a grid of steps of 3; its time is that of the one run.",
-        table(["problem", "PSNR", "to reach", "dark", "residual/σ", "fit", "prior chosen", "seconds", "seed 1", "PyProximal"], rows),
+        table(["problem", "PSNR", "to reach", "dark", "residual/σ", "fit", "prior chosen", "seconds",
+               *([f"seed {options.seeds[0]}", "PyProximal"] if tools else [])], rows),
     ]
+    if not tools:
+        del text[3]
     if grids:
         rows = []
         for kind, best in grids.items():
