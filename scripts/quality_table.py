@@ -75,7 +75,7 @@ GRID_KINDS = ["digits-12", "digits-18", "leds", "moving"]
 # Each with the tau that the program finds for it; the best few of these also with other tau.
 GRID_PRIORS = [
     "tv+support", "tv+0.5*tdiff+support", "tv+2*tdiff+support", "l1+support", "tv3d+support",
-    "wavelet+support", "group+support", "tv+0.5*tdiff",
+    "group+support", "tv+0.5*tdiff",
 ]
 GRID_FACTORS = [0.25, 0.5, 2.0, 4.0]
 GRID_BEST = 3
@@ -504,7 +504,7 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
         f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. "
         f"Do not edit: run the command again.",
         f"Problems of 108×108 pixels and 54 bins (dual-inside-out, 9.6 µs, simulated speckle with a grain of 2.5 px, "
-        f"SNR 256 where nothing else is said), drawn anew for each of {seeds}; solved with `--prior auto --tau auto`. "
+        f"SNR 256 where nothing else is said), drawn anew for {seeds}; solved with `--prior auto --tau auto`. "
         f"PSNR in dB with the truth's maximum as peak, median and range; \"dark\" is that of a video in which nothing is lit, for "
         f"sparse scenes leave much of a PSNR to the dark; `seconds` with set-up. Electrons are those that "
         f"the brightest scene pixel sends to the sensor in a bin: of these less than a hundredth falls on the two rows that are read then "
