@@ -81,9 +81,14 @@ impl DemoScene {
 pub struct SimulateArgs {
     /// The camera, as an experiment file
     pub experiment: PathBuf,
-    /// digits, leds, moving, or a video file (.npy, multi-page .tif) that is fitted to the field
+    /// digits, leds, moving, two-moving (they may cross), or a video file (.npy, multi-page .tif)
+    /// that is fitted to the field
     #[arg(long)]
     pub scene: String,
+    /// Add a static, textured background whose brightest pixel is this many times as bright as the
+    /// brightest of the scene
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
+    pub background: Option<f64>,
     /// PSF to use; without one (here or in the experiment) a speckle PSF is computed
     #[arg(long)]
     pub psf: Option<PathBuf>,
@@ -94,12 +99,24 @@ pub struct SimulateArgs {
     /// Needs gain_electrons_per_count and read_noise_electrons in [camera]
     #[arg(long, conflicts_with = "snr", allow_hyphen_values = true)]
     pub peak_electrons: Option<f64>,
+    /// Shot and read noise, from the light of the scene: electrons that the brightest scene pixel
+    /// sends to the sensor in one bin, spread over the PSF. Needs what --peak-electrons needs
+    #[arg(long, conflicts_with_all = ["snr", "peak_electrons"], allow_hyphen_values = true)]
+    pub scene_electrons: Option<f64>,
     /// Seed of scene, speckle and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Height of the font of digits and moving, in pixels
+    /// Height of the font of digits, moving and two-moving, in pixels
     #[arg(long, default_value_t = 12)]
     pub digit_px: usize,
+    /// Rms phase of the diffuser in radians, of the same angle: 4 is speckle, 20 to 60 caustics
+    #[arg(
+        long,
+        default_value_t = 4.0,
+        value_name = "RADIANS",
+        allow_hyphen_values = true
+    )]
+    pub diffuser_phase: f64,
     #[command(flatten)]
     pub optics: OpticsArgs,
     /// Folder for experiment.toml, frame.npy, psf.npy, truth.npy and the frame without diffuser
@@ -158,6 +175,9 @@ pub struct ReconstructArgs {
     /// The true video, to compare with
     #[arg(long)]
     pub truth: Option<PathBuf>,
+    /// A frame of the scene taken without the diffuser, of any size, shown beside the reconstruction
+    #[arg(long)]
+    pub direct: Option<PathBuf>,
     /// The prior: auto, or terms of tv, tdiff, l1, tv3d, tv3d-aniso, dct, wavelet, group, lowrank,
     /// support joined by +, such as tv+0.5*tdiff
     #[arg(long, allow_hyphen_values = true)]

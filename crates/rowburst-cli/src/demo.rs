@@ -34,10 +34,12 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     simulate::write(&Plan {
         experiment: Experiment::new(paper_camera()),
         scene: args.scene.name(),
+        background: None,
         psf: None,
         noise: NoiseChoice::Snr(args.snr),
         seed: args.seed,
         digit_px: 12,
+        diffuser_phase: 4.0,
         optics: OpticsArgs::demo(),
         output: &args.output,
     })?;
@@ -49,6 +51,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         flat: None,
         bad_pixels: None,
         truth: Some(args.output.join("truth.npy")),
+        direct: Some(args.output.join("without-diffuser.tif")),
         prior: None,
         tau: None,
         noise_sigma: None,

@@ -12,11 +12,11 @@ use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
-use rowburst::{Camera, Error, PatchSet, Result, Video};
+use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_video, write_tiff_video,
 };
-use rowburst_report::{Iteration, Judgement, ReportInput};
+use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, ReportInput};
 use std::time::{Duration, Instant};
 
 /// Files of a result, and what they are.
@@ -72,6 +72,8 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         .as_deref()
         .map(|path| read_truth(path, &camera))
         .transpose()?;
+    let direct = args.direct.as_deref().map(read_frame).transpose()?;
+    let direct = direct.map(|(image, _)| image);
     drop((raw, corrections));
 
     let stop = stop_on_ctrl_c();
@@ -92,6 +94,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         psfs: &psfs,
         measurement: &measurement,
         truth: truth.as_ref(),
+        direct: direct.as_ref(),
         found: &found,
         curve: &watch.curve,
     };
@@ -170,6 +173,7 @@ struct Run<'a> {
     psfs: &'a PatchSet,
     measurement: &'a Measurement,
     truth: Option<&'a Video>,
+    direct: Option<&'a Image>,
     found: &'a Reconstruction,
     curve: &'a [Iteration],
 }
@@ -283,7 +287,13 @@ impl Run<'_> {
         }
 
         outcome.peak_memory_bytes = peak_memory_bytes();
-        let direct = self.truth.map(|truth| direct_frame(self.camera, truth));
+        let computed = self.truth.filter(|_| self.direct.is_none());
+        let computed = computed.map(|truth| direct_frame(self.camera, truth));
+        let direct = match (self.direct, &computed) {
+            (Some(image), _) => Some((image, DirectOrigin::Given)),
+            (None, Some(image)) => Some((image, DirectOrigin::Truth)),
+            (None, None) => None,
+        };
         let reproduce = self.command_line();
         let report = rowburst_report::render(&ReportInput {
             title: &format!("Rowburst: {}", self.args.frame.display()),
@@ -291,7 +301,7 @@ impl Run<'_> {
             psf: self.psfs.central().image(),
             video,
             truth: self.truth,
-            direct: direct.as_ref(),
+            direct: direct.map(|(image, origin)| Direct { image, origin }),
             residual: &self.found.residual,
             instants: self.camera.instants(),
             time,
@@ -335,6 +345,7 @@ impl Run<'_> {
             ("--flat", &args.flat),
             ("--bad-pixels", &args.bad_pixels),
             ("--truth", &args.truth),
+            ("--direct", &args.direct),
         ];
         for (flag, path) in paths {
             if let Some(path) = path {

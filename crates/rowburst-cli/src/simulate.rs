@@ -5,7 +5,8 @@ use crate::inputs::{check_memory, read_psfs};
 use crate::outcome::{say, short};
 use rowburst::linop::LinearOperator;
 use rowburst::noise::Noise;
-use rowburst::simulate::{SpeckleOptics, direct_frame, scene, speckle_psf};
+use rowburst::simulate::scene::Led;
+use rowburst::simulate::{SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf, scene};
 use rowburst::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use rowburst_io::{
     Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_patch_set,
@@ -18,10 +19,14 @@ use std::path::Path;
 pub struct Plan<'a> {
     pub experiment: Experiment,
     pub scene: &'a str,
+    /// Brightness of a static background over that of the scene.
+    pub background: Option<f64>,
     pub psf: Option<&'a Path>,
     pub noise: NoiseChoice,
     pub seed: u64,
     pub digit_px: usize,
+    /// Rms phase of the diffuser in radians.
+    pub diffuser_phase: f64,
     pub optics: OpticsArgs,
     pub output: &'a Path,
 }
@@ -31,22 +36,27 @@ pub struct Plan<'a> {
 pub enum NoiseChoice {
     /// Gaussian; infinite for none.
     Snr(f64),
-    /// Shot and read noise.
+    /// Shot and read noise, from the electrons of the frame's brightest pixel.
     PeakElectrons(f64),
+    /// The same, from the electrons of the brightest scene pixel in a bin.
+    SceneElectrons(f64),
 }
 
 pub fn run(args: &SimulateArgs) -> Result<()> {
-    let noise = match args.peak_electrons {
-        Some(electrons) => NoiseChoice::PeakElectrons(electrons),
-        None => NoiseChoice::Snr(args.snr),
+    let noise = match (args.peak_electrons, args.scene_electrons) {
+        (Some(electrons), _) => NoiseChoice::PeakElectrons(electrons),
+        (None, Some(electrons)) => NoiseChoice::SceneElectrons(electrons),
+        (None, None) => NoiseChoice::Snr(args.snr),
     };
     write(&Plan {
         experiment: Experiment::read(&args.experiment)?,
         scene: &args.scene,
+        background: args.background,
         psf: args.psf.as_deref(),
         noise,
         seed: args.seed,
         digit_px: args.digit_px,
+        diffuser_phase: args.diffuser_phase,
         optics: args.optics,
         output: &args.output,
     })?;
@@ -65,7 +75,11 @@ pub fn write(plan: &Plan) -> Result<()> {
     check_noise(plan, &camera)?;
     check_memory(&plan.experiment.path, &camera)?;
     let psfs = psfs_of(plan, &camera)?;
-    let scene = scene_of(plan, &camera)?;
+    let Scene {
+        video: scene,
+        background,
+        leds,
+    } = scene_of(plan, &camera)?;
     let operator = RollingShutter::new(&camera, &psfs);
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(scene.data(), &mut frame);
@@ -79,28 +93,64 @@ pub fn write(plan: &Plan) -> Result<()> {
         NoiseChoice::Snr(snr) if snr.is_infinite() => Noise::None,
         NoiseChoice::Snr(snr) => Noise::Gaussian { snr },
         NoiseChoice::PeakElectrons(peak_electrons) => Noise::Camera { peak_electrons },
+        NoiseChoice::SceneElectrons(electrons) => Noise::Camera {
+            peak_electrons: peak_electrons(&camera, &scene, &noiseless, electrons)
+                .map_err(|e| e.within(plan.scene))?,
+        },
     };
     let recorded = noise
         .apply(&noiseless, camera.sensor(), plan.seed)
         .map_err(|e| e.within(plan.scene))?;
     let direct = direct_frame(&camera, &scene);
+    let in_counts = |values: &mut [f32]| {
+        for v in values {
+            *v = (f64::from(*v) * recorded.scale) as f32;
+        }
+    };
     let mut truth = scene;
-    truth
-        .data_mut()
-        .iter_mut()
-        .for_each(|v| *v = (f64::from(*v) * recorded.scale) as f32);
+    in_counts(truth.data_mut());
 
     let psf_file = write_psfs(&folder, &psfs)?;
     folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
+    let mut light = None;
+    // Those of an earlier run in this folder would not add up to this truth.
+    for name in OF_BACKGROUND {
+        folder.remove(name)?;
+    }
+    if let Some(mut still) = background {
+        in_counts(still.data_mut());
+        let moving = without(truth, &still);
+        light = Some(total(still.data()) * moving.shape().bins as f64 / total(moving.data()));
+        let [of_still, of_moving] = OF_BACKGROUND;
+        folder.write(of_still, |w| write_npy_image(w, &still))?;
+        folder.write(of_moving, |w| write_npy_video(w, &moving))?;
+    }
     folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
     folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
     let notes = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "scene": plan.scene,
+        "background": plan.background.map(|times| json!({
+            "brightest_over_scene": times,
+            "light_over_scene": light,
+        })),
+        "leds": leds.iter().map(|led| json!({
+            "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
+        })).collect::<Vec<_>>(),
         "seed": plan.seed,
         "noise": match plan.noise {
             NoiseChoice::Snr(snr) => json!({ "model": "gaussian", "snr": snr.is_finite().then_some(snr) }),
-            NoiseChoice::PeakElectrons(n) => json!({ "model": "shot and read noise", "peak_electrons": n }),
+            NoiseChoice::PeakElectrons(_) | NoiseChoice::SceneElectrons(_) => json!({
+                "model": "shot and read noise",
+                "peak_electrons": match noise {
+                    Noise::Camera { peak_electrons } => Some(peak_electrons),
+                    Noise::None | Noise::Gaussian { .. } => None,
+                },
+                "scene_electrons": match plan.noise {
+                    NoiseChoice::SceneElectrons(n) => Some(n),
+                    NoiseChoice::Snr(_) | NoiseChoice::PeakElectrons(_) => None,
+                },
+            }),
         },
         "noise_sigma": recorded.sigma,
         "counts_per_unit_of_scene": recorded.scale,
@@ -114,6 +164,7 @@ pub fn write(plan: &Plan) -> Result<()> {
                 "focal_length_mm": plan.optics.focal_length_mm,
                 "magnification": plan.optics.magnification,
                 "diffuser_fwhm_deg": plan.optics.diffuser_deg,
+                "diffuser_phase_rad": plan.diffuser_phase,
                 "pixel_pitch_um": pixel_pitch_um(&camera),
             }),
         },
@@ -139,6 +190,8 @@ pub fn write(plan: &Plan) -> Result<()> {
         match plan.noise {
             NoiseChoice::Snr(snr) => format!("SNR {snr}"),
             NoiseChoice::PeakElectrons(n) => format!("{n} electrons in the brightest pixel"),
+            NoiseChoice::SceneElectrons(n) =>
+                format!("{n} electrons of the brightest scene pixel in a bin"),
         },
         recorded.saturated
     );
@@ -147,16 +200,23 @@ pub fn write(plan: &Plan) -> Result<()> {
 
 /// Shot noise can only be made where it is known what an electron is.
 fn check_noise(plan: &Plan, camera: &Camera) -> Result<()> {
-    let NoiseChoice::PeakElectrons(electrons) = plan.noise else {
-        return Ok(());
-    };
-    if !(electrons.is_finite() && electrons > 0.0) {
-        return Err(Error::input(
+    let (option, electrons, rule, remedy) = match plan.noise {
+        NoiseChoice::Snr(_) => return Ok(()),
+        NoiseChoice::PeakElectrons(electrons) => (
             "--peak-electrons",
             electrons,
             "the brightest pixel holds a number of electrons above zero",
             "Give a number below the full well: full wells hold 10⁴ to 10⁶ electrons.",
-        ));
+        ),
+        NoiseChoice::SceneElectrons(electrons) => (
+            "--scene-electrons",
+            electrons,
+            "the brightest scene pixel sends a number of electrons above zero in a bin",
+            "Multiply the photons that pass the lens by the quantum efficiency; 200 are few.",
+        ),
+    };
+    if !(electrons.is_finite() && electrons > 0.0) {
+        return Err(Error::input(option, electrons, rule, remedy));
     }
     let sensor = camera.sensor();
     for (key, value) in [
@@ -167,7 +227,7 @@ fn check_noise(plan: &Plan, camera: &Camera) -> Result<()> {
             return Err(Error::input(
                 format!("{}: [camera]", plan.experiment.path.display()),
                 format!("no `{key}`"),
-                "--peak-electrons needs the sensor's gain and read noise",
+                format!("{option} needs the sensor's gain and read noise"),
                 format!("Add a line `{key} = …` to [camera], or use --snr."),
             ));
         }
@@ -209,7 +269,7 @@ fn pixel_pitch_um(camera: &Camera) -> f64 {
 
 fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
     if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
-        if plan.optics != OpticsArgs::demo() {
+        if plan.optics != OpticsArgs::demo() || plan.diffuser_phase != 4.0 {
             eprintln!(
                 "note: the options of the speckle PSF have no effect: the PSF is {}",
                 path.display()
@@ -224,7 +284,14 @@ fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
         camera.rows() + field_rows - 1,
         camera.columns() + field_columns - 1,
     );
-    let psf = speckle_psf(&optics, rows | 1, columns | 1, plan.seed).map_err(naming_option)?;
+    let psf = phase_plate_psf(
+        &optics,
+        plan.diffuser_phase,
+        rows | 1,
+        columns | 1,
+        plan.seed,
+    )
+    .map_err(naming_option)?;
     eprintln!(
         "speckle PSF: grain {:.2} px, envelope {:.0} px",
         optics.grain_px(),
@@ -245,6 +312,7 @@ fn naming_option(mut error: Error) -> Error {
             "magnification" => "--magnification",
             "diffuser_fwhm_deg" => "--diffuser-deg",
             "pixel_pitch_um" => "[camera] pixel_pitch_um",
+            "rms_phase" => "--diffuser-phase",
             other => other,
         };
         *subject = option.to_string();
@@ -252,26 +320,36 @@ fn naming_option(mut error: Error) -> Error {
     error
 }
 
-fn scene_of(plan: &Plan, camera: &Camera) -> Result<Video> {
+/// What is to be seen.
+struct Scene {
+    /// All light, that of the background too.
+    video: Video,
+    /// What of it is static.
+    background: Option<Image>,
+    leds: Vec<Led>,
+}
+
+fn scene_of(plan: &Plan, camera: &Camera) -> Result<Scene> {
     let shape = camera.video_shape();
     let of_font = |error: Error| error.within(format!("--digit-px {}", plan.digit_px));
-    match plan.scene {
-        "digits" => scene::digits(shape, plan.digit_px, plan.seed).map_err(of_font),
-        "moving" => scene::moving_digit(shape, plan.digit_px, 1, plan.seed).map_err(of_font),
+    let moving = |digits| scene::moving_digit(shape, plan.digit_px, digits, plan.seed);
+    let mut leds = Vec::new();
+    let mut video = match plan.scene {
+        "digits" => scene::digits(shape, plan.digit_px, plan.seed).map_err(of_font)?,
+        "moving" => moving(1).map_err(of_font)?,
+        "two-moving" => moving(2).map_err(of_font)?,
         "leds" => {
-            let (video, leds) = scene::leds(
-                shape,
-                camera.time().bin_duration_us(),
-                pixel_pitch_um(camera),
-                plan.seed,
-            )?;
-            for led in &leds {
+            let bin_duration_us = camera.time().bin_duration_us();
+            let (video, found) =
+                scene::leds(shape, bin_duration_us, pixel_pitch_um(camera), plan.seed)?;
+            for led in &found {
                 eprintln!(
                     "LED at row {:.1}, column {:.1}: {:.0} Hz",
                     led.y, led.x, led.frequency_hz
                 );
             }
-            Ok(video)
+            leds = found;
+            video
         }
         name => {
             let path = Path::new(name);
@@ -279,14 +357,54 @@ fn scene_of(plan: &Plan, camera: &Camera) -> Result<Video> {
                 return Err(Error::input(
                     "--scene",
                     format!("\"{name}\""),
-                    "a scene is digits, leds, moving or a video file",
+                    "a scene is digits, leds, moving, two-moving or a video file",
                     "Check the name, or give a .npy or multi-page .tif file.",
                 ));
             }
             let video = read_video(path)?;
-            scene::fit(&video, shape).map_err(|e| e.within(path.display()))
+            scene::fit(&video, shape).map_err(|e| e.within(path.display()))?
+        }
+    };
+    let background = match plan.background {
+        None => None,
+        Some(times) => {
+            let picture = scene::background(shape, plan.seed).map_err(naming_background)?;
+            let added = scene::add_background(&mut video, &picture, times);
+            Some(added.map_err(naming_background)?)
+        }
+    };
+    Ok(Scene {
+        video,
+        background,
+        leds,
+    })
+}
+
+fn naming_background(mut error: Error) -> Error {
+    if let Error::Input { subject, .. } = &mut error {
+        *subject = match subject.as_str() {
+            "background" => "--background".into(),
+            other => format!("--background: {other}"),
+        };
+    }
+    error
+}
+
+/// Files that only a scene with a background has: it, and the rest of the truth.
+const OF_BACKGROUND: [&str; 2] = ["truth-background.npy", "truth-moving.npy"];
+
+/// `video` without what is `still`.
+fn without(mut video: Video, still: &Image) -> Video {
+    for t in 0..video.shape().bins {
+        for (voxel, still) in video.bin_mut(t).iter_mut().zip(still.data()) {
+            *voxel = (*voxel - still).max(0.0);
         }
     }
+    video
+}
+
+fn total(values: &[f32]) -> f64 {
+    values.iter().map(|&v| f64::from(v)).sum()
 }
 
 impl OpticsArgs {

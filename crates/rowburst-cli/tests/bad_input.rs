@@ -993,7 +993,7 @@ fn options() {
             [
                 "--scene",
                 "\"letters\"",
-                "digits, leds, moving or a video",
+                "digits, leds, moving, two-moving or a video",
                 "Check the name",
             ],
         ),

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use rowburst::{Image, Shape, TimeGrid, Video};
-use rowburst_report::{Iteration, ReportInput, render};
+use rowburst_report::{Direct, DirectOrigin, Iteration, ReportInput, render};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -74,7 +74,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         psf: &psf,
         video: &video,
         truth: Some(&truth).filter(|_| std::env::var_os("NO_TRUTH").is_none()),
-        direct: Some(&direct),
+        direct: Some(Direct {
+            image: &direct,
+            origin: DirectOrigin::Truth,
+        }),
         residual: &residual,
         instants: &instants,
         time: &time,

@@ -64,11 +64,16 @@ impl Axis {
     }
 
     /// Position of `value`, 0 at the low end and 1 at the high one.
-    fn fraction(&self, value: f64) -> f64 {
+    pub(crate) fn fraction(&self, value: f64) -> f64 {
         match self.log {
             true => (value / self.low).ln() / (self.high / self.low).ln(),
             false => (value - self.low) / (self.high - self.low),
         }
+    }
+
+    /// What it measures, with the unit.
+    pub(crate) fn label(&self) -> &str {
+        &self.label
     }
 
     /// Values and texts of about `count` ticks.

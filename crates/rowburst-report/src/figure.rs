@@ -133,6 +133,13 @@ impl Figure {
         self.body.push_str("</g>");
     }
 
+    /// Writes `text` in a colour, where that of the page would not be seen.
+    pub(crate) fn label(&mut self, x: f64, y: f64, anchor: Anchor, colour: &str, text: &str) {
+        let _ = write!(self.body, r#"<g class="mark" style="fill:{colour}">"#);
+        self.text(x, y, anchor, "", text);
+        self.body.push_str("</g>");
+    }
+
     /// Writes `text` upwards, centred at `(x, y)`.
     pub(crate) fn text_upwards(&mut self, x: f64, y: f64, class: &str, text: &str) {
         let _ = write!(
@@ -151,6 +158,18 @@ impl Figure {
         let _ = write!(self.body, r#"<polyline class="{class}" {style} points=""#);
         for (x, y) in points {
             let _ = write!(self.body, "{x:.1},{y:.1} ");
+        }
+        self.body.push_str("\"/>");
+    }
+
+    /// Draws many short strokes, each from a point by a step, as one element.
+    pub(crate) fn strokes(&mut self, from: &[(f64, f64)], step: (f64, f64), style: &str) {
+        if from.is_empty() {
+            return;
+        }
+        let _ = write!(self.body, r#"<path {style} d=""#);
+        for (x, y) in from {
+            let _ = write!(self.body, "M{x:.1} {y:.1}l{:.2} {:.2}", step.0, step.1);
         }
         self.body.push_str("\"/>");
     }

@@ -44,8 +44,8 @@ pub struct ReportInput<'a> {
     pub video: &'a Video,
     /// The true video, of the reconstruction's shape (simulations).
     pub truth: Option<&'a Video>,
-    /// What the camera would record without the diffuser (simulations), of any size.
-    pub direct: Option<&'a Image>,
+    /// The scene as the camera sees it without the diffuser, of any size.
+    pub direct: Option<Direct<'a>>,
     /// `(b − A v)/σ`, dimensionless, of the frame's size. Values that are not finite are shown grey.
     pub residual: &'a Image,
     /// Instant `k[r]` at which row `r` of the frame is read.
@@ -69,6 +69,24 @@ pub struct ReportInput<'a> {
     pub files: Vec<(String, String)>,
     /// The command line that repeats the run.
     pub reproduce: Option<&'a str>,
+}
+
+/// A frame without the diffuser.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Direct<'a> {
+    /// The frame `[y, x]`.
+    pub image: &'a Image,
+    /// Where it comes from.
+    pub origin: DirectOrigin,
+}
+
+/// Where a frame without the diffuser comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DirectOrigin {
+    /// It was given, in units of its own.
+    Given,
+    /// It was computed from the true video, in the units of the frame.
+    Truth,
 }
 
 /// What is thought of a fit.

@@ -58,7 +58,10 @@ impl Case {
             psf: &self.psf,
             video: &self.video,
             truth: self.truth.as_ref(),
-            direct: Some(&self.frame),
+            direct: Some(Direct {
+                image: &self.frame,
+                origin: DirectOrigin::Truth,
+            }),
             residual: &self.residual,
             instants: &self.instants,
             time: &self.time,
@@ -123,7 +126,7 @@ fn size(png: &[u8]) -> (u32, u32) {
 #[test]
 fn an_ordinary_case_has_all_pictures() {
     let case = Case::new(Shape::new(20, 24, 30), 24, 30);
-    let expected = "time-colour frames traces frame psf direct residual convergence";
+    let expected = "time-colour space-time frames traces frame psf direct residual convergence";
     let expected: Vec<String> = expected.split(' ').map(|n| format!("{n}.png")).collect();
     assert_eq!(case.names(), expected);
 }

@@ -93,7 +93,10 @@ fn map_of(plan: &Plan, found: &Assessment, given: Option<&Psf>) -> Result<Succes
     let grain_px = found
         .measured_grain_px
         .unwrap_or_else(|| found.grains.fwhm_px());
-    let params = SparsityParams::for_camera(&camera, grain_px, plan.seed);
+    let mut params = SparsityParams::for_camera(&camera, grain_px, plan.seed);
+    if !plan.trial_snrs.is_empty() {
+        params.snrs = plan.trial_snrs.clone();
+    }
     let bar = if std::io::stderr().is_terminal() {
         ProgressBar::new(1000)
     } else {

@@ -32,6 +32,15 @@ pub struct DesignArgs {
     /// Leave out the trial reconstructions, which take most of a minute
     #[arg(long, visible_alias = "no-map", help_heading = "Run")]
     pub quick: bool,
+    /// SNR of the trial reconstructions, with commas between [default: 8 to 256, each twice the last]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        conflicts_with = "quick",
+        help_heading = "Run"
+    )]
+    pub trial_snr: Vec<f64>,
     /// Seed of speckle, scenes and noise
     #[arg(long, default_value_t = 1, help_heading = "Run")]
     pub seed: u64,
@@ -113,6 +122,8 @@ pub struct Plan {
     pub optics: SpeckleOptics,
     pub light: LightParams,
     pub psf: Option<PathBuf>,
+    /// SNR of the trials, ascending; empty for the usual ones.
+    pub trial_snrs: Vec<f64>,
     pub seed: u64,
 }
 
@@ -157,6 +168,17 @@ impl DesignArgs {
             diffuser_path_rms_nm: self.light.diffuser_path_rms_nm,
         };
         light.check().map_err(|e| self.naming_option(e))?;
+        let mut trial_snrs = self.trial_snr.clone();
+        if let Some(bad) = trial_snrs.iter().find(|s| !(s.is_finite() && **s > 0.0)) {
+            return Err(Error::input(
+                "--trial-snr",
+                bad,
+                "a signal-to-noise ratio is a number above zero",
+                "Leave it out for 8 to 256.",
+            ));
+        }
+        trial_snrs.sort_by(f64::total_cmp);
+        trial_snrs.dedup();
         let pitch = sensor.pixel_pitch_um;
         let optics = self
             .optics
@@ -170,6 +192,7 @@ impl DesignArgs {
                 .psf
                 .clone()
                 .or(experiment.and_then(|e| e.calibration.psf)),
+            trial_snrs,
             seed: self.seed,
         })
     }

@@ -3,12 +3,12 @@
 use rowburst::Image;
 
 use super::{Drawn, Section, Videos};
-use crate::ReportInput;
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::panel::{colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::{display_high, display_low};
+use crate::{Direct, DirectOrigin, ReportInput};
 
 /// The captured frame.
 pub(super) fn frame(input: &ReportInput) -> Drawn {
@@ -54,23 +54,32 @@ pub(super) fn psf(input: &ReportInput) -> Drawn {
     }
 }
 
-/// What the camera would record without the diffuser.
-pub(super) fn direct(input: &ReportInput, image: &Image) -> Drawn {
+/// The scene as the camera sees it without the diffuser.
+pub(super) fn direct(input: &ReportInput, direct: Direct) -> Drawn {
+    let image = direct.image;
+    // One of another size has pixels of which nothing is known.
+    let is_of_sensor =
+        (image.rows(), image.columns()) == (input.frame.rows(), input.frame.columns());
+    let pitch_um = input.pixel_pitch_um.filter(|_| is_of_sensor);
+    let mut caption = String::from(match direct.origin {
+        DirectOrigin::Truth => {
+            "What the same camera would record without the diffuser (computed from the truth), in \
+             the units of the frame"
+        }
+        DirectOrigin::Given => "The frame given as taken without the diffuser, in its own units",
+    });
+    caption += match input.video.shape().bins {
+        1 => ".",
+        _ => {
+            ": each row sees the scene at its own instant only, and what happens elsewhere \
+             meanwhile is lost."
+        }
+    };
     Drawn {
         name: "direct",
         section: Section::Measurement,
-        figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
-        caption: String::from(match input.video.shape().bins {
-            1 => {
-                "What the same camera would record without the diffuser (simulated), in the \
-                 units of the frame."
-            }
-            _ => {
-                "What the same camera would record without the diffuser (simulated), in the \
-                 units of the frame: each row sees the scene at its own instant only, and what \
-                 happens elsewhere meanwhile is lost."
-            }
-        }),
+        figure: picture(image, Map::Grey, "recorded signal", pitch_um),
+        caption,
         alt: "Grey-scale image of the scene as the camera records it without diffuser.".into(),
     }
 }

@@ -4,6 +4,7 @@ mod convergence;
 mod frames;
 mod image;
 mod residual;
+mod space_time;
 mod time_colour;
 mod traces;
 
@@ -61,16 +62,17 @@ pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = Drawn>
     };
     let moving = input.video.shape().bins > 1;
     let mut truth = truth;
-    (0..8).filter_map(move |figure| match figure {
+    (0..9).filter_map(move |figure| match figure {
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
-        1 => moving.then(|| frames::draw(input, &videos)),
-        2 if moving => traces::draw(input, &videos),
-        3 => Some(image::frame(input)),
-        4 => Some(image::psf(input)),
-        5 => input.direct.map(|direct| image::direct(input, direct)),
-        6 => Some(residual::draw(input)),
-        7 => convergence::draw(input.convergence),
+        1 if moving => space_time::draw(input, &videos),
+        2 => moving.then(|| frames::draw(input, &videos)),
+        3 if moving => traces::draw(input, &videos),
+        4 => Some(image::frame(input)),
+        5 => Some(image::psf(input)),
+        6 => input.direct.map(|direct| image::direct(input, direct)),
+        7 => Some(residual::draw(input)),
+        8 => convergence::draw(input.convergence),
         _ => None,
     })
 }

@@ -1,42 +1,61 @@
 //! The whole video in one picture: time as colour.
 
+use rowburst::Image;
+
 use super::{Drawn, Section, Videos};
 use crate::ReportInput;
+use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::TimeUnit;
 use crate::panel::{put, scale_bar};
+use crate::pixels::{LONGEST_SIDE, Pixels, Plane};
 use crate::projection::{Projection, legend};
+use crate::stats::{display_high, display_low};
 
 /// Draws the projection of the reconstruction, beside that of the truth.
 pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projection>) -> Drawn {
     let shape = videos.video.shape();
     let mut figure = Figure::new(800.0, 0.0);
-    let panels: Vec<_> = [
+    let mut panels: Vec<Panel> = [
         ("reconstruction", Some(&videos.projection)),
         ("truth", truth.as_ref()),
     ]
     .into_iter()
-    .filter_map(|(name, projection)| Some((name, projection?)))
+    .filter_map(|(name, projection)| {
+        Some(Panel {
+            name,
+            pixels: projection?.picture(videos.high),
+            is_field: true,
+        })
+    })
     .collect();
+    panels.extend(input.direct.map(|direct| Panel {
+        name: "without the diffuser",
+        pixels: grey(direct.image),
+        is_field: false,
+    }));
     // Side by side, but wide pictures one below the other.
-    let beside = panels.len() == 2 && shape.columns < 2 * shape.rows;
-    let (width, height) = if beside {
-        (390.0, 480.0)
-    } else {
-        (800.0, 520.0)
+    let across = match panels.iter().all(|p| p.pixels.columns < 2 * p.pixels.rows) {
+        true => panels.len(),
+        false => 1,
     };
+    let gap = 20.0;
+    let width = (800.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let height = if across > 1 { 480.0 } else { 520.0 };
     let (mut x, mut bottom) = (0.0, -18.0_f64);
-    for (name, projection) in panels {
+    for panel in panels {
         let top = if x > 0.0 { 22.0 } else { bottom + 40.0 };
         let room = Rect::new(x, top, width, height);
-        let place = put(&mut figure, room, projection.picture(videos.high));
+        let place = put(&mut figure, room, panel.pixels);
         let middle = place.x + place.width / 2.0;
-        figure.text(middle, top - 8.0, Anchor::Middle, "strong", name);
-        scale_bar(&mut figure, place, shape.columns, input.pixel_pitch_um);
-        sensor_outline(&mut figure, place, input);
+        figure.text(middle, top - 8.0, Anchor::Middle, "strong", panel.name);
+        if panel.is_field {
+            scale_bar(&mut figure, place, shape.columns, input.pixel_pitch_um);
+            sensor_outline(&mut figure, place, input);
+        }
         bottom = bottom.max(place.bottom());
-        if beside {
-            x += width + 20.0;
+        if across > 1 {
+            x += width + gap;
         }
     }
     let total_us = shape.bins as f64 * input.time.bin_duration_us();
@@ -57,11 +76,16 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
         caption: format!(
             "The whole video of {} bins in one picture: hue is time (equal steps of time are \
              equal steps of hue, blue first, red last), brightness the largest value over time. \
-             What is lit all the time is grey.{} A good one shows each object in one pure colour \
+             What is lit all the time is grey.{}{} A good one shows each object in one pure colour \
              on black; mixed colours are events that were not told apart.",
             shape.bins,
             if is_larger(input) {
                 " The dashed line is the edge of the sensor."
+            } else {
+                ""
+            },
+            if input.direct.is_some() {
+                " In grey, the frame without the diffuser, in which each row has its own instant alone."
             } else {
                 ""
             }
@@ -71,6 +95,24 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
             unit.stamp(total_us, 0.1 * unit.us)
         ),
     }
+}
+
+/// A picture beside the others.
+struct Panel {
+    name: &'static str,
+    pixels: Pixels,
+    /// Whether it shows the field of the video.
+    is_field: bool,
+}
+
+fn grey(image: &Image) -> Pixels {
+    let high = display_high(image.data());
+    let low = display_low(image.data(), high);
+    Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE).coloured(
+        Map::Grey,
+        low,
+        high,
+    )
 }
 
 fn is_larger(input: &ReportInput) -> bool {

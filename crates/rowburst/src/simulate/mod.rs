@@ -9,11 +9,13 @@
 //! Reference: G. Weinberg and O. Katz, Opt. Express 28, 30616 (2020).
 
 mod direct;
+mod light;
 pub mod scene;
 pub mod speckle;
 
 pub use direct::direct_frame;
-pub use speckle::{Aperture, SpeckleOptics, speckle_psf};
+pub use light::peak_electrons;
+pub use speckle::{Aperture, SpeckleOptics, phase_plate_psf, speckle_psf};
 
 use crate::{Error, Result};
 

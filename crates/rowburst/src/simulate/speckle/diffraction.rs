@@ -16,12 +16,13 @@ use std::f64::consts::PI;
 /// Rms phase of the screen in radians. The unscattered light is `exp(−σ_φ²)` = 10⁻⁷
 /// of the whole, below a thousandth of one grain; a stronger screen has a longer
 /// correlation, fewer independent parts in the pupil, and poorer statistics.
-const RMS_PHASE: f64 = 4.0;
+pub(super) const RMS_PHASE: f64 = 4.0;
 
-/// Width of the exact spectrum of `exp(−σ_φ²(1 − exp(−r²/ℓ²)))` over that of its
-/// limit `exp(−σ_φ²r²/ℓ²)` at half maximum, for [`RMS_PHASE`]: the spectrum is a sum
-/// of Gaussians of variance `n` with Poisson weights of mean `σ_φ²`.
-const SPECTRUM_WIDTH: f64 = 0.9424;
+/// `1 − c/σ_φ²` is the width of the exact spectrum of `exp(−σ_φ²(1 − exp(−r²/ℓ²)))` over
+/// that of its limit `exp(−σ_φ²r²/ℓ²)` at half maximum: the spectrum is a sum of Gaussians
+/// of variance `n` with Poisson weights of mean `σ_φ²`. Exact at [`RMS_PHASE`] (0.9424);
+/// beyond, what is left is the next order.
+const SPECTRUM_NARROWING: f64 = (1.0 - 0.9424) * RMS_PHASE * RMS_PHASE;
 
 /// Window in standard deviations of the envelope. A Gaussian has 10⁻⁶ outside; the
 /// tails of the exact spectrum, a little heavier, have 10⁻⁴.
@@ -42,13 +43,16 @@ pub(super) struct Grid {
     per_pixel: usize,
     /// Diameter of the pupil in pupil samples.
     pupil: f64,
+    /// Rms phase `σ_φ` of the screen in radians.
+    rms_phase: f64,
     /// Correlation length `ℓ` of the screen in pupil samples.
     correlation: f64,
 }
 
 impl Grid {
-    /// The sampling for a grain `λz/D` and an envelope, both in pixels.
-    pub(super) fn new(grain_px: f64, envelope_fwhm_px: f64) -> Result<Self> {
+    /// The sampling for a grain `λz/D` and an envelope, both in pixels, and a screen of
+    /// `rms_phase` radians, at least [`RMS_PHASE`].
+    pub(super) fn new(grain_px: f64, envelope_fwhm_px: f64, rms_phase: f64) -> Result<Self> {
         // A grain of two pixels but for rounding needs no finer samples.
         let per_pixel = (2.0 / grain_px - 1e-9).ceil().max(1.0);
         let sigma = envelope_fwhm_px / FWHM_PER_SIGMA * per_pixel;
@@ -68,12 +72,14 @@ impl Grid {
         let pupil = n as f64 / (grain_px * per_pixel);
         // Phase slope s per sample scatters to s·n/(2π) image samples, and the slope
         // variance of the screen is 2σ_φ²/ℓ² along each axis.
-        let slope = 2.0 * PI * sigma / (SPECTRUM_WIDTH * n as f64);
+        let width = 1.0 - SPECTRUM_NARROWING / (rms_phase * rms_phase);
+        let slope = 2.0 * PI * sigma / (width * n as f64);
         Ok(Self {
             n,
             per_pixel: per_pixel as usize,
             pupil,
-            correlation: 2f64.sqrt() * RMS_PHASE / slope,
+            rms_phase,
+            correlation: 2f64.sqrt() * rms_phase / slope,
         })
     }
 
@@ -151,7 +157,7 @@ impl Grid {
         };
         let filter: Vec<f64> = (0..side).map(filter_of).collect();
         let power: f64 = filter.iter().map(|f| f * f).sum();
-        let scale = RMS_PHASE / power;
+        let scale = self.rms_phase / power;
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut screen = vec![Complex32::default(); side * side];
         for (row, fy) in screen.chunks_exact_mut(side).zip(&filter) {

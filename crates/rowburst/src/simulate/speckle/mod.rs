@@ -29,7 +29,7 @@ mod fft2;
 
 use super::require_positive;
 use crate::{Error, Image, Psf, Result};
-use diffraction::Grid;
+use diffraction::{Grid, RMS_PHASE};
 
 /// The opening that bounds the light: its size seen from the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -258,7 +258,39 @@ const MAX_SIDE: usize = 16384;
 /// Four transforms of the size of the window, 10σ of the envelope: the demo's
 /// 215×215 takes some tens of milliseconds.
 pub fn speckle_psf(optics: &SpeckleOptics, rows: usize, columns: usize, seed: u64) -> Result<Psf> {
+    phase_plate_psf(optics, RMS_PHASE, rows, columns, seed)
+}
+
+/// [`speckle_psf`] of a diffuser of another relief: the same scattering angle by a phase of
+/// `rms_phase` radians.
+///
+/// The slopes of the phase make the angle, so a stronger phase is a smoother one:
+/// `ℓ = √2 σ_φ / slope`. At 4 radians many independent parts fill the pupil and their light adds
+/// up to speckle. At 20 and more few parts are left, each of which refracts as a lens does, and
+/// the light gathers in caustics, bright folds and cusps with fringes one grain wide.
+///
+/// # Shapes, Units, Cost
+/// Those of [`speckle_psf`].
+///
+/// # Errors
+/// Those of [`speckle_psf`], and an `rms_phase` below 4 (light would go through unscattered) or
+/// above 100 radians (one lens would be left, whose place in the pupil is all that is random).
+pub fn phase_plate_psf(
+    optics: &SpeckleOptics,
+    rms_phase: f64,
+    rows: usize,
+    columns: usize,
+    seed: u64,
+) -> Result<Psf> {
     optics.check()?;
+    if !(RMS_PHASE..=MAX_RMS_PHASE).contains(&rms_phase) {
+        return Err(Error::input(
+            "rms_phase",
+            rms_phase,
+            format!("the phase of a diffuser is {RMS_PHASE} to {MAX_RMS_PHASE} radians rms"),
+            "Take 4 for speckle, 20 to 60 for caustics.",
+        ));
+    }
     for (key, side) in [("rows", rows), ("columns", columns)] {
         if side == 0 || side > MAX_SIDE {
             return Err(Error::input(
@@ -269,7 +301,7 @@ pub fn speckle_psf(optics: &SpeckleOptics, rows: usize, columns: usize, seed: u6
             ));
         }
     }
-    let grid = Grid::new(optics.grain_px(), optics.envelope_fwhm_px())?;
+    let grid = Grid::new(optics.grain_px(), optics.envelope_fwhm_px(), rms_phase)?;
     let window = grid.pixel_intensity(seed);
     let image = Image::from_fn(rows, columns, |y, x| {
         let dy = y as isize - (rows / 2) as isize;
@@ -278,6 +310,9 @@ pub fn speckle_psf(optics: &SpeckleOptics, rows: usize, columns: usize, seed: u6
     });
     Psf::new(image).map_err(|e| e.within("simulated speckle"))
 }
+
+/// Strongest phase: the correlation of the demo's screen is then the pupil's diameter.
+const MAX_RMS_PHASE: f64 = 100.0;
 
 #[cfg(test)]
 mod tests;

@@ -250,3 +250,52 @@ fn a_psf_larger_than_its_window_ends_in_zeros() {
     assert_eq!(psf.at_displacement(0, 400), 0.0);
     assert!(psf.at_displacement(0, 60) > 0.0);
 }
+
+/// Standard deviation of the light along an axis, in pixels, and the place of its middle.
+fn width(image: &Image, along: fn(usize, usize) -> usize) -> (f64, f64) {
+    let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
+    for y in 0..image.rows() {
+        for x in 0..image.columns() {
+            let (value, at) = (f64::from(image.at(y, x)), along(y, x) as f64);
+            sum += value;
+            first += value * at;
+            second += value * at * at;
+        }
+    }
+    let middle = first / sum;
+    ((second / sum - middle * middle).sqrt(), middle)
+}
+
+#[test]
+fn a_smooth_strong_plate_scatters_as_wide_into_caustics() {
+    let optics = SpeckleOptics::demo();
+    let sigma = optics.envelope_fwhm_px() / (8.0 * 2f64.ln()).sqrt();
+    let seeds = 0..12;
+    let count = seeds.end as f64;
+    let (mut square, mut peaks) = (0.0, [0.0; 2]);
+    for seed in seeds {
+        let caustic = phase_plate_psf(&optics, 30.0, 601, 601, seed).unwrap();
+        // About the axis: the mean slope of a plate with few parts is its own.
+        for along in [(|y, _| y) as fn(usize, usize) -> usize, |_, x| x] {
+            let (width, middle) = width(caustic.image(), along);
+            square += (width * width + (middle - 300.0).powi(2)) / (2.0 * count);
+        }
+        let speckle = speckle_psf(&optics, 601, 601, seed).unwrap();
+        for (peak, psf) in peaks.iter_mut().zip([&speckle, &caustic]) {
+            *peak += f64::from(psf.image().max()) / count;
+        }
+    }
+    println!("rms {:.1} of {sigma:.1} px, peaks {peaks:?}", square.sqrt());
+    assert!(
+        (square.sqrt() / sigma - 1.0).abs() < 0.15,
+        "{}",
+        square.sqrt()
+    );
+    assert!(peaks[1] > 1.5 * peaks[0], "caustics are bright: {peaks:?}");
+    let again = phase_plate_psf(&optics, 4.0, 31, 40, 7).unwrap();
+    assert_eq!(again, speckle_psf(&optics, 31, 40, 7).unwrap());
+    for bad in [0.0, 3.9, 101.0, f64::NAN] {
+        let error = phase_plate_psf(&optics, bad, 9, 9, 0).unwrap_err();
+        assert!(error.to_string().contains("radians"), "{error}");
+    }
+}
