@@ -207,7 +207,11 @@ impl Data {
         }
         let basis = Basis::of(&columns);
         let coefficients = basis.coefficients(&self.values);
-        let model = |n: usize| -> f64 { (0..columns.len()).map(|j| coefficients[j] * columns[j][n]).sum() };
+        let model = |n: usize| -> f64 {
+            (0..columns.len())
+                .map(|j| coefficients[j] * columns[j][n])
+                .sum()
+        };
         let misfit = (0..self.values.len()).map(|n| (self.values[n] - model(n)).powi(2));
         let misfit = misfit.sum();
         let slope = |n: usize| -> f64 {
@@ -288,7 +292,9 @@ impl Basis {
         let mut rest = v.to_vec();
         for vector in &self.vectors {
             let part = dot(&rest, vector);
-            rest.iter_mut().zip(vector).for_each(|(r, q)| *r -= part * q);
+            rest.iter_mut()
+                .zip(vector)
+                .for_each(|(r, q)| *r -= part * q);
         }
         rest
     }
@@ -325,7 +331,12 @@ mod tests {
     /// The error is that of the scatter over noise seeds, for sines anywhere in the band.
     #[test]
     fn errors_are_the_scatter() {
-        for (hertz, phase) in [(7_000.0, 0.3), (20_833.0, 1.1), (34_722.0, 2.0), (47_000.0, 0.7)] {
+        for (hertz, phase) in [
+            (7_000.0, 0.3),
+            (20_833.0, 1.1),
+            (34_722.0, 2.0),
+            (47_000.0, 0.7),
+        ] {
             let (mut squares, mut claimed, mut amplitudes) = (0.0, 0.0, 0.0);
             let seeds = 300;
             for seed in 0..seeds {
@@ -346,7 +357,10 @@ mod tests {
             let ratio = (squares / seeds as f64).sqrt() / (claimed / seeds as f64);
             assert!((0.9..1.1).contains(&ratio), "{hertz} Hz: {ratio}");
             let ratio = (amplitudes / seeds as f64).sqrt();
-            assert!((0.85..1.15).contains(&ratio), "{hertz} Hz, amplitude: {ratio}");
+            assert!(
+                (0.85..1.15).contains(&ratio),
+                "{hertz} Hz, amplitude: {ratio}"
+            );
         }
     }
 
@@ -359,9 +373,7 @@ mod tests {
                 let lit = |u: f64| 0.5 * u.floor() + u.fract().min(0.5);
                 let periods = |n: usize| hertz * n as f64 / RATE_HZ + phase;
                 let trace: Vec<f64> = (0..54)
-                    .map(|n| {
-                        (lit(periods(n + 1)) - lit(periods(n))) / (hertz / RATE_HZ)
-                    })
+                    .map(|n| (lit(periods(n + 1)) - lit(periods(n))) / (hertz / RATE_HZ))
                     .collect();
                 let found = frequency_of(&trace, &[0.003; 54], RATE_HZ).expect("a clear tone");
                 let error = (found.hertz / hertz - 1.0).abs();
@@ -372,7 +384,9 @@ mod tests {
 
     #[test]
     fn what_cannot_be_told_from_half_the_rate_says_so() {
-        let trace: Vec<f64> = (0..54).map(|n| 0.5 + if n % 2 == 0 { 0.2 } else { -0.2 }).collect();
+        let trace: Vec<f64> = (0..54)
+            .map(|n| 0.5 + if n % 2 == 0 { 0.2 } else { -0.2 })
+            .collect();
         let found = frequency_of(&trace, &[0.01; 54], RATE_HZ).expect("a clear tone");
         assert!(found.is_half_rate);
         assert_eq!(found.hertz, 0.5 * RATE_HZ);

@@ -80,7 +80,10 @@ impl Photodiode {
 
     /// Its points, `(time_us, value)`.
     pub fn points(&self) -> impl Iterator<Item = (f64, f64)> {
-        self.times_us.iter().copied().zip(self.values.iter().copied())
+        self.times_us
+            .iter()
+            .copied()
+            .zip(self.values.iter().copied())
     }
 
     /// Mean over the bins of `time`, the signal shifted by `shift_us`; `None` where it does not
@@ -130,7 +133,9 @@ impl Photodiode {
             .collect();
         let best_of = |trace: usize| {
             let known = fits.iter().filter_map(|(_, fits)| fits[trace]);
-            known.map(|fit| fit.correlation).fold(f64::NEG_INFINITY, f64::max)
+            known
+                .map(|fit| fit.correlation)
+                .fold(f64::NEG_INFINITY, f64::max)
         };
         let trace = (0..traces.len()).max_by(|&a, &b| best_of(a).total_cmp(&best_of(b)))?;
         let best = best_of(trace);
@@ -163,7 +168,8 @@ impl Photodiode {
     /// The shift of the highest correlation within `reach` of `about`.
     fn refined(&self, about: f64, reach: f64, time: &TimeGrid, trace: &Trace) -> f64 {
         let value = |shift: f64| {
-            Fit::of(&self.binned(time, shift), &trace.debiased).map_or(f64::NEG_INFINITY, |f| f.correlation)
+            Fit::of(&self.binned(time, shift), &trace.debiased)
+                .map_or(f64::NEG_INFINITY, |f| f.correlation)
         };
         let (mut low, mut high) = (about - reach, about + reach);
         for _ in 0..30 {
@@ -175,7 +181,11 @@ impl Photodiode {
             }
         }
         let middle = 0.5 * (low + high);
-        if value(middle) > value(about) { middle } else { about }
+        if value(middle) > value(about) {
+            middle
+        } else {
+            about
+        }
     }
 }
 
@@ -225,7 +235,12 @@ mod tests {
     use super::*;
     use crate::traces::Region;
 
-    const REGION: Region = Region { y: 0, x: 0, rows: 1, columns: 1 };
+    const REGION: Region = Region {
+        y: 0,
+        x: 0,
+        rows: 1,
+        columns: 1,
+    };
 
     fn grid() -> TimeGrid {
         TimeGrid::rolling(54, 9.6, 1.0, 1)
@@ -234,10 +249,18 @@ mod tests {
     fn trace(value: impl Fn(f64) -> f64) -> Trace {
         // The mean over a bin by many points.
         let mean = |n: usize| {
-            (0..200).map(|k| value(9.6 * (n as f64 + (f64::from(k) + 0.5) / 200.0))).sum::<f64>() / 200.0
+            (0..200)
+                .map(|k| value(9.6 * (n as f64 + (f64::from(k) + 0.5) / 200.0)))
+                .sum::<f64>()
+                / 200.0
         };
         let debiased: Vec<f64> = (0..54).map(mean).collect();
-        Trace { region: REGION, value: debiased.clone(), standard_error: vec![0.01; 54], debiased }
+        Trace {
+            region: REGION,
+            value: debiased.clone(),
+            standard_error: vec![0.01; 54],
+            debiased,
+        }
     }
 
     fn signal(value: impl Fn(f64) -> f64, from_us: f64) -> Photodiode {
@@ -250,7 +273,10 @@ mod tests {
 
     #[test]
     fn clock_gain_and_offset_are_found() {
-        let light = |t: f64| 0.3 + (-((t - 200.0) / 40.0).powi(2)).exp() + 0.5 * (-((t - 350.0) / 25.0).powi(2)).exp();
+        let light = |t: f64| {
+            0.3 + (-((t - 200.0) / 40.0).powi(2)).exp()
+                + 0.5 * (-((t - 350.0) / 25.0).powi(2)).exp()
+        };
         let other = |t: f64| 0.2 + 0.1 * (t / 30.0).sin();
         let traces = [trace(other), trace(light)];
         let late = signal(|t| 5.0 * light(t - 37.3) - 1.0, 0.0);
@@ -264,8 +290,13 @@ mod tests {
     #[test]
     fn a_periodic_signal_is_shifted_as_little_as_possible() {
         let square = |t: f64| f64::from((t / 48.0).fract() < 0.5);
-        let found = signal(square, 0.0).align(&[trace(square)], &grid()).unwrap();
-        assert!(found.shift_us.abs() < 0.3 && found.correlation > 0.999, "{found:?}");
+        let found = signal(square, 0.0)
+            .align(&[trace(square)], &grid())
+            .unwrap();
+        assert!(
+            found.shift_us.abs() < 0.3 && found.correlation > 0.999,
+            "{found:?}"
+        );
         // A clock that began 3 periods and a bit earlier.
         let early = signal(|t| square(t + 6.0), -3.0 * 48.0);
         let found = early.align(&[trace(square)], &grid()).unwrap();
@@ -283,7 +314,11 @@ mod tests {
 
     #[test]
     fn bad_signals_are_refused() {
-        for bad in [&[(0.0, 1.0)][..], &[(0.0, 1.0), (0.0, 2.0)], &[(0.0, 1.0), (1.0, f64::NAN)]] {
+        for bad in [
+            &[(0.0, 1.0)][..],
+            &[(0.0, 1.0), (0.0, 2.0)],
+            &[(0.0, 1.0), (1.0, f64::NAN)],
+        ] {
             assert!(Photodiode::new(bad).is_err());
         }
     }

@@ -158,7 +158,10 @@ mod tests {
             projected: Mat::zeros(2, 1),
         };
         let k = Mat::from_fn(2, 2, |i, j| if i == j { 4.0 } else { 1.0 });
-        let (posterior, _) = Whitened::new(&information, &k).unwrap().estimate(0.5).unwrap();
+        let (posterior, _) = Whitened::new(&information, &k)
+            .unwrap()
+            .estimate(0.5)
+            .unwrap();
         assert!((posterior.variance(&[1.0, 0.0]) - 1.0).abs() < 1e-12);
         assert!((posterior.variance(&[1.0, 1.0]) - 2.5).abs() < 1e-12);
         assert_eq!(posterior.mean()[(0, 0)], 0.0);

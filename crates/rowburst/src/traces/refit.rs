@@ -253,7 +253,8 @@ impl<'a> Refit<'a> {
             let mut mask = self.lit(t)?;
             for region in self.touched(&mask, regions) {
                 let wide = regions[region].widened(1, self.shape());
-                wide.indices(self.shape().columns).for_each(|at| mask[at] = 1);
+                wide.indices(self.shape().columns)
+                    .for_each(|at| mask[at] = 1);
             }
             self.add_places(t, |at| mask[at] == 1, &mut places);
         }
@@ -268,7 +269,9 @@ impl<'a> Refit<'a> {
             let mut near = wide.indices(self.shape().columns);
             wide.pixels() <= MOST_VOXELS / 2 && near.any(|at| mask[at] == 1)
         };
-        (0..regions.len()).filter(|&k| touches(&regions[k])).collect()
+        (0..regions.len())
+            .filter(|&k| touches(&regions[k]))
+            .collect()
     }
 
     fn add_places(&self, bin: usize, is_in: impl Fn(usize) -> bool, places: &mut Vec<Place>) {

@@ -149,7 +149,10 @@ mod tests {
     #[test]
     fn squares_are_cut_at_the_edge() {
         let region = Region::about(0, 5, 3, SHAPE);
-        assert_eq!((region.y, region.x, region.rows, region.columns), (0, 4, 2, 2));
+        assert_eq!(
+            (region.y, region.x, region.rows, region.columns),
+            (0, 4, 2, 2)
+        );
         assert_eq!(Region::about(2, 2, 3, SHAPE).pixels(), 9);
         assert_eq!(Region::about(2, 2, 1, SHAPE).pixels(), 1);
         assert_eq!(region.indices(6).collect::<Vec<_>>(), [4, 5, 10, 11]);
@@ -159,7 +162,12 @@ mod tests {
 
     #[test]
     fn regions_beyond_the_field_are_refused() {
-        let region = |y, x, rows, columns| Region { y, x, rows, columns };
+        let region = |y, x, rows, columns| Region {
+            y,
+            x,
+            rows,
+            columns,
+        };
         assert!(region(4, 5, 1, 1).check(SHAPE).is_ok());
         for bad in [
             region(5, 0, 1, 1),
@@ -175,7 +183,12 @@ mod tests {
     #[test]
     fn the_trace_is_the_mean_over_the_region() {
         let video = Video::new(SHAPE, (0..60).map(|i| i as f32).collect()).unwrap();
-        let region = Region { y: 1, x: 2, rows: 2, columns: 3 };
+        let region = Region {
+            y: 1,
+            x: 2,
+            rows: 2,
+            columns: 3,
+        };
         assert_eq!(region.mean_of(&video), [12.0, 42.0]);
         let trace = Trace::without_errors(region, &video);
         assert_eq!(trace.mean_standard_error(), None);
