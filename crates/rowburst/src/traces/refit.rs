@@ -28,6 +28,7 @@
 use super::kernel::{Place, covariance, scales};
 use super::posterior::{Information, Posterior, Whitened};
 use super::region::{Region, Trace};
+use crate::shape::InstantWeights;
 use crate::solve::admm::brightness;
 use crate::{Error, Result, RollingShutter, Shape, Support, Video};
 use faer::Mat;
@@ -177,6 +178,24 @@ impl<'a> Refit<'a> {
             trace.standard_error[mean.bin] = self.inflation * mean.variance.max(0.0).sqrt();
         }
         traces
+    }
+
+    /// Mean and standard error of `regions` in bin `t` alone; `None` where they are not known.
+    ///
+    /// # Panics
+    /// If a region does not lie in the field, or there is no such bin.
+    pub fn traces_of_bin(&self, t: usize, regions: &[Region]) -> Vec<Option<(f64, f64)>> {
+        let instants = self.evidence.operator.time().instants();
+        let sees =
+            |run: &InstantWeights| (run.first_bin..run.first_bin + run.weights.len()).contains(&t);
+        let mut found = vec![None; regions.len()];
+        if let Some(i) = instants.iter().position(sees) {
+            for mean in self.means(i, regions).iter().filter(|m| m.bin == t) {
+                let error = self.inflation * mean.variance.max(0.0).sqrt();
+                found[mean.region] = Some((mean.value, error));
+            }
+        }
+        found
     }
 
     /// The video with its lit voxels as the refit has them.
