@@ -45,6 +45,9 @@ pub struct DemoArgs {
     /// Signal-to-noise ratio: rms of the noiseless frame over the noise; "inf" for none
     #[arg(long, default_value_t = 256.0, value_parser = parse_snr, allow_hyphen_values = true)]
     pub snr: f64,
+    /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
+    #[arg(long)]
+    pub debias: bool,
     /// Folder for all results
     #[arg(short, long, default_value = "rowburst-demo")]
     pub output: PathBuf,
@@ -152,7 +155,7 @@ pub struct OpticsArgs {
 /// Recover the video from one frame.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html"
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result"
 )]
 pub struct ReconstructArgs {
     /// The experiment file: camera, calibration, field, recipe
@@ -194,6 +197,16 @@ pub struct ReconstructArgs {
     /// Stop after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
+    /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
+    #[arg(long)]
+    pub debias: bool,
+    /// A trace of the 3×3 pixels about row Y, column X, or of a region (repeatable)
+    #[arg(long, value_name = "Y,X[,ROWS,COLUMNS]", allow_hyphen_values = true)]
+    pub region: Vec<String>,
+    /// A photodiode's signal to lay over the trace that it fits: a CSV file with the
+    /// columns time_us,value (or time_s, time_ms, time_ns) (repeatable)
+    #[arg(long, value_name = "FILE.csv")]
+    pub photodiode: Vec<PathBuf>,
     /// Print result.json to standard output instead of a summary
     #[arg(long)]
     pub json: bool,

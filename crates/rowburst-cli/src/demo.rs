@@ -4,6 +4,7 @@ use crate::args::{DemoArgs, DemoScene, OpticsArgs, ReconstructArgs};
 use crate::simulate::{NoiseChoice, Plan};
 use crate::{reconstruct, simulate};
 use rowburst::camera::CameraParams;
+use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
 use rowburst::{Result, Sensor, Shutter};
 use rowburst_io::Experiment;
 
@@ -57,6 +58,14 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         noise_sigma: None,
         time_budget_s: None,
         max_iterations: None,
+        debias: args.debias,
+        region: Vec::new(),
+        photodiode: match args.scene {
+            DemoScene::Leds => (1..=LED_FREQUENCIES_HZ.len())
+                .map(|i| args.output.join(simulate::photodiode_file(i)))
+                .collect(),
+            DemoScene::Digits | DemoScene::Moving => Vec::new(),
+        },
         json: args.json,
         seed: args.seed,
         output: args.output.clone(),

@@ -13,6 +13,7 @@ mod outcome;
 mod progress;
 mod reconstruct;
 mod simulate;
+mod traces;
 
 use args::{Cli, Verb};
 use clap::Parser;

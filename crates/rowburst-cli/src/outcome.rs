@@ -1,5 +1,6 @@
 //! `result.json`: the numbers of a run.
 
+use crate::traces::{DebiasNumbers, ErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Candidate, FitStatistics};
 use serde::Serialize;
 use std::io::Write;
@@ -46,6 +47,11 @@ pub struct Outcome {
     pub fit: &'static str,
     pub fit_reason: String,
     pub fit_statistics: FitNumbers,
+    /// Of the regions that were asked for and the brightest spots.
+    pub traces: Vec<TraceNumbers>,
+    pub trace_errors: ErrorNumbers,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub debias: Option<DebiasNumbers>,
     pub warnings: Vec<String>,
 }
 

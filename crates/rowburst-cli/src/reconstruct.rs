@@ -8,6 +8,7 @@ use crate::outcome::{
     FitNumbers, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, say, short,
 };
 use crate::progress::{Watch, stop_on_ctrl_c};
+use crate::traces::{self, DebiasNumbers, Traces, Wanted};
 use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, Verdict};
@@ -28,6 +29,10 @@ const FILES: &[(&str, &str)] = &[
     ),
     #[cfg(feature = "mp4")]
     ("video.mp4", "the same slowed down, for browsers and slides"),
+    (
+        "traces.csv",
+        "brightness over time of the brightest spots and regions, with standard errors",
+    ),
     ("report.html", "this page"),
     ("result.json", "the numbers, for programs"),
 ];
@@ -75,6 +80,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     let direct = args.direct.as_deref().map(read_frame).transpose()?;
     let direct = direct.map(|(image, _)| image);
     drop((raw, corrections));
+    let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
     let stop = stop_on_ctrl_c();
     let started = Instant::now();
@@ -85,8 +91,19 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     let solved = problem.solve(&mut |progress| watch.observe(progress));
     let seconds = watch.seconds();
     watch.finish();
-    let found = solved?;
+    let mut found = solved?;
     watch.rescale(found.sigma);
+    let mut traces = traces::find(wanted, args.debias, &found, &measurement, &camera, &psfs);
+    let debias = traces.debiased.take().map(|debiased| {
+        let before = std::mem::replace(&mut found.video, debiased.video);
+        DebiasNumbers {
+            light_ratio: debiased.light,
+            bright_light_ratio: debiased.bright_light,
+            untouched_bins: debiased.untouched_bins,
+            psnr_db_before: truth.as_ref().map(|t| psnr_db(before.data(), t.data())),
+            ssim_before: truth.as_ref().map(|t| ssim(&before, t)),
+        }
+    });
 
     let run = Run {
         args,
@@ -96,15 +113,17 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         truth: truth.as_ref(),
         direct: direct.as_ref(),
         found: &found,
+        traces: &traces,
         curve: &watch.curve,
     };
-    let outcome = run.outcome(recipe, setup.as_secs_f64(), seconds);
+    let mut outcome = run.outcome(recipe, setup.as_secs_f64(), seconds);
+    outcome.debias = debias;
     let outcome = run.write(&folder, outcome)?;
     let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
     if args.json {
         say(json);
     } else {
-        print_summary(&outcome, args);
+        print_summary(&outcome, args, &traces);
     }
     Ok(())
 }
@@ -175,6 +194,7 @@ struct Run<'a> {
     truth: Option<&'a Video>,
     direct: Option<&'a Image>,
     found: &'a Reconstruction,
+    traces: &'a Traces,
     curve: &'a [Iteration],
 }
 
@@ -217,6 +237,9 @@ impl Run<'_> {
             fit: found.fit.verdict.name(),
             fit_reason: found.fit.reason.clone(),
             fit_statistics: FitNumbers::from(&found.fit.statistics),
+            traces: self.traces.outcome(self.truth),
+            trace_errors: self.traces.numbers.clone(),
+            debias: None,
             warnings: self.warnings(),
         }
     }
@@ -262,6 +285,10 @@ impl Run<'_> {
         if missing > 0 {
             warnings.push(format!("{missing} saturated pixels were left out"));
         }
+        warnings.extend(self.traces.warnings());
+        if let (true, Some(why)) = (self.args.debias, &self.traces.numbers.missing_because) {
+            warnings.push(format!("--debias had no effect: {why}"));
+        }
         warnings
     }
 
@@ -281,6 +308,7 @@ impl Run<'_> {
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
         };
         folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
+        self.traces.write(folder, time)?;
         let mp4 = encoded(video)?;
         if let Some(mp4) = &mp4 {
             folder.write_bytes("video.mp4", mp4)?;
@@ -295,6 +323,7 @@ impl Run<'_> {
             (None, None) => None,
         };
         let reproduce = self.command_line();
+        let placed = self.traces.placed();
         let report = rowburst_report::render(&ReportInput {
             title: &format!("Rowburst: {}", self.args.frame.display()),
             frame: self.measurement.image(),
@@ -303,6 +332,7 @@ impl Run<'_> {
             truth: self.truth,
             direct: direct.map(|(image, origin)| Direct { image, origin }),
             residual: &self.found.residual,
+            traces: &placed,
             instants: self.camera.instants(),
             time,
             convergence: self.curve,
@@ -352,6 +382,12 @@ impl Run<'_> {
                 line += &format!(" {flag} {}", path.display());
             }
         }
+        if args.debias {
+            line += " --debias";
+        }
+        let regions = args.region.iter().map(|r| format!(" --region {r}"));
+        let diodes = args.photodiode.iter();
+        line.extend(regions.chain(diodes.map(|p| format!(" --photodiode {}", p.display()))));
         let texts = [
             ("--prior", args.prior.clone()),
             ("--tau", args.tau.clone()),
@@ -455,6 +491,30 @@ impl Run<'_> {
                 "voxels allowed to be lit",
                 format!("{:.2} %", 100.0 * outcome.support_fraction),
             ),
+            pair(
+                "standard errors of traces",
+                match (&outcome.trace_errors, &outcome.trace_errors.missing_because) {
+                    (_, Some(why)) => format!("not known: {why}"),
+                    (errors, None) => format!(
+                        "light changes over {:.1} px by {:.2} of its brightness, χ² {:.2}, found in {:.2} s",
+                        errors.prior_length_px.unwrap_or(f64::NAN),
+                        errors.prior_amplitude.unwrap_or(f64::NAN),
+                        errors.chi_squared.unwrap_or(f64::NAN),
+                        errors.seconds
+                    ),
+                },
+            ),
+            pair(
+                "debiased",
+                outcome.debias.as_ref().map_or("no".into(), |d| {
+                    let psnr = d.psnr_db_before.zip(outcome.psnr_db);
+                    let psnr = psnr.map_or(String::new(), |(a, b)| format!(", PSNR {a:.1} to {b:.1} dB"));
+                    format!(
+                        "yes: light × {:.4}, bright parts × {:.4}{psnr}; residual and fit are those before",
+                        d.light_ratio, d.bright_light_ratio
+                    )
+                }),
+            ),
             pair("iterations", outcome.iterations.to_string()),
             pair("stopped", outcome.stop_reason.into()),
             pair(
@@ -543,7 +603,7 @@ fn headline(outcome: &Outcome) -> Vec<(String, String)> {
     lines
 }
 
-fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
+fn print_summary(outcome: &Outcome, args: &ReconstructArgs, traces: &Traces) {
     say(format_args!(
         "{} frames of {}×{} at {} fps from one frame, in {:.2} s (set-up {:.2} s, {} iterations, {})",
         outcome.frames,
@@ -575,6 +635,18 @@ fn print_summary(outcome: &Outcome, args: &ReconstructArgs) {
     say(&outcome.certificate);
     if outcome.fit == Verdict::Good.name() {
         say(format_args!("the fit is good: {}", outcome.fit_reason));
+    }
+    if let Some(debias) = &outcome.debias {
+        let before = debias
+            .psnr_db_before
+            .map_or(String::new(), |db| format!(", PSNR before {db:.2} dB"));
+        say(format_args!(
+            "debiased: light × {:.4}, bright parts × {:.4}{before}",
+            debias.light_ratio, debias.bright_light_ratio
+        ));
+    }
+    for line in traces.summary() {
+        say(line);
     }
     for warning in &outcome.warnings {
         say(format_args!("warning: {warning}"));

@@ -9,8 +9,8 @@ use rowburst::simulate::scene::Led;
 use rowburst::simulate::{SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf, scene};
 use rowburst::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
 use rowburst_io::{
-    Experiment, OutputFolder, read_video, write_npy_image, write_npy_video, write_patch_set,
-    write_tiff_image,
+    Experiment, OutputFolder, read_video, write_csv, write_npy_image, write_npy_video,
+    write_patch_set, write_tiff_image,
 };
 use serde_json::json;
 use std::path::Path;
@@ -127,6 +127,9 @@ pub fn write(plan: &Plan) -> Result<()> {
     }
     folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
     folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
+    if plan.scene == "leds" {
+        write_photodiodes(plan, &folder, &camera)?;
+    }
     let notes = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "scene": plan.scene,
@@ -195,6 +198,31 @@ pub fn write(plan: &Plan) -> Result<()> {
         },
         recorded.saturated
     );
+    Ok(())
+}
+
+/// Samples of a photodiode in a bin of the video.
+const SAMPLES_PER_BIN: usize = 20;
+
+/// Name of the file of a photodiode before LED `number`, from 1.
+pub fn photodiode_file(number: usize) -> String {
+    format!("photodiode-{number}.csv")
+}
+
+/// Writes what a fast photodiode before each LED records: 1 where it is lit, 0 where not.
+fn write_photodiodes(plan: &Plan, folder: &OutputFolder, camera: &Camera) -> Result<()> {
+    let (shape, bin_us) = (camera.video_shape(), camera.time().bin_duration_us());
+    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), plan.seed)?;
+    let step_us = bin_us / SAMPLES_PER_BIN as f64;
+    let heading = ["time_us".to_string(), "value".to_string()];
+    for (i, led) in leds.iter().enumerate() {
+        let sample = |k: usize| {
+            let start = k as f64 * step_us;
+            vec![start + 0.5 * step_us, led.mean_intensity(start, step_us)]
+        };
+        let samples = (0..shape.bins * SAMPLES_PER_BIN).map(sample);
+        folder.write(&photodiode_file(i + 1), |w| write_csv(w, &heading, samples))?;
+    }
     Ok(())
 }
 

@@ -17,6 +17,7 @@
 //! ```
 
 mod bmp;
+mod csv;
 mod experiment;
 mod fault;
 mod folder;
@@ -29,6 +30,7 @@ mod read;
 mod table;
 mod tiff;
 
+pub use csv::{read_photodiode, write_csv};
 pub use experiment::{Calibration, Experiment, Reconstruction};
 pub use folder::OutputFolder;
 #[cfg(feature = "mp4")]

@@ -7,8 +7,9 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use rowburst::traces::{Trace, brightest_regions, frequency_of};
 use rowburst::{Image, Shape, TimeGrid, Video};
-use rowburst_report::{Direct, DirectOrigin, Iteration, ReportInput, render};
+use rowburst_report::{Direct, DirectOrigin, Iteration, PlacedTrace, ReportInput, render};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -67,6 +68,19 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         })
         .collect();
+    let place = |region| {
+        let mut trace = Trace::without_errors(region, &video);
+        trace.standard_error.fill(0.007 * f64::from(peak));
+        PlacedTrace {
+            frequency: frequency_of(&trace.debiased, &trace.standard_error, time.frame_rate_hz()),
+            photodiodes: Vec::new(),
+            trace,
+        }
+    };
+    let traces: Vec<PlacedTrace> = brightest_regions(&video, 6)
+        .into_iter()
+        .map(place)
+        .collect();
     let pair = |a: &str, b: &str| (a.to_string(), b.to_string());
     let input = ReportInput {
         title: "Preview of a report",
@@ -79,6 +93,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             origin: DirectOrigin::Truth,
         }),
         residual: &residual,
+        traces: &traces,
         instants: &instants,
         time: &time,
         convergence: &convergence,

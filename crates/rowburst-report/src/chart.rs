@@ -198,6 +198,20 @@ impl Chart {
         }
     }
 
+    /// Fills between two curves with the same times; interrupted where a point of either cannot
+    /// be drawn.
+    pub(crate) fn band(&self, figure: &mut Figure, band: &[(f64, f64, f64)], style: &str) {
+        let drawable = |&(x, low, high): &(f64, f64, f64)| {
+            let (low, high) = (self.y.fraction(low), self.y.fraction(high));
+            self.x.fraction(x).is_finite() && low.is_finite() && high.is_finite()
+        };
+        for run in band.split(|p| !drawable(p)) {
+            let lower = run.iter().map(|&(x, low, _)| self.at(x, low));
+            let upper = run.iter().rev().map(|&(x, _, high)| self.at(x, high));
+            figure.area(&lower.chain(upper).collect::<Vec<_>>(), style);
+        }
+    }
+
     /// Draws a curve; it is interrupted where a point cannot be drawn. Long curves are
     /// thinned to the least and largest value of each of some hundred stretches.
     pub(crate) fn curve(

@@ -174,6 +174,18 @@ impl Figure {
         self.body.push_str("\"/>");
     }
 
+    /// Fills the polygon `points`; `style` holds attributes.
+    pub(crate) fn area(&mut self, points: &[(f64, f64)], style: &str) {
+        if points.len() < 3 {
+            return;
+        }
+        let _ = write!(self.body, r#"<polygon {style} points=""#);
+        for (x, y) in points {
+            let _ = write!(self.body, "{x:.1},{y:.1} ");
+        }
+        self.body.push_str("\"/>");
+    }
+
     /// Draws a rectangle; `style` holds further attributes.
     pub(crate) fn rect(&mut self, rect: Rect, class: &str, style: &str) {
         let Rect {

@@ -100,6 +100,24 @@ pub(crate) fn frequency(hertz: f64) -> String {
     }
 }
 
+/// A frequency with its standard error, both in one unit, as fine as the error has two digits.
+pub(crate) fn frequency_with_error(hertz: f64, error_hz: f64) -> String {
+    let (name, unit) = match hertz {
+        f if f >= 1e6 => ("MHz", 1e6),
+        f if f >= 1e3 => ("kHz", 1e3),
+        _ => ("Hz", 1.0),
+    };
+    if !(error_hz.is_finite() && error_hz > 0.0) {
+        return frequency(hertz);
+    }
+    let decimals = (1.0 - (error_hz / unit).log10().floor()).clamp(0.0, 7.0) as usize;
+    format!(
+        "{:.decimals$} ± {:.decimals$} {name}",
+        hertz / unit,
+        error_hz / unit
+    )
+}
+
 /// Row numbers as runs: "rows 3–5, 9". Rows in ascending order.
 pub(crate) fn rows(rows: &[usize]) -> String {
     let mut runs: Vec<(usize, usize)> = Vec::new();
@@ -136,6 +154,9 @@ mod tests {
         assert_eq!(number(3.2e-9, 2), "3.2·10⁻⁹");
         assert_eq!(number(f64::NAN, 2), "not finite");
         assert_eq!(frequency(10_417.0), "10.42 kHz");
+        assert_eq!(frequency_with_error(20_833.2, 4.24), "20.8332 ± 0.0042 kHz");
+        assert_eq!(frequency_with_error(850.0, 120.0), "850 ± 120 Hz");
+        assert_eq!(frequency_with_error(850.0, f64::NAN), "850 Hz");
         assert_eq!(grouped(104_166.67), "104\u{202f}167");
         assert_eq!(grouped(999.6), "1\u{202f}000");
         assert_eq!(fixed(-0.994), "−0.99");

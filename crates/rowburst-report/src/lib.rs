@@ -8,7 +8,7 @@
 //! ```text
 //! ReportInput ─▶ figures/* ─▶ Figure (SVG + panels of pixels) ─▶ page (HTML)
 //! Sheet (calibrations, design) ─▶ curves and maps ─┘
-//!   analysis: projection, spots, frequency, stats              └─▶ Picture (PNG)
+//!   analysis: projection, stats                                └─▶ Picture (PNG)
 //! ```
 
 mod chart;
@@ -16,20 +16,17 @@ mod colour;
 mod figure;
 mod figures;
 mod format;
-mod frequency;
 mod page;
 mod panel;
 mod pixels;
 mod projection;
 mod sheet;
-mod spots;
 mod stats;
 
+use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
-pub use frequency::{Tone, strongest_tone};
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
-pub use spots::{Spot, brightest_spots};
 
 /// What a report is made of. Everything is borrowed; nothing is changed or copied whole.
 #[derive(Debug, Clone)]
@@ -46,6 +43,8 @@ pub struct ReportInput<'a> {
     pub truth: Option<&'a Video>,
     /// The scene as the camera sees it without the diffuser, of any size.
     pub direct: Option<Direct<'a>>,
+    /// The traces to be drawn; at most eight are.
+    pub traces: &'a [PlacedTrace],
     /// `(b − A v)/σ`, dimensionless, of the frame's size. Values that are not finite are shown grey.
     pub residual: &'a Image,
     /// Instant `k[r]` at which row `r` of the frame is read.
@@ -87,6 +86,28 @@ pub enum DirectOrigin {
     Given,
     /// It was computed from the true video, in the units of the frame.
     Truth,
+}
+
+/// A trace with what is known of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlacedTrace {
+    /// Values and errors.
+    pub trace: Trace,
+    /// What repeats in it.
+    pub frequency: Option<Frequency>,
+    /// Signals of photodiodes laid over it.
+    pub photodiodes: Vec<LaidOver>,
+}
+
+/// A photodiode's signal in the units and on the clock of a trace.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LaidOver {
+    /// Its name.
+    pub name: String,
+    /// Correlation with the trace.
+    pub correlation: f64,
+    /// Microseconds from the start of the video, and light.
+    pub points: Vec<(f64, f64)>,
 }
 
 /// What is thought of a fit.
@@ -198,6 +219,19 @@ fn check(input: &ReportInput) -> Result<()> {
             "instants",
             format!("{} entries", input.instants.len()),
             format!("there is one for each of the {} rows", frame.0),
+        );
+    }
+    let is_other =
+        |t: &PlacedTrace| t.trace.region.check(shape).is_err() || t.trace.value.len() != shape.bins;
+    if let Some(other) = input.traces.iter().find(|t| is_other(t)) {
+        return mismatch(
+            "trace",
+            format!(
+                "{:?} in {} bins",
+                other.trace.region,
+                other.trace.value.len()
+            ),
+            format!("it lies in the video of {shape}"),
         );
     }
     if input.time.bins() != shape.bins {

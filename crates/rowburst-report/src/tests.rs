@@ -2,6 +2,7 @@
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
+use rowburst::traces::{Frequency, Region, Trace, brightest_regions};
 use rowburst::{Image, Shape, TimeGrid, Video};
 
 use super::*;
@@ -16,6 +17,7 @@ struct Case {
     instants: Vec<usize>,
     time: TimeGrid,
     convergence: Vec<Iteration>,
+    traces: Vec<PlacedTrace>,
 }
 
 impl Case {
@@ -31,6 +33,7 @@ impl Case {
             frame: ramp.clone(),
             psf: Image::from_fn(3, 5, |y, x| (y + x) as f32),
             truth: Some(video.clone()),
+            traces: traces_of(&video),
             video,
             residual: ramp,
             instants: (0..rows).map(|r| r % shape.bins).collect(),
@@ -63,6 +66,7 @@ impl Case {
                 origin: DirectOrigin::Truth,
             }),
             residual: &self.residual,
+            traces: &self.traces,
             instants: &self.instants,
             time: &self.time,
             convergence: &self.convergence,
@@ -81,6 +85,35 @@ impl Case {
         check_page(&report);
         report.pictures.into_iter().map(|p| p.name).collect()
     }
+}
+
+/// The brightest places with made-up errors, of which one bin's is not known, a frequency and a
+/// photodiode.
+fn traces_of(video: &Video) -> Vec<PlacedTrace> {
+    let place = |region: Region| {
+        let mut trace = Trace::without_errors(region, video);
+        trace.standard_error = (0..trace.value.len())
+            .map(|t| if t == 2 { f64::NAN } else { 0.1 * t as f64 })
+            .collect();
+        PlacedTrace {
+            frequency: Some(Frequency {
+                hertz: 20_833.0,
+                error_hz: 12.0,
+                amplitude: 1.0,
+                amplitude_error: 0.1,
+                share: 0.9,
+                is_half_rate: false,
+                harmonics: Vec::new(),
+            }),
+            photodiodes: vec![LaidOver {
+                name: "diode.csv".into(),
+                correlation: 0.99,
+                points: (0..90).map(|i| (0.1 * i as f64, (i % 2) as f64)).collect(),
+            }],
+            trace,
+        }
+    };
+    brightest_regions(video, 6).into_iter().map(place).collect()
 }
 
 /// Every picture is a PNG of some size, every data URI too, and nothing is asked for from outside.
@@ -161,6 +194,7 @@ fn odd_shapes_are_drawn() {
 fn dark_video_and_short_convergence_leave_figures_out() {
     let mut case = Case::new(Shape::new(4, 8, 8), 8, 8);
     case.video.data_mut().fill(0.0);
+    case.traces.clear();
     case.truth = None;
     case.convergence.truncate(1);
     assert_eq!(
@@ -262,6 +296,10 @@ fn sizes_that_contradict_each_other_are_errors() {
         },
         ReportInput {
             instants: &[0],
+            ..case.input()
+        },
+        ReportInput {
+            traces: &other.traces,
             ..case.input()
         },
         ReportInput {

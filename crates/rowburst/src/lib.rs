@@ -32,6 +32,7 @@ pub mod shutter;
 pub mod simulate;
 pub mod solve;
 pub mod support;
+pub mod traces;
 pub mod vecmath;
 pub mod video;
 

@@ -14,7 +14,7 @@ const fn room(name: &'static str, floor: usize, uses: &'static [&'static str]) -
     Room { name, floor, uses }
 }
 
-const ROOMS: [Room; 22] = [
+const ROOMS: [Room; 23] = [
     room("error", 0, &[]),
     room("shape", 0, &[]),
     room("vecmath", 0, &[]),
@@ -71,6 +71,12 @@ const ROOMS: [Room; 22] = [
             "patches",
             "support",
         ],
+    ),
+    // What a finished video says of a place, with errors.
+    room(
+        "traces",
+        3,
+        &["image", "video", "forward", "solve", "support"],
     ),
     // Runs simulations and reconstructions of what a user plans to build.
     room(

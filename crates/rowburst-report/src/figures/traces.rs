@@ -1,46 +1,49 @@
-//! The brightest spots over time.
+//! The light of a few places over time, with its error.
 
 use rowburst::Video;
+use rowburst::traces::Region;
 
 use super::{Drawn, Section, Videos};
-use crate::ReportInput;
 use crate::chart::{Axis, Chart, Labels};
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
-use crate::format::{TimeUnit, frequency};
-use crate::frequency::{Tone, strongest_tone};
+use crate::format::{TimeUnit, frequency, frequency_with_error};
 use crate::panel::{put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
-use crate::spots::{Spot, brightest_spots, mean3};
+use crate::{PlacedTrace, ReportInput};
 
-/// Most spots that are traced.
-const SPOTS: usize = 6;
-/// Colours of the spots, told apart by colour-blind readers too, on white and on black.
-const COLOURS: [&str; SPOTS] = [
-    "#2a85c9", "#e0662f", "#1a9b74", "#c563ae", "#c2940b", "#7577d6",
+/// Colours of the places, told apart by colour-blind readers too, on white and on black; as many
+/// traces are drawn.
+const COLOURS: [&str; 8] = [
+    "#2a85c9", "#e0662f", "#1a9b74", "#c563ae", "#c2940b", "#7577d6", "#5f8a1f", "#c0504d",
 ];
+/// Half of a 95 % interval over its standard error.
+const HALF_95: f64 = 1.96;
 
-/// Draws the traces, or nothing where the video is dark.
+/// Draws the traces, or nothing where there are none.
 pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
     let shape = videos.video.shape();
-    let separation = (shape.rows.min(shape.columns) as f64 / 8.0).max(3.0);
-    let spots = brightest_spots(&videos.projection.max, shape.columns, SPOTS, separation);
-    if spots.is_empty() {
+    let traces = &input.traces[..input.traces.len().min(COLOURS.len())];
+    if traces.is_empty() {
         return None;
     }
     let step_us = input.time.bin_duration_us();
     let unit = TimeUnit::of(shape.bins as f64 * step_us);
-    let traces = |video: &Video| spots.iter().map(|s| trace(video, s)).collect::<Vec<_>>();
-    let (traces, truths) = (traces(videos.video), videos.truth.map(traces));
-    let all = || traces.iter().chain(truths.iter().flatten()).flatten();
-    let top = all().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
+    let truth_of = |video: &Video| -> Vec<Vec<f64>> {
+        traces
+            .iter()
+            .map(|t| t.trace.region.mean_of(video))
+            .collect()
+    };
+    let truths = videos.truth.map(truth_of);
 
     let mut figure = Figure::new(800.0, 0.0);
-    let place = map(&mut figure, input, videos, &spots);
-    let strip = if spots.len() > 3 { 62.0 } else { 96.0 };
-    let mut tones = Vec::new();
+    let place = map(&mut figure, input, videos, traces);
+    let strip = if traces.len() > 3 { 62.0 } else { 96.0 };
     let mut bottom: f64 = 0.0;
-    for (i, values) in traces.iter().enumerate() {
+    let range = common_range(traces, truths.as_deref());
+    for (i, placed) in traces.iter().enumerate() {
+        let trace = &placed.trace;
         let chart = Chart {
             place: Rect::new(330.0, 20.0 + i as f64 * (strip + 22.0), 460.0, strip),
             x: Axis::linear(
@@ -48,7 +51,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
                 shape.bins as f64 * step_us / unit.us,
                 format!("time ({})", unit.name),
             ),
-            y: Axis::linear(0.0, f64::from(top) * 1.05, ""),
+            y: Axis::linear(range.0, range.1, ""),
         };
         bottom = chart.place.bottom();
         let is_last = i + 1 == traces.len();
@@ -56,93 +59,180 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
             &mut figure,
             if is_last { Labels::Both } else { Labels::YOnly },
         );
-        let points = |values: &[f32]| -> Vec<(f64, f64)> {
-            let at = |(t, &v): (usize, &f32)| ((t as f64 + 0.5) * step_us / unit.us, f64::from(v));
-            values.iter().enumerate().map(at).collect()
+        let time = |t: usize| (t as f64 + 0.5) * step_us / unit.us;
+        let points = |values: &[f64]| -> Vec<(f64, f64)> {
+            values
+                .iter()
+                .enumerate()
+                .map(|(t, &v)| (time(t), v))
+                .collect()
         };
+        let pairs = trace.debiased.iter().zip(&trace.standard_error);
+        let band: Vec<(f64, f64, f64)> = pairs
+            .enumerate()
+            .map(|(t, (v, e))| (time(t), v - HALF_95 * e, v + HALF_95 * e))
+            .collect();
+        let colour = COLOURS[i];
+        let fill = format!(r#"style="fill:{colour};fill-opacity:0.28;stroke:none""#);
+        chart.band(&mut figure, &band, &fill);
+        let thin = r#"style="stroke-width:0.8;stroke-opacity:0.75""#;
+        for diode in &placed.photodiodes {
+            let inside = diode.points.iter().map(|&(t, v)| (t / unit.us, v));
+            let inside: Vec<(f64, f64)> = inside
+                .filter(|(t, _)| (0.0..=shape.bins as f64 * step_us / unit.us).contains(t))
+                .collect();
+            chart.curve(&mut figure, &inside, "reference", thin);
+        }
         if let Some(truths) = &truths {
             let dashes = r#"stroke-dasharray="4 3""#;
             chart.curve(&mut figure, &points(&truths[i]), "reference", dashes);
         }
-        let style = format!(r#"style="stroke:{}""#, COLOURS[i]);
-        chart.curve(&mut figure, &points(values), "line", &style);
-        let tone = strongest_tone(values, input.time.frame_rate_hz());
+        let style = format!(r#"style="stroke:{colour}""#);
+        chart.curve(&mut figure, &points(&trace.debiased), "line", &style);
         let y = place.bottom() + 40.0 + 20.0 * i as f64;
         let swatch = [(4.0, y - 4.0), (24.0, y - 4.0)];
-        figure.line(
-            &swatch,
-            "line",
-            &format!(r#"style="stroke:{};stroke-width:3""#, COLOURS[i]),
-        );
-        let text = format!("{} · row {}, column {}", i + 1, spots[i].y, spots[i].x);
+        let wide = format!(r#"style="stroke:{colour};stroke-width:3""#);
+        figure.line(&swatch, "line", &wide);
+        let text = format!("{} · {}", i + 1, place_of(&trace.region));
         figure.text(32.0, y, Anchor::Start, "", &text);
-        let label = match tone {
-            Some(tone) => format!("{} · {}", i + 1, frequency(tone.hertz)),
-            None => format!("{}", i + 1),
-        };
+        let mut label = format!("{}", i + 1);
+        if let Some(found) = &placed.frequency {
+            let text = frequency_with_error(found.hertz, found.error_hz);
+            label += &format!(" · {text}");
+        }
         let (right, above) = (chart.place.right(), chart.place.y - 4.0);
         figure.text(right, above, Anchor::End, "strong", &label);
-        tones.extend(tone.map(|t| (i + 1, t)));
     }
     figure.text_upwards(284.0, (20.0 + bottom) / 2.0, "", "brightness");
-    let legend = place.bottom() + 40.0 + 20.0 * spots.len() as f64;
+    let legend = place.bottom() + 40.0 + 20.0 * traces.len() as f64;
     figure.set_height((bottom + 42.0).max(legend));
     Some(Drawn {
         name: "traces",
         section: Section::Video,
         figure,
-        caption: caption(videos.truth.is_some(), &tones, input.time.frame_rate_hz()),
+        caption: caption(videos.truth.is_some(), traces, input.time.frame_rate_hz()),
         alt: format!(
-            "Brightness over time of the {} brightest spots, and a map of them.",
-            spots.len()
+            "Brightness over time of {} places with 95 % intervals, and a map of them.",
+            traces.len()
         ),
     })
 }
 
-fn caption(has_truth: bool, tones: &[(usize, Tone)], rate_hz: f64) -> String {
+/// Middle and size of a region in words.
+fn place_of(region: &Region) -> String {
+    let (y, x) = (region.y + region.rows / 2, region.x + region.columns / 2);
+    let place = format!("row {y}, column {x}");
+    match (region.rows, region.columns) {
+        (3, 3) => place,
+        (rows, columns) => format!("{place} ({rows} × {columns})"),
+    }
+}
+
+/// The range of brightness that all traces are drawn in; wide errors do not stretch it without end.
+fn common_range(traces: &[PlacedTrace], truths: Option<&[Vec<f64>]>) -> (f64, f64) {
+    let values = traces.iter().flat_map(|t| &t.trace.debiased);
+    let all = values.chain(truths.into_iter().flatten().flatten());
+    let (mut low, mut high) = all
+        .filter(|v| v.is_finite())
+        .fold((0.0f64, 0.0f64), |(low, high), &v| {
+            (low.min(v), high.max(v))
+        });
+    let (least, most) = (-0.35 * high, 1.35 * high);
+    for placed in traces {
+        let pairs = placed
+            .trace
+            .debiased
+            .iter()
+            .zip(&placed.trace.standard_error);
+        for (v, e) in pairs.filter(|(v, e)| v.is_finite() && e.is_finite()) {
+            low = low.min((v - HALF_95 * e).max(least));
+            high = high.max((v + HALF_95 * e).min(most));
+        }
+    }
+    let margin = 0.04 * (high - low);
+    (if low < 0.0 { low - margin } else { 0.0 }, high + margin)
+}
+
+fn caption(has_truth: bool, traces: &[PlacedTrace], rate_hz: f64) -> String {
+    let has_errors = traces
+        .iter()
+        .any(|t| t.trace.mean_standard_error().is_some());
     let mut text = String::from(
-        "Brightness over time of the brightest spots (mean of 3 × 3 pixels, in the units of the \
-         frame per unit of PSF sum; points at the middle of the bins)",
+        "Brightness over time, the mean over each place (of 3 × 3 pixels where no other size is given, in the units of the frame per unit of PSF sum; points at the middle of the bins). ",
     );
-    text += match has_truth {
-        true => ", the truth dashed. In a good one the lines cover the dashes. ",
-        false => ". In a good one lines are smooth and return to zero where the spot is dark. ",
+    text += match has_errors {
+        true => {
+            "Lines are estimates made afresh from the frame on the lit pixels; bands are intervals that hold the truth in 95 % of all bins"
+        }
+        false => "Lines are means of the video; their errors are not known",
     };
+    text += match has_truth {
+        true => "; the truth is dashed",
+        false => "",
+    };
+    if traces.iter().any(|t| !t.photodiodes.is_empty()) {
+        text += "; thin lines are photodiodes, shifted and scaled to fit: ";
+        let diodes = traces.iter().enumerate().flat_map(|(i, placed)| {
+            let one = move |d: &crate::LaidOver| {
+                format!(
+                    "{} over {} (correlation {:.3})",
+                    d.name,
+                    i + 1,
+                    d.correlation
+                )
+            };
+            placed.photodiodes.iter().map(one)
+        });
+        text += &diodes.collect::<Vec<_>>().join(", ");
+    }
+    text += ". ";
+    let tones: Vec<_> = traces
+        .iter()
+        .enumerate()
+        .filter_map(|(i, t)| Some((i + 1, t.frequency.as_ref()?)))
+        .collect();
     if tones.is_empty() {
         return text + "No frequency stands out of a trace.";
     }
-    text += "Strongest frequency, given where a sine of it explains much of the trace: ";
-    let list = tones.iter().map(|(spot, tone)| {
-        let percent = (100.0 * tone.share).round();
-        format!(
-            "spot {spot}, {} ({percent} % of the variance)",
-            frequency(tone.hertz)
-        )
+    text += "Strongest frequency with its standard error, given where a sine of it explains much of the trace: ";
+    let list = tones.iter().map(|(place, found)| {
+        let mut words = format!(
+            "place {place}, {} ({} % of the variance",
+            frequency_with_error(found.hertz, found.error_hz),
+            (100.0 * found.share).round()
+        );
+        if found.is_half_rate {
+            words += "; not to be told from half the frame rate";
+        }
+        let harmonics = found.harmonics.iter();
+        let harmonics: Vec<String> = harmonics
+            .map(|h| format!("{} at {}", h.order, frequency(h.hertz)))
+            .collect();
+        if !harmonics.is_empty() {
+            words += &format!("; harmonic {}", harmonics.join(", "));
+        }
+        words + ")"
     });
     text += &list.collect::<Vec<_>>().join("; ");
     let half = frequency(rate_hz / 2.0);
-    text + &format!(". What is faster than half the frame rate, {half}, appears folded below it.")
-}
-
-/// Mean of the 3×3 pixels about a spot, in every bin.
-fn trace(video: &Video, spot: &Spot) -> Vec<f32> {
-    let shape = video.shape();
-    (0..shape.bins)
-        .map(|t| mean3(video.bin(t), shape.columns, spot.y, spot.x))
-        .collect()
+    text + &format!(
+        ". What is faster than half the frame rate, {half}, appears folded below it, harmonics too."
+    )
 }
 
 /// The largest values over time, with the spots marked.
-fn map(figure: &mut Figure, input: &ReportInput, videos: &Videos, spots: &[Spot]) -> Rect {
+fn map(figure: &mut Figure, input: &ReportInput, videos: &Videos, traces: &[PlacedTrace]) -> Rect {
     let projection = &videos.projection;
     let (rows, columns) = (projection.rows, projection.columns);
     let plane = Plane::reduced(rows, columns, &projection.max, LONGEST_SIDE / 2);
     let room = Rect::new(0.0, 20.0, 240.0, 300.0);
     let place = put(figure, room, plane.coloured(Map::Grey, 0.0, videos.high));
     scale_bar(figure, place, columns, input.pixel_pitch_um);
-    for (i, spot) in spots.iter().enumerate() {
-        let x = place.x + (spot.x as f64 + 0.5) / columns as f64 * place.width;
-        let y = place.y + (spot.y as f64 + 0.5) / rows as f64 * place.height;
+    for (i, placed) in traces.iter().enumerate() {
+        let region = placed.trace.region;
+        let middle = |first: usize, count: usize| first as f64 + 0.5 * count as f64;
+        let x = place.x + middle(region.x, region.columns) / columns as f64 * place.width;
+        let y = place.y + middle(region.y, region.rows) / rows as f64 * place.height;
         figure.ring(x, y, 8.0, "#000", 3.5);
         figure.ring(x, y, 8.0, COLOURS[i], 2.0);
         let left = x + 24.0 > place.right();

@@ -193,8 +193,9 @@ impl RollingShutter {
             .collect()
     }
 
-    /// The columns of `S_i` for some pixels of the field: shifted cut-outs of the PSF.
-    fn columns_of(&self, instant: usize, pixels: &[usize]) -> Mat<f64> {
+    /// The columns of `S_i` for some pixels of the field: shifted cut-outs of the PSF. Rows as
+    /// in [`Self::indices_of`].
+    pub fn columns_of(&self, instant: usize, pixels: &[usize]) -> Mat<f64> {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
         let mut columns = Mat::<f64>::zeros(rows.len() * g.columns, pixels.len());

@@ -1,5 +1,32 @@
 //! The brightest, well separated spots of a picture.
 
+use super::Region;
+use crate::Video;
+
+/// Least distance between spots: this part of the field's shorter side, and so many pixels.
+const SEPARATION: (f64, f64) = (1.0 / 8.0, 3.0);
+
+/// The 3×3 pixels about up to `count` of the brightest spots of `video` (its largest values over
+/// time), brightest first.
+pub fn brightest_regions(video: &Video, count: usize) -> Vec<Region> {
+    let shape = video.shape();
+    let mut largest = vec![0.0f32; shape.pixels()];
+    for t in 0..shape.bins {
+        for (most, &value) in largest.iter_mut().zip(video.bin(t)) {
+            if value.is_finite() {
+                *most = most.max(value);
+            }
+        }
+    }
+    let side = shape.rows.min(shape.columns) as f64;
+    let separation = (side * SEPARATION.0).max(SEPARATION.1);
+    let spots = brightest_spots(&largest, shape.columns, count, separation);
+    spots
+        .iter()
+        .map(|spot| Region::about(spot.y, spot.x, 3, shape))
+        .collect()
+}
+
 /// A local maximum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spot {
@@ -63,7 +90,7 @@ pub fn brightest_spots(
 }
 
 /// Mean over the 3×3 pixels about `(y, x)` that exist.
-pub(crate) fn mean3(picture: &[f32], columns: usize, y: usize, x: usize) -> f32 {
+fn mean3(picture: &[f32], columns: usize, y: usize, x: usize) -> f32 {
     let rows = picture.len() / columns;
     let (mut sum, mut count) = (0.0, 0);
     for y in around((y, rows)) {

@@ -1,0 +1,110 @@
+//! Traces as a user gets them: traces.csv, result.json, photodiodes, --debias.
+
+mod common;
+
+use common::Lab;
+
+const CAMERA: &str = "[camera]
+rows = 40
+columns = 40
+shutter = \"dual-inside-out\"
+row_time_us = 9.6
+exposure_us = 9.6
+pixel_pitch_um = 6.5
+";
+
+fn leds() -> Lab {
+    let lab = Lab::empty();
+    lab.experiment(CAMERA);
+    lab.done("simulate experiment.toml --scene leds --diffuser-deg 0.4 -o sim");
+    lab
+}
+
+const RECONSTRUCT: &str =
+    "reconstruct sim/experiment.toml --frame sim/frame.npy --truth sim/truth.npy";
+
+#[test]
+fn traces_have_errors_and_photodiodes_find_their_leds() {
+    let lab = leds();
+    let diode = String::from_utf8(lab.read("sim/photodiode-1.csv")).unwrap();
+    assert_eq!(diode.lines().next(), Some("time_us,value"));
+    assert_eq!(diode.lines().count(), 1 + 20 * 20);
+    let said = lab.done(&format!(
+        "{RECONSTRUCT} --region 5,6,4,3 --photodiode sim/photodiode-1.csv --photodiode sim/photodiode-2.csv --debias -o out"
+    ));
+    assert!(said.contains("photodiode-1.csv: correlation"), "{said}");
+    assert!(said.contains("debiased: light"), "{said}");
+    let result = lab.result("out");
+    let traces = result["traces"].as_array().unwrap();
+    assert_eq!(traces[0]["region"]["y"], 5);
+    assert_eq!(traces[0]["region"]["columns"], 3);
+    let mut laid = 0;
+    for trace in traces {
+        assert!(
+            trace["mean_standard_error"].as_f64().unwrap() > 0.0,
+            "{trace:#}"
+        );
+        if let Some(r) = trace["photodiode_correlation"].as_f64() {
+            assert!(r > 0.9, "{trace:#}");
+            laid += trace["photodiodes"].as_array().unwrap().len();
+        }
+    }
+    assert_eq!(laid, 2);
+    assert!(result["debias"]["psnr_db_before"].as_f64().unwrap() < lab.number("out", "psnr_db"));
+    let table = String::from_utf8(lab.read("out/traces.csv")).unwrap();
+    let heading: Vec<&str> = table.lines().next().unwrap().split(',').collect();
+    assert_eq!(heading.len(), 1 + 3 * traces.len());
+    assert_eq!(
+        heading[..4],
+        [
+            "time_us",
+            "y5_x6_4x3_value",
+            "y5_x6_4x3_debiased",
+            "y5_x6_4x3_standard_error"
+        ]
+    );
+    assert_eq!(table.lines().count(), 1 + 20);
+    assert!(table.lines().nth(1).unwrap().starts_with("4.8,"));
+    let page = String::from_utf8(lab.read("out/report.html")).unwrap();
+    assert!(page.contains("95 % of all bins") && page.contains("photodiode-1.csv over"));
+    assert!(page.contains("--region 5,6,4,3 --photodiode sim/photodiode-1.csv"));
+}
+
+#[test]
+fn errors_that_are_not_known_are_left_empty() {
+    let lab = Lab::empty();
+    lab.experiment(&CAMERA.replace("exposure_us = 9.6", "exposure_us = 24"));
+    lab.done("simulate experiment.toml --scene moving --digit-px 8 -o sim");
+    lab.done(&format!(
+        "{RECONSTRUCT} --max-iterations 40 --debias -o out"
+    ));
+    let result = lab.result("out");
+    let why = result["trace_errors"]["missing_because"].as_str().unwrap();
+    assert!(why.contains("one instant"), "{why}");
+    assert!(result["traces"][0]["mean_standard_error"].is_null());
+    let warnings = result["warnings"].to_string();
+    assert!(warnings.contains("--debias had no effect"), "{warnings}");
+    let table = String::from_utf8(lab.read("out/traces.csv")).unwrap();
+    assert!(table.lines().nth(1).unwrap().ends_with(','), "{table}");
+}
+
+#[test]
+fn bad_regions_and_photodiodes_are_refused() {
+    let lab = Lab::new();
+    lab.write("bad.csv", "time_us,value\n0,1\n1,x\n");
+    let run = "reconstruct experiment.toml --frame frame.npy -o out";
+    for (arguments, words) in [
+        ("--region 12,0", "rows are 0 to 11"),
+        ("--region 1,2,3", "two or four"),
+        ("--region 0,8,2,3", "lies in the field"),
+        ("--region a,b", "\"a,b\""),
+        ("--photodiode bad.csv", "bad.csv: line 3"),
+        ("--photodiode none.csv", "no such file"),
+    ] {
+        let output = lab.run(&format!("{run} {arguments}"));
+        assert_eq!(output.status.code(), Some(2), "{arguments}");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(said.contains(words), "{arguments}: {said}");
+        assert!(!lab.path("out").exists(), "{arguments}");
+    }
+}

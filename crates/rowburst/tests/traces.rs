@@ -1,0 +1,356 @@
+//! Do the error bars of traces hold the truth as often as they say?
+//!
+//! One scene and one PSF, and new noise for each seed. On the support (bins in which the place is
+//! lit) 95 % intervals are counted for the middle pixel of each spot, for its 3×3 pixels and for
+//! the whole of what it belongs to.
+
+use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Measurement;
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{Problem, Recipe};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::traces::{Evidence, Refit, Region, brightest_regions, frequency_of};
+use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
+use std::ops::ControlFlow;
+
+struct Case {
+    camera: Camera,
+    psf: Psf,
+    truth: Video,
+    noiseless: Image,
+}
+
+/// Intervals that were counted.
+#[derive(Default, Clone, Copy)]
+struct Count {
+    bins: usize,
+    covered: usize,
+    squares: f64,
+    errors: f64,
+}
+
+impl Count {
+    fn add(&mut self, error: f64, standard_error: f64) {
+        self.bins += 1;
+        self.covered += usize::from(error.abs() <= 1.96 * standard_error);
+        self.squares += error * error;
+        self.errors += standard_error * standard_error;
+    }
+
+    fn percent(&self) -> f64 {
+        100.0 * self.covered as f64 / self.bins as f64
+    }
+}
+
+impl Case {
+    fn new(rows: usize, columns: usize, exposure_us: f64, truth: impl Fn(Shape) -> Video) -> Self {
+        let camera = Camera::new(CameraParams {
+            rows,
+            columns,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 9.6,
+            exposure_us,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let optics = SpeckleOptics {
+            diffuser_fwhm_deg: rows as f64 / 108.0,
+            ..SpeckleOptics::demo()
+        };
+        let psf = speckle_psf(&optics, 2 * rows - 1, 2 * columns - 1, 1).unwrap();
+        let truth = truth(camera.video_shape());
+        let operator = RollingShutter::new(&camera, &psf);
+        let mut frame = vec![0.0; operator.range_len()];
+        operator.apply(truth.data(), &mut frame);
+        frame.iter_mut().for_each(|b| *b = b.max(0.0));
+        Self {
+            noiseless: Image::new(rows, columns, frame).unwrap(),
+            camera,
+            psf,
+            truth,
+        }
+    }
+
+    fn leds(side: usize) -> Self {
+        Self::new(side, side, 9.6, |shape| {
+            scene::leds(shape, 9.6, 6.5, 1).unwrap().0
+        })
+    }
+
+    fn digits(side: usize, height_px: usize) -> Self {
+        Self::new(side, side, 9.6, |shape| {
+            scene::digits(shape, height_px, 1).unwrap()
+        })
+    }
+
+    /// Frame, σ of the reconstruction and video of a noise seed.
+    fn solved(&self, seed: u64) -> (Measurement, f64, Video) {
+        let noise = Noise::Gaussian { snr: 256.0 };
+        let recorded = noise
+            .apply(&self.noiseless, self.camera.sensor(), seed)
+            .unwrap();
+        let measurement = Measurement::new(recorded.frame).unwrap();
+        let problem = Problem::new(&measurement, &self.camera, &self.psf, Recipe::default());
+        let found = problem
+            .unwrap()
+            .solve(&mut |_| ControlFlow::Continue(()))
+            .unwrap();
+        (measurement, found.sigma, found.video)
+    }
+
+    /// Counts over `seeds`, by name, with PSNR before and after debiasing.
+    fn count(&self, seeds: u64) -> (Vec<(&'static str, Count)>, f64, f64) {
+        let operator = RollingShutter::new(&self.camera, &self.psf);
+        let shape = self.truth.shape();
+        let mut counts = [
+            ("pixel", Count::default()),
+            ("3×3", Count::default()),
+            ("whole", Count::default()),
+        ];
+        let (mut before, mut after) = (0.0, 0.0);
+        for seed in 1..=seeds {
+            let (measurement, sigma, video) = self.solved(seed);
+            let refit = Refit::new(Evidence {
+                operator: &operator,
+                measured: measurement.image().data(),
+                weights: None,
+                sigma,
+                video: &video,
+            })
+            .unwrap();
+            before += psnr_db(video.data(), self.truth.data()) / seeds as f64;
+            after += psnr_db(refit.video().video.data(), self.truth.data()) / seeds as f64;
+            for t in 0..shape.bins {
+                // A user looks at the spots of the bin: the brightest there.
+                let single = Shape::new(1, shape.rows, shape.columns);
+                let bin = Video::new(single, video.bin(t).to_vec()).unwrap();
+                let spots = brightest_regions(&bin, 3);
+                let regions: Vec<Region> = spots
+                    .iter()
+                    .flat_map(|s| {
+                        let (y, x) = (s.y + s.rows / 2, s.x + s.columns / 2);
+                        [
+                            Region::about(y, x, 1, shape),
+                            *s,
+                            whole(&self.truth, t, y, x),
+                        ]
+                    })
+                    .collect();
+                for (k, trace) in refit.traces_of_bin(t, &regions).into_iter().enumerate() {
+                    let truth = regions[k].mean_of(&self.truth)[t];
+                    let (value, error) = trace.expect("few enough voxels are lit");
+                    counts[k % 3].1.add(value - truth, error);
+                }
+            }
+        }
+        (counts.to_vec(), before, after)
+    }
+}
+
+/// The box of the light of bin `t` within 8 pixels of `(y, x)`, with a margin of a pixel.
+fn whole(truth: &Video, t: usize, y: usize, x: usize) -> Region {
+    let shape = truth.shape();
+    let near = Region::about(y, x, 17, shape);
+    let bin = truth.bin(t);
+    let lit: Vec<(usize, usize)> = near
+        .indices(shape.columns)
+        .filter(|&i| bin[i] > 0.01)
+        .map(|i| (i / shape.columns, i % shape.columns))
+        .collect();
+    let range = |of: fn(&(usize, usize)) -> usize, at: usize| {
+        let first = lit.iter().map(of).min().unwrap_or(at);
+        (first, lit.iter().map(of).max().unwrap_or(at) + 1 - first)
+    };
+    let ((y, rows), (x, columns)) = (range(|p| p.0, y), range(|p| p.1, x));
+    Region {
+        y,
+        x,
+        rows,
+        columns,
+    }
+    .widened(1, shape)
+}
+
+fn print(scene: &str, counts: &[(&str, Count)], before: f64, after: f64) -> f64 {
+    println!("{scene}: {before:.2} dB, debiased {after:.2} dB");
+    let (mut covered, mut bins) = (0, 0);
+    for (name, count) in counts {
+        let n = count.bins as f64;
+        println!(
+            "  {name:6} {:6} intervals, {:.1} % hold the truth; rms error {:.4}, standard error {:.4}",
+            count.bins,
+            count.percent(),
+            (count.squares / n).sqrt(),
+            (count.errors / n).sqrt()
+        );
+        covered += count.covered;
+        bins += count.bins;
+    }
+    let percent = 100.0 * covered as f64 / bins as f64;
+    println!("  all    {percent:.1} %");
+    percent
+}
+
+/// Small scenes, few seeds: a coarse check of what the long test measures.
+#[test]
+fn intervals_hold_the_truth_on_small_scenes() {
+    for (scene, case) in [("leds", Case::leds(40)), ("digits", Case::digits(40, 8))] {
+        let (counts, before, after) = case.count(4);
+        let percent = print(scene, &counts, before, after);
+        assert!((85.0..99.7).contains(&percent), "{scene}: {percent} %");
+    }
+}
+
+/// The table of the documentation: `cargo test --release --workspace --test traces -- --ignored --nocapture`.
+#[test]
+#[ignore = "200 reconstructions of full size, ten minutes"]
+fn intervals_hold_the_truth_over_200_seeds() {
+    let seeds = std::env::var("SEEDS").map_or(200, |s| s.parse().expect("a number of seeds"));
+    let mut failed = false;
+    for (scene, case) in [("leds", Case::leds(108)), ("digits", Case::digits(108, 12))] {
+        let (counts, before, after) = case.count(seeds);
+        let percent = print(scene, &counts, before, after);
+        failed |= !(92.0..=98.0).contains(&percent);
+    }
+    assert!(!failed, "a coverage is not between 92 and 98 %");
+}
+
+/// LEDs: what the refit is for. Amplitudes and frequencies against the truth's own traces.
+#[test]
+fn leds_have_their_amplitudes_and_frequencies() {
+    let case = Case::leds(48);
+    let (measurement, sigma, video) = case.solved(1);
+    let operator = RollingShutter::new(&case.camera, &case.psf);
+    let evidence = Evidence {
+        operator: &operator,
+        measured: measurement.image().data(),
+        weights: None,
+        sigma,
+        video: &video,
+    };
+    let refit = Refit::new(evidence).unwrap();
+    let spots = brightest_regions(&video, 3);
+    let rate = case.camera.time().frame_rate_hz();
+    let mut found = 0;
+    for trace in refit.traces(&spots) {
+        let truth = trace.region.mean_of(&case.truth);
+        let exact = frequency_of(&truth, &vec![1e-4; truth.len()], rate);
+        let (Some(f), Some(exact)) = (
+            frequency_of(&trace.debiased, &trace.standard_error, rate),
+            exact,
+        ) else {
+            continue;
+        };
+        found += 1;
+        println!("{f:?}\n  truth {exact:?}");
+        assert!((f.amplitude / exact.amplitude - 1.0).abs() < 0.03, "{f:?}");
+        assert!(
+            (f.hertz - exact.hertz).abs() < 4.0 * f.error_hz.max(5.0),
+            "{f:?}"
+        );
+    }
+    assert!(found >= 2, "{found} frequencies");
+    // The refit is nearer to the truth than the video.
+    let debiased = refit.video();
+    let (before, after) = (
+        psnr_db(video.data(), case.truth.data()),
+        psnr_db(debiased.video.data(), case.truth.data()),
+    );
+    println!("{before:.2} dB, debiased {after:.2} dB");
+    assert!(after > before && debiased.video.data().iter().all(|v| *v >= 0.0));
+}
+
+/// Nothing depends on the units of the frame.
+#[test]
+fn errors_have_the_units_of_the_video() {
+    let case = Case::digits(32, 6);
+    let (measurement, sigma, video) = case.solved(1);
+    let operator = RollingShutter::new(&case.camera, &case.psf);
+    let errors = |by: f32| {
+        let times = |values: &[f32]| values.iter().map(|v| by * v).collect::<Vec<f32>>();
+        let frame = times(measurement.image().data());
+        let video = Video::new(video.shape(), times(video.data())).unwrap();
+        let evidence = Evidence {
+            operator: &operator,
+            measured: &frame,
+            weights: None,
+            sigma: f64::from(by) * sigma,
+            video: &video,
+        };
+        let refit = Refit::new(evidence).unwrap();
+        refit.traces(&brightest_regions(&video, 2))
+    };
+    let (small, large) = (errors(1.0), errors(4096.0));
+    for (a, b) in small.iter().zip(&large) {
+        for t in 0..a.value.len() {
+            for (a, b) in [
+                (a.debiased[t], b.debiased[t]),
+                (a.standard_error[t], b.standard_error[t]),
+            ] {
+                assert!(
+                    (4096.0 * a - b).abs() < 1e-3 * b.abs().max(1.0),
+                    "{t}: {a} {b}"
+                );
+            }
+        }
+    }
+}
+
+/// Pixels that hold no information are as if they were not there.
+#[test]
+fn pixels_of_weight_zero_have_no_say() {
+    let case = Case::digits(32, 6);
+    let (measurement, sigma, video) = case.solved(1);
+    let operator = RollingShutter::new(&case.camera, &case.psf);
+    let weights: Vec<f32> = (0..32 * 32)
+        .map(|i| if i % 17 == 0 { 0.0 } else { 1.0 })
+        .collect();
+    let traces = |spoilt: f32| {
+        let frame = measurement.image().data().iter().enumerate();
+        let frame: Vec<f32> = frame
+            .map(|(i, b)| if i % 17 == 0 { spoilt } else { *b })
+            .collect();
+        let evidence = Evidence {
+            operator: &operator,
+            measured: &frame,
+            weights: Some(&weights),
+            sigma,
+            video: &video,
+        };
+        Refit::new(evidence)
+            .unwrap()
+            .traces(&brightest_regions(&video, 2))
+    };
+    assert_eq!(traces(0.0), traces(7.0));
+}
+
+#[test]
+fn exposures_of_several_rows_are_refused() {
+    let case = Case::new(24, 20, 24.0, |shape| Video::zeros(shape).lit());
+    let operator = RollingShutter::new(&case.camera, &case.psf);
+    let evidence = Evidence {
+        operator: &operator,
+        measured: case.noiseless.data(),
+        weights: None,
+        sigma: 1.0,
+        video: &case.truth,
+    };
+    let error = Refit::new(evidence).err().expect("refused").to_string();
+    assert!(error.contains("one row time"), "{error}");
+}
+
+trait Lit {
+    fn lit(self) -> Self;
+}
+
+impl Lit for Video {
+    /// One voxel of 1.
+    fn lit(mut self) -> Self {
+        self.data_mut()[0] = 1.0;
+        self
+    }
+}
