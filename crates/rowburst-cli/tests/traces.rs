@@ -40,7 +40,10 @@ fn traces_have_errors_and_photodiodes_find_their_leds() {
     assert_eq!(traces[0]["region"]["columns"], 3);
     let mut laid = 0;
     for trace in traces {
-        assert!(trace["mean_standard_error"].as_f64().unwrap() > 0.0, "{trace:#}");
+        assert!(
+            trace["mean_standard_error"].as_f64().unwrap() > 0.0,
+            "{trace:#}"
+        );
         if let Some(r) = trace["photodiode_correlation"].as_f64() {
             assert!(r > 0.9, "{trace:#}");
             laid += trace["photodiodes"].as_array().unwrap().len();
@@ -72,7 +75,9 @@ fn errors_that_are_not_known_are_left_empty() {
     let lab = Lab::empty();
     lab.experiment(&CAMERA.replace("exposure_us = 9.6", "exposure_us = 24"));
     lab.done("simulate experiment.toml --scene moving --digit-px 8 -o sim");
-    lab.done(&format!("{RECONSTRUCT} --max-iterations 40 --debias -o out"));
+    lab.done(&format!(
+        "{RECONSTRUCT} --max-iterations 40 --debias -o out"
+    ));
     let result = lab.result("out");
     let why = result["trace_errors"]["missing_because"].as_str().unwrap();
     assert!(why.contains("one instant"), "{why}");
