@@ -273,11 +273,13 @@ impl Basis {
             pivots: Vec::new(),
             columns: columns.len(),
         };
+        // Not over its own norm: at half the frame rate the sine is rounding alone.
+        let largest = columns.iter().map(|c| norm(c)).fold(0.0, f64::max);
         for (j, column) in columns.iter().enumerate() {
             // Twice is enough (Kahan).
             let rest = basis.outside(&basis.outside(column));
             let size = norm(&rest);
-            if size > 1e-6 * norm(column) {
+            if size > 1e-6 * largest {
                 let vector: Vec<f64> = rest.iter().map(|v| v / size).collect();
                 let products = columns.iter().map(|c| dot(c, &vector)).collect();
                 basis.vectors.push(vector);

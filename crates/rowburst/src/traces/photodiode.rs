@@ -38,7 +38,8 @@ const STEPS_PER_BIN: f64 = 16.0;
 /// Correlations that are closer than this part of `1 − r` are alike: a periodic signal fits at many
 /// shifts, and the smallest is meant.
 const ALIKE: f64 = 0.5;
-/// The most that two alike correlations may differ.
+/// The least and the most that two alike correlations may differ.
+const ALIKE_AT_LEAST: f64 = 0.002;
 const ALIKE_AT_MOST: f64 = 0.02;
 
 impl Photodiode {
@@ -142,7 +143,7 @@ impl Photodiode {
         if !best.is_finite() {
             return None;
         }
-        let enough = best - (ALIKE * (1.0 - best)).min(ALIKE_AT_MOST);
+        let enough = best - (ALIKE * (1.0 - best)).clamp(ALIKE_AT_LEAST, ALIKE_AT_MOST);
         let correlation = |k: usize| fits[k].1[trace].map_or(f64::NEG_INFINITY, |f| f.correlation);
         // A maximum as good as the best, and nearest to no shift at all.
         let is_peak = |&k: &usize| {

@@ -15,7 +15,11 @@
 //!
 //! **What the errors mean.** An interval of ±1.96 standard errors holds the truth in 95 % of all
 //! voxels and bins, not of all repetitions for one voxel: the pull of the prior counts as an
-//! error (Nychka, J. Am. Stat. Assoc. 83, 1134, 1988). `tests/traces.rs` measures it.
+//! error (Nychka, J. Am. Stat. Assoc. 83, 1134, 1988). `tests/traces.rs` measures it. Over 10 noise
+//! seeds at 108×108×54 and SNR 256, on the support, they held the truth in 98.6, 98.4 and 99.7 % (LEDs:
+//! pixel, 3×3, 9×9), 99.2 and 97.3 % (digits: the six spots' pixel and 3×3), 97.4, 91.1 and 86.9 %
+//! (brightest pixel and 3×3 of each bin, box of the digit). Where the frame has few pixels a bin
+//! they are too narrow: 74 % for digits of 6 px on 40×40.
 //!
 //! **σ** enters every error in proportion; where the frame's own misfit `χ²` is significantly
 //! above 1 (light outside `S`, a wrong PSF, σ too low), all errors grow by its root. That of σ
