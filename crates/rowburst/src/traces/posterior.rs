@@ -93,6 +93,14 @@ impl Posterior {
         (0..c.len()).map(|i| half[(i, 0)].powi(2)).sum()
     }
 
+    /// `cov(v) c`.
+    pub fn covariance_with(&self, c: &[f64]) -> Mat<f64> {
+        let column = Mat::from_fn(c.len(), 1, |i, _| c[i]);
+        let mut half = self.half(&column);
+        solve_upper_triangular_in_place(self.factor.transpose(), half.as_mut(), Par::Seq);
+        &self.root * half
+    }
+
     /// `H = F⁻¹ Lᵀ X`, with which `Xᵀ cov(v) X = Hᵀ H`.
     pub fn half(&self, x: &Mat<f64>) -> Mat<f64> {
         let mut half = self.root.transpose() * x;
@@ -142,6 +150,9 @@ mod tests {
             .map(|n| c[n / 3] * covariance[(n / 3, n % 3)] * c[n % 3])
             .sum();
         assert!((posterior.variance(&c) - wanted).abs() < 1e-12);
+        let with = posterior.covariance_with(&c);
+        let again: f64 = (0..3).map(|i| c[i] * with[(i, 0)]).sum();
+        assert!((again - wanted).abs() < 1e-12);
         let bmb = (b.transpose() * m.solve(&b))[(0, 0)];
         let determinant: f64 = (0..5).map(|i| m.L()[(i, i)].ln()).sum();
         let bb = (b.transpose() * &b)[(0, 0)];
