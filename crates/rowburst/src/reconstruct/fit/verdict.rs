@@ -38,6 +38,9 @@ const EARLY: usize = 120;
 const FALLING: f64 = 0.85;
 /// Residual over the frame itself beyond which more iterations are not what is missing.
 const FAR: f64 = 0.3;
+/// Residual over the frame itself from which the frame is little but noise: 0.99 for digits of
+/// 200 electrons a bright pixel, of which nothing is recovered, 0.77 where they are at 26 dB.
+const ALL_NOISE: f64 = 0.95;
 /// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
 const RAN_AWAY: f64 = 1.5;
 
@@ -69,6 +72,12 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
     let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
     if s.chi_squared > limit {
         return misfit(evidence, s, limit);
+    }
+    if s.residual_over_frame > ALL_NOISE {
+        return suspicious(format!(
+            "the frame is little but noise: the video explains {:.0} % of its power; more light, a longer exposure or a sparser scene is needed",
+            100.0 * (1.0 - s.residual_over_frame.powi(2)).max(0.0)
+        ));
     }
     if s.chi_squared < TOO_LOW {
         return suspicious(format!(
