@@ -48,7 +48,7 @@ pub struct Composite {
     terms: Vec<Weighted>,
     fewest: usize,
     most: usize,
-    /// `q` of the last call, and the point where the terms have been subtracted.
+    /// `q` of the last call, and the point where the terms have been subtracted; empty without any.
     last: Vec<f32>,
     point: Vec<f32>,
     scale: f64,
@@ -71,7 +71,7 @@ impl Composite {
             fewest: FEWEST_STEPS,
             most: MOST_STEPS,
             last: Vec::new(),
-            point: vec![0.0; shape.voxels()],
+            point: Vec::new(),
             scale: 0.0,
             steps_taken: 0,
         }
@@ -110,11 +110,16 @@ impl Composite {
 
     /// `z(p)`.
     fn primal(&mut self, q: &[f32], z: &mut [f32]) {
-        self.point.copy_from_slice(q);
-        for part in &self.terms {
-            part.term.subtract_adjoint(&mut self.point);
+        if self.terms.is_empty() {
+            self.variation.primal(q, self.scale, z);
+        } else {
+            self.point.clear();
+            self.point.extend_from_slice(q);
+            for part in &self.terms {
+                part.term.subtract_adjoint(&mut self.point);
+            }
+            self.variation.primal(&self.point, self.scale, z);
         }
-        self.variation.primal(&self.point, self.scale, z);
         if self.group > 0.0 {
             shrink_traces(z, self.shape.pixels(), (self.scale * self.group) as f32);
         }

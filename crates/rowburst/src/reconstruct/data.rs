@@ -148,7 +148,7 @@ impl FrameData {
     pub fn sum(&self, parts: Vec<f32>) -> Vec<f32> {
         match self.second {
             SecondPart::None => parts,
-            second => second.sum(self.shape(), &parts),
+            second => second.sum(self.shape(), &parts).into_owned(),
         }
     }
 

@@ -228,7 +228,7 @@ impl Problem {
             second => {
                 let mut parts = solution.video.clone();
                 parts[..shape.voxels()].fill(0.0);
-                Some(Video::new(shape, second.sum(shape, &parts))?)
+                Some(Video::new(shape, second.sum(shape, &parts).into_owned())?)
             }
         };
         let video = Video::new(shape, self.data.sum(solution.video))?;
