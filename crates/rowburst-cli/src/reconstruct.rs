@@ -258,7 +258,7 @@ impl Run<'_> {
                         "the standard one: a time budget leaves no time to choose"
                     }
                     Some(_) => "given",
-                    None => "the standard one: a single bin or a small frame leaves nothing to choose by, or it was stopped",
+                    None => "not chosen: a single bin or a small frame leaves nothing to choose by, or it was stopped before",
                 }
                 .into(),
                 held_out_pixels: None,

@@ -193,7 +193,7 @@ pub fn find(
     let refit = Refit::new(Evidence {
         operator: &operator,
         measured: measurement.image().data(),
-        weights: measurement.weights(),
+        weights: found.weights.as_deref(),
         sigma: found.sigma,
         video,
     });

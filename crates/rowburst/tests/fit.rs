@@ -231,6 +231,17 @@ impl Size {
                 "times the σ",
             ),
             Fault::new(
+                "a frame that is little but noise",
+                self.simulate(
+                    self.camera(Shutter::DualInsideOut, 1.0),
+                    scene,
+                    Noise::Gaussian { snr: 0.1 },
+                    seed,
+                ),
+                Verdict::Suspicious,
+                "little but noise",
+            ),
+            Fault::new(
                 "stopped after 15 iterations",
                 stopped(15),
                 Verdict::Suspicious,

@@ -31,7 +31,8 @@ pub(super) struct FrameData {
     /// `b` and `W b`.
     frame: Vec<f32>,
     measured: Vec<f32>,
-    /// The weights of all pixels, those held out among them.
+    /// The weights of all pixels, those held out among them: of the counts, and of the light.
+    first_weights: Option<Vec<f32>>,
     weights: Option<Vec<f32>>,
     noise: Option<NoiseLaw>,
     held_out: Option<HeldOut>,
@@ -83,6 +84,7 @@ impl FrameData {
             shutter,
             operator,
             frame,
+            first_weights: weights.clone(),
             weights,
             scale,
             gram,
@@ -112,10 +114,12 @@ impl FrameData {
     /// Starts afresh, on all voxels of videos with this second part, without the pixels of
     /// `held_out`.
     pub fn start(&mut self, second: SecondPart, held_out: Option<HeldOut>) {
-        if second == self.second && held_out == self.held_out && self.support.is_none() {
+        let is_as_it_was = self.support.is_none() && self.weights == self.first_weights;
+        if second == self.second && held_out == self.held_out && is_as_it_was {
             return;
         }
         self.held_out = held_out;
+        self.weights.clone_from(&self.first_weights);
         self.support = None;
         self.second = second;
         let is_still = second == SecondPart::Still;
@@ -505,6 +509,9 @@ mod tests {
             assert_eq!(*w, if is_held_out { 0.0 } else { weights[i] });
         }
         check(&mut data, "after following");
+        data.start(SecondPart::Still, Some(held_out.clone()));
+        assert_eq!(data.weights(), data.first_weights.as_deref());
+        check(&mut data, "after starting again");
         assert_eq!(
             data.errors_held_out(&vec![2.0; n]).len(),
             held_out.pixels().len()

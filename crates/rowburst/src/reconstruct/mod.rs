@@ -104,6 +104,8 @@ pub struct Reconstruction {
     /// `½‖W(b − A v)‖² + τ R(v)` at the end, and a bound of its minimum from below: over videos up
     /// to twice as bright, on the support, for this `τ`.
     pub certificate: Certificate,
+    /// `W` that the video was found with, `[y, x]`; `None`: all 1.
+    pub weights: Option<Vec<f32>>,
     /// Noise of a pixel with weight 1, in counts.
     pub sigma: f64,
     /// Where `sigma` comes from.
@@ -258,6 +260,7 @@ impl Problem {
             residual_over_sigma: residual_rms / self.sigma,
             tau: solution.tau,
             certificate: solution.certificate,
+            weights: self.data.weights().map(<[f32]>::to_vec),
             prior,
             choice,
             sigma: self.sigma,

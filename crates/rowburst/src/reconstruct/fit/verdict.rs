@@ -38,9 +38,8 @@ const EARLY: usize = 120;
 const FALLING: f64 = 0.85;
 /// Residual over the frame itself beyond which more iterations are not what is missing.
 const FAR: f64 = 0.3;
-/// Residual over the frame itself from which the frame is little but noise: 0.99 for digits of
-/// 200 electrons a bright pixel, of which nothing is recovered, 0.77 where they are at 26 dB.
-const ALL_NOISE: f64 = 0.95;
+/// Power of the light in the frame over that of the noise, below which it is little but noise.
+const ALL_NOISE: f64 = 0.1;
 /// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
 const RAN_AWAY: f64 = 1.5;
 
@@ -73,10 +72,11 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
     if s.chi_squared > limit {
         return misfit(evidence, s, limit);
     }
-    if s.residual_over_frame > ALL_NOISE {
+    let light = light_over_noise(evidence);
+    if light < ALL_NOISE {
         return suspicious(format!(
-            "the frame is little but noise: the video explains {:.0} % of its power; more light, a longer exposure or a sparser scene is needed",
-            100.0 * (1.0 - s.residual_over_frame.powi(2)).max(0.0)
+            "the frame is little but noise: light has {:.0} % of the noise's power; more light, a longer exposure or a sparser scene is needed",
+            100.0 * light.max(0.0)
         ));
     }
     if s.chi_squared < TOO_LOW {
@@ -116,6 +116,17 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
             "; the order and times of the rows are not tested, since no two rows see the same bin";
     }
     (Verdict::Good, reason)
+}
+
+/// `⟨(W b/σ)²⟩ − 1` over the pixels that hold information.
+fn light_over_noise(evidence: &Evidence) -> f64 {
+    let informative = |i: &usize| evidence.weights.is_none_or(|w| w[*i] > 0.0);
+    let (mut power, mut count) = (0.0, 0usize);
+    for i in (0..evidence.measured.len()).filter(informative) {
+        power += f64::from(evidence.measured[i]).powi(2);
+        count += 1;
+    }
+    power / count.max(1) as f64 - 1.0
 }
 
 fn noise_level(evidence: &Evidence, s: &FitStatistics) -> Option<(Verdict, String)> {

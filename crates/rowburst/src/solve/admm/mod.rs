@@ -130,15 +130,13 @@ pub struct Solution {
     pub residual: Vec<f32>,
     /// `τ` at the end.
     pub tau: f64,
-    /// `½‖b − A v‖² + τ R(v)` at the end.
-    pub objective: f64,
     /// Iterations done.
     pub iterations: usize,
     /// Why it stopped.
     pub stop_reason: StopReason,
     /// Part of the voxels that may be lit.
     pub support: f64,
-    /// How far the objective is from its minimum at most.
+    /// `½‖b − A v‖² + τ R(v)` at the end, and how far it is from its minimum at most.
     pub certificate: Certificate,
 }
 
@@ -168,7 +166,7 @@ pub struct Admm {
     objective: f64,
 }
 
-/// Iterations from one certificate to the next: one costs half an iteration.
+/// Iterations from one certificate to the next: one costs a product with `Aᵀ` and a few passes.
 const CERTIFY_EVERY: usize = 10;
 
 impl Admm {

@@ -368,7 +368,6 @@ impl State {
             certificate,
             residual: self.residual(data),
             tau: self.tau(),
-            objective: certificate.primal,
             iterations: self.iterations,
             stop_reason,
             support: self.support_fraction,
