@@ -24,6 +24,9 @@ pub enum Verb {
     Simulate(SimulateArgs),
     /// Recover the video from one frame
     Reconstruct(ReconstructArgs),
+    /// Recover the videos of a recording of many frames, into one Zarr archive
+    #[cfg(feature = "batch")]
+    Batch(BatchArgs),
     /// Calibrate a camera and a diffuser from captures of your own
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
@@ -216,6 +219,71 @@ pub struct ReconstructArgs {
     /// Seed of the simulation that the frame comes from, for result.json
     #[arg(skip)]
     pub seed: u64,
+}
+
+/// Recover the videos of a recording of many frames, into one Zarr archive.
+///
+/// Killed at any moment, the same command goes on where it was.
+#[cfg(feature = "batch")]
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst batch experiment.toml --frames captures -o videos.zarr\n  rowburst batch experiment.toml --frames stack.tif --frame-period-us 2000 --stitch -o videos.zarr\n  then in Python: zarr.open(\"videos.zarr\")[\"0\"][frame, t], or drop videos.zarr into napari;\n  the table is videos.zarr/rowburst/frames.csv"
+)]
+pub struct BatchArgs {
+    /// The experiment file: camera, calibration, field, recipe
+    pub experiment: PathBuf,
+    /// The recording: a folder of images (.npy, .tif, .png, .bmp), a multi-page .tif, an .npy array
+    /// [frame, y, x], or a Zarr array or OME-Zarr image [frame, y, x]
+    #[arg(long)]
+    pub frames: PathBuf,
+    /// The PSF, instead of the experiment's
+    #[arg(long)]
+    pub psf: Option<PathBuf>,
+    /// A frame without light, instead of the experiment's
+    #[arg(long)]
+    pub dark: Option<PathBuf>,
+    /// A frame of even light, instead of the experiment's
+    #[arg(long)]
+    pub flat: Option<PathBuf>,
+    /// A mask of pixels not to use (anything but 0), instead of the experiment's
+    #[arg(long)]
+    pub bad_pixels: Option<PathBuf>,
+    /// The prior of all frames, as for reconstruct; auto chooses it once, on the brightest of nine
+    /// frames spread over the recording
+    #[arg(long, allow_hyphen_values = true)]
+    pub prior: Option<String>,
+    /// Weight of the prior: auto (found for each frame), or a number above zero
+    #[arg(long, allow_hyphen_values = true)]
+    pub tau: Option<String>,
+    /// Standard deviation of the noise in counts [default: from the calibration, or each frame]
+    #[arg(long, allow_hyphen_values = true)]
+    pub noise_sigma: Option<f64>,
+    /// Stop each frame after this many iterations
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_iterations: Option<u32>,
+    /// Only the frames from A up to, but without, B, counted from 0 (either may be left out):
+    /// several processes may work on parts of one archive at once
+    #[arg(long, value_name = "A:B", conflicts_with = "stitch", allow_hyphen_values = true)]
+    pub frames_range: Option<String>,
+    /// Time from the start of a frame to that of the next, instead of the experiment's
+    #[arg(long, value_name = "US", allow_hyphen_values = true)]
+    pub frame_period_us: Option<f64>,
+    /// Join all videos on one time axis, in OUT.zarr/stitched: dead time between frames is one
+    /// picture of NaN, and stitched/time_us has the time of each bin
+    #[arg(long)]
+    pub stitch: bool,
+    /// Try the frames again that failed before
+    #[arg(long)]
+    pub retry_failed: bool,
+    /// Frames at once [default: one per thread, as many as fit into memory]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub at_once: Option<u16>,
+    /// Print a summary as JSON to standard output instead of text
+    #[arg(long)]
+    pub json: bool,
+    /// The archive, a folder: new, or that of the same batch
+    #[arg(short, long, value_name = "OUT.zarr")]
+    pub output: PathBuf,
 }
 
 fn parse_snr(text: &str) -> Result<f64, String> {

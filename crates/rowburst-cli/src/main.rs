@@ -5,6 +5,8 @@
 //! input or the command line is wrong.
 
 mod args;
+#[cfg(feature = "batch")]
+mod batch;
 mod calibrate;
 mod demo;
 mod design;
@@ -34,6 +36,8 @@ fn main() -> ExitCode {
         Verb::Demo(args) => demo::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Reconstruct(args) => reconstruct::run(&args),
+        #[cfg(feature = "batch")]
+        Verb::Batch(args) => batch::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
     };

@@ -124,8 +124,9 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once.
-pub fn stop_on_ctrl_c() -> Arc<AtomicBool> {
+/// A flag that Ctrl-C sets, after which the program says `talk`; a second Ctrl-C ends the program
+/// at once.
+pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     // A handler that cannot be set leaves Ctrl-C to end the program: no reason to fail.
@@ -133,7 +134,7 @@ pub fn stop_on_ctrl_c() -> Arc<AtomicBool> {
         if flag.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
-        eprintln!("\nstopping; the best so far will be written (Ctrl-C again to leave at once)");
+        eprintln!("\nstopping; {talk} (Ctrl-C again to leave at once)");
     });
     stop
 }

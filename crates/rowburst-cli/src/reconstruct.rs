@@ -82,7 +82,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     drop((raw, corrections));
     let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
-    let stop = stop_on_ctrl_c();
+    let stop = stop_on_ctrl_c("the best so far will be written");
     let started = Instant::now();
     let problem = Problem::new(&measurement, &camera, &psfs, recipe)?;
     let setup = started.elapsed();
@@ -129,19 +129,34 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
 }
 
 fn recipe_of(args: &ReconstructArgs, experiment: &Experiment) -> Result<Recipe> {
-    let prior = match (&args.prior, &experiment.reconstruction.prior) {
-        (Some(name), _) => prior_of(name)?,
+    let (prior, tau) = (args.prior.as_deref(), args.tau.as_deref());
+    let prior = chosen_prior(prior, experiment)?;
+    Ok(Recipe {
+        // A choice takes a run for each candidate: a budget has no time for it.
+        prior: prior.or(args.time_budget_s.map(|_| Prior::STANDARD)),
+        tau: chosen_tau(tau, experiment)?,
+        noise_sigma: args.noise_sigma,
+        max_iterations: args.max_iterations.map(|n| n as usize),
+    })
+}
+
+/// The prior of the command line, or else of the experiment; `None` for `auto`.
+pub fn chosen_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
+    match (name, &experiment.reconstruction.prior) {
+        (Some(name), _) => prior_of(name),
         (None, Some(name)) => prior_of(name).map_err(|mut error| {
             if let Error::Input { subject, .. } = &mut error {
-                *subject = format!("{}: [reconstruction] prior", args.experiment.display());
+                *subject = format!("{}: [reconstruction] prior", experiment.path.display());
             }
             error
-        })?,
-        (None, None) => None,
-    };
-    // A choice takes a run for each candidate: a budget has no time for it.
-    let prior = prior.or(args.time_budget_s.map(|_| Prior::STANDARD));
-    let tau = match (args.tau.as_deref(), experiment.reconstruction.tau) {
+        }),
+        (None, None) => Ok(None),
+    }
+}
+
+/// The rule for `τ` of the command line, or else of the experiment.
+pub fn chosen_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
+    Ok(match (text, experiment.reconstruction.tau) {
         (None, tau) => tau.unwrap_or_default(),
         (Some("auto"), _) => Tau::Auto,
         (Some("held-out"), _) => Tau::HeldOut,
@@ -153,12 +168,6 @@ fn recipe_of(args: &ReconstructArgs, experiment: &Experiment) -> Result<Recipe> 
                 "Leave it out: the program finds it.",
             )
         })?),
-    };
-    Ok(Recipe {
-        prior,
-        tau,
-        noise_sigma: args.noise_sigma,
-        max_iterations: args.max_iterations.map(|n| n as usize),
     })
 }
 

@@ -42,6 +42,15 @@ pub struct Experiment {
     pub calibration: Calibration,
     /// How to reconstruct.
     pub reconstruction: Reconstruction,
+    /// How frames follow each other.
+    pub recording: Recording,
+}
+
+/// What `[recording]` says.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Recording {
+    /// From the start of a frame to that of the next, in microseconds.
+    pub frame_period_us: Option<f64>,
 }
 
 /// Files of `[calibration]`.
@@ -75,6 +84,7 @@ impl Experiment {
             row_order: None,
             calibration: Calibration::default(),
             reconstruction: Reconstruction::default(),
+            recording: Recording::default(),
         }
     }
 
@@ -124,7 +134,13 @@ impl Experiment {
             name: "",
             entries: Some(document.get_ref()),
         };
-        file.check_keys(&["camera", "calibration", "field", "reconstruction"])?;
+        file.check_keys(&[
+            "camera",
+            "calibration",
+            "field",
+            "reconstruction",
+            "recording",
+        ])?;
         let calibration = file.table("calibration")?;
         calibration.check_keys(&["psf", "dark", "flat", "bad_pixels"])?;
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -144,6 +160,7 @@ impl Experiment {
                 bad_pixels: resolved(&calibration, "bad_pixels")?,
             },
             reconstruction: read_reconstruction(&file.table("reconstruction")?)?,
+            recording: read_recording(&file.table("recording")?)?,
         })
     }
 
@@ -215,6 +232,10 @@ impl Experiment {
             text += "\n[reconstruction]\n";
             line(&mut text, "prior", reconstruction.prior.clone());
             line(&mut text, "tau", reconstruction.tau.map(tau_value));
+        }
+        if let Some(period) = self.recording.frame_period_us {
+            text += "\n[recording]\n";
+            line(&mut text, "frame_period_us", Some(period));
         }
         text
     }
@@ -349,6 +370,20 @@ fn read_reconstruction(table: &Table) -> Result<Reconstruction> {
         prior: table.text("prior")?.map(str::to_string),
         tau,
     })
+}
+
+fn read_recording(table: &Table) -> Result<Recording> {
+    table.check_keys(&["frame_period_us"])?;
+    let frame_period_us = table.number("frame_period_us")?;
+    if let Some(period) = frame_period_us.filter(|p| !(p.is_finite() && *p > 0.0)) {
+        return Err(table.error(
+            "frame_period_us",
+            period,
+            "it is the time from the start of a frame to that of the next, above zero",
+            "Write 1e6 over the camera's frames per second.",
+        ));
+    }
+    Ok(Recording { frame_period_us })
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::io::{self, ErrorKind};
 use std::path::Path;
 
 /// The error of a file that cannot be opened or read.
-pub(crate) fn reading(path: &Path, error: &io::Error) -> Error {
+pub fn reading(path: &Path, error: &io::Error) -> Error {
     let subject = path.display().to_string();
     match error.kind() {
         ErrorKind::NotFound | ErrorKind::NotADirectory => Error::input(
@@ -24,8 +24,9 @@ pub(crate) fn reading(path: &Path, error: &io::Error) -> Error {
     }
 }
 
-/// The error of a write; the caller adds the file with [`Error::within`].
-pub(crate) fn writing(error: &io::Error) -> Error {
+/// The error of a write: what failed and how to go on. The caller adds the file with
+/// [`Error::within`].
+pub fn writing(error: &io::Error) -> Error {
     let remedy = match error.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
             "Free space on this disk or choose another folder with -o."

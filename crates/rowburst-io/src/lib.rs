@@ -1,7 +1,7 @@
 //! Bytes ⇄ values: the files of Rowburst.
 //!
 //! Reading: [`read_image`] for one frame, PSF or mask, [`read_stack`] and
-//! [`read_video`] for several pages, [`Experiment::read`] for the experiment file.
+//! [`read_video`] for several pages, [`open_recording`] for many frames one at a time, [`Experiment::read`] for the experiment file.
 //! Writing: one `write_…` function per format, each of which takes any writer,
 //! and [`OutputFolder`], which puts a file in place only when it is whole.
 //!
@@ -27,11 +27,13 @@ mod npy;
 mod patches;
 mod png;
 mod read;
+mod recording;
 mod table;
 mod tiff;
 
 pub use csv::{read_photodiode, write_csv};
-pub use experiment::{Calibration, Experiment, Reconstruction};
+pub use experiment::{Calibration, Experiment, Reconstruction, Recording};
+pub use fault::writing as cannot_write;
 pub use folder::OutputFolder;
 #[cfg(feature = "mp4")]
 pub use mp4::write_mp4;
@@ -39,4 +41,5 @@ pub use npy::{write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
 pub use read::{Capture, Level, read_colour_image, read_image, read_stack, read_video};
+pub use recording::{Frames, gaps, open_recording};
 pub use tiff::{TiffScale, write_tiff_image, write_tiff_video};

@@ -6,7 +6,7 @@
 use crate::fault;
 use crate::read::{Level, Pages, Source};
 use rowburst::{Image, Result, Video};
-use std::io::{Read, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 
 /// An array of any number of dimensions, in C order.
 pub(crate) struct Array {
@@ -74,6 +74,86 @@ pub(crate) fn read_array(source: &Source, mut file: impl Read) -> Result<Array> 
         data,
         level: header.level,
     })
+}
+
+/// A stack `[frame, y, x]` that is read frame by frame.
+pub(crate) struct Stack {
+    header: Header,
+    count: usize,
+    rows: usize,
+    columns: usize,
+}
+
+impl Stack {
+    /// Reads the header; an image `[y, x]` is a stack of one.
+    pub fn open(source: &Source, mut file: impl Read) -> Result<Self> {
+        let header = Header::read(source, &mut file)?;
+        let (count, rows, columns) = match header.shape[..] {
+            [rows, columns] => (1, rows, columns),
+            [count, rows, columns] => (count, rows, columns),
+            _ => {
+                return Err(source.error(
+                    format!("an array of shape {:?}", header.shape),
+                    "a recording is [frame, y, x]",
+                    "Reshape it with numpy.reshape.",
+                ));
+            }
+        };
+        if header.fortran_order {
+            return Err(source.error(
+                "an array whose first index is the fastest (Fortran order)",
+                "a recording is read frame by frame: its frames lie one after the other",
+                "Save it again as numpy.save(FILE, numpy.ascontiguousarray(a)).",
+            ));
+        }
+        if count == 0 || rows == 0 || columns == 0 {
+            return Err(source.error(
+                format!("an array of shape {:?}", header.shape),
+                "a recording has at least one frame of at least one pixel",
+                "Check how it was saved.",
+            ));
+        }
+        Ok(Self {
+            header,
+            count,
+            rows,
+            columns,
+        })
+    }
+
+    /// Number of frames that the header claims.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Reads one frame; `file` stands anywhere.
+    pub fn frame(&self, source: &Source, file: &mut (impl Read + Seek), at: usize) -> Result<Pages> {
+        let mut data = source.room(1, self.rows, self.columns)?;
+        let bytes = self.rows * self.columns * self.header.size;
+        let start = (at as u64)
+            .checked_mul(bytes as u64)
+            .and_then(|skipped| skipped.checked_add(self.header.bytes));
+        let held = start.and_then(|start| source.bytes.checked_sub(start));
+        let (Some(start), true) = (start, held.is_some_and(|held| held >= bytes as u64)) else {
+            return Err(source.error(
+                format!("a file of {} bytes, which ends before frame {at}", source.bytes),
+                format!("its header claims {} frames", self.count),
+                "Save or copy it again: it is cut short.",
+            ));
+        };
+        let mut buffer = vec![0; bytes];
+        file.seek(SeekFrom::Start(start))
+            .and_then(|_| file.read_exact(&mut buffer))
+            .map_err(|e| source.unreadable(e))?;
+        (self.header.decode)(&buffer, &mut data);
+        Ok(Pages {
+            count: 1,
+            rows: self.rows,
+            columns: self.columns,
+            data,
+            level: self.header.level,
+        })
+    }
 }
 
 /// The same array, from the first index fastest to the last index fastest.

@@ -77,7 +77,11 @@ pub fn read_video(path: &Path) -> Result<Video> {
 }
 
 fn capture(path: &Path, colour: Colour) -> Result<Capture> {
-    let pages = read_pages(path, colour)?;
+    single(path, read_pages(path, colour)?)
+}
+
+/// The one image that `pages` must be.
+pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
     if pages.count != 1 {
         return Err(Error::input(
             path.display().to_string(),
@@ -147,7 +151,12 @@ impl<'a> Source<'a> {
     }
 
     /// An [`Error::Input`] about this file.
-    pub fn error(&self, found: impl ToString, rule: &str, remedy: &str) -> Error {
+    pub fn error(
+        &self,
+        found: impl ToString,
+        rule: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Error {
         Error::input(self.path.display().to_string(), found, rule, remedy)
     }
 
@@ -228,8 +237,9 @@ impl<'a> Source<'a> {
     }
 }
 
+/// A format of images, by the ending of a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+pub(crate) enum Format {
     Npy,
     Tiff,
     Png,
@@ -237,7 +247,7 @@ enum Format {
 }
 
 impl Format {
-    fn of_name(path: &Path) -> Option<Self> {
+    pub fn of_name(path: &Path) -> Option<Self> {
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
         match ending.as_str() {
             "npy" => Some(Self::Npy),
@@ -260,6 +270,17 @@ impl Format {
 }
 
 fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {
+    let (source, file, format) = open(path, colour)?;
+    match format {
+        Format::Npy => npy::read(&source, file),
+        Format::Tiff => tiff::read(&source, file),
+        Format::Png => png::read(&source, file),
+        Format::Bmp => bmp::read(&source, file),
+    }
+}
+
+/// Opens `path`, whose content must be what its ending says.
+pub(crate) fn open(path: &Path, colour: Colour) -> Result<(Source<'_>, BufReader<File>, Format)> {
     let (source, mut file) = Source::open(path, colour)?;
     let Some(format) = Format::of_name(path) else {
         let ending = path.extension().map_or("no ending".into(), |e| {
@@ -282,12 +303,7 @@ fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {
             "Rename the file.",
         ));
     }
-    match format {
-        Format::Npy => npy::read(&source, file),
-        Format::Tiff => tiff::read(&source, file),
-        Format::Png => png::read(&source, file),
-        Format::Bmp => bmp::read(&source, file),
-    }
+    Ok((source, file, format))
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use crate::fault;
 use crate::read::{Level, Pages, Source};
 use rowburst::{Error, Image, Result, Video};
+use std::fs::File;
 use std::io::{BufReader, Read, Seek, Write};
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Rational, TiffEncoder, TiffKind, colortype::Gray32Float};
@@ -15,52 +16,19 @@ const CLASSIC_BYTES: u64 = (1 << 32) - (1 << 26);
 
 /// Reads every page; all must have one size and one kind of pixel.
 pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Result<Pages> {
-    let fault = |error| match error {
-        TiffError::UnsupportedError(kind) => source.unsupported(format!("that TIFF calls {kind}")),
-        error => source.unreadable(error),
-    };
-    let most = usize::try_from(source.bytes.saturating_mul(4096)).unwrap_or(usize::MAX);
-    let mut limits = Limits::default();
-    limits.decoding_buffer_size = limits.decoding_buffer_size.max(most);
-    limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(most);
-    limits.ifd_value_size = most.min(1 << 28);
-    let mut pages = Decoder::new(file).map_err(fault)?.with_limits(limits);
-
-    let (width, height) = pages.dimensions().map_err(fault)?;
-    let kind = pages.colortype().map_err(fault)?;
+    let mut pages = decoder(source, file)?;
+    let first = kind(source, &mut pages)?;
     let mut count = 1;
     while pages.more_images() {
-        pages.next_image().map_err(fault)?;
-        let (w, h) = pages.dimensions().map_err(fault)?;
-        if (w, h, pages.colortype().map_err(fault)?) != (width, height, kind) {
-            return Err(source.error(
-                format!(
-                    "page {} of {h}×{w} pixels after pages of {height}×{width}",
-                    count + 1
-                ),
-                "the pages of a stack have one size and one kind of pixel",
-                "Save the pages that belong together as one stack.",
-            ));
-        }
+        pages.next_image().map_err(|e| fault_of(source, e))?;
+        check_alike(source, kind(source, &mut pages)?, first, count)?;
         count += 1;
     }
-    let channels = match kind {
-        ColorType::Gray(8 | 16 | 32 | 64) => 1,
-        ColorType::GrayA(8 | 16) => 2,
-        ColorType::RGB(8 | 16 | 32) => 3,
-        ColorType::RGBA(8 | 16 | 32) => 4,
-        other => return Err(source.unsupported(format!("{other:?} in TIFF"))),
-    };
-    let (rows, columns) = (height as usize, width as usize);
+    let (rows, columns, _) = first;
     let mut data = source.room(count, rows, columns)?;
     let mut level = Level::Float;
     for page in 0..count {
-        pages.seek_to_image(page).map_err(fault)?;
-        let samples = pages.read_image().map_err(fault)?;
-        level = push(source, &mut data, samples, channels)?;
-        if data.len() != (page + 1) * rows * columns {
-            return Err(source.unsupported("of colour planes one after the other"));
-        }
+        level = read_page(source, &mut pages, page, &mut data)?;
     }
     Ok(Pages {
         count,
@@ -69,6 +37,116 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
         data,
         level,
     })
+}
+
+/// A stack that is read page by page.
+pub(crate) struct Stack {
+    pages: Decoder<BufReader<File>>,
+    count: usize,
+}
+
+impl Stack {
+    /// Counts the pages, which may differ in size and kind.
+    pub fn open(source: &Source, file: BufReader<File>) -> Result<Self> {
+        let mut pages = decoder(source, file)?;
+        let mut count = 1;
+        while pages.more_images() {
+            pages.next_image().map_err(|e| fault_of(source, e))?;
+            count += 1;
+        }
+        Ok(Self { pages, count })
+    }
+
+    /// Number of pages.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Reads one page.
+    pub fn page(&mut self, source: &Source, page: usize) -> Result<Pages> {
+        let seek = self.pages.seek_to_image(page);
+        seek.map_err(|e| fault_of(source, e))?;
+        let (rows, columns, _) = kind(source, &mut self.pages)?;
+        let mut data = source.room(1, rows, columns)?;
+        let level = read_page(source, &mut self.pages, page, &mut data)?;
+        Ok(Pages {
+            count: 1,
+            rows,
+            columns,
+            data,
+            level,
+        })
+    }
+}
+
+fn fault_of(source: &Source, error: TiffError) -> Error {
+    match error {
+        TiffError::UnsupportedError(kind) => source.unsupported(format!("that TIFF calls {kind}")),
+        error => source.unreadable(error),
+    }
+}
+
+fn decoder<R: Read + Seek>(source: &Source, file: R) -> Result<Decoder<R>> {
+    let most = usize::try_from(source.bytes.saturating_mul(4096)).unwrap_or(usize::MAX);
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = limits.decoding_buffer_size.max(most);
+    limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(most);
+    limits.ifd_value_size = most.min(1 << 28);
+    let decoder = Decoder::new(file).map_err(|e| fault_of(source, e))?;
+    Ok(decoder.with_limits(limits))
+}
+
+/// Rows, columns and kind of the page at hand.
+type Kind = (usize, usize, ColorType);
+
+fn kind<R: Read + Seek>(source: &Source, pages: &mut Decoder<R>) -> Result<Kind> {
+    let (width, height) = pages.dimensions().map_err(|e| fault_of(source, e))?;
+    let kind = pages.colortype().map_err(|e| fault_of(source, e))?;
+    Ok((height as usize, width as usize, kind))
+}
+
+fn check_alike(source: &Source, page: Kind, first: Kind, before: usize) -> Result<()> {
+    if page == first {
+        return Ok(());
+    }
+    Err(source.error(
+        format!(
+            "page {} of {}×{} pixels after pages of {}×{}",
+            before + 1,
+            page.0,
+            page.1,
+            first.0,
+            first.1
+        ),
+        "the pages of a stack have one size and one kind of pixel",
+        "Save the pages that belong together as one stack.",
+    ))
+}
+
+/// Appends the pixels of a page.
+fn read_page<R: Read + Seek>(
+    source: &Source,
+    pages: &mut Decoder<R>,
+    page: usize,
+    data: &mut Vec<f32>,
+) -> Result<Level> {
+    let seek = pages.seek_to_image(page);
+    seek.map_err(|e| fault_of(source, e))?;
+    let (rows, columns, kind) = kind(source, pages)?;
+    let channels = match kind {
+        ColorType::Gray(8 | 16 | 32 | 64) => 1,
+        ColorType::GrayA(8 | 16) => 2,
+        ColorType::RGB(8 | 16 | 32) => 3,
+        ColorType::RGBA(8 | 16 | 32) => 4,
+        other => return Err(source.unsupported(format!("{other:?} in TIFF"))),
+    };
+    let before = data.len();
+    let samples = pages.read_image().map_err(|e| fault_of(source, e))?;
+    let level = push(source, data, samples, channels)?;
+    if data.len() - before != rows * columns {
+        return Err(source.unsupported("of colour planes one after the other"));
+    }
+    Ok(level)
 }
 
 fn push(

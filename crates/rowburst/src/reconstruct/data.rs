@@ -1,6 +1,7 @@
 //! The data term of a rolling-shutter frame: `½‖W(b − A v)‖²`.
 
 use super::held_out::HeldOut;
+use super::model::Model;
 use crate::camera::CameraParams;
 use crate::linop::{LinearOperator, SecondPart, TwoParts, Weighted, sum_of_bins};
 use crate::measurement::{Measurement, NoiseLaw};
@@ -8,26 +9,20 @@ use crate::solve::blocks::Blocks;
 use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
 use crate::solve::{DataTerm, GramSolver};
-use crate::{Camera, PatchSet, RollingShutter, Shape, Shutter, Support};
+use crate::{Camera, RollingShutter, Shape, Shutter, Support};
 use faer::MatMut;
 use faer::reborrow::ReborrowMut;
 use std::sync::Arc;
 
-/// Gram blocks larger than this, or in total than that, are not built.
-const LARGEST_BLOCK: usize = 4096;
-const MOST_BYTES: usize = 4 << 30;
-
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
-    shutter: Arc<RollingShutter>,
+    model: Model,
     /// `W A`, and the same of both parts of a video.
     operator: Arc<Weighted<Arc<RollingShutter>>>,
     parts: TwoParts<Arc<Weighted<Arc<RollingShutter>>>>,
     second: SecondPart,
     /// What convolves the whole field at once, where the second part stands still.
     planes: Option<RollingShutter>,
-    camera: Camera,
-    psfs: PatchSet,
     /// `b` and `W b`.
     frame: Vec<f32>,
     measured: Vec<f32>,
@@ -37,7 +32,6 @@ pub(super) struct FrameData {
     noise: Option<NoiseLaw>,
     held_out: Option<HeldOut>,
     informative: usize,
-    scale: f64,
     support: Option<Support>,
     gram: Gram,
 }
@@ -51,21 +45,16 @@ enum Gram {
 }
 
 impl FrameData {
-    pub fn new(camera: &Camera, psfs: PatchSet, measurement: &Measurement) -> Self {
-        let shutter = Arc::new(RollingShutter::new(camera, psfs.clone()));
+    pub fn new(model: &Model, measurement: &Measurement) -> Self {
+        let shutter = model.shutter();
         let frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
-        // Halfway between the middle and the edge of the sensor.
-        let (rows, columns) = shutter.frame_shape();
-        let scale = shutter
-            .pixel_power(rows / 4, columns / 4)
-            .max(f64::MIN_POSITIVE);
-        let operator = Arc::new(Weighted::new(Arc::clone(&shutter), weights.clone()));
+        let operator = Arc::new(Weighted::new(Arc::clone(shutter), weights.clone()));
         let second = SecondPart::None;
-        let gram = match blocks(&operator, (None, second)) {
+        let gram = match blocks(model, &operator, (None, second)) {
             Some(blocks) if shutter.time().is_disjoint() => Gram::Exact(blocks),
             blocks => {
-                let preconditioner = preconditioner(&operator, blocks, scale);
+                let preconditioner = preconditioner(&operator, blocks, model.scale());
                 Gram::Iterative(ConjugateGradient::new(preconditioner, frame.len()))
             }
         };
@@ -76,17 +65,14 @@ impl FrameData {
             noise: measurement.noise().cloned(),
             held_out: None,
             support: None,
-            camera: camera.clone(),
-            psfs,
+            model: model.clone(),
             planes: None,
             second,
             parts,
-            shutter,
             operator,
             frame,
             first_weights: weights.clone(),
             weights,
-            scale,
             gram,
         };
         data.weigh_frame();
@@ -99,16 +85,16 @@ impl FrameData {
     }
 
     pub fn shutter(&self) -> &RollingShutter {
-        &self.shutter
+        self.model.shutter()
     }
 
     pub fn shape(&self) -> Shape {
-        self.shutter.video_shape()
+        self.shutter().video_shape()
     }
 
     /// A draw of pixels to be held out.
     pub fn held_out(&self) -> HeldOut {
-        HeldOut::draw(&self.shutter, self.weights())
+        HeldOut::draw(self.shutter(), self.weights())
     }
 
     /// Starts afresh, on all voxels of videos with this second part, without the pixels of
@@ -124,18 +110,18 @@ impl FrameData {
         self.second = second;
         let is_still = second == SecondPart::Still;
         if is_still && self.planes.is_none() {
-            let (rows, columns) = self.camera.field();
+            let (rows, columns) = self.model.camera().field();
             let whole = CameraParams {
                 rows,
                 columns,
                 shutter: Shutter::Global,
                 field: None,
                 bins_per_row: 1,
-                ..self.camera.params().clone()
+                ..self.model.camera().params().clone()
             };
             // A field too large for a sensor has no preconditioner, and takes longer.
             let whole = Camera::new(whole).ok();
-            self.planes = whole.map(|camera| RollingShutter::new(&camera, self.psfs.clone()));
+            self.planes = whole.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
         }
         let empty = Gram::Exact(Blocks::new(Vec::new(), |_, _| ()));
         self.gram = match std::mem::replace(&mut self.gram, empty) {
@@ -162,7 +148,7 @@ impl FrameData {
             return Vec::new();
         };
         let mut light = vec![0.0; self.frame.len()];
-        self.shutter
+        self.shutter()
             .apply(&self.second.sum(self.shape(), video), &mut light);
         let pixels = held_out.pixels().iter();
         pixels
@@ -180,17 +166,18 @@ impl FrameData {
             let weights = weights.get_or_insert_with(|| vec![1.0; self.frame.len()]);
             held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
         }
-        self.operator = Arc::new(Weighted::new(Arc::clone(&self.shutter), weights));
+        self.operator = Arc::new(Weighted::new(Arc::clone(self.model.shutter()), weights));
         self.parts = TwoParts::new(Arc::clone(&self.operator), self.shape(), self.second);
         self.weigh_frame();
-        let (operator, lit) = (&self.operator, (self.support.as_ref(), self.second));
+        let (model, operator) = (&self.model, &self.operator);
+        let lit = (self.support.as_ref(), self.second);
         match &mut self.gram {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
-                blocks.refill(|i, sum| fill(operator, i, lit, sum));
+                blocks.refill(|i, sum| fill(model, operator, i, lit, sum));
             }
             Gram::Iterative(solver) => {
-                let blocks = blocks(operator, lit);
-                let preconditioner = preconditioner(operator, blocks, self.scale);
+                let blocks = blocks(model, operator, lit);
+                let preconditioner = preconditioner(operator, blocks, model.scale());
                 solver.restart(lit.0, preconditioner);
             }
         }
@@ -239,7 +226,7 @@ impl DataTerm for FrameData {
     }
 
     fn scale(&self) -> f64 {
-        self.scale
+        self.model.scale()
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
@@ -289,13 +276,14 @@ impl DataTerm for FrameData {
 
     fn restrict(&mut self, support: &Support) {
         self.support = Some(support.clone());
+        let (model, operator) = (&self.model, &self.operator);
         match &mut self.gram {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
                 let lit = (Some(support), self.second);
-                blocks.refill(|i, sum| fill(&self.operator, i, lit, sum));
+                blocks.refill(|i, sum| fill(model, operator, i, lit, sum));
             }
             Gram::Iterative(solver) => {
-                let blocks = blocks(&self.operator, (Some(support), self.second));
+                let blocks = blocks(model, operator, (Some(support), self.second));
                 let preconditioner =
                     blocks.map(|b| Box::new(BlockPreconditioner(b)) as Box<dyn Preconditioner>);
                 solver.restrict(support, preconditioner);
@@ -308,7 +296,7 @@ impl DataTerm for FrameData {
             return false;
         };
         let mut light = vec![0.0; self.frame.len()];
-        self.shutter
+        self.shutter()
             .apply(&self.second.sum(self.shape(), video), &mut light);
         self.weights = Some(noise.weights(&light));
         self.weights_changed();
@@ -344,36 +332,32 @@ impl LinearOperator for Border<'_> {
 type Lit<'a> = (Option<&'a Support>, SecondPart);
 
 /// The diagonal blocks of `W A P Aᵀ W`, one for each instant; `None` if they are too large.
-fn blocks(operator: &Weighted<Arc<RollingShutter>>, lit: Lit) -> Option<Blocks> {
+fn blocks(model: &Model, operator: &Weighted<Arc<RollingShutter>>, lit: Lit) -> Option<Blocks> {
+    model.gram_bytes()?;
     let shutter = operator.inner();
-    let (_, columns) = shutter.frame_shape();
-    let sizes = || {
-        shutter
-            .rows_of_instants()
-            .iter()
-            .map(|rows| rows.len() * columns)
-    };
-    let bytes: usize = sizes().map(|size| 8 * size * size).sum();
-    if sizes().any(|size| size > LARGEST_BLOCK) || bytes > MOST_BYTES {
-        return None;
-    }
     let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
     Some(Blocks::new(indices.collect(), |i, sum| {
-        fill(operator, i, lit, sum)
+        fill(model, operator, i, lit, sum)
     }))
 }
 
 /// Writes the block of instant `i` of `W A P Aᵀ W` over zeros.
 fn fill(
+    model: &Model,
     operator: &Weighted<Arc<RollingShutter>>,
     instant: usize,
     (support, second): Lit,
     mut sum: MatMut<f64>,
 ) {
     let shutter = operator.inner();
-    shutter.add_gram_block(instant, support, sum.rb_mut());
-    if second == SecondPart::Video {
-        shutter.add_gram_block(instant, None, sum.rb_mut());
+    match model.kept_block(instant, support, second) {
+        Some(block) => sum.copy_from(block),
+        None => {
+            shutter.add_gram_block(instant, support, sum.rb_mut());
+            if second == SecondPart::Video {
+                shutter.add_gram_block(instant, None, sum.rb_mut());
+            }
+        }
     }
     if let Some(weights) = operator.weights() {
         let indices = shutter.indices_of(instant);
@@ -440,7 +424,7 @@ mod tests {
         .unwrap();
         let frame = Image::from_fn(12, 20, |y, x| (5 + (3 * y + 5 * x) % 11) as f32);
         let measurement = correct(&frame, &camera, &Corrections::default()).unwrap();
-        FrameData::new(&camera, (&psf).into(), &measurement)
+        FrameData::new(&Model::new(&camera, &psf), &measurement)
     }
 
     /// What `solve_gram` returns fits the operator that the solver sees.

@@ -4,11 +4,13 @@ mod choose;
 mod data;
 mod fit;
 mod held_out;
+mod model;
 mod prior;
 mod sigma;
 
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
 pub use fit::{Fit, FitStatistics, Verdict, Without};
+pub use model::Model;
 pub use prior::{FurtherWeights, Prior};
 pub use sigma::estimate_sigma;
 
@@ -80,6 +82,7 @@ pub struct Problem {
     recipe: Recipe,
     sigma: f64,
     sigma_source: SigmaSource,
+    slack: f64,
     camera: Camera,
     bands: Bands,
 }
@@ -125,15 +128,23 @@ impl Problem {
     /// `psf` is one for the whole field (`&Psf`) or one for each part of it (`&PatchSet`).
     ///
     /// # Errors
-    /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a prior
-    /// over time for a video of one bin.
+    /// Those of [`Problem::of`].
     pub fn new(
         measurement: &Measurement,
         camera: &Camera,
         psf: impl Into<PatchSet>,
         recipe: Recipe,
     ) -> Result<Self> {
-        let psf = psf.into();
+        Self::of(&Model::new(camera, psf), measurement, recipe)
+    }
+
+    /// Sets up the reconstruction of one of many frames that share `model`.
+    ///
+    /// # Errors
+    /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a
+    /// prior over time for a video of one bin.
+    pub fn of(model: &Model, measurement: &Measurement, recipe: Recipe) -> Result<Self> {
+        let (camera, psf) = (model.camera(), model.psfs());
         let tau = match recipe.tau {
             Tau::Given(tau) => Some(tau),
             Tau::Auto | Tau::HeldOut => None,
@@ -167,11 +178,23 @@ impl Problem {
         Ok(Self {
             camera: camera.clone(),
             bands,
-            data: FrameData::new(camera, psf, measurement),
+            data: FrameData::new(model, measurement),
             recipe,
             sigma,
             sigma_source,
+            slack: 1.0,
         })
+    }
+
+    /// The same for a given prior with the noise taken `slack` times as strong by the rule for
+    /// `τ`: the other half of what [`Problem::choose`] finds.
+    ///
+    /// # Panics
+    /// If `slack` is not above zero.
+    #[must_use]
+    pub fn slackened(self, slack: f64) -> Self {
+        assert!(slack > 0.0, "a slack above zero, not {slack}");
+        Self { slack, ..self }
     }
 
     /// What the user chose.
@@ -205,7 +228,7 @@ impl Problem {
             prox,
             choice,
             solution,
-        } = found;
+        } = found.unwrap_or_else(|so_far| *so_far);
         if !solution.certificate.primal.is_finite() {
             return Err(Error::work(
                 "reconstruction",
@@ -272,39 +295,71 @@ impl Problem {
         })
     }
 
-    /// The choices that are left to the program, then the run.
-    fn find(&mut self, observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>) -> Found {
-        let most = self.recipe.max_iterations;
+    /// Chooses the prior, and the slack that goes with it, as [`Problem::solve`] does where none
+    /// is given, and no more; `None` where there is nothing to choose by.
+    ///
+    /// # Errors
+    /// Why the observer stopped it.
+    pub fn choose(
+        mut self,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> std::result::Result<Option<Choice>, StopReason> {
+        let stopped = |found: Box<Found>| found.solution.stop_reason;
+        let rule = self.rule(observer).map_err(stopped)?;
+        self.choice(rule, observer).map_err(stopped)
+    }
+
+    /// How `τ` is found; where no noise level is known held-out pixels tell it now.
+    fn rule(
+        &mut self,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> std::result::Result<TauRule, Box<Found>> {
         let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.recipe.tau == Tau::Auto;
         if is_unknown || self.recipe.tau == Tau::HeldOut {
-            match choose::noise_level(&mut self.data, standard, most, observer) {
-                Ok(sigma) => (self.sigma, self.sigma_source) = (sigma, SigmaSource::HeldOut),
-                Err(found) => return *found,
-            }
+            let most = self.recipe.max_iterations;
+            self.sigma = choose::noise_level(&mut self.data, standard, most, observer)?;
+            self.sigma_source = SigmaSource::HeldOut;
         }
-        let rule = match self.recipe.tau {
+        Ok(match self.recipe.tau {
             Tau::Given(tau) => TauRule::Fixed(tau),
             Tau::Auto | Tau::HeldOut => TauRule::Discrepancy { sigma: self.sigma },
-        };
-        let shape = self.data.shape();
+        })
+    }
+
+    fn choice(
+        &mut self,
+        rule: TauRule,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> std::result::Result<Option<Choice>, Box<Found>> {
+        // The candidates differ in how they treat time.
+        if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
+            return Ok(None);
+        }
+        let most = self.recipe.max_iterations;
+        choose::choose_prior(&mut self.data, rule, self.sigma, most, observer).map(Some)
+    }
+
+    /// The choices that are left to the program, then the run; what there is so far where the
+    /// observer stops them.
+    fn find(
+        &mut self,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> std::result::Result<Found, Box<Found>> {
+        let rule = self.rule(observer)?;
         let choice = match self.recipe.prior {
-            // The candidates differ in how they treat time.
-            None if shape.bins > 1 && choose::can_choose(&self.data) => {
-                match choose::choose_prior(&mut self.data, rule, self.sigma, most, observer) {
-                    Ok(choice) => Some(choice),
-                    Err(found) => return *found,
-                }
-            }
-            _ => None,
+            Some(_) => None,
+            None => self.choice(rule, observer)?,
         };
+        let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
         let (prior, slack) = choice
             .as_ref()
-            .map_or((standard, 1.0), |c| (c.best().prior, c.best().slack));
+            .map_or((standard, self.slack), |c| (c.best().prior, c.best().slack));
         let rule = choose::slackened(rule, slack);
+        let shape = self.data.shape();
         self.data.start(prior.second_part(), None);
         let mut prox = prior.prox(shape);
-        let params = prior.admm_params(shape, rule, most);
+        let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
         let solution = admm::solve(
             &mut self.data,
             &mut *prox,
@@ -312,12 +367,12 @@ impl Problem {
             &params,
             &mut |progress| show(prior.second_part(), shape, progress, observer),
         );
-        Found {
+        Ok(Found {
             prior,
             prox,
             choice,
             solution,
-        }
+        })
     }
 }
 

@@ -1,0 +1,179 @@
+//! What is decided once for all frames: the kind of their numbers, and the prior.
+//!
+//! A choice for each frame would cost four times the run. It is made once, on the brightest of a
+//! few frames spread over the recording, and kept in the job: the same for all processes that
+//! work on it, and after every kill.
+
+use crate::identity::hash_image;
+use crate::plan::Plan;
+use rowburst::measurement::Measurement;
+use rowburst::reconstruct::{Prior, Problem};
+use rowburst::solve::StopReason;
+use rowburst::vecmath::norm;
+use rowburst::{Error, Result};
+use rowburst_io::{Capture, Level};
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Frames that are looked at before the job begins.
+const PROBES: usize = 9;
+
+/// A frame that was looked at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Probe {
+    pub frame: usize,
+    /// Hash of its pixels; `None` where it could not be used.
+    pub content: Option<String>,
+}
+
+/// What the frames that were looked at tell.
+pub(crate) struct Probed {
+    pub probes: Vec<Probe>,
+    /// The kind of numbers of the first good one.
+    pub numbers: String,
+    /// The good one with the most light.
+    pub brightest: usize,
+}
+
+impl Probed {
+    /// Looks at frames spread over the recording, and at all of them if none of those is good.
+    pub fn look(plan: &Plan) -> Result<Self> {
+        let count = plan.frames.count();
+        let spread = PROBES.min(count);
+        let last = (spread - 1).max(1);
+        let picked: Vec<usize> = (0..spread).map(|i| i * (count - 1) / last).collect();
+        let rest = (0..count).filter(|frame| !picked.contains(frame));
+        let mut probes = Vec::new();
+        let mut best: Option<(usize, f64)> = None;
+        let mut numbers = None;
+        let mut reason = String::new();
+        for frame in picked.iter().copied().chain(rest) {
+            if probes.len() >= spread && best.is_some() {
+                break;
+            }
+            let content = match good(plan, frame) {
+                Ok((capture, measurement)) => {
+                    numbers.get_or_insert_with(|| numbers_of(capture.level));
+                    let light = norm(measurement.image().data());
+                    if best.is_none_or(|(_, most)| light > most) {
+                        best = Some((frame, light));
+                    }
+                    Some(hash_image(&capture.image))
+                }
+                Err(error) if reason.is_empty() => {
+                    reason = format!("{}: {error}", plan.frames.name(frame));
+                    None
+                }
+                Err(_) => None,
+            };
+            probes.push(Probe { frame, content });
+        }
+        match (numbers, best) {
+            (Some(numbers), Some((brightest, _))) => Ok(Self {
+                probes,
+                numbers,
+                brightest,
+            }),
+            _ => Err(Error::work(
+                plan.frames.path().display().to_string(),
+                format!("none of its {count} frames can be used; {reason}"),
+                "Nothing was written.",
+            )),
+        }
+    }
+}
+
+/// Refuses another recording of the same length: frames that both times could be read differ.
+pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
+    let same = |probe: &Probe| {
+        let other = now.iter().find(|other| other.frame == probe.frame);
+        match (&probe.content, other.and_then(|other| other.content.as_ref())) {
+            (Some(then), Some(now)) => then == now,
+            _ => true,
+        }
+    };
+    begun.iter().all(same)
+}
+
+fn good(plan: &Plan, frame: usize) -> Result<(Capture, Measurement)> {
+    let capture = plan.frames.read(frame)?;
+    let measurement = plan.measurement(&capture)?;
+    Ok((capture, measurement))
+}
+
+/// The kind of numbers in words.
+pub(crate) fn numbers_of(level: Level) -> String {
+    match level {
+        Level::Counts { bits } => format!("integers of {bits} bits"),
+        Level::Float => "floating point".into(),
+    }
+}
+
+/// The prior that all frames of a batch have.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ChosenPrior {
+    /// Its name.
+    pub prior: String,
+    /// Noise level that the rule for `τ` takes, over `σ`.
+    pub slack: f64,
+    /// The frame that it was chosen on; `None` where it was given.
+    pub frame: Option<usize>,
+    /// Why.
+    pub reason: String,
+}
+
+impl ChosenPrior {
+    pub(crate) fn given(prior: Prior) -> Self {
+        Self {
+            prior: prior.to_string(),
+            slack: 1.0,
+            frame: None,
+            reason: "given".into(),
+        }
+    }
+
+    /// Chooses on `frame`; `None` where it was stopped.
+    pub(crate) fn choose(plan: &Plan, frame: usize, stop: &AtomicBool) -> Result<Option<Self>> {
+        let (_, measurement) = good(plan, frame)?;
+        let problem = Problem::of(&plan.model, &measurement, plan.recipe)?;
+        let chosen = problem.choose(&mut |_| match stop.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(StopReason::Interrupted),
+            false => ControlFlow::Continue(()),
+        });
+        Ok(match chosen {
+            Err(_) => None,
+            Ok(None) => Some(Self {
+                prior: Prior::STANDARD.to_string(),
+                slack: 1.0,
+                frame: Some(frame),
+                reason: "the standard one: a single bin or a small frame leaves nothing to choose by".into(),
+            }),
+            Ok(Some(choice)) => Some(Self {
+                prior: choice.best().prior.to_string(),
+                slack: choice.best().slack,
+                frame: Some(frame),
+                reason: choice.reason(),
+            }),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_that_was_mended_does_not_make_another_recording() {
+        let probe = |frame, content: Option<&str>| Probe {
+            frame,
+            content: content.map(Into::into),
+        };
+        let begun = [probe(0, Some("a")), probe(5, None), probe(9, Some("c"))];
+        let mended = [probe(0, Some("a")), probe(5, Some("b")), probe(9, Some("c"))];
+        assert!(is_same_recording(&begun, &mended));
+        assert!(is_same_recording(&mended, &begun));
+        let other = [probe(0, Some("a")), probe(5, None), probe(9, Some("x"))];
+        assert!(!is_same_recording(&begun, &other));
+    }
+}

@@ -1,0 +1,102 @@
+//! Fingerprints: whether two jobs are one.
+
+use rowburst::{Error, Image, PatchSet, Result};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const HASH: &str = "sha256:";
+
+fn hex(hash: Sha256) -> String {
+    let digits = hash.finalize();
+    let digits = digits.iter().map(|byte| format!("{byte:02x}"));
+    HASH.to_string() + &digits.collect::<String>()
+}
+
+fn update(hash: &mut Sha256, image: &Image) {
+    for side in [image.rows(), image.columns()] {
+        hash.update((side as u64).to_le_bytes());
+    }
+    image.data().iter().for_each(|v| hash.update(v.to_le_bytes()));
+}
+
+/// Of the size and the bits of the pixels.
+pub(crate) fn hash_image(image: &Image) -> String {
+    let mut hash = Sha256::new();
+    update(&mut hash, image);
+    hex(hash)
+}
+
+/// Of all PSFs and their places.
+pub(crate) fn hash_psfs(psfs: &PatchSet) -> String {
+    let mut hash = Sha256::new();
+    for (psf, (y, x)) in psfs.psfs().iter().zip(psfs.offsets_px()) {
+        update(&mut hash, psf.image());
+        hash.update(y.to_le_bytes());
+        hash.update(x.to_le_bytes());
+    }
+    hex(hash)
+}
+
+/// Refuses to go on in `out` with another job than the one that it was begun with.
+pub(crate) fn check_same(
+    out: &Path,
+    begun: &BTreeMap<String, String>,
+    now: &BTreeMap<String, String>,
+) -> Result<()> {
+    let is_short = |text: &str| !text.starts_with(HASH) && text.len() <= 80;
+    let all: BTreeMap<&String, ()> = begun.keys().chain(now.keys()).map(|k| (k, ())).collect();
+    let differences: Vec<String> = all
+        .into_keys()
+        .filter(|key| begun.get(*key) != now.get(*key))
+        .map(|key| {
+            let text = |of: &BTreeMap<String, String>| of.get(key).cloned().unwrap_or_default();
+            match (text(begun), text(now)) {
+                (then, now) if is_short(&then) && is_short(&now) => {
+                    format!("{key} was {then}, now {now}")
+                }
+                _ => format!("another {key}"),
+            }
+        })
+        .collect();
+    if differences.is_empty() {
+        return Ok(());
+    }
+    Err(Error::input(
+        out.display().to_string(),
+        format!("a batch that was begun otherwise ({})", differences.join("; ")),
+        "an archive holds the videos of one recording, all made alike",
+        "Choose another folder with -o, or go on with what this one was begun with.",
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowburst::Psf;
+
+    fn parts(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
+        let own = |(k, v): &(&str, &str)| (k.to_string(), v.to_string());
+        pairs.iter().map(own).collect()
+    }
+
+    #[test]
+    fn what_differs_is_named() {
+        let begun = parts(&[("prior", "tv"), ("PSF", "sha256:aa"), ("tau", "Auto")]);
+        assert!(check_same(Path::new("o"), &begun, &begun).is_ok());
+        let now = parts(&[("prior", "l1"), ("PSF", "sha256:bb"), ("tau", "Auto")]);
+        let message = check_same(Path::new("o"), &begun, &now).unwrap_err().to_string();
+        assert!(message.contains("another PSF; prior was tv, now l1"), "{message}");
+    }
+
+    #[test]
+    fn every_bit_counts() {
+        let image = |value: f32| Image::from_fn(2, 3, |y, x| if y == 1 && x == 2 { value } else { 1.0 });
+        let base = hash_image(&image(1.0));
+        assert_eq!(base, hash_image(&image(1.0)));
+        assert_ne!(base, hash_image(&image(1.0 + f32::EPSILON)));
+        assert_ne!(base, hash_image(&Image::from_fn(3, 2, |_, _| 1.0)));
+        let psf = |value| hash_psfs(&PatchSet::from(&Psf::new(image(value)).unwrap()));
+        assert_ne!(psf(1.0), psf(2.0));
+    }
+}

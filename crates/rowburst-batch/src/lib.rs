@@ -1,0 +1,34 @@
+//! A recording of many frames to one archive of videos, as a job that can be taken up again.
+//!
+//! ```text
+//! Plan (model, corrections, recipe, frames) ─▶ Batch::open ─▶ Batch::run ─▶ write_table, stitch
+//! ```
+//!
+//! **What is on disk** (`OUT.zarr/rowburst`): `job.json`, what the job was begun with; `prior.json`,
+//! the prior that was chosen for all frames; `frames/NNNNNN.json`, a line of the table for each
+//! frame that is through; `frames.csv`, all lines. Every file is whole or not there. A frame's line
+//! is written after its video, so a frame with a line is done, and one without is done (again).
+//! Frames do not know of each other: what is in the archive does not depend on the order of the
+//! frames, on the number of threads, or on how often the job was killed.
+//!
+//! **Several processes** may work on parts of one job at once, on one machine or on several that
+//! share a disk. Where they are given the same frame both do it, and the same is written.
+//!
+//! **No start from the neighbouring frame**: see ARCHITECTURE.md.
+
+mod choice;
+mod clock;
+mod crew;
+mod identity;
+mod plan;
+mod run;
+mod state;
+mod stitch;
+mod table;
+
+pub use choice::ChosenPrior;
+pub use clock::Clock;
+pub use crew::Crew;
+pub use plan::Plan;
+pub use run::{Again, Batch, Event};
+pub use table::{FrameRow, Status};

@@ -1,0 +1,76 @@
+//! What a batch is to do.
+
+use crate::identity::{hash_image, hash_psfs};
+use rowburst::Result;
+use rowburst::measurement::{Corrections, Measurement, correct};
+use rowburst::reconstruct::{Model, Recipe};
+use rowburst_io::{Capture, Frames, Level};
+use std::collections::BTreeMap;
+
+/// Experiment, recording and recipe: values, wherever they come from.
+pub struct Plan {
+    /// Camera and PSF.
+    pub model: Model,
+    /// Dark, flat and bad pixels. The level of saturation is that of each frame's file.
+    pub corrections: Corrections,
+    /// How to reconstruct. Where its prior is left open one is chosen for the whole recording.
+    pub recipe: Recipe,
+    /// The recording.
+    pub frames: Box<dyn Frames>,
+    /// From the start of a frame to that of the next, where it is known.
+    pub frame_period_us: Option<f64>,
+    /// Version of the program: another may give other numbers.
+    pub version: String,
+}
+
+impl Plan {
+    /// The measurement that a frame is.
+    ///
+    /// # Errors
+    /// Those of [`correct`].
+    pub fn measurement(&self, capture: &Capture) -> Result<Measurement> {
+        let corrections = Corrections {
+            saturation_counts: container_end(capture.level),
+            ..self.corrections.clone()
+        };
+        correct(&capture.image, self.model.camera(), &corrections)
+    }
+
+    /// All that decides what the videos are, by name; long ones as hashes.
+    pub(crate) fn identity(&self) -> BTreeMap<String, String> {
+        let camera = self.model.camera();
+        let params = camera.params();
+        let image = |image: &Option<_>| image.as_ref().map_or("none".into(), hash_image);
+        let recipe = &self.recipe;
+        let or_auto = |value: Option<String>| value.unwrap_or("auto".into());
+        let parts = [
+            ("program version", self.version.clone()),
+            ("rows", params.rows.to_string()),
+            ("columns", params.columns.to_string()),
+            ("shutter", format!("{:?}", params.shutter)),
+            ("row_time_us", params.row_time_us.to_string()),
+            ("exposure_us", params.exposure_us.to_string()),
+            ("bins_per_row", params.bins_per_row.to_string()),
+            ("field", format!("{:?}", camera.field())),
+            ("sensor", format!("{:?}", params.sensor)),
+            ("PSF", hash_psfs(self.model.psfs())),
+            ("dark", image(&self.corrections.dark)),
+            ("flat", image(&self.corrections.flat)),
+            ("bad pixels", image(&self.corrections.bad_pixels)),
+            ("prior", or_auto(recipe.prior.map(|p| p.to_string()))),
+            ("tau", format!("{:?}", recipe.tau)),
+            ("noise sigma", or_auto(recipe.noise_sigma.map(|s| s.to_string()))),
+            ("most iterations", or_auto(recipe.max_iterations.map(|n| n.to_string()))),
+            ("number of frames", self.frames.count().to_string()),
+        ];
+        parts.into_iter().map(|(k, v)| (k.to_string(), v)).collect()
+    }
+}
+
+/// Counts at which a file of integers ends.
+fn container_end(level: Level) -> Option<f64> {
+    match level {
+        Level::Counts { bits } if bits <= 16 => Some(f64::from(1u32 << bits) - 1.0),
+        Level::Counts { .. } | Level::Float => None,
+    }
+}

@@ -1,0 +1,345 @@
+//! The job itself.
+
+use crate::choice::{ChosenPrior, Probed, is_same_recording, numbers_of};
+use crate::clock::Clock;
+use crate::crew::Crew;
+use crate::identity::check_same;
+use crate::plan::Plan;
+use crate::state::{ClockFile, JobFile, State};
+use crate::table::{FrameRow, Status, csv_of};
+use rowburst::measurement::Measurement;
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction};
+use rowburst::solve::StopReason;
+use rowburst::{Error, Result, Video};
+use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
+use serde_json::json;
+use std::ops::{ControlFlow, Range};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// A recording on its way into an archive.
+pub struct Batch {
+    pub(crate) plan: Plan,
+    pub(crate) archive: VideoArchive,
+    pub(crate) scratch: Arc<Scratch>,
+    pub(crate) clock: Option<Clock>,
+    state: State,
+    job: JobFile,
+}
+
+/// What an observer sees.
+#[derive(Debug, Clone, Copy)]
+pub enum Event<'a> {
+    /// The prior is being chosen on this frame.
+    Choosing {
+        /// Its index.
+        frame: usize,
+    },
+    /// A frame is through, and on disk.
+    Through(&'a FrameRow),
+    /// A part of the stitched video is on disk.
+    Stitched {
+        /// Number of parts.
+        of: usize,
+    },
+}
+
+type Observer<'o> = &'o (dyn Fn(Event) + Sync);
+
+impl Batch {
+    /// Begins the job in the folder `out`, or goes on with it.
+    ///
+    /// # Errors
+    /// A recording without a single good frame, a folder that holds anything but this job, a
+    /// frame period that cannot be, failed writes. Nothing is changed then.
+    pub fn open(plan: Plan, out: &Path) -> Result<Self> {
+        let probed = Probed::look(&plan)?;
+        let camera = plan.model.camera();
+        let told = plan.frame_period_us;
+        let clock_of = |period| Clock::new(camera, period);
+        let mut clock = told.map(clock_of).transpose()?;
+        let state = State::create(out)?;
+        let lock = state.lock()?;
+        let identity = plan.identity();
+        let begun = state.job()?;
+        if let Some(begun) = &begun {
+            check_same(out, &begun.identity, &identity)?;
+            if !is_same_recording(&begun.probes, &probed.probes) {
+                return Err(Error::input(
+                    plan.frames.path().display().to_string(),
+                    format!("other frames than those that {} was begun with", out.display()),
+                    "an archive holds the videos of one recording",
+                    "Choose another folder with -o.",
+                ));
+            }
+        }
+        let scratch = Arc::new(state.scratch()?);
+        if told.is_none() {
+            let stored = state.clock()?.map(|stored| stored.frame_period_us);
+            clock = stored.map(clock_of).transpose()?;
+        }
+        if let Some(Clock { frame_period_us, .. }) = clock {
+            state.write_clock(&scratch, &ClockFile { frame_period_us })?;
+        }
+        let params = archive_params(&plan, clock);
+        let archive = VideoArchive::create(out, params, &scratch)?;
+        let job = match begun {
+            Some(job) => job,
+            None => {
+                let Probed {
+                    probes,
+                    numbers,
+                    brightest,
+                } = probed;
+                let job = JobFile::new(identity, probes, numbers, brightest);
+                // Last: a job that has its file has all the others.
+                state.write_job(&scratch, &job)?;
+                job
+            }
+        };
+        drop(lock);
+        Ok(Self {
+            plan,
+            archive,
+            scratch,
+            clock,
+            state,
+            job,
+        })
+    }
+
+    /// What it is to do.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The recording's clock, where it is known.
+    pub fn clock(&self) -> Option<Clock> {
+        self.clock
+    }
+
+    /// The lines of all frames that are through, in their order.
+    ///
+    /// # Errors
+    /// A line that cannot be read.
+    pub fn rows(&self) -> Result<Vec<FrameRow>> {
+        self.state.rows(self.plan.frames.count())
+    }
+
+    /// The frames of `range` that are not through; those that failed as well if `again`.
+    ///
+    /// # Errors
+    /// A line that cannot be read.
+    pub fn left(&self, range: Range<usize>, again: Again) -> Result<Vec<usize>> {
+        let mut through = vec![false; self.plan.frames.count()];
+        for row in self.rows()? {
+            through[row.frame] = row.status == Status::Done || again == Again::Unfinished;
+        }
+        Ok(range.filter(|&frame| !through[frame]).collect())
+    }
+
+    /// The video of a frame as the archive has it; NaN where it has none.
+    ///
+    /// # Errors
+    /// Failed reads.
+    ///
+    /// # Panics
+    /// If there is no such frame.
+    pub fn video(&self, frame: usize) -> Result<Video> {
+        let shape = self.archive.params().video;
+        Video::new(shape, self.archive.read(frame, 0..shape.bins)?)
+    }
+
+    /// The prior of all frames; chosen now where it is neither given nor chosen yet. `None` where
+    /// it was stopped.
+    ///
+    /// # Errors
+    /// Those of a reconstruction, and failed writes.
+    pub fn prior(&self, stop: &AtomicBool, observer: Observer) -> Result<Option<ChosenPrior>> {
+        if let Some(prior) = self.plan.recipe.prior {
+            return Ok(Some(ChosenPrior::given(prior)));
+        }
+        // Processes that come later wait for the first one's choice.
+        let lock = self.state.lock_choice()?;
+        if let Some(chosen) = self.state.prior()? {
+            return Ok(Some(chosen));
+        }
+        let frame = self.job.brightest;
+        observer(Event::Choosing { frame });
+        let chosen = ChosenPrior::choose(&self.plan, frame, stop)?;
+        if let Some(chosen) = &chosen {
+            self.state.write_prior(&self.scratch, chosen)?;
+        }
+        drop(lock);
+        Ok(chosen)
+    }
+
+    /// Makes the videos of `frames`, as many at once as `crew` says, until all are through or
+    /// `stop` is set: frames at work are then given up.
+    ///
+    /// A frame that cannot be read or reconstructed gets its line and does not stop the others.
+    ///
+    /// # Errors
+    /// Failed writes: what is written stays, and the job can be taken up again.
+    pub fn run(
+        &self,
+        frames: &[usize],
+        prior: &ChosenPrior,
+        crew: Crew,
+        stop: &AtomicBool,
+        observer: Observer,
+    ) -> Result<()> {
+        let how = How {
+            recipe: Recipe {
+                prior: Some(prior.prior.parse::<Prior>()?),
+                ..self.plan.recipe
+            },
+            slack: prior.slack,
+        };
+        let next = AtomicUsize::new(0);
+        let failure: Mutex<Option<Error>> = Mutex::new(None);
+        let give_up = AtomicBool::new(false);
+        let fail = |error: Error| {
+            give_up.store(true, Ordering::Relaxed);
+            let mut failure = failure.lock().unwrap_or_else(PoisonError::into_inner);
+            failure.get_or_insert(error);
+        };
+        let is_over = || stop.load(Ordering::Relaxed) || give_up.load(Ordering::Relaxed);
+        let work = || {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(crew.threads_each);
+            let pool = match pool.build() {
+                Ok(pool) => pool,
+                Err(error) => return fail(Error::work("threads", error, "Lower --threads.")),
+            };
+            while !is_over() {
+                let Some(&frame) = frames.get(next.fetch_add(1, Ordering::Relaxed)) else {
+                    break;
+                };
+                // Threads of its own: a thread that waits must not begin another frame.
+                let Some((row, video)) = pool.install(|| self.make(frame, how, &is_over)) else {
+                    break;
+                };
+                let stored = video.map_or(Ok(()), |video| self.archive.store(frame, &video));
+                match stored.and_then(|()| self.state.write_row(&self.scratch, &row)) {
+                    Ok(()) => observer(Event::Through(&row)),
+                    Err(error) => fail(error),
+                }
+            }
+        };
+        std::thread::scope(|scope| {
+            for _ in 0..crew.at_once {
+                scope.spawn(work);
+            }
+        });
+        let failure = failure.into_inner().unwrap_or_else(PoisonError::into_inner);
+        failure.map_or(Ok(()), Err)
+    }
+
+    /// The line of a frame and its video, if it has one; `None` where it was given up.
+    fn make(
+        &self,
+        frame: usize,
+        how: How,
+        is_over: &(dyn Fn() -> bool + Sync),
+    ) -> Option<(FrameRow, Option<Video>)> {
+        let started = Instant::now();
+        // A frame that breaks the program is one frame lost.
+        let made = catch_unwind(AssertUnwindSafe(|| self.reconstruct(frame, how, is_over)));
+        let made = made.unwrap_or_else(|panic| {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or(panic.downcast_ref::<&str>().copied());
+            Err(Error::work("the program", text.unwrap_or("a panic"), "Report this frame."))
+        });
+        let name = self.plan.frames.name(frame);
+        let seconds = started.elapsed().as_secs_f64();
+        match made {
+            Ok((_, found)) if found.stop_reason == StopReason::Interrupted => None,
+            Ok((measurement, found)) => {
+                let saturated = measurement.saturated();
+                let row = FrameRow::done(frame, name, &found, saturated, seconds);
+                Some((row, Some(found.video)))
+            }
+            Err(error) => {
+                let message = error.to_string();
+                Some((FrameRow::failed(frame, name, message, seconds), None))
+            }
+        }
+    }
+
+    fn reconstruct(
+        &self,
+        frame: usize,
+        how: How,
+        is_over: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(Measurement, Reconstruction)> {
+        let capture = self.plan.frames.read(frame)?;
+        let numbers = numbers_of(capture.level);
+        if numbers != self.job.numbers {
+            return Err(Error::input(
+                self.plan.frames.name(frame),
+                numbers,
+                format!("the frames of this recording are {}", self.job.numbers),
+                "Save all frames with the same settings.",
+            ));
+        }
+        let measurement = self.plan.measurement(&capture)?;
+        let problem = Problem::of(&self.plan.model, &measurement, how.recipe)?;
+        let found = problem.slackened(how.slack).solve(&mut |_| match is_over() {
+            true => ControlFlow::Break(StopReason::Interrupted),
+            false => ControlFlow::Continue(()),
+        })?;
+        Ok((measurement, found))
+    }
+
+    /// Joins the lines of all frames that are through, whichever process made them, to the
+    /// table; returns its path.
+    ///
+    /// # Errors
+    /// Failed reads and writes.
+    pub fn write_table(&self) -> Result<PathBuf> {
+        let _lock = self.state.lock()?;
+        let csv = csv_of(&self.rows()?, &*self.plan.frames, self.clock)?;
+        let path = self.state.table();
+        self.scratch.put(&path, &csv)?;
+        Ok(path)
+    }
+}
+
+/// Which frames are done anew.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Again {
+    /// Those that have no line.
+    Unfinished,
+    /// Those that failed, too.
+    Failed,
+}
+
+/// How each frame is reconstructed.
+#[derive(Debug, Clone, Copy)]
+struct How {
+    recipe: Recipe,
+    slack: f64,
+}
+
+fn archive_params(plan: &Plan, clock: Option<Clock>) -> ArchiveParams {
+    let camera = plan.model.camera();
+    ArchiveParams {
+        frames: plan.frames.count(),
+        video: camera.video_shape(),
+        bin_us: camera.time().bin_duration_us(),
+        pixel_pitch_um: camera.sensor().pixel_pitch_um,
+        frame_period_us: clock.map(|clock| clock.frame_period_us),
+        frame_start_us: clock.map(|clock| clock.starts_us(&*plan.frames)),
+        attributes: json!({
+            "version": plan.version,
+            "values": "light in counts per bin; frames that failed are NaN",
+            "table": "rowburst/frames.csv",
+            "frame_period_us": clock.map(|clock| clock.frame_period_us),
+            "video_us": clock.map(|clock| clock.video_us),
+            "dead_us": clock.map(|clock| clock.dead_us()),
+        }),
+    }
+}

@@ -1,0 +1,146 @@
+//! A batch is what `Problem` makes of each frame alone, to the bit.
+
+use rowburst::camera::CameraParams;
+use rowburst::measurement::Corrections;
+use rowburst::reconstruct::{Model, Problem, Recipe};
+use rowburst::{Camera, Image, Psf, Result, Sensor, Shutter};
+use rowburst_batch::{Again, Batch, Crew, Event, Plan, Status};
+use rowburst_io::{Capture, Frames, Level};
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+
+/// Frames that are computed; number 2 breaks the program.
+struct Computed;
+
+impl Frames for Computed {
+    fn path(&self) -> &Path {
+        Path::new("computed")
+    }
+
+    fn count(&self) -> usize {
+        4
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("number {index}")
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        assert!(index != 2, "a frame that breaks the program");
+        Ok(capture(index))
+    }
+}
+
+fn capture(index: usize) -> Capture {
+    Capture {
+        image: Image::from_fn(12, 20, |y, x| (40 + (3 * y + 5 * x + 7 * index) % 31) as f32),
+        level: Level::Counts { bits: 16 },
+    }
+}
+
+fn camera(shutter: Shutter, sensor: Sensor) -> Camera {
+    let params = CameraParams {
+        rows: 12,
+        columns: 20,
+        shutter,
+        row_time_us: 10.0,
+        exposure_us: 10.0,
+        bins_per_row: 1,
+        field: None,
+        sensor,
+    };
+    Camera::new(params).unwrap()
+}
+
+fn psf() -> Psf {
+    let value = |y, x| (1 + (7 * y * y + 13 * x + 3 * x * y) % 17) as f32;
+    Psf::new(Image::from_fn(23, 39, value)).unwrap()
+}
+
+fn plan(camera: &Camera, prior: &str) -> Plan {
+    Plan {
+        model: Model::new(camera, &psf()).keeping_gram(),
+        corrections: Corrections::default(),
+        recipe: Recipe {
+            prior: Some(prior.parse().unwrap()),
+            max_iterations: Some(70),
+            ..Recipe::default()
+        },
+        frames: Box::new(Computed),
+        frame_period_us: None,
+        version: "test".into(),
+    }
+}
+
+#[test]
+fn each_frame_is_as_if_alone() {
+    let noisy = Sensor {
+        gain_electrons_per_count: Some(2.0),
+        read_noise_electrons: Some(1.5),
+        bit_depth: Some(16),
+        ..Sensor::default()
+    };
+    let cases = [
+        (Shutter::DualInsideOut, Sensor::default(), "tv+0.5*tdiff+support"),
+        // Weights that follow the light, a part that stands still, two parts.
+        (Shutter::DualInsideOut, noisy.clone(), "tv+support"),
+        (Shutter::TopDown, noisy, "tv+0.3*l1+background+support"),
+        (Shutter::Global, Sensor::default(), "tv"),
+    ];
+    for (shutter, sensor, prior) in cases {
+        let camera = camera(shutter, sensor);
+        let folder = tempfile::tempdir().unwrap();
+        let batch = Batch::open(plan(&camera, prior), &folder.path().join("o.zarr")).unwrap();
+        let stop = AtomicBool::new(false);
+        let left = batch.left(0..4, Again::Unfinished).unwrap();
+        assert_eq!(left, [0, 1, 2, 3]);
+        let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
+        let crew = Crew::new(2, 4, &batch.plan().model, None);
+        let seen = Mutex::new(Vec::new());
+        let observer = |event: Event| {
+            if let Event::Through(row) = event {
+                seen.lock().unwrap().push(row.frame);
+            }
+        };
+        batch.run(&left, &chosen, crew, &stop, &observer).unwrap();
+        let mut seen = seen.into_inner().unwrap();
+        seen.sort_unstable();
+        assert_eq!(seen, left);
+        let rows = batch.rows().unwrap();
+        for row in &rows {
+            let video = batch.video(row.frame).unwrap();
+            if row.frame == 2 {
+                assert_eq!(row.status, Status::Failed);
+                assert!(row.message.contains("breaks the program"), "{}", row.message);
+                assert!(video.data().iter().all(|v| v.is_nan()));
+                continue;
+            }
+            let measurement = batch.plan().measurement(&capture(row.frame)).unwrap();
+            let alone = Problem::new(&measurement, &camera, &psf(), batch.plan().recipe).unwrap();
+            let alone = alone.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+            assert_eq!(alone.video, video, "{prior}, frame {}", row.frame);
+            assert_eq!(row.tau, Some(alone.tau));
+        }
+    }
+}
+
+#[test]
+fn what_was_stopped_is_left() {
+    let camera = camera(Shutter::DualInsideOut, Sensor::default());
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("o.zarr");
+    let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();
+    let stop = AtomicBool::new(false);
+    let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
+    let crew = Crew::new(1, 4, &batch.plan().model, None);
+    let after_one = |_: Event| stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    batch.run(&[3, 1, 0], &chosen, crew, &stop, &after_one).unwrap();
+    assert_eq!(batch.left(0..4, Again::Unfinished).unwrap(), [0, 1, 2]);
+    drop(batch);
+    let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();
+    assert_eq!(batch.left(0..2, Again::Unfinished).unwrap(), [0, 1]);
+    let error = batch.stitch(&stop, &|_| ()).unwrap_err().to_string();
+    assert!(error.contains("no frame period"), "{error}");
+}

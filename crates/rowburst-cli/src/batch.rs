@@ -1,0 +1,336 @@
+//! `rowburst batch`: a recording in, one archive of videos out.
+
+use crate::args::BatchArgs;
+use crate::inputs::{naming_file, read_corrections, read_psfs};
+use crate::outcome::{peak_memory_bytes, say, short};
+use crate::progress::stop_on_ctrl_c;
+use crate::reconstruct::{chosen_prior, chosen_tau};
+use indicatif::{ProgressBar, ProgressStyle};
+use rowburst::reconstruct::{Model, Recipe};
+use rowburst::{Error, Result};
+use rowburst_batch::{Again, Batch, Crew, Event, FrameRow, Plan, Status};
+use rowburst_io::{Calibration, Experiment, Frames, gaps, open_recording};
+use rowburst_zarr::{is_zarr, open_zarr_recording};
+use serde::Serialize;
+use std::io::IsTerminal;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// What a run of `batch` ends with.
+#[derive(Debug, Serialize)]
+struct Summary {
+    version: &'static str,
+    archive: String,
+    table: String,
+    stitched: Option<String>,
+    /// In the recording.
+    frames: usize,
+    /// With a video, and without, by this run and all before.
+    done: usize,
+    failed: usize,
+    /// Neither.
+    left: usize,
+    /// Through by this run.
+    frames_this_run: usize,
+    failed_this_run: usize,
+    prior: String,
+    prior_reason: String,
+    prior_frame: Option<usize>,
+    frame_period_us: Option<f64>,
+    dead_us: Option<f64>,
+    threads: usize,
+    frames_at_once: usize,
+    threads_per_frame: usize,
+    /// What all frames share, and the choice of the prior.
+    setup_seconds: f64,
+    /// The frames.
+    seconds: f64,
+    frames_per_second: Option<f64>,
+    peak_memory_bytes: Option<u64>,
+    warnings: Vec<String>,
+}
+
+pub fn run(args: &BatchArgs) -> Result<()> {
+    let began = Instant::now();
+    let batch = Batch::open(plan_of(args)?, &args.output)?;
+    let frames = &batch.plan().frames;
+    let range = range_of(args.frames_range.as_deref(), frames.count())?;
+    if args.stitch {
+        batch.clock_to_stitch()?;
+    }
+    let missing = gaps(&**frames);
+    let missing_words = missing_words(&missing, &**frames);
+    missing_words.iter().for_each(|words| eprintln!("{words}"));
+
+    let stop = stop_on_ctrl_c("what is done stays, and the same command goes on from there");
+    let again = match args.retry_failed {
+        true => Again::Failed,
+        false => Again::Unfinished,
+    };
+    let left = batch.left(range.clone(), again)?;
+    let bar = bar(left.len(), range.len());
+    let prior = batch.prior(&stop, &|event| show(&bar, &batch, event))?;
+    let Some(prior) = prior else {
+        bar.finish_and_clear();
+        return Err(stopped(args));
+    };
+    let threads = rayon::current_num_threads();
+    let most = args.at_once.map(usize::from);
+    let crew = Crew::new(threads, left.len(), &batch.plan().model, most);
+    let setup_seconds = began.elapsed().as_secs_f64();
+    let started = Instant::now();
+    bar.reset_eta();
+    let ran = batch.run(&left, &prior, crew, &stop, &|event| {
+        show(&bar, &batch, event);
+    });
+    let seconds = started.elapsed().as_secs_f64();
+    bar.finish_and_clear();
+    // On a full disk the first error is the one that helps.
+    let table = match ran {
+        Ok(()) => batch.write_table()?,
+        Err(error) => {
+            let _ = batch.write_table();
+            return Err(error);
+        }
+    };
+    if stop.load(Ordering::Relaxed) {
+        return Err(stopped(args));
+    }
+    let rows = batch.rows()?;
+    refuse_if_all_failed(args, &rows, &range)?;
+    let stitched = match args.stitch {
+        true => Some(stitch(args, &batch, &stop)?),
+        false => None,
+    };
+
+    let of = |status| rows.iter().filter(move |row| row.status == status);
+    let ours = rows.iter().filter(|row| left.contains(&row.frame));
+    let failed_ours = ours.clone().filter(|row| row.status == Status::Failed);
+    let summary = Summary {
+        version: env!("CARGO_PKG_VERSION"),
+        archive: args.output.display().to_string(),
+        table: table.display().to_string(),
+        stitched,
+        frames: frames.count(),
+        done: of(Status::Done).count(),
+        failed: of(Status::Failed).count(),
+        left: frames.count() - rows.len(),
+        frames_this_run: ours.count(),
+        failed_this_run: failed_ours.count(),
+        prior: prior.prior.clone(),
+        prior_reason: prior.reason.clone(),
+        prior_frame: prior.frame,
+        frame_period_us: batch.clock().map(|clock| clock.frame_period_us),
+        dead_us: batch.clock().map(|clock| clock.dead_us()),
+        threads,
+        frames_at_once: crew.at_once,
+        threads_per_frame: crew.threads_each,
+        setup_seconds,
+        seconds,
+        frames_per_second: (!left.is_empty()).then(|| left.len() as f64 / seconds),
+        peak_memory_bytes: peak_memory_bytes(),
+        warnings: warnings(&rows, missing_words),
+    };
+    if args.json {
+        say(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
+    } else {
+        print_summary(&summary);
+    }
+    Ok(())
+}
+
+fn plan_of(args: &BatchArgs) -> Result<Plan> {
+    let experiment = Experiment::read(&args.experiment)?;
+    let camera = experiment.camera()?;
+    let recipe = Recipe {
+        prior: chosen_prior(args.prior.as_deref(), &experiment)?,
+        tau: chosen_tau(args.tau.as_deref(), &experiment)?,
+        noise_sigma: args.noise_sigma,
+        max_iterations: args.max_iterations.map(|n| n as usize),
+    };
+    let frame_period_us = args
+        .frame_period_us
+        .or(experiment.recording.frame_period_us);
+    let given = |own: &Option<_>, other: Option<_>| own.clone().or(other);
+    let calibration = Calibration {
+        psf: given(&args.psf, experiment.calibration.psf),
+        dark: given(&args.dark, experiment.calibration.dark),
+        flat: given(&args.flat, experiment.calibration.flat),
+        bad_pixels: given(&args.bad_pixels, experiment.calibration.bad_pixels),
+    };
+    let Some(psf_path) = &calibration.psf else {
+        return Err(Error::input(
+            args.experiment.display().to_string(),
+            "no PSF",
+            "a reconstruction needs the point-spread function",
+            "Give --psf FILE, or psf = \"FILE\" under [calibration].",
+        ));
+    };
+    let frames = match is_zarr(&args.frames) {
+        true => open_zarr_recording(&args.frames)?,
+        false => open_recording(&args.frames)?,
+    };
+    // The frames' files say where they end.
+    let corrections = read_corrections(&calibration, None)?;
+    let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())
+        .map_err(|e| naming_file(e, &args.frames, &calibration))?;
+    crate::inputs::check_memory(&args.experiment, &camera)?;
+    Ok(Plan {
+        model: Model::new(&camera, psfs).keeping_gram(),
+        corrections,
+        recipe,
+        frames,
+        frame_period_us,
+        version: env!("CARGO_PKG_VERSION").into(),
+    })
+}
+
+/// `A:B` of `count` frames.
+fn range_of(text: Option<&str>, count: usize) -> Result<Range<usize>> {
+    let Some(text) = text else {
+        return Ok(0..count);
+    };
+    let number = |part: &str, other: usize| match part.trim() {
+        "" => Some(other),
+        digits => digits.parse().ok(),
+    };
+    let ends = text.split_once(':');
+    let ends = ends.and_then(|(a, b)| Some((number(a, 0)?, number(b, count)?)));
+    match ends {
+        Some((first, end)) if first < end && first < count => Ok(first..end.min(count)),
+        _ => Err(Error::input(
+            "--frames-range",
+            format!("\"{text}\""),
+            format!("a range A:B of the {count} frames has 0 ≤ A < B, and A < {count}"),
+            "Write 0:100 for the first hundred, 100: for the rest.",
+        )),
+    }
+}
+
+fn bar(left: usize, of: usize) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(of as u64);
+    let style = ProgressStyle::with_template(
+        "{bar:30} frame {pos} of {len}, {elapsed} so far, {eta} left; {msg}",
+    );
+    bar.set_style(style.expect("the template is valid"));
+    bar.set_position((of - left) as u64);
+    bar.reset_eta();
+    bar
+}
+
+fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
+    match event {
+        Event::Choosing { frame } => {
+            let words = format!("choosing the prior on {}", batch.plan().frames.name(frame));
+            match bar.is_hidden() {
+                true => eprintln!("{words}"),
+                false => bar.set_message(words),
+            }
+        }
+        Event::Through(row) => {
+            bar.inc(1);
+            match (row.status, row.residual_over_sigma) {
+                (Status::Done, Some(level)) => {
+                    let fit = row.fit.as_deref().unwrap_or_default();
+                    bar.set_message(format!("{}: residual/σ {level:.2}, {fit}", row.name));
+                }
+                _ => bar.suspend(|| eprintln!("{} failed: {}", row.name, row.message)),
+            }
+        }
+        Event::Stitched { of } => {
+            bar.set_length(of as u64);
+            bar.inc(1);
+        }
+    }
+}
+
+fn stopped(args: &BatchArgs) -> Error {
+    Error::work(
+        args.output.display().to_string(),
+        "stopped",
+        "The same command goes on from here.",
+    )
+}
+
+/// A run of which nothing came did not work.
+fn refuse_if_all_failed(args: &BatchArgs, rows: &[FrameRow], range: &Range<usize>) -> Result<()> {
+    let ours = || rows.iter().filter(|row| range.contains(&row.frame));
+    match ours().next() {
+        Some(first) if ours().all(|row| row.status == Status::Failed) => Err(Error::work(
+            args.frames.display().to_string(),
+            format!("all {} frames failed; the first: {}", range.len(), first.message),
+            format!(
+                "See {}/rowburst/frames.csv; --retry-failed tries them again.",
+                args.output.display()
+            ),
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn stitch(args: &BatchArgs, batch: &Batch, stop: &AtomicBool) -> Result<String> {
+    let bar = bar(0, 0);
+    bar.set_message("stitching");
+    let path = batch.stitch(stop, &|event| show(&bar, batch, event));
+    bar.finish_and_clear();
+    let path = path?.ok_or_else(|| stopped(args))?;
+    Ok(path.display().to_string())
+}
+
+/// Gaps in the numbering of the frames: one sentence, with the first of them.
+fn missing_words(missing: &[(usize, u64, u64)], frames: &dyn Frames) -> Vec<String> {
+    let count: u64 = missing.iter().map(|(_, first, last)| last - first + 1).sum();
+    let Some(&(before, _, _)) = missing.first() else {
+        return Vec::new();
+    };
+    vec![format!(
+        "{count} frames are missing by the numbers in the names, the first after {}; in time they are counted",
+        frames.name(before)
+    )]
+}
+
+fn warnings(rows: &[FrameRow], mut warnings: Vec<String>) -> Vec<String> {
+    let mut add = |what: &str, of: &dyn Fn(&FrameRow) -> bool| {
+        let count = rows.iter().filter(|row| of(row)).count();
+        if let Some(first) = rows.iter().find(|row| of(row)) {
+            let (name, message) = (&first.name, &first.message);
+            warnings.push(format!("{what} {count} frames, first {name}: {message}"));
+        }
+    };
+    add("no video of", &|row| row.status == Status::Failed);
+    add("a bad fit of", &|row| row.fit.as_deref() == Some("bad"));
+    add("a suspicious fit of", &|row| row.fit.as_deref() == Some("suspicious"));
+    warnings
+}
+
+fn print_summary(summary: &Summary) {
+    say(format!(
+        "{}: {} of {} frames have their video",
+        summary.archive, summary.done, summary.frames
+    ));
+    if let Some(rate) = summary.frames_per_second {
+        say(format!(
+            "this run: {} frames in {} s, {} a second ({} at once, {} thread(s) each)",
+            summary.frames_this_run,
+            short(summary.seconds),
+            short(rate),
+            summary.frames_at_once,
+            summary.threads_per_frame
+        ));
+    }
+    say(format!("prior: {} ({})", summary.prior, summary.prior_reason));
+    if let (Some(period), Some(dead)) = (summary.frame_period_us, summary.dead_us) {
+        say(format!("a frame every {period} µs, {} µs of them dead time", short(dead)));
+    }
+    say(format!("table: {}", summary.table));
+    if let Some(stitched) = &summary.stitched {
+        say(format!("one time axis: {stitched}"));
+    }
+    for warning in &summary.warnings {
+        eprintln!("warning: {warning}");
+    }
+}

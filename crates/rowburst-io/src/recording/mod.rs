@@ -1,0 +1,178 @@
+//! Recordings: many frames of one camera, read one at a time.
+//!
+//! A folder of images in the natural order of their names, a multi-page TIFF page by page, or a
+//! 3-D `.npy` `[frame, y, x]`. Never more than a frame is in memory for each reader.
+
+mod folder;
+mod names;
+
+use crate::read::{Capture, Colour, Format, Source, open, read_image, single};
+use crate::{npy, tiff};
+use folder::Folder;
+use rowburst::Result;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// The frames of a recording; several threads may read at once.
+pub trait Frames: Send + Sync {
+    /// The file or folder.
+    fn path(&self) -> &Path;
+
+    /// Number of frames, at least one.
+    fn count(&self) -> usize;
+
+    /// What a user calls frame `index`: a file's name, or a page.
+    fn name(&self, index: usize) -> String;
+
+    /// The place of frame `index` in time, in frame periods: the number in its file's name where
+    /// the names are numbered, else `index`. Rises with `index`.
+    fn number(&self, index: usize) -> u64 {
+        index as u64
+    }
+
+    /// Reads frame `index`. Sizes and kinds of numbers may differ from frame to frame, and
+    /// pixels need not be finite.
+    ///
+    /// # Errors
+    /// A frame that is missing or damaged; the others may still be read.
+    fn read(&self, index: usize) -> Result<Capture>;
+}
+
+/// Opens a folder of images (`.npy`, `.tif`, `.png` or `.bmp`, one frame each), a multi-page
+/// `.tif`, a 3-D `.npy` `[frame, y, x]`, or a single image.
+///
+/// # Errors
+/// A path that is missing, a folder without images or with images of several formats, a file
+/// whose header is damaged.
+pub fn open_recording(path: &Path) -> Result<Box<dyn Frames>> {
+    if path.is_dir() {
+        return Ok(Box::new(Folder::open(path)?));
+    }
+    let (source, file, format) = open(path, Colour::Refused)?;
+    let bytes = source.bytes;
+    let path = path.to_path_buf();
+    Ok(match format {
+        Format::Tiff => {
+            let stack = tiff::Stack::open(&source, file)?;
+            Box::new(TiffStack {
+                count: stack.count(),
+                stack: Mutex::new(stack),
+                path,
+                bytes,
+            })
+        }
+        Format::Npy => Box::new(NpyStack {
+            stack: npy::Stack::open(&source, file)?,
+            path,
+            bytes,
+        }),
+        Format::Png | Format::Bmp => Box::new(Single { path }),
+    })
+}
+
+/// Numbers that are missing between those of neighbouring frames, as (index of the frame before,
+/// first and last number that are missing).
+pub fn gaps(frames: &dyn Frames) -> Vec<(usize, u64, u64)> {
+    (1..frames.count())
+        .filter_map(|index| {
+            let (before, after) = (frames.number(index - 1), frames.number(index));
+            (after > before + 1).then_some((index - 1, before + 1, after - 1))
+        })
+        .collect()
+}
+
+struct TiffStack {
+    path: PathBuf,
+    bytes: u64,
+    count: usize,
+    /// One reader: a page takes milliseconds, what is made of it seconds.
+    stack: Mutex<tiff::Stack>,
+}
+
+impl Frames for TiffStack {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn count(&self) -> usize {
+        self.count
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("page {}", index + 1)
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        let source = Source {
+            path: &self.path,
+            bytes: self.bytes,
+            colour: Colour::Refused,
+        };
+        // A reader that another thread left in mid-page seeks anew.
+        let mut stack = self.stack.lock().unwrap_or_else(PoisonError::into_inner);
+        let page = stack.page(&source, index);
+        drop(stack);
+        page.and_then(|page| single(&self.path, page))
+            .map_err(|e| e.within(self.name(index)))
+    }
+}
+
+struct NpyStack {
+    path: PathBuf,
+    bytes: u64,
+    stack: npy::Stack,
+}
+
+impl Frames for NpyStack {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn count(&self) -> usize {
+        self.stack.count()
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("[{index}]")
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        let source = Source {
+            path: &self.path,
+            bytes: self.bytes,
+            colour: Colour::Refused,
+        };
+        let file = File::open(&self.path).map_err(|e| crate::fault::reading(&self.path, &e))?;
+        let frame = self.stack.frame(&source, &mut BufReader::new(file), index);
+        single(&self.path, frame?)
+    }
+}
+
+/// One image.
+struct Single {
+    path: PathBuf,
+}
+
+impl Frames for Single {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn count(&self) -> usize {
+        1
+    }
+
+    fn name(&self, _: usize) -> String {
+        let name = self.path.file_name().unwrap_or_default();
+        name.to_string_lossy().into_owned()
+    }
+
+    fn read(&self, _: usize) -> Result<Capture> {
+        read_image(&self.path)
+    }
+}
+
+#[cfg(test)]
+mod tests;
