@@ -19,6 +19,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Frames that are looked at before the job begins.
 const PROBES: usize = 9;
 
+/// What an error is about that lies in the corrections, and not in a frame.
+pub const CORRECTIONS: [&str; 3] = ["dark", "flat", "bad_pixels"];
+
 /// A frame that was looked at.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Probe {
@@ -47,7 +50,7 @@ impl Probed {
         let mut probes = Vec::new();
         let mut best: Option<(usize, f64)> = None;
         let mut numbers = None;
-        let mut reason = String::new();
+        let mut first: Option<(usize, Error)> = None;
         for frame in picked.iter().copied().chain(rest) {
             if probes.len() >= spread && best.is_some() {
                 break;
@@ -61,23 +64,30 @@ impl Probed {
                     }
                     Some(hash_image(&capture.image))
                 }
-                Err(error) if reason.is_empty() => {
-                    reason = format!("{}: {error}", plan.frames.name(frame));
+                Err(error) => {
+                    first.get_or_insert((frame, error));
                     None
                 }
-                Err(_) => None,
             };
             probes.push(Probe { frame, content });
         }
-        match (numbers, best) {
-            (Some(numbers), Some((brightest, _))) => Ok(Self {
+        if let (Some(numbers), Some((brightest, _))) = (numbers, best) {
+            return Ok(Self {
                 probes,
                 numbers,
                 brightest,
-            }),
+            });
+        }
+        let (frame, error) = first.expect("a recording has frames");
+        match &error {
+            // The frames are not to blame.
+            Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => Err(error),
             _ => Err(Error::work(
                 plan.frames.path().display().to_string(),
-                format!("none of its {count} frames can be used; {reason}"),
+                format!(
+                    "none of its {count} frames can be used; {}: {error}",
+                    plan.frames.name(frame)
+                ),
                 "Nothing was written.",
             )),
         }
@@ -88,7 +98,10 @@ impl Probed {
 pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
     let same = |probe: &Probe| {
         let other = now.iter().find(|other| other.frame == probe.frame);
-        match (&probe.content, other.and_then(|other| other.content.as_ref())) {
+        match (
+            &probe.content,
+            other.and_then(|other| other.content.as_ref()),
+        ) {
             (Some(then), Some(now)) => then == now,
             _ => true,
         }
@@ -147,7 +160,9 @@ impl ChosenPrior {
                 prior: Prior::STANDARD.to_string(),
                 slack: 1.0,
                 frame: Some(frame),
-                reason: "the standard one: a single bin or a small frame leaves nothing to choose by".into(),
+                reason:
+                    "the standard one: a single bin or a small frame leaves nothing to choose by"
+                        .into(),
             }),
             Ok(Some(choice)) => Some(Self {
                 prior: choice.best().prior.to_string(),
@@ -170,7 +185,11 @@ mod tests {
             content: content.map(Into::into),
         };
         let begun = [probe(0, Some("a")), probe(5, None), probe(9, Some("c"))];
-        let mended = [probe(0, Some("a")), probe(5, Some("b")), probe(9, Some("c"))];
+        let mended = [
+            probe(0, Some("a")),
+            probe(5, Some("b")),
+            probe(9, Some("c")),
+        ];
         assert!(is_same_recording(&begun, &mended));
         assert!(is_same_recording(&mended, &begun));
         let other = [probe(0, Some("a")), probe(5, None), probe(9, Some("x"))];

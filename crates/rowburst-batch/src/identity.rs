@@ -17,7 +17,10 @@ fn update(hash: &mut Sha256, image: &Image) {
     for side in [image.rows(), image.columns()] {
         hash.update((side as u64).to_le_bytes());
     }
-    image.data().iter().for_each(|v| hash.update(v.to_le_bytes()));
+    image
+        .data()
+        .iter()
+        .for_each(|v| hash.update(v.to_le_bytes()));
 }
 
 /// Of the size and the bits of the pixels.
@@ -64,7 +67,10 @@ pub(crate) fn check_same(
     }
     Err(Error::input(
         out.display().to_string(),
-        format!("a batch that was begun otherwise ({})", differences.join("; ")),
+        format!(
+            "a batch that was begun otherwise ({})",
+            differences.join("; ")
+        ),
         "an archive holds the videos of one recording, all made alike",
         "Choose another folder with -o, or go on with what this one was begun with.",
     ))
@@ -85,13 +91,19 @@ mod tests {
         let begun = parts(&[("prior", "tv"), ("PSF", "sha256:aa"), ("tau", "Auto")]);
         assert!(check_same(Path::new("o"), &begun, &begun).is_ok());
         let now = parts(&[("prior", "l1"), ("PSF", "sha256:bb"), ("tau", "Auto")]);
-        let message = check_same(Path::new("o"), &begun, &now).unwrap_err().to_string();
-        assert!(message.contains("another PSF; prior was tv, now l1"), "{message}");
+        let message = check_same(Path::new("o"), &begun, &now)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("another PSF; prior was tv, now l1"),
+            "{message}"
+        );
     }
 
     #[test]
     fn every_bit_counts() {
-        let image = |value: f32| Image::from_fn(2, 3, |y, x| if y == 1 && x == 2 { value } else { 1.0 });
+        let image =
+            |value: f32| Image::from_fn(2, 3, |y, x| if y == 1 && x == 2 { value } else { 1.0 });
         let base = hash_image(&image(1.0));
         assert_eq!(base, hash_image(&image(1.0)));
         assert_ne!(base, hash_image(&image(1.0 + f32::EPSILON)));

@@ -26,7 +26,7 @@ mod state;
 mod stitch;
 mod table;
 
-pub use choice::ChosenPrior;
+pub use choice::{CORRECTIONS, ChosenPrior};
 pub use clock::Clock;
 pub use crew::Crew;
 pub use plan::Plan;

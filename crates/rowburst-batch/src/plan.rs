@@ -59,8 +59,14 @@ impl Plan {
             ("bad pixels", image(&self.corrections.bad_pixels)),
             ("prior", or_auto(recipe.prior.map(|p| p.to_string()))),
             ("tau", format!("{:?}", recipe.tau)),
-            ("noise sigma", or_auto(recipe.noise_sigma.map(|s| s.to_string()))),
-            ("most iterations", or_auto(recipe.max_iterations.map(|n| n.to_string()))),
+            (
+                "noise sigma",
+                or_auto(recipe.noise_sigma.map(|s| s.to_string())),
+            ),
+            (
+                "most iterations",
+                or_auto(recipe.max_iterations.map(|n| n.to_string())),
+            ),
             ("number of frames", self.frames.count().to_string()),
         ];
         parts.into_iter().map(|(k, v)| (k.to_string(), v)).collect()

@@ -70,7 +70,10 @@ impl Batch {
             if !is_same_recording(&begun.probes, &probed.probes) {
                 return Err(Error::input(
                     plan.frames.path().display().to_string(),
-                    format!("other frames than those that {} was begun with", out.display()),
+                    format!(
+                        "other frames than those that {} was begun with",
+                        out.display()
+                    ),
                     "an archive holds the videos of one recording",
                     "Choose another folder with -o.",
                 ));
@@ -81,7 +84,10 @@ impl Batch {
             let stored = state.clock()?.map(|stored| stored.frame_period_us);
             clock = stored.map(clock_of).transpose()?;
         }
-        if let Some(Clock { frame_period_us, .. }) = clock {
+        if let Some(Clock {
+            frame_period_us, ..
+        }) = clock
+        {
             state.write_clock(&scratch, &ClockFile { frame_period_us })?;
         }
         let params = archive_params(&plan, clock);
@@ -251,7 +257,11 @@ impl Batch {
         let made = made.unwrap_or_else(|panic| {
             let text = panic.downcast_ref::<String>().map(String::as_str);
             let text = text.or(panic.downcast_ref::<&str>().copied());
-            Err(Error::work("the program", text.unwrap_or("a panic"), "Report this frame."))
+            Err(Error::work(
+                "the program",
+                text.unwrap_or("a panic"),
+                "Report this frame.",
+            ))
         });
         let name = self.plan.frames.name(frame);
         let seconds = started.elapsed().as_secs_f64();
@@ -287,10 +297,12 @@ impl Batch {
         }
         let measurement = self.plan.measurement(&capture)?;
         let problem = Problem::of(&self.plan.model, &measurement, how.recipe)?;
-        let found = problem.slackened(how.slack).solve(&mut |_| match is_over() {
-            true => ControlFlow::Break(StopReason::Interrupted),
-            false => ControlFlow::Continue(()),
-        })?;
+        let found = problem
+            .slackened(how.slack)
+            .solve(&mut |_| match is_over() {
+                true => ControlFlow::Break(StopReason::Interrupted),
+                false => ControlFlow::Continue(()),
+            })?;
         Ok((measurement, found))
     }
 

@@ -109,7 +109,9 @@ fn bins_of(done: &[usize], starts_us: &[f64], clock: Clock) -> StitchParams {
         let overlap = (-ahead).round().max(0.0) as usize;
         for bin in overlap..bins {
             params.bins.push(Some((frame, bin)));
-            params.time_us.push(start_us + (bin as f64 + 0.5) * clock.bin_us);
+            params
+                .time_us
+                .push(start_us + (bin as f64 + 0.5) * clock.bin_us);
         }
         end_us = Some(start_us + clock.video_us);
     }

@@ -70,7 +70,11 @@ impl FrameRow {
             stop_reason: Some(found.stop_reason.name().into()),
             saturated_pixels: Some(saturated),
             seconds,
-            message: if is_good { String::new() } else { found.fit.reason.clone() },
+            message: if is_good {
+                String::new()
+            } else {
+                found.fit.reason.clone()
+            },
         }
     }
 

@@ -35,7 +35,9 @@ impl Frames for Computed {
 
 fn capture(index: usize) -> Capture {
     Capture {
-        image: Image::from_fn(12, 20, |y, x| (40 + (3 * y + 5 * x + 7 * index) % 31) as f32),
+        image: Image::from_fn(12, 20, |y, x| {
+            (40 + (3 * y + 5 * x + 7 * index) % 31) as f32
+        }),
         level: Level::Counts { bits: 16 },
     }
 }
@@ -83,7 +85,11 @@ fn each_frame_is_as_if_alone() {
         ..Sensor::default()
     };
     let cases = [
-        (Shutter::DualInsideOut, Sensor::default(), "tv+0.5*tdiff+support"),
+        (
+            Shutter::DualInsideOut,
+            Sensor::default(),
+            "tv+0.5*tdiff+support",
+        ),
         // Weights that follow the light, a part that stands still, two parts.
         (Shutter::DualInsideOut, noisy.clone(), "tv+support"),
         (Shutter::TopDown, noisy, "tv+0.3*l1+background+support"),
@@ -113,7 +119,11 @@ fn each_frame_is_as_if_alone() {
             let video = batch.video(row.frame).unwrap();
             if row.frame == 2 {
                 assert_eq!(row.status, Status::Failed);
-                assert!(row.message.contains("breaks the program"), "{}", row.message);
+                assert!(
+                    row.message.contains("breaks the program"),
+                    "{}",
+                    row.message
+                );
                 assert!(video.data().iter().all(|v| v.is_nan()));
                 continue;
             }
@@ -136,7 +146,9 @@ fn what_was_stopped_is_left() {
     let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
     let crew = Crew::new(1, 4, &batch.plan().model, None);
     let after_one = |_: Event| stop.store(true, std::sync::atomic::Ordering::Relaxed);
-    batch.run(&[3, 1, 0], &chosen, crew, &stop, &after_one).unwrap();
+    batch
+        .run(&[3, 1, 0], &chosen, crew, &stop, &after_one)
+        .unwrap();
     assert_eq!(batch.left(0..4, Again::Unfinished).unwrap(), [0, 1, 2]);
     drop(batch);
     let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();

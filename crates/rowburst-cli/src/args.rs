@@ -263,7 +263,12 @@ pub struct BatchArgs {
     pub max_iterations: Option<u32>,
     /// Only the frames from A up to, but without, B, counted from 0 (either may be left out):
     /// several processes may work on parts of one archive at once
-    #[arg(long, value_name = "A:B", conflicts_with = "stitch", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "A:B",
+        conflicts_with = "stitch",
+        allow_hyphen_values = true
+    )]
     pub frames_range: Option<String>,
     /// Time from the start of a frame to that of the next, instead of the experiment's
     #[arg(long, value_name = "US", allow_hyphen_values = true)]

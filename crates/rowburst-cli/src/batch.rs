@@ -1,19 +1,20 @@
 //! `rowburst batch`: a recording in, one archive of videos out.
 
 use crate::args::BatchArgs;
-use crate::inputs::{naming_file, read_corrections, read_psfs};
+use crate::inputs::{check_memory, naming_file, read_corrections, read_psfs};
 use crate::outcome::{peak_memory_bytes, say, short};
 use crate::progress::stop_on_ctrl_c;
 use crate::reconstruct::{chosen_prior, chosen_tau};
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::reconstruct::{Model, Recipe};
 use rowburst::{Error, Result};
-use rowburst_batch::{Again, Batch, Crew, Event, FrameRow, Plan, Status};
+use rowburst_batch::{Again, Batch, CORRECTIONS, Crew, Event, FrameRow, Plan, Status};
 use rowburst_io::{Calibration, Experiment, Frames, gaps, open_recording};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -53,7 +54,9 @@ struct Summary {
 
 pub fn run(args: &BatchArgs) -> Result<()> {
     let began = Instant::now();
-    let batch = Batch::open(plan_of(args)?, &args.output)?;
+    let (plan, calibration) = plan_of(args)?;
+    let batch = Batch::open(plan, &args.output)
+        .map_err(|e| naming_correction(e, &args.frames, &calibration))?;
     let frames = &batch.plan().frames;
     let range = range_of(args.frames_range.as_deref(), frames.count())?;
     if args.stitch {
@@ -140,7 +143,8 @@ pub fn run(args: &BatchArgs) -> Result<()> {
     Ok(())
 }
 
-fn plan_of(args: &BatchArgs) -> Result<Plan> {
+/// The plan, and the files that it is from.
+fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration)> {
     let experiment = Experiment::read(&args.experiment)?;
     let camera = experiment.camera()?;
     let recipe = Recipe {
@@ -173,17 +177,27 @@ fn plan_of(args: &BatchArgs) -> Result<Plan> {
     };
     // The frames' files say where they end.
     let corrections = read_corrections(&calibration, None)?;
-    let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())
-        .map_err(|e| naming_file(e, &args.frames, &calibration))?;
-    crate::inputs::check_memory(&args.experiment, &camera)?;
-    Ok(Plan {
+    let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
+    check_memory(&args.experiment, &camera)?;
+    let plan = Plan {
         model: Model::new(&camera, psfs).keeping_gram(),
         corrections,
         recipe,
         frames,
         frame_period_us,
         version: env!("CARGO_PKG_VERSION").into(),
-    })
+    };
+    Ok((plan, calibration))
+}
+
+/// Names the file in an error of a dark, a flat or a mask.
+fn naming_correction(error: Error, frames: &Path, calibration: &Calibration) -> Error {
+    match &error {
+        Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => {
+            naming_file(error, frames, calibration)
+        }
+        _ => error,
+    }
 }
 
 /// `A:B` of `count` frames.
@@ -262,7 +276,11 @@ fn refuse_if_all_failed(args: &BatchArgs, rows: &[FrameRow], range: &Range<usize
     match ours().next() {
         Some(first) if ours().all(|row| row.status == Status::Failed) => Err(Error::work(
             args.frames.display().to_string(),
-            format!("all {} frames failed; the first: {}", range.len(), first.message),
+            format!(
+                "all {} frames failed; the first: {}",
+                range.len(),
+                first.message
+            ),
             format!(
                 "See {}/rowburst/frames.csv; --retry-failed tries them again.",
                 args.output.display()
@@ -283,7 +301,10 @@ fn stitch(args: &BatchArgs, batch: &Batch, stop: &AtomicBool) -> Result<String> 
 
 /// Gaps in the numbering of the frames: one sentence, with the first of them.
 fn missing_words(missing: &[(usize, u64, u64)], frames: &dyn Frames) -> Vec<String> {
-    let count: u64 = missing.iter().map(|(_, first, last)| last - first + 1).sum();
+    let count: u64 = missing
+        .iter()
+        .map(|(_, first, last)| last - first + 1)
+        .sum();
     let Some(&(before, _, _)) = missing.first() else {
         return Vec::new();
     };
@@ -303,7 +324,9 @@ fn warnings(rows: &[FrameRow], mut warnings: Vec<String>) -> Vec<String> {
     };
     add("no video of", &|row| row.status == Status::Failed);
     add("a bad fit of", &|row| row.fit.as_deref() == Some("bad"));
-    add("a suspicious fit of", &|row| row.fit.as_deref() == Some("suspicious"));
+    add("a suspicious fit of", &|row| {
+        row.fit.as_deref() == Some("suspicious")
+    });
     warnings
 }
 
@@ -322,9 +345,15 @@ fn print_summary(summary: &Summary) {
             summary.threads_per_frame
         ));
     }
-    say(format!("prior: {} ({})", summary.prior, summary.prior_reason));
+    say(format!(
+        "prior: {} ({})",
+        summary.prior, summary.prior_reason
+    ));
     if let (Some(period), Some(dead)) = (summary.frame_period_us, summary.dead_us) {
-        say(format!("a frame every {period} µs, {} µs of them dead time", short(dead)));
+        say(format!(
+            "a frame every {period} µs, {} µs of them dead time",
+            short(dead)
+        ));
     }
     say(format!("table: {}", summary.table));
     if let Some(stitched) = &summary.stitched {

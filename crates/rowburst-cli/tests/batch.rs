@@ -57,7 +57,7 @@ fn done(lab: &Lab, out: &str, more: &[&str]) -> Value {
 }
 
 fn quick(more: &[&'static str]) -> Vec<&'static str> {
-    [&QUICK, more].concat()
+    [&QUICK[..], more].concat()
 }
 
 /// All files below `folder` with their content; without locks, and without the seconds that
@@ -129,16 +129,26 @@ fn assert_same(lab: &Lab, one: &str, other: &str) {
 fn a_recording_has_a_video_and_a_line_for_each_frame() {
     let lab = lab_of(11);
     let summary = done(&lab, "out.zarr", &QUICK);
-    assert_eq!((&summary["frames"], &summary["done"]), (&11.into(), &11.into()));
+    assert_eq!(
+        (&summary["frames"], &summary["done"]),
+        (&11.into(), &11.into())
+    );
     assert_eq!(column(&lab, "out.zarr", "name")[10], "f10.npy");
     assert_eq!(column(&lab, "out.zarr", "status"), vec!["done"; 11]);
     for number in ["tau", "noise_sigma", "residual_over_sigma", "seconds"] {
         let values = column(&lab, "out.zarr", number);
-        assert!(values.iter().all(|v| v.parse::<f64>().unwrap() > 0.0), "{number}");
+        assert!(
+            values.iter().all(|v| v.parse::<f64>().unwrap() > 0.0),
+            "{number}"
+        );
     }
     // By one thread, all threads on one frame, or in parts: the same to the bit.
     done(&lab, "one.zarr", &quick(&["--threads", "1"]));
-    done(&lab, "each.zarr", &quick(&["--threads", "2", "--at-once", "1"]));
+    done(
+        &lab,
+        "each.zarr",
+        &quick(&["--threads", "2", "--at-once", "1"]),
+    );
     assert_same(&lab, "out.zarr", "one.zarr");
     assert_same(&lab, "out.zarr", "each.zarr");
     // A job that is through does nothing again.
@@ -193,7 +203,10 @@ fn killed_at_random_it_goes_on_and_ends_the_same() {
         seen = now;
     }
     assert!(run(None));
-    assert!(kills >= 10 && in_the_middle >= 2, "{kills} kills, {in_the_middle} in the middle");
+    assert!(
+        kills >= 10 && in_the_middle >= 2,
+        "{kills} kills, {in_the_middle} in the middle"
+    );
     assert_same(&lab, "whole.zarr", "killed.zarr");
     let left = std::fs::read_dir(lab.path("killed.zarr/rowburst/tmp")).unwrap();
     assert_eq!(left.count(), 0, "nothing is left over of the kills");
@@ -205,7 +218,11 @@ fn killed_at_random_it_goes_on_and_ends_the_same() {
 fn an_interrupt_ends_it_with_a_word_and_it_goes_on() {
     let lab = lab_of(300);
     let mut command = command(&lab, "out.zarr", &quick(&[]));
-    let child: Child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let child: Child = command
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
     let first = lab.path("out.zarr/rowburst/frames/000000.json");
     let started = Instant::now();
     while !first.exists() && started.elapsed() < Duration::from_secs(60) {
@@ -216,7 +233,10 @@ fn an_interrupt_ends_it_with_a_word_and_it_goes_on() {
     let Output { status, stderr, .. } = child.wait_with_output().unwrap();
     let stderr = String::from_utf8(stderr).unwrap();
     assert_eq!(status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains("The same command goes on from here"), "{stderr}");
+    assert!(
+        stderr.contains("The same command goes on from here"),
+        "{stderr}"
+    );
     let through = column(&lab, "out.zarr", "frame").len();
     assert!((1..300).contains(&through), "{through}");
     let summary = done(&lab, "out.zarr", &QUICK);
@@ -231,7 +251,10 @@ fn parts_of_a_job_run_side_by_side() {
     let ranges = ["0:12", "10:20", "20:"];
     let children = ranges.map(|range| {
         let mut command = command(&lab, "parts.zarr", &quick(&["--frames-range"]));
-        command.arg(range).stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+            .arg(range)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
         command.spawn().unwrap()
     });
     for child in children {
@@ -256,17 +279,27 @@ fn frames_that_cannot_be_used_are_recorded_and_skipped() {
     lab.write("rec/f1.npy", "no array");
     lab.cut("rec/f2.npy", 0.7, "rec/f2.npy");
     lab.image("rec/f4.npy", ROWS + 1, COLUMNS, |_, _| 100.0);
-    lab.image("rec/f5.npy", ROWS, COLUMNS, |y, x| if y == x { f32::NAN } else { 100.0 });
+    lab.image("rec/f5.npy", ROWS, COLUMNS, |y, x| {
+        if y == x { f32::NAN } else { 100.0 }
+    });
     // Counts of a camera among floats.
     let counts: Vec<u8> = (0..ROWS * COLUMNS).map(|i| 100 + (i % 50) as u8).collect();
     let counts = ndarray::Array2::from_shape_vec((ROWS, COLUMNS), counts).unwrap();
     ndarray_npy::write_npy(lab.path("rec/f6.npy"), &counts).unwrap();
     let summary = done(&lab, "out.zarr", &QUICK);
-    assert_eq!((&summary["done"], &summary["failed"]), (&3.into(), &5.into()));
-    let (status, message) = (column(&lab, "out.zarr", "status"), column(&lab, "out.zarr", "message"));
+    assert_eq!(
+        (&summary["done"], &summary["failed"]),
+        (&3.into(), &5.into())
+    );
+    let (status, message) = (
+        column(&lab, "out.zarr", "status"),
+        column(&lab, "out.zarr", "message"),
+    );
     assert_eq!(
         status,
-        ["done", "failed", "failed", "done", "failed", "failed", "failed", "done"]
+        [
+            "done", "failed", "failed", "done", "failed", "failed", "failed", "done"
+        ]
     );
     for (frame, words) in [
         (1, "f1.npy"),
@@ -285,7 +318,10 @@ fn frames_that_cannot_be_used_are_recorded_and_skipped() {
     frame(&lab, "rec/f1.npy", 1);
     assert_eq!(done(&lab, "out.zarr", &QUICK)["frames_this_run"], 0);
     let summary = done(&lab, "out.zarr", &quick(&["--retry-failed"]));
-    assert_eq!((&summary["done"], &summary["failed"]), (&4.into(), &4.into()));
+    assert_eq!(
+        (&summary["done"], &summary["failed"]),
+        (&4.into(), &4.into())
+    );
 }
 
 #[test]
@@ -294,12 +330,19 @@ fn a_recording_without_a_good_frame_is_an_error() {
     (0..3).for_each(|i| lab.write(&format!("rec/f{i}.npy"), "no array"));
     let (code, _, stderr) = output(command(&lab, "out.zarr", &QUICK));
     assert_eq!(code, 1, "{stderr}");
-    assert!(stderr.contains("none of its 3 frames can be used"), "{stderr}");
+    assert!(
+        stderr.contains("none of its 3 frames can be used"),
+        "{stderr}"
+    );
     assert!(!lab.path("out.zarr").exists());
     // All frames of a part.
     let lab = lab_of(3);
     lab.write("rec/f1.npy", "no array");
-    let (code, _, stderr) = output(command(&lab, "out.zarr", &quick(&["--frames-range", "1:2"])));
+    let (code, _, stderr) = output(command(
+        &lab,
+        "out.zarr",
+        &quick(&["--frames-range", "1:2"]),
+    ));
     assert_eq!(code, 1, "{stderr}");
     assert!(stderr.contains("all 1 frames failed"), "{stderr}");
 }
@@ -330,7 +373,10 @@ fn an_archive_of_another_job_is_left_alone() {
     frame(&lab, "rec/f3.npy", 3);
     refused(&QUICK, "number of frames was 3, now 4");
 
-    for (name, words) in [("rec", "something else in it"), ("psf.npy", "a file where a folder")] {
+    for (name, words) in [
+        ("rec", "something else in it"),
+        ("psf.npy", "a file where a folder"),
+    ] {
         let (code, _, stderr) = output(command(&lab, name, &QUICK));
         assert_eq!(code, 2, "{stderr}");
         assert!(stderr.contains(words), "{stderr}");
@@ -348,7 +394,14 @@ fn a_file_that_cannot_be_written_stops_it_and_nothing_is_corrupt() {
     // With the signal ignored the write returns an error.
     let line = "trap '' XFSZ; ulimit -f 1; exec \"$@\"";
     limited.args(["-c", line, "bash"]).arg(program());
-    limited.args(["batch", "experiment.toml", "--frames", "rec", "-o", "out.zarr"]);
+    limited.args([
+        "batch",
+        "experiment.toml",
+        "--frames",
+        "rec",
+        "-o",
+        "out.zarr",
+    ]);
     limited.args(QUICK).current_dir(lab.path(""));
     let (code, _, stderr) = output(limited);
     assert_eq!(code, 1, "{stderr}");
@@ -372,8 +425,13 @@ fn a_full_disk_in_mid_run_leaves_a_job_that_goes_on() {
     std::fs::create_dir(&place).unwrap();
     let mount = |options: &str| {
         let mut mount = Command::new("mount");
-        mount.args(["-t", "tmpfs", "-o", options, "none"]).arg(&place);
-        mount.stderr(Stdio::null()).status().is_ok_and(|s| s.success())
+        mount
+            .args(["-t", "tmpfs", "-o", options, "none"])
+            .arg(&place);
+        mount
+            .stderr(Stdio::null())
+            .status()
+            .is_ok_and(|s| s.success())
     };
     if !mount("size=320k") {
         println!("skipped: mounting a small disk needs to be root");
@@ -383,7 +441,9 @@ fn a_full_disk_in_mid_run_leaves_a_job_that_goes_on() {
     let (code, _, stderr) = output(command(&lab, "disk/out.zarr", &QUICK));
     assert_eq!(code, 1, "{stderr}");
     assert!(stderr.contains("Free space"), "{stderr}");
-    let rows = std::fs::read_dir(place.join("out.zarr/rowburst/frames")).unwrap().count();
+    let rows = std::fs::read_dir(place.join("out.zarr/rowburst/frames"))
+        .unwrap()
+        .count();
     assert!((1..60).contains(&rows), "{rows} frames fitted");
     assert!(mount("remount,size=16m"));
     let summary = done(&lab, "disk/out.zarr", &QUICK);
@@ -398,9 +458,18 @@ fn memory_does_not_grow_with_the_recording() {
         let lab = Lab::new();
         // One file with the frames one after the other.
         let video = [count, ROWS, COLUMNS];
-        lab.video("rec.npy", video, |i| 100.0 + 50.0 * pattern(i / COLUMNS, i % COLUMNS));
+        lab.video("rec.npy", video, |i| {
+            100.0 + 50.0 * pattern(i / COLUMNS, i % COLUMNS)
+        });
         let mut command = Command::new(program());
-        command.args(["batch", "experiment.toml", "--frames", "rec.npy", "-o", "out.zarr"]);
+        command.args([
+            "batch",
+            "experiment.toml",
+            "--frames",
+            "rec.npy",
+            "-o",
+            "out.zarr",
+        ]);
         command.args(QUICK).arg("--json").current_dir(lab.path(""));
         let (code, stdout, stderr) = output(command);
         assert_eq!(code, 0, "{stderr}");
@@ -412,7 +481,10 @@ fn memory_does_not_grow_with_the_recording() {
     }
     let (short, long) = (peak(20), peak(200));
     // 180 more videos are 0.5 MB, 180 more lines a tenth of it.
-    assert!(long < short + 2e6, "{short} bytes for 20 frames, {long} for 200");
+    assert!(
+        long < short + 2e6,
+        "{short} bytes for 20 frames, {long} for 200"
+    );
 }
 
 #[test]
@@ -420,7 +492,9 @@ fn one_prior_is_chosen_for_all_frames_and_kept() {
     let lab = Lab::new();
     std::fs::create_dir(lab.path("rec")).unwrap();
     // Large enough for a choice.
-    let camera = common::CAMERA.replace("rows = 12", "rows = 32").replace("columns = 10", "columns = 40");
+    let camera = common::CAMERA
+        .replace("rows = 12", "rows = 32")
+        .replace("columns = 10", "columns = 40");
     lab.experiment(&format!("{camera}[calibration]\npsf = \"psf.npy\"\n"));
     for i in 0..4 {
         let light = [1.0, 1.0, 3.0, 1.0][i];
@@ -436,7 +510,11 @@ fn one_prior_is_chosen_for_all_frames_and_kept() {
     let prior = summary["prior"].as_str().unwrap();
     assert_eq!(column(&lab, "out.zarr", "prior"), vec![prior; 4]);
     // A part that begins elsewhere takes the same choice.
-    done(&lab, "parts.zarr", &["--max-iterations", "20", "--frames-range", "3:"]);
+    done(
+        &lab,
+        "parts.zarr",
+        &["--max-iterations", "20", "--frames-range", "3:"],
+    );
     done(&lab, "parts.zarr", &auto);
     assert_same(&lab, "out.zarr", "parts.zarr");
 }
@@ -455,16 +533,29 @@ fn dead_time_and_missing_frames_are_in_the_times() {
     assert_eq!(code, 2, "{stderr}");
     assert!(stderr.contains("57.6 µs"), "{stderr}");
 
-    let summary = done(&lab, "out.zarr", &quick(&["--frame-period-us", "100", "--stitch"]));
+    let summary = done(
+        &lab,
+        "out.zarr",
+        &quick(&["--frame-period-us", "100", "--stitch"]),
+    );
     assert_eq!(summary["frame_period_us"], 100.0);
     assert!((summary["dead_us"].as_f64().unwrap() - 42.4).abs() < 1e-9);
     let warnings = summary["warnings"].to_string();
     assert!(warnings.contains("1 frames are missing"), "{warnings}");
-    assert_eq!(column(&lab, "out.zarr", "start_us"), ["0.0", "100.0", "300.0"]);
+    assert_eq!(
+        column(&lab, "out.zarr", "start_us"),
+        ["0.0", "100.0", "300.0"]
+    );
     let json = |name: &str| -> Value { serde_json::from_slice(&lab.read(name)).unwrap() };
     // Six bins, one picture of dead time, six bins.
-    assert_eq!(json("out.zarr/stitched/0/zarr.json")["shape"], serde_json::json!([13, 12, 10]));
-    assert_eq!(json("out.zarr/zarr.json")["attributes"]["rowburst"]["frame_period_us"], 100.0);
+    assert_eq!(
+        json("out.zarr/stitched/0/zarr.json")["shape"],
+        serde_json::json!([13, 12, 10])
+    );
+    assert_eq!(
+        json("out.zarr/zarr.json")["attributes"]["rowburst"]["frame_period_us"],
+        100.0
+    );
     // Again, from what is there, with the period of before.
     let before = content(&lab.path("out.zarr/stitched"));
     std::fs::remove_dir_all(lab.path("out.zarr/stitched")).unwrap();

@@ -127,7 +127,12 @@ impl Stack {
     }
 
     /// Reads one frame; `file` stands anywhere.
-    pub fn frame(&self, source: &Source, file: &mut (impl Read + Seek), at: usize) -> Result<Pages> {
+    pub fn frame(
+        &self,
+        source: &Source,
+        file: &mut (impl Read + Seek),
+        at: usize,
+    ) -> Result<Pages> {
         let mut data = source.room(1, self.rows, self.columns)?;
         let bytes = self.rows * self.columns * self.header.size;
         let start = (at as u64)
@@ -136,7 +141,10 @@ impl Stack {
         let held = start.and_then(|start| source.bytes.checked_sub(start));
         let (Some(start), true) = (start, held.is_some_and(|held| held >= bytes as u64)) else {
             return Err(source.error(
-                format!("a file of {} bytes, which ends before frame {at}", source.bytes),
+                format!(
+                    "a file of {} bytes, which ends before frame {at}",
+                    source.bytes
+                ),
                 format!("its header claims {} frames", self.count),
                 "Save or copy it again: it is cut short.",
             ));

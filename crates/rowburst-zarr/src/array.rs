@@ -89,8 +89,8 @@ pub(crate) fn write_coordinates(
         ArrayError::StorageError(error) => storage_fault(path, &error),
         error => Error::work(path.display().to_string(), error, DAMAGED),
     };
-    let array = Array::open(store, "/")
-        .map_err(|e| Error::work(path.display().to_string(), e, DAMAGED))?;
+    let array =
+        Array::open(store, "/").map_err(|e| Error::work(path.display().to_string(), e, DAMAGED))?;
     array.store_chunk(&[0], values).map_err(fault)
 }
 

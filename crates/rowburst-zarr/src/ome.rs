@@ -105,7 +105,12 @@ mod tests {
         assert!(is_valid(&[frame.clone(), t.clone(), y.clone(), x.clone()]));
         // The order of the axes is what forbids calling t the time.
         let time = axis("t", Some("time"), Some("microsecond"));
-        assert!(!is_valid(&[frame.clone(), time.clone(), y.clone(), x.clone()]));
+        assert!(!is_valid(&[
+            frame.clone(),
+            time.clone(),
+            y.clone(),
+            x.clone()
+        ]));
         let free = axis("frame", None, None);
         assert!(!is_valid(&[free, time.clone(), y.clone(), x.clone()]));
         assert!(is_valid(&[time, y, x]));

@@ -5,11 +5,9 @@ use rowburst_io::{Capture, Frames, Level};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use zarrs::array::chunk_cache::{
-    ChunkCache, ChunkCacheDecodedLruChunkLimit,
-};
-use zarrs::array::codec::CodecOptions;
-use zarrs::array::{Array, ArraySubset};
+use zarrs::array::chunk_cache::{ChunkCache, ChunkCacheDecodedLruChunkLimit};
+
+use zarrs::array::{Array, ArraySubset, CodecOptions};
 use zarrs::filesystem::FilesystemStore;
 use zarrs::storage::ReadableStorageTraits;
 
@@ -53,7 +51,8 @@ pub fn open_zarr_recording(path: &Path) -> Result<Box<dyn Frames>> {
     })?;
     // The first axis is that of the frames, also where there is but one.
     let sides = shape.len().checked_sub(2).filter(|&rest| rest >= 1);
-    let is_recording = |y: &usize| shape.iter().all(|&n| n > 0) && shape[1..*y].iter().all(|&n| n == 1);
+    let is_recording =
+        |y: &usize| shape.iter().all(|&n| n > 0) && shape[1..*y].iter().all(|&n| n == 1);
     let sides = sides.filter(is_recording).map(|y| [y, y + 1]);
     let Some(sides) = sides else {
         return Err(error(

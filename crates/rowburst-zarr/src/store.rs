@@ -50,11 +50,7 @@ impl WritableStorageTraits for AtomicStore {
         self.scratch.try_put(&path, &value).map_err(Into::into)
     }
 
-    fn set_partial_many(
-        &self,
-        key: &StoreKey,
-        _: OffsetBytesIterator,
-    ) -> Result<(), StorageError> {
+    fn set_partial_many(&self, key: &StoreKey, _: OffsetBytesIterator) -> Result<(), StorageError> {
         let message = format!("{key}: a part of a file cannot be written");
         Err(StorageError::Unsupported(message))
     }

@@ -44,7 +44,10 @@ fn a_video_comes_back_to_the_bit() {
         // Another process opens it again.
         let again = VideoArchive::create(&out, params(3, shape), &scratch).unwrap();
         assert_eq!(again.read(0, 0..shape.bins).unwrap(), first.data());
-        assert_eq!(again.read(2, 3..5).unwrap(), last.data()[3 * shape.pixels()..5 * shape.pixels()]);
+        assert_eq!(
+            again.read(2, 3..5).unwrap(),
+            last.data()[3 * shape.pixels()..5 * shape.pixels()]
+        );
         assert!(again.read(1, 0..1).unwrap().iter().all(|v| v.is_nan()));
 
         let ome = &json_of(&out.join("zarr.json"))["attributes"]["ome"];
@@ -53,8 +56,12 @@ fn a_video_comes_back_to_the_bit() {
             image["datasets"][0]["coordinateTransformations"][0]["scale"],
             json!([1000.5, 9.6, 6.5, 6.5])
         );
-        assert_eq!(image["axes"][1], json!({"name": "t", "unit": "microsecond"}));
-        let chunk = &json_of(&out.join("0/zarr.json"))["chunk_grid"]["configuration"]["chunk_shape"];
+        assert_eq!(
+            image["axes"][1],
+            json!({"name": "t", "unit": "microsecond"})
+        );
+        let chunk =
+            &json_of(&out.join("0/zarr.json"))["chunk_grid"]["configuration"]["chunk_shape"];
         assert_eq!(chunk[1], if shape.bins == 7 { 7 } else { 18 });
     }
 }
@@ -92,7 +99,13 @@ fn frames_are_stitched_across_chunks() {
 }
 
 /// A Zarr 2 array without compression, chunk by chunk.
-fn write_v2(path: &Path, shape: &[usize], chunks: &[usize], dtype: &str, files: &[(&str, Vec<u8>)]) {
+fn write_v2(
+    path: &Path,
+    shape: &[usize],
+    chunks: &[usize],
+    dtype: &str,
+    files: &[(&str, Vec<u8>)],
+) {
     std::fs::create_dir_all(path).unwrap();
     let metadata = json!({
         "zarr_format": 2, "shape": shape, "chunks": chunks, "dtype": dtype,
@@ -108,7 +121,11 @@ fn write_v2(path: &Path, shape: &[usize], chunks: &[usize], dtype: &str, files: 
 fn recordings_of_version_2_are_read_frame_by_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.zarr");
-    let counts = |from: u16| (from..from + 12).flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    let counts = |from: u16| {
+        (from..from + 12)
+            .flat_map(u16::to_le_bytes)
+            .collect::<Vec<u8>>()
+    };
     let files = [("0.0.0", counts(100)), ("1.0.0", counts(500))];
     write_v2(&path, &[3, 2, 3], &[2, 2, 3], "<u2", &files);
     assert!(is_zarr(&path) && !is_zarr(folder.path()));
@@ -139,7 +156,9 @@ fn other_axes_must_have_length_one() {
     let frames = open_zarr_recording(&path).unwrap();
     assert_eq!(frames.read(1).unwrap().image.data()[0], 6.0);
     for shape in [vec![2, 3, 2, 2], vec![2, 2], vec![0, 2, 2]] {
-        let path = folder.path().join(format!("b{}.zarr", shape.len() * 10 + shape[0]));
+        let path = folder
+            .path()
+            .join(format!("b{}.zarr", shape.len() * 10 + shape[0]));
         write_v2(&path, &shape, &vec![1; shape.len()], "|u1", &[]);
         let message = open_zarr_recording(&path).err().unwrap().to_string();
         assert!(message.contains("[frame, y, x]"), "{message}");

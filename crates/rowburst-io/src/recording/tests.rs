@@ -18,7 +18,10 @@ fn names_are_in_natural_order() {
         order(&shuffled),
         ["a2.tif", "a010.tif", "a10.tif", "b1.tif"]
     );
-    let long = ["t99999999999999999999998.png", "t99999999999999999999999.png"];
+    let long = [
+        "t99999999999999999999998.png",
+        "t99999999999999999999999.png",
+    ];
     assert_eq!(order(&[long[1], long[0]]), long);
     assert_eq!(order(&["ä2", "ä10", "ä1"]), ["ä1", "ä2", "ä10"]);
 }

@@ -121,7 +121,8 @@ impl FrameData {
             };
             // A field too large for a sensor has no preconditioner, and takes longer.
             let whole = Camera::new(whole).ok();
-            self.planes = whole.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
+            self.planes =
+                whole.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
         }
         let empty = Gram::Exact(Blocks::new(Vec::new(), |_, _| ()));
         self.gram = match std::mem::replace(&mut self.gram, empty) {
