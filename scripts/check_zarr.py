@@ -89,7 +89,8 @@ def recordings(folder, frames):
     yield "npy", folder / "frames.npy", "float"
     tifffile.imwrite(folder / "stack.ome.tif", counts, metadata={"axes": "TYX"})
     yield "stack", folder / "stack.ome.tif", "counts"
-    tifffile.imwrite(folder / "big.tif", counts, bigtiff=True, compression="zlib")
+    tifffile.imwrite(folder / "big.tif", counts, bigtiff=True, compression="zlib",
+                     photometric="minisblack")
     yield "bigtiff", folder / "big.tif", "counts"
     for version, chunks in [(2, (3, ROWS, COLUMNS)), (3, (1, 16, 16))]:
         path = folder / f"v{version}.zarr"

@@ -14,6 +14,7 @@ use rowburst::{Error, Result};
 use rowburst_io::{Capture, Level};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Frames that are looked at before the job begins.
@@ -110,9 +111,25 @@ pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
 }
 
 fn good(plan: &Plan, frame: usize) -> Result<(Capture, Measurement)> {
-    let capture = plan.frames.read(frame)?;
-    let measurement = plan.measurement(&capture)?;
-    Ok((capture, measurement))
+    or_panic(|| {
+        let capture = plan.frames.read(frame)?;
+        let measurement = plan.measurement(&capture)?;
+        Ok((capture, measurement))
+    })
+}
+
+/// What `work` returns, or its panic as an error: a frame that breaks the program is one frame
+/// lost.
+pub(crate) fn or_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let text = text.or(panic.downcast_ref::<&str>().copied());
+        Err(Error::work(
+            "the program",
+            text.unwrap_or("a panic"),
+            "Report this frame.",
+        ))
+    })
 }
 
 /// The kind of numbers in words.

@@ -30,7 +30,7 @@ impl Clock {
             return Err(Error::input(
                 "--frame-period-us",
                 frame_period_us,
-                format!("a frame is read for {readout_us} µs before the next one can begin"),
+                format!("a frame is read for {readout_us:.3} µs before the next one can begin"),
                 "Give the time from the start of one frame to that of the next: 1e6 over the camera's frames per second.",
             ));
         }

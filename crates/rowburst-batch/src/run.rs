@@ -1,6 +1,6 @@
 //! The job itself.
 
-use crate::choice::{ChosenPrior, Probed, is_same_recording, numbers_of};
+use crate::choice::{ChosenPrior, Probed, is_same_recording, numbers_of, or_panic};
 use crate::clock::Clock;
 use crate::crew::Crew;
 use crate::identity::check_same;
@@ -14,7 +14,6 @@ use rowburst::{Error, Result, Video};
 use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
 use serde_json::json;
 use std::ops::{ControlFlow, Range};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -252,17 +251,7 @@ impl Batch {
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Option<(FrameRow, Option<Video>)> {
         let started = Instant::now();
-        // A frame that breaks the program is one frame lost.
-        let made = catch_unwind(AssertUnwindSafe(|| self.reconstruct(frame, how, is_over)));
-        let made = made.unwrap_or_else(|panic| {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or(panic.downcast_ref::<&str>().copied());
-            Err(Error::work(
-                "the program",
-                text.unwrap_or("a panic"),
-                "Report this frame.",
-            ))
-        });
+        let made = or_panic(|| self.reconstruct(frame, how, is_over));
         let name = self.plan.frames.name(frame);
         let seconds = started.elapsed().as_secs_f64();
         match made {

@@ -531,7 +531,7 @@ fn dead_time_and_missing_frames_are_in_the_times() {
     let short = quick(&["--frame-period-us", "50"]);
     let (code, _, stderr) = output(command(&lab, "out.zarr", &short));
     assert_eq!(code, 2, "{stderr}");
-    assert!(stderr.contains("57.6 µs"), "{stderr}");
+    assert!(stderr.contains("57.600 µs"), "{stderr}");
 
     let summary = done(
         &lab,

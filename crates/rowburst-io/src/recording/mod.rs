@@ -114,8 +114,7 @@ impl Frames for TiffStack {
         let mut stack = self.stack.lock().unwrap_or_else(PoisonError::into_inner);
         let page = stack.page(&source, index);
         drop(stack);
-        page.and_then(|page| single(&self.path, page))
-            .map_err(|e| e.within(self.name(index)))
+        single(&self.path, page?)
     }
 }
 
