@@ -119,7 +119,11 @@ impl State {
         }
     }
 
+    /// Begins the job. The folder is a Zarr group as well, so that those who list the archive do
+    /// not stumble over it.
     pub fn write_job(&self, scratch: &Scratch, job: &JobFile) -> Result<()> {
+        let group = serde_json::json!({"zarr_format": 3, "node_type": "group", "attributes": {}});
+        write(scratch, &self.folder.join("zarr.json"), &group)?;
         write(scratch, &self.folder.join("job.json"), job)
     }
 
