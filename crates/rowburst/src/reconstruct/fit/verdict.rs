@@ -30,10 +30,10 @@ const FREEDOM: f64 = 0.8;
 /// at least 0.15 in the wrong one.
 const MIRRORED: f64 = 0.08;
 /// Part of the voxels that the support admits; a sparse scene takes a tenth at most.
-const WIDE_SUPPORT: f64 = 0.3;
-/// Iterations before which no video has taken shape: the solver follows the brightness
-/// for 60 and then looks for the support.
-const EARLY: usize = 120;
+const WIDE_SUPPORT: f64 = 0.15;
+/// Iterations before which no video has taken shape: the solver looks for the support from
+/// the 20th on, and follows the brightness for 40.
+const EARLY: usize = 60;
 /// Residual over that at four fifths of the iterations, where it still falls.
 const FALLING: f64 = 0.85;
 /// Residual over the frame itself beyond which more iterations are not what is missing.
