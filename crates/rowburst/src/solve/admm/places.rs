@@ -1,6 +1,7 @@
 //! Where light may be.
 
 use crate::{Shape, Support};
+use std::ops::Range;
 
 /// Iteration at which the support is found first, and from then on every so many.
 const FIRST: usize = 20;
@@ -17,6 +18,8 @@ const FALLING: f64 = 0.85;
 /// the level at which every voxel is allowed.
 const LEVEL_STEP: f64 = 0.125;
 const OPEN: usize = 5;
+/// Most voxels of a run.
+const CHUNK: usize = 1 << 14;
 
 /// The bright voxels of a video and their neighbours, found anew every few iterations.
 pub(super) struct Places {
@@ -24,14 +27,22 @@ pub(super) struct Places {
     support: Option<Support>,
     fraction: f64,
     is_settled: bool,
+    /// Voxels in a row that are worked on together, in their order: whole rows that hold a place.
+    runs: Vec<Range<usize>>,
+    /// Voxels of the first part, and all.
+    lengths: (usize, usize),
     /// How often the support of each bin has been widened, and its misfit at the last look.
     levels: Vec<usize>,
     misfits: Vec<f64>,
 }
 
 impl Places {
-    pub fn everywhere(shape: Shape) -> Self {
+    /// All `voxels` of videos of `shape` and what follows them.
+    pub fn everywhere(shape: Shape, voxels: usize) -> Self {
+        let whole = std::iter::once(0..voxels);
         Self {
+            runs: whole.flat_map(chunks).collect(),
+            lengths: (shape.voxels(), voxels),
             shape,
             support: None,
             fraction: 1.0,
@@ -49,6 +60,11 @@ impl Places {
     /// `None`: every voxel.
     pub fn support(&self) -> Option<&Support> {
         self.support.as_ref()
+    }
+
+    /// What is not sure to be dark, piece by piece.
+    pub fn runs(&self) -> &[Range<usize>] {
+        &self.runs
     }
 
     /// Part of the voxels that may be lit.
@@ -96,9 +112,43 @@ impl Places {
         self.is_settled =
             self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
         self.fraction = fraction;
+        self.runs = self.runs_of(&support);
         self.support = Some(support.clone());
         support
     }
+
+    fn runs_of(&self, support: &Support) -> Vec<Range<usize>> {
+        let columns = self.shape.columns;
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        let lit = support.lit_rows();
+        for (row, _) in lit.iter().enumerate().filter(|(_, lit)| **lit) {
+            match runs.last_mut() {
+                Some(run) if run.end == row * columns => run.end += columns,
+                _ => runs.push(row * columns..(row + 1) * columns),
+            }
+        }
+        let (first, all) = self.lengths;
+        let rest = std::iter::once(first..all);
+        runs.into_iter().chain(rest).flat_map(chunks).collect()
+    }
+}
+
+fn chunks(run: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+    let end = run.end;
+    run.step_by(CHUNK)
+        .map(move |start| start..end.min(start + CHUNK))
+}
+
+/// The `runs` of `values`, which are in order and do not overlap.
+pub(super) fn pieces<'v>(mut values: &'v mut [f32], runs: &[Range<usize>]) -> Vec<&'v mut [f32]> {
+    let mut at = 0;
+    let take = |run: &Range<usize>| {
+        let rest = std::mem::take(&mut values).split_at_mut(run.start - at).1;
+        let (piece, rest) = rest.split_at_mut(run.len());
+        (values, at) = (rest, run.end);
+        piece
+    };
+    runs.iter().map(take).collect()
 }
 
 #[cfg(test)]
@@ -108,7 +158,7 @@ mod tests {
     #[test]
     fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
-        let mut places = Places::everywhere(shape);
+        let mut places = Places::everywhere(shape, shape.voxels());
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
@@ -134,5 +184,23 @@ mod tests {
         }
         assert_eq!(places.support().unwrap().pixels_of(1), None);
         assert!(places.missed(vec![1.0, 3.9], 1.0).is_empty());
+    }
+
+    #[test]
+    fn runs_are_the_rows_that_hold_a_place_and_what_follows() {
+        let shape = Shape::new(2, 200, 100);
+        let mut places = Places::everywhere(shape, 40_007);
+        let all: Vec<usize> = places.runs().iter().cloned().flatten().collect();
+        assert!(all.iter().copied().eq(0..40_007) && places.runs().len() == 3);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[550], video[20_000]) = (1.0, 1.0);
+        places.find(&video, 1.0, (&video, &[]));
+        assert_eq!(places.runs(), [400..700, 20_000..20_200, 40_000..40_007]);
+        let mut values: Vec<f32> = (0..40_007).map(|i| i as f32).collect();
+        let starts: Vec<f32> = pieces(&mut values, places.runs())
+            .iter()
+            .map(|p| p[0])
+            .collect();
+        assert_eq!(starts, [400.0, 20_000.0, 40_000.0]);
     }
 }

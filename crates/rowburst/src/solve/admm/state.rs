@@ -1,11 +1,11 @@
 //! The variables of an iteration, and its steps.
 
-use super::places::Places;
+use super::places::{Places, pieces};
 use super::{AdmmParams, Solution, TauRule};
 use crate::Shape;
 use crate::prox::Prox;
 use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::vecmath::{distance_squared, dot, norm, norm_squared, simd};
+use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
 
 /// Iterations in which the brightness that `β` refers to is followed.
@@ -83,7 +83,7 @@ impl State {
             x_misfit: 0.0,
             is_steady: false,
             iterations: 0,
-            places: Places::everywhere(shape),
+            places: Places::everywhere(shape, n),
         };
         state.aim_at(params.tau, data);
         state
@@ -136,10 +136,12 @@ impl State {
         let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
         self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
-        data.operator().adjoint(&self.y, &mut self.x); // x − p
-        self.restrict_x();
-        let steps = self.u.par_chunks_mut(CHUNK).zip(self.x.par_chunks(CHUNK));
-        steps.zip(self.z.par_chunks(CHUNK)).for_each(|((u, x), z)| {
+        data.adjoint_on(&self.y, self.places.support(), &mut self.x); // x − p
+        let runs = self.places.runs();
+        let (x, z) = (&self.x, &self.z);
+        let steps = pieces(&mut self.u, runs).into_par_iter().zip(runs);
+        steps.for_each(|(u, run)| {
+            let (x, z) = (&x[run.clone()], &z[run.clone()]);
             simd(
                 #[inline(always)]
                 || {
@@ -161,22 +163,21 @@ impl State {
         }
         std::mem::swap(&mut self.x, &mut self.z); // x keeps the last z
         prior.prox(&self.u, self.beta, &mut self.z);
-        self.u
-            .par_chunks_mut(CHUNK)
-            .zip(self.z.par_chunks(CHUNK))
-            .for_each(|(u, z)| {
-                simd(
-                    #[inline(always)]
-                    || u.iter_mut().zip(z).for_each(|(u, z)| *u -= z),
-                );
-            });
+        let runs = self.places.runs();
+        let (last, z) = (&self.x, &self.z);
+        let steps = pieces(&mut self.u, runs).into_par_iter().zip(runs);
+        let squares: Vec<(f64, f64)> = steps
+            .map(|(u, run)| subtract(u, &z[run.clone()], &last[run.clone()]))
+            .collect();
         data.operator().apply(&self.z, &mut self.az);
         self.au.iter_mut().zip(&self.az).for_each(|(u, z)| *u -= z);
-        let size = norm(&self.z);
+        let (size, moved) = squares
+            .iter()
+            .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
         if size == 0.0 {
             0.0
         } else {
-            distance_squared(&self.x, &self.z).sqrt() / size
+            (moved / size).sqrt()
         }
     }
 
@@ -263,6 +264,7 @@ impl State {
         let support = self.places.find(&self.z[..voxels], bright, missed);
         data.restrict(&support);
         prior.restrict(&support);
+        support.apply(&mut self.x);
         support.apply(&mut self.z);
         support.apply(&mut self.u);
         data.operator().apply(&self.z, &mut self.az);
@@ -281,9 +283,8 @@ impl State {
     pub fn certify(&mut self, data: &dyn DataTerm, prior: &dyn Prox) -> Certificate {
         let (b, tau) = (data.measured(), self.tau());
         let brightest = self.z.par_iter().copied().reduce(|| 0.0, f32::max);
-        data.operator().adjoint(&self.y, &mut self.x);
         // Twice: a trace has no part outside the support, and the dual may have one.
-        self.restrict_x();
+        data.adjoint_on(&self.y, self.places.support(), &mut self.x);
         prior.subtract_dual(&mut self.x);
         self.restrict_x();
         // In units of ρ up to here.
@@ -352,6 +353,29 @@ impl State {
             video: self.z,
         }
     }
+}
+
+/// `u −= z`; returns `‖z‖²` and `‖z − last‖²`.
+fn subtract(u: &mut [f32], z: &[f32], last: &[f32]) -> (f64, f64) {
+    const LANES: usize = 8;
+    simd(
+        #[inline(always)]
+        || {
+            let (mut size, mut moved) = ([0.0f64; LANES], [0.0f64; LANES]);
+            let chunks = u
+                .chunks_mut(LANES)
+                .zip(z.chunks(LANES))
+                .zip(last.chunks(LANES));
+            for ((u, z), last) in chunks {
+                for (i, ((u, z), last)) in u.iter_mut().zip(z).zip(last).enumerate() {
+                    *u -= z;
+                    size[i] += f64::from(*z).powi(2);
+                    moved[i] += f64::from(z - last).powi(2);
+                }
+            }
+            (size.iter().sum(), moved.iter().sum())
+        },
+    )
 }
 
 /// Elements of one parallel task.
