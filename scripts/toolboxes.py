@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """One reconstruction by a general toolbox, for time_to_quality.py, which runs this once for each.
 
-    python3 scripts/toolboxes.py METHOD FOLDER --seconds 120 --settings '{"lambda": 1e-5}'
+    python3 scripts/toolboxes.py METHOD FOLDER --seconds 120 --settings '{"lambda": 1e-8}'
 
 All minimise 1/2 |b - A v|^2 + lambda TV(v) with isotropic total variation in each bin, where the method
 can with v >= 0. A is given in the form that Rowburst itself uses: transforms along x of all rows at once,
@@ -28,6 +28,8 @@ from quality_table import BINS, COLUMNS, DATA_STEP, DIFFERENCE_NORM, ROWS, Bins
 SHAPE = (BINS, ROWS, COLUMNS)
 # Points at least this much later than the one before.
 NEXT_POINT = 1.03
+# PyProximal makes arrays of this length.
+MOST_ITERATIONS = 100_000
 
 
 class TimeIsOver(Exception):
@@ -149,8 +151,24 @@ def scico_admm(bins, frame, watch, settings):
         f=loss.SquaredL2Loss(y=s.b, A=s.operator(1.0)),
         g_list=[settings["lambda"] * functional.L21Norm(), functional.NonNegativeIndicator()],
         C_list=[s.differences(), linop.Identity(SHAPE, input_dtype=np.float32)], rho_list=[rho, rho], x0=s.x0,
-        subproblem_solver=LinearSubproblemSolver(cg_kwargs={"tol": 1e-4, "maxiter": settings["cg"]}, cg_function="jax")),
+        subproblem_solver=LinearSubproblemSolver(cg_kwargs={"tol": 1e-4, "maxiter": settings["cg"]}, cg_function="scico")),
         watch, lambda solver: solver.z_list[1])
+
+
+def scico_proximal_admm(bins, frame, watch, settings):
+    """The split of `scico_pdhg`: C x = z, with no equations to solve."""
+    from scico import functional, linop, loss
+    from scico.optimize import ProximalADMM
+
+    s = Scico(bins, frame)
+    c = 8**0.5 / DIFFERENCE_NORM
+    s.run(ProximalADMM(
+        f=functional.NonNegativeIndicator(),
+        g=functional.SeparableFunctional([
+            loss.SquaredL2Loss(y=s.b / s.norm, scale=0.5 * s.norm**2),
+            settings["lambda"] * c * functional.L21Norm()]),
+        A=linop.VerticalStack([s.operator(1 / s.norm), (1 / c) * s.differences()]), B=None,
+        rho=settings["step"] * s.norm**2, mu=1.01 * (1 + DIFFERENCE_NORM**2), nu=1.0, x0=s.x0), watch)
 
 
 # ---------------------------------------------------------------- PyProximal
@@ -175,7 +193,7 @@ def pyproximal_primal_dual(bins, frame, watch, settings):
             nn=[b.size, 2 * voxels]),
         pylops.VStack([data, (1 / c) * pylops.VStack(differences)]),
         x0=np.zeros(voxels, np.float32), tau=0.99 / ((1 + DIFFERENCE_NORM**2) * step), mu=step,
-        niter=10**9, callback=watch)
+        niter=MOST_ITERATIONS, callback=watch)
 
 
 def pyproximal_apg(bins, frame, watch, settings):
@@ -189,7 +207,7 @@ def pyproximal_apg(bins, frame, watch, settings):
     watch.start = watch.last = time.perf_counter()
     pyproximal.optimization.primal.ProximalGradient(
         Residual(data, b), pyproximal.TV(dims=(BINS * ROWS, COLUMNS), sigma=settings["lambda"], niter=settings["inner"]),
-        x0=np.zeros(voxels, np.float32), tau=settings["step"] / norm**2, niter=10**9, acceleration="fista",
+        x0=np.zeros(voxels, np.float32), tau=settings["step"] / norm**2, niter=MOST_ITERATIONS, acceleration="fista",
         callback=watch)
 
 
@@ -215,6 +233,7 @@ METHODS = {
     "scico-apgm": scico_apgm,
     "scico-pdhg": scico_pdhg,
     "scico-admm": scico_admm,
+    "scico-proximal-admm": scico_proximal_admm,
     "pyproximal-primal-dual": pyproximal_primal_dual,
     "pyproximal-apg": pyproximal_apg,
 }
@@ -229,7 +248,7 @@ def main():
     parser.add_argument("--settings", type=json.loads, default={})
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    settings = {"lambda": 1e-5, "step": DATA_STEP} | options.settings
+    settings = {"lambda": 1e-8, "step": DATA_STEP} | options.settings
     frame, psf, truth = (np.load(options.folder / f"{n}.npy").astype(np.float32) for n in ("frame", "psf", "truth"))
     if truth.shape != SHAPE:
         sys.exit(f"{options.folder / 'truth.npy'}: {truth.shape}, but this camera gives {SHAPE}")
