@@ -20,7 +20,6 @@ import argparse
 import datetime
 import hashlib
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -81,7 +80,7 @@ class Bench:
 
     def ours(self, prior):
         """Points of (seconds since the start of the process, PSNR), and the whole time to its end."""
-        load, launch = os.getloadavg()[0], self.launch_seconds()
+        taken, launch = busy(), self.launch_seconds()
         with tempfile.TemporaryDirectory(prefix="rowburst-speed-") as out:
             began = time.perf_counter()
             result = json.loads(self.run(
@@ -92,7 +91,7 @@ class Bench:
             "points": [(launch + p["seconds"], p["iteration"], p["psnr_db"]) for p in result["history"]],
             "end_seconds": result["history"][-1]["seconds"] + launch, "whole_seconds": whole,
             "setup_seconds": result["setup_seconds"], "psnr_db": result["psnr_db"], "prior": result["prior"],
-            "launch_seconds": launch, "load": load,
+            "launch_seconds": launch, "busy": taken,
         }
 
 
@@ -104,6 +103,20 @@ def keep(path, value):
     partial = path.with_suffix(".part")
     partial.write_text(json.dumps(value))
     partial.rename(path)
+
+
+def busy():
+    """The part of the processors' time that others take just now, from 0 to 1; None where the system does not tell."""
+    def ticks():
+        values = [int(v) for v in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]
+        return sum(values), values[3] + values[4]
+    try:
+        all_before, idle_before = ticks()
+        time.sleep(0.5)
+        all_now, idle_now = ticks()
+    except (OSError, IndexError, ValueError):
+        return None
+    return 1 - (idle_now - idle_before) / max(all_now - all_before, 1)
 
 
 def settings_of(method, exponents):
@@ -170,7 +183,7 @@ def describe(bench, session, figure):
     options = bench.options
     ours = {p: session.get(f"ours {p}", []) for p in PRIORS}
     boxes = {m: session[m] for m in TOOLBOXES if session.get(m)}
-    loads = [r["load"] for runs in ours.values() for r in runs]
+    taken = [r["busy"] for runs in ours.values() for r in runs if r.get("busy") is not None]
     standard = ours["tv+0.5*tdiff+support"]
     rows = []
     for prior, runs in ours.items():
@@ -183,8 +196,9 @@ def describe(bench, session, figure):
         "## Time to quality",
         f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. "
         f"Do not edit: run the command again.",
-        f"The problem is `problems/digits12`: 108×108 pixels, 54 bins, SNR 256. All times are of one session; the load of the machine "
-        f"before ours was {statistics.median(loads):.1f} at the median, {max(loads):.1f} at most (0: nothing else ran).",
+        f"The problem is `problems/digits12`: 108×108 pixels, 54 bins, SNR 256. All times are of one session. "
+        + (f"Before our runs other programs took {statistics.median(taken):.0%} of the processors (median; {max(taken):.0%} at most)." if taken else "")
+        + (" **The machine was busy: on a quiet one all are faster.**" if taken and statistics.median(taken) > 0.1 else ""),
         "Rowburst, from the start of the process, with reading the files and set-up; median and, in brackets, least. "
         "The last column is until the process ends, with video, report and figures written.",
         table(["prior", "runs", *(f"to {db:g} dB" for db in GOALS), "at the end", "files written"], rows),
@@ -288,7 +302,8 @@ def main():
     parser.add_argument("--fresh", action="store_true", help="make the timed runs again")
     parser.add_argument("--report", action="store_true", help="write the page from the runs that are kept")
     options = parser.parse_args()
-    options.command = command_line("time_to_quality.py")
+    # Writing the page again is not what made the runs.
+    options.command = command_line("time_to_quality.py").replace(" --report", "").replace(" --fresh", "")
     if options.quick:
         options.seconds, options.rounds, options.no_climb = 30.0, 1, True
     chosen = options.only.split(",") if options.only else list(TOOLBOXES)
@@ -324,7 +339,7 @@ def main():
                 if all(r["stage"] != [*stage, i] for r in done):
                     done.append(bench.ours(prior) | {"stage": [*stage, i]})
                     keep(bench.session, session)
-                    say(f"  {prior}: 44 dB after {seconds(first(done[-1]['points'], 44.0))}, load {done[-1]['load']:.1f}")
+                    say(f"  {prior}: 44 dB after {seconds(first(done[-1]['points'], 44.0))}")
 
     for turn in range(options.rounds):
         for method in chosen:
@@ -333,7 +348,7 @@ def main():
             if len(done) <= turn:
                 done.append(bench.toolbox(method, settings_of(method, exponents[method]), options.seconds))
                 keep(bench.session, session)
-                say(f"  {method}: {max(p[2] for p in done[-1]['points']):.2f} dB, {done[-1]['iterations']} iterations, load {done[-1]['load']:.1f}")
+                say(f"  {method}: {max(p[2] for p in done[-1]['points']):.2f} dB, {done[-1]['iterations']} iterations")
     ours(["after", ""])
     write(options, bench, session)
     say(f"written: {options.output}")
