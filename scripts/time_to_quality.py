@@ -196,7 +196,7 @@ def describe(bench, session, figure):
         "## Time to quality",
         f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. "
         f"Do not edit: run the command again.",
-        f"The problem is `problems/digits12`: 108×108 pixels, 54 bins, SNR 256. All times are of one session. "
+        "The problem is `problems/digits12`: 108×108 pixels, 54 bins, SNR 256. All times are of one session. "
         + (f"Before our runs other programs took {statistics.median(taken):.0%} of the processors (median; {max(taken):.0%} at most)." if taken else "")
         + (" **The machine was busy: on a quiet one all are faster.**" if taken and statistics.median(taken) > 0.1 else ""),
         "Rowburst, from the start of the process, with reading the files and set-up; median and, in brackets, least. "
@@ -230,7 +230,7 @@ def describe(bench, session, figure):
             f"Then our time to the same quality, from the start of the process, median and least, and theirs over it (median), without and with what is compiled.",
             table(["toolbox", "best", "after", "without compiling", "iterations", "settings", "Rowburst", "ratio", "with compiling"], rows),
             verdict,
-            "deepinv is left out: it needs PyTorch, and PyPI has it for this kind of machine with CUDA alone (3 GB).",
+            "deepinv is left out: it needs PyTorch, which PyPI has for Linux on x86-64 with CUDA alone.",
         ]
     if figure:
         text.append(f"![PSNR against time since the start, logarithmic]({figure.name})")

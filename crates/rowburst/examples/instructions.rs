@@ -71,7 +71,7 @@ fn squares(camera: &Camera) -> Vec<f32> {
 
 fn forward(size: (usize, usize), times: usize) {
     let camera = camera(size);
-    let operator = RollingShutter::new(&camera, &psf(&camera));
+    let operator = RollingShutter::new(&camera, psf(&camera));
     // No voxel is zero: what is passed over where a row is dark is not counted on.
     let video: Vec<f32> = squares(&camera).iter().map(|v| v + 0.1).collect();
     let mut frame = vec![0.0; operator.range_len()];
@@ -82,7 +82,7 @@ fn forward(size: (usize, usize), times: usize) {
 
 fn adjoint(size: (usize, usize), times: usize) {
     let camera = camera(size);
-    let operator = RollingShutter::new(&camera, &psf(&camera));
+    let operator = RollingShutter::new(&camera, psf(&camera));
     let frame: Vec<f32> = (0..operator.range_len()).map(noise).collect();
     let mut video = vec![0.0; operator.domain_len()];
     for _ in 0..times {
