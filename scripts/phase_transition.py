@@ -25,8 +25,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from quality_table import (
-    CAMERA, COLUMNS, ROOT, ROWS, command_line, commit, machine, measured_psf, say, table, with_packages)
+from common import ROOT, command_line, commit, machine, say, table, with_packages
+from quality_table import CAMERA, COLUMNS, ROWS, measured_psf
 
 ROWS_AT_A_TIME = [1, 2, 3, 4, 6]
 SNR = 256

@@ -63,7 +63,7 @@ fn psf() -> Psf {
 
 fn plan(camera: &Camera, prior: &str) -> Plan {
     Plan {
-        model: Model::new(camera, &psf()).keeping_gram(),
+        model: Model::new(camera, psf()).keeping_gram(),
         corrections: Corrections::default(),
         recipe: Recipe {
             prior: Some(prior.parse().unwrap()),
@@ -128,7 +128,7 @@ fn each_frame_is_as_if_alone() {
                 continue;
             }
             let measurement = batch.plan().measurement(&capture(row.frame)).unwrap();
-            let alone = Problem::new(&measurement, &camera, &psf(), batch.plan().recipe).unwrap();
+            let alone = Problem::new(&measurement, &camera, psf(), batch.plan().recipe).unwrap();
             let alone = alone.solve(&mut |_| ControlFlow::Continue(())).unwrap();
             assert_eq!(alone.video, video, "{prior}, frame {}", row.frame);
             assert_eq!(row.tau, Some(alone.tau));

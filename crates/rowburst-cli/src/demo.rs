@@ -7,6 +7,7 @@ use rowburst::camera::CameraParams;
 use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
 use rowburst::{Result, Sensor, Shutter};
 use rowburst_io::Experiment;
+use std::time::Instant;
 
 /// The Zyla of the paper: 108 rows in 54 pairs of 9.6 µs, 104,166 frames per second.
 fn paper_camera() -> CameraParams {
@@ -25,7 +26,8 @@ fn paper_camera() -> CameraParams {
     }
 }
 
-pub fn run(args: &DemoArgs) -> Result<()> {
+/// `began` is the start of the process.
+pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
     let figure = match args.scene {
         DemoScene::Digits => "54 digits, one every 9.6 µs (the paper's Fig. 2)",
         DemoScene::Leds => "three LEDs at 20.8, 34.7 and 52.1 kHz (the paper's Fig. 3)",
@@ -44,7 +46,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         optics: OpticsArgs::demo(),
         output: &args.output,
     })?;
-    reconstruct::run(&ReconstructArgs {
+    let reconstruction = ReconstructArgs {
         experiment: args.output.join("experiment.toml"),
         frame: args.output.join("frame.npy"),
         psf: None,
@@ -69,5 +71,6 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         json: args.json,
         seed: args.seed,
         output: args.output.clone(),
-    })
+    };
+    reconstruct::run(&reconstruction, began)
 }

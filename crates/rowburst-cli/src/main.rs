@@ -21,8 +21,10 @@ use args::{Cli, Verb};
 use clap::Parser;
 use rowburst::Error;
 use std::process::ExitCode;
+use std::time::Instant;
 
 fn main() -> ExitCode {
+    let began = Instant::now();
     let cli = Cli::parse();
     if let Some(threads) = cli.threads
         && let Err(error) = rayon::ThreadPoolBuilder::new()
@@ -33,9 +35,9 @@ fn main() -> ExitCode {
         return ExitCode::from(1);
     }
     let done = match cli.verb {
-        Verb::Demo(args) => demo::run(&args),
+        Verb::Demo(args) => demo::run(&args, began),
         Verb::Simulate(args) => simulate::run(&args),
-        Verb::Reconstruct(args) => reconstruct::run(&args),
+        Verb::Reconstruct(args) => reconstruct::run(&args, began),
         #[cfg(feature = "batch")]
         Verb::Batch(args) => batch::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),

@@ -2,6 +2,7 @@
 
 use crate::traces::{DebiasNumbers, ErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Candidate, FitStatistics};
+use rowburst_report::Iteration;
 use serde::Serialize;
 use std::io::Write;
 
@@ -52,7 +53,32 @@ pub struct Outcome {
     pub trace_errors: ErrorNumbers,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub debias: Option<DebiasNumbers>,
+    /// The course of the run that gave the video.
+    pub history: Vec<HistoryPoint>,
     pub warnings: Vec<String>,
+}
+
+/// The video after an iteration.
+#[derive(Debug, Clone, Serialize)]
+pub struct HistoryPoint {
+    pub iteration: usize,
+    /// Since the start of the process, without the comparisons with the truth.
+    pub seconds: f64,
+    pub residual_over_sigma: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub psnr_db: Option<f64>,
+}
+
+impl HistoryPoint {
+    /// `started_after`: seconds from the start of the process to that of the solver's clock.
+    pub fn new(point: &Iteration, started_after: f64) -> Self {
+        Self {
+            iteration: point.iteration,
+            seconds: started_after + point.seconds,
+            residual_over_sigma: point.residual_over_sigma,
+            psnr_db: point.psnr_db,
+        }
+    }
 }
 
 /// How the prior was chosen.

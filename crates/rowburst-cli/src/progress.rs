@@ -12,7 +12,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Iterations between two points of the convergence curve.
+/// Every iteration up to this one is a point of the convergence curve; most of the quality is
+/// gained in these.
+const RECORD_ALL: usize = 50;
+/// Iterations between two points after these.
 const RECORD_EVERY: usize = 5;
 
 /// Watches a run.
@@ -61,6 +64,11 @@ impl<'a> Watch<'a> {
         }
     }
 
+    /// Seconds from `began` to the start of the solver's clock.
+    pub fn started_after(&self, began: Instant) -> f64 {
+        (self.start - began).as_secs_f64()
+    }
+
     /// Seconds of the solver so far.
     pub fn seconds(&self) -> f64 {
         (self.start.elapsed() - self.aside).as_secs_f64()
@@ -75,7 +83,7 @@ impl<'a> Watch<'a> {
             self.curve.clear();
             self.bar.reset();
         }
-        if progress.iteration.is_multiple_of(RECORD_EVERY) || progress.iteration == 1 {
+        if progress.iteration <= RECORD_ALL || progress.iteration.is_multiple_of(RECORD_EVERY) {
             let compared = Instant::now();
             self.curve.push(Iteration {
                 iteration: progress.iteration,

@@ -5,7 +5,7 @@ use crate::inputs::{
     check_memory, naming_file, read_corrections, read_frame, read_psfs, read_truth,
 };
 use crate::outcome::{
-    FitNumbers, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, say, short,
+    FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, say, short,
 };
 use crate::progress::{Watch, stop_on_ctrl_c};
 use crate::traces::{self, DebiasNumbers, Traces, Wanted};
@@ -43,7 +43,8 @@ const BACKGROUND_FILE: (&str, &str) = (
     "the part of the video that is background, float32 [t, y, x]",
 );
 
-pub fn run(args: &ReconstructArgs) -> Result<()> {
+/// `began` is the start of the process.
+pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     let folder = OutputFolder::create(&args.output)?;
     let experiment = Experiment::read(&args.experiment)?;
     let camera = experiment.camera()?;
@@ -118,6 +119,11 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     };
     let mut outcome = run.outcome(recipe, setup.as_secs_f64(), seconds);
     outcome.debias = debias;
+    let started_after = watch.started_after(began);
+    let points = watch.curve.iter();
+    outcome.history = points
+        .map(|p| HistoryPoint::new(p, started_after))
+        .collect();
     let outcome = run.write(&folder, outcome)?;
     let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
     if args.json {
@@ -249,6 +255,7 @@ impl Run<'_> {
             traces: self.traces.outcome(self.truth),
             trace_errors: self.traces.numbers.clone(),
             debias: None,
+            history: Vec::new(),
             warnings: self.warnings(),
         }
     }

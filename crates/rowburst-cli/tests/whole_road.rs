@@ -84,6 +84,44 @@ fn has_all_keys(result: &Value, with_truth: bool) {
     }
 }
 
+/// The course of the run: clocks that go forward from the start of the process, and an end near the
+/// result.
+fn has_a_history(result: &Value, with_truth: bool) {
+    let points = result["history"].as_array().expect("a list");
+    let number = |point: &Value, key: &str| point[key].as_f64();
+    let seconds: Vec<f64> = (points.iter().map(|p| number(p, "seconds").unwrap())).collect();
+    let iterations: Vec<u64> = points
+        .iter()
+        .map(|p| p["iteration"].as_u64().unwrap())
+        .collect();
+    assert_eq!(iterations[0], 1);
+    assert!(
+        iterations.is_sorted_by(|a, b| a < b),
+        "{iterations:?} increases"
+    );
+    assert!(seconds.is_sorted_by(|a, b| a < b), "{seconds:?} increases");
+    let (setup, solving) = (
+        &result["setup_seconds"],
+        result["seconds"].as_f64().unwrap(),
+    );
+    let (first, last) = (seconds[0], seconds[seconds.len() - 1]);
+    assert!(first > setup.as_f64().unwrap(), "{first} s, set-up {setup}");
+    assert!(last - first <= solving, "{first} to {last}, {solving} s");
+    let end = &points[points.len() - 1];
+    assert!(number(end, "residual_over_sigma").is_some(), "{end}");
+    assert_eq!(number(end, "psnr_db").is_some(), with_truth, "{end}");
+    if let (Some(last), Some(final_db)) = (number(end, "psnr_db"), result["psnr_db"].as_f64()) {
+        assert!(
+            (last - final_db).abs() < 0.5,
+            "{last} dB, then {final_db} dB"
+        );
+        assert!(
+            number(&points[0], "psnr_db").unwrap() < final_db,
+            "it gains by iterating"
+        );
+    }
+}
+
 /// Runs the demo of `scene` and gives its PSNR.
 fn demo(scene: &str) -> f64 {
     let lab = Lab::empty();
@@ -97,6 +135,7 @@ fn demo(scene: &str) -> f64 {
     }
     let result = lab.result("out");
     has_all_keys(&result, true);
+    has_a_history(&result, true);
     assert_eq!(result["fit"], "good", "{result:#}");
     assert!(said.contains("the fit is good"), "{said}");
     let page = String::from_utf8(lab.read("out/report.html")).unwrap();
@@ -221,6 +260,7 @@ fn a_seed_gives_the_same_bytes() {
     };
     assert_eq!(reconstruct("first"), reconstruct("second"));
     has_all_keys(&lab.result("first"), false);
+    has_a_history(&lab.result("first"), false);
 }
 
 #[test]

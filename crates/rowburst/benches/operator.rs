@@ -1,25 +1,17 @@
-//! Forward plus adjoint of the operator, beside the textbook form of the same
-//! convolution, and the cost of a solver iteration.
-//!
-//! `cargo bench -p rowburst`; the ratio of the two `forward + adjoint` rows of one run
-//! is the speed of the operator.
+//! Forward and adjoint of the operator, beside what no operator can do without and beside the
+//! textbook form of the same convolution: `cargo bench --workspace --bench operator`.
 
-use criterion::{Criterion, criterion_group, criterion_main};
 use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
-use rowburst::measurement::Measurement;
-use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
-use rowburst::solve::StopReason;
-use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
+use rowburst::{Camera, Psf, RollingShutter, Sensor, Shutter, Video};
 use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 use std::hint::black_box;
-use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::time::Instant;
 
 fn camera(size: usize) -> Camera {
     Camera::new(CameraParams {
@@ -173,81 +165,130 @@ impl Textbook {
     }
 }
 
-fn operators(c: &mut Criterion) {
-    let camera = camera(108);
-    let psf = psf(108);
-    let ours = RollingShutter::new(&camera, &psf);
-    let textbook = Textbook::new(camera.clone(), &psf);
-    // No voxel is zero: rows without light, which ours passes over, are not counted on.
-    let video: Vec<f32> = digits(&camera).data().iter().map(|v| v + 0.1).collect();
-    let (mut frame, mut back) = (vec![0.0; ours.range_len()], vec![0.0; ours.domain_len()]);
-    let mut expected = frame.clone();
-    ours.apply(&video, &mut frame);
-    textbook.apply(&video, &mut expected);
-    let error = rowburst::vecmath::distance_squared(&frame, &expected).sqrt()
-        / rowburst::vecmath::norm(&expected);
-    assert!(error < 1e-5, "the two forms are the same operator: {error}");
-
-    let mut group = c.benchmark_group("forward + adjoint, 108×108×54");
-    group.sample_size(20);
-    group.bench_function("rowburst", |b| {
-        b.iter(|| {
-            ours.apply(black_box(&video), &mut frame);
-            ours.adjoint(black_box(&frame), &mut back);
-        });
-    });
-    group.bench_function("textbook", |b| {
-        b.iter(|| {
-            textbook.apply(black_box(&video), &mut frame);
-            textbook.adjoint(black_box(&frame), &mut back);
-        });
-    });
-    group.finish();
+/// Fastest of several runs, in ms: what the machine can do where nothing else runs.
+fn fastest(runs: usize, mut work: impl FnMut()) -> f64 {
+    let time = |work: &mut dyn FnMut()| {
+        let begin = Instant::now();
+        work();
+        begin.elapsed().as_secs_f64() * 1e3
+    };
+    work();
+    (0..runs).map(|_| time(&mut work)).fold(f64::MAX, f64::min)
 }
 
-fn solver(c: &mut Criterion) {
-    let camera = camera(108);
-    let psf = psf(108);
-    let operator = RollingShutter::new(&camera, &psf);
-    let mut frame = vec![0.0; operator.range_len()];
-    operator.apply(digits(&camera).data(), &mut frame);
-    let noiseless = Image::new(108, 108, frame).expect("a frame");
-    let noise = Noise::Gaussian { snr: 256.0 };
-    let recorded = noise.apply(&noiseless, camera.sensor(), 1).expect("light");
-    let measurement = Measurement::new(recorded.frame).expect("light");
-    let problem = |prior: &str| {
-        let recipe = Recipe {
-            prior: Some(prior.parse::<Prior>().expect("a prior")),
-            ..Recipe::default()
-        };
-        Problem::new(&measurement, &camera, &psf, recipe).expect("a valid problem")
-    };
-    let mut group = c.benchmark_group("solver, 108×108×54");
-    group.sample_size(10);
-    group.bench_function("set-up", |b| b.iter(|| problem("tv")));
-    for prior in ["tv", "tv+0.5*tdiff"] {
-        group.bench_function(format!("20 iterations, {prior}"), |b| {
-            b.iter_batched(
-                || problem(prior),
-                |problem| {
-                    problem.solve(&mut |progress| match progress.iteration {
-                        20 => ControlFlow::Break(StopReason::Interrupted),
-                        _ => ControlFlow::Continue(()),
-                    })
-                },
-                criterion::BatchSize::PerIteration,
-            );
-        });
-    }
-    group.bench_function("whole reconstruction, default prior", |b| {
-        b.iter_batched(
-            || problem("tv+0.5*tdiff+support"),
-            |problem| problem.solve(&mut |_| ControlFlow::Continue(())),
-            criterion::BatchSize::PerIteration,
+/// The FFTs that a forward and an adjoint cannot do without, and nothing else: one there for
+/// each row of the video and one back, padded to twice the width, all that a bin needs in cache.
+/// The faster of real transforms one by one, and of two rows in one complex transform.
+fn fft_floor(bins: usize, size: usize, runs: usize) -> f64 {
+    let length = 2 * size;
+    let mut real = RealFftPlanner::<f32>::new();
+    let (forward, inverse) = (real.plan_fft_forward(length), real.plan_fft_inverse(length));
+    let mut complex = FftPlanner::<f32>::new();
+    let (there, back) = (
+        complex.plan_fft_forward(length),
+        complex.plan_fft_inverse(length),
+    );
+    let one_by_one = fastest(runs, || {
+        (0..bins).into_par_iter().for_each_init(
+            || {
+                (
+                    forward.make_input_vec(),
+                    forward.make_output_vec(),
+                    forward.make_scratch_vec(),
+                )
+            },
+            |(line, row, scratch), _| {
+                for _ in 0..size {
+                    line.fill(1.0);
+                    forward
+                        .process_with_scratch(line, row, scratch)
+                        .expect("lengths match");
+                    inverse
+                        .process_with_scratch(row, line, scratch)
+                        .expect("ends are real");
+                }
+                black_box(line);
+            },
         );
     });
-    group.finish();
+    let in_pairs = fastest(runs, || {
+        (0..bins).into_par_iter().for_each_init(
+            || (vec![Complex32::ZERO; length], vec![Complex32::ZERO; length]),
+            |(line, scratch), _| {
+                scratch.resize(
+                    there
+                        .get_inplace_scratch_len()
+                        .max(back.get_inplace_scratch_len()),
+                    Complex32::ZERO,
+                );
+                for _ in 0..size / 2 {
+                    line.fill(Complex32::new(1.0, 1.0));
+                    there.process_with_scratch(line, scratch);
+                    back.process_with_scratch(line, scratch);
+                }
+                black_box(line);
+            },
+        );
+    });
+    one_by_one.min(in_pairs)
 }
 
-criterion_group!(benches, operators, solver);
-criterion_main!(benches);
+/// The video read once and written once.
+fn memory_floor(video: &[f32], back: &mut [f32], runs: usize) -> f64 {
+    let chunk = 1 << 16;
+    fastest(runs, || {
+        let sum: f32 = video
+            .par_chunks(chunk)
+            .map(|c| {
+                let mut lanes = [0.0f32; 32];
+                for c in c.as_chunks::<32>().0 {
+                    lanes.iter_mut().zip(c).for_each(|(l, v)| *l += v);
+                }
+                lanes.iter().sum::<f32>()
+            })
+            .sum();
+        black_box(sum);
+        back.par_chunks_mut(chunk).for_each(|c| c.fill(sum));
+    })
+}
+
+/// The table of `docs/speed.md`.
+fn operators() {
+    println!(
+        "| video | forward | adjoint | both | FFT floor | memory floor | over the floor | textbook | times as fast |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    for (size, runs) in [(108, 60), (256, 12), (512, 4)] {
+        let camera = camera(size);
+        let psf = psf(size);
+        let ours = RollingShutter::new(&camera, &psf);
+        // No voxel is zero: rows without light, which ours passes over, are not counted on.
+        let video: Vec<f32> = digits(&camera).data().iter().map(|v| v + 0.1).collect();
+        let (mut frame, mut back) = (vec![0.0; ours.range_len()], vec![0.0; ours.domain_len()]);
+        let forward = fastest(runs, || ours.apply(black_box(&video), &mut frame));
+        let adjoint = fastest(runs, || ours.adjoint(black_box(&frame), &mut back));
+        let fft = fft_floor(camera.video_shape().bins, size, runs);
+        let memory = memory_floor(&video, &mut back, runs);
+        let textbook = Textbook::new(camera.clone(), &psf);
+        let mut expected = frame.clone();
+        textbook.apply(&video, &mut expected);
+        ours.apply(&video, &mut frame);
+        let error = rowburst::vecmath::distance_squared(&frame, &expected).sqrt()
+            / rowburst::vecmath::norm(&expected);
+        assert!(error < 1e-5, "the two forms are the same operator: {error}");
+        let slow = fastest(runs / 4, || {
+            textbook.apply(black_box(&video), &mut expected)
+        }) + fastest(runs / 4, || textbook.adjoint(black_box(&frame), &mut back));
+        let both = forward + adjoint;
+        println!(
+            "| {size}×{size}×{} | {forward:.2} ms | {adjoint:.2} ms | {both:.2} ms | {fft:.2} ms | {memory:.2} ms | {:.2} | {slow:.1} ms | {:.1} |",
+            size / 2,
+            both / fft.max(memory),
+            slow / both
+        );
+    }
+}
+
+fn main() {
+    operators();
+}

@@ -90,6 +90,19 @@ impl Support {
         (lit.len() < pixels).then_some(lit)
     }
 
+    /// Whether a row of a bin holds a voxel that may be lit, `[t, y]`.
+    pub fn lit_rows(&self) -> Vec<bool> {
+        let lines = self.mask.par_chunks_exact(self.shape.columns);
+        lines.map(|line| line.contains(&1)).collect()
+    }
+
+    /// Whether both admit the same voxels in `bins`.
+    pub fn agrees_with(&self, other: &Self, bins: std::ops::Range<usize>) -> bool {
+        let pixels = self.shape.pixels();
+        let voxels = bins.start * pixels..bins.end * pixels;
+        self.mask[voxels.clone()] == other.mask[voxels]
+    }
+
     /// Part of all voxels that may be lit.
     pub fn fraction(&self) -> f64 {
         let lit: usize = self.mask.par_iter().map(|&lit| usize::from(lit)).sum();

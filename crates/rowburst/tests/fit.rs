@@ -248,8 +248,8 @@ impl Size {
                 "stopped early",
             ),
             Fault::new(
-                "stopped after 40 iterations",
-                stopped(40),
+                "stopped after 25 iterations",
+                stopped(25),
                 Verdict::Suspicious,
                 "stopped early",
             ),
@@ -409,8 +409,9 @@ fn resample(image: &Image, map: &dyn Fn(f64, f64) -> (f64, f64)) -> Image {
 fn show(name: &str, found: &Reconstruction) {
     let (fit, s) = (&found.fit, &found.fit.statistics);
     println!(
-        "{name:44} {:10} χ² {:9.2} df/m {:4.2} floor {:5.2} passed {:7.2} inst {:?} cols {:?} lone {} trend {:.2} mirr {:?} it {} {}\n    {}",
+        "{name:44} {:10} support {:.3} χ² {:9.2} df/m {:4.2} floor {:5.2} passed {:7.2} inst {:?} cols {:?} lone {} trend {:.2} mirr {:?} it {} {}\n    {}",
         fit.verdict.name(),
+        found.support,
         s.chi_squared,
         s.freedom,
         s.noise_floor.unwrap_or(f64::NAN),

@@ -92,10 +92,20 @@ impl Engine {
         }
     }
 
-    /// The adjoint of [`Self::read`]; overwrites `light`.
-    pub fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+    /// The adjoint of [`Self::read`]; overwrites `light`. Rows that are dark in `mask` may be
+    /// anything.
+    pub fn spread(
+        &self,
+        values: &[f32],
+        rows: &[usize],
+        mask: Option<&[u8]>,
+        light: &mut [f32],
+        scratch: &mut Scratch,
+    ) {
         match (self, scratch) {
-            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.spread(values, rows, light, s),
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => {
+                engine.spread(values, rows, mask, light, s);
+            }
             (Self::Planar(engine), Scratch::Planar(s)) => engine.spread(values, rows, light, s),
             _ => unreachable!("scratch comes from the same engine"),
         }

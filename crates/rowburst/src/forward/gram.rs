@@ -13,7 +13,8 @@
 use super::{Layer, RollingShutter};
 use crate::vecmath::simd;
 use crate::{Psf, Support};
-use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::mat::AsMatMut;
 use faer::reborrow::ReborrowMut;
 use faer::{Accum, Mat, MatMut, Par};
 
@@ -21,10 +22,10 @@ use faer::{Accum, Mat, MatMut, Par};
 const COLUMNS_AT_ONCE: usize = 128;
 
 impl RollingShutter {
-    /// `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
+    /// The upper triangle of `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
     /// of column `x` of the instant's `a`-th row is `a · columns + x`.
     ///
-    /// Cost: about `2 (rows·columns)² · field_rows` multiply–adds, with the number of
+    /// Cost: about `(rows·columns)² · field_rows` multiply–adds, with the number of
     /// rows of this instant.
     fn add_spatial_gram(&self, instant: usize, weight: f64, mut sum: MatMut<f64>) {
         let [
@@ -39,37 +40,40 @@ impl RollingShutter {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
         let columns = g.columns;
-        // PSF values `[x, y]` that lead to column `x0 + x` of row `r` from a field column.
-        let cut_out = |r: usize, x0: usize, field_x: usize| {
-            Mat::from_fn(columns, g.field_rows, |x, y| {
-                let dx = g.column_displacement(x0 + x, field_x);
-                f64::from(psf.at_displacement(g.row_displacement(r, y), dx))
-            })
+        // `[x, y]`: PSF values that lead to row `r` from the field column that enters, and, times
+        // `sign`, from the one that leaves.
+        let strips = |r: usize, sign: f64| {
+            let mut strips = Mat::<f64>::zeros(columns, 2 * g.field_rows);
+            let sides = [(1, 0, 1.0), (0, g.field_columns - 1, sign)];
+            for (side, (x0, field_x, factor)) in sides.into_iter().enumerate() {
+                let dx = g.column_displacement(x0, field_x);
+                for y in 0..g.field_rows {
+                    let values = psf.row_from(g.row_displacement(r, y), dx);
+                    let line = strips.col_as_slice_mut(side * g.field_rows + y);
+                    let line = line.iter_mut().skip(values.start).zip(values.values);
+                    line.for_each(|(to, value)| *to = factor * f64::from(*value));
+                }
+            }
+            strips
         };
         let edges = self.first_columns(psf, rows);
+        let strips: Vec<_> = rows
+            .iter()
+            .map(|&r| (strips(r, 1.0), strips(r, -1.0)))
+            .collect();
         let mut steps = Mat::<f64>::zeros(columns, columns);
-        for (a, b) in (0..rows.len()).flat_map(|a| (0..rows.len()).map(move |b| (a, b))) {
-            let enters = |row: usize| cut_out(rows[row], 1, 0);
-            let leaves = |row: usize| cut_out(rows[row], 0, g.field_columns - 1);
-            let replace = Accum::Replace;
-            matmul(
+        for (a, b) in (0..rows.len()).flat_map(|a| (a..rows.len()).map(move |b| (a, b))) {
+            let is_whole = if a == b { UPPER } else { WHOLE };
+            multiply(
                 &mut steps,
-                replace,
-                enters(a),
-                enters(b).transpose(),
+                is_whole,
+                Accum::Replace,
+                (&strips[a].0, &strips[b].1),
                 1.0,
-                Par::Seq,
-            );
-            matmul(
-                &mut steps,
-                Accum::Add,
-                leaves(a),
-                leaves(b).transpose(),
-                -1.0,
-                Par::Seq,
             );
             let edge = |a: usize, b: usize| &edges[(a * rows.len() + b) * columns..][..columns];
-            for diagonal in -(columns as isize - 1)..columns as isize {
+            let first = if a == b { 0 } else { -(columns as isize - 1) };
+            for diagonal in first..columns as isize {
                 let (mut x, mut x2) = ((-diagonal).max(0) as usize, diagonal.max(0) as usize);
                 let mut value = if diagonal >= 0 {
                     edge(a, b)[x2]
@@ -111,6 +115,21 @@ impl RollingShutter {
     }
 }
 
+const WHOLE: BlockStructure = BlockStructure::Rectangular;
+const UPPER: BlockStructure = BlockStructure::TriangularUpper;
+
+/// The `part` of `to` plus or replaced by `weight · a bᵀ`.
+fn multiply(
+    to: impl AsMatMut<T = f64, Rows = usize, Cols = usize>,
+    part: BlockStructure,
+    accum: Accum,
+    (a, b): (&Mat<f64>, &Mat<f64>),
+    weight: f64,
+) {
+    let b = b.transpose();
+    triangular::matmul(to, part, accum, a, WHOLE, b, WHOLE, weight, Par::Seq);
+}
+
 fn lanes_dot(a: &[f64], b: &[f64]) -> f64 {
     simd(
         #[inline(always)]
@@ -132,7 +151,8 @@ fn lanes_dot(a: &[f64], b: &[f64]) -> f64 {
 impl RollingShutter {
     /// Adds to `sum` the diagonal block of `A P Aᵀ` of the rows of instant `i`, in f64,
     /// with `P` the projection onto `support` (`None`: every voxel). Indices as in
-    /// [`Self::indices_of`].
+    /// [`Self::indices_of`]. The block is symmetric: only what lies on and above its diagonal
+    /// is written.
     ///
     /// The blocks are all of `A P Aᵀ` where no bin is seen by two instants.
     pub fn add_gram_block(&self, instant: usize, support: Option<&Support>, mut sum: MatMut<f64>) {
@@ -151,13 +171,12 @@ impl RollingShutter {
         }
     }
 
-    /// `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.
+    /// The upper triangle of `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.
     fn add_gram_of(&self, instant: usize, pixels: &[usize], weight: f64, mut sum: MatMut<f64>) {
         // A few columns at a time: those of a crowded bin are several videos' worth.
         for pixels in pixels.chunks(COLUMNS_AT_ONCE) {
             let a = self.columns_of(instant, pixels);
-            let add = Accum::Add;
-            matmul(sum.rb_mut(), add, &a, a.transpose(), weight, Par::Seq);
+            multiply(sum.rb_mut(), UPPER, Accum::Add, (&a, &a), weight);
         }
     }
 
@@ -298,7 +317,7 @@ pub(super) mod tests {
                             let power = operator.pixel_power(row / columns, row % columns);
                             assert!((power - gram[(i, i)]).abs() < 1e-7);
                         }
-                        for (j, &column) in indices.iter().enumerate() {
+                        for (j, &column) in indices.iter().enumerate().skip(i) {
                             let error = (gram[(i, j)] - f64::from(expected[row][column])).abs();
                             assert!(error < 1e-7, "{camera:?} {instant} {i} {j}: {error}");
                         }

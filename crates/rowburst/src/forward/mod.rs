@@ -20,7 +20,7 @@ mod rowwise;
 mod tests;
 
 use crate::linop::LinearOperator;
-use crate::{Camera, PatchSet, Psf, Shape, TimeGrid};
+use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
 use engine::{Engine, Geometry};
 use planar::Planar;
 use rayon::prelude::*;
@@ -170,8 +170,16 @@ impl RollingShutter {
         }
     }
 
-    /// The adjoint of [`Self::read`]; overwrites `light`.
-    fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+    /// The adjoint of [`Self::read`]; overwrites `light`. Rows that are dark in `mask` may be
+    /// anything.
+    fn spread(
+        &self,
+        values: &[f32],
+        rows: &[usize],
+        mask: Option<&[u8]>,
+        light: &mut [f32],
+        scratch: &mut Scratch,
+    ) {
         if let [
             Layer {
                 share: None,
@@ -180,13 +188,12 @@ impl RollingShutter {
             },
         ] = self.layers.as_slice()
         {
-            return engine.spread(values, rows, light, &mut scratch.engine);
+            return engine.spread(values, rows, mask, light, &mut scratch.engine);
         }
         light.fill(0.0);
         for layer in &self.layers {
-            layer
-                .engine
-                .spread(values, rows, &mut scratch.light, &mut scratch.engine);
+            let (own, engine) = (&mut scratch.light, &mut scratch.engine);
+            layer.engine.spread(values, rows, mask, own, engine);
             match &layer.share {
                 None => add_scaled(light, &scratch.light, 1.0),
                 Some(share) => {
@@ -247,20 +254,37 @@ impl LinearOperator for RollingShutter {
     }
 
     fn adjoint(&self, frame: &[f32], video: &mut [f32]) {
+        self.adjoint_of(frame, None, video);
+    }
+}
+
+impl RollingShutter {
+    /// `P Aᵀ`, with `P` the projection onto `support`: rows without a place of it cost nothing.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    pub fn adjoint_on(&self, frame: &[f32], support: &Support, video: &mut [f32]) {
+        self.adjoint_of(frame, Some(support), video);
+        support.apply(video);
+    }
+
+    /// The adjoint; rows that are dark in `support` may be anything.
+    fn adjoint_of(&self, frame: &[f32], support: Option<&Support>, video: &mut [f32]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         let columns = self.geometry.columns;
         let pixels = self.video.pixels();
         let instants = self.time.instants();
-        let spread = |instant: usize, light: &mut [f32], scratch: &mut Scratch| {
-            let rows = &self.rows_of[instant];
-            let values: Vec<f32> = rows
-                .iter()
-                .flat_map(|&row| &frame[row * columns..(row + 1) * columns])
-                .copied()
-                .collect();
-            self.spread(&values, rows, light, scratch);
-        };
+        let spread =
+            |instant: usize, mask: Option<&[u8]>, light: &mut [f32], scratch: &mut Scratch| {
+                let rows = &self.rows_of[instant];
+                let values: Vec<f32> = rows
+                    .iter()
+                    .flat_map(|&row| &frame[row * columns..(row + 1) * columns])
+                    .copied()
+                    .collect();
+                self.spread(&values, rows, mask, light, scratch);
+            };
         let one_bin_each =
             self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1);
         if one_bin_each {
@@ -271,7 +295,9 @@ impl LinearOperator for RollingShutter {
                 .for_each_init(
                     || self.scratch(),
                     |scratch, (instant, light)| {
-                        spread(instant, light, scratch);
+                        let bin = instant * pixels..(instant + 1) * pixels;
+                        let mask = support.map(|s| &s.mask()[bin]);
+                        spread(instant, mask, light, scratch);
                         let weight = instants[instant].weights[0] as f32;
                         if weight != 1.0 {
                             light.iter_mut().for_each(|v| *v *= weight);
@@ -286,7 +312,7 @@ impl LinearOperator for RollingShutter {
             .enumerate()
             .for_each_init(
                 || self.scratch(),
-                |scratch, (instant, light)| spread(instant, light, scratch),
+                |scratch, (instant, light)| spread(instant, None, light, scratch),
             );
         video
             .par_chunks_exact_mut(pixels)

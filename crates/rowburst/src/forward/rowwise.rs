@@ -115,7 +115,15 @@ impl Rowwise {
         }
     }
 
-    pub fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+    /// Field rows that are dark in `mask` are set to zero; the others are whole.
+    pub fn spread(
+        &self,
+        values: &[f32],
+        rows: &[usize],
+        mask: Option<&[u8]>,
+        light: &mut [f32],
+        scratch: &mut Scratch,
+    ) {
         let Scratch {
             line,
             rows: spectra,
@@ -136,6 +144,11 @@ impl Rowwise {
         }
         let field_columns = self.geometry.field_columns;
         for (y, field_row) in light.chunks_exact_mut(field_columns).enumerate() {
+            let line_of = |mask: &[u8]| mask[y * field_columns..][..field_columns].contains(&1);
+            if !mask.is_none_or(line_of) {
+                field_row.fill(0.0);
+                continue;
+            }
             one.fill(Complex32::ZERO);
             for (&r, spectrum) in rows.iter().zip(spectra.chunks_exact(self.frequencies)) {
                 multiply_conjugate_add(one, spectrum, self.kernel(r, y));

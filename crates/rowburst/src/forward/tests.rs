@@ -123,7 +123,7 @@ fn blocks_of_patches_agree_with_operator_calls() {
                         let power = operator.pixel_power(row / columns, row % columns);
                         assert!((power - block[(i, i)]).abs() < 1e-7);
                     }
-                    for (j, &column) in indices.iter().enumerate() {
+                    for (j, &column) in indices.iter().enumerate().skip(i) {
                         let error = (block[(i, j)] - f64::from(gram[row][column])).abs();
                         assert!(error < 1e-7, "{camera:?} {instant} {i} {j}: {error}");
                     }

@@ -1,6 +1,7 @@
 //! An operator whose outputs are weighted.
 
 use super::LinearOperator;
+use std::borrow::Cow;
 
 /// `W A`: element `i` of the output of `operator` times `weights[i]`.
 ///
@@ -31,6 +32,14 @@ impl<O: LinearOperator> Weighted<O> {
         &self.operator
     }
 
+    /// `W y`.
+    pub fn weigh<'y>(&self, y: &'y [f32]) -> Cow<'y, [f32]> {
+        match &self.weights {
+            None => Cow::Borrowed(y),
+            Some(weights) => y.iter().zip(weights).map(|(y, w)| y * w).collect(),
+        }
+    }
+
     /// `W`, if not all 1.
     pub fn weights(&self) -> Option<&[f32]> {
         self.weights.as_deref()
@@ -54,12 +63,6 @@ impl<O: LinearOperator> LinearOperator for Weighted<O> {
     }
 
     fn adjoint(&self, y: &[f32], x: &mut [f32]) {
-        match &self.weights {
-            None => self.operator.adjoint(y, x),
-            Some(weights) => {
-                let weighted: Vec<f32> = y.iter().zip(weights).map(|(y, w)| y * w).collect();
-                self.operator.adjoint(&weighted, x);
-            }
-        }
+        self.operator.adjoint(&self.weigh(y), x);
     }
 }

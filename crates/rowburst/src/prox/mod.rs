@@ -6,6 +6,7 @@ pub mod composite;
 pub mod dual;
 pub mod lowrank;
 pub mod parts;
+mod rows;
 pub mod sparse;
 pub mod variation;
 pub mod variation3d;

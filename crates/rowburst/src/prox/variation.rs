@@ -13,10 +13,12 @@
 //! (in a trial on digits of 12 and 18 px: equal PSNR to 0.02 dB after 80 and 120 iterations).
 
 use super::Prox;
+use super::rows::Rows;
 use crate::Shape;
 use crate::Support;
 use crate::vecmath::simd;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Dual steps of one call of [`Prox::prox`] inside an outer solver.
 const STEPS: usize = 2;
@@ -46,6 +48,7 @@ pub struct Variation {
     /// Scale that the duals were left at; they are multiples of it.
     scale: f64,
     support: Option<Support>,
+    rows: Rows,
 }
 
 impl Variation {
@@ -70,6 +73,7 @@ impl Variation {
             dual_t: vec![0.0; time],
             scale: 0.0,
             support: None,
+            rows: Rows::all(shape),
         }
     }
 
@@ -93,44 +97,84 @@ impl Variation {
     /// `z(p)`: the primal point of the dual.
     pub(super) fn primal(&self, q: &[f32], scale: f64, z: &mut [f32]) {
         let pixels = self.shape.pixels();
-        z.par_chunks_exact_mut(pixels)
-            .enumerate()
-            .for_each(|(t, z)| {
-                let bin = t * pixels..(t + 1) * pixels;
-                simd(
-                    #[inline(always)]
-                    || {
-                        z.copy_from_slice(&q[bin.clone()]);
-                        self.subtract_from_bin(t, z, scale);
-                        match &self.support {
-                            None => z.iter_mut().for_each(|z| *z = z.max(0.0)),
-                            Some(support) => {
-                                for (z, &lit) in z.iter_mut().zip(&support.mask()[bin.clone()]) {
-                                    *z = z.max(0.0) * f32::from(lit);
-                                }
-                            }
-                        }
-                    },
-                );
-            });
+        let bins = z.par_chunks_exact_mut(pixels).enumerate();
+        bins.for_each(|(t, z)| {
+            let (at, bin) = (t * pixels..(t + 1) * pixels, self.bin(t, scale));
+            let space = self.space_of(at.clone());
+            simd(
+                #[inline(always)]
+                || {
+                    bin.darken_others(z);
+                    for y in bin.lit_rows() {
+                        bin.write_row(y, z, &q[at.clone()], space);
+                    }
+                },
+            );
+        });
     }
 
-    /// `z −= s·w_1 + Dᵀp` in bin `t`.
-    #[inline(always)]
-    fn subtract_from_bin(&self, t: usize, z: &mut [f32], scale: f64) {
+    /// [`Self::primal`], and while each row is at hand a step of length `step` of the spatial dual
+    /// from it.
+    fn primal_with_step(&mut self, q: &[f32], scale: f64, z: &mut [f32], step: f32) {
+        let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
+        let radius = (scale * self.weights.space) as f32;
+        let mut space = (
+            std::mem::take(&mut self.dual_y),
+            std::mem::take(&mut self.dual_x),
+        );
+        let duals = space.0.par_chunks_exact_mut(pixels);
+        let duals = duals.zip(space.1.par_chunks_exact_mut(pixels));
+        let bins = z.par_chunks_exact_mut(pixels).zip(duals).enumerate();
+        bins.for_each(|(t, (z, (py, px)))| {
+            let (at, bin) = (t * pixels..(t + 1) * pixels, self.bin(t, scale));
+            simd(
+                #[inline(always)]
+                || {
+                    let mut last = None;
+                    bin.darken_others(z);
+                    for y in bin.lit_rows() {
+                        // Rows further down do not read the dual of the row above any more.
+                        bin.write_row(y, z, &q[at.clone()], (py, px));
+                        if let Some(last) = last.filter(|last| last + 1 < y) {
+                            step_row(last, (py, px), z, columns, (radius, step));
+                        }
+                        if y > 0 {
+                            step_row(y - 1, (py, px), z, columns, (radius, step));
+                        }
+                        last = Some(y);
+                    }
+                    if let Some(last) = last {
+                        step_row(last, (py, px), z, columns, (radius, step));
+                    }
+                },
+            );
+        });
+        (self.dual_y, self.dual_x) = space;
+    }
+
+    /// What bin `t` of a primal point is made from, apart from the spatial dual.
+    fn bin(&self, t: usize, scale: f64) -> Bin<'_> {
         let pixels = self.shape.pixels();
-        let bin = t * pixels..(t + 1) * pixels;
-        let shrink = (scale * self.weights.l1) as f32;
-        z.iter_mut().for_each(|z| *z -= shrink);
-        if !self.dual_y.is_empty() {
-            let (py, px) = (&self.dual_y[bin.clone()], &self.dual_x[bin.clone()]);
-            add_divergence(z, py, px, self.shape.columns);
+        let of = |t: usize| &self.dual_t[t * pixels..(t + 1) * pixels];
+        let has_time = !self.dual_t.is_empty();
+        Bin {
+            columns: self.shape.columns,
+            rows: self.rows.lit(t),
+            shrink: (scale * self.weights.l1) as f32,
+            time: has_time.then(|| of(t)),
+            before: (has_time && t > 0).then(|| of(t - 1)),
+            mask: self
+                .support
+                .as_ref()
+                .map(|s| &s.mask()[t * pixels..(t + 1) * pixels]),
         }
-        if !self.dual_t.is_empty() {
-            add(z, &self.dual_t[bin.clone()], 1.0);
-            if t > 0 {
-                add(z, &self.dual_t[bin.start - pixels..bin.start], -1.0);
-            }
+    }
+
+    fn space_of(&self, bin: Range<usize>) -> (&[f32], &[f32]) {
+        if self.dual_y.is_empty() {
+            (&[], &[])
+        } else {
+            (&self.dual_y[bin.clone()], &self.dual_x[bin])
         }
     }
 
@@ -147,34 +191,108 @@ impl Variation {
 
     /// One projected gradient step of length `step` of the dual from its primal point `z`.
     pub(super) fn step_dual(&mut self, z: &[f32], scale: f64, step: f32) {
-        let (pixels, columns, bins) = (self.shape.pixels(), self.shape.columns, self.shape.bins);
-        let space = (scale * self.weights.space) as f32;
-        let time = (scale * self.weights.time) as f32;
-        let dual_y = self.dual_y.par_chunks_exact_mut(pixels);
-        let dual_x = self.dual_x.par_chunks_exact_mut(pixels);
-        dual_y.zip(dual_x).enumerate().for_each(|(t, (py, px))| {
+        let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
+        let radius = (scale * self.weights.space) as f32;
+        let (rows, duals) = (&self.rows, self.dual_y.par_chunks_exact_mut(pixels));
+        let duals = duals.zip(self.dual_x.par_chunks_exact_mut(pixels));
+        duals.enumerate().for_each(|(t, (py, px))| {
             let z = &z[t * pixels..(t + 1) * pixels];
             simd(
                 #[inline(always)]
-                || step_space(py, px, z, columns, space, step),
+                || {
+                    for y in rows.near(t).iter().cloned().flatten() {
+                        step_row(y, (py, px), z, columns, (radius, step));
+                    }
+                },
             );
         });
-        self.dual_t
-            .par_chunks_exact_mut(pixels)
-            .enumerate()
-            .for_each(|(t, p)| {
-                if t + 1 < bins {
-                    let (now, next) = z[t * pixels..(t + 2) * pixels].split_at(pixels);
-                    simd(
-                        #[inline(always)]
-                        || {
-                            for ((p, now), next) in p.iter_mut().zip(now).zip(next) {
-                                *p = (*p + step * (next - now)).max(-time).min(time);
-                            }
-                        },
-                    );
+        self.step_time(z, scale, step);
+    }
+
+    /// The same of the dual over time.
+    fn step_time(&mut self, z: &[f32], scale: f64, step: f32) {
+        let (pixels, columns, bins) = (self.shape.pixels(), self.shape.columns, self.shape.bins);
+        let radius = (scale * self.weights.time) as f32;
+        let (rows, duals) = (&self.rows, self.dual_t.par_chunks_exact_mut(pixels));
+        // The last bin has no next one: its difference is zero.
+        duals.take(bins - 1).enumerate().for_each(|(t, p)| {
+            let (now, next) = z[t * pixels..(t + 2) * pixels].split_at(pixels);
+            for run in rows.near(t) {
+                let at = run.start * columns..run.end * columns;
+                let (p, now, next) = (&mut p[at.clone()], &now[at.clone()], &next[at]);
+                simd(
+                    #[inline(always)]
+                    || {
+                        for ((p, now), next) in p.iter_mut().zip(now).zip(next) {
+                            *p = (*p + step * (next - now)).max(-radius).min(radius);
+                        }
+                    },
+                );
+            }
+        });
+    }
+}
+
+/// See [`Variation::bin`].
+struct Bin<'a> {
+    columns: usize,
+    rows: &'a [Range<usize>],
+    /// `s·w_1`.
+    shrink: f32,
+    /// The dual over time of this bin and of the one before.
+    time: Option<&'a [f32]>,
+    before: Option<&'a [f32]>,
+    mask: Option<&'a [u8]>,
+}
+
+impl Bin<'_> {
+    #[inline(always)]
+    fn lit_rows(&self) -> impl Iterator<Item = usize> {
+        self.rows.iter().cloned().flatten()
+    }
+
+    /// Sets all rows of `z` to zero but those that may be lit.
+    #[inline(always)]
+    fn darken_others(&self, z: &mut [f32]) {
+        let mut dark = 0;
+        for run in self.rows {
+            z[dark * self.columns..run.start * self.columns].fill(0.0);
+            dark = run.end;
+        }
+        z[dark * self.columns..].fill(0.0);
+    }
+
+    /// Row `y` of `z = max(0, q − s·w_1 − Dᵀp)`.
+    #[inline(always)]
+    fn write_row(&self, y: usize, z: &mut [f32], q: &[f32], space: (&[f32], &[f32])) {
+        let line = y * self.columns..(y + 1) * self.columns;
+        let row = &mut z[line.clone()];
+        row.copy_from_slice(&q[line.clone()]);
+        self.subtract_dual(y, row, space);
+        match self.mask {
+            None => row.iter_mut().for_each(|z| *z = z.max(0.0)),
+            Some(mask) => {
+                for (z, &lit) in row.iter_mut().zip(&mask[line]) {
+                    *z = z.max(0.0) * f32::from(lit);
                 }
-            });
+            }
+        }
+    }
+
+    /// `z −= s·w_1 + Dᵀp` of row `y`.
+    #[inline(always)]
+    fn subtract_dual(&self, y: usize, z: &mut [f32], (py, px): (&[f32], &[f32])) {
+        let line = y * self.columns..(y + 1) * self.columns;
+        z.iter_mut().for_each(|z| *z -= self.shrink);
+        if !py.is_empty() {
+            add_divergence_of_row(y, z, py, px);
+        }
+        if let Some(time) = self.time {
+            add(z, &time[line.clone()], 1.0);
+        }
+        if let Some(before) = self.before {
+            add(z, &before[line], -1.0);
+        }
     }
 }
 
@@ -183,15 +301,18 @@ impl Prox for Variation {
         assert_eq!(q.len(), self.shape.voxels(), "length of the point");
         assert_eq!(z.len(), self.shape.voxels(), "length of the result");
         self.rescale_duals(scale);
+        if self.is_dual() {
+            let step = STEP / self.norm_squared() as f32;
+            for _ in 0..self.steps {
+                if self.dual_y.is_empty() {
+                    self.primal(q, scale, z);
+                } else {
+                    self.primal_with_step(q, scale, z, step);
+                }
+                self.step_time(z, scale, step);
+            }
+        }
         self.primal(q, scale, z);
-        if !self.is_dual() {
-            return;
-        }
-        let step = STEP / self.norm_squared() as f32;
-        for _ in 0..self.steps {
-            self.step_dual(z, scale, step);
-            self.primal(q, scale, z);
-        }
     }
 
     fn value(&self, z: &[f32]) -> f64 {
@@ -202,7 +323,9 @@ impl Prox for Variation {
             .map(|t| {
                 let bin = &z[t * pixels..(t + 1) * pixels];
                 let mut value = 0.0;
-                for (i, &v) in bin.iter().enumerate() {
+                let near = self.rows.near(t).iter();
+                for i in near.flat_map(|run| run.start * columns..run.end * columns) {
+                    let v = bin[i];
                     let below = bin.get(i + columns).map_or(0.0, |b| b - v);
                     let right = if (i + 1).is_multiple_of(columns) {
                         0.0
@@ -238,23 +361,33 @@ impl Prox for Variation {
                         && (!space || *i < columns || differs(start + i - columns))
                         && (!time || t == 0 || differs(start + i - pixels))
                 };
-                (0..pixels).filter(is_free).count()
+                let lit = self.rows.lit(t).iter();
+                let places = lit.flat_map(|run| run.start * columns..run.end * columns);
+                places.filter(is_free).count()
             })
             .sum();
         free as f64
     }
 
     fn restrict(&mut self, support: &Support) {
+        self.rows = Rows::of(support, self.shape);
         self.support = Some(support.clone());
     }
 
     fn subtract_dual(&self, v: &mut [f32]) {
-        v.par_chunks_exact_mut(self.shape.pixels())
+        let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
+        v.par_chunks_exact_mut(pixels)
             .enumerate()
             .for_each(|(t, v)| {
+                let bin = self.bin(t, self.scale);
+                let space = self.space_of(t * pixels..(t + 1) * pixels);
                 simd(
                     #[inline(always)]
-                    || self.subtract_from_bin(t, v, self.scale),
+                    || {
+                        for y in bin.lit_rows() {
+                            bin.subtract_dual(y, &mut v[y * columns..(y + 1) * columns], space);
+                        }
+                    },
                 );
             });
     }
@@ -271,47 +404,59 @@ pub(super) fn add(z: &mut [f32], p: &[f32], a: f32) {
 /// `z −= Dᵀp` over one bin: `−(Dᵀp)[y,x] = py[y,x] − py[y−1,x] + px[y,x] − px[y,x−1]`.
 #[inline(always)]
 pub(super) fn add_divergence(z: &mut [f32], py: &[f32], px: &[f32], columns: usize) {
-    add(z, py, 1.0);
-    add(&mut z[columns..], py, -1.0);
-    add(z, px, 1.0);
-    let lines = z.chunks_exact_mut(columns).zip(px.chunks_exact(columns));
-    for (z, px) in lines {
-        add(&mut z[1..], px, -1.0);
+    for (y, z) in z.chunks_exact_mut(columns).enumerate() {
+        add_divergence_of_row(y, z, py, px);
     }
 }
 
-/// The spatial dual of one bin, a step along `D z` and back into the ball of `radius`.
+/// The same of row `y`, which is `z`.
 #[inline(always)]
-fn step_space(py: &mut [f32], px: &mut [f32], z: &[f32], columns: usize, radius: f32, step: f32) {
-    let rows = z.len() / columns;
-    for y in 0..rows {
-        let line = y * columns..(y + 1) * columns;
-        // The last row has no row below: its difference is zero.
-        let below = if y + 1 < rows {
-            (y + 1) * columns
-        } else {
-            y * columns
-        };
-        let (z, below) = (&z[line.clone()], &z[below..below + columns]);
-        let (py, px) = (&mut py[line.clone()], &mut px[line]);
-        for x in 0..columns - 1 {
-            project(
-                &mut py[x],
-                &mut px[x],
-                step * (below[x] - z[x]),
-                step * (z[x + 1] - z[x]),
-                radius,
-            );
-        }
-        let x = columns - 1;
+fn add_divergence_of_row(y: usize, z: &mut [f32], py: &[f32], px: &[f32]) {
+    let columns = z.len();
+    let line = y * columns..(y + 1) * columns;
+    add(z, &py[line.clone()], 1.0);
+    if y > 0 {
+        add(z, &py[line.start - columns..line.start], -1.0);
+    }
+    add(z, &px[line.clone()], 1.0);
+    add(&mut z[1..], &px[line], -1.0);
+}
+
+/// The spatial dual of row `y` of a bin, a step along `D z` and back into the ball of `radius`.
+#[inline(always)]
+fn step_row(
+    y: usize,
+    (py, px): (&mut [f32], &mut [f32]),
+    z: &[f32],
+    columns: usize,
+    (radius, step): (f32, f32),
+) {
+    let line = y * columns..(y + 1) * columns;
+    // The last row has no row below: its difference is zero.
+    let below = if line.end < z.len() {
+        line.end..line.end + columns
+    } else {
+        line.clone()
+    };
+    let (z, below) = (&z[line.clone()], &z[below]);
+    let (py, px) = (&mut py[line.clone()], &mut px[line]);
+    for x in 0..columns - 1 {
         project(
             &mut py[x],
             &mut px[x],
             step * (below[x] - z[x]),
-            0.0,
+            step * (z[x + 1] - z[x]),
             radius,
         );
     }
+    let x = columns - 1;
+    project(
+        &mut py[x],
+        &mut px[x],
+        step * (below[x] - z[x]),
+        0.0,
+        radius,
+    );
 }
 
 #[inline(always)]

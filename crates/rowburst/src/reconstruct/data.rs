@@ -174,7 +174,7 @@ impl FrameData {
         let lit = (self.support.as_ref(), self.second);
         match &mut self.gram {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
-                blocks.refill(|i, sum| fill(model, operator, i, lit, sum));
+                blocks.refill(|_| true, |i, sum| fill(model, operator, i, lit, sum));
             }
             Gram::Iterative(solver) => {
                 let blocks = blocks(model, operator, lit);
@@ -276,18 +276,40 @@ impl DataTerm for FrameData {
     }
 
     fn restrict(&mut self, support: &Support) {
-        self.support = Some(support.clone());
+        let before = self.support.replace(support.clone());
         let (model, operator) = (&self.model, &self.operator);
         match &mut self.gram {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
                 let lit = (Some(support), self.second);
-                blocks.refill(|i, sum| fill(model, operator, i, lit, sum));
+                let instants = model.shutter().time().instants();
+                let has_changed = |i: usize| {
+                    let run = &instants[i];
+                    let bins = run.first_bin..run.first_bin + run.weights.len();
+                    before
+                        .as_ref()
+                        .is_none_or(|b| !support.agrees_with(b, bins))
+                };
+                blocks.refill(has_changed, |i, sum| fill(model, operator, i, lit, sum));
             }
             Gram::Iterative(solver) => {
                 let blocks = blocks(model, operator, (Some(support), self.second));
                 let preconditioner =
                     blocks.map(|b| Box::new(BlockPreconditioner(b)) as Box<dyn Preconditioner>);
                 solver.restrict(support, preconditioner);
+            }
+        }
+    }
+
+    fn adjoint_on(&self, y: &[f32], support: Option<&Support>, video: &mut [f32]) {
+        match (self.second, support) {
+            (SecondPart::None, Some(support)) => {
+                let weighted = self.operator.weigh(y);
+                self.model.shutter().adjoint_on(&weighted, support, video);
+            }
+            (_, None) => self.operator().adjoint(y, video),
+            (_, Some(support)) => {
+                self.operator().adjoint(y, video);
+                support.apply(video);
             }
         }
     }

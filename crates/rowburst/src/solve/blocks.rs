@@ -7,7 +7,6 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt;
 use faer::{Mat, MatMut, MatRef, Par, Spec};
 use rayon::prelude::*;
-use std::cmp::Ordering;
 
 /// The diagonal blocks of `G`; together they cover every element once.
 pub struct Blocks {
@@ -28,7 +27,7 @@ struct Block {
 
 impl Blocks {
     /// Blocks over the elements `indices` each of the whole vector; `fill(i, G_i)` writes
-    /// the symmetric block `i` over zeros.
+    /// what lies on and above the diagonal of the symmetric block `i` over zeros.
     pub fn new(indices: Vec<Vec<usize>>, fill: impl Fn(usize, MatMut<f64>) + Sync) -> Self {
         let empty = |indices: Vec<usize>| Block {
             diagonal: vec![0.0; indices.len()],
@@ -40,15 +39,20 @@ impl Blocks {
             blocks: indices.into_iter().map(empty).collect(),
             rho: 0.0,
         };
-        blocks.refill(fill);
+        blocks.refill(|_| true, fill);
         blocks
     }
 
-    /// Writes all blocks anew, in the memory of the old ones.
-    pub fn refill(&mut self, fill: impl Fn(usize, MatMut<f64>) + Sync) {
+    /// Writes the blocks that `has_changed` anew, in the memory of the old ones.
+    pub fn refill(
+        &mut self,
+        has_changed: impl Fn(usize) -> bool + Sync,
+        fill: impl Fn(usize, MatMut<f64>) + Sync,
+    ) {
         self.blocks
             .par_iter_mut()
             .enumerate()
+            .filter(|(i, _)| has_changed(*i))
             .for_each(|(i, block)| {
                 let size = block.indices.len();
                 block.square.fill(0.0);
@@ -92,14 +96,14 @@ impl Block {
     fn factorise(&mut self, rho: f64) {
         let size = self.indices.len();
         // Beside: the factorisation writes above the diagonal, too.
-        let mut factor = Mat::from_fn(size, size, |i, j| match i.cmp(&j) {
-            Ordering::Less => 0.0,
-            Ordering::Equal => self.diagonal[j] + rho,
-            Ordering::Greater => self.square[i * size + j],
-        });
+        let mut factor = vec![0.0; size * size];
+        self.copy_below(&mut factor);
+        for (j, diagonal) in self.diagonal.iter().enumerate() {
+            factor[j * size + j] = diagonal + rho;
+        }
         let need = llt::factor::cholesky_in_place_scratch::<f64>(size, Par::Seq, Spec::default());
         llt::factor::cholesky_in_place(
-            factor.as_mut(),
+            MatMut::from_column_major_slice_mut(&mut factor, size, size),
             llt::factor::LltRegularization::default(),
             Par::Seq,
             MemStack::new(&mut MemBuffer::new(need)),
@@ -108,9 +112,25 @@ impl Block {
         .expect("G is positive semi-definite and ρ well above its rounding");
         for j in 0..size {
             let lower = j * size + j..(j + 1) * size;
-            self.square[lower].copy_from_slice(&factor.col_as_slice(j)[j..]);
+            self.square[lower.clone()].copy_from_slice(&factor[lower]);
         }
         self.is_factorised = true;
+    }
+
+    /// Writes what lies above the diagonal of `G` below that of `to`: a transposition, tile by
+    /// tile since columns are far apart.
+    fn copy_below(&self, to: &mut [f64]) {
+        const TILE: usize = 16;
+        let size = self.indices.len();
+        for column in (0..size).step_by(TILE) {
+            for row in (0..=column).step_by(TILE) {
+                for i in column..(column + TILE).min(size) {
+                    for j in row..(row + TILE).min(i) {
+                        to[j * size + i] = self.square[i * size + j];
+                    }
+                }
+            }
+        }
     }
 
     fn solve(&self, r: &[f32]) -> Mat<f64> {

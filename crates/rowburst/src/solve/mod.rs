@@ -72,6 +72,15 @@ pub trait DataTerm {
     /// From now on videos are zero outside `support`.
     fn restrict(&mut self, support: &Support);
 
+    /// `P Aᵀ y`, with `P` the projection onto the support that it was last restricted to; `support`
+    /// is that.
+    fn adjoint_on(&self, y: &[f32], support: Option<&Support>, video: &mut [f32]) {
+        self.operator().adjoint(y, video);
+        if let Some(support) = support {
+            support.apply(video);
+        }
+    }
+
     /// Follows the light of `video`, where the noise depends on it: whether `A` and `b`, of
     /// which the weights are a part, have changed.
     fn follow(&mut self, _video: &[f32]) -> bool {

@@ -29,11 +29,12 @@ const FREEDOM: f64 = 0.8;
 /// Likeness of mirrored bins above that of others; at most 0.02 in the right order, and
 /// at least 0.15 in the wrong one.
 const MIRRORED: f64 = 0.08;
-/// Part of the voxels that the support admits; a sparse scene takes a tenth at most.
-const WIDE_SUPPORT: f64 = 0.3;
-/// Iterations before which no video has taken shape: the solver follows the brightness
-/// for 60 and then looks for the support.
-const EARLY: usize = 120;
+/// Part of the voxels that the support admits. Of good fits of small videos (48 instants of 40 columns) the widest
+/// took 0.108, with an offset of 10 % the narrowest 0.119.
+const WIDE_SUPPORT: f64 = 0.11;
+/// Iterations before which no video has taken shape: the solver looks for the support from
+/// the 20th on, and follows the brightness for 40.
+const EARLY: usize = 60;
 /// Residual over that at four fifths of the iterations, where it still falls.
 const FALLING: f64 = 0.85;
 /// Residual over the frame itself beyond which more iterations are not what is missing.

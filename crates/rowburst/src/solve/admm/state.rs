@@ -1,14 +1,20 @@
 //! The variables of an iteration, and its steps.
 
+use super::places::{Places, pieces};
 use super::{AdmmParams, Solution, TauRule};
+use crate::Shape;
 use crate::prox::Prox;
 use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::vecmath::{distance_squared, dot, norm, norm_squared, simd};
-use crate::{Shape, Support};
+use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
 
 /// Iterations in which the brightness that `β` refers to is followed.
-const SETTLE: usize = 60;
+const SETTLE: usize = 40;
+/// `β` at first over what it will be, and the iteration at which it is that: large steps find
+/// the places, small ones the details. 8 up to the 20th iteration is faster still, and loses faint
+/// LEDs in small videos, whose bins then have to be opened.
+const FIRST_THRESHOLD: f64 = 4.0;
+const FULL_DETAIL: usize = 12;
 /// The first data step spreads the light of a sparse scene; it is this much brighter.
 const FIRST_GUESS: f64 = 10.0;
 /// Iterations from one look at the light that the noise depends on to the next, at first;
@@ -16,27 +22,15 @@ const FIRST_GUESS: f64 = 10.0;
 const FOLLOW_EVERY: usize = 20;
 const FOLLOW_OFTEN: usize = 100;
 /// First iteration that counts the degrees of freedom: before, everything is lit.
-const COUNT_AFTER: usize = 40;
+const COUNT_AFTER: usize = 15;
 /// Largest part of the measurements that the fit is allowed to spend.
 pub(crate) const MOST_FREEDOM: f64 = 0.3;
-/// Iteration at which the support is found first, and from then on every so many.
-const SUPPORT_AFTER: usize = 60;
-const SUPPORT_EVERY: usize = 20;
-/// Threshold of the support over the brightness of the video.
-const SUPPORT_THRESHOLD: f64 = 0.1;
 /// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
 /// bound, and the dual would grow without end.
 const LOWEST_RHO: f64 = 0.3;
 /// Data steps in a row that may be solved worse than asked for: the first ones start
 /// from nothing.
 const MOST_POOR_STEPS: usize = 3;
-/// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
-/// of 216 pixels scatters by 5 %.
-const MISFIT: f64 = 1.3;
-/// What the threshold of a bin is multiplied by each time its support is widened, and
-/// the level at which every voxel is allowed.
-const LEVEL_STEP: f64 = 0.125;
-const OPEN: usize = 5;
 /// Brightest voxel that the certificate speaks of, over the brightest one found.
 const CEILING: f64 = 2.0;
 
@@ -62,11 +56,7 @@ pub(super) struct State {
     /// Whether `ρ` was left as it was.
     is_steady: bool,
     pub iterations: usize,
-    /// How often the support of each bin has been widened.
-    levels: Vec<usize>,
-    support: Option<Support>,
-    support_fraction: f64,
-    support_settled: bool,
+    places: Places,
 }
 
 impl State {
@@ -94,10 +84,7 @@ impl State {
             x_misfit: 0.0,
             is_steady: false,
             iterations: 0,
-            levels: vec![0; shape.bins],
-            support: None,
-            support_fraction: 1.0,
-            support_settled: false,
+            places: Places::everywhere(shape, n),
         };
         state.aim_at(params.tau, data);
         state
@@ -123,12 +110,12 @@ impl State {
 
     /// Part of the voxels that may be lit.
     pub fn support_fraction(&self) -> f64 {
-        self.support_fraction
+        self.places.fraction()
     }
 
     /// Whether `β`, `τ` and the support are what they will be.
     pub fn is_settled(&self, params: &AdmmParams) -> bool {
-        self.iterations > SETTLE && self.is_steady && (!params.support || self.support_settled)
+        self.iterations > SETTLE && self.is_steady && (!params.support || self.places.are_settled())
     }
 
     pub fn tau(&self) -> f64 {
@@ -150,10 +137,12 @@ impl State {
         let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
         self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
-        data.operator().adjoint(&self.y, &mut self.x); // x − p
-        self.restrict_x();
-        let steps = self.u.par_chunks_mut(CHUNK).zip(self.x.par_chunks(CHUNK));
-        steps.zip(self.z.par_chunks(CHUNK)).for_each(|((u, x), z)| {
+        data.adjoint_on(&self.y, self.places.support(), &mut self.x); // x − p
+        let runs = self.places.runs();
+        let (x, z) = (&self.x, &self.z);
+        let steps = pieces(&mut self.u, runs).into_par_iter().zip(runs);
+        steps.for_each(|(u, run)| {
+            let (x, z) = (&x[run.clone()], &z[run.clone()]);
             simd(
                 #[inline(always)]
                 || {
@@ -175,22 +164,21 @@ impl State {
         }
         std::mem::swap(&mut self.x, &mut self.z); // x keeps the last z
         prior.prox(&self.u, self.beta, &mut self.z);
-        self.u
-            .par_chunks_mut(CHUNK)
-            .zip(self.z.par_chunks(CHUNK))
-            .for_each(|(u, z)| {
-                simd(
-                    #[inline(always)]
-                    || u.iter_mut().zip(z).for_each(|(u, z)| *u -= z),
-                );
-            });
+        let runs = self.places.runs();
+        let (last, z) = (&self.x, &self.z);
+        let steps = pieces(&mut self.u, runs).into_par_iter().zip(runs);
+        let squares: Vec<(f64, f64)> = steps
+            .map(|(u, run)| subtract(u, &z[run.clone()], &last[run.clone()]))
+            .collect();
         data.operator().apply(&self.z, &mut self.az);
         self.au.iter_mut().zip(&self.az).for_each(|(u, z)| *u -= z);
-        let size = norm(&self.z);
+        let (size, moved) = squares
+            .iter()
+            .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
         if size == 0.0 {
             0.0
         } else {
-            distance_squared(&self.x, &self.z).sqrt() / size
+            (moved / size).sqrt()
         }
     }
 
@@ -220,9 +208,8 @@ impl State {
         if k < SETTLE && k.is_multiple_of(5) {
             self.set_threshold(brightness(self.first_part()));
         }
-        if params.support && k >= SUPPORT_AFTER && (k - SUPPORT_AFTER).is_multiple_of(SUPPORT_EVERY)
-        {
-            self.restrict(data, prior, k > SUPPORT_AFTER);
+        if params.support && Places::are_due(k) {
+            self.restrict(data, prior);
         }
         if (k <= FOLLOW_OFTEN || k.is_multiple_of(5 * FOLLOW_EVERY))
             && k.is_multiple_of(FOLLOW_EVERY)
@@ -246,49 +233,43 @@ impl State {
             self.beta = self.beta.max(f64::MIN_POSITIVE);
             return;
         }
-        let beta = self.relative_threshold * brightness;
+        let early = 1.0 - self.iterations as f64 / FULL_DETAIL as f64;
+        let part = self.relative_threshold * (1.0 + (FIRST_THRESHOLD - 1.0) * early.max(0.0));
+        let beta = part * brightness;
         self.beta = beta;
         if let TauRule::Fixed(tau) = self.rule {
             self.rho = tau / beta;
         }
     }
 
-    fn restrict(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, again: bool) {
-        let threshold = SUPPORT_THRESHOLD * brightness(self.first_part());
-        let mut missed: Vec<usize> = Vec::new();
-        if !again {
+    /// Looks where light may be, and keeps the rest dark.
+    fn restrict(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) {
+        let mut missed = Vec::new();
+        if self.places.support().is_none() {
             self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
         } else {
             let residual = self.residual(data);
-            let limit = MISFIT * self.expected_rms(data);
             let misfits = data.misfit_of_bins(&residual);
-            missed = (0..misfits.len())
-                .filter(|&t| misfits[t] > limit && self.levels[t] < OPEN)
-                .collect();
-            missed.iter().for_each(|&t| self.levels[t] += 1);
-            if self.support_settled && missed.is_empty() {
+            missed = self.places.missed(misfits, self.expected_rms(data));
+            if self.places.are_settled() && missed.is_empty() {
                 return;
             }
-            // What the residual looks like in the video: brightest where light is missing.
-            data.operator().adjoint(&residual, &mut self.x);
+            if !missed.is_empty() {
+                // What the residual looks like in the video: brightest where light is missing.
+                data.operator().adjoint(&residual, &mut self.x);
+            }
         }
-        let cut = |t: usize| match self.levels[t] {
-            OPEN => 0.0,
-            level => threshold * LEVEL_STEP.powi(level as i32),
-        };
-        let cuts: Vec<f64> = (0..self.shape.bins).map(cut).collect();
-        let support = Support::above(self.first_part(), self.shape, &cuts)
-            .with_missed(&self.x[..self.shape.voxels()], &missed);
-        let fraction = support.fraction();
-        self.support_settled = again && missed.is_empty() && fraction > 0.9 * self.support_fraction;
-        self.support_fraction = fraction;
+        let voxels = self.shape.voxels();
+        let bright = brightness(self.first_part());
+        let missed = (&self.x[..voxels], missed.as_slice());
+        let support = self.places.find(&self.z[..voxels], bright, missed);
         data.restrict(&support);
         prior.restrict(&support);
+        support.apply(&mut self.x);
         support.apply(&mut self.z);
         support.apply(&mut self.u);
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.u, &mut self.au);
-        self.support = Some(support);
     }
 
     /// Root mean square that the residual is expected to have.
@@ -303,9 +284,8 @@ impl State {
     pub fn certify(&mut self, data: &dyn DataTerm, prior: &dyn Prox) -> Certificate {
         let (b, tau) = (data.measured(), self.tau());
         let brightest = self.z.par_iter().copied().reduce(|| 0.0, f32::max);
-        data.operator().adjoint(&self.y, &mut self.x);
         // Twice: a trace has no part outside the support, and the dual may have one.
-        self.restrict_x();
+        data.adjoint_on(&self.y, self.places.support(), &mut self.x);
         prior.subtract_dual(&mut self.x);
         self.restrict_x();
         // In units of ρ up to here.
@@ -336,7 +316,7 @@ impl State {
     }
 
     fn restrict_x(&mut self) {
-        if let Some(support) = &self.support {
+        if let Some(support) = self.places.support() {
             support.apply(&mut self.x);
         }
     }
@@ -370,10 +350,33 @@ impl State {
             tau: self.tau(),
             iterations: self.iterations,
             stop_reason,
-            support: self.support_fraction,
+            support: self.places.fraction(),
             video: self.z,
         }
     }
+}
+
+/// `u −= z`; returns `‖z‖²` and `‖z − last‖²`.
+fn subtract(u: &mut [f32], z: &[f32], last: &[f32]) -> (f64, f64) {
+    const LANES: usize = 8;
+    simd(
+        #[inline(always)]
+        || {
+            let (mut size, mut moved) = ([0.0f64; LANES], [0.0f64; LANES]);
+            let chunks = u
+                .chunks_mut(LANES)
+                .zip(z.chunks(LANES))
+                .zip(last.chunks(LANES));
+            for ((u, z), last) in chunks {
+                for (i, ((u, z), last)) in u.iter_mut().zip(z).zip(last).enumerate() {
+                    *u -= z;
+                    size[i] += f64::from(*z).powi(2);
+                    moved[i] += f64::from(z - last).powi(2);
+                }
+            }
+            (size.iter().sum(), moved.iter().sum())
+        },
+    )
 }
 
 /// Elements of one parallel task.

@@ -1,0 +1,80 @@
+//! Which rows of a video a prox has to look at.
+//!
+//! On a support most rows of most bins are dark. They stay so, and so does the dual between two
+//! dark voxels.
+
+use crate::{Shape, Support};
+use std::ops::Range;
+
+/// Runs of neighbouring rows in each bin.
+pub(super) struct Rows {
+    /// Rows with a voxel that may be lit.
+    lit: Vec<Vec<Range<usize>>>,
+    /// Those, and the rows whose differences along y or t reach one.
+    near: Vec<Vec<Range<usize>>>,
+}
+
+impl Rows {
+    pub fn all(shape: Shape) -> Self {
+        let whole = std::iter::once(0..shape.rows).collect();
+        let all: Vec<Vec<Range<usize>>> = vec![whole; shape.bins];
+        Self {
+            near: all.clone(),
+            lit: all,
+        }
+    }
+
+    pub fn of(support: &Support, shape: Shape) -> Self {
+        let lit = support.lit_rows();
+        let is_lit =
+            |t: usize, y: usize| t < shape.bins && y < shape.rows && lit[t * shape.rows + y];
+        let is_near = |t, y| is_lit(t, y) || is_lit(t, y + 1) || is_lit(t + 1, y);
+        let bins = 0..shape.bins;
+        Self {
+            lit: bins
+                .clone()
+                .map(|t| runs(shape.rows, |y| is_lit(t, y)))
+                .collect(),
+            near: bins.map(|t| runs(shape.rows, |y| is_near(t, y))).collect(),
+        }
+    }
+
+    pub fn lit(&self, t: usize) -> &[Range<usize>] {
+        &self.lit[t]
+    }
+
+    pub fn near(&self, t: usize) -> &[Range<usize>] {
+        &self.near[t]
+    }
+}
+
+fn runs(rows: usize, is_in: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for y in (0..rows).filter(|&y| is_in(y)) {
+        match runs.last_mut() {
+            Some(run) if run.end == y => run.end += 1,
+            _ => runs.push(y..y + 1),
+        }
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_hold_the_lit_rows_and_what_reaches_them() {
+        let shape = Shape::new(3, 8, 9);
+        let mut video = vec![0.0f32; shape.voxels()];
+        video[72 + 4 * 9 + 4] = 1.0;
+        let support = Support::above(&video, shape, &[0.5; 3]);
+        let rows = Rows::of(&support, shape);
+        let flat = |runs: &[Range<usize>]| runs.iter().cloned().flatten().collect::<Vec<_>>();
+        assert_eq!(flat(rows.lit(1)), [3, 4, 5]);
+        assert_eq!(flat(rows.near(1)), [2, 3, 4, 5]);
+        assert_eq!(flat(rows.near(0)), [3, 4, 5]);
+        assert!(rows.lit(0).is_empty() && rows.near(2).is_empty());
+        assert_eq!(flat(Rows::all(shape).near(2)), [0, 1, 2, 3, 4, 5, 6, 7]);
+    }
+}

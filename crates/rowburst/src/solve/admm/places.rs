@@ -1,0 +1,206 @@
+//! Where light may be.
+
+use crate::{Shape, Support};
+use std::ops::Range;
+
+/// Iteration at which the support is found first, and from then on every so many.
+const FIRST: usize = 20;
+const EVERY: usize = 10;
+/// Threshold of the support over the brightness of the video.
+const THRESHOLD: f64 = 0.12;
+/// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
+/// of 216 pixels scatters by 5 %.
+const MISFIT: f64 = 1.3;
+/// Misfit of a bin over that at the last look, below which it is still falling: a support that was
+/// just found needs some iterations before it can be said to lack light.
+const FALLING: f64 = 0.85;
+/// What the threshold of a bin is multiplied by each time its support is widened, and
+/// the level at which every voxel is allowed.
+const LEVEL_STEP: f64 = 0.125;
+const OPEN: usize = 5;
+/// Most voxels of a run.
+const CHUNK: usize = 1 << 14;
+
+/// The bright voxels of a video and their neighbours, found anew every few iterations.
+pub(super) struct Places {
+    shape: Shape,
+    support: Option<Support>,
+    fraction: f64,
+    is_settled: bool,
+    /// Voxels in a row that are worked on together, in their order: whole rows that hold a place.
+    runs: Vec<Range<usize>>,
+    /// Voxels of the first part, and all.
+    lengths: (usize, usize),
+    /// How often the support of each bin has been widened, and its misfit at the last look.
+    levels: Vec<usize>,
+    misfits: Vec<f64>,
+}
+
+impl Places {
+    /// All `voxels` of videos of `shape` and what follows them.
+    pub fn everywhere(shape: Shape, voxels: usize) -> Self {
+        let whole = std::iter::once(0..voxels);
+        Self {
+            runs: whole.flat_map(chunks).collect(),
+            lengths: (shape.voxels(), voxels),
+            shape,
+            support: None,
+            fraction: 1.0,
+            is_settled: false,
+            levels: vec![0; shape.bins],
+            misfits: vec![f64::INFINITY; shape.bins],
+        }
+    }
+
+    /// Whether iteration `k` looks.
+    pub fn are_due(k: usize) -> bool {
+        k >= FIRST && (k - FIRST).is_multiple_of(EVERY)
+    }
+
+    /// `None`: every voxel.
+    pub fn support(&self) -> Option<&Support> {
+        self.support.as_ref()
+    }
+
+    /// What is not sure to be dark, piece by piece.
+    pub fn runs(&self) -> &[Range<usize>] {
+        &self.runs
+    }
+
+    /// Part of the voxels that may be lit.
+    pub fn fraction(&self) -> f64 {
+        self.fraction
+    }
+
+    /// Whether the last look changed little.
+    pub fn are_settled(&self) -> bool {
+        self.is_settled
+    }
+
+    /// Bins that the support cannot explain: their misfit is above `expected` and no longer falls.
+    pub fn missed(&mut self, misfits: Vec<f64>, expected: f64) -> Vec<usize> {
+        let is_missed = |t: &usize| {
+            let (now, before) = (misfits[*t], self.misfits[*t]);
+            now > MISFIT * expected && now > FALLING * before && self.levels[*t] < OPEN
+        };
+        let missed: Vec<usize> = (0..misfits.len()).filter(is_missed).collect();
+        self.misfits = misfits;
+        for &t in &missed {
+            self.misfits[t] = f64::INFINITY;
+        }
+        missed
+    }
+
+    /// The bright voxels of `video` with neighbours. The threshold of the bins `missed` falls, and the
+    /// brightest places of `correlation` are added to them.
+    pub fn find(
+        &mut self,
+        video: &[f32],
+        brightness: f64,
+        (correlation, missed): (&[f32], &[usize]),
+    ) -> Support {
+        for &t in missed {
+            self.levels[t] += 1;
+        }
+        let cut = |level: &usize| match *level {
+            OPEN => 0.0,
+            level => THRESHOLD * brightness * LEVEL_STEP.powi(level as i32),
+        };
+        let cuts: Vec<f64> = self.levels.iter().map(cut).collect();
+        let support = Support::above(video, self.shape, &cuts).with_missed(correlation, missed);
+        let fraction = support.fraction();
+        self.is_settled =
+            self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
+        self.fraction = fraction;
+        self.runs = self.runs_of(&support);
+        self.support = Some(support.clone());
+        support
+    }
+
+    fn runs_of(&self, support: &Support) -> Vec<Range<usize>> {
+        let columns = self.shape.columns;
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        let lit = support.lit_rows();
+        for (row, _) in lit.iter().enumerate().filter(|(_, lit)| **lit) {
+            match runs.last_mut() {
+                Some(run) if run.end == row * columns => run.end += columns,
+                _ => runs.push(row * columns..(row + 1) * columns),
+            }
+        }
+        let (first, all) = self.lengths;
+        let rest = std::iter::once(first..all);
+        runs.into_iter().chain(rest).flat_map(chunks).collect()
+    }
+}
+
+fn chunks(run: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+    let end = run.end;
+    run.step_by(CHUNK)
+        .map(move |start| start..end.min(start + CHUNK))
+}
+
+/// The `runs` of `values`, which are in order and do not overlap.
+pub(super) fn pieces<'v>(mut values: &'v mut [f32], runs: &[Range<usize>]) -> Vec<&'v mut [f32]> {
+    let mut at = 0;
+    let take = |run: &Range<usize>| {
+        let rest = std::mem::take(&mut values).split_at_mut(run.start - at).1;
+        let (piece, rest) = rest.split_at_mut(run.len());
+        (values, at) = (rest, run.end);
+        piece
+    };
+    runs.iter().map(take).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
+        let shape = Shape::new(2, 9, 9);
+        let mut places = Places::everywhere(shape, shape.voxels());
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[40], video[81 + 40]) = (1.0, 1.0);
+        let mut faint = video.clone();
+        faint[81 + 10] = 0.1;
+        let support = places.find(&video, 1.0, (&video, &[]));
+        assert_eq!(support.fraction(), 2.0 * 9.0 / 162.0);
+        assert!(!places.are_settled());
+        // No look before, still falling, no longer: only then, and not at once again.
+        assert!(places.missed(vec![1.0, 8.0], 1.0).is_empty());
+        assert!(places.missed(vec![1.0, 4.0], 1.0).is_empty());
+        assert_eq!(places.missed(vec![1.0, 3.9], 1.0), [1]);
+        let support = places.find(&faint, 1.0, (&faint, &[1]));
+        assert_eq!(support.mask()[81 + 10], 1);
+        assert!(!places.are_settled());
+        assert!(places.missed(vec![1.0, 3.9], 1.0).is_empty());
+        places.find(&faint, 1.0, (&faint, &[]));
+        assert!(places.are_settled());
+        // Widened five times, a bin is open, and is not widened further.
+        for _ in 0..4 {
+            assert_eq!(places.missed(vec![1.0, 3.9], 1.0), [1]);
+            places.find(&faint, 1.0, (&faint, &[1]));
+            places.missed(vec![1.0, 3.9], 1.0);
+        }
+        assert_eq!(places.support().unwrap().pixels_of(1), None);
+        assert!(places.missed(vec![1.0, 3.9], 1.0).is_empty());
+    }
+
+    #[test]
+    fn runs_are_the_rows_that_hold_a_place_and_what_follows() {
+        let shape = Shape::new(2, 200, 100);
+        let mut places = Places::everywhere(shape, 40_007);
+        let all: Vec<usize> = places.runs().iter().cloned().flatten().collect();
+        assert!(all.iter().copied().eq(0..40_007) && places.runs().len() == 3);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[550], video[20_000]) = (1.0, 1.0);
+        places.find(&video, 1.0, (&video, &[]));
+        assert_eq!(places.runs(), [400..700, 20_000..20_200, 40_000..40_007]);
+        let mut values: Vec<f32> = (0..40_007).map(|i| i as f32).collect();
+        let starts: Vec<f32> = pieces(&mut values, places.runs())
+            .iter()
+            .map(|p| p[0])
+            .collect();
+        assert_eq!(starts, [400.0, 20_000.0, 40_000.0]);
+    }
+}
