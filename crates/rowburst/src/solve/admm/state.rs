@@ -358,21 +358,24 @@ impl State {
 
 /// `u −= z`; returns `‖z‖²` and `‖z − last‖²`.
 fn subtract(u: &mut [f32], z: &[f32], last: &[f32]) -> (f64, f64) {
-    const LANES: usize = 8;
     simd(
         #[inline(always)]
         || {
-            let (mut size, mut moved) = ([0.0f64; LANES], [0.0f64; LANES]);
-            let chunks = u
-                .chunks_mut(LANES)
-                .zip(z.chunks(LANES))
-                .zip(last.chunks(LANES));
-            for ((u, z), last) in chunks {
-                for (i, ((u, z), last)) in u.iter_mut().zip(z).zip(last).enumerate() {
-                    *u -= z;
-                    size[i] += f64::from(*z).powi(2);
-                    moved[i] += f64::from(z - last).powi(2);
+            let (mut size, mut moved) = ([0.0f64; 8], [0.0f64; 8]);
+            let (u8, u_rest) = u.as_chunks_mut::<8>();
+            let (z8, z_rest) = z.as_chunks::<8>();
+            let (last8, last_rest) = last.as_chunks::<8>();
+            for ((u, z), last) in u8.iter_mut().zip(z8).zip(last8) {
+                for i in 0..8 {
+                    u[i] -= z[i];
+                    size[i] += f64::from(z[i]) * f64::from(z[i]);
+                    moved[i] += f64::from(z[i] - last[i]) * f64::from(z[i] - last[i]);
                 }
+            }
+            for ((u, z), last) in u_rest.iter_mut().zip(z_rest).zip(last_rest) {
+                *u -= z;
+                size[0] += f64::from(*z).powi(2);
+                moved[0] += f64::from(z - last).powi(2);
             }
             (size.iter().sum(), moved.iter().sum())
         },
