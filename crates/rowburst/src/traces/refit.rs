@@ -20,8 +20,8 @@
 //! for a whole digit (87 %), and that of the estimate if the reconstruction were the truth: the
 //! noise that it passes, and its pull on the reconstruction, squared, over places nearby (LEDs 93 %,
 //! 3×3 of a digit 78 %). `tests/traces.rs` measures both together. At 108×108×54 and SNR 256 they held the
-//! truth, over 30 noise seeds and on the support, in 95.6, 97.6 and 98.1 % (LEDs: pixel, 3×3, whole) and
-//! in 95.4, 89.2 and 92.5 % (digits), 97.1 and 92.4 % of all. Where the frame has few pixels a bin
+//! truth, over 200 noise seeds and on the support, in 96.2, 98.3 and 98.1 % (LEDs: pixel, 3×3, whole) and
+//! in 95.3, 88.6 and 93.6 % (digits), 97.5 and 92.5 % of all. Where the frame has few pixels a bin
 //! they are too narrow: 89 % for LEDs on 40×40.
 //!
 //! **σ** enters every error in proportion; where the frame's own misfit `χ²` is significantly
