@@ -155,17 +155,9 @@ pub struct OpticsArgs {
     pub diffuser_deg: f64,
 }
 
-/// Recover the video from one frame.
-#[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result"
-)]
-pub struct ReconstructArgs {
-    /// The experiment file: camera, calibration, field, recipe
-    pub experiment: PathBuf,
-    /// The raw frame (.npy, .tif, .png, .bmp)
-    #[arg(long)]
-    pub frame: PathBuf,
+/// Files that stand in for those of `[calibration]`.
+#[derive(Debug, Clone, Default, Args)]
+pub struct CalibrationArgs {
     /// The PSF, instead of the experiment's
     #[arg(long)]
     pub psf: Option<PathBuf>,
@@ -178,6 +170,21 @@ pub struct ReconstructArgs {
     /// A mask of pixels not to use (anything but 0), instead of the experiment's
     #[arg(long)]
     pub bad_pixels: Option<PathBuf>,
+}
+
+/// Recover the video from one frame.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result"
+)]
+pub struct ReconstructArgs {
+    /// The experiment file: camera, calibration, field, recipe
+    pub experiment: PathBuf,
+    /// The raw frame (.npy, .tif, .png, .bmp)
+    #[arg(long)]
+    pub frame: PathBuf,
+    #[command(flatten)]
+    pub calibration: CalibrationArgs,
     /// The true video, to compare with
     #[arg(long)]
     pub truth: Option<PathBuf>,
@@ -236,18 +243,8 @@ pub struct BatchArgs {
     /// [frame, y, x], or a Zarr array or OME-Zarr image [frame, y, x]
     #[arg(long)]
     pub frames: PathBuf,
-    /// The PSF, instead of the experiment's
-    #[arg(long)]
-    pub psf: Option<PathBuf>,
-    /// A frame without light, instead of the experiment's
-    #[arg(long)]
-    pub dark: Option<PathBuf>,
-    /// A frame of even light, instead of the experiment's
-    #[arg(long)]
-    pub flat: Option<PathBuf>,
-    /// A mask of pixels not to use (anything but 0), instead of the experiment's
-    #[arg(long)]
-    pub bad_pixels: Option<PathBuf>,
+    #[command(flatten)]
+    pub calibration: CalibrationArgs,
     /// The prior of all frames, as for reconstruct; auto chooses it once, on the brightest of nine
     /// frames spread over the recording
     #[arg(long, allow_hyphen_values = true)]

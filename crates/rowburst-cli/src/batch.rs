@@ -1,7 +1,9 @@
 //! `rowburst batch`: a recording in, one archive of videos out.
 
 use crate::args::BatchArgs;
-use crate::inputs::{check_memory, naming_file, read_corrections, read_psfs};
+use crate::inputs::{
+    calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
+};
 use crate::outcome::{peak_memory_bytes, say, short};
 use crate::progress::stop_on_ctrl_c;
 use crate::reconstruct::{chosen_prior, chosen_tau};
@@ -156,21 +158,8 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration)> {
     let frame_period_us = args
         .frame_period_us
         .or(experiment.recording.frame_period_us);
-    let given = |own: &Option<_>, other: Option<_>| own.clone().or(other);
-    let calibration = Calibration {
-        psf: given(&args.psf, experiment.calibration.psf),
-        dark: given(&args.dark, experiment.calibration.dark),
-        flat: given(&args.flat, experiment.calibration.flat),
-        bad_pixels: given(&args.bad_pixels, experiment.calibration.bad_pixels),
-    };
-    let Some(psf_path) = &calibration.psf else {
-        return Err(Error::input(
-            args.experiment.display().to_string(),
-            "no PSF",
-            "a reconstruction needs the point-spread function",
-            "Give --psf FILE, or psf = \"FILE\" under [calibration].",
-        ));
-    };
+    let calibration = calibration_of(&args.calibration, &experiment);
+    let psf_path = psf_of(&calibration, &experiment)?;
     let frames = match is_zarr(&args.frames) {
         true => open_zarr_recording(&args.frames)?,
         false => open_recording(&args.frames)?,

@@ -1,6 +1,6 @@
 //! `rowburst demo`: the paper's simulation, from scene to report.
 
-use crate::args::{DemoArgs, DemoScene, OpticsArgs, ReconstructArgs};
+use crate::args::{CalibrationArgs, DemoArgs, DemoScene, OpticsArgs, ReconstructArgs};
 use crate::simulate::{NoiseChoice, Plan};
 use crate::{reconstruct, simulate};
 use rowburst::camera::CameraParams;
@@ -49,10 +49,7 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
     let reconstruction = ReconstructArgs {
         experiment: args.output.join("experiment.toml"),
         frame: args.output.join("frame.npy"),
-        psf: None,
-        dark: None,
-        flat: None,
-        bad_pixels: None,
+        calibration: CalibrationArgs::default(),
         truth: Some(args.output.join("truth.npy")),
         direct: Some(args.output.join("without-diffuser.tif")),
         prior: None,

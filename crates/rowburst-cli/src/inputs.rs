@@ -1,11 +1,35 @@
 //! Files into values: frames, PSFs and videos of an experiment.
 
+use crate::args::CalibrationArgs;
 use rowburst::measurement::Corrections;
 use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, Video};
 use rowburst_io::{
-    Calibration, Capture, Level, is_patch_set, read_image, read_patch_set, read_video,
+    Calibration, Capture, Experiment, Level, is_patch_set, read_image, read_patch_set, read_video,
 };
 use std::path::Path;
+
+/// The files of the command line, or else of the experiment.
+pub fn calibration_of(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
+    let (own, other) = (args.clone(), experiment.calibration.clone());
+    Calibration {
+        psf: own.psf.or(other.psf),
+        dark: own.dark.or(other.dark),
+        flat: own.flat.or(other.flat),
+        bad_pixels: own.bad_pixels.or(other.bad_pixels),
+    }
+}
+
+/// The file of the PSF, which a reconstruction needs.
+pub fn psf_of<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Result<&'c Path> {
+    calibration.psf.as_deref().ok_or_else(|| {
+        Error::input(
+            experiment.path.display().to_string(),
+            "no PSF",
+            "a reconstruction needs the point-spread function",
+            "Give --psf FILE, or psf = \"FILE\" under [calibration].",
+        )
+    })
+}
 
 /// A recorded frame, and the counts at which its file ends if they are integers.
 pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {

@@ -2,7 +2,8 @@
 
 use crate::args::ReconstructArgs;
 use crate::inputs::{
-    check_memory, naming_file, read_corrections, read_frame, read_psfs, read_truth,
+    calibration_of, check_memory, naming_file, psf_of, read_corrections, read_frame, read_psfs,
+    read_truth,
 };
 use crate::outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, say, short,
@@ -14,9 +15,7 @@ use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
-use rowburst_io::{
-    Calibration, Experiment, OutputFolder, TiffScale, write_npy_video, write_tiff_video,
-};
+use rowburst_io::{Experiment, OutputFolder, TiffScale, write_npy_video, write_tiff_video};
 use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, ReportInput};
 use std::time::{Duration, Instant};
 
@@ -50,23 +49,8 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     let camera = experiment.camera()?;
     let recipe = recipe_of(args, &experiment)?;
     let budget = time_budget(args)?;
-    let calibration = Calibration {
-        psf: args.psf.clone().or(experiment.calibration.psf),
-        dark: args.dark.clone().or(experiment.calibration.dark),
-        flat: args.flat.clone().or(experiment.calibration.flat),
-        bad_pixels: args
-            .bad_pixels
-            .clone()
-            .or(experiment.calibration.bad_pixels),
-    };
-    let Some(psf_path) = &calibration.psf else {
-        return Err(Error::input(
-            args.experiment.display().to_string(),
-            "no PSF",
-            "a reconstruction needs the point-spread function",
-            "Give --psf FILE, or psf = \"FILE\" under [calibration].",
-        ));
-    };
+    let calibration = calibration_of(&args.calibration, &experiment);
+    let psf_path = psf_of(&calibration, &experiment)?;
     let (raw, container_end) = read_frame(&args.frame)?;
     let corrections = read_corrections(&calibration, container_end)?;
     let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
@@ -386,10 +370,10 @@ impl Run<'_> {
             args.frame.display()
         );
         let paths = [
-            ("--psf", &args.psf),
-            ("--dark", &args.dark),
-            ("--flat", &args.flat),
-            ("--bad-pixels", &args.bad_pixels),
+            ("--psf", &args.calibration.psf),
+            ("--dark", &args.calibration.dark),
+            ("--flat", &args.calibration.flat),
+            ("--bad-pixels", &args.calibration.bad_pixels),
             ("--truth", &args.truth),
             ("--direct", &args.direct),
         ];

@@ -63,10 +63,10 @@ impl RollingShutter {
             .collect();
         let mut steps = Mat::<f64>::zeros(columns, columns);
         for (a, b) in (0..rows.len()).flat_map(|a| (a..rows.len()).map(move |b| (a, b))) {
-            let is_whole = if a == b { UPPER } else { WHOLE };
+            let part = if a == b { UPPER } else { WHOLE };
             multiply(
                 &mut steps,
-                is_whole,
+                part,
                 Accum::Replace,
                 (&strips[a].0, &strips[b].1),
                 1.0,

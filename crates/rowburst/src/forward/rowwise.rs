@@ -144,8 +144,8 @@ impl Rowwise {
         }
         let field_columns = self.geometry.field_columns;
         for (y, field_row) in light.chunks_exact_mut(field_columns).enumerate() {
-            let line_of = |mask: &[u8]| mask[y * field_columns..][..field_columns].contains(&1);
-            if !mask.is_none_or(line_of) {
+            let is_lit = |mask: &[u8]| mask[y * field_columns..][..field_columns].contains(&1);
+            if !mask.is_none_or(is_lit) {
                 field_row.fill(0.0);
                 continue;
             }

@@ -86,6 +86,35 @@ fn patches_agree_with_brute_force_and_obey_the_laws() {
     }
 }
 
+/// One PSF and several, rows one by one and whole planes, exposures of a row and longer.
+#[test]
+fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(15);
+    for (camera, set) in cases() {
+        let psf = random_psf(11, 13, &mut rng);
+        for operator in [
+            RollingShutter::new(&camera, &set),
+            RollingShutter::new(&camera, &psf),
+        ] {
+            let shape = operator.video_shape();
+            let video: Vec<f32> = (0..shape.voxels()).map(|_| rng.random()).collect();
+            let support = Support::above(&video, shape, &vec![0.98; shape.bins]);
+            let lit = support.lit_rows().iter().filter(|lit| **lit).count();
+            assert!(
+                lit > 0 && support.fraction() < 1.0,
+                "{camera:?}: {lit} lit rows"
+            );
+            let frame: Vec<f32> = (0..operator.range_len()).map(|_| rng.random()).collect();
+            let mut expected = vec![f32::NAN; video.len()];
+            operator.adjoint(&frame, &mut expected);
+            support.apply(&mut expected);
+            let mut found = vec![1.0; video.len()];
+            operator.adjoint_on(&frame, &support, &mut found);
+            assert_eq!(found, expected, "{camera:?}");
+        }
+    }
+}
+
 #[test]
 fn equal_patches_are_one_psf() {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(14);

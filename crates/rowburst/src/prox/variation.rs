@@ -566,6 +566,48 @@ mod tests {
         }
     }
 
+    /// What passes over dark rows against what does not: a point so far below zero that it stays dark.
+    #[test]
+    fn rows_that_are_passed_over_change_nothing() {
+        let shape = Shape::new(4, 13, 9);
+        let mut bright = vec![0.0f32; shape.voxels()];
+        // Neighbouring runs with one dark row between them, at both edges, and in the next bin.
+        let voxel = |t: usize, y: usize, x: usize| (t * 13 + y) * 9 + x;
+        for (t, y, x) in [(0, 0, 4), (1, 3, 2), (1, 7, 6), (2, 3, 3), (2, 12, 0)] {
+            bright[voxel(t, y, x)] = 1.0;
+        }
+        let support = Support::above(&bright, shape, &[0.5; 4]);
+        let q = random(shape.voxels(), 5);
+        let far: Vec<f32> = q
+            .iter()
+            .zip(support.mask())
+            .map(|(q, lit)| if *lit == 1 { *q } else { -1e3 })
+            .collect();
+        for weights in WEIGHTS {
+            let mut whole = Variation::new(shape, weights);
+            let mut few = Variation::new(shape, weights);
+            few.restrict(&support);
+            let (mut expected, mut found) = (vec![f32::NAN; q.len()], vec![f32::NAN; q.len()]);
+            for _ in 0..50 {
+                whole.prox(&far, 0.15, &mut expected);
+                few.prox(&q, 0.15, &mut found);
+            }
+            assert!(found.iter().any(|z| *z > 0.0));
+            assert_eq!(found, expected, "{weights:?}");
+            assert!((few.value(&found) - whole.value(&found)).abs() < 1e-6);
+            assert_eq!(
+                few.degrees_of_freedom(&found, 1e-3),
+                whole.degrees_of_freedom(&found, 1e-3)
+            );
+            let (mut a, mut b) = (q.clone(), q.clone());
+            few.subtract_dual(&mut a);
+            whole.subtract_dual(&mut b);
+            support.apply(&mut a);
+            support.apply(&mut b);
+            assert_eq!(a, b, "{weights:?}");
+        }
+    }
+
     #[test]
     fn a_constant_video_keeps_its_value() {
         let shape = Shape::new(3, 4, 5);
