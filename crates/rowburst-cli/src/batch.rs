@@ -1,17 +1,17 @@
 //! `rowburst batch`: a recording in, one archive of videos out.
 
 use crate::args::BatchArgs;
-use crate::inputs::{
-    calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
-};
-use crate::outcome::{peak_memory_bytes, say, short};
+use crate::inputs::{calibration_of, read_psfs};
+use crate::outcome::say;
 use crate::progress::stop_on_ctrl_c;
-use crate::reconstruct::{chosen_prior, chosen_tau};
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::reconstruct::{Model, Recipe};
 use rowburst::{Error, Result};
 use rowburst_batch::{Again, Batch, CORRECTIONS, Crew, Event, FrameRow, Plan, Status};
 use rowburst_io::{Calibration, Experiment, Frames, gaps, open_recording};
+use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections};
+use rowburst_run::options::{chosen_prior, chosen_tau};
+use rowburst_run::{peak_memory_bytes, short};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use serde::Serialize;
 use std::io::IsTerminal;
