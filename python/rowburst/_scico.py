@@ -25,11 +25,17 @@ def linear_operator(own: RollingShutterOperator) -> Any:
 
         return lambda x: jax.pure_callback(on_host, result, x)
 
+    def differentiable(forward: Any, adjoint: Any) -> Any:
+        linear = jax.custom_vjp(forward)
+        linear.defvjp(lambda x: (forward(x), None), lambda _, y: (adjoint(y),))
+        return linear
+
+    apply, adjoint = called(own._own.apply, frame), called(own._own.adjoint, video)
     return linop.LinearOperator(
         input_shape=video,
         output_shape=frame,
-        eval_fn=called(own._own.apply, frame),
-        adj_fn=called(own._own.adjoint, video),
+        eval_fn=differentiable(apply, adjoint),
+        adj_fn=differentiable(adjoint, apply),
         input_dtype=np.float32,
         output_dtype=np.float32,
     )

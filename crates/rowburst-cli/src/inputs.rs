@@ -7,14 +7,18 @@ use std::path::Path;
 
 /// The files of the command line, or else of the experiment.
 pub fn calibration_of(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
+    rowburst_run::inputs::calibration_of(own_calibration(args), experiment)
+}
+
+/// The files of the command line.
+pub fn own_calibration(args: &CalibrationArgs) -> Calibration {
     let own = args.clone();
-    let own = Calibration {
+    Calibration {
         psf: own.psf,
         dark: own.dark,
         flat: own.flat,
         bad_pixels: own.bad_pixels,
-    };
-    rowburst_run::inputs::calibration_of(own, experiment)
+    }
 }
 
 /// The PSFs of `path`; says where they were binned.

@@ -4,6 +4,7 @@
 //! What users see is documented in `python/rowburst`.
 
 mod array;
+mod batch;
 mod camera;
 mod error;
 mod experiment;
@@ -19,6 +20,8 @@ use pyo3::prelude::*;
 mod _rowburst {
     use super::*;
 
+    #[pymodule_export]
+    use crate::batch::PyBatch;
     #[pymodule_export]
     use crate::camera::PyCamera;
     #[pymodule_export]
