@@ -19,6 +19,7 @@
 mod choice;
 mod clock;
 mod crew;
+mod files;
 mod identity;
 mod plan;
 mod run;
@@ -29,6 +30,7 @@ mod table;
 pub use choice::{CORRECTIONS, ChosenPrior};
 pub use clock::Clock;
 pub use crew::Crew;
+pub use files::{Files, Planned, naming_correction, plan_files};
 pub use plan::Plan;
 pub use run::{Again, Batch, Event};
 pub use table::{FrameRow, Status};

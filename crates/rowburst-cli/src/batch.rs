@@ -1,22 +1,19 @@
 //! `rowburst batch`: a recording in, one archive of videos out.
 
 use crate::args::BatchArgs;
-use crate::inputs::{
-    calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
-};
-use crate::outcome::{peak_memory_bytes, say, short};
+use crate::inputs::own_calibration;
+use crate::outcome::say;
 use crate::progress::stop_on_ctrl_c;
-use crate::reconstruct::{chosen_prior, chosen_tau};
 use indicatif::{ProgressBar, ProgressStyle};
-use rowburst::reconstruct::{Model, Recipe};
 use rowburst::{Error, Result};
-use rowburst_batch::{Again, Batch, CORRECTIONS, Crew, Event, FrameRow, Plan, Status};
-use rowburst_io::{Calibration, Experiment, Frames, gaps, open_recording};
-use rowburst_zarr::{is_zarr, open_zarr_recording};
+use rowburst_batch::{
+    Again, Batch, Crew, Event, Files, FrameRow, Plan, Status, naming_correction, plan_files,
+};
+use rowburst_io::{Calibration, Frames, gaps};
+use rowburst_run::{peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -147,46 +144,21 @@ pub fn run(args: &BatchArgs) -> Result<()> {
 
 /// The plan, and the files that it is from.
 fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration)> {
-    let experiment = Experiment::read(&args.experiment)?;
-    let camera = experiment.camera()?;
-    let recipe = Recipe {
-        prior: chosen_prior(args.prior.as_deref(), &experiment)?,
-        tau: chosen_tau(args.tau.as_deref(), &experiment)?,
+    let planned = plan_files(&Files {
+        experiment: &args.experiment,
+        frames: &args.frames,
+        calibration: own_calibration(&args.calibration),
+        prior: args.prior.as_deref(),
+        tau: args.tau.as_deref(),
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
-    };
-    let frame_period_us = args
-        .frame_period_us
-        .or(experiment.recording.frame_period_us);
-    let calibration = calibration_of(&args.calibration, &experiment);
-    let psf_path = psf_of(&calibration, &experiment)?;
-    let frames = match is_zarr(&args.frames) {
-        true => open_zarr_recording(&args.frames)?,
-        false => open_recording(&args.frames)?,
-    };
-    // The frames' files say where they end.
-    let corrections = read_corrections(&calibration, None)?;
-    let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
-    check_memory(&args.experiment, &camera)?;
-    let plan = Plan {
-        model: Model::new(&camera, psfs).keeping_gram(),
-        corrections,
-        recipe,
-        frames,
-        frame_period_us,
-        version: env!("CARGO_PKG_VERSION").into(),
-    };
-    Ok((plan, calibration))
-}
-
-/// Names the file in an error of a dark, a flat or a mask.
-fn naming_correction(error: Error, frames: &Path, calibration: &Calibration) -> Error {
-    match &error {
-        Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => {
-            naming_file(error, frames, calibration)
-        }
-        _ => error,
+        frame_period_us: args.frame_period_us,
+        version: env!("CARGO_PKG_VERSION"),
+    })?;
+    if let Some(note) = planned.note {
+        eprintln!("{note}");
     }
+    Ok((planned.plan, planned.calibration))
 }
 
 /// `A:B` of `count` frames.

@@ -1,12 +1,13 @@
 //! `rowburst demo`: the paper's simulation, from scene to report.
 
 use crate::args::{CalibrationArgs, DemoArgs, DemoScene, OpticsArgs, ReconstructArgs};
-use crate::simulate::{NoiseChoice, Plan};
+use crate::simulate::Plan;
 use crate::{reconstruct, simulate};
 use rowburst::camera::CameraParams;
 use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
 use rowburst::{Result, Sensor, Shutter};
 use rowburst_io::Experiment;
+use rowburst_run::simulate::NoiseChoice;
 use std::time::Instant;
 
 /// The Zyla of the paper: 108 rows in 54 pairs of 9.6 µs, 104,166 frames per second.

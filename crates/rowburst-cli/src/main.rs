@@ -15,7 +15,6 @@ mod outcome;
 mod progress;
 mod reconstruct;
 mod simulate;
-mod traces;
 
 use args::{Cli, Verb};
 use clap::Parser;

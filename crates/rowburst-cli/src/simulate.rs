@@ -1,16 +1,20 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
 use crate::args::{OpticsArgs, SimulateArgs};
-use crate::inputs::{check_memory, read_psfs};
-use crate::outcome::{say, short};
-use rowburst::linop::LinearOperator;
+use crate::inputs::read_psfs;
+use crate::outcome::say;
 use rowburst::noise::Noise;
-use rowburst::simulate::scene::Led;
-use rowburst::simulate::{SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf, scene};
-use rowburst::{Camera, Error, Image, PatchSet, Result, RollingShutter, Video};
+use rowburst::simulate::scene;
+use rowburst::{Camera, Error, PatchSet, Result};
 use rowburst_io::{
     Experiment, OutputFolder, read_video, write_csv, write_npy_image, write_npy_video,
     write_patch_set, write_tiff_image,
+};
+use rowburst_run::inputs::check_memory;
+use rowburst_run::short;
+use rowburst_run::simulate::{
+    NoiseChoice, Scene, Simulated, Simulation, check_noise, naming_camera, pixel_pitch_um,
+    simulate, speckle_for, without,
 };
 use serde_json::json;
 use std::path::Path;
@@ -29,17 +33,6 @@ pub struct Plan<'a> {
     pub diffuser_phase: f64,
     pub optics: OpticsArgs,
     pub output: &'a Path,
-}
-
-/// How much noise.
-#[derive(Debug, Clone, Copy)]
-pub enum NoiseChoice {
-    /// Gaussian; infinite for none.
-    Snr(f64),
-    /// Shot and read noise, from the electrons of the frame's brightest pixel.
-    PeakElectrons(f64),
-    /// The same, from the electrons of the brightest scene pixel in a bin.
-    SceneElectrons(f64),
 }
 
 pub fn run(args: &SimulateArgs) -> Result<()> {
@@ -72,43 +65,37 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
 pub fn write(plan: &Plan) -> Result<()> {
     let folder = OutputFolder::create(plan.output)?;
     let camera = plan.experiment.camera()?;
-    check_noise(plan, &camera)?;
+    check_noise(plan.noise, &camera)
+        .map_err(|e| naming_camera(e, &plan.experiment.path.display().to_string()))?;
     check_memory(&plan.experiment.path, &camera)?;
     let psfs = psfs_of(plan, &camera)?;
-    let Scene {
-        video: scene,
+    let Simulated {
+        recorded,
+        noise,
+        truth,
         background,
+        direct,
         leds,
-    } = scene_of(plan, &camera)?;
-    let operator = RollingShutter::new(&camera, &psfs);
-    let mut frame = vec![0.0; operator.range_len()];
-    operator.apply(scene.data(), &mut frame);
-    // Scene and PSF are never negative: what is below zero is rounding of the transforms.
-    frame
-        .iter_mut()
-        .filter(|b| **b < 0.0)
-        .for_each(|b| *b = 0.0);
-    let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
-    let noise = match plan.noise {
-        NoiseChoice::Snr(snr) if snr.is_infinite() => Noise::None,
-        NoiseChoice::Snr(snr) => Noise::Gaussian { snr },
-        NoiseChoice::PeakElectrons(peak_electrons) => Noise::Camera { peak_electrons },
-        NoiseChoice::SceneElectrons(electrons) => Noise::Camera {
-            peak_electrons: peak_electrons(&camera, &scene, &noiseless, electrons)
-                .map_err(|e| e.within(plan.scene))?,
-        },
-    };
-    let recorded = noise
-        .apply(&noiseless, camera.sensor(), plan.seed)
-        .map_err(|e| e.within(plan.scene))?;
-    let direct = direct_frame(&camera, &scene);
-    let in_counts = |values: &mut [f32]| {
-        for v in values {
-            *v = (f64::from(*v) * recorded.scale) as f32;
-        }
-    };
-    let mut truth = scene;
-    in_counts(truth.data_mut());
+    } = simulate(&Simulation {
+        camera: &camera,
+        psfs: &psfs,
+        scene: scene_of(plan.scene)?,
+        background: plan.background,
+        noise: plan.noise,
+        seed: plan.seed,
+        digit_px: plan.digit_px,
+    })
+    .map_err(|e| match e {
+        // What the frame's light makes impossible is the scene's.
+        Error::Input { ref subject, .. } if subject.starts_with("--") => e,
+        e => e.within(plan.scene),
+    })?;
+    for led in &leds {
+        eprintln!(
+            "LED at row {:.1}, column {:.1}: {:.0} Hz",
+            led.y, led.x, led.frequency_hz
+        );
+    }
 
     let psf_file = write_psfs(&folder, &psfs)?;
     folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
@@ -117,8 +104,7 @@ pub fn write(plan: &Plan) -> Result<()> {
     for name in OF_BACKGROUND {
         folder.remove(name)?;
     }
-    if let Some(mut still) = background {
-        in_counts(still.data_mut());
+    if let Some(still) = background {
         let moving = without(truth, &still);
         light = Some(total(still.data()) * moving.shape().bins as f64 / total(moving.data()));
         let [of_still, of_moving] = OF_BACKGROUND;
@@ -226,43 +212,6 @@ fn write_photodiodes(plan: &Plan, folder: &OutputFolder, camera: &Camera) -> Res
     Ok(())
 }
 
-/// Shot noise can only be made where it is known what an electron is.
-fn check_noise(plan: &Plan, camera: &Camera) -> Result<()> {
-    let (option, electrons, rule, remedy) = match plan.noise {
-        NoiseChoice::Snr(_) => return Ok(()),
-        NoiseChoice::PeakElectrons(electrons) => (
-            "--peak-electrons",
-            electrons,
-            "the brightest pixel holds a number of electrons above zero",
-            "Give a number below the full well: full wells hold 10⁴ to 10⁶ electrons.",
-        ),
-        NoiseChoice::SceneElectrons(electrons) => (
-            "--scene-electrons",
-            electrons,
-            "the brightest scene pixel sends a number of electrons above zero in a bin",
-            "Multiply the photons that pass the lens by the quantum efficiency; 200 are few.",
-        ),
-    };
-    if !(electrons.is_finite() && electrons > 0.0) {
-        return Err(Error::input(option, electrons, rule, remedy));
-    }
-    let sensor = camera.sensor();
-    for (key, value) in [
-        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
-        ("read_noise_electrons", sensor.read_noise_electrons),
-    ] {
-        if value.is_none() {
-            return Err(Error::input(
-                format!("{}: [camera]", plan.experiment.path.display()),
-                format!("no `{key}`"),
-                format!("{option} needs the sensor's gain and read noise"),
-                format!("Add a line `{key} = …` to [camera], or use --snr."),
-            ));
-        }
-    }
-    Ok(())
-}
-
 /// The experiment as it is after the simulation: the frame is on the working grid, and
 /// the PSF lies beside it.
 fn written_experiment(plan: &Plan, folder: &OutputFolder, psf_file: &str) -> Experiment {
@@ -288,13 +237,6 @@ fn write_psfs(folder: &OutputFolder, psfs: &PatchSet) -> Result<&'static str> {
     Ok("psf-patches.toml")
 }
 
-fn pixel_pitch_um(camera: &Camera) -> f64 {
-    camera
-        .sensor()
-        .pixel_pitch_um
-        .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
-}
-
 fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
     if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
         if plan.optics != OpticsArgs::demo() || plan.diffuser_phase != 4.0 {
@@ -306,20 +248,7 @@ fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
         return read_psfs(path, camera, None);
     }
     let optics = plan.optics.optics(pixel_pitch_um(camera));
-    // Every displacement from the field to the sensor.
-    let (field_rows, field_columns) = camera.field();
-    let (rows, columns) = (
-        camera.rows() + field_rows - 1,
-        camera.columns() + field_columns - 1,
-    );
-    let psf = phase_plate_psf(
-        &optics,
-        plan.diffuser_phase,
-        rows | 1,
-        columns | 1,
-        plan.seed,
-    )
-    .map_err(naming_option)?;
+    let psf = speckle_for(camera, &optics, plan.diffuser_phase, plan.seed)?;
     eprintln!(
         "speckle PSF: grain {:.2} px, envelope {:.0} px",
         optics.grain_px(),
@@ -328,108 +257,21 @@ fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
     Ok(psf.into())
 }
 
-/// Names the option in an error of the optics, or the key where it comes from the
-/// experiment.
-fn naming_option(mut error: Error) -> Error {
-    if let Error::Input { subject, .. } = &mut error {
-        let option = match subject.as_str() {
-            "wavelength_nm" => "--wavelength-nm",
-            "diameter_mm" => "--pupil-mm",
-            "na" => "--na",
-            "focal_length_mm" | "image_distance_mm" => "--focal-length-mm",
-            "magnification" => "--magnification",
-            "diffuser_fwhm_deg" => "--diffuser-deg",
-            "pixel_pitch_um" => "[camera] pixel_pitch_um",
-            "rms_phase" => "--diffuser-phase",
-            other => other,
-        };
-        *subject = option.to_string();
+/// The scene of a name, or the video of a file.
+fn scene_of(name: &str) -> Result<Scene<'_>> {
+    if Scene::NAMES.contains(&name) {
+        return Ok(Scene::Named(name));
     }
-    error
-}
-
-/// What is to be seen.
-struct Scene {
-    /// All light, that of the background too.
-    video: Video,
-    /// What of it is static.
-    background: Option<Image>,
-    leds: Vec<Led>,
-}
-
-fn scene_of(plan: &Plan, camera: &Camera) -> Result<Scene> {
-    let shape = camera.video_shape();
-    let of_font = |error: Error| error.within(format!("--digit-px {}", plan.digit_px));
-    let moving = |digits| scene::moving_digit(shape, plan.digit_px, digits, plan.seed);
-    let mut leds = Vec::new();
-    let mut video = match plan.scene {
-        "digits" => scene::digits(shape, plan.digit_px, plan.seed).map_err(of_font)?,
-        "moving" => moving(1).map_err(of_font)?,
-        "two-moving" => moving(2).map_err(of_font)?,
-        "leds" => {
-            let bin_duration_us = camera.time().bin_duration_us();
-            let (video, found) =
-                scene::leds(shape, bin_duration_us, pixel_pitch_um(camera), plan.seed)?;
-            for led in &found {
-                eprintln!(
-                    "LED at row {:.1}, column {:.1}: {:.0} Hz",
-                    led.y, led.x, led.frequency_hz
-                );
-            }
-            leds = found;
-            video
-        }
-        name => {
-            let path = Path::new(name);
-            if !path.exists() && path.extension().is_none() {
-                return Err(Error::input(
-                    "--scene",
-                    format!("\"{name}\""),
-                    "a scene is digits, leds, moving, two-moving or a video file",
-                    "Check the name, or give a .npy or multi-page .tif file.",
-                ));
-            }
-            let video = read_video(path)?;
-            scene::fit(&video, shape).map_err(|e| e.within(path.display()))?
-        }
-    };
-    let background = match plan.background {
-        None => None,
-        Some(times) => {
-            let picture = scene::background(shape, plan.seed).map_err(naming_background)?;
-            let added = scene::add_background(&mut video, &picture, times);
-            Some(added.map_err(naming_background)?)
-        }
-    };
-    Ok(Scene {
-        video,
-        background,
-        leds,
-    })
-}
-
-fn naming_background(mut error: Error) -> Error {
-    if let Error::Input { subject, .. } = &mut error {
-        *subject = match subject.as_str() {
-            "background" => "--background".into(),
-            other => format!("--background: {other}"),
-        };
+    let path = Path::new(name);
+    if !path.exists() && path.extension().is_none() {
+        // It says which there are.
+        return Ok(Scene::Named(name));
     }
-    error
+    read_video(path).map(Scene::Video)
 }
 
 /// Files that only a scene with a background has: it, and the rest of the truth.
 const OF_BACKGROUND: [&str; 2] = ["truth-background.npy", "truth-moving.npy"];
-
-/// `video` without what is `still`.
-fn without(mut video: Video, still: &Image) -> Video {
-    for t in 0..video.shape().bins {
-        for (voxel, still) in video.bin_mut(t).iter_mut().zip(still.data()) {
-            *voxel = (*voxel - still).max(0.0);
-        }
-    }
-    video
-}
 
 fn total(values: &[f32]) -> f64 {
     values.iter().map(|&v| f64::from(v)).sum()

@@ -297,25 +297,18 @@ fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Resul
 
 fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Shutter> {
     let name = camera.required("shutter", camera.text("shutter")?)?;
-    let shutter = match name {
-        "top-down" => Shutter::TopDown,
-        "bottom-up" => Shutter::BottomUp,
-        "dual-inside-out" => Shutter::DualInsideOut,
-        "dual-outside-in" => Shutter::DualOutsideIn,
-        "global" => Shutter::Global,
-        "custom" => {
-            let path = camera.required("row_order", row_order)?;
-            return Ok(Shutter::Custom(read_row_order(path)?));
-        }
-        other => {
-            return Err(camera.error(
-                "shutter",
-                format!("\"{other}\""),
-                &format!("the shutter is one of {}", Shutter::NAMES.join(", ")),
-                &format!("Did you mean \"{}\"?", nearest(other, &Shutter::NAMES)),
-            ));
-        }
-    };
+    if name == "custom" {
+        let path = camera.required("row_order", row_order)?;
+        return Ok(Shutter::Custom(read_row_order(path)?));
+    }
+    let shutter = Shutter::named(name).ok_or_else(|| {
+        camera.error(
+            "shutter",
+            format!("\"{name}\""),
+            &format!("the shutter is one of {}", Shutter::NAMES.join(", ")),
+            &format!("Did you mean \"{}\"?", nearest(name, &Shutter::NAMES)),
+        )
+    })?;
     match row_order {
         None => Ok(shutter),
         Some(_) => Err(camera.error(

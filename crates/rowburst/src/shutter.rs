@@ -30,6 +30,19 @@ impl Shutter {
         "global",
     ];
 
+    /// The shutter of a name in the experiment file; `None` for `custom`, which has an order of
+    /// rows besides, and for names that are none.
+    pub fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "top-down" => Self::TopDown,
+            "bottom-up" => Self::BottomUp,
+            "dual-inside-out" => Self::DualInsideOut,
+            "dual-outside-in" => Self::DualOutsideIn,
+            "global" => Self::Global,
+            _ => return None,
+        })
+    }
+
     /// The name in the experiment file.
     pub fn name(&self) -> &'static str {
         match self {

@@ -2,11 +2,12 @@
 
 mod report;
 
-use crate::outcome::{say, short};
+use crate::outcome::say;
 use clap::Args;
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack, calibrate};
 use rowburst::{Error, Image, Result, Sensor};
 use rowburst_io::{Calibration, Experiment, OutputFolder, read_stack, write_npy_image, write_png8};
+use rowburst_run::short;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

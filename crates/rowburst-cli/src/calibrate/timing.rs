@@ -3,13 +3,14 @@
 mod files;
 mod sheet;
 
-use crate::inputs::naming_file;
-use crate::outcome::{say, short};
+use crate::outcome::say;
 use clap::{Args, ValueHint};
 use files::Plan;
 use rowburst::calibrate::timing::{Light, Timing, TimingParams, calibrate};
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
+use rowburst_run::inputs::naming_file;
+use rowburst_run::short;
 use serde::Serialize;
 use std::path::PathBuf;
 

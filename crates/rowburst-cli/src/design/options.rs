@@ -4,9 +4,10 @@ use crate::args::OpticsArgs;
 use clap::Args;
 use rowburst::camera::CameraParams;
 use rowburst::design::LightParams;
-use rowburst::simulate::{Aperture, SpeckleOptics};
+use rowburst::simulate::SpeckleOptics;
 use rowburst::{Camera, Error, Result, Sensor, Shutter};
 use rowburst_io::Experiment;
+use rowburst_run::simulate::LensOptics;
 use std::path::PathBuf;
 
 /// What a camera, a lens and a diffuser can do before they are bought.
@@ -328,23 +329,14 @@ fn paper() -> CameraParams {
 impl OpticsArgs {
     /// These options as optics.
     pub fn optics(&self, pixel_pitch_um: f64) -> SpeckleOptics {
-        let lens = Aperture::Lens {
-            diameter_mm: self.pupil_mm,
+        LensOptics {
+            wavelength_nm: self.wavelength_nm,
+            pupil_mm: self.pupil_mm,
             focal_length_mm: self.focal_length_mm,
             magnification: self.magnification,
-        };
-        let aperture = match self.na {
-            None => lens,
-            Some(na) => Aperture::ImageNa {
-                na,
-                image_distance_mm: lens.image_distance_mm(),
-            },
-        };
-        SpeckleOptics {
-            wavelength_nm: self.wavelength_nm,
-            aperture,
-            diffuser_fwhm_deg: self.diffuser_deg,
-            pixel_pitch_um,
+            na: self.na,
+            diffuser_deg: self.diffuser_deg,
         }
+        .optics(pixel_pitch_um)
     }
 }

@@ -1,9 +1,10 @@
 //! `design.json` and the summary: the numbers of a design.
 
 use super::options::Plan;
-use crate::outcome::{say, short};
+use crate::outcome::say;
 use rowburst::design::sparsity::{SuccessMap, recoverable, usual_constant};
 use rowburst::design::{Assessment, fits_full_well, verdicts};
+use rowburst_run::short;
 use serde::Serialize;
 use std::path::Path;
 

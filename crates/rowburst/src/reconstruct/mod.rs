@@ -2,6 +2,7 @@
 
 mod choose;
 mod data;
+mod data_step;
 mod fit;
 mod held_out;
 mod model;
@@ -9,6 +10,7 @@ mod prior;
 mod sigma;
 
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
+pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use model::Model;
 pub use prior::{FurtherWeights, Prior};

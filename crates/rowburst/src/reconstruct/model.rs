@@ -74,6 +74,11 @@ impl Model {
     }
 
     /// `A`.
+    pub fn operator(&self) -> &RollingShutter {
+        &self.shutter
+    }
+
+    /// `A`, to be shared.
     pub(super) fn shutter(&self) -> &Arc<RollingShutter> {
         &self.shutter
     }

@@ -2,10 +2,10 @@
 
 use super::PsfArgs;
 use super::outcome::Outcome;
-use crate::outcome::short;
 use rowburst::calibrate::psf::{BIN, MemoryEffect, Reach, Speckle};
 use rowburst::{Image, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
+use rowburst_run::short;
 
 /// What the page shows.
 pub struct Pages<'a> {

@@ -4,7 +4,7 @@ use super::PsfArgs;
 use super::captures::{self, File};
 use super::outcome::{Memory, Outcome, RowReach, remarks, warnings};
 use super::report::{Pages, render};
-use crate::outcome::{say, short};
+use crate::outcome::say;
 use rowburst::calibrate::psf::{
     Light, MemoryEffect, MergeParams, Placed, Shot, ballistic_core, centroid, chosen,
     memory_effect, merge, noise_of, patch_set, patches_needed, placed, row_reach, span_px,
@@ -12,6 +12,7 @@ use rowburst::calibrate::psf::{
 };
 use rowburst::{Error, Image, PatchSet, Result};
 use rowburst_io::{Experiment, OutputFolder, read_image, write_npy_image, write_patch_set};
+use rowburst_run::short;
 
 /// Standard deviations of noise above which light is light.
 const NOISE_FLOOR_SIGMAS: f64 = 3.0;

@@ -1,10 +1,10 @@
 //! The page of a calibrated sensor.
 
 use super::SensorArgs;
-use crate::outcome::short;
 use rowburst::calibrate::sensor::SensorCalibration;
 use rowburst::{Image, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
+use rowburst_run::short;
 
 /// The page and its pictures.
 pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {

@@ -1,11 +1,11 @@
 //! The page and the plots of `calibrate timing`.
 
 use super::{TimingArgs, exposure, names, row_time};
-use crate::outcome::short;
 use rowburst::Result;
 use rowburst::calibrate::timing::{CLEAR_MARGIN, Timing};
 use rowburst_io::OutputFolder;
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
+use rowburst_run::short;
 
 /// Writes report.html and its pictures.
 pub fn write(

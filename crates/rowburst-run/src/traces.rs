@@ -1,4 +1,6 @@
 //! Traces of a result: of the brightest spots and of the regions that were asked for.
+//! Keys are those of the file; the README says what they mean.
+#![allow(missing_docs)]
 
 use crate::outcome::short;
 use rowburst::measurement::Measurement;
@@ -18,7 +20,8 @@ const SPOTS: usize = 6;
 /// Side of a region that is given by its middle alone.
 const SIDE: usize = 3;
 
-/// What the command line asks for.
+/// What is asked for.
+#[derive(Default)]
 pub struct Wanted {
     /// `Y,X` or `Y,X,ROWS,COLUMNS` of each region.
     regions: Vec<Region>,
@@ -77,11 +80,14 @@ fn region(text: &str, shape: Shape) -> Result<Region> {
 /// Traces with all that is known of them.
 pub struct Traces {
     pub traces: Vec<Trace>,
-    frequencies: Vec<Option<Frequency>>,
+    /// What repeats in each.
+    pub frequencies: Vec<Option<Frequency>>,
     photodiodes: Vec<(String, Photodiode, Option<Aligned>)>,
     pub numbers: ErrorNumbers,
-    /// Set with `--debias`.
+    /// The refitted video, where it was wanted and could be had.
     pub debiased: Option<rowburst::traces::Debiased>,
+    /// Whether it was wanted.
+    pub debias_was_wanted: bool,
 }
 
 /// How standard errors came about, in `result.json`.
@@ -222,6 +228,7 @@ pub fn find(
         frequencies: traces.iter().map(frequency).collect(),
         photodiodes,
         debiased: refit.as_ref().filter(|_| debias).map(Refit::video),
+        debias_was_wanted: debias,
         numbers: ErrorNumbers {
             missing_because,
             prior_amplitude: refit.as_ref().map(Refit::amplitude),

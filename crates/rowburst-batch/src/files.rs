@@ -1,0 +1,95 @@
+//! A plan from files and what is typed, for the command line and for Python.
+
+use crate::choice::CORRECTIONS;
+use crate::plan::Plan;
+use rowburst::reconstruct::{Model, Recipe};
+use rowburst::{Error, Result};
+use rowburst_io::{Calibration, Experiment, open_recording};
+use rowburst_run::inputs::{
+    calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
+};
+use rowburst_run::options::{chosen_prior, chosen_tau};
+use rowburst_zarr::{is_zarr, open_zarr_recording};
+use std::path::Path;
+
+/// The files of a batch, and what is asked for beside them.
+pub struct Files<'a> {
+    /// The experiment file.
+    pub experiment: &'a Path,
+    /// The recording.
+    pub frames: &'a Path,
+    /// Files that stand in for those of the experiment.
+    pub calibration: Calibration,
+    /// Name of the prior, instead of the experiment's.
+    pub prior: Option<&'a str>,
+    /// Rule for `τ`, instead of the experiment's.
+    pub tau: Option<&'a str>,
+    /// Noise in counts.
+    pub noise_sigma: Option<f64>,
+    /// Most iterations of a frame.
+    pub max_iterations: Option<usize>,
+    /// From frame to frame, instead of the experiment's.
+    pub frame_period_us: Option<f64>,
+    /// Version of the program.
+    pub version: &'a str,
+}
+
+/// A plan with the files that it is from.
+pub struct Planned {
+    /// What is to be done.
+    pub plan: Plan,
+    /// Where its corrections lie.
+    pub calibration: Calibration,
+    /// What is to be said of the PSF.
+    pub note: Option<String>,
+}
+
+/// Reads the files of a batch.
+///
+/// # Errors
+/// Files that are missing or damaged, and choices that are none.
+pub fn plan_files(files: &Files) -> Result<Planned> {
+    let experiment = Experiment::read(files.experiment)?;
+    let camera = experiment.camera()?;
+    let recipe = Recipe {
+        prior: chosen_prior(files.prior, &experiment)?,
+        tau: chosen_tau(files.tau, &experiment)?,
+        noise_sigma: files.noise_sigma,
+        max_iterations: files.max_iterations,
+    };
+    let own_period = files.frame_period_us;
+    let frame_period_us = own_period.or(experiment.recording.frame_period_us);
+    let calibration = calibration_of(files.calibration.clone(), &experiment);
+    let psf_path = psf_of(&calibration, &experiment)?;
+    let frames = match is_zarr(files.frames) {
+        true => open_zarr_recording(files.frames)?,
+        false => open_recording(files.frames)?,
+    };
+    // The frames' files say where they end.
+    let corrections = read_corrections(&calibration, None)?;
+    let (psfs, note) = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
+    check_memory(files.experiment, &camera)?;
+    let plan = Plan {
+        model: Model::new(&camera, psfs).keeping_gram(),
+        corrections,
+        recipe,
+        frames,
+        frame_period_us,
+        version: files.version.into(),
+    };
+    Ok(Planned {
+        plan,
+        calibration,
+        note,
+    })
+}
+
+/// Names the file in an error of a dark, a flat or a mask.
+pub fn naming_correction(error: Error, frames: &Path, calibration: &Calibration) -> Error {
+    match &error {
+        Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => {
+            naming_file(error, frames, calibration)
+        }
+        _ => error,
+    }
+}

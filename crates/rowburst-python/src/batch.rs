@@ -1,0 +1,209 @@
+//! `rowburst._rowburst._Batch`: a recording on its way into an archive.
+
+use crate::error::raised;
+use numpy::PyArray3;
+use pyo3::prelude::*;
+use rowburst::Result;
+use rowburst_batch::{
+    Again, Batch, Crew, Event, Files, FrameRow, Status, naming_correction, plan_files,
+};
+use rowburst_io::Calibration;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// A batch, begun or taken up again; any number of processes may have the same one.
+#[pyclass(name = "_Batch", module = "rowburst", frozen)]
+pub struct PyBatch {
+    batch: Batch,
+}
+
+/// A frame that is through.
+type Line = (
+    usize,
+    String,
+    bool,
+    Option<f64>,
+    Option<String>,
+    f64,
+    String,
+);
+
+fn line(row: &FrameRow) -> Line {
+    (
+        row.frame,
+        row.name.clone(),
+        row.status == Status::Done,
+        row.residual_over_sigma,
+        row.fit.clone(),
+        row.seconds,
+        row.message.clone(),
+    )
+}
+
+#[pymethods]
+impl PyBatch {
+    #[new]
+    #[pyo3(signature = (experiment, frames, out, *, psf=None, dark=None, flat=None,
+        bad_pixels=None, prior=None, tau=None, noise_sigma=None, max_iterations=None,
+        frame_period_us=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        py: Python<'_>,
+        experiment: PathBuf,
+        frames: PathBuf,
+        out: PathBuf,
+        psf: Option<PathBuf>,
+        dark: Option<PathBuf>,
+        flat: Option<PathBuf>,
+        bad_pixels: Option<PathBuf>,
+        prior: Option<String>,
+        tau: Option<String>,
+        noise_sigma: Option<f64>,
+        max_iterations: Option<usize>,
+        frame_period_us: Option<f64>,
+    ) -> PyResult<Self> {
+        let files = Files {
+            experiment: &experiment,
+            frames: &frames,
+            calibration: Calibration {
+                psf,
+                dark,
+                flat,
+                bad_pixels,
+            },
+            prior: prior.as_deref(),
+            tau: tau.as_deref(),
+            noise_sigma,
+            max_iterations,
+            frame_period_us,
+            version: env!("CARGO_PKG_VERSION"),
+        };
+        let open = || -> Result<Batch> {
+            let planned = plan_files(&files)?;
+            Batch::open(planned.plan, &out)
+                .map_err(|e| naming_correction(e, &frames, &planned.calibration))
+        };
+        let batch = py.detach(open).map_err(raised)?;
+        Ok(Self { batch })
+    }
+
+    /// Number of frames in the recording.
+    #[getter]
+    fn count(&self) -> usize {
+        self.batch.plan().frames.count()
+    }
+
+    /// The frames of `first..end` that are not through.
+    #[pyo3(signature = (first, end, retry_failed=false))]
+    fn left(
+        &self,
+        py: Python<'_>,
+        first: usize,
+        end: usize,
+        retry_failed: bool,
+    ) -> PyResult<Vec<usize>> {
+        let again = match retry_failed {
+            true => Again::Failed,
+            false => Again::Unfinished,
+        };
+        let end = end.min(self.count());
+        py.detach(|| self.batch.left(first..end, again))
+            .map_err(raised)
+    }
+
+    /// The prior of all frames and how it came about; chosen now where it is not yet.
+    fn prior(&self, py: Python<'_>) -> PyResult<(String, String)> {
+        let prior = interruptibly(py, |stop| self.batch.prior(stop, &|_| ()))?;
+        let prior = prior.map_err(raised)?;
+        let prior = prior.expect("nobody stopped it, or an exception was raised");
+        Ok((prior.prior, prior.reason))
+    }
+
+    /// Makes the videos of `frames`, with `threads` threads; a line for each frame.
+    #[pyo3(signature = (frames, threads=None))]
+    fn run(
+        &self,
+        py: Python<'_>,
+        frames: Vec<usize>,
+        threads: Option<usize>,
+    ) -> PyResult<Vec<Line>> {
+        let count = self.count();
+        if let Some(bad) = frames.iter().find(|&&frame| frame >= count) {
+            let rule = format!("the recording has the frames 0 to {}", count - 1);
+            let error = rowburst::Error::input("frames", bad, rule, "Count them from 0.");
+            return Err(raised(error));
+        }
+        let threads = threads.unwrap_or_else(rayon::current_num_threads);
+        let lines = Mutex::new(Vec::new());
+        let ran = interruptibly(py, |stop| -> Result<()> {
+            let Some(prior) = self.batch.prior(stop, &|_| ())? else {
+                return Ok(());
+            };
+            let crew = Crew::new(threads, frames.len(), &self.batch.plan().model, None);
+            self.batch.run(&frames, &prior, crew, stop, &|event| {
+                if let Event::Through(row) = event
+                    && let Ok(mut lines) = lines.lock()
+                {
+                    lines.push(line(row));
+                }
+            })
+        })?;
+        ran.map_err(raised)?;
+        Ok(lines.into_inner().unwrap_or_default())
+    }
+
+    /// Lines of all frames that are through, whoever made them.
+    fn rows(&self, py: Python<'_>) -> PyResult<Vec<Line>> {
+        let rows = py.detach(|| self.batch.rows()).map_err(raised)?;
+        Ok(rows.iter().map(line).collect())
+    }
+
+    /// Writes the table of all frames that are through; its path.
+    fn write_table(&self, py: Python<'_>) -> PyResult<PathBuf> {
+        py.detach(|| self.batch.write_table()).map_err(raised)
+    }
+
+    /// The video of a frame as the archive has it; NaN where it has none.
+    fn video<'py>(&self, py: Python<'py>, frame: usize) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        if frame >= self.count() {
+            let rule = format!("the recording has {} frames", self.count());
+            let error = rowburst::Error::input("frame", frame, rule, "Count them from 0.");
+            return Err(raised(error));
+        }
+        let video = py.detach(|| self.batch.video(frame)).map_err(raised)?;
+        crate::array::from_video(py, video)
+    }
+}
+
+/// Does `work` on a thread of its own; Ctrl-C sets its flag and is raised when it has ended.
+fn interruptibly<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&AtomicBool) -> T + Send,
+) -> PyResult<T> {
+    /// Between two looks for Ctrl-C.
+    const LOOK: Duration = Duration::from_millis(20);
+    let stop = AtomicBool::new(false);
+    let mut broken = None;
+    let done = py.detach(|| {
+        std::thread::scope(|scope| {
+            let worker = scope.spawn(|| work(&stop));
+            while !worker.is_finished() {
+                std::thread::park_timeout(LOOK);
+                if broken.is_none()
+                    && let Err(error) = Python::attach(|py| py.check_signals())
+                {
+                    broken = Some(error);
+                    stop.store(true, Ordering::Relaxed);
+                }
+            }
+            worker.join()
+        })
+    });
+    match (broken, done) {
+        (Some(error), _) => Err(error),
+        (None, Ok(done)) => Ok(done),
+        (None, Err(panic)) => std::panic::resume_unwind(panic),
+    }
+}

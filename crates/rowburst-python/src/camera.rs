@@ -1,0 +1,237 @@
+//! `rowburst.Camera`.
+
+use crate::error::raised;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use rowburst::camera::CameraParams;
+use rowburst::{Camera, Error, Sensor, Shutter};
+use rowburst_io::Experiment;
+use std::path::PathBuf;
+
+/// A rolling-shutter camera and the field that it is asked to reconstruct.
+#[pyclass(name = "Camera", module = "rowburst", frozen, eq, from_py_object)]
+#[derive(Clone, PartialEq)]
+pub struct PyCamera {
+    pub camera: Camera,
+}
+
+#[pymethods]
+impl PyCamera {
+    #[new]
+    #[pyo3(signature = (*, rows, columns, shutter, exposure_us, row_time_us=None, row_order=None,
+        binning=1, bins_per_row=1, field=None, pixel_pitch_um=None, bit_depth=None, bias_counts=None,
+        gain_electrons_per_count=None, read_noise_electrons=None, full_well_counts=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        rows: usize,
+        columns: usize,
+        shutter: &str,
+        exposure_us: f64,
+        row_time_us: Option<f64>,
+        row_order: Option<Vec<usize>>,
+        binning: usize,
+        bins_per_row: usize,
+        field: Option<(usize, usize)>,
+        pixel_pitch_um: Option<f64>,
+        bit_depth: Option<u32>,
+        bias_counts: Option<f64>,
+        gain_electrons_per_count: Option<f64>,
+        read_noise_electrons: Option<f64>,
+        full_well_counts: Option<f64>,
+    ) -> PyResult<Self> {
+        let shutter = shutter_of(shutter, row_order).map_err(raised)?;
+        let row_time_us = match shutter {
+            Shutter::Global => row_time_us.unwrap_or(exposure_us),
+            _ => row_time_us.ok_or_else(|| {
+                let rule = "a rolling shutter has a time from row to row";
+                let remedy = "Read it from the camera's data sheet or software.";
+                raised(Error::input("row_time_us", "nothing", rule, remedy))
+            })?,
+        };
+        let params = CameraParams {
+            rows,
+            columns,
+            shutter,
+            row_time_us,
+            exposure_us,
+            bins_per_row,
+            field,
+            sensor: Sensor {
+                binning,
+                pixel_pitch_um,
+                bit_depth,
+                bias_counts,
+                gain_electrons_per_count,
+                read_noise_electrons,
+                full_well_counts,
+            },
+        };
+        let camera = Camera::new(params).map_err(raised)?;
+        Ok(Self { camera })
+    }
+
+    /// The camera of an experiment file.
+    #[staticmethod]
+    fn from_file(path: PathBuf) -> PyResult<Self> {
+        let camera = Experiment::read(&path).and_then(|e| e.camera());
+        Ok(Self {
+            camera: camera.map_err(raised)?,
+        })
+    }
+
+    /// The text of an experiment file with this camera.
+    fn to_toml(&self) -> String {
+        Experiment::new(self.camera.params().clone()).to_toml("".as_ref())
+    }
+
+    #[getter]
+    fn rows(&self) -> usize {
+        self.camera.rows()
+    }
+
+    #[getter]
+    fn columns(&self) -> usize {
+        self.camera.columns()
+    }
+
+    #[getter]
+    fn shutter(&self) -> &'static str {
+        self.camera.shutter().name()
+    }
+
+    #[getter]
+    fn row_time_us(&self) -> f64 {
+        self.camera.params().row_time_us
+    }
+
+    #[getter]
+    fn exposure_us(&self) -> f64 {
+        self.camera.params().exposure_us
+    }
+
+    #[getter]
+    fn bins_per_row(&self) -> usize {
+        self.camera.params().bins_per_row
+    }
+
+    #[getter]
+    fn binning(&self) -> usize {
+        self.camera.sensor().binning
+    }
+
+    #[getter]
+    fn field(&self) -> (usize, usize) {
+        self.camera.field()
+    }
+
+    #[getter]
+    fn pixel_pitch_um(&self) -> Option<f64> {
+        self.camera.sensor().pixel_pitch_um
+    }
+
+    #[getter]
+    fn bit_depth(&self) -> Option<u32> {
+        self.camera.sensor().bit_depth
+    }
+
+    #[getter]
+    fn bias_counts(&self) -> Option<f64> {
+        self.camera.sensor().bias_counts
+    }
+
+    #[getter]
+    fn gain_electrons_per_count(&self) -> Option<f64> {
+        self.camera.sensor().gain_electrons_per_count
+    }
+
+    #[getter]
+    fn read_noise_electrons(&self) -> Option<f64> {
+        self.camera.sensor().read_noise_electrons
+    }
+
+    #[getter]
+    fn full_well_counts(&self) -> Option<f64> {
+        self.camera.sensor().full_well_counts
+    }
+
+    /// `(bins, rows, columns)` of the video.
+    #[getter]
+    fn video_shape(&self) -> (usize, usize, usize) {
+        let shape = self.camera.video_shape();
+        (shape.bins, shape.rows, shape.columns)
+    }
+
+    /// `(rows, columns)` of the frame on the working grid.
+    #[getter]
+    fn frame_shape(&self) -> (usize, usize) {
+        (self.camera.rows(), self.camera.columns())
+    }
+
+    /// Frames of the video a second.
+    #[getter]
+    fn frame_rate_hz(&self) -> f64 {
+        self.camera.time().frame_rate_hz()
+    }
+
+    /// The middle of each bin of the video, from the start of the first, in microseconds.
+    #[getter]
+    fn time_us<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let time = self.camera.time();
+        let middle = |t: usize| (t as f64 + 0.5) * time.bin_duration_us();
+        PyArray1::from_iter(py, (0..time.bins()).map(middle))
+    }
+
+    /// `w[r, j]`: the overlap of the exposure of row `r` with bin `j`, in row times.
+    fn row_time_weights<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let time = self.camera.time();
+        let (rows, bins) = (self.camera.rows(), time.bins());
+        let mut weights = vec![0.0f32; rows * bins];
+        for (row, &instant) in self.camera.instants().iter().enumerate() {
+            let run = &time.instants()[instant];
+            for (i, &w) in run.weights.iter().enumerate() {
+                weights[row * bins + run.first_bin + i] = w as f32;
+            }
+        }
+        let image = rowburst::Image::new(rows, bins, weights).map_err(raised)?;
+        crate::array::from_image(py, image)
+    }
+
+    fn __repr__(&self) -> String {
+        let shape = self.camera.video_shape();
+        format!(
+            "Camera(rows={}, columns={}, shutter='{}', row_time_us={}, exposure_us={}) # {} frames at {:.0} fps",
+            self.rows(),
+            self.columns(),
+            self.shutter(),
+            self.row_time_us(),
+            self.exposure_us(),
+            shape.bins,
+            self.frame_rate_hz()
+        )
+    }
+}
+
+fn shutter_of(name: &str, row_order: Option<Vec<usize>>) -> rowburst::Result<Shutter> {
+    match (name, row_order, Shutter::named(name)) {
+        ("custom", Some(order), _) => Ok(Shutter::Custom(order)),
+        ("custom", None, _) => Err(Error::input(
+            "row_order",
+            "nothing",
+            "the shutter \"custom\" needs the instant of every row",
+            "Give row_order=[k of row 0, k of row 1, …].",
+        )),
+        (_, None, Some(shutter)) => Ok(shutter),
+        (_, Some(_), Some(_)) => Err(Error::input(
+            "row_order",
+            format!("an order of rows for the shutter \"{name}\""),
+            "row_order goes with shutter=\"custom\" alone",
+            "Remove it, or give shutter=\"custom\".",
+        )),
+        (_, _, None) => Err(Error::input(
+            "shutter",
+            format!("\"{name}\""),
+            format!("the shutter is one of {}", Shutter::NAMES.join(", ")),
+            "Zyla and other dual cameras of the paper's kind are dual-inside-out.",
+        )),
+    }
+}

@@ -1,0 +1,67 @@
+//! The extension module behind the Python package `rowburst`: values in and out of numpy, the
+//! library's errors as exceptions, the interpreter's lock released while it works.
+//!
+//! What users see is documented in `python/rowburst`.
+
+mod array;
+mod batch;
+mod camera;
+mod error;
+mod experiment;
+mod operator;
+mod psf;
+mod result;
+mod simulation;
+mod task;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _rowburst {
+    use super::*;
+
+    #[pymodule_export]
+    use crate::batch::PyBatch;
+    #[pymodule_export]
+    use crate::camera::PyCamera;
+    #[pymodule_export]
+    use crate::error::{InputError, WorkError};
+    #[pymodule_export]
+    use crate::experiment::PyExperiment;
+    #[pymodule_export]
+    use crate::operator::{PyDataTerm, PyOperator};
+    #[pymodule_export]
+    use crate::psf::{PyPsf, speckle_psf};
+    #[pymodule_export]
+    use crate::result::{PyProgress, PyReconstruction};
+    #[pymodule_export]
+    use crate::simulation::{PySimulation, simulate};
+    #[pymodule_export]
+    use crate::task::reconstruct;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+
+    /// Sets the number of threads, once, before anything is computed.
+    #[pyfunction]
+    fn set_threads(threads: usize) -> PyResult<()> {
+        if threads == 0 {
+            let rule = "there is at least one";
+            let error = rowburst::Error::input("threads", 0, rule, "Give the number of cores.");
+            return Err(crate::error::raised(error));
+        }
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build_global().map_err(|error| {
+            let remedy = "Call set_threads before anything else.";
+            crate::error::raised(rowburst::Error::work("threads", error, remedy))
+        })
+    }
+
+    /// Threads that are used.
+    #[pyfunction]
+    fn threads() -> usize {
+        rayon::current_num_threads()
+    }
+}

@@ -1,0 +1,133 @@
+//! The forward operator and the data term, for solvers of other toolboxes.
+
+use crate::array::vector;
+use crate::camera::PyCamera;
+use crate::error::raised;
+use crate::psf::psfs_of;
+use crate::task::measured;
+use numpy::PyArray1;
+use pyo3::prelude::*;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Corrections;
+use rowburst::reconstruct::{DataStep, Model};
+use rowburst::{Error, RollingShutter};
+use std::sync::{Mutex, PoisonError};
+
+type Vector<'py> = PyResult<Bound<'py, PyArray1<f32>>>;
+
+/// `A`: from a flattened video to a flattened frame.
+#[pyclass(name = "_Operator", module = "rowburst", frozen)]
+pub struct PyOperator {
+    model: Model,
+}
+
+impl PyOperator {
+    fn shutter(&self) -> &RollingShutter {
+        self.model.operator()
+    }
+}
+
+#[pymethods]
+impl PyOperator {
+    #[new]
+    fn new(py: Python<'_>, camera: &PyCamera, psf: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let psfs = psfs_of(psf, &camera.camera, None)?;
+        let model = py.detach(|| Model::new(&camera.camera, psfs));
+        Ok(Self { model })
+    }
+
+    #[getter]
+    fn shape(&self) -> (usize, usize) {
+        (self.shutter().range_len(), self.shutter().domain_len())
+    }
+
+    #[getter]
+    fn camera(&self) -> PyCamera {
+        PyCamera {
+            camera: self.model.camera().clone(),
+        }
+    }
+
+    /// `A x`.
+    fn apply<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>) -> Vector<'py> {
+        let x = vector(x, "video", self.shutter().domain_len())?;
+        let x = x.as_slice()?;
+        let mut y = vec![0.0; self.shutter().range_len()];
+        py.detach(|| self.shutter().apply(x, &mut y));
+        Ok(PyArray1::from_vec(py, y))
+    }
+
+    /// `Aᵀ y`.
+    fn adjoint<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> Vector<'py> {
+        let y = vector(y, "frame", self.shutter().range_len())?;
+        let y = y.as_slice()?;
+        let mut x = vec![0.0; self.shutter().domain_len()];
+        py.detach(|| self.shutter().adjoint(y, &mut x));
+        Ok(PyArray1::from_vec(py, x))
+    }
+}
+
+/// `½‖W(b − A v)‖²` of a frame.
+#[pyclass(name = "_DataTerm", module = "rowburst", frozen)]
+pub struct PyDataTerm {
+    step: Mutex<DataStep>,
+    length: usize,
+}
+
+#[pymethods]
+impl PyDataTerm {
+    #[new]
+    fn new(py: Python<'_>, operator: &PyOperator, frame: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let camera = operator.model.camera();
+        let measurement = measured(frame, camera, Corrections::default())?;
+        let step = py.detach(|| DataStep::new(&operator.model, &measurement));
+        Ok(Self {
+            length: operator.shutter().domain_len(),
+            step: Mutex::new(step),
+        })
+    }
+
+    /// Its value at `x`.
+    fn value(&self, py: Python<'_>, x: &Bound<'_, PyAny>) -> PyResult<f64> {
+        self.with(py, x, |step, x| Ok(step.value(x)))
+    }
+
+    /// Its gradient at `x`.
+    fn gradient<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>) -> Vector<'py> {
+        let gradient = self.with(py, x, |step, x| Ok(step.gradient(x)))?;
+        Ok(PyArray1::from_vec(py, gradient))
+    }
+
+    /// `argmin_v ½‖W(b − A v)‖² + ‖v − x‖²/(2 step)`.
+    fn prox<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, step: f64) -> Vector<'py> {
+        let found = self.with(py, x, |data, x| data.prox(x, step))?;
+        Ok(PyArray1::from_vec(py, found))
+    }
+}
+
+impl PyDataTerm {
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        x: &Bound<'_, PyAny>,
+        work: impl FnOnce(&mut DataStep, &[f32]) -> rowburst::Result<T> + Send,
+    ) -> PyResult<T> {
+        let x = vector(x, "video", self.length)?;
+        let x = x.as_slice()?;
+        if let Some(i) = x.iter().position(|v| !v.is_finite()) {
+            let rule = "every value is a finite number";
+            let error = Error::input(
+                "video",
+                format!("{} at {i}", x[i]),
+                rule,
+                "Take smaller steps.",
+            );
+            return Err(raised(error));
+        }
+        py.detach(|| {
+            let mut step = self.step.lock().unwrap_or_else(PoisonError::into_inner);
+            work(&mut step, x)
+        })
+        .map_err(raised)
+    }
+}

@@ -1,0 +1,142 @@
+//! `rowburst.Psf`.
+
+use crate::array::{capture, from_image};
+use crate::camera::PyCamera;
+use crate::error::raised;
+use numpy::PyArray2;
+use pyo3::prelude::*;
+use rowburst::{Camera, Image, PatchSet};
+use rowburst_run::inputs::{psf_from, read_psfs};
+use rowburst_run::simulate::{LensOptics, pixel_pitch_um, speckle_for};
+use std::path::PathBuf;
+
+/// A point-spread function, or several that share out the field.
+#[pyclass(name = "Psf", module = "rowburst", frozen, eq)]
+#[derive(Clone, PartialEq)]
+pub struct PyPsf {
+    pub psfs: PatchSet,
+}
+
+#[pymethods]
+impl PyPsf {
+    /// Non-negative values, which are scaled to sum to 1.
+    #[new]
+    fn new(values: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let psf = rowburst::Psf::new(capture(values, "PSF")?.image).map_err(raised)?;
+        Ok(Self { psfs: psf.into() })
+    }
+
+    /// PSFs with the offset `(dy, dx)` of each one's source from the middle of the field.
+    #[staticmethod]
+    fn patches(values: Vec<Bound<'_, PyAny>>, offsets_px: Vec<(f64, f64)>) -> PyResult<Self> {
+        let psfs = values.iter().map(|v| {
+            let image = capture(v, "PSF")?.image;
+            rowburst::Psf::new(image).map_err(raised)
+        });
+        let psfs = PatchSet::new(psfs.collect::<PyResult<_>>()?, offsets_px);
+        Ok(Self {
+            psfs: psfs.map_err(raised)?,
+        })
+    }
+
+    /// An image, or the patch set of `rowburst calibrate psf`, as the command line reads it.
+    #[staticmethod]
+    fn from_file(path: PathBuf, camera: &PyCamera) -> PyResult<Self> {
+        let (psfs, _) = read_psfs(&path, &camera.camera, None).map_err(raised)?;
+        Ok(Self { psfs })
+    }
+
+    /// The values of each PSF, `[y, x]`, summing to 1.
+    #[getter]
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyArray2<f32>>>> {
+        let psfs = self.psfs.psfs().iter();
+        psfs.map(|psf| from_image(py, psf.image().clone()))
+            .collect()
+    }
+
+    /// The values of the PSF nearest to the middle of the field.
+    #[getter]
+    fn array<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        from_image(py, self.psfs.central().image().clone())
+    }
+
+    #[getter]
+    fn offsets_px(&self) -> Vec<(f64, f64)> {
+        self.psfs.offsets_px().to_vec()
+    }
+
+    #[getter]
+    fn shape(&self) -> (usize, usize) {
+        let image = self.psfs.central().image();
+        (image.rows(), image.columns())
+    }
+
+    #[pyo3(signature = (dtype=None, copy=None))]
+    fn __array__<'py>(
+        &self,
+        py: Python<'py>,
+        dtype: Option<Bound<'py, PyAny>>,
+        copy: Option<bool>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let _ = copy;
+        let array = self.array(py)?.into_any();
+        match dtype {
+            Some(dtype) => array.call_method1("astype", (dtype,)),
+            None => Ok(array),
+        }
+    }
+
+    fn __repr__(&self) -> String {
+        let (rows, columns) = self.shape();
+        match self.psfs.psfs().len() {
+            1 => format!("Psf({rows}×{columns})"),
+            n => format!("Psf({n} patches of {rows}×{columns})"),
+        }
+    }
+}
+
+/// A `Psf`, or an array: as the command line takes a file of such numbers.
+pub fn psfs_of(
+    value: &Bound<'_, PyAny>,
+    camera: &Camera,
+    dark: Option<&Image>,
+) -> PyResult<PatchSet> {
+    if let Ok(psf) = value.cast::<PyPsf>() {
+        return Ok(psf.get().psfs.clone());
+    }
+    let (psf, _) = psf_from(capture(value, "PSF")?, camera, dark).map_err(raised)?;
+    Ok(psf.into())
+}
+
+/// A random speckle PSF of a diffuser behind a lens, for every displacement that `camera` sees.
+#[pyfunction]
+#[pyo3(signature = (camera, *, wavelength_nm=532.0, pupil_mm=1.71, focal_length_mm=50.0,
+    magnification=1.0 / 22.5, na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=1))]
+#[allow(clippy::too_many_arguments)]
+pub fn speckle_psf(
+    py: Python<'_>,
+    camera: &PyCamera,
+    wavelength_nm: f64,
+    pupil_mm: f64,
+    focal_length_mm: f64,
+    magnification: f64,
+    na: Option<f64>,
+    diffuser_deg: f64,
+    diffuser_phase: f64,
+    seed: u64,
+) -> PyResult<PyPsf> {
+    let camera = &camera.camera;
+    let optics = LensOptics {
+        wavelength_nm,
+        pupil_mm,
+        focal_length_mm,
+        magnification,
+        na,
+        diffuser_deg,
+    };
+    let optics = optics.optics(pixel_pitch_um(camera));
+    let psf = py.detach(|| speckle_for(camera, &optics, diffuser_phase, seed));
+    Ok(PyPsf {
+        psfs: psf.map_err(raised)?.into(),
+    })
+}

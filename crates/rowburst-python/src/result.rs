@@ -1,0 +1,287 @@
+//! `rowburst.Result` and what a progress callback is given.
+
+use crate::array::{from_image, from_video};
+use crate::error::raised;
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
+use pyo3::types::PyDict;
+use rowburst::solve::admm::Progress;
+use rowburst::{Shape, Video};
+use rowburst_io::OutputFolder;
+use rowburst_run::{Solved, Traces, Wanted, Words};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// An iteration, as a progress callback sees it.
+#[pyclass(name = "Progress", module = "rowburst", frozen, get_all)]
+pub struct PyProgress {
+    label: String,
+    iteration: usize,
+    max_iterations: usize,
+    residual_over_sigma: f64,
+    tau: f64,
+    change: f64,
+    seconds: f64,
+}
+
+impl PyProgress {
+    pub fn new(seen: &Progress, level: f64, seconds: f64) -> Self {
+        Self {
+            label: seen.label.into(),
+            iteration: seen.iteration,
+            max_iterations: seen.max_iterations,
+            residual_over_sigma: level,
+            tau: seen.tau,
+            change: seen.change,
+            seconds,
+        }
+    }
+}
+
+#[pymethods]
+impl PyProgress {
+    fn __repr__(&self) -> String {
+        let (n, of, level) = (
+            self.iteration,
+            self.max_iterations,
+            self.residual_over_sigma,
+        );
+        format!("Progress(iteration={n} of {of}, residual_over_sigma={level:.3})")
+    }
+}
+
+/// A reconstructed video with what is needed to judge it.
+#[pyclass(name = "Result", module = "rowburst", frozen)]
+pub struct PyReconstruction {
+    state: Mutex<State>,
+    shape: Shape,
+}
+
+struct State {
+    solved: Solved,
+    /// The video once it was asked for: numpy owns it then, and nobody may change it.
+    video: Option<Py<PyArray3<f32>>>,
+    /// Of the brightest spots.
+    traces: Option<Traces>,
+}
+
+impl PyReconstruction {
+    pub fn new(solved: Solved) -> Self {
+        Self {
+            shape: solved.found.video.shape(),
+            state: Mutex::new(State {
+                solved,
+                video: None,
+                traces: None,
+            }),
+        }
+    }
+
+    fn state<'a>(&'a self, py: Python<'_>) -> MutexGuard<'a, State> {
+        let state = self.state.lock_py_attached(py);
+        state.unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lets `work` see the whole reconstruction, its video among it, without the interpreter.
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Solved, &mut Option<Traces>) -> T + Send,
+    ) -> PyResult<T> {
+        let mut work = Some(work);
+        loop {
+            let lent = self.state(py).video.as_ref().map(|v| v.clone_ref(py));
+            // numpy owns the video: a copy for as long as it is needed.
+            let copy = match lent {
+                Some(array) => {
+                    let data = array.bind(py).readonly().as_slice()?.to_vec();
+                    Some(Video::new(self.shape, data).map_err(raised)?)
+                }
+                None => None,
+            };
+            let done = py.detach(|| {
+                let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+                let state = &mut *state;
+                match (state.video.is_some(), copy) {
+                    (true, Some(copy)) => state.solved.found.video = copy,
+                    (false, _) => (),
+                    // Another thread has just asked for it.
+                    (true, None) => return None,
+                }
+                let work = work.take().expect("it is done once");
+                let done = work(&state.solved, &mut state.traces);
+                if state.video.is_some() {
+                    state.solved.found.video = placeholder();
+                }
+                Some(done)
+            });
+            if let Some(done) = done {
+                return Ok(done);
+            }
+        }
+    }
+}
+
+/// Stands for the video where numpy owns it.
+fn placeholder() -> Video {
+    Video::zeros(Shape::new(1, 1, 1))
+}
+
+#[pymethods]
+impl PyReconstruction {
+    #[getter]
+    fn video<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let mut state = self.state(py);
+        if let Some(array) = &state.video {
+            return Ok(array.bind(py).clone());
+        }
+        let video = std::mem::replace(&mut state.solved.found.video, placeholder());
+        let array = from_video(py, video)?;
+        let options = PyDict::new(py);
+        options.set_item("write", false)?;
+        array.call_method("setflags", (), Some(&options))?;
+        state.video = Some(array.clone().unbind());
+        Ok(array)
+    }
+
+    #[getter]
+    fn background<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<f32>>>> {
+        let background = self.state(py).solved.found.background.clone();
+        background.map(|v| from_video(py, v)).transpose()
+    }
+
+    #[getter]
+    fn residual<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let residual = self.state(py).solved.found.residual.clone();
+        from_image(py, residual)
+    }
+
+    /// The numbers of `result.json`, as its text.
+    fn _json(&self, py: Python<'_>) -> PyResult<String> {
+        self.with(py, |solved, traces| {
+            let traces = traces.get_or_insert_with(|| spots(solved));
+            let outcome = solved.outcome(traces);
+            serde_json::to_string(&outcome).expect("plain numbers and text")
+        })
+    }
+
+    #[getter]
+    fn prior(&self, py: Python<'_>) -> String {
+        self.state(py).solved.found.prior.to_string()
+    }
+
+    #[getter]
+    fn tau(&self, py: Python<'_>) -> f64 {
+        self.state(py).solved.found.tau
+    }
+
+    #[getter]
+    fn noise_sigma(&self, py: Python<'_>) -> f64 {
+        self.state(py).solved.found.sigma
+    }
+
+    #[getter]
+    fn residual_over_sigma(&self, py: Python<'_>) -> f64 {
+        self.state(py).solved.found.residual_over_sigma
+    }
+
+    #[getter]
+    fn iterations(&self, py: Python<'_>) -> usize {
+        self.state(py).solved.found.iterations
+    }
+
+    #[getter]
+    fn stop_reason(&self, py: Python<'_>) -> &'static str {
+        self.state(py).solved.found.stop_reason.name()
+    }
+
+    #[getter]
+    fn fit(&self, py: Python<'_>) -> &'static str {
+        self.state(py).solved.found.fit.verdict.name()
+    }
+
+    #[getter]
+    fn fit_reason(&self, py: Python<'_>) -> String {
+        self.state(py).solved.found.fit.reason.clone()
+    }
+
+    #[getter]
+    fn seconds(&self, py: Python<'_>) -> f64 {
+        self.state(py).solved.seconds
+    }
+
+    #[getter]
+    fn setup_seconds(&self, py: Python<'_>) -> f64 {
+        self.state(py).solved.setup_seconds
+    }
+
+    #[getter]
+    fn frame_rate_hz(&self, py: Python<'_>) -> f64 {
+        self.state(py).solved.task.camera.time().frame_rate_hz()
+    }
+
+    /// `(y, x, rows, columns)`, value, debiased and standard error of each trace, and their
+    /// numbers as JSON.
+    fn _traces<'py>(
+        &self,
+        py: Python<'py>,
+        regions: Vec<String>,
+        photodiodes: Vec<PathBuf>,
+    ) -> PyResult<(Vec<Bound<'py, PyDict>>, String)> {
+        let wanted = Wanted::read(&regions, &photodiodes, self.shape).map_err(raised)?;
+        let is_plain = regions.is_empty() && photodiodes.is_empty();
+        let (traces, numbers) = self.with(py, |solved, kept| {
+            let own;
+            let found = if is_plain {
+                &*kept.get_or_insert_with(|| spots(solved))
+            } else {
+                own = solved.traces(wanted, false);
+                &own
+            };
+            let numbers = found.outcome(solved.task.truth.as_ref());
+            let numbers = serde_json::json!({ "traces": numbers, "errors": found.numbers });
+            (found.traces.clone(), numbers.to_string())
+        })?;
+        let dicts = traces.iter().map(|trace| {
+            let dict = PyDict::new(py);
+            let r = trace.region;
+            dict.set_item("region", (r.y, r.x, r.rows, r.columns))?;
+            dict.set_item("value", PyArray1::from_slice(py, &trace.value))?;
+            dict.set_item("debiased", PyArray1::from_slice(py, &trace.debiased))?;
+            let errors = PyArray1::from_slice(py, &trace.standard_error);
+            dict.set_item("standard_error", errors)?;
+            Ok(dict)
+        });
+        Ok((dicts.collect::<PyResult<_>>()?, numbers))
+    }
+
+    /// The page of the report.
+    fn _report(&self, py: Python<'_>, title: String) -> PyResult<String> {
+        let page = self.with(py, |solved, traces| {
+            let traces = traces.get_or_insert_with(|| spots(solved));
+            let words = Words {
+                title: &title,
+                reproduce: None,
+                files: Vec::new(),
+            };
+            solved.report(traces, words).map(|report| report.html)
+        })?;
+        page.map_err(raised)
+    }
+
+    /// Writes all files of `rowburst reconstruct` into a folder.
+    fn _save(&self, py: Python<'_>, folder: PathBuf, title: String) -> PyResult<()> {
+        let saved = self.with(py, |solved, traces| {
+            let folder = OutputFolder::create(&folder)?;
+            let traces = traces.get_or_insert_with(|| spots(solved));
+            solved.write(traces, &folder, &title, None).map(|_| ())
+        })?;
+        saved.map_err(raised)
+    }
+}
+
+/// The traces of the brightest spots.
+fn spots(solved: &Solved) -> Traces {
+    solved.traces(Wanted::default(), false)
+}

@@ -1,0 +1,160 @@
+//! `rowburst.reconstruct`.
+
+use crate::array::{capture, finite_image, video};
+use crate::camera::PyCamera;
+use crate::error::raised;
+use crate::psf::psfs_of;
+use crate::result::{PyProgress, PyReconstruction as Found};
+use pyo3::prelude::*;
+use rowburst::measurement::{Corrections, Measurement, correct};
+use rowburst::reconstruct::{Prior, Recipe, Tau};
+use rowburst::solve::StopReason;
+use rowburst::{Camera, Error};
+use rowburst_run::inputs::{check_memory, checked_truth, container_end};
+use rowburst_run::options::{prior_of, tau_of, time_budget};
+use rowburst_run::{Task, solve};
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+/// The video of a frame.
+#[pyfunction]
+#[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
+    time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
+    direct=None, progress=None, seed=0))]
+#[allow(clippy::too_many_arguments)]
+pub fn reconstruct(
+    py: Python<'_>,
+    frame: &Bound<'_, PyAny>,
+    camera: &PyCamera,
+    psf: &Bound<'_, PyAny>,
+    prior: &str,
+    tau: Option<&Bound<'_, PyAny>>,
+    noise_sigma: Option<f64>,
+    time_budget_s: Option<f64>,
+    max_iterations: Option<usize>,
+    dark: Option<&Bound<'_, PyAny>>,
+    flat: Option<&Bound<'_, PyAny>>,
+    bad_pixels: Option<&Bound<'_, PyAny>>,
+    truth: Option<&Bound<'_, PyAny>>,
+    direct: Option<&Bound<'_, PyAny>>,
+    progress: Option<Py<PyAny>>,
+    seed: u64,
+) -> PyResult<Found> {
+    let began = Instant::now();
+    let camera = camera.camera.clone();
+    let recipe = Recipe {
+        prior: prior_from(prior)?,
+        tau: tau_from(tau)?,
+        noise_sigma,
+        max_iterations: match max_iterations {
+            Some(0) => {
+                let rule = "a run has at least one iteration";
+                let error = Error::input("max_iterations", 0, rule, "Leave it out.");
+                return Err(raised(error));
+            }
+            most => most,
+        },
+    };
+    let budget = time_budget(time_budget_s).map_err(raised)?;
+    let corrections = Corrections {
+        dark: dark.map(|v| finite_image(v, "dark")).transpose()?,
+        flat: flat.map(|v| finite_image(v, "flat")).transpose()?,
+        bad_pixels: bad_pixels
+            .map(|v| finite_image(v, "bad_pixels"))
+            .transpose()?,
+        saturation_counts: None,
+    };
+    let psfs = psfs_of(psf, &camera, corrections.dark.as_ref())?;
+    let measurement = measured(frame, &camera, corrections)?;
+    check_memory("the video".as_ref(), &camera).map_err(raised)?;
+    let truth = match truth {
+        Some(value) => {
+            let video = video(value, "truth")?;
+            Some(checked_truth(video, "truth", &camera).map_err(raised)?)
+        }
+        None => None,
+    };
+    let direct = direct.map(|v| finite_image(v, "direct")).transpose()?;
+    let task = Task {
+        camera,
+        psfs,
+        measurement,
+        recipe,
+        budget,
+        truth,
+        direct,
+        seed,
+    };
+    // Raised by the callback, or Ctrl-C: the run is given up.
+    let mut broken: Option<PyErr> = None;
+    let solved = py.detach(|| {
+        solve(task, began, &mut |seen, level| {
+            let asked = Python::attach(|py| {
+                py.check_signals()?;
+                let Some(progress) = &progress else {
+                    return Ok(true);
+                };
+                let seen = PyProgress::new(seen, level, began.elapsed().as_secs_f64());
+                let answer = progress.call1(py, (seen,))?;
+                // `None` goes on; `False` asks for the best so far.
+                Ok(!answer
+                    .bind(py)
+                    .is_exact_instance_of::<pyo3::types::PyBool>()
+                    || answer.is_truthy(py)?)
+            });
+            match asked {
+                Ok(true) => ControlFlow::Continue(()),
+                Ok(false) => ControlFlow::Break(StopReason::Interrupted),
+                Err(error) => {
+                    broken = Some(error);
+                    ControlFlow::Break(StopReason::Interrupted)
+                }
+            }
+        })
+    });
+    match broken {
+        Some(error) => Err(error),
+        None => Ok(Found::new(solved.map_err(raised)?)),
+    }
+}
+
+/// The measurement that a frame is.
+pub fn measured(
+    frame: &Bound<'_, PyAny>,
+    camera: &Camera,
+    corrections: Corrections,
+) -> PyResult<Measurement> {
+    let raw = capture(frame, "frame")?;
+    let corrections = Corrections {
+        saturation_counts: container_end(raw.level),
+        ..corrections
+    };
+    correct(&raw.image, camera, &corrections).map_err(|e| raised(within_frame(e)))
+}
+
+/// Names the frame in an error of the corrections that is none of theirs.
+fn within_frame(error: Error) -> Error {
+    match &error {
+        Error::Input { subject, .. }
+            if ["dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
+        {
+            error
+        }
+        _ => error.within("frame"),
+    }
+}
+
+fn prior_from(name: &str) -> PyResult<Option<Prior>> {
+    prior_of(name).map_err(raised)
+}
+
+/// `None` and text as on the command line, or a number.
+fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
+    match tau {
+        None => Ok(Tau::Auto),
+        Some(value) => match value.extract::<f64>() {
+            Ok(number) => Ok(Tau::Given(number)),
+            Err(_) => tau_of(&value.str()?.to_string()).map_err(raised),
+        },
+    }
+}

@@ -1,0 +1,30 @@
+//! One reconstruction as a user meets it, from the command line or from Python.
+//!
+//! ```text
+//! Task (camera, PSF, measurement, recipe, …) ─▶ solve ─▶ Solved ─▶ traces, Outcome, page, folder
+//! ```
+//!
+//! Reads the files of an experiment into values ([`inputs`]), what is typed into choices
+//! ([`options`]), runs the solver with a clock beside it ([`Watch`]), and turns what it found into
+//! the numbers of `result.json`, the report and the folder of results. No terminal: what is to be
+//! said goes to the caller, and an observer sees every iteration and may stop it.
+
+pub mod inputs;
+pub mod options;
+mod outcome;
+pub mod simulate;
+mod solved;
+mod task;
+mod traces;
+mod watch;
+
+pub use outcome::{
+    FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
+};
+pub use solved::{Solved, Words, thousands};
+pub use task::{Task, solve};
+pub use traces::{
+    DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,
+    Traces, TruthNumbers, Wanted,
+};
+pub use watch::Watch;

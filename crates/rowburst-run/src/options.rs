@@ -1,0 +1,83 @@
+//! What is typed, as choices: prior, `τ` and time budget.
+
+use rowburst::reconstruct::{Prior, Tau};
+use rowburst::{Error, Result};
+use rowburst_io::Experiment;
+use std::time::Duration;
+
+/// The prior that is asked for, or else that of the experiment; `None` for `auto`.
+///
+/// # Errors
+/// A name that is none.
+pub fn chosen_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
+    match (name, &experiment.reconstruction.prior) {
+        (Some(name), _) => prior_of(name),
+        (None, Some(name)) => prior_of(name).map_err(|mut error| {
+            if let Error::Input { subject, .. } = &mut error {
+                *subject = format!("{}: [reconstruction] prior", experiment.path.display());
+            }
+            error
+        }),
+        (None, None) => Ok(None),
+    }
+}
+
+/// The rule for `τ` that is asked for, or else that of the experiment.
+///
+/// # Errors
+/// Those of [`tau_of`].
+pub fn chosen_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
+    match text {
+        None => Ok(experiment.reconstruction.tau.unwrap_or_default()),
+        Some(text) => tau_of(text),
+    }
+}
+
+/// A rule for `τ`: `auto`, `held-out` or a number.
+///
+/// # Errors
+/// Anything else.
+pub fn tau_of(text: &str) -> Result<Tau> {
+    Ok(match text {
+        "auto" => Tau::Auto,
+        "held-out" => Tau::HeldOut,
+        text => Tau::Given(text.parse().map_err(|_| {
+            Error::input(
+                "--tau",
+                format!("\"{text}\""),
+                "τ is auto, held-out or a number above zero",
+                "Leave it out: the program finds it.",
+            )
+        })?),
+    })
+}
+
+/// A prior by its name; `None` for `auto`.
+///
+/// # Errors
+/// A name that is none.
+pub fn prior_of(name: &str) -> Result<Option<Prior>> {
+    match name.trim() {
+        "auto" => Ok(None),
+        name => name.parse().map(Some),
+    }
+}
+
+/// A time budget of so many seconds.
+///
+/// # Errors
+/// A number that is not above zero.
+pub fn time_budget(seconds: Option<f64>) -> Result<Option<Duration>> {
+    let Some(seconds) = seconds else {
+        return Ok(None);
+    };
+    match Duration::try_from_secs_f64(seconds) {
+        Ok(budget) if !budget.is_zero() => Ok(Some(budget)),
+        _ => Err(Error::input(
+            "--time-budget-s",
+            seconds,
+            "a budget is a number of seconds above zero",
+            "Leave it out to run until it has converged.",
+        )),
+    }
+}

@@ -1,0 +1,338 @@
+//! Simulation as a user asks for it: a scene, a PSF and noise, by name or as values.
+
+use rowburst::linop::LinearOperator;
+use rowburst::noise::{Noise, Recorded};
+use rowburst::simulate::scene::{self, Led};
+use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
+use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, RollingShutter, Video};
+
+/// What is to be simulated.
+pub struct Simulation<'a> {
+    /// The camera.
+    pub camera: &'a Camera,
+    /// The PSF, or those of the parts of the field.
+    pub psfs: &'a PatchSet,
+    /// What is to be seen.
+    pub scene: Scene<'a>,
+    /// Brightness of a static background over that of the scene.
+    pub background: Option<f64>,
+    /// How much noise.
+    pub noise: NoiseChoice,
+    /// Of scene and noise.
+    pub seed: u64,
+    /// Height of the font.
+    pub digit_px: usize,
+}
+
+/// What is to be seen.
+pub enum Scene<'a> {
+    /// One of [`Scene::NAMES`].
+    Named(&'a str),
+    /// This, fitted to the field.
+    Video(Video),
+}
+
+impl Scene<'_> {
+    /// The scenes that have a name.
+    pub const NAMES: [&'static str; 4] = ["digits", "leds", "moving", "two-moving"];
+}
+
+/// How much noise.
+#[derive(Debug, Clone, Copy)]
+pub enum NoiseChoice {
+    /// Gaussian; infinite for none.
+    Snr(f64),
+    /// Shot and read noise, from the electrons of the frame's brightest pixel.
+    PeakElectrons(f64),
+    /// The same, from the electrons of the brightest scene pixel in a bin.
+    SceneElectrons(f64),
+}
+
+/// A simulated capture with all that is known of it.
+pub struct Simulated {
+    /// The frame.
+    pub recorded: Recorded,
+    /// The noise that was added.
+    pub noise: Noise,
+    /// The video, in counts of the frame.
+    pub truth: Video,
+    /// What of it is static.
+    pub background: Option<Image>,
+    /// The frame of the same camera without the diffuser.
+    pub direct: Image,
+    /// The LEDs of the scene.
+    pub leds: Vec<Led>,
+}
+
+/// Simulates a capture.
+///
+/// # Errors
+/// A scene that the field is too small for, a background or noise that cannot be.
+pub fn simulate(plan: &Simulation) -> Result<Simulated> {
+    let camera = plan.camera;
+    check_noise(plan.noise, camera)?;
+    let Shown {
+        video: scene,
+        background,
+        leds,
+    } = scene_of(plan, camera)?;
+    let operator = RollingShutter::new(camera, plan.psfs);
+    let mut frame = vec![0.0; operator.range_len()];
+    operator.apply(scene.data(), &mut frame);
+    // Scene and PSF are never negative: what is below zero is rounding of the transforms.
+    frame
+        .iter_mut()
+        .filter(|b| **b < 0.0)
+        .for_each(|b| *b = 0.0);
+    let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
+    let noise = match plan.noise {
+        NoiseChoice::Snr(snr) if snr.is_infinite() => Noise::None,
+        NoiseChoice::Snr(snr) => Noise::Gaussian { snr },
+        NoiseChoice::PeakElectrons(peak_electrons) => Noise::Camera { peak_electrons },
+        NoiseChoice::SceneElectrons(electrons) => Noise::Camera {
+            peak_electrons: peak_electrons(camera, &scene, &noiseless, electrons)?,
+        },
+    };
+    let recorded = noise.apply(&noiseless, camera.sensor(), plan.seed)?;
+    let direct = direct_frame(camera, &scene);
+    let in_counts = |values: &mut [f32]| {
+        for v in values {
+            *v = (f64::from(*v) * recorded.scale) as f32;
+        }
+    };
+    let mut truth = scene;
+    in_counts(truth.data_mut());
+    let background = background.map(|mut still| {
+        in_counts(still.data_mut());
+        still
+    });
+    Ok(Simulated {
+        recorded,
+        noise,
+        truth,
+        background,
+        direct,
+        leds,
+    })
+}
+
+/// The optics of a computed speckle PSF, in the words of a lab.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensOptics {
+    /// Wavelength in nanometres.
+    pub wavelength_nm: f64,
+    /// Diameter of the pupil in millimetres.
+    pub pupil_mm: f64,
+    /// Focal length of the lens in millimetres.
+    pub focal_length_mm: f64,
+    /// Magnification from scene to sensor.
+    pub magnification: f64,
+    /// Image-side numerical aperture, instead of the pupil's diameter.
+    pub na: Option<f64>,
+    /// Full width at half maximum of the diffuser's scattering, in degrees.
+    pub diffuser_deg: f64,
+}
+
+impl LensOptics {
+    /// The defaults of the command line.
+    pub fn demo() -> Self {
+        Self {
+            wavelength_nm: 532.0,
+            pupil_mm: 1.71,
+            focal_length_mm: 50.0,
+            magnification: 1.0 / 22.5,
+            na: None,
+            diffuser_deg: 1.0,
+        }
+    }
+
+    /// The same for the simulation.
+    pub fn optics(&self, pixel_pitch_um: f64) -> SpeckleOptics {
+        let lens = Aperture::Lens {
+            diameter_mm: self.pupil_mm,
+            focal_length_mm: self.focal_length_mm,
+            magnification: self.magnification,
+        };
+        let aperture = match self.na {
+            None => lens,
+            Some(na) => Aperture::ImageNa {
+                na,
+                image_distance_mm: lens.image_distance_mm(),
+            },
+        };
+        SpeckleOptics {
+            wavelength_nm: self.wavelength_nm,
+            aperture,
+            diffuser_fwhm_deg: self.diffuser_deg,
+            pixel_pitch_um,
+        }
+    }
+}
+
+/// A speckle PSF that covers every displacement from the field of `camera` to its sensor.
+///
+/// # Errors
+/// Those of [`phase_plate_psf`], by the names of the options.
+pub fn speckle_for(
+    camera: &Camera,
+    optics: &SpeckleOptics,
+    diffuser_phase: f64,
+    seed: u64,
+) -> Result<Psf> {
+    let (field_rows, field_columns) = camera.field();
+    let (rows, columns) = (
+        camera.rows() + field_rows - 1,
+        camera.columns() + field_columns - 1,
+    );
+    phase_plate_psf(optics, diffuser_phase, rows | 1, columns | 1, seed).map_err(naming_option)
+}
+
+/// Shot noise can only be made where it is known what an electron is.
+///
+/// # Errors
+/// Numbers of electrons that are not above zero, or a sensor without gain or read noise.
+pub fn check_noise(noise: NoiseChoice, camera: &Camera) -> Result<()> {
+    let (option, electrons, rule, remedy) = match noise {
+        NoiseChoice::Snr(_) => return Ok(()),
+        NoiseChoice::PeakElectrons(electrons) => (
+            "--peak-electrons",
+            electrons,
+            "the brightest pixel holds a number of electrons above zero",
+            "Give a number below the full well: full wells hold 10⁴ to 10⁶ electrons.",
+        ),
+        NoiseChoice::SceneElectrons(electrons) => (
+            "--scene-electrons",
+            electrons,
+            "the brightest scene pixel sends a number of electrons above zero in a bin",
+            "Multiply the photons that pass the lens by the quantum efficiency; 200 are few.",
+        ),
+    };
+    if !(electrons.is_finite() && electrons > 0.0) {
+        return Err(Error::input(option, electrons, rule, remedy));
+    }
+    let sensor = camera.sensor();
+    for (key, value) in [
+        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
+        ("read_noise_electrons", sensor.read_noise_electrons),
+    ] {
+        if value.is_none() {
+            return Err(Error::input(
+                "[camera]",
+                format!("no `{key}`"),
+                format!("{option} needs the sensor's gain and read noise"),
+                format!("Add a line `{key} = …` to [camera], or use --snr."),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Names the experiment file in an error of its camera.
+pub fn naming_camera(mut error: Error, file: &str) -> Error {
+    if let Error::Input { subject, .. } = &mut error
+        && subject == "[camera]"
+    {
+        *subject = format!("{file}: [camera]");
+    }
+    error
+}
+
+/// The pixel pitch of `camera`, or that of the demonstration.
+pub fn pixel_pitch_um(camera: &Camera) -> f64 {
+    camera
+        .sensor()
+        .pixel_pitch_um
+        .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
+}
+
+/// Names the option in an error of the optics, or the key where it comes from the
+/// experiment.
+fn naming_option(mut error: Error) -> Error {
+    if let Error::Input { subject, .. } = &mut error {
+        let option = match subject.as_str() {
+            "wavelength_nm" => "--wavelength-nm",
+            "diameter_mm" => "--pupil-mm",
+            "na" => "--na",
+            "focal_length_mm" | "image_distance_mm" => "--focal-length-mm",
+            "magnification" => "--magnification",
+            "diffuser_fwhm_deg" => "--diffuser-deg",
+            "pixel_pitch_um" => "[camera] pixel_pitch_um",
+            "rms_phase" => "--diffuser-phase",
+            other => other,
+        };
+        *subject = option.to_string();
+    }
+    error
+}
+
+/// What is to be seen, made.
+struct Shown {
+    /// All light, that of the background too.
+    video: Video,
+    /// What of it is static.
+    background: Option<Image>,
+    leds: Vec<Led>,
+}
+
+fn scene_of(plan: &Simulation, camera: &Camera) -> Result<Shown> {
+    let shape = camera.video_shape();
+    let of_font = |error: Error| error.within(format!("--digit-px {}", plan.digit_px));
+    let moving = |digits| scene::moving_digit(shape, plan.digit_px, digits, plan.seed);
+    let mut leds = Vec::new();
+    let mut video = match &plan.scene {
+        Scene::Named("digits") => {
+            scene::digits(shape, plan.digit_px, plan.seed).map_err(of_font)?
+        }
+        Scene::Named("moving") => moving(1).map_err(of_font)?,
+        Scene::Named("two-moving") => moving(2).map_err(of_font)?,
+        Scene::Named("leds") => {
+            let bin_duration_us = camera.time().bin_duration_us();
+            let (video, found) =
+                scene::leds(shape, bin_duration_us, pixel_pitch_um(camera), plan.seed)?;
+            leds = found;
+            video
+        }
+        Scene::Named(name) => {
+            return Err(Error::input(
+                "--scene",
+                format!("\"{name}\""),
+                "a scene is digits, leds, moving, two-moving or a video file",
+                "Check the name, or give a .npy or multi-page .tif file.",
+            ));
+        }
+        Scene::Video(video) => scene::fit(video, shape)?,
+    };
+    let background = match plan.background {
+        None => None,
+        Some(times) => {
+            let picture = scene::background(shape, plan.seed).map_err(naming_background)?;
+            let added = scene::add_background(&mut video, &picture, times);
+            Some(added.map_err(naming_background)?)
+        }
+    };
+    Ok(Shown {
+        video,
+        background,
+        leds,
+    })
+}
+
+fn naming_background(mut error: Error) -> Error {
+    if let Error::Input { subject, .. } = &mut error {
+        *subject = match subject.as_str() {
+            "background" => "--background".into(),
+            other => format!("--background: {other}"),
+        };
+    }
+    error
+}
+
+/// `video` without what is `still`.
+pub fn without(mut video: Video, still: &Image) -> Video {
+    for t in 0..video.shape().bins {
+        for (voxel, still) in video.bin_mut(t).iter_mut().zip(still.data()) {
+            *voxel = (*voxel - still).max(0.0);
+        }
+    }
+    video
+}

@@ -1,0 +1,72 @@
+//! What a reconstruction of one frame is to do, and doing it.
+
+use crate::solved::Solved;
+use crate::watch::Watch;
+use rowburst::measurement::Measurement;
+use rowburst::reconstruct::{Prior, Problem, Recipe};
+use rowburst::solve::StopReason;
+use rowburst::solve::admm::Progress;
+use rowburst::{Camera, Image, PatchSet, Result, Video};
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+/// A frame and what is wanted of it: values, wherever they come from.
+pub struct Task {
+    /// The camera.
+    pub camera: Camera,
+    /// The PSF, or those of the parts of the field.
+    pub psfs: PatchSet,
+    /// The corrected frame.
+    pub measurement: Measurement,
+    /// How to reconstruct. Where its prior is left open it is chosen, if there is time for it.
+    pub recipe: Recipe,
+    /// For set-up and solver.
+    pub budget: Option<Duration>,
+    /// The true video, to compare with.
+    pub truth: Option<Video>,
+    /// A frame of the scene without the diffuser, to be shown.
+    pub direct: Option<Image>,
+    /// Of the simulation that the frame comes from.
+    pub seed: u64,
+}
+
+/// Solves it. `began` is when the program was started, for the history; `show` sees every
+/// iteration with its residual over the noise level, and may stop it.
+///
+/// # Errors
+/// Those of [`Problem::new`] and [`Problem::solve`].
+pub fn solve(
+    task: Task,
+    began: Instant,
+    show: &mut dyn FnMut(&Progress, f64) -> ControlFlow<StopReason>,
+) -> Result<Solved> {
+    let recipe = Recipe {
+        // A choice takes a run for each candidate: a budget has no time for it.
+        prior: task.recipe.prior.or(task.budget.map(|_| Prior::STANDARD)),
+        ..task.recipe
+    };
+    let started = Instant::now();
+    let problem = Problem::new(&task.measurement, &task.camera, &task.psfs, recipe)?;
+    let setup = started.elapsed();
+    let left = task.budget.map(|b| b.saturating_sub(setup));
+    let mut watch = Watch::new(problem.sigma(), task.truth.as_ref(), left);
+    let solved = problem.solve(&mut |progress| {
+        let own = watch.observe(progress);
+        show(progress, watch.residual_over_sigma(progress))?;
+        own
+    });
+    let seconds = watch.seconds();
+    let found = solved?;
+    watch.rescale(found.sigma);
+    let started_after = watch.started_after(began);
+    let curve = watch.curve;
+    Ok(Solved {
+        task,
+        found,
+        debias: None,
+        setup_seconds: setup.as_secs_f64(),
+        seconds,
+        started_after,
+        curve,
+    })
+}

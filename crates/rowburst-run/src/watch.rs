@@ -1,0 +1,100 @@
+//! The clock beside the solver: its time, its budget and its course.
+
+use rowburst::Video;
+use rowburst::metrics::psnr_db;
+use rowburst::solve::StopReason;
+use rowburst::solve::admm::Progress;
+use rowburst_report::Iteration;
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+/// Every iteration up to this one is a point of the convergence curve; most of the quality is
+/// gained in these.
+const RECORD_ALL: usize = 50;
+/// Iterations between two points after these.
+const RECORD_EVERY: usize = 5;
+
+/// Watches a run.
+pub struct Watch<'a> {
+    start: Instant,
+    budget: Option<Duration>,
+    sigma: f64,
+    truth: Option<&'a Video>,
+    /// Iterations of all runs.
+    iterations: usize,
+    /// Time spent on comparing with the truth, which is not the solver's.
+    aside: Duration,
+    /// The points of the convergence curve.
+    pub curve: Vec<Iteration>,
+}
+
+impl<'a> Watch<'a> {
+    /// Starts the clock of the solver, which `budget` counts from.
+    pub fn new(sigma: f64, truth: Option<&'a Video>, budget: Option<Duration>) -> Self {
+        Self {
+            start: Instant::now(),
+            budget,
+            sigma,
+            truth,
+            iterations: 0,
+            aside: Duration::ZERO,
+            curve: Vec::new(),
+        }
+    }
+
+    /// Seconds from `began` to the start of the solver's clock.
+    pub fn started_after(&self, began: Instant) -> f64 {
+        (self.start - began).as_secs_f64()
+    }
+
+    /// Seconds of the solver so far.
+    pub fn seconds(&self) -> f64 {
+        (self.start.elapsed() - self.aside).as_secs_f64()
+    }
+
+    /// Residual over the noise level.
+    pub fn residual_over_sigma(&self, progress: &Progress) -> f64 {
+        progress.residual_rms / self.sigma
+    }
+
+    /// Sees one iteration.
+    pub fn observe(&mut self, progress: &Progress) -> ControlFlow<StopReason> {
+        let seconds = self.seconds();
+        self.iterations += 1;
+        if progress.iteration == 1 {
+            // Another run: the curve is that of the last one.
+            self.curve.clear();
+        }
+        if progress.iteration <= RECORD_ALL || progress.iteration.is_multiple_of(RECORD_EVERY) {
+            let compared = Instant::now();
+            self.curve.push(Iteration {
+                iteration: progress.iteration,
+                seconds,
+                objective: progress.objective,
+                residual_over_sigma: self.residual_over_sigma(progress),
+                change: progress.change,
+                psnr_db: self
+                    .truth
+                    .map(|truth| psnr_db(progress.video, truth.data())),
+            });
+            self.aside += compared.elapsed();
+        }
+        let per_iteration = seconds / self.iterations as f64;
+        match self.budget {
+            // The next iteration would end beyond the budget.
+            Some(budget) if seconds + per_iteration > budget.as_secs_f64() => {
+                ControlFlow::Break(StopReason::TimeBudget)
+            }
+            _ => ControlFlow::Continue(()),
+        }
+    }
+
+    /// Takes `sigma` for the noise level, which was found meanwhile.
+    pub fn rescale(&mut self, sigma: f64) {
+        let factor = self.sigma / sigma;
+        for point in &mut self.curve {
+            point.residual_over_sigma *= factor;
+        }
+        self.sigma = sigma;
+    }
+}

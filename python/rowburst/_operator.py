@@ -1,0 +1,105 @@
+"""The forward operator and the data term, as SciPy, PyLops, PyProximal and SCICO know them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+from scipy.sparse.linalg import LinearOperator
+
+from . import _rowburst
+from ._rowburst import Camera, Psf
+
+
+def _like(array: NDArray[Any]) -> np.dtype[Any]:
+    """float32 for float32 and float64 for the rest."""
+    return np.dtype(np.float32 if array.dtype == np.float32 else np.float64)
+
+
+class RollingShutterOperator(LinearOperator):
+    """``A``: from the flattened video ``[t, y, x]`` to the flattened frame ``[y, x]``.
+
+    Computed in float32; float64 vectors are converted, and give float64 vectors.
+    """
+
+    def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float32) -> None:
+        self._own = _rowburst._Operator(camera, psf)
+        self.camera = camera
+        super().__init__(np.dtype(dtype), self._own.shape)
+
+    @property
+    def video_shape(self) -> tuple[int, int, int]:
+        """Shape of what it is applied to, before flattening."""
+        return self.camera.video_shape
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Shape of what it gives, before flattening."""
+        return self.camera.frame_shape
+
+    def _matvec(self, x: Any) -> NDArray[Any]:
+        x = np.asarray(x)
+        return self._own.apply(x.reshape(-1)).astype(_like(x), copy=False)
+
+    def _rmatvec(self, x: Any) -> NDArray[Any]:
+        x = np.asarray(x)
+        return self._own.adjoint(x.reshape(-1)).astype(_like(x), copy=False)
+
+    def data_term(self, frame: ArrayLike) -> DataTerm:
+        """``½‖W(b - A v)‖²`` of a raw frame ``b``, with its exact prox."""
+        return DataTerm(self, frame)
+
+    def to_scico(self) -> Any:
+        """The same as a ``scico.linop.LinearOperator`` on videos, which may be traced and compiled."""
+        from ._scico import linear_operator
+
+        return linear_operator(self)
+
+
+class DataTerm:
+    """``f(v) = ½‖W(b - A v)‖²`` with its gradient and its exact proximal step.
+
+    PyProximal takes it as it is wherever it takes a ``ProxOperator``, on flattened videos;
+    :meth:`to_scico` is the same as a SCICO functional.
+    """
+
+    hasgrad = True
+
+    def __init__(self, operator: RollingShutterOperator, frame: ArrayLike) -> None:
+        self._own = _rowburst._DataTerm(operator._own, frame)
+        self.operator = operator
+
+    def __call__(self, x: ArrayLike) -> float:
+        return self._own.value(np.asarray(x).reshape(-1))
+
+    def grad(self, x: ArrayLike) -> NDArray[Any]:
+        """``AᵀW²(A x - b)``, in the shape of ``x``."""
+        x = np.asarray(x)
+        return self._own.gradient(x.reshape(-1)).astype(_like(x), copy=False).reshape(x.shape)
+
+    def prox(self, x: ArrayLike, step: float) -> NDArray[Any]:
+        """``argmin_v f(v) + ‖v - x‖²/(2 step)``, in the shape of ``x``.
+
+        Exact to rounding where every bin is seen by one instant, else to 1e-6 of the residual. A step
+        that differs from the last one costs a factorisation.
+        """
+        x = np.asarray(x)
+        found = self._own.prox(x.reshape(-1), float(step))
+        return found.astype(_like(x), copy=False).reshape(x.shape)
+
+    def proxdual(self, x: ArrayLike, step: float) -> NDArray[Any]:
+        """The step of the convex conjugate, by Moreau's identity."""
+        x = np.asarray(x)
+        return x - float(step) * self.prox(x / float(step), 1.0 / float(step))
+
+    def to_scico(self) -> Any:
+        """The same as a ``scico.functional.Functional`` on videos ``[t, y, x]``."""
+        from ._scico import functional
+
+        return functional(self)
+
+
+def operator(camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float32) -> RollingShutterOperator:
+    """The forward operator ``A`` of a camera behind a diffuser; ``dtype`` is what solvers see."""
+    return RollingShutterOperator(camera, psf, dtype)

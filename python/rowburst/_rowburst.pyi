@@ -1,0 +1,293 @@
+"""The extension module: see the package for what it is for."""
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__version__: str
+
+class InputError(ValueError):
+    """What was given breaks a rule: the message names it, the value, the rule and the remedy."""
+
+class WorkError(RuntimeError):
+    """The work itself failed: a full disk, no memory, numbers that overflowed."""
+
+@final
+class Camera:
+    """A rolling-shutter camera and the field that it is asked to reconstruct.
+
+    The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
+    instant of every row for the shutter ``custom``.
+    """
+
+    def __new__(
+        cls,
+        *,
+        rows: int,
+        columns: int,
+        shutter: Literal["top-down", "bottom-up", "dual-inside-out", "dual-outside-in", "custom", "global"],
+        exposure_us: float,
+        row_time_us: float | None = None,
+        row_order: Sequence[int] | None = None,
+        binning: int = 1,
+        bins_per_row: int = 1,
+        field: tuple[int, int] | None = None,
+        pixel_pitch_um: float | None = None,
+        bit_depth: int | None = None,
+        bias_counts: float | None = None,
+        gain_electrons_per_count: float | None = None,
+        read_noise_electrons: float | None = None,
+        full_well_counts: float | None = None,
+    ) -> Camera: ...
+    @staticmethod
+    def from_file(path: str | PathLike[str]) -> Camera:
+        """The camera of an experiment file."""
+    def to_toml(self) -> str:
+        """The text of an experiment file with this camera."""
+    @property
+    def rows(self) -> int: ...
+    @property
+    def columns(self) -> int: ...
+    @property
+    def shutter(self) -> str: ...
+    @property
+    def row_time_us(self) -> float: ...
+    @property
+    def exposure_us(self) -> float: ...
+    @property
+    def bins_per_row(self) -> int: ...
+    @property
+    def binning(self) -> int: ...
+    @property
+    def field(self) -> tuple[int, int]: ...
+    @property
+    def pixel_pitch_um(self) -> float | None: ...
+    @property
+    def bit_depth(self) -> int | None: ...
+    @property
+    def bias_counts(self) -> float | None: ...
+    @property
+    def gain_electrons_per_count(self) -> float | None: ...
+    @property
+    def read_noise_electrons(self) -> float | None: ...
+    @property
+    def full_well_counts(self) -> float | None: ...
+    @property
+    def video_shape(self) -> tuple[int, int, int]:
+        """``(bins, rows, columns)``."""
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """``(rows, columns)`` of the frame on the working grid."""
+    @property
+    def frame_rate_hz(self) -> float: ...
+    @property
+    def time_us(self) -> NDArray[np.float64]:
+        """The middle of each bin of the video, from the start of the first."""
+    def row_time_weights(self) -> NDArray[np.float32]:
+        """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times."""
+
+@final
+class Psf:
+    """A point-spread function that sums to 1, or several that share out the field.
+
+    The element at ``(height // 2, width // 2)`` is zero displacement.
+    """
+
+    def __new__(cls, values: ArrayLike) -> Psf: ...
+    @staticmethod
+    def patches(values: Sequence[ArrayLike], offsets_px: Sequence[tuple[float, float]]) -> Psf:
+        """PSFs with the offset ``(dy, dx)`` of each one's source from the middle of the field."""
+    @staticmethod
+    def from_file(path: str | PathLike[str], camera: Camera) -> Psf:
+        """An image, or the patch set of ``rowburst calibrate psf``, as the command line reads it."""
+    @property
+    def array(self) -> NDArray[np.float32]:
+        """The PSF nearest to the middle of the field, ``[y, x]``."""
+    @property
+    def arrays(self) -> list[NDArray[np.float32]]: ...
+    @property
+    def offsets_px(self) -> list[tuple[float, float]]: ...
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+
+@final
+class Experiment:
+    """What an experiment file says, with the files that it names read."""
+
+    def __new__(cls, path: str | PathLike[str]) -> Experiment: ...
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def psf(self) -> Psf | None: ...
+    @property
+    def dark(self) -> NDArray[np.float32] | None: ...
+    @property
+    def flat(self) -> NDArray[np.float32] | None: ...
+    @property
+    def bad_pixels(self) -> NDArray[np.float32] | None: ...
+    @property
+    def prior(self) -> str: ...
+    @property
+    def tau(self) -> str | float: ...
+    @property
+    def frame_period_us(self) -> float | None: ...
+
+@final
+class Simulation:
+    """A simulated capture with all that is known of it."""
+
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def psf(self) -> Psf: ...
+    @property
+    def frame(self) -> NDArray[np.float32]: ...
+    @property
+    def truth(self) -> NDArray[np.float32]:
+        """The video ``[t, y, x]``, in counts of the frame."""
+    @property
+    def direct(self) -> NDArray[np.float32]:
+        """The frame of the same camera without the diffuser."""
+    @property
+    def background(self) -> NDArray[np.float32] | None: ...
+    @property
+    def noise_sigma(self) -> float: ...
+    @property
+    def leds(self) -> list[tuple[float, float, float, float]]:
+        """``(y, x, frequency_hz, phase)`` of each LED."""
+
+@final
+class Progress:
+    """An iteration, as a progress callback sees it."""
+
+    @property
+    def label(self) -> str:
+        """What the run is for, where it is not the last one."""
+    @property
+    def iteration(self) -> int: ...
+    @property
+    def max_iterations(self) -> int: ...
+    @property
+    def residual_over_sigma(self) -> float: ...
+    @property
+    def tau(self) -> float: ...
+    @property
+    def change(self) -> float: ...
+    @property
+    def seconds(self) -> float:
+        """Since the call."""
+
+@final
+class Result:
+    @property
+    def video(self) -> NDArray[np.float32]: ...
+    @property
+    def background(self) -> NDArray[np.float32] | None: ...
+    @property
+    def residual(self) -> NDArray[np.float32]: ...
+    @property
+    def prior(self) -> str: ...
+    @property
+    def tau(self) -> float: ...
+    @property
+    def noise_sigma(self) -> float: ...
+    @property
+    def residual_over_sigma(self) -> float: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def stop_reason(self) -> str: ...
+    @property
+    def fit(self) -> str: ...
+    @property
+    def fit_reason(self) -> str: ...
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def setup_seconds(self) -> float: ...
+    @property
+    def frame_rate_hz(self) -> float: ...
+    def _json(self) -> str: ...
+    def _traces(self, regions: list[str], photodiodes: list[str]) -> tuple[list[dict[str, Any]], str]: ...
+    def _report(self, title: str) -> str: ...
+    def _save(self, folder: str | PathLike[str], title: str) -> None: ...
+
+@final
+class _Operator:
+    def __new__(cls, camera: Camera, psf: Psf | ArrayLike) -> _Operator: ...
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def camera(self) -> Camera: ...
+    def apply(self, x: ArrayLike) -> NDArray[np.float32]: ...
+    def adjoint(self, y: ArrayLike) -> NDArray[np.float32]: ...
+
+@final
+class _DataTerm:
+    def __new__(cls, operator: _Operator, frame: ArrayLike) -> _DataTerm: ...
+    def value(self, x: ArrayLike) -> float: ...
+    def gradient(self, x: ArrayLike) -> NDArray[np.float32]: ...
+    def prox(self, x: ArrayLike, step: float) -> NDArray[np.float32]: ...
+
+def reconstruct(
+    frame: ArrayLike,
+    camera: Camera,
+    psf: Psf | ArrayLike,
+    *,
+    prior: str = "auto",
+    tau: str | float | None = None,
+    noise_sigma: float | None = None,
+    time_budget_s: float | None = None,
+    max_iterations: int | None = None,
+    dark: ArrayLike | None = None,
+    flat: ArrayLike | None = None,
+    bad_pixels: ArrayLike | None = None,
+    truth: ArrayLike | None = None,
+    direct: ArrayLike | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    seed: int = 0,
+) -> Result: ...
+def simulate(
+    camera: Camera,
+    scene: str | ArrayLike | None = None,
+    psf: Psf | ArrayLike | None = None,
+    *,
+    snr: float = 256.0,
+    peak_electrons: float | None = None,
+    scene_electrons: float | None = None,
+    background: float | None = None,
+    seed: int = 1,
+    digit_px: int = 12,
+) -> Simulation:
+    """The frame that ``camera`` records of a scene.
+
+    ``scene`` is ``digits`` (the default), ``leds``, ``moving``, ``two-moving`` or a video ``[t, y, x]``
+    that is fitted to the field. Without ``psf`` a speckle PSF is computed. ``snr`` is the rms of the
+    noiseless frame over the noise, ``inf`` for none; ``peak_electrons`` (in the brightest pixel of the
+    frame) or ``scene_electrons`` (from the brightest scene pixel in a bin) give shot and read noise
+    instead, and need gain and read noise of the camera.
+    """
+
+def speckle_psf(
+    camera: Camera,
+    *,
+    wavelength_nm: float = 532.0,
+    pupil_mm: float = 1.71,
+    focal_length_mm: float = 50.0,
+    magnification: float = ...,
+    na: float | None = None,
+    diffuser_deg: float = 1.0,
+    diffuser_phase: float = 4.0,
+    seed: int = 1,
+) -> Psf:
+    """A random speckle PSF of a diffuser behind a lens, for every displacement that ``camera`` sees."""
+
+def set_threads(threads: int) -> None:
+    """Sets the number of threads, once, before anything is computed."""
+
+def threads() -> int:
+    """Threads that are used."""

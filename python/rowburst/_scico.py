@@ -1,0 +1,60 @@
+"""The operator and the data term in SCICO's words. JAX calls them through its host."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from scico import functional as scico_functional
+from scico import linop
+
+if TYPE_CHECKING:
+    from ._operator import DataTerm, RollingShutterOperator
+
+
+def linear_operator(own: RollingShutterOperator) -> Any:
+    """``A`` from ``[t, y, x]`` to ``[y, x]``."""
+    video, frame = own.video_shape, own.frame_shape
+
+    def called(function: Any, shape: tuple[int, ...]) -> Any:
+        result = jax.ShapeDtypeStruct(shape, np.float32)
+
+        def on_host(x: Any) -> Any:
+            return function(np.asarray(x, dtype=np.float32).reshape(-1)).reshape(shape)
+
+        return lambda x: jax.pure_callback(on_host, result, x)
+
+    def differentiable(forward: Any, adjoint: Any) -> Any:
+        linear = jax.custom_vjp(forward)
+        linear.defvjp(lambda x: (forward(x), None), lambda _, y: (adjoint(y),))
+        return linear
+
+    apply, adjoint = called(own._own.apply, frame), called(own._own.adjoint, video)
+    return linop.LinearOperator(
+        input_shape=video,
+        output_shape=frame,
+        eval_fn=differentiable(apply, adjoint),
+        adj_fn=differentiable(adjoint, apply),
+        input_dtype=np.float32,
+        output_dtype=np.float32,
+    )
+
+
+def functional(own: DataTerm) -> Any:
+    """``½‖W(b - A v)‖²`` with its prox."""
+
+    class RollingShutterData(scico_functional.Functional):
+        has_eval = True
+        has_prox = True
+
+        def __call__(self, x: Any) -> Any:
+            value = jax.ShapeDtypeStruct((), np.float32)
+            return jax.pure_callback(lambda v: np.float32(own(np.asarray(v))), value, x)
+
+        def prox(self, v: Any, lam: float = 1.0, **kwargs: Any) -> Any:
+            same = jax.ShapeDtypeStruct(v.shape, np.float32)
+            step = lambda p, s: own.prox(np.asarray(p, dtype=np.float32), float(s))
+            return jax.pure_callback(step, same, v, lam)
+
+    return RollingShutterData()

@@ -1,0 +1,201 @@
+"""Recordings on a Dask cluster: ``rowburst batch`` with workers that a scheduler gives work to.
+
+    python3 -m rowburst.dask experiment.toml --frames frames.zarr -o videos.zarr --scheduler tcp://host:8786
+
+A task is a range of frames, done by the code of ``rowburst batch`` into the same archive, which all
+workers reach on a shared disk. A frame counts as done once its line is written, after its video; so a
+task whose worker was killed is just run again, and the archive is that of one machine, bit for bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ._rowburst import InputError, WorkError, _Batch, __version__
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["reconstruct"]
+
+_FILES = ("psf", "dark", "flat", "bad_pixels")
+
+
+@lru_cache(maxsize=2)
+def _opened(job: str) -> _Batch:
+    """The batch of a worker process: its operator and Gram blocks are made once, for all its tasks."""
+    options = json.loads(job)
+    return _Batch(options.pop("experiment"), options.pop("frames"), options.pop("out"), **options)
+
+
+def _choose(job: str, version: str) -> tuple[str, str]:
+    """Chooses the prior of all frames, on a worker."""
+    _same_version(version)
+    return _opened(job).prior()
+
+
+def _part(job: str, version: str, frames: list[int], threads: int) -> tuple[int, int]:
+    """Makes what is left of ``frames``: how many were made, and how many of these failed."""
+    _same_version(version)
+    batch = _opened(job)
+    left = set(batch.left(min(frames), max(frames) + 1, True))
+    lines = batch.run([frame for frame in frames if frame in left], threads)
+    return len(lines), sum(not line[2] for line in lines)
+
+
+def _same_version(version: str) -> None:
+    if version != __version__:
+        raise WorkError(
+            f"worker: rowburst {__version__} here, {version} at the client; an archive is of one version. "
+            "Install the same version on all machines."
+        )
+
+
+def reconstruct(
+    frames: str | PathLike[str],
+    out: str | PathLike[str],
+    experiment: str | PathLike[str],
+    client: Client,
+    *,
+    frames_per_task: int | None = None,
+    threads_per_task: int = 1,
+    retry_failed: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+    **options: Any,
+) -> dict[str, Any]:
+    """Reconstructs every frame of a recording into one OME-Zarr archive, on the workers of ``client``.
+
+    ``frames`` is what ``rowburst batch --frames`` takes: a Zarr array ``[frame, y, x]``, a folder, a
+    stack. All paths must be the same for client and workers. ``options`` are those of ``rowburst
+    batch``: psf, dark, flat, bad_pixels (files), prior, tau, noise_sigma, max_iterations,
+    frame_period_us. ``progress(done, of)`` is called after every task. Called again, it goes on where
+    it was. Returns a summary; the table of all frames is ``OUT.zarr/rowburst/frames.csv``.
+
+    Give workers one Dask thread for each core: a frame on one thread beats many threads on one frame.
+    """
+    from distributed import as_completed
+
+    if threads_per_task < 1 or (frames_per_task is not None and frames_per_task < 1):
+        raise InputError(
+            f"frames_per_task: found {frames_per_task}, threads_per_task {threads_per_task}; "
+            "both are at least 1. Leave them out."
+        )
+    given = {name: value for name, value in options.items() if value is not None}
+    for name in _FILES:
+        if name in given:
+            given[name] = str(Path(given[name]).absolute())
+    if "tau" in given:
+        given["tau"] = str(given["tau"])
+    paths = {"experiment": experiment, "frames": frames, "out": out}
+    places = {name: str(Path(path).absolute()) for name, path in paths.items()}
+    # Begins the archive, and finds every mistake before a worker sees it.
+    batch = _Batch(places["experiment"], places["frames"], places["out"], **given)
+    job = json.dumps(places | given, sort_keys=True)
+    left = batch.left(0, batch.count, retry_failed)
+    prior, reason = client.submit(_choose, job, __version__, pure=False).result()
+    if frames_per_task is None:
+        # Several tasks for each thread, so that none waits long for the last one.
+        workers = sum(client.nthreads().values()) or 1
+        frames_per_task = max(1, min(16, len(left) // (4 * workers)))
+    parts = [left[i : i + frames_per_task] for i in range(0, len(left), frames_per_task)]
+    futures = [client.submit(_part, job, __version__, part, threads_per_task, pure=False, retries=3) for part in parts]
+    made = done = 0
+    sizes = {future.key: len(part) for future, part in zip(futures, parts, strict=True)}
+    try:
+        for future, (count, _) in as_completed(futures, with_results=True):
+            made += count
+            done += sizes[future.key]
+            if progress is not None:
+                progress(done, len(left))
+    except BaseException:
+        client.cancel(futures)
+        raise
+    table = batch.write_table()
+    rows = batch.rows()
+    failed = [row for row in rows if not row[2]]
+    return {
+        "version": __version__,
+        "archive": places["out"],
+        "table": str(table),
+        "frames": batch.count,
+        "done": len(rows) - len(failed),
+        "failed": len(failed),
+        "left": batch.count - len(rows),
+        "frames_this_run": made,
+        "prior": prior,
+        "prior_reason": reason,
+        "warnings": [f"no video of {row[1]}: {row[6]}" for row in failed[:10]],
+    }
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python3 -m rowburst.dask",
+        description="rowburst batch on the workers of a Dask scheduler.",
+        epilog="Example: python3 -m rowburst.dask experiment.toml --frames frames.zarr -o videos.zarr "
+        "--scheduler tcp://127.0.0.1:8786",
+    )
+    parser.add_argument("experiment")
+    parser.add_argument("--frames", required=True, help="the recording, as for rowburst batch")
+    parser.add_argument("-o", "--output", required=True, help="the archive, on a disk that all workers reach")
+    parser.add_argument("--scheduler", required=True, help="address of the scheduler, tcp://HOST:PORT")
+    for name in _FILES:
+        parser.add_argument(f"--{name.replace('_', '-')}", help="instead of the experiment's")
+    parser.add_argument("--prior")
+    parser.add_argument("--tau")
+    parser.add_argument("--noise-sigma", type=float)
+    parser.add_argument("--max-iterations", type=int)
+    parser.add_argument("--frame-period-us", type=float)
+    parser.add_argument("--retry-failed", action="store_true")
+    parser.add_argument("--frames-per-task", type=int)
+    parser.add_argument("--json", action="store_true", help="the summary as JSON")
+    return parser
+
+
+def _main() -> int:
+    args = vars(_parser().parse_args())
+    try:
+        from distributed import Client
+    except ImportError:
+        print("error: dask.distributed is missing. Install it: pip install 'rowburst[dask]'", file=sys.stderr)
+        return 1
+    scheduler, as_json = args.pop("scheduler"), args.pop("json")
+
+    def said(done: int, of: int) -> None:
+        if sys.stderr.isatty():
+            print(f"\r{done} of {of} frames", end="" if done < of else "\n", file=sys.stderr, flush=True)
+
+    try:
+        with Client(scheduler, timeout=int(os.environ.get("ROWBURST_SCHEDULER_TIMEOUT_S", "15"))) as client:
+            summary = reconstruct(
+                args.pop("frames"), args.pop("output"), args.pop("experiment"), client, progress=said, **args
+            )
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (OSError, TimeoutError) as error:
+        print(f"error: {scheduler}: no scheduler answers ({error}). Start one: dask scheduler", file=sys.stderr)
+        return 1
+    except Exception as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    else:
+        print(f"{summary['archive']}: {summary['done']} of {summary['frames']} frames have their video")
+        print(f"prior: {summary['prior']} ({summary['prior_reason']})\ntable: {summary['table']}")
+        for warning in summary["warnings"]:
+            print(f"warning: {warning}", file=sys.stderr)
+    return 0 if summary["done"] or not summary["frames"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(_main())
