@@ -16,6 +16,9 @@ mod progress;
 mod reconstruct;
 mod simulate;
 mod traces;
+#[cfg(feature = "view")]
+mod view;
+mod view_files;
 
 use args::{Cli, Verb};
 use clap::Parser;
@@ -40,6 +43,8 @@ fn main() -> ExitCode {
         Verb::Reconstruct(args) => reconstruct::run(&args, began),
         #[cfg(feature = "batch")]
         Verb::Batch(args) => batch::run(&args),
+        #[cfg(feature = "view")]
+        Verb::View(args) => view::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
     };

@@ -6,6 +6,8 @@ use rowburst::metrics::psnr_db;
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst_report::Iteration;
+#[cfg(feature = "view")]
+use rowburst_view::{Live, Point};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -17,6 +19,10 @@ use std::time::{Duration, Instant};
 const RECORD_ALL: usize = 50;
 /// Iterations between two points after these.
 const RECORD_EVERY: usize = 5;
+
+/// Time between two videos that are shown while it runs.
+#[cfg(feature = "view")]
+const BETWEEN_PICTURES: Duration = Duration::from_millis(250);
 
 /// Watches a run.
 pub struct Watch<'a> {
@@ -30,6 +36,9 @@ pub struct Watch<'a> {
     iterations: usize,
     /// Time spent on comparing with the truth, which is not the solver's.
     aside: Duration,
+    /// The page that watches.
+    #[cfg(feature = "view")]
+    page: Option<(Arc<Live>, Instant)>,
     /// The points of the convergence curve.
     pub curve: Vec<Iteration>,
 }
@@ -60,7 +69,37 @@ impl<'a> Watch<'a> {
             truth,
             iterations: 0,
             aside: Duration::ZERO,
+            #[cfg(feature = "view")]
+            page: None,
             curve: Vec::new(),
+        }
+    }
+
+    /// Shows the run to `live`, too.
+    #[cfg(feature = "view")]
+    #[must_use]
+    pub fn shown_by(mut self, live: Option<Arc<Live>>) -> Self {
+        self.page = live.map(|live| (live, self.start));
+        self
+    }
+
+    #[cfg(feature = "view")]
+    fn show(&mut self, progress: &Progress, seconds: f64, psnr_db: Option<f64>) {
+        let sigma = self.sigma;
+        let Some((live, last)) = &mut self.page else {
+            return;
+        };
+        let point = Point {
+            iteration: progress.iteration,
+            max_iterations: progress.max_iterations,
+            seconds,
+            residual_over_sigma: progress.residual_rms / sigma,
+            psnr_db,
+        };
+        live.point(progress.label, point);
+        if live.is_wanted() && last.elapsed() > BETWEEN_PICTURES {
+            live.show(progress.video);
+            *last = Instant::now();
         }
     }
 
@@ -83,8 +122,10 @@ impl<'a> Watch<'a> {
             self.curve.clear();
             self.bar.reset();
         }
+        let compared = Instant::now();
+        #[cfg(feature = "view")]
+        let mut psnr = None;
         if progress.iteration <= RECORD_ALL || progress.iteration.is_multiple_of(RECORD_EVERY) {
-            let compared = Instant::now();
             self.curve.push(Iteration {
                 iteration: progress.iteration,
                 seconds,
@@ -95,8 +136,14 @@ impl<'a> Watch<'a> {
                     .truth
                     .map(|truth| psnr_db(progress.video, truth.data())),
             });
-            self.aside += compared.elapsed();
+            #[cfg(feature = "view")]
+            {
+                psnr = self.curve.last().and_then(|point| point.psnr_db);
+            }
         }
+        #[cfg(feature = "view")]
+        self.show(progress, seconds, psnr);
+        self.aside += compared.elapsed();
         self.bar.set_length(progress.max_iterations as u64);
         self.bar.set_position(progress.iteration as u64);
         let level = progress.residual_rms / self.sigma;
@@ -132,6 +179,18 @@ impl<'a> Watch<'a> {
     }
 }
 
+/// Set once all work is done, and the program is there to be looked at.
+static IS_DONE: AtomicBool = AtomicBool::new(false);
+
+/// Waits for Ctrl-C, which then ends the program with status 0.
+#[cfg(feature = "view")]
+pub fn wait_for_ctrl_c() -> ! {
+    IS_DONE.store(true, Ordering::Relaxed);
+    loop {
+        std::thread::park();
+    }
+}
+
 /// A flag that Ctrl-C sets, after which the program says `talk`; a second Ctrl-C ends the program
 /// at once.
 pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
@@ -139,6 +198,9 @@ pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
     let flag = Arc::clone(&stop);
     // A handler that cannot be set leaves Ctrl-C to end the program: no reason to fail.
     let _ = ctrlc::set_handler(move || {
+        if IS_DONE.load(Ordering::Relaxed) {
+            std::process::exit(0);
+        }
         if flag.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }

@@ -10,6 +10,7 @@ use crate::outcome::{
 };
 use crate::progress::{Watch, stop_on_ctrl_c};
 use crate::traces::{self, DebiasNumbers, Traces, Wanted};
+use crate::view_files::{self, ViewFiles};
 use rowburst::measurement::{Measurement, correct};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, Verdict};
@@ -33,6 +34,10 @@ const FILES: &[(&str, &str)] = &[
         "brightness over time of the brightest spots and regions, with standard errors",
     ),
     ("report.html", "this page"),
+    (
+        "view.json, view-*.npy",
+        "what rowburst view shows beside the video",
+    ),
     ("result.json", "the numbers, for programs"),
 ];
 
@@ -68,11 +73,17 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
     let stop = stop_on_ctrl_c("the best so far will be written");
+    #[cfg(feature = "view")]
+    let page = crate::view::watching(args, &camera, &stop)?;
     let started = Instant::now();
     let problem = Problem::new(&measurement, &camera, &psfs, recipe)?;
     let setup = started.elapsed();
     let left = budget.map(|b| b.saturating_sub(setup));
     let mut watch = Watch::new(problem.sigma(), truth.as_ref(), left, stop);
+    #[cfg(feature = "view")]
+    {
+        watch = watch.shown_by(page.as_ref().map(|page| page.live()));
+    }
     let solved = problem.solve(&mut |progress| watch.observe(progress));
     let seconds = watch.seconds();
     watch.finish();
@@ -108,12 +119,20 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     outcome.history = points
         .map(|p| HistoryPoint::new(p, started_after))
         .collect();
+    #[cfg(feature = "view")]
+    if let Some(page) = &page {
+        page.writing();
+    }
     let outcome = run.write(&folder, outcome)?;
     let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
     if args.json {
         say(json);
     } else {
         print_summary(&outcome, args, &traces);
+    }
+    #[cfg(feature = "view")]
+    if let Some(page) = page {
+        return page.stay(&args.output);
     }
     Ok(())
 }
@@ -324,8 +343,31 @@ impl Run<'_> {
         };
         let reproduce = self.command_line();
         let placed = self.traces.placed();
+        let title = format!("Rowburst: {}", self.args.frame.display());
+        let headline = headline(&outcome);
+        let settings = self.settings(&outcome);
+        view_files::write(
+            folder,
+            &ViewFiles {
+                title: &title,
+                camera: self.camera,
+                video,
+                truth: self.truth.map(|truth| (truth, self.args.truth.as_deref())),
+                frame: self.measurement.image(),
+                psf: self.psfs.central().image(),
+                residual: &self.found.residual,
+                direct: direct.map(|(image, _)| image),
+                traces: &placed,
+                course: self.curve,
+                headline: &headline,
+                settings: &settings,
+                fit: (outcome.fit, &outcome.fit_reason),
+                warnings: &outcome.warnings,
+                command: &reproduce,
+            },
+        )?;
         let report = rowburst_report::render(&ReportInput {
-            title: &format!("Rowburst: {}", self.args.frame.display()),
+            title: &title,
             frame: self.measurement.image(),
             psf: self.psfs.central().image(),
             video,
@@ -336,12 +378,12 @@ impl Run<'_> {
             instants: self.camera.instants(),
             time,
             convergence: self.curve,
-            headline: headline(&outcome),
+            headline,
             fit: Some(Judgement {
                 verdict: outcome.fit,
                 reason: &outcome.fit_reason,
             }),
-            settings: self.settings(&outcome),
+            settings,
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
             mp4: mp4.as_deref(),
             files: FILES
