@@ -27,6 +27,9 @@ pub enum Verb {
     /// Recover the videos of a recording of many frames, into one Zarr archive
     #[cfg(feature = "batch")]
     Batch(BatchArgs),
+    /// Look at a result in the browser: video, traces, space and time, evidence
+    #[cfg(feature = "view")]
+    View(ViewArgs),
     /// Calibrate a camera and a diffuser from captures of your own
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
@@ -217,6 +220,14 @@ pub struct ReconstructArgs {
     /// columns time_us,value (or time_s, time_ms, time_ns) (repeatable)
     #[arg(long, value_name = "FILE.csv")]
     pub photodiode: Vec<PathBuf>,
+    /// Show the video in the browser while it is found, with a button to stop; then the result,
+    /// until Ctrl-C
+    #[cfg(feature = "view")]
+    #[arg(long)]
+    pub view: bool,
+    #[cfg(feature = "view")]
+    #[command(flatten)]
+    pub browser: BrowserArgs,
     /// Print result.json to standard output instead of a summary
     #[arg(long)]
     pub json: bool,
@@ -226,6 +237,37 @@ pub struct ReconstructArgs {
     /// Seed of the simulation that the frame comes from, for result.json
     #[arg(skip)]
     pub seed: u64,
+}
+
+/// Look at a result in the browser.
+///
+/// The page comes from a server on 127.0.0.1, out of reach of other machines. On a computer far away
+/// run it there with --no-open, then ssh -L 8787:localhost:8787 THERE and open http://localhost:8787/
+/// here.
+#[cfg(feature = "view")]
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst view result\n  rowburst view result other-result      two results side by side, with one clock\n  rowburst view result video.npy --port 9000 --no-open"
+)]
+pub struct ViewArgs {
+    /// The folder that rowburst reconstruct has written (or a video, .npy or .tif), and another to
+    /// compare it with
+    #[arg(required = true, num_args = 1..=2, value_name = "RESULT")]
+    pub results: Vec<PathBuf>,
+    #[command(flatten)]
+    pub browser: BrowserArgs,
+}
+
+/// Where the page is, and who opens it.
+#[cfg(feature = "view")]
+#[derive(Debug, Clone, Default, Args)]
+pub struct BrowserArgs {
+    /// Port of the page on 127.0.0.1; 0 for any [default: 8787, or the next that is free]
+    #[arg(long)]
+    pub port: Option<u16>,
+    /// Only print the page's address
+    #[arg(long)]
+    pub no_open: bool,
 }
 
 /// Recover the videos of a recording of many frames, into one Zarr archive.

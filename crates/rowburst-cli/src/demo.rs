@@ -66,6 +66,10 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
                 .collect(),
             DemoScene::Digits | DemoScene::Moving => Vec::new(),
         },
+        #[cfg(feature = "view")]
+        view: false,
+        #[cfg(feature = "view")]
+        browser: crate::args::BrowserArgs::default(),
         json: args.json,
         seed: args.seed,
         output: args.output.clone(),

@@ -15,6 +15,8 @@ mod outcome;
 mod progress;
 mod reconstruct;
 mod simulate;
+#[cfg(feature = "view")]
+mod view;
 
 use args::{Cli, Verb};
 use clap::Parser;
@@ -39,6 +41,8 @@ fn main() -> ExitCode {
         Verb::Reconstruct(args) => reconstruct::run(&args, began),
         #[cfg(feature = "batch")]
         Verb::Batch(args) => batch::run(&args),
+        #[cfg(feature = "view")]
+        Verb::View(args) => view::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
     };

@@ -3,6 +3,7 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
+use rowburst_run::Seen;
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -28,8 +29,9 @@ impl Bar {
         Self { bar, stop }
     }
 
-    /// Shows an iteration with its residual over the noise level.
-    pub fn show(&mut self, progress: &Progress, level: f64) -> ControlFlow<StopReason> {
+    /// Shows an iteration.
+    pub fn show(&mut self, progress: &Progress, seen: &Seen) -> ControlFlow<StopReason> {
+        let level = seen.residual_over_sigma;
         if progress.iteration == 1 {
             self.bar.reset();
         }
@@ -51,6 +53,18 @@ impl Bar {
     }
 }
 
+/// Set once all work is done, and the program is there to be looked at.
+static IS_DONE: AtomicBool = AtomicBool::new(false);
+
+/// Waits for Ctrl-C, which then ends the program with status 0.
+#[cfg(feature = "view")]
+pub fn wait_for_ctrl_c() -> ! {
+    IS_DONE.store(true, Ordering::Relaxed);
+    loop {
+        std::thread::park();
+    }
+}
+
 /// A flag that Ctrl-C sets, after which the program says `talk`; a second Ctrl-C ends the program
 /// at once.
 pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
@@ -58,6 +72,9 @@ pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
     let flag = Arc::clone(&stop);
     // A handler that cannot be set leaves Ctrl-C to end the program: no reason to fail.
     let _ = ctrlc::set_handler(move || {
+        if IS_DONE.load(Ordering::Relaxed) {
+            std::process::exit(0);
+        }
         if flag.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }

@@ -45,6 +45,9 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     drop((raw, corrections));
     let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
+    let stop = stop_on_ctrl_c("the best so far will be written");
+    #[cfg(feature = "view")]
+    let mut page = crate::view::watching(args, &camera, &stop)?;
     let task = Task {
         camera,
         psfs,
@@ -52,17 +55,26 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
         recipe,
         budget,
         truth,
+        truth_file: args.truth.clone(),
         direct,
         seed: args.seed,
     };
-    let mut bar = Bar::new(stop_on_ctrl_c("the best so far will be written"));
-    let solved = solve(task, began, &mut |progress, level| {
-        bar.show(progress, level)
+    let mut bar = Bar::new(stop);
+    let solved = solve(task, began, &mut |progress, seen| {
+        #[cfg(feature = "view")]
+        if let Some(page) = &mut page {
+            page.show(progress, seen);
+        }
+        bar.show(progress, seen)
     });
     bar.finish();
     let mut solved = solved?;
     let mut traces = solved.traces(wanted, args.debias);
     solved.take_debiased(&mut traces);
+    #[cfg(feature = "view")]
+    if let Some(page) = &page {
+        page.writing();
+    }
     let title = format!("Rowburst: {}", args.frame.display());
     let outcome = solved.write(&traces, &folder, &title, Some(&command_line(args)))?;
     if args.json {
@@ -70,6 +82,10 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
         say(json);
     } else {
         print_summary(&outcome, args, &traces);
+    }
+    #[cfg(feature = "view")]
+    if let Some(page) = page {
+        return page.stay(&args.output);
     }
     Ok(())
 }

@@ -82,19 +82,21 @@ pub fn reconstruct(
         recipe,
         budget,
         truth,
+        truth_file: None,
         direct,
         seed,
     };
     // Raised by the callback, or Ctrl-C: the run is given up.
     let mut broken: Option<PyErr> = None;
     let solved = py.detach(|| {
-        solve(task, began, &mut |seen, level| {
+        solve(task, began, &mut |iteration, seen| {
             let asked = Python::attach(|py| {
                 py.check_signals()?;
                 let Some(progress) = &progress else {
                     return Ok(true);
                 };
-                let seen = PyProgress::new(seen, level, began.elapsed().as_secs_f64());
+                let level = seen.residual_over_sigma;
+                let seen = PyProgress::new(iteration, level, began.elapsed().as_secs_f64());
                 let answer = progress.call1(py, (seen,))?;
                 // `None` goes on; `False` asks for the best so far.
                 Ok(!answer

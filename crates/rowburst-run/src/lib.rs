@@ -16,13 +16,14 @@ pub mod simulate;
 mod solved;
 mod task;
 mod traces;
+mod view_files;
 mod watch;
 
 pub use outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
 };
 pub use solved::{Solved, Words, thousands};
-pub use task::{Task, solve};
+pub use task::{Seen, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,
     Traces, TruthNumbers, Wanted,

@@ -5,12 +5,14 @@ use crate::outcome::{
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, Traces, Wanted};
+use crate::view_files::{self, ViewFiles};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
-use rowburst::{Result, Video};
+use rowburst::{Image, Result, Video};
 use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
 use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Report, ReportInput};
+use std::borrow::Cow;
 
 /// Files of a result, and what they are.
 const FILES: &[(&str, &str)] = &[
@@ -26,6 +28,10 @@ const FILES: &[(&str, &str)] = &[
         "brightness over time of the brightest spots and regions, with standard errors",
     ),
     ("report.html", "this page"),
+    (
+        "view.json, view-*.npy",
+        "what rowburst view shows beside the video",
+    ),
     ("result.json", "the numbers, for programs"),
 ];
 
@@ -107,6 +113,13 @@ impl Solved {
             tau_rule: match (recipe.tau, found.sigma_source) {
                 (Tau::Given(_), _) => "given",
                 (_, SigmaSource::HeldOut) => "held-out pixels",
+                _ if found
+                    .choice
+                    .as_ref()
+                    .is_some_and(|c| c.best().strength != 1.0) =>
+                {
+                    "held-out pixels, from the discrepancy principle on"
+                }
                 _ => "discrepancy principle",
             },
             noise_sigma: found.sigma,
@@ -237,6 +250,7 @@ impl Solved {
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
+        self.write_view(traces, &outcome, folder, &words)?;
         let report = self.report_of(traces, &outcome, words, mp4.as_deref())?;
         for picture in &report.pictures {
             folder.write_bytes(&picture.name, &picture.png)?;
@@ -260,6 +274,51 @@ impl Solved {
         self.report_of(traces, &outcome, words, mp4.as_deref())
     }
 
+    /// What the viewer shows beside the video.
+    fn write_view(
+        &self,
+        traces: &Traces,
+        outcome: &Outcome,
+        folder: &OutputFolder,
+        words: &Words,
+    ) -> Result<()> {
+        let (task, direct) = (&self.task, self.direct());
+        let truth = task.truth.as_ref();
+        view_files::write(
+            folder,
+            &ViewFiles {
+                title: words.title,
+                camera: &task.camera,
+                video: &self.found.video,
+                truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
+                frame: task.measurement.image(),
+                psf: task.psfs.central().image(),
+                residual: &self.found.residual,
+                direct: direct.as_ref().map(|(image, _)| image.as_ref()),
+                traces: &traces.placed(),
+                course: &self.curve,
+                headline: &headline(outcome),
+                settings: &self.settings(outcome),
+                fit: (outcome.fit, &outcome.fit_reason),
+                warnings: &outcome.warnings,
+                command: words.reproduce.unwrap_or_default(),
+            },
+        )
+    }
+
+    /// The scene without the diffuser: the frame that was given, or computed from the truth.
+    fn direct(&self) -> Option<(Cow<'_, Image>, DirectOrigin)> {
+        let task = &self.task;
+        match (&task.direct, &task.truth) {
+            (Some(image), _) => Some((Cow::Borrowed(image), DirectOrigin::Given)),
+            (None, Some(truth)) => {
+                let computed = direct_frame(&task.camera, truth);
+                Some((Cow::Owned(computed), DirectOrigin::Truth))
+            }
+            (None, None) => None,
+        }
+    }
+
     fn report_of(
         &self,
         traces: &Traces,
@@ -268,13 +327,7 @@ impl Solved {
         mp4: Option<&[u8]>,
     ) -> Result<Report> {
         let task = &self.task;
-        let computed = task.truth.as_ref().filter(|_| task.direct.is_none());
-        let computed = computed.map(|truth| direct_frame(&task.camera, truth));
-        let direct = match (&task.direct, &computed) {
-            (Some(image), _) => Some((image, DirectOrigin::Given)),
-            (None, Some(image)) => Some((image, DirectOrigin::Truth)),
-            (None, None) => None,
-        };
+        let direct = self.direct();
         let placed = traces.placed();
         rowburst_report::render(&ReportInput {
             title: words.title,
@@ -282,7 +335,10 @@ impl Solved {
             psf: task.psfs.central().image(),
             video: &self.found.video,
             truth: task.truth.as_ref(),
-            direct: direct.map(|(image, origin)| Direct { image, origin }),
+            direct: direct.as_ref().map(|(image, origin)| Direct {
+                image,
+                origin: *origin,
+            }),
             residual: &self.found.residual,
             traces: &placed,
             instants: task.camera.instants(),

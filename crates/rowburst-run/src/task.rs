@@ -8,6 +8,7 @@ use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Image, PatchSet, Result, Video};
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// A frame and what is wanted of it: values, wherever they come from.
@@ -24,21 +25,34 @@ pub struct Task {
     pub budget: Option<Duration>,
     /// The true video, to compare with.
     pub truth: Option<Video>,
+    /// The file that it was read from.
+    pub truth_file: Option<PathBuf>,
     /// A frame of the scene without the diffuser, to be shown.
     pub direct: Option<Image>,
     /// Of the simulation that the frame comes from.
     pub seed: u64,
 }
 
+/// What the clock beside the solver knows of an iteration.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen {
+    /// Of the solver so far.
+    pub seconds: f64,
+    /// Residual over the noise level.
+    pub residual_over_sigma: f64,
+    /// Against the truth, at the iterations that are points of the history.
+    pub psnr_db: Option<f64>,
+}
+
 /// Solves it. `began` is when the program was started, for the history; `show` sees every
-/// iteration with its residual over the noise level, and may stop it.
+/// iteration, at its own time, and may stop it.
 ///
 /// # Errors
 /// Those of [`Problem::new`] and [`Problem::solve`].
 pub fn solve(
     task: Task,
     began: Instant,
-    show: &mut dyn FnMut(&Progress, f64) -> ControlFlow<StopReason>,
+    show: &mut dyn FnMut(&Progress, &Seen) -> ControlFlow<StopReason>,
 ) -> Result<Solved> {
     let recipe = Recipe {
         // A choice takes a run for each candidate: a budget has no time for it.
@@ -52,7 +66,7 @@ pub fn solve(
     let mut watch = Watch::new(problem.sigma(), task.truth.as_ref(), left);
     let solved = problem.solve(&mut |progress| {
         let own = watch.observe(progress);
-        show(progress, watch.residual_over_sigma(progress))?;
+        watch.aside(|seen| show(progress, seen))?;
         own
     });
     let seconds = watch.seconds();

@@ -1,5 +1,6 @@
 //! The clock beside the solver: its time, its budget and its course.
 
+use crate::task::Seen;
 use rowburst::Video;
 use rowburst::metrics::psnr_db;
 use rowburst::solve::StopReason;
@@ -22,8 +23,9 @@ pub struct Watch<'a> {
     truth: Option<&'a Video>,
     /// Iterations of all runs.
     iterations: usize,
-    /// Time spent on comparing with the truth, which is not the solver's.
+    /// Time spent on comparing with the truth and on showing, which is not the solver's.
     aside: Duration,
+    seen: Seen,
     /// The points of the convergence curve.
     pub curve: Vec<Iteration>,
 }
@@ -38,6 +40,11 @@ impl<'a> Watch<'a> {
             truth,
             iterations: 0,
             aside: Duration::ZERO,
+            seen: Seen {
+                seconds: 0.0,
+                residual_over_sigma: f64::NAN,
+                psnr_db: None,
+            },
             curve: Vec::new(),
         }
     }
@@ -52,9 +59,12 @@ impl<'a> Watch<'a> {
         (self.start.elapsed() - self.aside).as_secs_f64()
     }
 
-    /// Residual over the noise level.
-    pub fn residual_over_sigma(&self, progress: &Progress) -> f64 {
-        progress.residual_rms / self.sigma
+    /// Does with the last iteration what takes no time of the solver's.
+    pub fn aside<T>(&mut self, what: impl FnOnce(&Seen) -> T) -> T {
+        let began = Instant::now();
+        let done = what(&self.seen);
+        self.aside += began.elapsed();
+        done
     }
 
     /// Sees one iteration.
@@ -65,17 +75,22 @@ impl<'a> Watch<'a> {
             // Another run: the curve is that of the last one.
             self.curve.clear();
         }
+        self.seen = Seen {
+            seconds,
+            residual_over_sigma: progress.residual_rms / self.sigma,
+            psnr_db: None,
+        };
         if progress.iteration <= RECORD_ALL || progress.iteration.is_multiple_of(RECORD_EVERY) {
             let compared = Instant::now();
+            let truth = self.truth;
+            self.seen.psnr_db = truth.map(|truth| psnr_db(progress.video, truth.data()));
             self.curve.push(Iteration {
                 iteration: progress.iteration,
                 seconds,
                 objective: progress.objective,
-                residual_over_sigma: self.residual_over_sigma(progress),
+                residual_over_sigma: self.seen.residual_over_sigma,
                 change: progress.change,
-                psnr_db: self
-                    .truth
-                    .map(|truth| psnr_db(progress.video, truth.data())),
+                psnr_db: self.seen.psnr_db,
             });
             self.aside += compared.elapsed();
         }

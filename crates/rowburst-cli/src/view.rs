@@ -1,0 +1,120 @@
+//! `rowburst view`, and the page of a reconstruction that is running.
+
+use crate::args::{BrowserArgs, ReconstructArgs, ViewArgs};
+use crate::outcome::say;
+use crate::progress::wait_for_ctrl_c;
+use rowburst::solve::admm::Progress;
+use rowburst::{Camera, Error, Result};
+use rowburst_run::Seen;
+use rowburst_view::{HOW_TO_GET_THE_PAGE, Live, LiveStart, Opened, Point, Server, Stage, bundle};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+pub fn run(args: &ViewArgs) -> Result<()> {
+    let results = args.results.iter().map(|path| Opened::open(path));
+    let results = results.collect::<Result<Vec<_>>>()?;
+    check_page()?;
+    let server = Server::start(args.browser.port, results, None)?;
+    say(server.url());
+    open(&server, &args.browser);
+    eprintln!("Ctrl-C ends it");
+    loop {
+        std::thread::park();
+    }
+}
+
+fn check_page() -> Result<()> {
+    match bundle() {
+        Some(_) => Ok(()),
+        None => Err(Error::work(
+            "the viewer",
+            "it has no page",
+            HOW_TO_GET_THE_PAGE,
+        )),
+    }
+}
+
+/// Opens the page where that is wanted and there is a screen.
+fn open(server: &Server, args: &BrowserArgs) {
+    let url = server.url();
+    let has_screen = !cfg!(target_os = "linux")
+        || ["DISPLAY", "WAYLAND_DISPLAY"]
+            .iter()
+            .any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty()));
+    if !args.no_open && has_screen && open::that_detached(&url).is_err() {
+        eprintln!("no browser could be started: open {url} yourself");
+    }
+}
+
+/// Time between two videos that are shown while it runs.
+const BETWEEN_PICTURES: Duration = Duration::from_millis(250);
+
+/// The page of a run.
+pub struct Watching {
+    server: Server,
+    live: Arc<Live>,
+    /// When the last video was shown.
+    last: Instant,
+}
+
+/// Opens the page of a run, with `--view`. `stop` is what ends the run.
+pub fn watching(
+    args: &ReconstructArgs,
+    camera: &Camera,
+    stop: &Arc<AtomicBool>,
+) -> Result<Option<Watching>> {
+    if !args.view {
+        return Ok(None);
+    }
+    check_page()?;
+    let shape = camera.video_shape();
+    let start = LiveStart {
+        title: format!("Rowburst: {}", args.frame.display()),
+        shape: [shape.bins, shape.rows, shape.columns],
+        bin_duration_us: camera.time().bin_duration_us(),
+        pixel_pitch_um: camera.sensor().pixel_pitch_um,
+    };
+    let live = Arc::new(Live::new(start, Arc::clone(stop)));
+    let server = Server::start(args.browser.port, Vec::new(), Some(Arc::clone(&live)))?;
+    // Standard output is for the result.
+    eprintln!("watch it at {}", server.url());
+    open(&server, &args.browser);
+    Ok(Some(Watching {
+        server,
+        live,
+        last: Instant::now(),
+    }))
+}
+
+impl Watching {
+    /// Shows an iteration.
+    pub fn show(&mut self, progress: &Progress, seen: &Seen) {
+        let point = Point {
+            iteration: progress.iteration,
+            max_iterations: progress.max_iterations,
+            seconds: seen.seconds,
+            residual_over_sigma: seen.residual_over_sigma,
+            psnr_db: seen.psnr_db,
+        };
+        self.live.point(progress.label, point);
+        if self.live.is_wanted() && self.last.elapsed() > BETWEEN_PICTURES {
+            self.live.show(progress.video);
+            self.last = Instant::now();
+        }
+    }
+
+    /// The iterations are over.
+    pub fn writing(&self) {
+        self.live.reach(Stage::Writing);
+    }
+
+    /// Shows the result that was written to `folder`, until Ctrl-C.
+    pub fn stay(self, folder: &Path) -> Result<()> {
+        self.server.show(vec![Opened::open(folder)?]);
+        self.live.reach(Stage::Done);
+        eprintln!("the result is at {}; Ctrl-C ends it", self.server.url());
+        wait_for_ctrl_c()
+    }
+}

@@ -1,0 +1,136 @@
+//! What a result folder keeps for the viewer: `view.json`, and pictures beside it.
+
+use rowburst::{Camera, Image, Result, Video};
+use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
+use rowburst_report::{Iteration, PlacedTrace};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Most points of a photodiode's signal that are kept; a screen shows no more.
+const MOST_POINTS: usize = 5000;
+
+/// All of it, borrowed.
+pub struct ViewFiles<'a> {
+    pub title: &'a str,
+    pub camera: &'a Camera,
+    pub video: &'a Video,
+    /// The true video, and the file that it came from.
+    pub truth: Option<(&'a Video, Option<&'a Path>)>,
+    pub frame: &'a Image,
+    pub psf: &'a Image,
+    pub residual: &'a Image,
+    pub direct: Option<&'a Image>,
+    pub traces: &'a [PlacedTrace],
+    pub course: &'a [Iteration],
+    pub headline: &'a [(String, String)],
+    pub settings: &'a [(String, Vec<(String, String)>)],
+    /// Verdict and reason.
+    pub fit: (&'a str, &'a str),
+    pub warnings: &'a [String],
+    pub command: &'a str,
+}
+
+/// Writes the pictures, then `view.json`.
+pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<()> {
+    let images = [
+        ("view-frame.npy", Some(files.frame)),
+        ("view-psf.npy", Some(files.psf)),
+        ("view-residual.npy", Some(files.residual)),
+        ("view-direct.npy", files.direct),
+    ];
+    for (name, image) in images {
+        match image {
+            Some(image) => folder.write(name, |w| write_npy_image(w, image))?,
+            None => folder.remove(name)?,
+        }
+    }
+    let truth = match files.truth {
+        // It lies in the folder already (rowburst demo).
+        Some((_, Some(path))) if is_in(path, folder, "truth.npy") => {
+            folder.remove("view-truth.npy")?;
+            Some("truth.npy")
+        }
+        Some((truth, _)) => {
+            folder.write("view-truth.npy", |w| write_npy_video(w, truth))?;
+            Some("view-truth.npy")
+        }
+        None => {
+            folder.remove("view-truth.npy")?;
+            None
+        }
+    };
+    let json = describe(files, truth).to_string();
+    folder.write_bytes("view.json", format!("{json}\n").as_bytes())
+}
+
+fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
+    let full = |path: &Path| path.canonicalize().ok();
+    full(path).is_some_and(|path| Some(path) == full(&folder.path().join(name)))
+}
+
+/// `view.json`; numbers that are not finite become null.
+pub fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
+    let camera = files.camera;
+    let time = camera.time();
+    let bins_of = |instant: &usize| {
+        let weights = &time.instants()[*instant];
+        [
+            weights.first_bin,
+            weights.first_bin + weights.weights.len() - 1,
+        ]
+    };
+    let mut ranges = json!({ "video": range(files.video) });
+    if let Some((truth, _)) = files.truth {
+        ranges["truth"] = json!(range(truth));
+    }
+    let course = files.course.iter();
+    json!({
+        "version": 1,
+        "title": files.title,
+        "bin_duration_us": time.bin_duration_us(),
+        "pixel_pitch_um": camera.sensor().pixel_pitch_um,
+        "ranges": ranges,
+        "truth": truth,
+        // First and last bin that each row of the frame integrates.
+        "row_bins": camera.instants().iter().map(bins_of).collect::<Vec<_>>(),
+        "traces": files.traces.iter().map(trace).collect::<Vec<_>>(),
+        "course": course.map(|p| json!({
+            "iteration": p.iteration,
+            "seconds": p.seconds,
+            "objective": p.objective,
+            "residual_over_sigma": p.residual_over_sigma,
+            "change": p.change,
+            "psnr_db": p.psnr_db,
+        })).collect::<Vec<_>>(),
+        "headline": files.headline,
+        "settings": files.settings,
+        "fit": { "verdict": files.fit.0, "reason": files.fit.1 },
+        "warnings": files.warnings,
+        "command": files.command,
+    })
+}
+
+fn trace(placed: &PlacedTrace) -> Value {
+    let trace = &placed.trace;
+    let region = trace.region;
+    let diodes = placed.photodiodes.iter();
+    json!({
+        "region": { "y": region.y, "x": region.x, "rows": region.rows, "columns": region.columns },
+        "value": trace.value,
+        "debiased": trace.debiased,
+        "standard_error": trace.standard_error,
+        "frequency_hz": placed.frequency.as_ref().map(|f| f.hertz),
+        "frequency_error_hz": placed.frequency.as_ref().map(|f| f.error_hz),
+        "photodiodes": diodes.map(|d| json!({
+            "name": d.name,
+            "correlation": d.correlation,
+            "points": d.points.iter().step_by(d.points.len().div_ceil(MOST_POINTS).max(1)).collect::<Vec<_>>(),
+        })).collect::<Vec<_>>(),
+    })
+}
+
+/// Smallest and largest value, with 0.
+fn range(video: &Video) -> (f32, f32) {
+    let values = video.data().iter().filter(|v| v.is_finite());
+    values.fold((0.0, 0.0), |(low, high), &v| (v.min(low), v.max(high)))
+}

@@ -1,0 +1,25 @@
+//! The viewer: result folders as a page in the browser, served to this machine alone.
+//!
+//! ```text
+//! folder, .npy ─▶ Opened (description + arrays read bin by bin) ─┐
+//! solver ─▶ Live (latest video, course, stop) ───────────────────┼─▶ Server ─▶ page
+//! web/dist ─▶ page (embedded at build)  ─────────────────────────┘
+//! ```
+//!
+//! The server listens on 127.0.0.1, answers only requests whose `Host` is this machine, serves only
+//! the files of a result that are named in [`opened`], and sends a policy that lets the page fetch
+//! from nowhere else. Videos travel as 16-bit numbers with their scale, some bins at a time, so that
+//! a picture is seen long before the video is there.
+
+mod array;
+mod guard;
+mod live;
+pub mod opened;
+mod page;
+mod server;
+
+pub use array::{Array, Quantised, quantise8, range_of_video};
+pub use live::{Live, LiveStart, Point, Stage};
+pub use opened::Opened;
+pub use page::{Bundle, HOW_TO_GET_THE_PAGE, bundle};
+pub use server::Server;

@@ -1,0 +1,187 @@
+//! A reconstruction that is running: the latest video, its course, and the wish to stop it.
+//!
+//! The solver's observer writes, the server's threads read. A video is made ready to be sent only
+//! when a page has asked since the last one, so a run that nobody watches costs nothing.
+
+use crate::array::Quantised;
+use serde_json::{Value, json};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// What is known before the first iteration.
+#[derive(Debug, Clone)]
+pub struct LiveStart {
+    /// Title of the page.
+    pub title: String,
+    /// Bins, rows and columns of the video.
+    pub shape: [usize; 3],
+    /// Duration of a bin in microseconds.
+    pub bin_duration_us: f64,
+    /// Pitch of the sensor's pixels in µm.
+    pub pixel_pitch_um: Option<f64>,
+}
+
+/// A point of the course.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    /// Of this run.
+    pub iteration: usize,
+    /// Most that this run may take.
+    pub max_iterations: usize,
+    /// Since the start.
+    pub seconds: f64,
+    /// Root mean square of the residual over σ.
+    pub residual_over_sigma: f64,
+    /// Against the truth.
+    pub psnr_db: Option<f64>,
+}
+
+/// How far a run is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Set-up or iterations.
+    Running,
+    /// The result is being written.
+    Writing,
+    /// The result is there.
+    Done,
+    /// There will be none.
+    Failed,
+}
+
+/// A running reconstruction as the page sees it.
+pub struct Live {
+    start: LiveStart,
+    stop: Arc<AtomicBool>,
+    wanted: AtomicBool,
+    now: Mutex<Now>,
+}
+
+struct Now {
+    stage: Stage,
+    label: String,
+    course: Vec<Point>,
+    latest: Option<Point>,
+    snapshot: usize,
+    video: Option<Arc<Quantised>>,
+    error: Option<String>,
+}
+
+impl Live {
+    /// `stop` is set when the page asks for the end; the observer has to see it.
+    pub fn new(start: LiveStart, stop: Arc<AtomicBool>) -> Self {
+        Self {
+            start,
+            stop,
+            wanted: AtomicBool::new(false),
+            now: Mutex::new(Now {
+                stage: Stage::Running,
+                label: String::new(),
+                course: Vec::new(),
+                latest: None,
+                snapshot: 0,
+                video: None,
+                error: None,
+            }),
+        }
+    }
+
+    /// Adds a point of the course, to be called in every iteration; iteration 1 begins a new one.
+    pub fn point(&self, label: &str, point: Point) {
+        let mut now = self.now();
+        if point.iteration == 1 {
+            now.course.clear();
+        }
+        now.label.clear();
+        now.label.push_str(label);
+        now.latest = Some(point);
+        now.course.push(point);
+    }
+
+    /// Whether a page waits for a video.
+    pub fn is_wanted(&self) -> bool {
+        self.wanted.load(Ordering::Relaxed)
+    }
+
+    /// Shows `video`, `[t, y, x]`.
+    ///
+    /// # Panics
+    /// If it has not the shape that was announced.
+    pub fn show(&self, video: &[f32]) {
+        let voxels: usize = self.start.shape.iter().product();
+        assert_eq!(video.len(), voxels, "the shape that was announced");
+        let ready = Arc::new(Quantised::of(video));
+        self.wanted.store(false, Ordering::Relaxed);
+        let mut now = self.now();
+        now.video = Some(ready);
+        now.snapshot += 1;
+    }
+
+    /// From now on the run is at `stage`.
+    pub fn reach(&self, stage: Stage) {
+        self.now().stage = stage;
+    }
+
+    /// The run has failed.
+    pub fn fail(&self, error: &str) {
+        let mut now = self.now();
+        now.stage = Stage::Failed;
+        now.error = Some(error.into());
+    }
+
+    /// How far the run is.
+    pub fn stage(&self) -> Stage {
+        self.now().stage
+    }
+
+    /// Asks the run to stop and keep the best so far.
+    pub(crate) fn ask_to_stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Everything but the video; a page that asks waits for a video, too.
+    pub(crate) fn state(&self) -> Value {
+        self.wanted.store(true, Ordering::Relaxed);
+        let now = self.now();
+        let stopping = self.stop.load(Ordering::Relaxed);
+        let stage = match now.stage {
+            Stage::Running if stopping => "stopping",
+            Stage::Running => "running",
+            Stage::Writing => "writing",
+            Stage::Done => "done",
+            Stage::Failed => "failed",
+        };
+        let course = now.course.iter();
+        let course = course.map(|p| (p.iteration, p.seconds, p.residual_over_sigma, p.psnr_db));
+        json!({
+            "stage": stage,
+            "label": now.label,
+            "iteration": now.latest.map(|p| p.iteration),
+            "max_iterations": now.latest.map(|p| p.max_iterations),
+            "seconds": now.latest.map(|p| p.seconds),
+            "course": course.collect::<Vec<_>>(),
+            "snapshot": now.snapshot,
+            "error": now.error,
+        })
+    }
+
+    /// The video that was shown last.
+    pub(crate) fn video(&self) -> Option<Arc<Quantised>> {
+        self.now().video.clone()
+    }
+
+    /// As that of a result, before there is one.
+    pub(crate) fn meta(&self) -> Value {
+        json!({
+            "name": self.start.title, "images": {}, "files": [], "ranges": {},
+            "shape": self.start.shape, "bin_duration_us": self.start.bin_duration_us,
+            "view": { "title": self.start.title, "pixel_pitch_um": self.start.pixel_pitch_um },
+            "result": null,
+        })
+    }
+
+    // What is behind the lock is whole after every statement.
+    fn now(&self) -> MutexGuard<'_, Now> {
+        self.now.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

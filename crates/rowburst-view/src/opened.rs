@@ -1,0 +1,216 @@
+//! A result that is shown: the folder of a reconstruction, or a video alone.
+//!
+//! Only the files named here are ever served. `view.json` and the arrays beside it are written
+//! by `rowburst reconstruct`; a folder of an earlier version, without them, shows the video and its
+//! numbers.
+
+use crate::array::Array;
+use rowburst::{Error, Result};
+use rowburst_io::read_image;
+use serde_json::{Map, Value, json};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Files that may be taken from a result folder, with their types.
+pub const DOWNLOADS: [(&str, &str); 7] = [
+    ("video.npy", "application/octet-stream"),
+    ("video.tif", "image/tiff"),
+    ("video.mp4", "video/mp4"),
+    ("traces.csv", "text/csv; charset=utf-8"),
+    ("report.html", "text/html; charset=utf-8"),
+    ("result.json", "application/json"),
+    ("background.npy", "application/octet-stream"),
+];
+
+/// Pictures of a result: their names in the page and their files.
+pub const IMAGES: [(&str, &str); 4] = [
+    ("frame", "view-frame.npy"),
+    ("psf", "view-psf.npy"),
+    ("residual", "view-residual.npy"),
+    ("direct", "view-direct.npy"),
+];
+
+/// Files that the true video may be in: a copy, or the file itself where it lies in the folder.
+pub const TRUTHS: [&str; 2] = ["view-truth.npy", "truth.npy"];
+
+/// A description of more than this is none.
+const MOST_TEXT: u64 = 64 << 20;
+
+/// A result, ready to be served.
+pub struct Opened {
+    /// `None` for a video alone.
+    folder: Option<PathBuf>,
+    meta: Value,
+    /// By name; `video` is always there.
+    arrays: Vec<(&'static str, Array)>,
+    images: Vec<(&'static str, PathBuf)>,
+}
+
+impl Opened {
+    /// Opens a folder that `rowburst reconstruct` or `demo` has written, or a video file.
+    ///
+    /// # Errors
+    /// A path that is missing, a folder that is no result or not a whole one, damaged files.
+    pub fn open(path: &Path) -> Result<Self> {
+        match fs::metadata(path) {
+            Ok(metadata) if metadata.is_dir() => Self::folder(path),
+            Ok(_) => Self::video(path),
+            Err(error) => Err(Error::input(
+                path.display().to_string(),
+                error,
+                "a result is the folder that rowburst reconstruct has written, or a video (.npy, .tif)",
+                "Check the path.",
+            )),
+        }
+    }
+
+    fn folder(path: &Path) -> Result<Self> {
+        let there = |name: &str| path.join(name).is_file();
+        if !there("result.json") {
+            return Err(not_whole(path));
+        }
+        let result = read_json(&path.join("result.json"))?;
+        let view = match there("view.json") {
+            true => read_json(&path.join("view.json"))?,
+            false => Value::Null,
+        };
+        let video = Array::open(&path.join("video.npy"), range(&view, "video"))?;
+        let shape = video.shape();
+        let mut arrays = vec![("video", video)];
+        let truth = view["truth"].as_str();
+        if let Some(name) = truth.filter(|name| TRUTHS.contains(name) && there(name)) {
+            let truth = Array::open(&path.join(name), range(&view, "truth"))?;
+            // One that was replaced since is not that of this result.
+            if truth.shape() == shape {
+                arrays.push(("truth", truth));
+            }
+        }
+        let mut images = Vec::new();
+        let mut sizes = Map::new();
+        for (name, file) in IMAGES {
+            if there(file) {
+                let image = read_image(&path.join(file))?.image;
+                sizes.insert(name.into(), json!([image.rows(), image.columns()]));
+                images.push((name, path.join(file)));
+            }
+        }
+        let step = view["bin_duration_us"]
+            .as_f64()
+            .or_else(|| Some(1e6 / result["frame_rate_hz"].as_f64()?));
+        let step = step.filter(|us| us.is_finite() && *us > 0.0);
+        let downloads = DOWNLOADS.iter().map(|d| d.0).filter(|name| there(name));
+        let meta = json!({
+            "name": name_of(path),
+            "images": sizes,
+            "files": downloads.collect::<Vec<_>>(),
+            "bin_duration_us": step,
+            "view": view,
+            "result": result,
+        });
+        Ok(Self::new(Some(path), meta, arrays, images))
+    }
+
+    fn video(path: &Path) -> Result<Self> {
+        let video = Array::open(path, None)?;
+        let meta = json!({
+            "name": name_of(path), "images": {}, "files": [],
+            "bin_duration_us": null, "view": null, "result": null,
+        });
+        Ok(Self::new(None, meta, vec![("video", video)], Vec::new()))
+    }
+
+    fn new(
+        folder: Option<&Path>,
+        mut meta: Value,
+        arrays: Vec<(&'static str, Array)>,
+        images: Vec<(&'static str, PathBuf)>,
+    ) -> Self {
+        let [bins, rows, columns] = arrays[0].1.shape();
+        meta["shape"] = json!([bins, rows, columns]);
+        let ranges = arrays.iter();
+        let ranges = ranges.map(|(name, array)| (name.to_string(), json!(array.range())));
+        meta["ranges"] = Value::Object(ranges.collect());
+        Self {
+            folder: folder.map(Path::to_path_buf),
+            meta,
+            arrays,
+            images,
+        }
+    }
+
+    /// What the page needs to know before it asks for pictures.
+    pub fn meta(&self) -> &Value {
+        &self.meta
+    }
+
+    /// The video `name`.
+    pub(crate) fn array(&self, name: &str) -> Option<&Array> {
+        Some(&self.arrays.iter().find(|(n, _)| *n == name)?.1)
+    }
+
+    /// The picture `name`.
+    pub(crate) fn image(&self, name: &str) -> Option<&Path> {
+        Some(&self.images.iter().find(|(n, _)| *n == name)?.1)
+    }
+
+    /// A file to be taken away, with its type.
+    pub(crate) fn download(&self, name: &str) -> Option<(PathBuf, &'static str)> {
+        let (name, kind) = DOWNLOADS.iter().find(|(n, _)| *n == name)?;
+        Some((self.folder.as_ref()?.join(name), kind))
+    }
+}
+
+fn range(view: &Value, name: &str) -> Option<(f32, f32)> {
+    let pair = view["ranges"][name].as_array()?;
+    let at = |i: usize| pair.get(i)?.as_f64().map(|v| v as f32);
+    Some((at(0)?, at(1)?))
+}
+
+fn name_of(path: &Path) -> String {
+    let full = path.canonicalize().unwrap_or_else(|_| path.into());
+    let name = full.file_name().unwrap_or(full.as_os_str());
+    name.to_string_lossy().into_owned()
+}
+
+fn read_json(path: &Path) -> Result<Value> {
+    let bad = |found: String| {
+        Error::input(
+            path.display().to_string(),
+            found,
+            "it is written by rowburst reconstruct as JSON",
+            "Run the reconstruction again.",
+        )
+    };
+    let bytes = fs::metadata(path).map_err(|e| bad(e.to_string()))?.len();
+    if bytes > MOST_TEXT {
+        return Err(bad(format!("a file of {bytes} bytes")));
+    }
+    let text = fs::read(path).map_err(|e| bad(e.to_string()))?;
+    serde_json::from_slice(&text).map_err(|e| bad(e.to_string()))
+}
+
+/// A folder without `result.json`, which is written last.
+fn not_whole(path: &Path) -> Error {
+    let begun = ["video.npy", "view.json", "report.html", "video.tif"];
+    let begun = begun.iter().find(|name| path.join(name).is_file());
+    let (found, remedy) = match begun {
+        Some(name) => (
+            format!("{name}, but no result.json"),
+            "The reconstruction is still running, or was killed: wait for it, or run it again.",
+        ),
+        None if path.join("zarr.json").is_file() || path.join(".zgroup").is_file() => (
+            "a Zarr archive".to_string(),
+            "Open it in napari, or reconstruct one frame of it with rowburst reconstruct.",
+        ),
+        None => (
+            "no result.json".to_string(),
+            "Give the folder that was given to rowburst reconstruct with -o.",
+        ),
+    };
+    Error::input(
+        path.display().to_string(),
+        found,
+        "result.json is written last, and tells a whole result",
+        remedy,
+    )
+}

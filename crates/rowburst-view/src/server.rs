@@ -1,0 +1,281 @@
+//! The server: routes, and the thread that it lives on.
+
+use crate::guard::guard;
+use crate::live::Live;
+use crate::opened::Opened;
+use crate::page;
+use axum::body::Body;
+use axum::extract::{Path, Query, State};
+use axum::http::{HeaderName, StatusCode, header};
+use axum::response::{Html, IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Json, Router};
+use rowburst::{Error, Result};
+use serde::Deserialize;
+use serde_json::json;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::{Arc, PoisonError, RwLock};
+use tokio::sync::Semaphore;
+
+/// Ports that are tried, from this one on, where none was asked for.
+const FIRST_PORT: u16 = 8787;
+const PORTS: u16 = 20;
+/// Most bytes of one answer: a page asks for a few bins at a time.
+const MOST_BYTES: usize = 64 << 20;
+/// Answers that are being made at once; each holds its bins in memory.
+const AT_ONCE: usize = 4;
+
+struct Shared {
+    results: RwLock<Arc<Vec<Opened>>>,
+    live: Option<Arc<Live>>,
+    turns: Semaphore,
+}
+
+/// A server that runs on a thread of its own until the program ends.
+pub struct Server {
+    address: SocketAddr,
+    shared: Arc<Shared>,
+}
+
+impl Server {
+    /// Listens on 127.0.0.1. Without a `port` it takes 8787, or one of the next that is free; port
+    /// 0 is any. `live` is a run that is going on: its result is shown with [`Server::show`].
+    ///
+    /// # Errors
+    /// No port that is free.
+    pub fn start(port: Option<u16>, results: Vec<Opened>, live: Option<Arc<Live>>) -> Result<Self> {
+        let failed = |reason: std::io::Error| {
+            let subject = port.map_or("the viewer's server".into(), |p| format!("--port {p}"));
+            Error::work(subject, reason, "Choose another port with --port.")
+        };
+        let ports = port.map_or(FIRST_PORT..=FIRST_PORT + PORTS, |p| p..=p);
+        let mut last = None;
+        let listener = ports
+            .filter_map(|port| {
+                std::net::TcpListener::bind((Ipv4Addr::LOCALHOST, port))
+                    .map_err(|error| last = Some(error))
+                    .ok()
+            })
+            .next();
+        let Some(listener) = listener else {
+            return Err(failed(last.expect("a port was tried")));
+        };
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let shared = Arc::new(Shared {
+            results: RwLock::new(Arc::new(results)),
+            live,
+            turns: Semaphore::new(AT_ONCE),
+        });
+        let routes = routes(Arc::clone(&shared));
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .enable_all()
+            .build()
+            .map_err(failed)?;
+        std::thread::spawn(move || {
+            let served = runtime.block_on(async {
+                let listener = tokio::net::TcpListener::from_std(listener)?;
+                axum::serve(listener, routes).await
+            });
+            if let Err(error) = served {
+                eprintln!("the viewer's server stopped: {error}");
+            }
+        });
+        Ok(Self { address, shared })
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> String {
+        format!("http://{}/", self.address)
+    }
+
+    /// From now on these results are shown.
+    pub fn show(&self, results: Vec<Opened>) {
+        let mut shown = self.shared.results.write();
+        *shown.as_deref_mut().expect("no reader panics") = Arc::new(results);
+    }
+}
+
+impl Shared {
+    fn results(&self) -> Arc<Vec<Opened>> {
+        let results = self.results.read();
+        Arc::clone(&results.unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+fn routes(shared: Arc<Shared>) -> Router {
+    Router::new()
+        .route("/", get(index))
+        .route("/{file}", get(of_page))
+        .route("/api/view", get(view))
+        .route("/api/result/{at}/bins/{name}", get(bins))
+        .route("/api/result/{at}/image/{name}", get(image))
+        .route("/api/result/{at}/file/{name}", get(file))
+        .route("/api/live", get(live))
+        .route("/api/live/bins", get(live_bins))
+        .route("/api/live/stop", post(stop))
+        .layer(axum::middleware::from_fn(guard))
+        .with_state(shared)
+}
+
+const RANGE: HeaderName = HeaderName::from_static("x-range");
+const SHAPE: HeaderName = HeaderName::from_static("x-shape");
+
+fn not_found() -> Response {
+    (StatusCode::NOT_FOUND, "There is nothing of this name.\n").into_response()
+}
+
+fn binary(bytes: Vec<u8>, headers: impl IntoIterator<Item = (HeaderName, String)>) -> Response {
+    let mut response = bytes.into_response();
+    for (name, value) in headers {
+        let value = value.parse().expect("numbers are fit for a header");
+        response.headers_mut().insert(name, value);
+    }
+    response
+}
+
+async fn index() -> Response {
+    match page::file("index.html") {
+        Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
+        None => (StatusCode::NOT_FOUND, Html(page::without())).into_response(),
+    }
+}
+
+async fn of_page(Path(name): Path<String>) -> Response {
+    match page::file(&name) {
+        Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
+        None => not_found(),
+    }
+}
+
+async fn view(State(shared): State<Arc<Shared>>) -> Response {
+    let results = shared.results();
+    let metas: Vec<_> = match &shared.live {
+        Some(live) if results.is_empty() => vec![live.meta()],
+        _ => results.iter().map(|r| r.meta().clone()).collect(),
+    };
+    let running = shared.live.is_some() && results.is_empty();
+    Json(json!({ "live": running, "results": metas })).into_response()
+}
+
+#[derive(Deserialize)]
+struct Bins {
+    from: usize,
+    to: usize,
+}
+
+/// Bins `from..to` as 16-bit numbers, with their scale in `X-Range`.
+async fn bins(
+    State(shared): State<Arc<Shared>>,
+    Path((at, name)): Path<(usize, String)>,
+    Query(Bins { from, to }): Query<Bins>,
+) -> Response {
+    let results = shared.results();
+    let Some(array) = results.get(at).and_then(|r| r.array(&name)) else {
+        return not_found();
+    };
+    let count = array.shape()[0];
+    let room = MOST_BYTES / array.bytes_per_bin().max(1);
+    if from >= to || to > count || to - from > room.max(1) {
+        let words = format!(
+            "bins {from} to {to}: there are {count}, and up to {} are sent at once\n",
+            room.max(1)
+        );
+        return (StatusCode::BAD_REQUEST, words).into_response();
+    }
+    let name = name.clone();
+    let results = Arc::clone(&results);
+    work(&shared, move || {
+        let array = results[at].array(&name).expect("found before");
+        let found = array.bins(from, to)?;
+        let (low, high) = found.range;
+        Ok(binary(found.bytes, [(RANGE, format!("{low} {high}"))]))
+    })
+    .await
+}
+
+/// A picture as float32, with its size in `X-Shape`.
+async fn image(
+    State(shared): State<Arc<Shared>>,
+    Path((at, name)): Path<(usize, String)>,
+) -> Response {
+    let results = shared.results();
+    let path = results.get(at).and_then(|r| r.image(&name));
+    let Some(path) = path.map(std::path::Path::to_path_buf) else {
+        return not_found();
+    };
+    work(&shared, move || {
+        let image = rowburst_io::read_image(&path)?.image;
+        let bytes = image.data().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let size = format!("{} {}", image.rows(), image.columns());
+        Ok(binary(bytes, [(SHAPE, size)]))
+    })
+    .await
+}
+
+/// Runs blocking work when it is its turn.
+async fn work(
+    shared: &Shared,
+    job: impl FnOnce() -> Result<Response> + Send + 'static,
+) -> Response {
+    let _turn = shared.turns.acquire().await;
+    match tokio::task::spawn_blocking(job).await {
+        Ok(Ok(response)) => response,
+        Ok(Err(error)) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error}\n")).into_response(),
+        Err(_) => (StatusCode::INTERNAL_SERVER_ERROR, "The work failed.\n").into_response(),
+    }
+}
+
+async fn file(
+    State(shared): State<Arc<Shared>>,
+    Path((at, name)): Path<(usize, String)>,
+) -> Response {
+    let results = shared.results();
+    let Some((path, kind)) = results.get(at).and_then(|r| r.download(&name)) else {
+        return not_found();
+    };
+    let Ok(file) = tokio::fs::File::open(path).await else {
+        return not_found();
+    };
+    let Ok(metadata) = file.metadata().await else {
+        return not_found();
+    };
+    let headers = [
+        (header::CONTENT_TYPE, kind.to_string()),
+        (header::CONTENT_LENGTH, metadata.len().to_string()),
+        (
+            header::CONTENT_DISPOSITION,
+            format!("attachment; filename=\"{name}\""),
+        ),
+    ];
+    let body = Body::from_stream(tokio_util::io::ReaderStream::new(file));
+    (headers, body).into_response()
+}
+
+async fn live(State(shared): State<Arc<Shared>>) -> Response {
+    match &shared.live {
+        Some(live) => Json(live.state()).into_response(),
+        None => not_found(),
+    }
+}
+
+async fn live_bins(State(shared): State<Arc<Shared>>) -> Response {
+    match shared.live.as_ref().and_then(|live| live.video()) {
+        Some(video) => {
+            let (low, high) = video.range;
+            binary(video.bytes.clone(), [(RANGE, format!("{low} {high}"))])
+        }
+        None => not_found(),
+    }
+}
+
+async fn stop(State(shared): State<Arc<Shared>>) -> Response {
+    match &shared.live {
+        Some(live) => {
+            live.ask_to_stop();
+            StatusCode::NO_CONTENT.into_response()
+        }
+        None => not_found(),
+    }
+}

@@ -1,0 +1,251 @@
+//! The server as a browser, another page and another program meet it.
+
+use rowburst::{Shape, Video};
+use rowburst_io::{OutputFolder, write_npy_video};
+use rowburst_view::{Live, LiveStart, Opened, Point, Server, Stage};
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A result folder of three bins of 4×5 pixels, with a file beside it that is nobody's business.
+fn folder() -> tempfile::TempDir {
+    let base = tempfile::tempdir().unwrap();
+    let out = OutputFolder::create(&base.path().join("result")).unwrap();
+    let video = Video::new(Shape::new(3, 4, 5), (0..60).map(|v| v as f32).collect()).unwrap();
+    out.write("video.npy", |w| write_npy_video(w, &video))
+        .unwrap();
+    out.write_bytes("result.json", br#"{"frame_rate_hz": 100000.0}"#)
+        .unwrap();
+    out.write_bytes("private.txt", b"secret").unwrap();
+    fs::write(base.path().join("outside.txt"), "secret").unwrap();
+    base
+}
+
+fn served(base: &Path) -> Server {
+    let opened = Opened::open(&base.join("result")).unwrap();
+    Server::start(Some(0), vec![opened], None).unwrap()
+}
+
+/// Sends a request as it stands; returns status line with headers, and body.
+fn ask(server: &Server, request: &str) -> (String, Vec<u8>) {
+    let url = server.url();
+    let address = url.trim_start_matches("http://").trim_end_matches('/');
+    assert!(address.starts_with("127.0.0.1:"), "{address}");
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+    let head = String::from_utf8(answer[..end].to_vec()).unwrap();
+    (head.to_lowercase(), answer[end + 4..].to_vec())
+}
+
+fn get(server: &Server, path: &str) -> (String, Vec<u8>) {
+    let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    ask(server, &request)
+}
+
+#[test]
+fn bins_come_with_their_scale_and_a_policy() {
+    let base = folder();
+    let server = served(base.path());
+    let (head, body) = get(&server, "/api/result/0/bins/video?from=1&to=3");
+    assert!(head.starts_with("http/1.1 200"), "{head}");
+    assert!(head.contains("x-range: 0 59"), "{head}");
+    assert!(head.contains("default-src 'none'"), "{head}");
+    assert!(!head.contains("access-control-allow-origin"), "{head}");
+    let numbers = body.as_chunks::<2>().0;
+    assert_eq!(numbers.len(), 40);
+    let value = |i: usize| f64::from(u16::from_le_bytes(numbers[i])) * 59.0 / 65_534.0;
+    assert!((value(0) - 20.0).abs() < 1e-3 && (value(39) - 59.0).abs() < 1e-3);
+
+    let (_, meta) = get(&server, "/api/view");
+    let meta: serde_json::Value = serde_json::from_slice(&meta).unwrap();
+    assert_eq!(
+        meta["results"][0]["shape"],
+        serde_json::json!([3usize, 4, 5])
+    );
+    assert_eq!(meta["results"][0]["bin_duration_us"], 10.0);
+    for bad in [
+        "from=0&to=9",
+        "from=2&to=1",
+        "from=0",
+        "from=-1&to=2",
+        "from=x&to=2",
+    ] {
+        let (head, _) = get(&server, &format!("/api/result/0/bins/video?{bad}"));
+        assert!(head.starts_with("http/1.1 400"), "{bad}: {head}");
+    }
+    for none in ["/api/result/1/bins/video", "/api/result/0/bins/truth"] {
+        let (head, _) = get(&server, &format!("{none}?from=0&to=1"));
+        assert!(head.starts_with("http/1.1 404"), "{none}: {head}");
+    }
+}
+
+#[test]
+fn nothing_but_named_files_leaves_the_folder() {
+    let base = folder();
+    let server = served(base.path());
+    let (head, body) = get(&server, "/api/result/0/file/result.json");
+    assert!(head.starts_with("http/1.1 200"), "{head}");
+    assert!(head.contains("attachment"), "{head}");
+    assert_eq!(body, br#"{"frame_rate_hz": 100000.0}"#);
+    for path in [
+        "/api/result/0/file/private.txt",
+        "/api/result/0/file/../outside.txt",
+        "/api/result/0/file/..%2Foutside.txt",
+        "/api/result/0/file/%2e%2e%2foutside.txt",
+        "/api/result/0/file/..%5Coutside.txt",
+        "/api/result/0/file//etc/passwd",
+        "/api/result/0/file/%2Fetc%2Fpasswd",
+        "/api/result/0/image/..%2Foutside.txt",
+        "/api/result/0/image/view-frame.npy",
+        "/../outside.txt",
+        "/..%2F..%2FCargo.toml",
+        "/private.txt",
+        "/app.js/../private.txt",
+    ] {
+        let (head, body) = get(&server, path);
+        assert!(
+            head.starts_with("http/1.1 404") || head.starts_with("http/1.1 400"),
+            "{path}: {head}"
+        );
+        let text = String::from_utf8_lossy(&body);
+        assert!(
+            !text.contains("secret") && !text.contains("root:"),
+            "{path}"
+        );
+    }
+}
+
+#[test]
+fn other_names_and_other_pages_are_refused() {
+    let base = folder();
+    let server = served(base.path());
+    let with = |headers: &str| {
+        let request = format!("GET /api/view HTTP/1.1\r\n{headers}Connection: close\r\n\r\n");
+        ask(&server, &request).0
+    };
+    for host in ["localhost:8787", "127.0.0.1", "[::1]:9"] {
+        assert!(
+            with(&format!("Host: {host}\r\n")).starts_with("http/1.1 200"),
+            "{host}"
+        );
+    }
+    for headers in [
+        "Host: evil.example\r\n",
+        "Host: localhost.evil.example:8787\r\n",
+        "Host: localhost:8787\r\nOrigin: http://evil.example\r\n",
+        "Host: localhost:8787\r\nSec-Fetch-Site: cross-site\r\n",
+    ] {
+        let head = with(headers);
+        assert!(head.starts_with("http/1.1 403"), "{headers}: {head}");
+    }
+}
+
+#[test]
+fn two_browsers_at_once() {
+    let base = folder();
+    let server = served(base.path());
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                for _ in 0..20 {
+                    let (head, body) = get(&server, "/api/result/0/bins/video?from=0&to=3");
+                    assert!(head.starts_with("http/1.1 200"), "{head}");
+                    assert_eq!(body.len(), 120);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn a_folder_that_is_no_whole_result_says_why() {
+    let base = folder();
+    let error = |path: &Path| Opened::open(path).err().unwrap().to_string();
+    let result = base.path().join("result");
+    assert!(error(base.path()).contains("no result.json"));
+    assert!(error(&base.path().join("nothing")).contains("nothing"));
+    fs::write(result.join("result.json"), "{").unwrap();
+    assert!(error(&result).contains("result.json"));
+    fs::remove_file(result.join("result.json")).unwrap();
+    let half = error(&result);
+    assert!(
+        half.contains("video.npy, but no result.json") && half.contains("was killed"),
+        "{half}"
+    );
+    assert!(error(&base.path().join("outside.txt")).contains("outside.txt"));
+    // A video of its own is one.
+    assert!(Opened::open(&result.join("video.npy")).is_ok());
+}
+
+#[test]
+fn a_running_reconstruction_is_watched_and_stopped() {
+    let stop = Arc::new(AtomicBool::new(false));
+    let start = LiveStart {
+        title: "run".into(),
+        shape: [2, 3, 4],
+        bin_duration_us: 9.6,
+        pixel_pitch_um: None,
+    };
+    let live = Arc::new(Live::new(start, Arc::clone(&stop)));
+    let server = Server::start(Some(0), Vec::new(), Some(Arc::clone(&live))).unwrap();
+    let (_, view) = get(&server, "/api/view");
+    let view: serde_json::Value = serde_json::from_slice(&view).unwrap();
+    assert_eq!(
+        (&view["live"], &view["results"][0]["shape"][2]),
+        (&true.into(), &4.into())
+    );
+    assert!(!live.is_wanted());
+    let state =
+        || -> serde_json::Value { serde_json::from_slice(&get(&server, "/api/live").1).unwrap() };
+    assert_eq!(state()["snapshot"], 0);
+    assert!(live.is_wanted());
+    let point = Point {
+        iteration: 1,
+        max_iterations: 300,
+        seconds: 0.5,
+        residual_over_sigma: 7.0,
+        psnr_db: None,
+    };
+    live.point("group", point);
+    live.show(&[2.0; 24]);
+    assert!(!live.is_wanted());
+    let now = state();
+    assert_eq!(
+        (&now["stage"], &now["snapshot"], &now["label"]),
+        (&"running".into(), &1.into(), &"group".into())
+    );
+    assert_eq!(now["course"][0][2], 7.0);
+    let (head, video) = get(&server, "/api/live/bins");
+    assert!(head.contains("x-range: 0 2") && video.len() == 48, "{head}");
+
+    let (head, _) = get(&server, "/api/live/stop");
+    assert!(head.starts_with("http/1.1 405"), "{head}");
+    let post = |origin: &str| {
+        let request = format!(
+            "POST /api/live/stop HTTP/1.1\r\nHost: localhost:1\r\nOrigin: {origin}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        );
+        ask(&server, &request).0
+    };
+    assert!(post("http://localhost:2").starts_with("http/1.1 403"));
+    assert!(!stop.load(Ordering::Relaxed));
+    assert!(post("http://localhost:1").starts_with("http/1.1 204"));
+    assert!(stop.load(Ordering::Relaxed));
+    assert_eq!(state()["stage"], "stopping");
+
+    let base = folder();
+    server.show(vec![Opened::open(&base.path().join("result")).unwrap()]);
+    live.reach(Stage::Done);
+    assert_eq!(state()["stage"], "done");
+    let (_, view) = get(&server, "/api/view");
+    let view: serde_json::Value = serde_json::from_slice(&view).unwrap();
+    assert_eq!(
+        (&view["live"], &view["results"][0]["shape"][2]),
+        (&false.into(), &5.into())
+    );
+}

@@ -1,0 +1,90 @@
+// Colour maps. Sequential ones are even in lightness; time is a hue of OKLCh, as in the report.
+
+import { interpolateMagma, interpolateRdBu, interpolateViridis } from "d3-scale-chromatic";
+
+export type MapName = "grey" | "viridis" | "magma";
+export type Rgb = [number, number, number];
+
+/** Colours of regions: told apart by people who see red and green alike (Okabe & Ito). */
+export const REGION_COLOURS = ["#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#d55e00", "#0072b2", "#b8a800", "#8a8a8a"];
+
+function parse(text: string): Rgb {
+  if (text.startsWith("#")) {
+    const n = parseInt(text.slice(1), 16);
+    return [n >> 16, (n >> 8) & 255, n & 255];
+  }
+  const [r, g, b] = text.match(/\d+/g)!.map(Number);
+  return [r, g, b];
+}
+
+/** The colour at `f`, 0 to 1. */
+export function colourOf(map: MapName | "signed", f: number): Rgb {
+  switch (map) {
+    case "grey": {
+      const v = Math.round(255 * f);
+      return [v, v, v];
+    }
+    case "viridis":
+      return parse(interpolateViridis(f));
+    case "magma":
+      return parse(interpolateMagma(f));
+    case "signed":
+      return parse(interpolateRdBu(1 - f));
+  }
+}
+
+const tables = new Map<string, Uint32Array>();
+
+/** 256 colours as the numbers of an ImageData on a little-endian machine. */
+export function table(map: MapName | "signed"): Uint32Array {
+  let found = tables.get(map);
+  if (!found) {
+    found = Uint32Array.from({ length: 256 }, (_, i) => pack(colourOf(map, i / 255)));
+    tables.set(map, found);
+  }
+  return found;
+}
+
+export function pack([r, g, b]: Rgb): number {
+  return ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
+}
+
+/** Grey with a hint of green: no value. */
+export const MISSING = pack([120, 130, 120]);
+
+/** Linear-light RGB of time, `fraction` 0 to 1, from blue over green to red (Ottosson 2020). */
+export function timeHue(fraction: number): Rgb {
+  const f = Math.min(1, Math.max(0, fraction));
+  const hue = ((272 - 250 * f) * Math.PI) / 180;
+  const lightness = 0.66 + 0.14 * Math.sin(Math.PI * f);
+  let [inside, outside] = [0, 0.19];
+  for (let i = 0; i < 12; i++) {
+    const middle = 0.5 * (inside + outside);
+    const ok = linear(lightness, middle, hue).every((c) => c >= 0 && c <= 1);
+    if (ok) inside = middle;
+    else outside = middle;
+  }
+  return linear(lightness, inside, hue);
+}
+
+function linear(lightness: number, chroma: number, hue: number): Rgb {
+  const a = chroma * Math.cos(hue);
+  const b = chroma * Math.sin(hue);
+  const l = (lightness + 0.3963377774 * a + 0.2158037573 * b) ** 3;
+  const m = (lightness - 0.1055613458 * a - 0.0638541728 * b) ** 3;
+  const s = (lightness - 0.0894841775 * a - 1.291485548 * b) ** 3;
+  return [
+    4.0767416621 * l - 3.3077115913 * m + 0.2309699292 * s,
+    -1.2684380046 * l + 2.6097574011 * m - 0.3413193965 * s,
+    -0.0041960863 * l - 0.7034186147 * m + 1.707614701 * s,
+  ];
+}
+
+/** sRGB, 0 to 255, of linear light. */
+export function srgb([r, g, b]: Rgb): Rgb {
+  const encode = (c: number) => {
+    const v = Math.min(1, Math.max(0, c));
+    return Math.round(255 * (v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - 0.055));
+  };
+  return [encode(r), encode(g), encode(b)];
+}

@@ -1,0 +1,54 @@
+// Numbers in words.
+
+/** Enough digits to tell values apart, not more. */
+export function number(value: number, digits = 4): string {
+  if (!Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e6 || size < 1e-3) return value.toExponential(Math.max(0, digits - 2)).replace("e+", "e");
+  return String(Number(value.toPrecision(digits)));
+}
+
+/** A whole number with thin groups of three digits. */
+export function grouped(value: number): string {
+  return Math.round(value).toLocaleString("en-GB");
+}
+
+/** A frequency with its unit. */
+export function hertz(value: number, error?: number | null): string {
+  const [unit, scale] = value >= 1e6 ? ["MHz", 1e6] : value >= 1e3 ? ["kHz", 1e3] : ["Hz", 1];
+  const text = (v: number, digits: number) => (v / scale).toFixed(digits);
+  if (error != null && Number.isFinite(error) && error > 0) {
+    const digits = Math.min(6, Math.max(0, Math.ceil(-Math.log10(error / scale)) + 1));
+    return `${text(value, digits)} ± ${text(error, digits)} ${unit}`;
+  }
+  return `${text(value, 2)} ${unit}`;
+}
+
+/** The time axis of a video: microseconds where the duration of a bin is known, else bins. */
+export class Clock {
+  constructor(
+    readonly bins: number,
+    readonly step_us: number | null,
+  ) {}
+
+  get unit(): string {
+    return this.step_us == null ? "bins" : "µs";
+  }
+
+  /** Middle of bin `t`. */
+  at(t: number): number {
+    return (t + 0.5) * (this.step_us ?? 1);
+  }
+
+  /** The bin that holds `time`. */
+  bin(time: number): number {
+    return Math.min(this.bins - 1, Math.max(0, Math.floor(time / (this.step_us ?? 1))));
+  }
+
+  label(t: number): string {
+    if (this.step_us == null) return `bin ${t}`;
+    const digits = this.step_us < 0.1 ? 3 : this.step_us < 1 ? 2 : 1;
+    return `${this.at(t).toFixed(digits)} µs`;
+  }
+}

@@ -1,0 +1,153 @@
+// The page: opens a result, puts the parts together.
+
+import "uplot/dist/uPlot.min.css";
+import "./app.css";
+import { Cloud } from "./cloud";
+import { h } from "./dom";
+import { Evidence, settings } from "./evidence";
+import { Limits } from "./limits";
+import { Live } from "./live";
+import { Save } from "./save";
+import { Slices } from "./slices";
+import { openSource, report, type Source } from "./source";
+import { Stage } from "./stage";
+import { Store } from "./store";
+import { Traces } from "./traces";
+import { Transport } from "./transport";
+import { Volume } from "./volume";
+
+async function start(): Promise<void> {
+  const root = document.getElementById("rowburst")!;
+  root.replaceChildren(
+    h("p", { id: "rowburst-error", class: "error", role: "alert", hidden: true }),
+    h("p", { id: "rowburst-status", class: "unseen", role: "status" }),
+  );
+  try {
+    build(root, await openSource());
+  } catch (error) {
+    report(error);
+  }
+}
+
+function build(root: HTMLElement, source: Source): void {
+  const began = performance.now();
+  const [meta, second] = source.results;
+  let store: Store | null = null;
+  const wanted = () => store?.state.t ?? 0;
+  let first = true;
+  const loaded = () => {
+    store?.tell("data");
+    if (first) performance.measure("first bins", { start: began });
+    first = false;
+  };
+  const empty = () => new Volume(meta.shape, [0, 1], 16);
+  const video = source.volume(0, "video", wanted, loaded) ?? empty();
+  const truth = source.volume(0, "truth", wanted, loaded);
+  const other = second ? source.volume(1, "video", () => store?.otherBin ?? 0, loaded) : null;
+  store = new Store(source, { video, truth, other });
+
+  const stage = new Stage(store);
+  const transport = new Transport(store);
+  const limits = new Limits(store);
+  const save = new Save(store, stage);
+  const tabs = source.live ? watch(store) : panel(store);
+  const title = meta.view?.title ?? meta.name;
+  document.title = second ? `${meta.name} and ${second.name}` : title;
+  if (!source.isOffline) root.append(header(source));
+  root.append(
+    h(
+      "div",
+      { class: "page" },
+      h("div", { class: "left" }, stage.element, transport.element, limits.element, save.element),
+      tabs,
+    ),
+    h(
+      "p",
+      { class: "keys muted" },
+      "Space plays, ← and → step, with Shift by ten, L loops; the wheel zooms, a double click shows all.",
+    ),
+  );
+  document.addEventListener("keydown", (event) => {
+    const target = event.target as HTMLElement;
+    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, select, textarea")) return;
+    if (event.key === "+") stage.zoom(1.5);
+    if (event.key === "-") stage.zoom(1 / 1.5);
+    if (event.key === "0") stage.zoom(0);
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => store.tell("look"));
+  for (const region of Traces.first(store)) stage.add(region);
+  store.tell("data");
+  store.tell("regions");
+}
+
+function header(source: Source): HTMLElement {
+  const [meta, second] = source.results;
+  const title = second ? `${meta.name} and ${second.name}` : (meta.view?.title ?? meta.name);
+  const fit = meta.view?.fit;
+  const numbers = (meta.view?.headline ?? []).filter(([name]) => name !== "Fit");
+  return h(
+    "header",
+    {},
+    h("h1", {}, title),
+    fit && !second && h("span", { class: fit.verdict === "good" ? "pill" : "pill doubtful", title: fit.reason }, `fit: ${fit.verdict}`),
+    source.live && h("span", { class: "pill" }, "running"),
+    !second && numbers.length > 0 && h("dl", {}, ...numbers.map(([n, v]) => h("div", {}, h("dt", {}, n), h("dd", {}, v)))),
+  );
+}
+
+/** The parts at the right, one at a time. */
+function panel(store: Store): HTMLElement {
+  const slices = new Slices(store);
+  const cloud = new Cloud(store);
+  const evidence = new Evidence(store);
+  const parts: [string, string, HTMLElement, () => void][] = [
+    ["traces", "Traces", new Traces(store).element, () => store.tell("regions")],
+    [
+      "space-time",
+      "Space–time",
+      h("div", {}, slices.element, cloud.element),
+      () => {
+        slices.draw();
+        cloud.draw();
+      },
+    ],
+    ["evidence", "Evidence", evidence.element, () => evidence.draw()],
+    ["settings", "Settings", settings(store), () => undefined],
+  ];
+  // One picture has no time to look at.
+  if (store.clock.bins === 1) parts.splice(1, 1);
+  const tabs: HTMLButtonElement[] = [];
+  const panels: HTMLElement[] = [];
+  const choose = (at: number) => {
+    tabs.forEach((tab, i) => {
+      tab.setAttribute("aria-selected", String(i === at));
+      tab.tabIndex = i === at ? 0 : -1;
+      panels[i].hidden = i !== at;
+    });
+    parts[at][3]();
+  };
+  parts.forEach(([id, name, element], i) => {
+    tabs.push(
+      h("button", { type: "button", role: "tab", id: `tab-${id}`, "aria-controls": `panel-${id}`, click: () => choose(i) }, name),
+    );
+    panels.push(h("div", { role: "tabpanel", id: `panel-${id}`, "aria-labelledby": `tab-${id}` }, element));
+  });
+  const list = h("div", { class: "tabs", role: "tablist", "aria-label": "What to look at" }, ...tabs);
+  list.addEventListener("keydown", (event) => {
+    const by = event.key === "ArrowRight" ? 1 : event.key === "ArrowLeft" ? -1 : 0;
+    if (!by) return;
+    event.preventDefault();
+    const now = tabs.indexOf(document.activeElement as HTMLButtonElement);
+    const next = (now + by + tabs.length) % tabs.length;
+    choose(next);
+    tabs[next].focus();
+  });
+  choose(0);
+  return h("div", { class: "right" }, list, ...panels);
+}
+
+function watch(store: Store): HTMLElement {
+  return h("div", { class: "right" }, new Live(store).element);
+}
+
+void start();

@@ -1,0 +1,207 @@
+// One picture of the stage with what lies over it: regions, line, scale bar, time.
+
+import { timeHue } from "./colour";
+import { fit, h } from "./dom";
+import { Bitmap, drawProjection, project, type Projection } from "./picture";
+import type { Store } from "./store";
+import type { Volume } from "./volume";
+
+export type Role = "main" | "truth" | "difference" | "other";
+
+/** Lengths that a scale bar may have, in µm. */
+const LENGTHS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+
+export class Pane {
+  readonly canvas: HTMLCanvasElement;
+  readonly element: HTMLElement;
+  private bitmap: Bitmap | null = null;
+  private projection: Projection | null = null;
+  private projecting = false;
+
+  constructor(
+    private readonly store: Store,
+    readonly role: Role,
+    private readonly name: string,
+  ) {
+    this.canvas = h("canvas", { class: "picture", tabindex: 0, role: "img", "data-role": role });
+    this.element = h("figure", { class: "pane" }, this.canvas, h("figcaption", {}, name));
+  }
+
+  /** The video that is seen here. */
+  get volume(): Volume {
+    const { video, truth, other } = this.store;
+    return this.role === "truth" ? truth! : this.role === "other" ? other! : video;
+  }
+
+  get bin(): number {
+    return this.role === "other" ? this.store.otherBin : this.store.state.t;
+  }
+
+  /** Forgets what was computed from the video. */
+  forget(): void {
+    this.projection = null;
+  }
+
+  private limits(): [number, number] {
+    const { low, high } = this.store.state;
+    return this.role === "other" ? this.store.otherLimits : [low, high];
+  }
+
+  /** Paints the picture in its own size. */
+  paint(): Bitmap {
+    const { store, volume } = this;
+    const { state } = store;
+    this.bitmap ??= new Bitmap(volume.rows, volume.columns);
+    const [low, high] = this.limits();
+    if (this.role === "difference") {
+      const { video, truth } = store;
+      const { t } = state;
+      const [a, b] = [video.bin(t), truth!.bin(t)];
+      const there = video.loaded[t] && truth!.loaded[t];
+      const value = (i: number) => video.low + a[i] * video.step - (truth!.low + b[i] * truth!.step);
+      this.bitmap.signed(there ? value : () => NaN, (high - low) / 2);
+    } else if (state.layer !== "video" && volume.isWhole) {
+      if (this.projection) {
+        drawProjection(this.bitmap, this.projection, state.layer, state.map, low, high);
+      } else if (!this.projecting) {
+        this.projecting = true;
+        void project(volume).then((projection) => {
+          this.projection = projection;
+          this.projecting = false;
+          this.store.tell("look");
+        });
+      }
+    } else {
+      this.bitmap.bin(volume, this.bin, state.map, low, high);
+    }
+    return this.bitmap;
+  }
+
+  /** Part of the video that is seen: left, top, width and height in its pixels. */
+  window(): [number, number, number, number] {
+    const { zoom, cx, cy } = this.store.state;
+    const { rows, columns } = this.volume;
+    // Another size shows the same part.
+    const [kx, ky] = [columns / this.store.video.columns, rows / this.store.video.rows];
+    const [w, hgt] = [columns / zoom, rows / zoom];
+    const x = Math.min(columns - w, Math.max(0, cx * kx - w / 2));
+    const y = Math.min(rows - hgt, Math.max(0, cy * ky - hgt / 2));
+    return [x, y, w, hgt];
+  }
+
+  draw(): void {
+    const { ctx, width, height } = fit(this.canvas);
+    this.drawOn(ctx, width, height);
+    this.describe();
+  }
+
+  drawOn(ctx: CanvasRenderingContext2D, width: number, height: number): void {
+    const bitmap = this.paint();
+    const [x, y, w, hgt] = this.window();
+    ctx.imageSmoothingEnabled = false;
+    ctx.drawImage(bitmap.canvas, x, y, w, hgt, 0, 0, width, height);
+    const k = width / w;
+    ctx.save();
+    ctx.scale(k, k);
+    ctx.translate(-x, -y);
+    this.drawMarks(ctx, k);
+    ctx.restore();
+    this.drawWords(ctx, width, height, k);
+  }
+
+  private drawMarks(ctx: CanvasRenderingContext2D, k: number): void {
+    const { regions, line } = this.store.state;
+    for (const region of regions) {
+      const { x, y, columns, rows } = region;
+      ctx.lineWidth = 3.5 / k;
+      ctx.strokeStyle = "rgb(0 0 0 / 0.55)";
+      ctx.strokeRect(x, y, columns, rows);
+      ctx.lineWidth = 1.75 / k;
+      ctx.strokeStyle = region.colour;
+      ctx.strokeRect(x, y, columns, rows);
+    }
+    if (line) {
+      ctx.beginPath();
+      ctx.moveTo(line.x0, line.y0);
+      ctx.lineTo(line.x1, line.y1);
+      ctx.lineWidth = 3.5 / k;
+      ctx.strokeStyle = "rgb(0 0 0 / 0.55)";
+      ctx.stroke();
+      ctx.lineWidth = 1.5 / k;
+      ctx.strokeStyle = "#fff";
+      ctx.stroke();
+    }
+  }
+
+  private drawWords(ctx: CanvasRenderingContext2D, width: number, height: number, k: number): void {
+    const { store } = this;
+    ctx.font = "500 13px system-ui, sans-serif";
+    ctx.textBaseline = "alphabetic";
+    const text = (words: string, x: number, y: number) => {
+      ctx.lineWidth = 3;
+      ctx.lineJoin = "round";
+      ctx.strokeStyle = "rgb(0 0 0 / 0.65)";
+      ctx.strokeText(words, x, y);
+      ctx.fillStyle = "#fff";
+      ctx.fillText(words, x, y);
+    };
+    const onLight = this.role === "difference";
+    if (store.state.stamp && store.state.layer === "video" && !onLight) {
+      ctx.textAlign = "left";
+      text(store.clock.label(store.state.t), 10, height - 10);
+    }
+    const pitch = store.meta.view?.pixel_pitch_um;
+    if (pitch && this.role === "main") {
+      const length = LENGTHS.filter((l) => (l / pitch) * k < width / 4).pop();
+      if (length) {
+        const px = (length / pitch) * k;
+        ctx.fillStyle = "rgb(0 0 0 / 0.55)";
+        ctx.fillRect(width - 11 - px, height - 15, px + 2, 5);
+        ctx.fillStyle = "#fff";
+        ctx.fillRect(width - 10 - px, height - 14, px, 3);
+        ctx.textAlign = "center";
+        text(length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10 - px / 2, height - 20);
+      }
+    }
+    if (store.state.layer === "time" && this.role === "main") this.drawTimeBar(ctx, width);
+  }
+
+  private drawTimeBar(ctx: CanvasRenderingContext2D, width: number): void {
+    const wide = Math.min(160, width / 3);
+    const bar = new Bitmap(1, 64);
+    const hue = new Float32Array(192);
+    const peak = new Float32Array(64).fill(1);
+    for (let i = 0; i < 64; i++) hue.set(timeHue(i / 63), 3 * i);
+    drawProjection(bar, { peak, hue }, "time", "grey", 0, 1);
+    ctx.drawImage(bar.canvas, 10, 10, wide, 6);
+    ctx.fillStyle = "#fff";
+    ctx.textBaseline = "top";
+    ctx.textAlign = "left";
+    ctx.fillText("0", 10, 20);
+    ctx.textAlign = "right";
+    const { clock } = this.store;
+    const end = clock.bins * (clock.step_us ?? 1);
+    ctx.fillText(`${Number(end.toPrecision(4))} ${clock.unit}`, 10 + wide, 20);
+    ctx.textBaseline = "alphabetic";
+  }
+
+  private describe(): void {
+    const { store } = this;
+    const words = `${this.name}, ${store.clock.label(store.state.t)}, ${store.state.regions.length} regions marked`;
+    if (!store.state.playing) this.canvas.setAttribute("aria-label", words);
+  }
+
+  /** Pixel of the first video under the pointer. */
+  at(event: PointerEvent | WheelEvent): { x: number; y: number } {
+    const box = this.canvas.getBoundingClientRect();
+    const [x, y, w, hgt] = this.window();
+    const [kx, ky] = [
+      this.store.video.columns / this.volume.columns,
+      this.store.video.rows / this.volume.rows,
+    ];
+    return {
+      x: (x + ((event.clientX - box.left) / box.width) * w) * kx,
+      y: (y + ((event.clientY - box.top) / box.height) * hgt) * ky,
+    };
+  }
+}

@@ -1,0 +1,139 @@
+// What is shown: one state, and those who draw it.
+
+import type { MapName } from "./colour";
+import type { Meta, Rect } from "./types";
+import { Clock } from "./format";
+import type { Source } from "./source";
+import type { Volume } from "./volume";
+
+export interface Region extends Rect {
+  id: number;
+  colour: string;
+}
+
+export interface Line {
+  x0: number;
+  y0: number;
+  x1: number;
+  y1: number;
+}
+
+export type Layer = "video" | "time" | "peak";
+export type Beside = "none" | "truth" | "difference" | "other";
+export type Tool = "trace" | "line" | "move";
+
+export interface State {
+  t: number;
+  playing: boolean;
+  /** Bins a second. */
+  speed: number;
+  loop: boolean;
+  map: MapName;
+  low: number;
+  high: number;
+  layer: Layer;
+  beside: Beside;
+  zoom: number;
+  /** Middle of what is seen, in pixels of the video. */
+  cx: number;
+  cy: number;
+  tool: Tool;
+  regions: Region[];
+  line: Line | null;
+  stamp: boolean;
+}
+
+/** What has changed: listeners draw only what it touches. */
+export type Change = "time" | "look" | "regions" | "line" | "data";
+
+export class Store {
+  readonly meta: Meta;
+  readonly clock: Clock;
+  readonly video: Volume;
+  readonly truth: Volume | null;
+  readonly other: Volume | null;
+  readonly otherClock: Clock | null;
+  state: State;
+  private readonly listeners: ((what: Change) => void)[] = [];
+  private dirty = new Set<Change>();
+
+  constructor(
+    readonly source: Source,
+    volumes: { video: Volume; truth: Volume | null; other: Volume | null },
+  ) {
+    const [meta, second] = source.results;
+    this.meta = meta;
+    this.clock = new Clock(meta.shape[0], meta.bin_duration_us);
+    this.video = volumes.video;
+    this.truth = volumes.truth;
+    this.other = volumes.other;
+    // A video alone has no clock of its own: with as many bins it takes that of the result.
+    this.otherClock = second
+      ? new Clock(
+          second.shape[0],
+          second.bin_duration_us ??
+            (meta.bin_duration_us == null ? null : (meta.bin_duration_us * meta.shape[0]) / second.shape[0]),
+        )
+      : null;
+    this.state = {
+      t: 0,
+      playing: false,
+      speed: meta.shape[0] > 120 ? 25 : 10,
+      loop: true,
+      map: "magma",
+      low: 0,
+      high: this.video.high,
+      layer: "video",
+      beside: this.other ? "other" : this.truth ? "truth" : "none",
+      zoom: 1,
+      cx: meta.shape[2] / 2,
+      cy: meta.shape[1] / 2,
+      tool: "trace",
+      regions: [],
+      line: null,
+      stamp: true,
+    };
+  }
+
+  /** Bin of the other result at the time that is shown. */
+  get otherBin(): number {
+    const { t } = this.state;
+    if (!this.otherClock) return t;
+    const hasTime = this.clock.step_us != null && this.otherClock.step_us != null;
+    return hasTime ? this.otherClock.bin(this.clock.at(t)) : Math.min(t, this.otherClock.bins - 1);
+  }
+
+  /** Brightness limits of the other result: those of this one where they can be compared. */
+  get otherLimits(): [number, number] {
+    const { low, high } = this.state;
+    if (!this.other) return [low, high];
+    const ratio = this.other.high / this.video.high;
+    return ratio > 0.25 && ratio < 4 ? [low, high] : [low * ratio, high * ratio];
+  }
+
+  on(listener: (what: Change) => void): void {
+    this.listeners.push(listener);
+  }
+
+  /** Changes the state; all listeners are told once before the next picture. */
+  set(change: Partial<State>, what: Change): void {
+    Object.assign(this.state, change);
+    this.tell(what);
+  }
+
+  tell(what: Change): void {
+    if (this.dirty.size === 0) requestAnimationFrame(() => this.flush());
+    this.dirty.add(what);
+  }
+
+  private flush(): void {
+    const dirty = this.dirty;
+    this.dirty = new Set();
+    for (const what of dirty) for (const listener of this.listeners) listener(what);
+  }
+
+  goTo(t: number): void {
+    const last = this.clock.bins - 1;
+    this.set({ t: Math.min(last, Math.max(0, Math.round(t))) }, "time");
+  }
+}

@@ -1,0 +1,81 @@
+// What the server (or the offline file) says of a result.
+
+export interface Rect {
+  y: number;
+  x: number;
+  rows: number;
+  columns: number;
+}
+
+export interface Photodiode {
+  name: string;
+  correlation: number;
+  /** Microseconds and light, on the clock and in the units of the trace. */
+  points: [number, number][];
+}
+
+/** A trace that the program has found, with its standard errors. */
+export interface KnownTrace {
+  region: Rect;
+  value: number[];
+  debiased: (number | null)[];
+  standard_error: (number | null)[];
+  frequency_hz: number | null;
+  frequency_error_hz: number | null;
+  photodiodes: Photodiode[];
+}
+
+export interface CoursePoint {
+  iteration: number;
+  seconds: number;
+  residual_over_sigma: number;
+  psnr_db: number | null;
+}
+
+/** view.json. */
+export interface View {
+  title?: string;
+  pixel_pitch_um?: number | null;
+  row_bins?: [number, number][];
+  traces?: KnownTrace[];
+  course?: CoursePoint[];
+  headline?: [string, string][];
+  settings?: [string, [string, string][]][];
+  fit?: { verdict: string; reason: string };
+  warnings?: string[];
+  command?: string;
+}
+
+export interface Meta {
+  name: string;
+  /** Bins, rows and columns. */
+  shape: [number, number, number];
+  /** Value of the lowest and the highest number of each video. */
+  ranges: Record<string, [number, number]>;
+  /** Rows and columns of each picture. */
+  images: Record<string, [number, number]>;
+  files: string[];
+  bin_duration_us: number | null;
+  view: View | null;
+  result: Record<string, unknown> | null;
+}
+
+/** A picture [y, x] of real values. */
+export interface Picture {
+  rows: number;
+  columns: number;
+  data: Float32Array;
+}
+
+/** The state of a run, as /api/live has it. */
+export interface LiveState {
+  stage: "running" | "stopping" | "writing" | "done" | "failed";
+  label: string;
+  iteration: number | null;
+  max_iterations: number | null;
+  seconds: number | null;
+  /** Iteration, seconds, residual over σ, PSNR. */
+  course: [number, number, number, number | null][];
+  snapshot: number;
+  error: string | null;
+}

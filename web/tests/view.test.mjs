@@ -1,0 +1,223 @@
+// The viewer in a real browser, over real results: leds/, other/ and large.npy in RESULTS.
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { PNG } from "pngjs";
+import { chromium, compare, download, loaded, open, pick, results, serve, until } from "./browser.mjs";
+
+let browser;
+let view;
+before(async () => {
+  browser = await chromium();
+  view = await serve(["view", join(results, "leds"), "--port", "0", "--no-open"]);
+});
+after(async () => {
+  view?.stop();
+  await browser?.close();
+});
+
+const result = async () => JSON.parse(await readFile(join(results, "leds", "result.json"), "utf8"));
+
+test("a result loads, plays, steps and is scrubbed", async () => {
+  const { page, faults } = await open(browser, view.url);
+  await loaded(page);
+  const time = () => page.$eval("#time", (e) => e.textContent);
+  assert.match(await time(), /^4\.8 µs · 1 of 54$/);
+  await page.keyboard.press("ArrowRight");
+  assert.match(await time(), /^14\.4 µs · 2 of 54$/);
+  await page.keyboard.press("End");
+  assert.match(await time(), /54 of 54$/);
+  await page.$eval("#scrub", (e) => {
+    e.value = "20";
+    e.dispatchEvent(new Event("input"));
+  });
+  assert.match(await time(), /^196\.8 µs · 21 of 54$/);
+  await page.keyboard.press("Home");
+  await page.keyboard.press("Space");
+  await until(async () => Number((await time()).match(/· (\d+)/)[1]) > 3);
+  assert.equal(await page.$eval("#play", (e) => e.getAttribute("aria-label")), "Pause");
+  await page.keyboard.press("Space");
+  const stands = await time();
+  await new Promise((resolve) => setTimeout(resolve, 300));
+  assert.equal(await time(), stands);
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("a pixel that is picked has the frequency of its LED, and the CSV the video's numbers", async () => {
+  const { page, faults, folder } = await open(browser, view.url);
+  await loaded(page);
+  await page.evaluate(() => [...document.querySelectorAll("button")].find((b) => b.textContent === "Remove all").click());
+  await page.waitForFunction(() => document.querySelectorAll(".regions li").length === 0);
+  const { traces, frame_rate_hz } = await result();
+  const led = traces.find((t) => t.frequency_hz > 30e3 && t.frequency_hz < 40e3);
+  assert.ok(led, "the demo has an LED at 34,722 Hz");
+  const [y, x] = [led.region.y + (led.region.rows >> 1), led.region.x + (led.region.columns >> 1)];
+  await pick(page, y, x);
+  await page.waitForSelector(".regions li");
+  const peak = Number(await page.$eval(".regions li", (e) => e.dataset.peakHz));
+  // An eighth of what 54 bins can tell apart.
+  assert.ok(Math.abs(peak - 34_722) < frame_rate_hz / 54 / 8, `${peak} Hz`);
+
+  await page.click("#save-csv");
+  const csv = (await download(folder, ".csv")).toString();
+  const [heading, ...lines] = csv.trim().split("\n").map((l) => l.split(","));
+  assert.equal(heading[0], "time_us");
+  assert.equal(heading[1], `y${led.region.y}_x${led.region.x}_3x3_value`);
+  assert.equal(lines.length, 54);
+  const stored = (await readFile(join(results, "leds", "traces.csv"), "utf8")).trim().split("\n").map((l) => l.split(","));
+  const column = stored[0].indexOf(heading[1]);
+  assert.ok(column > 0, `${heading[1]} among ${stored[0]}`);
+  const most = Math.max(...stored.slice(1).map((l) => Number(l[column])));
+  lines.forEach((line, t) => {
+    assert.ok(Math.abs(Number(line[0]) - Number(stored[t + 1][0])) < 1e-3);
+    assert.ok(Math.abs(Number(line[1]) - Number(stored[t + 1][column])) < 1e-4 * most, `bin ${t}: ${line[1]}`);
+  });
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("the PNG and the GIF of the view are what they say", async () => {
+  const { page, faults, folder } = await open(browser, view.url);
+  await loaded(page);
+  await page.select("#map", "grey");
+  await page.select("#beside", "none");
+  await page.click("#stamp");
+  await page.click("#save-png");
+  const png = PNG.sync.read(await download(folder, ".png"));
+  assert.deepEqual([png.width, png.height], [540, 540]);
+  // Light where the video has light: the brightest LED of bin 0.
+  const video = await readFile(join(results, "leds", "video.npy"));
+  const from = video.length - 4 * 54 * 108 * 108;
+  const value = (y, x) => video.readFloatLE(from + 4 * (y * 108 + x));
+  let [best, at] = [0, [0, 0]];
+  let dark = [0, 0];
+  for (let y = 8; y < 90; y++) {
+    for (let x = 8; x < 90; x++) {
+      if (value(y, x) > best) [best, at] = [value(y, x), [y, x]];
+      if (value(y, x) === 0) dark = [y, x];
+    }
+  }
+  const grey = ([y, x]) => png.data[4 * ((5 * y + 2) * 540 + 5 * x + 2)];
+  assert.ok(grey(at) > 120 && grey(dark) < 40, `${grey(at)} at ${at}, ${grey(dark)} at ${dark}`);
+  await page.click("#save-gif");
+  const gif = await download(folder, ".gif");
+  assert.equal(gif.subarray(0, 6).toString(), "GIF89a");
+  assert.equal(gif.readUInt16LE(6), 540);
+  // A graphic control extension for each of the 54 bins.
+  let frames = 0;
+  for (let i = 0; i + 3 < gif.length; i++) if (gif[i] === 0x21 && gif[i + 1] === 0xf9 && gif[i + 2] === 4 && gif[i + 7] === 0) frames++;
+  assert.ok(frames >= 54 && frames < 60, `${frames} frames`);
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("two results are seen side by side with one clock", async () => {
+  const two = await serve(["view", join(results, "leds"), join(results, "other", "video.npy"), "--port", "0", "--no-open"]);
+  const { page, faults } = await open(browser, two.url);
+  await loaded(page);
+  assert.equal((await page.$$("canvas.picture")).length, 2);
+  await page.keyboard.press("End");
+  const hash = (role) => page.$eval(`canvas[data-role=${role}]`, (c) => c.toDataURL().length);
+  await until(async () => (await hash("main")) > 0 && (await hash("other")) > 0);
+  assert.ok(await page.$("#over-other"));
+  assert.deepEqual(faults, []);
+  await page.close();
+  two.stop();
+});
+
+test("space and time, evidence and settings are drawn", async () => {
+  const { page, faults } = await open(browser, view.url);
+  await loaded(page);
+  const inked = (selector) =>
+    page.$$eval(selector, (canvases) =>
+      canvases.map((c) => new Set(new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer)).size),
+    );
+  await page.click("#tab-space-time");
+  await until(async () => (await inked(".cloud"))[0] > 20);
+  assert.ok((await inked(".slice")).slice(1).every((colours) => colours > 5));
+  await page.click('[data-tool="line"]');
+  const box = await (await page.$("canvas.picture")).boundingBox();
+  await page.mouse.move(box.x + 20, box.y + 20);
+  await page.mouse.down();
+  await page.mouse.move(box.x + box.width - 20, box.y + box.height - 20, { steps: 4 });
+  await page.mouse.up();
+  await until(async () => page.$$eval(".slice", (c) => c.filter((e) => e.offsetParent).length === 3));
+
+  await page.click("#tab-evidence");
+  await until(async () => (await inked("canvas[data-picture]")).every((colours) => colours > 5));
+  assert.match(await page.$eval(".evidence", (e) => e.textContent), /Fit: good/);
+  // Bin 0 of this shutter is seen by the two middle rows, the last bin by the outermost.
+  const marked = () =>
+    page.$eval("canvas[data-picture=frame]", (c) => {
+      const { data, width, height } = c.getContext("2d").getImageData(0, 0, 1, c.height);
+      return Array.from({ length: height }, (_, y) => y / height).filter((_, y) => data[4 * y + 2] > data[4 * y] + 60 && width);
+    });
+  await page.keyboard.press("Home");
+  await until(async () => (await marked()).every((y) => Math.abs(y - 0.5) < 0.03) && (await marked()).length > 0);
+  await page.keyboard.press("End");
+  await until(async () => (await marked()).every((y) => y < 0.03 || y > 0.97));
+  await page.click("#tab-settings");
+  assert.match(await page.$eval(".settings", (e) => e.textContent), /dual-inside-out/);
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("the first picture of 512×512×256 is there in less than 2 s", async () => {
+  const large = await serve(["view", join(results, "large"), "--port", "0", "--no-open"]);
+  const { page, faults } = await open(browser, "about:blank");
+  const began = Date.now();
+  await page.goto(large.url);
+  await page.waitForFunction(() => {
+    const c = document.querySelector("canvas.picture");
+    if (!c || !c.width) return false;
+    const data = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer);
+    return new Set(data).size > 50;
+  });
+  const ms = Date.now() - began;
+  console.log(`first picture after ${ms} ms`);
+  assert.ok(ms < 2000, `${ms} ms`);
+  assert.deepEqual(faults, []);
+  await page.close();
+  large.stop();
+});
+
+test("a run is watched and stopped, and its result shown", async () => {
+  const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--truth", join(results, "leds", "truth.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
+  const run = await serve([...args, "--view", "--port", "0", "--no-open", "-o", join(results, "watched")], "stderr");
+  const { page, faults } = await open(browser, run.url);
+  await page.waitForSelector("#stop");
+  await until(async () => /iteration \d+/.test(await page.$eval("#live-words", (e) => e.textContent)));
+  await page.waitForFunction(() => {
+    const c = document.querySelector("canvas.picture");
+    return c?.width && new Set(new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer)).size > 20;
+  });
+  await page.click("#stop");
+  await page.waitForSelector("#tab-traces", { timeout: 30_000 });
+  await loaded(page);
+  const stored = JSON.parse(await readFile(join(results, "watched", "result.json"), "utf8"));
+  assert.equal(stored.stop_reason, "interrupted");
+  assert.deepEqual(faults, []);
+  run.stop();
+  await until(() => run.child.exitCode !== null);
+  assert.equal(run.child.exitCode, 0);
+  await page.close();
+});
+
+test("light, dark and on a phone it looks as it did", async () => {
+  for (const [name, look] of [
+    ["light", {}],
+    ["dark", { dark: true }],
+    ["phone", { width: 390, height: 844 }],
+  ]) {
+    const { page } = await open(browser, view.url, look);
+    await loaded(page);
+    await page.select("#beside", "none");
+    await page.keyboard.press("Home");
+    await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
+    await compare(name, await page.screenshot());
+    await page.close();
+  }
+});
