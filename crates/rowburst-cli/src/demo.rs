@@ -66,6 +66,7 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
                 .collect(),
             DemoScene::Digits | DemoScene::Moving => Vec::new(),
         },
+        sweep: Vec::new(),
         json: args.json,
         seed: args.seed,
         output: args.output.clone(),
