@@ -26,7 +26,7 @@ class RollingShutterOperator(LinearOperator):
     def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float32) -> None:
         self._own = _rowburst._Operator(camera, psf)
         self.camera = camera
-        super().__init__(np.dtype(dtype), self._own.shape)
+        super().__init__(np.dtype(dtype), self._own.shape)  # type: ignore[call-arg]
 
     @property
     def video_shape(self) -> tuple[int, int, int]:

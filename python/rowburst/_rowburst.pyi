@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, Literal, final
+from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __version__: str
+
+# frame, name, whether it has its video, residual/sigma, fit, seconds, message
+_Line: TypeAlias = tuple[int, str, bool, float | None, str | None, float, str]
 
 class InputError(ValueError):
     """What was given breaks a rule: the message names it, the value, the rule and the remedy."""
@@ -232,6 +235,33 @@ class _DataTerm:
     def value(self, x: ArrayLike) -> float: ...
     def gradient(self, x: ArrayLike) -> NDArray[np.float32]: ...
     def prox(self, x: ArrayLike, step: float) -> NDArray[np.float32]: ...
+
+@final
+class _Batch:
+    def __new__(
+        cls,
+        experiment: str | PathLike[str],
+        frames: str | PathLike[str],
+        out: str | PathLike[str],
+        *,
+        psf: str | PathLike[str] | None = None,
+        dark: str | PathLike[str] | None = None,
+        flat: str | PathLike[str] | None = None,
+        bad_pixels: str | PathLike[str] | None = None,
+        prior: str | None = None,
+        tau: str | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+        frame_period_us: float | None = None,
+    ) -> _Batch: ...
+    @property
+    def count(self) -> int: ...
+    def left(self, first: int, end: int, retry_failed: bool = False) -> list[int]: ...
+    def prior(self) -> tuple[str, str]: ...
+    def run(self, frames: list[int], threads: int | None = None) -> list[_Line]: ...
+    def rows(self) -> list[_Line]: ...
+    def write_table(self) -> str | PathLike[str]: ...
+    def video(self, frame: int) -> NDArray[np.float32]: ...
 
 def reconstruct(
     frame: ArrayLike,

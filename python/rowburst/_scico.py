@@ -44,7 +44,7 @@ def linear_operator(own: RollingShutterOperator) -> Any:
 def functional(own: DataTerm) -> Any:
     """``½‖W(b - A v)‖²`` with its prox."""
 
-    class RollingShutterData(scico_functional.Functional):
+    class RollingShutterData(scico_functional.Functional):  # type: ignore[misc]
         has_eval = True
         has_prox = True
 

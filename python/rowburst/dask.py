@@ -198,4 +198,7 @@ def _main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(_main())
+    # Workers find the tasks by their module's name, which is not __main__ there.
+    from rowburst.dask import _main as main
+
+    sys.exit(main())

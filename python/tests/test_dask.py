@@ -1,5 +1,6 @@
 """A scheduler and three worker processes on loopback, one of which is killed in mid-run."""
 
+import json
 import os
 import signal
 import subprocess
@@ -95,6 +96,25 @@ def test_a_killed_worker_changes_nothing(recording, cluster):
     again = rb_dask().reconstruct(
         recording / "frames.npy", recording / "cluster.zarr", recording / "experiment.toml", client, **options)
     assert again["frames_this_run"] == 0
+
+
+def test_the_command_line_hands_the_work_to_the_scheduler(recording, cluster):
+    program = os.environ.get("ROWBURST")
+    if not program:
+        pytest.skip("ROWBURST does not name the program")
+    client, _ = cluster
+    words = [program, "batch", "experiment.toml", "--frames", "frames.npy", "--prior", "tv", "--max-iterations", "40", "--json"]
+    environment = os.environ | {"ROWBURST_PYTHON": sys.executable}
+    for out, more in (("cluster.zarr", ["--scheduler", client.scheduler.address]), ("single.zarr", [])):
+        done = subprocess.run([*words, "-o", out, *more], cwd=recording, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        summary = json.loads(done.stdout)
+        assert (summary["done"], summary["left"]) == (FRAMES, 0)
+        # All frames were made elsewhere, or here.
+        assert summary["frames_this_run"] == (0 if more else FRAMES)
+    options = {"prior": "tv", "max_iterations": 40}
+    for one, other in zip(videos(recording, "cluster.zarr", **options)[1], videos(recording, "single.zarr", **options)[1]):
+        np.testing.assert_array_equal(one, other)
 
 
 def rb_dask():

@@ -176,9 +176,9 @@ pub struct CalibrationArgs {
 }
 
 /// Recover the video from one frame.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(
-    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result"
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep"
 )]
 pub struct ReconstructArgs {
     /// The experiment file: camera, calibration, field, recipe
@@ -223,11 +223,15 @@ pub struct ReconstructArgs {
     /// Show the video in the browser while it is found, with a button to stop; then the result,
     /// until Ctrl-C
     #[cfg(feature = "view")]
-    #[arg(long)]
+    #[arg(long, conflicts_with = "sweep")]
     pub view: bool,
     #[cfg(feature = "view")]
     #[command(flatten)]
     pub browser: BrowserArgs,
+    /// Run once for each value of prior, tau, noise-sigma or max-iterations, in a folder of its own
+    /// below the output, and compare them in sweep.csv (repeatable: all combinations)
+    #[arg(long, value_name = "OPTION=VALUE,VALUE")]
+    pub sweep: Vec<String>,
     /// Print result.json to standard output instead of a summary
     #[arg(long)]
     pub json: bool,
@@ -274,7 +278,7 @@ pub struct BrowserArgs {
 ///
 /// Killed at any moment, the same command goes on where it was.
 #[cfg(feature = "batch")]
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(
     after_help = "Example:\n  rowburst batch experiment.toml --frames captures -o videos.zarr\n  rowburst batch experiment.toml --frames stack.tif --frame-period-us 2000 --stitch -o videos.zarr\n  then in Python: zarr.open(\"videos.zarr\")[\"0\"][frame, t], or drop videos.zarr into napari;\n  the table is videos.zarr/rowburst/frames.csv"
 )]
@@ -319,9 +323,17 @@ pub struct BatchArgs {
     /// Try the frames again that failed before
     #[arg(long)]
     pub retry_failed: bool,
+    /// Have the workers of a Dask scheduler do it, such as tcp://host:8786. Needs the Python package
+    /// with Dask (pip install 'rowburst[dask]'), here and on the workers, and a disk that all share
+    #[arg(long, value_name = "ADDRESS", conflicts_with = "frames_range")]
+    pub scheduler: Option<String>,
     /// Frames at once [default: one per thread, as many as fit into memory]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub at_once: Option<u16>,
+    /// Run once for each value of prior, tau, noise-sigma or max-iterations, into an archive of its own
+    /// in the folder of the output, and compare them in sweep.csv (repeatable: all combinations)
+    #[arg(long, value_name = "OPTION=VALUE,VALUE", conflicts_with_all = ["frames_range", "stitch"])]
+    pub sweep: Vec<String>,
     /// Print a summary as JSON to standard output instead of text
     #[arg(long)]
     pub json: bool,

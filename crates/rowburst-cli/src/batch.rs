@@ -4,6 +4,7 @@ use crate::args::BatchArgs;
 use crate::inputs::own_calibration;
 use crate::outcome::say;
 use crate::progress::stop_on_ctrl_c;
+use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
 use rowburst_batch::{
@@ -52,6 +53,81 @@ struct Summary {
 }
 
 pub fn run(args: &BatchArgs) -> Result<()> {
+    let stop = stop_on_ctrl_c("what is done stays, and the same command goes on from there");
+    if !args.sweep.is_empty() {
+        return run_sweep(args, &stop);
+    }
+    let (summary, _) = one(args, &stop)?;
+    if args.json {
+        say(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
+    } else {
+        print_summary(&summary);
+    }
+    Ok(())
+}
+
+/// A batch for each point of the sweep, each into an archive of its own; killed, the same command
+/// goes on.
+fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
+    let points = sweep::points(&args.sweep)?;
+    let plans = points.iter().map(|point| {
+        let mut own = args.clone();
+        own.sweep.clear();
+        own.output = sweep::place(&args.output, point, ".zarr");
+        for (key, value) in point {
+            match *key {
+                "prior" => own.prior = Some(value.clone()),
+                "tau" => own.tau = Some(value.clone()),
+                "noise-sigma" => own.noise_sigma = Some(sweep::number(key, value)?),
+                _ => own.max_iterations = Some(sweep::number(key, value)?),
+            }
+        }
+        Ok((sweep::words(point), own))
+    });
+    // A value that is none is found before the first run.
+    let plans: Vec<(String, BatchArgs)> = plans.collect::<Result<_>>()?;
+    let folder = rowburst_io::OutputFolder::create(&args.output)?;
+    let mut rows: Vec<sweep::Row> = Vec::new();
+    for (point, own) in plans {
+        eprintln!("{point}");
+        let (summary, lines) = one(&own, stop)?;
+        let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
+        let good = done.iter().filter(|l| l.fit.as_deref() == Some("good"));
+        rows.push(sweep::Row {
+            point,
+            output: own.output.display().to_string(),
+            prior: Some(summary.prior),
+            tau: median(done.iter().filter_map(|l| l.tau)),
+            residual_over_sigma: median(done.iter().filter_map(|l| l.residual_over_sigma)),
+            psnr_db: None,
+            ssim: None,
+            fit: Some(format!("{} of {} good", good.count(), lines.len())),
+            seconds: done.iter().map(|l| l.seconds).sum(),
+            error: None,
+        });
+    }
+    let table = sweep::write(folder.path(), &rows)?;
+    if args.json {
+        say(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
+    } else {
+        sweep::lines(&rows).into_iter().for_each(say);
+        say(format!(
+            "table, with medians over the frames: {}",
+            table.display()
+        ));
+    }
+    Ok(())
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    (n > 0).then(|| 0.5 * (values[(n - 1) / 2] + values[n / 2]))
+}
+
+/// One batch, through; the lines of its frames.
+fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> {
     let began = Instant::now();
     let (plan, calibration) = plan_of(args)?;
     let batch = Batch::open(plan, &args.output)
@@ -61,18 +137,20 @@ pub fn run(args: &BatchArgs) -> Result<()> {
     if args.stitch {
         batch.clock_to_stitch()?;
     }
+    if let Some(scheduler) = &args.scheduler {
+        crate::cluster::run(args, scheduler)?;
+    }
     let missing = gaps(&**frames);
     let missing_words = missing_words(&missing, &**frames);
     missing_words.iter().for_each(|words| eprintln!("{words}"));
 
-    let stop = stop_on_ctrl_c("what is done stays, and the same command goes on from there");
-    let again = match args.retry_failed {
+    let again = match args.retry_failed && args.scheduler.is_none() {
         true => Again::Failed,
         false => Again::Unfinished,
     };
     let left = batch.left(range.clone(), again)?;
     let bar = bar(left.len(), range.len());
-    let prior = batch.prior(&stop, &|event| show(&bar, &batch, event))?;
+    let prior = batch.prior(stop, &|event| show(&bar, &batch, event))?;
     let Some(prior) = prior else {
         bar.finish_and_clear();
         return Err(stopped(args));
@@ -83,7 +161,7 @@ pub fn run(args: &BatchArgs) -> Result<()> {
     let setup_seconds = began.elapsed().as_secs_f64();
     let started = Instant::now();
     bar.reset_eta();
-    let ran = batch.run(&left, &prior, crew, &stop, &|event| {
+    let ran = batch.run(&left, &prior, crew, stop, &|event| {
         show(&bar, &batch, event);
     });
     let seconds = started.elapsed().as_secs_f64();
@@ -102,7 +180,7 @@ pub fn run(args: &BatchArgs) -> Result<()> {
     let rows = batch.rows()?;
     refuse_if_all_failed(args, &rows, &range)?;
     let stitched = match args.stitch {
-        true => Some(stitch(args, &batch, &stop)?),
+        true => Some(stitch(args, &batch, stop)?),
         false => None,
     };
 
@@ -134,12 +212,7 @@ pub fn run(args: &BatchArgs) -> Result<()> {
         peak_memory_bytes: peak_memory_bytes(),
         warnings: warnings(&rows, missing_words),
     };
-    if args.json {
-        say(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
-    } else {
-        print_summary(&summary);
-    }
-    Ok(())
+    Ok((summary, rows))
 }
 
 /// The plan, and the files that it is from.

@@ -70,6 +70,7 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         view: false,
         #[cfg(feature = "view")]
         browser: crate::args::BrowserArgs::default(),
+        sweep: Vec::new(),
         json: args.json,
         seed: args.seed,
         output: args.output.clone(),

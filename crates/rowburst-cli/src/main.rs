@@ -8,6 +8,8 @@ mod args;
 #[cfg(feature = "batch")]
 mod batch;
 mod calibrate;
+#[cfg(feature = "batch")]
+mod cluster;
 mod demo;
 mod design;
 mod inputs;
@@ -15,6 +17,7 @@ mod outcome;
 mod progress;
 mod reconstruct;
 mod simulate;
+mod sweep;
 #[cfg(feature = "view")]
 mod view;
 

@@ -4,6 +4,7 @@ use crate::args::ReconstructArgs;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
 use crate::progress::{Bar, stop_on_ctrl_c};
+use crate::sweep;
 use rowburst::Result;
 use rowburst::measurement::correct;
 use rowburst::reconstruct::{Recipe, Verdict};
@@ -13,10 +14,99 @@ use rowburst_run::inputs::{
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{Outcome, Task, Traces, Wanted, short, solve, thousands};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// `began` is the start of the process.
 pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
+    let stop = stop_on_ctrl_c("the best so far will be written");
+    if !args.sweep.is_empty() {
+        return run_sweep(args, &stop);
+    }
+    let done = one(args, began, stop)?;
+    if args.json {
+        let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
+        say(json);
+    } else {
+        print_summary(&done.outcome, args, &done.traces);
+    }
+    #[cfg(feature = "view")]
+    if let Some(page) = done.page {
+        return page.stay(&args.output);
+    }
+    Ok(())
+}
+
+/// A reconstruction that is written.
+struct Done {
+    outcome: Outcome,
+    traces: Traces,
+    /// The page that watched it.
+    #[cfg(feature = "view")]
+    page: Option<crate::view::Watching>,
+}
+
+/// A run for each point of the sweep; one that fails does not stop the others.
+fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
+    let points = sweep::points(&args.sweep)?;
+    let plans = points.iter().map(|point| {
+        let mut own = args.clone();
+        own.sweep.clear();
+        own.output = sweep::place(&args.output, point, "");
+        for (key, value) in point {
+            match *key {
+                "prior" => own.prior = Some(value.clone()),
+                "tau" => own.tau = Some(value.clone()),
+                "noise-sigma" => own.noise_sigma = Some(sweep::number(key, value)?),
+                _ => own.max_iterations = Some(sweep::number(key, value)?),
+            }
+        }
+        Ok((sweep::words(point), own))
+    });
+    // A value that is none is found before the first run.
+    let plans: Vec<(String, ReconstructArgs)> = plans.collect::<Result<_>>()?;
+    let mut rows: Vec<sweep::Row> = Vec::new();
+    let mut first_error = None;
+    for (point, own) in plans {
+        let began = Instant::now();
+        eprintln!("{point}");
+        let done = one(&own, began, Arc::clone(stop));
+        let outcome = done.as_ref().ok().map(|done| &done.outcome);
+        rows.push(sweep::Row {
+            point,
+            output: own.output.display().to_string(),
+            prior: outcome.map(|o| o.prior.clone()),
+            tau: outcome.map(|o| o.tau),
+            residual_over_sigma: outcome.map(|o| o.residual_over_sigma),
+            psnr_db: outcome.and_then(|o| o.psnr_db),
+            ssim: outcome.and_then(|o| o.ssim),
+            fit: outcome.map(|o| o.fit.to_string()),
+            seconds: began.elapsed().as_secs_f64(),
+            error: done.as_ref().err().map(ToString::to_string),
+        });
+        if let Err(error) = done {
+            first_error.get_or_insert(error);
+        }
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+    }
+    let table = sweep::write(&args.output, &rows)?;
+    if args.json {
+        say(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
+    } else {
+        sweep::lines(&rows).into_iter().for_each(say);
+        say(format_args!("table: {}", table.display()));
+    }
+    match first_error {
+        Some(error) if rows.iter().all(|row| row.error.is_some()) => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// One reconstruction, written.
+fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<Done> {
     let folder = OutputFolder::create(&args.output)?;
     let experiment = Experiment::read(&args.experiment)?;
     let camera = experiment.camera()?;
@@ -45,7 +135,6 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     drop((raw, corrections));
     let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
-    let stop = stop_on_ctrl_c("the best so far will be written");
     #[cfg(feature = "view")]
     let mut page = crate::view::watching(args, &camera, &stop)?;
     let task = Task {
@@ -77,17 +166,12 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     }
     let title = format!("Rowburst: {}", args.frame.display());
     let outcome = solved.write(&traces, &folder, &title, Some(&command_line(args)))?;
-    if args.json {
-        let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
-        say(json);
-    } else {
-        print_summary(&outcome, args, &traces);
-    }
-    #[cfg(feature = "view")]
-    if let Some(page) = page {
-        return page.stay(&args.output);
-    }
-    Ok(())
+    Ok(Done {
+        outcome,
+        traces,
+        #[cfg(feature = "view")]
+        page,
+    })
 }
 
 /// What makes the same result again.

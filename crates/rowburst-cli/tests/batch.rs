@@ -562,3 +562,44 @@ fn dead_time_and_missing_frames_are_in_the_times() {
     done(&lab, "out.zarr", &quick(&["--stitch"]));
     assert!(content(&lab.path("out.zarr/stitched")) == before);
 }
+
+#[test]
+fn a_scheduler_needs_the_python_package_and_says_so() {
+    let lab = lab_of(2);
+    let mut command = command(&lab, "out.zarr", &["--scheduler", "tcp://127.0.0.1:9"]);
+    command.args(QUICK).env("ROWBURST_PYTHON", "no-such-python");
+    let (code, stdout, stderr) = output(command);
+    assert_eq!((code, stdout.as_str()), (1, ""), "{stderr}");
+    for words in [
+        "--scheduler",
+        "no-such-python",
+        "pip install 'rowburst[dask]'",
+    ] {
+        assert!(stderr.contains(words), "{stderr}");
+    }
+}
+
+#[test]
+fn a_sweep_makes_an_archive_for_each_point_and_one_table() {
+    let lab = lab_of(3);
+    let sweep = ["--sweep", "prior=tv,l1", "--max-iterations", "20", "--json"];
+    let (code, stdout, stderr) = output(command(&lab, "out", &sweep));
+    assert_eq!(code, 0, "{stderr}");
+    let rows: Value = serde_json::from_str(&stdout).unwrap();
+    let rows = rows.as_array().unwrap();
+    assert_eq!(rows.len(), 2);
+    for (row, prior) in rows.iter().zip(["tv", "l1"]) {
+        assert_eq!(row["prior"], prior);
+        assert!(row["tau"].as_f64().unwrap() > 0.0);
+        assert!(row["fit"].as_str().unwrap().ends_with("of 3 good"));
+        assert!(
+            lab.path(&format!("out/prior={prior}.zarr/rowburst/frames.csv"))
+                .exists()
+        );
+    }
+    let table = String::from_utf8(lab.read("out/sweep.csv")).unwrap();
+    assert_eq!(table.lines().count(), 3);
+    // Again: all is there.
+    let (code, _, stderr) = output(command(&lab, "out", &sweep));
+    assert_eq!(code, 0, "{stderr}");
+}

@@ -1,0 +1,54 @@
+//! `--sweep` of one frame: a result for each point and one table.
+
+mod common;
+
+use common::Lab;
+use serde_json::Value;
+
+#[test]
+fn points_are_compared_in_one_table() {
+    let lab = Lab::new();
+    let said = lab.done(
+        "reconstruct experiment.toml --frame frame.npy --sweep prior=tv,l1 --sweep tau=auto,0.5 --max-iterations 20 --json -o out",
+    );
+    let rows: Value = serde_json::from_str(&said).unwrap();
+    let rows = rows.as_array().unwrap();
+    let points: Vec<&str> = rows.iter().map(|r| r["point"].as_str().unwrap()).collect();
+    let all = [
+        "prior=tv tau=auto",
+        "prior=tv tau=0.5",
+        "prior=l1 tau=auto",
+        "prior=l1 tau=0.5",
+    ];
+    assert_eq!(points, all);
+    assert_eq!(rows[1]["tau"], 0.5);
+    // The same as a run of its own.
+    lab.done("reconstruct experiment.toml --frame frame.npy --prior l1 --tau 0.5 --max-iterations 20 -o one");
+    assert_eq!(
+        lab.read("out/prior=l1_tau=0.5/video.npy"),
+        lab.read("one/video.npy")
+    );
+    let table = String::from_utf8(lab.read("out/sweep.csv")).unwrap();
+    assert_eq!(table.lines().count(), 5);
+    assert!(table.starts_with("point,prior,tau,residual_over_sigma"));
+}
+
+#[test]
+fn a_value_that_is_none_is_in_the_table_and_an_option_that_is_none_is_refused() {
+    let lab = Lab::new();
+    let said = lab.done(
+        "reconstruct experiment.toml --frame frame.npy --sweep prior=tv,tvv --max-iterations 5 -o out",
+    );
+    assert!(said.contains("failed") && said.contains("tvv"), "{said}");
+    let refused = lab
+        .command("reconstruct experiment.toml --frame frame.npy --sweep seed=1,2 -o out2")
+        .output()
+        .unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    let words = String::from_utf8(refused.stderr).unwrap();
+    assert!(
+        words.contains("--sweep") && words.contains("noise-sigma"),
+        "{words}"
+    );
+    assert!(!lab.path("out2").exists());
+}
