@@ -159,8 +159,8 @@ export class Pane {
         ctx.fillRect(width - 11 - px, height - 15, px + 2, 5);
         ctx.fillStyle = "#fff";
         ctx.fillRect(width - 10 - px, height - 14, px, 3);
-        ctx.textAlign = "center";
-        text(length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10 - px / 2, height - 20);
+        ctx.textAlign = "right";
+        text(length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10, height - 20);
       }
     }
     if (store.state.layer === "time" && this.role === "main") this.drawTimeBar(ctx, width);

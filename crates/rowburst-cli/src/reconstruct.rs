@@ -17,7 +17,7 @@ use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, SigmaSource,
 use rowburst::simulate::direct_frame;
 use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
 use rowburst_io::{Experiment, OutputFolder, TiffScale, write_npy_video, write_tiff_video};
-use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, ReportInput};
+use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Player, ReportInput};
 use std::time::{Duration, Instant};
 
 /// Files of a result, and what they are.
@@ -346,26 +346,25 @@ impl Run<'_> {
         let title = format!("Rowburst: {}", self.args.frame.display());
         let headline = headline(&outcome);
         let settings = self.settings(&outcome);
-        view_files::write(
-            folder,
-            &ViewFiles {
-                title: &title,
-                camera: self.camera,
-                video,
-                truth: self.truth.map(|truth| (truth, self.args.truth.as_deref())),
-                frame: self.measurement.image(),
-                psf: self.psfs.central().image(),
-                residual: &self.found.residual,
-                direct: direct.map(|(image, _)| image),
-                traces: &placed,
-                course: self.curve,
-                headline: &headline,
-                settings: &settings,
-                fit: (outcome.fit, &outcome.fit_reason),
-                warnings: &outcome.warnings,
-                command: &reproduce,
-            },
-        )?;
+        let files = ViewFiles {
+            title: &title,
+            camera: self.camera,
+            video,
+            truth: self.truth.map(|truth| (truth, self.args.truth.as_deref())),
+            frame: self.measurement.image(),
+            psf: self.psfs.central().image(),
+            residual: &self.found.residual,
+            direct: direct.map(|(image, _)| image),
+            traces: &placed,
+            course: self.curve,
+            headline: &headline,
+            settings: &settings,
+            fit: (outcome.fit, &outcome.fit_reason),
+            warnings: &outcome.warnings,
+            command: &reproduce,
+        };
+        let view = view_files::write(folder, &files)?;
+        let player = page_of(folder, &files, &view);
         let report = rowburst_report::render(&ReportInput {
             title: &title,
             frame: self.measurement.image(),
@@ -386,6 +385,11 @@ impl Run<'_> {
             settings,
             pixel_pitch_um: self.camera.sensor().pixel_pitch_um,
             mp4: mp4.as_deref(),
+            player: player.as_ref().map(|(bundle, data)| Player {
+                script: &bundle.script,
+                style: &bundle.style,
+                data,
+            }),
             files: FILES
                 .iter()
                 .chain(self.found.background.as_ref().map(|_| &BACKGROUND_FILE))
@@ -602,6 +606,30 @@ impl Run<'_> {
             ("Run".into(), of_run),
         ]
     }
+}
+
+/// The viewer's page with its data, for the report; `None` where the program has none, or the video
+/// is too large for one file.
+#[cfg(feature = "view")]
+fn page_of(
+    folder: &OutputFolder,
+    files: &ViewFiles,
+    view: &serde_json::Value,
+) -> Option<(rowburst_view::Bundle, String)> {
+    crate::view::offline(folder.path(), files, view)
+}
+
+/// In a build without the viewer.
+#[cfg(not(feature = "view"))]
+fn page_of(_: &OutputFolder, _: &ViewFiles, _: &serde_json::Value) -> Option<(Bundle, String)> {
+    None
+}
+
+/// Script and style of a page that is not there.
+#[cfg(not(feature = "view"))]
+struct Bundle {
+    script: String,
+    style: String,
 }
 
 /// The video as MP4; `None` in a build without the feature `mp4`.

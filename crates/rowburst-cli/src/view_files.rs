@@ -30,8 +30,8 @@ pub struct ViewFiles<'a> {
     pub command: &'a str,
 }
 
-/// Writes the pictures, then `view.json`.
-pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<()> {
+/// Writes the pictures, then `view.json`; returns what that says.
+pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<Value> {
     let images = [
         ("view-frame.npy", Some(files.frame)),
         ("view-psf.npy", Some(files.psf)),
@@ -59,8 +59,9 @@ pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<()> {
             None
         }
     };
-    let json = describe(files, truth).to_string();
-    folder.write_bytes("view.json", format!("{json}\n").as_bytes())
+    let view = describe(files, truth);
+    folder.write_bytes("view.json", format!("{view}\n").as_bytes())?;
+    Ok(view)
 }
 
 fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
@@ -69,7 +70,7 @@ fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
 }
 
 /// `view.json`; numbers that are not finite become null.
-pub fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
+fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     let camera = files.camera;
     let time = camera.time();
     let bins_of = |instant: &usize| {

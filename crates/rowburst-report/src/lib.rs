@@ -64,10 +64,23 @@ pub struct ReportInput<'a> {
     pub pixel_pitch_um: Option<f64>,
     /// The video as an MP4 file, to be played in the page.
     pub mp4: Option<&'a [u8]>,
+    /// The page of the viewer, which then takes the movie's place.
+    pub player: Option<Player<'a>>,
     /// Files written beside the report, as (name, what it is).
     pub files: Vec<(String, String)>,
     /// The command line that repeats the run.
     pub reproduce: Option<&'a str>,
+}
+
+/// A page that plays the video within the report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Player<'a> {
+    /// JavaScript, which finds its place in the element `rowburst`.
+    pub script: &'a str,
+    /// CSS.
+    pub style: &'a str,
+    /// JSON, which the script finds in the element `rowburst-data`.
+    pub data: &'a str,
 }
 
 /// A frame without the diffuser.
