@@ -110,7 +110,10 @@ test("the PNG and the GIF of the view are what they say", async () => {
     }
   }
   const grey = ([y, x]) => png.data[4 * ((5 * y + 2) * 540 + 5 * x + 2)];
-  assert.ok(grey(at) > 120 && grey(dark) < 40, `${grey(at)} at ${at}, ${grey(dark)} at ${dark}`);
+  const white = Number((await page.$eval("#limits", (e) => e.textContent)).match(/to ([\d.]+)/)[1]);
+  const wanted = Math.min(255, (255 * best) / white);
+  assert.ok(best > 0.1 * white && Math.abs(grey(at) - wanted) < 3, `${grey(at)} at ${at}, not ${wanted}`);
+  assert.equal(grey(dark), 0);
   await page.click("#save-gif");
   const gif = await download(folder, ".gif");
   assert.equal(gif.subarray(0, 6).toString(), "GIF89a");
@@ -217,8 +220,8 @@ test("a run is watched and stopped, and its result shown", async () => {
 
 test("light, dark and on a phone it looks as it did", async () => {
   for (const [name, look] of [
-    ["light", {}],
-    ["dark", { dark: true }],
+    ["light", { width: 1000, height: 720 }],
+    ["dark", { width: 1000, height: 720, dark: true }],
     ["phone", { width: 390, height: 844 }],
   ]) {
     const { page } = await open(browser, view.url, look);
@@ -229,4 +232,34 @@ test("light, dark and on a phone it looks as it did", async () => {
     await compare(name, await page.screenshot());
     await page.close();
   }
+});
+
+test("report.html is the same page, from a file and without a network", async () => {
+  const page = await browser.newPage();
+  const requests = [];
+  const faults = [];
+  page.on("request", (r) => !/^(file|data|blob):/.test(r.url()) && requests.push(r.url()));
+  page.on("pageerror", (error) => faults.push(String(error)));
+  page.on("console", (message) => message.type() === "error" && faults.push(message.text()));
+  await page.setViewport({ width: 1100, height: 1000 });
+  await page.setOfflineMode(true);
+  await page.goto(`file://${join(results, "leds", "report.html")}`);
+  await loaded(page);
+  await page.click("#play");
+  await until(async () => Number((await page.$eval("#time", (e) => e.textContent)).match(/· (\d+)/)[1]) > 3);
+  await page.click("#play");
+  const { traces } = await result();
+  const peaks = await page.$$eval(".regions li", (items) => items.map((e) => [e.dataset.y, e.dataset.x, e.dataset.peakHz].map(Number)));
+  assert.ok(peaks.length >= 3);
+  for (const [y, x, peak] of peaks) {
+    const known = traces.find((t) => t.region.y === y && t.region.x === x);
+    assert.ok(Math.abs(peak - known.frequency_hz) < 300, `${peak} and ${known.frequency_hz} Hz`);
+  }
+  await page.click("#tab-evidence");
+  await page.waitForFunction(() => document.querySelectorAll("canvas[data-picture]").length >= 3);
+  // The figures of the report are there, too.
+  assert.ok((await page.$$("main svg")).length >= 6);
+  assert.deepEqual(requests, []);
+  assert.deepEqual(faults, []);
+  await page.close();
 });
