@@ -10,6 +10,7 @@ mod batch;
 mod calibrate;
 mod demo;
 mod design;
+mod figure;
 mod inputs;
 mod outcome;
 mod progress;
@@ -45,6 +46,7 @@ fn main() -> ExitCode {
         Verb::Batch(args) => batch::run(&args),
         #[cfg(feature = "view")]
         Verb::View(args) => view::run(&args),
+        Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
     };

@@ -1,6 +1,6 @@
 //! What a result folder keeps for the viewer: `view.json`, and pictures beside it.
 
-use rowburst::{Camera, Image, Result, Video};
+use rowburst::{Camera, Image, Result, Shutter, Video};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
 use rowburst_report::{Iteration, PlacedTrace};
 use serde_json::{Value, json};
@@ -92,6 +92,13 @@ fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         "pixel_pitch_um": camera.sensor().pixel_pitch_um,
         "ranges": ranges,
         "truth": truth,
+        "shutter": {
+            "instants": camera.instants(),
+            "is_global": *camera.shutter() == Shutter::Global,
+            "row_time_us": camera.params().row_time_us,
+            "exposure_us": camera.params().exposure_us,
+            "bins_per_row": camera.params().bins_per_row,
+        },
         // First and last bin that each row of the frame integrates.
         "row_bins": camera.instants().iter().map(bins_of).collect::<Vec<_>>(),
         "traces": files.traces.iter().map(trace).collect::<Vec<_>>(),

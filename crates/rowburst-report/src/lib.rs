@@ -16,6 +16,7 @@ mod colour;
 mod figure;
 mod figures;
 mod format;
+mod layout;
 mod page;
 mod panel;
 mod pixels;
@@ -26,6 +27,7 @@ mod stats;
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
+pub use layout::{Composed, Layout, compose};
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
 /// What a report is made of. Everything is borrowed; nothing is changed or copied whole.

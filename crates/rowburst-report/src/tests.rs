@@ -338,3 +338,17 @@ fn the_player_alone_may_run() {
     let without = render(&case.input()).unwrap().html;
     assert!(!without.contains("script"));
 }
+
+#[test]
+fn figures_for_papers_have_vector_text_and_letters() {
+    let case = Case::new(Shape::new(6, 8, 9), 8, 9);
+    for layout in [Layout::Fig2, Layout::Fig3] {
+        let composed = compose(&case.input(), layout).unwrap();
+        assert!(composed.png.starts_with(b"\x89PNG"));
+        let options = resvg::usvg::Options::default();
+        resvg::usvg::Tree::from_str(&composed.svg, &options).unwrap();
+        for text in [">a</text>", ">b</text>", ">c</text>"] {
+            assert!(composed.svg.contains(text), "{layout:?} {text}");
+        }
+    }
+}
