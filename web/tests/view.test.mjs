@@ -1,11 +1,12 @@
 // The viewer in a real browser, over real results: leds/, other/ and large.npy in RESULTS.
 
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
 import { readFile } from "node:fs/promises";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { PNG } from "pngjs";
-import { chromium, compare, download, loaded, open, pick, results, serve, until } from "./browser.mjs";
+import { chromium, compare, download, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
 
 let browser;
 let view;
@@ -216,6 +217,22 @@ test("a run is watched and stopped, and its result shown", async () => {
   await until(() => run.child.exitCode !== null);
   assert.equal(run.child.exitCode, 0);
   await page.close();
+});
+
+test("a run that is killed is seen to have ended, and leaves no half result to look at", async () => {
+  const folder = join(results, "killed");
+  const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
+  const run = await serve([...args, "--view", "--port", "0", "--no-open", "-o", folder], "stderr");
+  const { page } = await open(browser, run.url);
+  await until(async () => /iteration \d+/.test(await page.$eval("#live-words", (e) => e.textContent)));
+  run.child.kill("SIGKILL");
+  await page.waitForSelector("#rowburst-error:not([hidden])");
+  assert.match(await page.$eval("#rowburst-error", (e) => e.textContent), /does not answer/);
+  assert.equal(await page.$eval("#stop", (e) => e.disabled), true);
+  await page.close();
+  const { status, stderr } = spawnSync(program, ["view", folder, "--no-open", "--port", "0"], { encoding: "utf8" });
+  assert.equal(status, 2);
+  assert.match(stderr, /no result\.json/);
 });
 
 test("light, dark and on a phone it looks as it did", async () => {
