@@ -69,7 +69,7 @@ fn folders_that_are_no_result_are_refused() {
         ("view out", "but no result.json"),
         ("view nothing", "nothing"),
         ("view experiment.toml", "experiment.toml"),
-        ("view out out out", "3"),
+        ("view out out out", "no more were expected"),
         ("view out --port 99999", "port"),
     ] {
         let (status, said) = run(&lab, &format!("{line} --no-open"));
