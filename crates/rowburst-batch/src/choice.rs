@@ -145,8 +145,8 @@ pub(crate) fn numbers_of(level: Level) -> String {
 pub struct ChosenPrior {
     /// Its name.
     pub prior: String,
-    /// Noise level that the rule for `τ` takes, over `σ`.
-    pub slack: f64,
+    /// `τ` over that of the discrepancy principle.
+    pub strength: f64,
     /// The frame that it was chosen on; `None` where it was given.
     pub frame: Option<usize>,
     /// Why.
@@ -157,7 +157,7 @@ impl ChosenPrior {
     pub(crate) fn given(prior: Prior) -> Self {
         Self {
             prior: prior.to_string(),
-            slack: 1.0,
+            strength: 1.0,
             frame: None,
             reason: "given".into(),
         }
@@ -175,7 +175,7 @@ impl ChosenPrior {
             Err(_) => None,
             Ok(None) => Some(Self {
                 prior: Prior::STANDARD.to_string(),
-                slack: 1.0,
+                strength: 1.0,
                 frame: Some(frame),
                 reason:
                     "the standard one: a single bin or a small frame leaves nothing to choose by"
@@ -183,7 +183,7 @@ impl ChosenPrior {
             }),
             Ok(Some(choice)) => Some(Self {
                 prior: choice.best().prior.to_string(),
-                slack: choice.best().slack,
+                strength: choice.best().strength,
                 frame: Some(frame),
                 reason: choice.reason(),
             }),

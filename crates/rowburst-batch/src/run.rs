@@ -202,7 +202,7 @@ impl Batch {
                 prior: Some(prior.prior.parse::<Prior>()?),
                 ..self.plan.recipe
             },
-            slack: prior.slack,
+            strength: prior.strength,
         };
         let next = AtomicUsize::new(0);
         let failure: Mutex<Option<Error>> = Mutex::new(None);
@@ -287,7 +287,7 @@ impl Batch {
         let measurement = self.plan.measurement(&capture)?;
         let problem = Problem::of(&self.plan.model, &measurement, how.recipe)?;
         let found = problem
-            .slackened(how.slack)
+            .with_strength(how.strength)
             .solve(&mut |_| match is_over() {
                 true => ControlFlow::Break(StopReason::Interrupted),
                 false => ControlFlow::Continue(()),
@@ -322,7 +322,7 @@ pub enum Again {
 #[derive(Debug, Clone, Copy)]
 struct How {
     recipe: Recipe,
-    slack: f64,
+    strength: f64,
 }
 
 fn archive_params(plan: &Plan, clock: Option<Clock>) -> ArchiveParams {

@@ -94,8 +94,8 @@ pub struct PriorChoice {
 #[derive(Debug, Clone, Serialize)]
 pub struct PriorCandidate {
     pub prior: String,
-    /// Noise level that τ was found for, over σ.
-    pub slack: f64,
+    /// τ over that of the discrepancy principle.
+    pub strength: f64,
     /// Rms of the residual over σ at pixels that the solver had not seen.
     pub held_out_error: f64,
     pub given_up: bool,
@@ -105,7 +105,7 @@ impl From<&Candidate> for PriorCandidate {
     fn from(candidate: &Candidate) -> Self {
         Self {
             prior: candidate.prior.to_string(),
-            slack: candidate.slack,
+            strength: candidate.strength,
             held_out_error: candidate.error,
             given_up: candidate.given_up,
         }

@@ -252,11 +252,16 @@ fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
     );
     // A twentieth of two rows, for each of 24 instants.
     assert_eq!(choice.held_out, 24 * 4);
-    let named = case.solve(Recipe {
+    let recipe = Recipe {
         prior: Some(found.prior),
-        noise_sigma: Some(choice.best().slack * found.sigma),
         ..Recipe::default()
-    });
+    };
+    let measurement = Measurement::new(case.frame.clone()).unwrap();
+    let problem = Problem::new(&measurement, &case.camera, &case.psf, recipe).unwrap();
+    let named = problem
+        .with_strength(choice.best().strength)
+        .solve(&mut |_| ControlFlow::Continue(()))
+        .unwrap();
     assert!(named.choice.is_none());
     assert_eq!(named.video, found.video);
 }

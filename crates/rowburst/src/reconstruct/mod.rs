@@ -17,7 +17,7 @@ pub use sigma::estimate_sigma;
 use crate::linop::SecondPart;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
-use crate::solve::admm::{self, Progress, Solution, TauRule};
+use crate::solve::admm::{self, Admm, Progress, Solution, TauRule};
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
 use data::FrameData;
@@ -82,7 +82,7 @@ pub struct Problem {
     recipe: Recipe,
     sigma: f64,
     sigma_source: SigmaSource,
-    slack: f64,
+    strength: f64,
     camera: Camera,
     bands: Bands,
 }
@@ -182,19 +182,19 @@ impl Problem {
             recipe,
             sigma,
             sigma_source,
-            slack: 1.0,
+            strength: 1.0,
         })
     }
 
-    /// The same for a given prior with the noise taken `slack` times as strong by the rule for
-    /// `τ`: the other half of what [`Problem::choose`] finds.
+    /// The same for a given prior with `strength` times the `τ` of the discrepancy principle: the
+    /// other half of what [`Problem::choose`] finds. It has no say where `τ` is given.
     ///
     /// # Panics
-    /// If `slack` is not above zero.
+    /// If `strength` is not above zero.
     #[must_use]
-    pub fn slackened(self, slack: f64) -> Self {
-        assert!(slack > 0.0, "a slack above zero, not {slack}");
-        Self { slack, ..self }
+    pub fn with_strength(self, strength: f64) -> Self {
+        assert!(strength > 0.0, "a strength above zero, not {strength}");
+        Self { strength, ..self }
     }
 
     /// What the user chose.
@@ -295,7 +295,7 @@ impl Problem {
         })
     }
 
-    /// Chooses the prior, and the slack that goes with it, as [`Problem::solve`] does where none
+    /// Chooses the prior, and the strength that goes with it, as [`Problem::solve`] does where none
     /// is given, and no more; `None` where there is nothing to choose by.
     ///
     /// # Errors
@@ -352,21 +352,35 @@ impl Problem {
             None => self.choice(rule, observer)?,
         };
         let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
-        let (prior, slack) = choice
-            .as_ref()
-            .map_or((standard, self.slack), |c| (c.best().prior, c.best().slack));
-        let rule = choose::slackened(rule, slack);
+        let (prior, strength) = choice.as_ref().map_or((standard, self.strength), |c| {
+            (c.best().prior, c.best().strength)
+        });
         let shape = self.data.shape();
         self.data.start(prior.second_part(), None);
         let mut prox = prior.prox(shape);
         let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
-        let solution = admm::solve(
-            &mut self.data,
-            &mut *prox,
-            shape,
-            &params,
-            &mut |progress| show(prior.second_part(), shape, progress, observer),
-        );
+        let mut run = Admm::new(&self.data, shape, params);
+        let mut go_on = |run: &mut Admm, data: &mut FrameData, until| {
+            run.run(data, &mut *prox, until, &mut |progress| {
+                show(prior.second_part(), shape, progress, observer)
+            })
+        };
+        let mut stop_reason = None;
+        if strength != 1.0 && matches!(rule, TauRule::Discrepancy { .. }) {
+            // As in the trial: first to where the principle leads, then on from there.
+            run.stop_at(choose::TOLERANCE);
+            let reason = go_on(&mut run, &mut self.data, 2 * params.max_iterations / 3);
+            match reason {
+                StopReason::TimeBudget | StopReason::Interrupted => stop_reason = Some(reason),
+                _ => {
+                    run.aim_at(TauRule::Fixed(strength * run.tau()), &self.data);
+                    run.stop_at(params.tolerance);
+                }
+            }
+        }
+        let stop_reason =
+            stop_reason.unwrap_or_else(|| go_on(&mut run, &mut self.data, params.max_iterations));
+        let solution = run.solution(&self.data, &*prox, stop_reason);
         Ok(Found {
             prior,
             prox,

@@ -234,6 +234,16 @@ impl Admm {
         self.state.aim_at(rule, data);
     }
 
+    /// From now on it has converged at this [`AdmmParams::tolerance`].
+    pub fn stop_at(&mut self, tolerance: f64) {
+        self.params.tolerance = tolerance;
+    }
+
+    /// `τ` so far.
+    pub fn tau(&self) -> f64 {
+        self.state.tau()
+    }
+
     /// Iterations done.
     pub fn iterations(&self) -> usize {
         self.state.iterations

@@ -1,0 +1,172 @@
+//! The run of a candidate on the pixels that are not held out.
+
+use super::super::data::FrameData;
+use super::super::{Found, Prior, show};
+use super::{Candidate, MARGIN, Observer, rms};
+use crate::prox::Prox;
+use crate::solve::StopReason;
+use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
+
+/// How close to its minimum a candidate is run.
+pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
+
+/// Held-out error over that of the best so far after as many iterations at which a candidate
+/// is given up, early and late; LEDs stand at 3 after 100 iterations of a prior that ends best.
+const HOPELESS: f64 = 6.0;
+const BEHIND: f64 = 1.5;
+const EARLY: usize = 100;
+const LATE: usize = 200;
+const LOOK_EVERY: usize = 20;
+
+/// Factor from one `τ` to the next that is tried, the farthest from where the discrepancy principle
+/// ended, and the iterations that each is given.
+const STRENGTH: f64 = 2.0;
+const FARTHEST: f64 = 8.0;
+const STRENGTH_ITERATIONS: usize = 30;
+
+/// A candidate that is being tried.
+pub(super) struct Trial {
+    prior: Prior,
+    prox: Box<dyn Prox>,
+    run: Admm,
+    params: AdmmParams,
+    sigma: f64,
+}
+
+impl Trial {
+    /// A run from a dark video, for `data` without the pixels that are held out; errors are in
+    /// units of `sigma`.
+    pub fn new(
+        data: &FrameData,
+        prior: Prior,
+        rule: TauRule,
+        sigma: f64,
+        most: Option<usize>,
+    ) -> Self {
+        let params = AdmmParams {
+            tolerance: TOLERANCE,
+            ..prior.admm_params(data.shape(), rule, most)
+        };
+        Self {
+            prior,
+            prox: prior.prox(data.shape()),
+            run: Admm::new(data, data.shape(), params),
+            params,
+            sigma,
+        }
+    }
+
+    /// Runs to the end, or until it is hopelessly worse than `best`, the course of the errors of
+    /// the best so far; then tries other `τ` where the error is at most `worth`. Also returns
+    /// the course of its errors.
+    pub fn run(
+        mut self,
+        data: &mut FrameData,
+        best: &[f64],
+        worth: f64,
+        observer: &mut Observer,
+    ) -> Result<(Candidate, Vec<f64>), Box<Found>> {
+        let mut errors = Vec::new();
+        let given_up = loop {
+            // In pieces: an observer cannot ask the data for the held-out error.
+            let until = (self.run.iterations() + LOOK_EVERY).max(EARLY);
+            let (error, ended) = match self.go_on(data, until, observer) {
+                Ok(seen) => seen,
+                Err(reason) => return Err(self.so_far(data, reason)),
+            };
+            let then = best.get(errors.len()).or(best.last());
+            let limit = if self.run.iterations() < LATE {
+                HOPELESS
+            } else {
+                BEHIND
+            };
+            errors.push(error);
+            if ended || then.is_some_and(|then| error > limit * then) {
+                break !ended;
+            }
+        };
+        let mut found = (1.0, errors[errors.len() - 1]);
+        let is_free = matches!(self.params.tau, TauRule::Discrepancy { .. });
+        if is_free && !given_up && found.1 <= worth {
+            found = match self.tune(data, found.1, observer) {
+                Ok(found) => found,
+                Err(reason) => return Err(self.so_far(data, reason)),
+            };
+        }
+        let candidate = Candidate {
+            prior: self.prior,
+            strength: found.0,
+            error: found.1,
+            support: self.run.support(),
+            given_up,
+        };
+        Ok((candidate, errors))
+    }
+
+    /// Goes on with half of `τ`, or twice, as long as the held-out error falls; the factor at
+    /// which it was smallest, and the error there.
+    fn tune(
+        &mut self,
+        data: &mut FrameData,
+        error: f64,
+        observer: &mut Observer,
+    ) -> Result<(f64, f64), StopReason> {
+        let tau = self.run.tau();
+        let mut best = (1.0, error);
+        for direction in [1.0 / STRENGTH, STRENGTH] {
+            let mut factor = direction;
+            while (1.0 / FARTHEST..=FARTHEST).contains(&factor) {
+                self.run.aim_at(TauRule::Fixed(factor * tau), data);
+                let until = self.run.iterations() + STRENGTH_ITERATIONS;
+                let (error, _) = self.go_on(data, until, observer)?;
+                if error >= (1.0 - MARGIN) * best.1 || error.is_nan() {
+                    break;
+                }
+                best = (factor, error);
+                factor *= direction;
+            }
+            if best.0 != 1.0 {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// Iterates up to `until` or the end; the held-out error, and whether it has ended.
+    fn go_on(
+        &mut self,
+        data: &mut FrameData,
+        until: usize,
+        observer: &mut Observer,
+    ) -> Result<(f64, bool), StopReason> {
+        let until = until.min(self.params.max_iterations);
+        let (second, shape) = (self.prior.second_part(), data.shape());
+        let label = format!("trying {}", self.prior);
+        let reason = self.run.run(data, &mut *self.prox, until, &mut |progress| {
+            let progress = Progress {
+                label: &label,
+                ..*progress
+            };
+            show(second, shape, &progress, observer)
+        });
+        match reason {
+            StopReason::TimeBudget | StopReason::Interrupted => Err(reason),
+            reason => {
+                let error = rms(&data.errors_held_out(self.run.video())) / self.sigma;
+                let ended = reason == StopReason::Converged || until == self.params.max_iterations;
+                Ok((error, ended))
+            }
+        }
+    }
+
+    /// What a run that was stopped has found.
+    fn so_far(self, data: &FrameData, reason: StopReason) -> Box<Found> {
+        let solution = self.run.solution(data, &*self.prox, reason);
+        Box::new(Found {
+            prior: self.prior,
+            prox: self.prox,
+            choice: None,
+            solution,
+        })
+    }
+}
