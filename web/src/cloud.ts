@@ -116,7 +116,7 @@ export class Cloud {
     const { ctx, width, height } = fit(this.canvas);
     ctx.clearRect(0, 0, width, height);
     const side = Math.max(video.rows, video.columns);
-    const size = Math.min(width, height * 1.35) * 0.56;
+    const size = Math.min(width, height * 1.35) * 0.47;
     const [ct, st, cp, sp] = [Math.cos(this.turn), Math.sin(this.turn), Math.cos(this.tilt), Math.sin(this.tilt)];
     // Time along the first axis, the picture's width along the second, its height downwards.
     const place = (t: number, y: number, x: number): [number, number, number] => {

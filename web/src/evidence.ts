@@ -172,7 +172,7 @@ export function course(points: CoursePoint[]): HTMLElement {
     log: true,
   });
   drawCourse(chart, points);
-  return h("figure", { class: "wide" }, h("figcaption", {}, "Course of the solver"), chart.element);
+  return h("figure", { class: "wide" }, h("figcaption", {}, "Course of the solver; dashed: PSNR, where the truth is known"), chart.element);
 }
 
 export function drawCourse(chart: Chart, points: CoursePoint[]): void {

@@ -51,8 +51,7 @@ function build(root: HTMLElement, source: Source): void {
   const limits = new Limits(store);
   const save = new Save(store, stage);
   const tabs = source.live ? watch(store) : panel(store);
-  const title = meta.view?.title ?? meta.name;
-  document.title = second ? `${meta.name} and ${second.name}` : title;
+  if (!source.isOffline) document.title = `${second ? `${meta.name} and ${second.name}` : meta.name} – Rowburst`;
   if (!source.isOffline) root.append(header(source));
   root.append(
     h(
@@ -82,13 +81,13 @@ function build(root: HTMLElement, source: Source): void {
 
 function header(source: Source): HTMLElement {
   const [meta, second] = source.results;
-  const title = second ? `${meta.name} and ${second.name}` : (meta.view?.title ?? meta.name);
+  const title = second ? `${meta.name} and ${second.name}` : meta.name;
   const fit = meta.view?.fit;
   const numbers = (meta.view?.headline ?? []).filter(([name]) => name !== "Fit");
   return h(
     "header",
     {},
-    h("h1", {}, title),
+    h("h1", { title: meta.view?.title }, title),
     fit && !second && h("span", { class: fit.verdict === "good" ? "pill" : "pill doubtful", title: fit.reason }, `fit: ${fit.verdict}`),
     source.live && h("span", { class: "pill" }, "running"),
     !second && numbers.length > 0 && h("dl", {}, ...numbers.map(([n, v]) => h("div", {}, h("dt", {}, n), h("dd", {}, v)))),

@@ -112,7 +112,10 @@ export class Pane {
   private drawMarks(ctx: CanvasRenderingContext2D, k: number): void {
     const { regions, line } = this.store.state;
     for (const region of regions) {
-      const { x, y, columns, rows } = region;
+      // About the pixels, not on them.
+      const out = 1.5 / k;
+      const [x, y] = [region.x - out, region.y - out];
+      const [columns, rows] = [region.columns + 2 * out, region.rows + 2 * out];
       ctx.lineWidth = 3.5 / k;
       ctx.strokeStyle = "rgb(0 0 0 / 0.55)";
       ctx.strokeRect(x, y, columns, rows);
@@ -159,8 +162,8 @@ export class Pane {
         ctx.fillRect(width - 11 - px, height - 15, px + 2, 5);
         ctx.fillStyle = "#fff";
         ctx.fillRect(width - 10 - px, height - 14, px, 3);
-        ctx.textAlign = "center";
-        text(length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10 - px / 2, height - 20);
+        ctx.textAlign = "right";
+        text(length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10, height - 20);
       }
     }
     if (store.state.layer === "time" && this.role === "main") this.drawTimeBar(ctx, width);

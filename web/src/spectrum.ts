@@ -39,7 +39,8 @@ export function spectrum(values: Float64Array, rate_hz: number): Spectrum {
   return { frequency, amplitude, peak_hz: refine(centred, best, points, there) * rate_hz };
 }
 
-/** Amplitude at `turns` per bin; half of the bins' rate is its own mirror image. */
+/** Amplitude at `turns` per bin. At half the bins' rate amplitude and phase cannot be told apart: there
+ * it is that of the largest sine that looks the same. */
 function level(values: Float64Array, turns: number, there: number): number {
   const [cos, sin] = [Math.cos(2 * Math.PI * turns), Math.sin(2 * Math.PI * turns)];
   let [c, s, re, im] = [1, 0, 0, 0];
@@ -48,8 +49,7 @@ function level(values: Float64Array, turns: number, there: number): number {
     im += v * s;
     [c, s] = [c * cos - s * sin, s * cos + c * sin];
   }
-  const edge = turns === 0 || turns === 0.5 ? 1 : 2;
-  return (edge * Math.hypot(re, im)) / Math.max(1, there);
+  return (2 * Math.hypot(re, im)) / Math.max(1, there);
 }
 
 /** The peak between the neighbours of point `best`, by golden section. */

@@ -44,10 +44,10 @@ export class Transport {
       h(
         "div",
         { class: "buttons" },
-        this.button("First bin (Home)", "⏮", () => store.goTo(0), "first"),
+        this.button("First bin (Home)", "❘◀", () => store.goTo(0), "first"),
         this.button("Step back (←)", "◀", () => this.step(-1), "back"),
         this.play,
-        this.button("Step forward (→)", "▶︎❘", () => this.step(1), "forward"),
+        this.button("Step forward (→)", "▶❘", () => this.step(1), "forward"),
         this.loop,
         this.time,
         h("span", { class: "spring" }),
@@ -145,7 +145,9 @@ export class Transport {
   private key(event: KeyboardEvent): void {
     const target = event.target as HTMLElement;
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (target.closest("input, select, textarea, summary, [role=tab]")) return;
+    if (target.closest("input, select, textarea, summary")) return;
+    // Arrows go from tab to tab.
+    if (target.closest("[role=tab]") && event.key.startsWith("Arrow")) return;
     const by = event.shiftKey ? 10 : 1;
     const keys: Record<string, () => void> = {
       ArrowLeft: () => this.step(-by),

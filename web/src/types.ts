@@ -34,6 +34,7 @@ export interface CoursePoint {
 
 /** view.json. */
 export interface View {
+  /** The title of the report. */
   title?: string;
   pixel_pitch_um?: number | null;
   row_bins?: [number, number][];

@@ -48,11 +48,15 @@ export class Volume {
   put(from: number, numbers: Uint16Array): void {
     this.data.set(numbers, from * this.pixels);
     const bins = numbers.length / this.pixels;
+    let replaced = false;
     for (let t = from; t < from + bins; t++) {
-      if (!this.loaded[t]) this.count++;
+      if (this.loaded[t]) replaced = true;
+      else this.count++;
       this.loaded[t] = 1;
     }
-    this.histogram_ = null;
+    // Counted as it comes: a large video is not gone through again for each part of it.
+    if (replaced) this.histogram_ = null;
+    else if (this.histogram_) for (let i = 0; i < numbers.length; i++) this.histogram_[numbers[i]]++;
   }
 
   /** The numbers of bin `t`. */

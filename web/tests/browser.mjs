@@ -82,7 +82,7 @@ export async function pick(page, y, x, selector = "canvas.picture") {
 }
 
 /** Compares a picture with the stored one; UPDATE_GOLDEN=1 stores it. Fonts differ: so do some pixels. */
-export async function compare(name, bytes, most = 0.06) {
+export async function compare(name, bytes, most = 0.08) {
   const path = join(golden, `${name}.png`);
   const actual = PNG.sync.read(Buffer.from(bytes));
   if (process.env.UPDATE_GOLDEN) {

@@ -1,11 +1,12 @@
 // The viewer in a real browser, over real results: leds/, other/ and large.npy in RESULTS.
 
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
 import { readFile } from "node:fs/promises";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { PNG } from "pngjs";
-import { chromium, compare, download, loaded, open, pick, results, serve, until } from "./browser.mjs";
+import { chromium, compare, download, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
 
 let browser;
 let view;
@@ -85,13 +86,22 @@ test("the PNG and the GIF of the view are what they say", async () => {
   await page.select("#map", "grey");
   await page.select("#beside", "none");
   await page.click("#stamp");
+  // The bin with the brightest pixel.
+  const video = await readFile(join(results, "leds", "video.npy"));
+  const from = video.length - 4 * 54 * 108 * 108;
+  const voxel = (i) => video.readFloatLE(from + 4 * i);
+  let bin = 0;
+  for (let i = 1, most = 0; i < 54 * 108 * 108; i++) {
+    if (voxel(i) > most) [most, bin] = [voxel(i), Math.floor(i / (108 * 108))];
+  }
+  await page.$eval("#scrub", (e, t) => {
+    e.value = t;
+    e.dispatchEvent(new Event("input"));
+  }, String(bin));
   await page.click("#save-png");
   const png = PNG.sync.read(await download(folder, ".png"));
   assert.deepEqual([png.width, png.height], [540, 540]);
-  // Light where the video has light: the brightest LED of bin 0.
-  const video = await readFile(join(results, "leds", "video.npy"));
-  const from = video.length - 4 * 54 * 108 * 108;
-  const value = (y, x) => video.readFloatLE(from + 4 * (y * 108 + x));
+  const value = (y, x) => voxel((bin * 108 + y) * 108 + x);
   let [best, at] = [0, [0, 0]];
   let dark = [0, 0];
   for (let y = 8; y < 90; y++) {
@@ -101,7 +111,10 @@ test("the PNG and the GIF of the view are what they say", async () => {
     }
   }
   const grey = ([y, x]) => png.data[4 * ((5 * y + 2) * 540 + 5 * x + 2)];
-  assert.ok(grey(at) > 120 && grey(dark) < 40, `${grey(at)} at ${at}, ${grey(dark)} at ${dark}`);
+  const white = Number((await page.$eval("#limits", (e) => e.textContent)).match(/to ([\d.]+)/)[1]);
+  const wanted = Math.min(255, (255 * best) / white);
+  assert.ok(best > 0.1 * white && Math.abs(grey(at) - wanted) < 3, `${grey(at)} at ${at}, not ${wanted}`);
+  assert.equal(grey(dark), 0);
   await page.click("#save-gif");
   const gif = await download(folder, ".gif");
   assert.equal(gif.subarray(0, 6).toString(), "GIF89a");
@@ -206,10 +219,26 @@ test("a run is watched and stopped, and its result shown", async () => {
   await page.close();
 });
 
+test("a run that is killed is seen to have ended, and leaves no half result to look at", async () => {
+  const folder = join(results, "killed");
+  const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
+  const run = await serve([...args, "--view", "--port", "0", "--no-open", "-o", folder], "stderr");
+  const { page } = await open(browser, run.url);
+  await until(async () => /iteration \d+/.test(await page.$eval("#live-words", (e) => e.textContent)));
+  run.child.kill("SIGKILL");
+  await page.waitForSelector("#rowburst-error:not([hidden])");
+  assert.match(await page.$eval("#rowburst-error", (e) => e.textContent), /does not answer/);
+  assert.equal(await page.$eval("#stop", (e) => e.disabled), true);
+  await page.close();
+  const { status, stderr } = spawnSync(program, ["view", folder, "--no-open", "--port", "0"], { encoding: "utf8" });
+  assert.equal(status, 2);
+  assert.match(stderr, /no result\.json/);
+});
+
 test("light, dark and on a phone it looks as it did", async () => {
   for (const [name, look] of [
-    ["light", {}],
-    ["dark", { dark: true }],
+    ["light", { width: 1000, height: 720 }],
+    ["dark", { width: 1000, height: 720, dark: true }],
     ["phone", { width: 390, height: 844 }],
   ]) {
     const { page } = await open(browser, view.url, look);
@@ -220,4 +249,34 @@ test("light, dark and on a phone it looks as it did", async () => {
     await compare(name, await page.screenshot());
     await page.close();
   }
+});
+
+test("report.html is the same page, from a file and without a network", async () => {
+  const page = await browser.newPage();
+  const requests = [];
+  const faults = [];
+  page.on("request", (r) => !/^(file|data|blob):/.test(r.url()) && requests.push(r.url()));
+  page.on("pageerror", (error) => faults.push(String(error)));
+  page.on("console", (message) => message.type() === "error" && faults.push(message.text()));
+  await page.setViewport({ width: 1100, height: 1000 });
+  await page.setOfflineMode(true);
+  await page.goto(`file://${join(results, "leds", "report.html")}`);
+  await loaded(page);
+  await page.click("#play");
+  await until(async () => Number((await page.$eval("#time", (e) => e.textContent)).match(/· (\d+)/)[1]) > 3);
+  await page.click("#play");
+  const { traces } = await result();
+  const peaks = await page.$$eval(".regions li", (items) => items.map((e) => [e.dataset.y, e.dataset.x, e.dataset.peakHz].map(Number)));
+  assert.ok(peaks.length >= 3);
+  for (const [y, x, peak] of peaks) {
+    const known = traces.find((t) => t.region.y === y && t.region.x === x);
+    assert.ok(Math.abs(peak - known.frequency_hz) < 300, `${peak} and ${known.frequency_hz} Hz`);
+  }
+  await page.click("#tab-evidence");
+  await page.waitForFunction(() => document.querySelectorAll("canvas[data-picture]").length >= 3);
+  // The figures of the report are there, too.
+  assert.ok((await page.$$("main svg")).length >= 6);
+  assert.deepEqual(requests, []);
+  assert.deepEqual(faults, []);
+  await page.close();
 });

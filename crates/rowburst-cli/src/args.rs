@@ -30,6 +30,8 @@ pub enum Verb {
     /// Look at a result in the browser: video, traces, space and time, evidence
     #[cfg(feature = "view")]
     View(ViewArgs),
+    /// Draw a figure for a paper from a result, as SVG or PNG
+    Figure(FigureArgs),
     /// Calibrate a camera and a diffuser from captures of your own
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
@@ -260,6 +262,31 @@ pub struct ViewArgs {
     pub results: Vec<PathBuf>,
     #[command(flatten)]
     pub browser: BrowserArgs,
+}
+
+/// Draw a figure for a paper from a result.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst figure result --layout fig2 -o figure2.svg\n  rowburst figure result --layout fig3 -o figure3.png"
+)]
+pub struct FigureArgs {
+    /// The folder that rowburst reconstruct has written
+    #[arg(value_name = "RESULT")]
+    pub result: PathBuf,
+    /// What is drawn
+    #[arg(long, value_enum)]
+    pub layout: FigureLayout,
+    /// The file: .svg (text stays text) or .png (1600 pixels wide)
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FigureLayout {
+    /// Frame, PSF, all bins in one, and some of them with the rows that see them (the paper's Fig. 2)
+    Fig2,
+    /// Frame, PSF, all bins in one, bright points in space and time, traces (the paper's Fig. 3)
+    Fig3,
 }
 
 /// Where the page is, and who opens it.

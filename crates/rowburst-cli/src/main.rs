@@ -12,6 +12,7 @@ mod calibrate;
 mod cluster;
 mod demo;
 mod design;
+mod figure;
 mod inputs;
 mod outcome;
 mod progress;
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Verb::Batch(args) => batch::run(&args),
         #[cfg(feature = "view")]
         Verb::View(args) => view::run(&args),
+        Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
     };

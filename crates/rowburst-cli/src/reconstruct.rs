@@ -13,7 +13,7 @@ use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
-use rowburst_run::{Outcome, Task, Traces, Wanted, short, solve, thousands};
+use rowburst_run::{About, MakePlayer, Outcome, Task, Traces, Wanted, short, solve, thousands};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -165,13 +165,34 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
         page.writing();
     }
     let title = format!("Rowburst: {}", args.frame.display());
-    let outcome = solved.write(&traces, &folder, &title, Some(&command_line(args)))?;
+    let reproduce = command_line(args);
+    let about = About {
+        title: &title,
+        reproduce: Some(&reproduce),
+        player: player_of(&folder),
+    };
+    let outcome = solved.write(&traces, &folder, about)?;
     Ok(Done {
         outcome,
         traces,
         #[cfg(feature = "view")]
         page,
     })
+}
+
+/// Makes the viewer's page of the report, where this program has one.
+#[cfg(feature = "view")]
+fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
+    let path = folder.path().to_path_buf();
+    Some(Box::new(move |files, view| {
+        crate::view::offline(&path, files, view)
+    }))
+}
+
+/// In a build without the viewer.
+#[cfg(not(feature = "view"))]
+fn player_of(_: &OutputFolder) -> Option<MakePlayer> {
+    None
 }
 
 /// What makes the same result again.

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
-use rowburst_run::{Solved, Traces, Wanted, Words};
+use rowburst_run::{About, Solved, Traces, Wanted, Words};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -275,7 +275,14 @@ impl PyReconstruction {
         let saved = self.with(py, |solved, traces| {
             let folder = OutputFolder::create(&folder)?;
             let traces = traces.get_or_insert_with(|| spots(solved));
-            solved.write(traces, &folder, &title, None).map(|_| ())
+            {
+                let about = About {
+                    title: &title,
+                    reproduce: None,
+                    player: None,
+                };
+                solved.write(traces, &folder, about).map(|_| ())
+            }
         })?;
         saved.map_err(raised)
     }

@@ -143,6 +143,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         ],
         pixel_pitch_um: Some(6.5),
         mp4: None,
+        player: None,
         files: vec![
             pair("video.npy", "the reconstruction, float32 [t, y, x]"),
             pair("video.tif", "the same as a time stack"),

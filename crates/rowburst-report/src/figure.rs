@@ -94,6 +94,34 @@ impl Figure {
         self.height = height.ceil();
     }
 
+    /// Its width.
+    pub(crate) fn width(&self) -> f64 {
+        self.width
+    }
+
+    /// Its height.
+    pub(crate) fn height(&self) -> f64 {
+        self.height
+    }
+
+    /// Puts all of `other` at `(x, y)`, enlarged by `scale`.
+    pub(crate) fn put(&mut self, other: Self, x: f64, y: f64, scale: f64) {
+        for (place, pixels) in other.rasters {
+            let place = Rect::new(
+                x + scale * place.x,
+                y + scale * place.y,
+                scale * place.width,
+                scale * place.height,
+            );
+            self.rasters.push((place, pixels));
+        }
+        let _ = write!(
+            self.body,
+            r#"<g transform="translate({x:.2} {y:.2}) scale({scale:.5})">{}</g>"#,
+            other.body
+        );
+    }
+
     /// Pixels of the PNG for each unit.
     pub(crate) fn scale(&self) -> f64 {
         self.scale
@@ -215,6 +243,25 @@ impl Figure {
             r#"<svg role="img" aria-labelledby="{id}-alt" viewBox="0 0 {} {}" width="{}" height="{}"><title id="{id}-alt">{alt}</title>"#,
             self.width, self.height, self.width, self.height
         );
+        self.write_rasters(&mut svg)?;
+        svg.push_str(&self.body);
+        svg.push_str("</svg>");
+        Ok(svg)
+    }
+
+    /// The figure as an SVG file of its own, ink on white.
+    pub(crate) fn file(&self) -> Result<String> {
+        let (width, height) = (self.width, self.height);
+        let mut svg = format!(
+            r##"<?xml version="1.0" encoding="UTF-8"?><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"><style>{PAPER}.pixels{{image-rendering:pixelated}}</style><rect width="100%" height="100%" fill="#fff"/>"##
+        );
+        self.write_rasters(&mut svg)?;
+        svg.push_str(&self.body);
+        svg.push_str("</svg>\n");
+        Ok(svg)
+    }
+
+    fn write_rasters(&self, svg: &mut String) -> Result<()> {
         for (place, pixels) in &self.rasters {
             let sharp = place.width * self.scale >= pixels.columns as f64;
             let class = if sharp { "pixels" } else { "photo" };
@@ -223,12 +270,10 @@ impl Figure {
                 r#"<image class="{class}" x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" preserveAspectRatio="none" href="data:image/png;base64,"#,
                 place.x, place.y, place.width, place.height
             );
-            BASE64_STANDARD.encode_string(pixels.png()?, &mut svg);
+            BASE64_STANDARD.encode_string(pixels.png()?, svg);
             svg.push_str("\"/>");
         }
-        svg.push_str(&self.body);
-        svg.push_str("</svg>");
-        Ok(svg)
+        Ok(())
     }
 
     /// The figure as a PNG file, on white.

@@ -16,6 +16,7 @@ mod colour;
 mod figure;
 mod figures;
 mod format;
+mod layout;
 mod page;
 mod panel;
 mod pixels;
@@ -26,6 +27,7 @@ mod stats;
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
+pub use layout::{Composed, Layout, compose};
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
 /// What a report is made of. Everything is borrowed; nothing is changed or copied whole.
@@ -64,10 +66,23 @@ pub struct ReportInput<'a> {
     pub pixel_pitch_um: Option<f64>,
     /// The video as an MP4 file, to be played in the page.
     pub mp4: Option<&'a [u8]>,
+    /// The page of the viewer, which then takes the movie's place.
+    pub player: Option<Player<'a>>,
     /// Files written beside the report, as (name, what it is).
     pub files: Vec<(String, String)>,
     /// The command line that repeats the run.
     pub reproduce: Option<&'a str>,
+}
+
+/// A page that plays the video within the report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Player<'a> {
+    /// JavaScript, which finds its place in the element `rowburst`.
+    pub script: &'a str,
+    /// CSS.
+    pub style: &'a str,
+    /// JSON, which the script finds in the element `rowburst-data`.
+    pub data: &'a str,
 }
 
 /// A frame without the diffuser.

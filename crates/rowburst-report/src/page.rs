@@ -2,17 +2,26 @@
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
+use sha2::{Digest, Sha256};
+
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::figures::Section;
 use crate::format::{TimeUnit, grouped, number};
-use crate::{Judgement, ReportInput};
+use crate::{Judgement, Player, ReportInput};
 
 const STYLE: &str = include_str!("style.css");
 
-/// No request leaves the page, whatever is in it.
-const POLICY: &str =
-    "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'";
+/// No request leaves the page, whatever is in it. The player's script alone may run.
+fn policy(player: Option<Player>) -> String {
+    let mut policy =
+        "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'".to_string();
+    if let Some(player) = player {
+        let hash = BASE64_STANDARD.encode(Sha256::digest(player.script));
+        policy += &format!("; script-src 'sha256-{hash}'");
+    }
+    policy
+}
 
 /// A figure of the page.
 pub(crate) struct Entry {
@@ -33,6 +42,7 @@ pub(crate) struct Page<'a> {
     pub notes: &'a [String],
     pub headline: &'a [(String, String)],
     pub fit: Option<Judgement<'a>>,
+    pub player: Option<Player<'a>>,
     pub parts: Vec<Part<'a>>,
     pub settings: &'a [(String, Vec<(String, String)>)],
     pub files: &'a [(String, String)],
@@ -42,6 +52,8 @@ pub(crate) struct Page<'a> {
 /// A heading with what stands under it.
 pub(crate) struct Part<'a> {
     pub heading: &'a str,
+    /// Whether the player stands here.
+    pub plays: bool,
     pub mp4: Option<&'a [u8]>,
     pub entries: Vec<Entry>,
 }
@@ -56,6 +68,7 @@ pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> Strin
     .map(|(section, heading)| {
         let part = Part {
             heading,
+            plays: section == Section::Video,
             mp4: input.mp4.filter(|_| section == Section::Video),
             entries: Vec::new(),
         };
@@ -75,6 +88,7 @@ pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> Strin
         notes: &[],
         headline: &input.headline,
         fit: input.fit,
+        player: input.player,
         parts: parts.into_iter().map(|(_, part)| part).collect(),
         settings: &input.settings,
         files: &input.files,
@@ -91,12 +105,13 @@ impl Page<'_> {
             html lang="en-GB" {
                 head {
                     meta charset="utf-8";
-                    meta http-equiv="Content-Security-Policy" content=(POLICY);
+                    meta http-equiv="Content-Security-Policy" content=(policy(self.player));
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     meta name="color-scheme" content="light dark";
                     meta name="generator" content={ "Rowburst " (env!("CARGO_PKG_VERSION")) };
                     title { (self.title) }
                     style { (PreEscaped(STYLE)) }
+                    @if let Some(player) = self.player { style { (PreEscaped(player.style)) } }
                 }
                 body {
                     header {
@@ -113,7 +128,10 @@ impl Page<'_> {
                         @for part in &self.parts {
                             section {
                                 h2 { (part.heading) }
-                                @if let Some(mp4) = part.mp4 { (movie(mp4)) }
+                                @if part.plays && self.player.is_some() {
+                                    div id="rowburst" {}
+                                    noscript { @if let Some(mp4) = part.mp4 { (movie(mp4)) } }
+                                } @else if let Some(mp4) = part.mp4 { (movie(mp4)) }
                                 div.figures { @for entry in &part.entries { (figure(entry)) } }
                             }
                         }
@@ -121,6 +139,13 @@ impl Page<'_> {
                         (files(self.files, self.reproduce))
                     }
                     footer { p { "Rowburst " (env!("CARGO_PKG_VERSION")) ", rolling-shutter compressive imaging." } }
+                    @if let Some(player) = self.player {
+                        // Within a script element nothing but "</" ends it: JSON has other words for "<".
+                        script type="application/json" id="rowburst-data" {
+                            (PreEscaped(player.data.replace('<', "\\u003c")))
+                        }
+                        script { (PreEscaped(player.script)) }
+                    }
                 }
             }
         }

@@ -149,6 +149,7 @@ impl Sheet<'_> {
             }
             parts.push(Part {
                 heading,
+                plays: false,
                 mp4: None,
                 entries,
             });
@@ -158,6 +159,7 @@ impl Sheet<'_> {
             summary: self.summary.clone(),
             warnings: &self.warnings,
             notes: &self.notes,
+            player: None,
             headline: &self.headline,
             fit: None,
             parts,

@@ -75,6 +75,7 @@ impl Case {
             settings: Vec::new(),
             pixel_pitch_um: None,
             mp4: None,
+            player: None,
             files: Vec::new(),
             reproduce: None,
         }
@@ -309,5 +310,45 @@ fn sizes_that_contradict_each_other_are_errors() {
     ];
     for input in wrong {
         assert!(matches!(render(&input), Err(Error::Input { .. })));
+    }
+}
+
+#[test]
+fn the_player_alone_may_run() {
+    let case = Case::new(Shape::new(3, 4, 5), 4, 5);
+    let data = r#"{"a":"</script><b>"}"#;
+    let report = render(&ReportInput {
+        mp4: Some(&[0, 1, 2]),
+        player: Some(Player {
+            script: "play()",
+            style: "#rowburst{color:red}",
+            data,
+        }),
+        ..case.input()
+    });
+    let html = report.unwrap().html;
+    // printf 'play()' | openssl dgst -sha256 -binary | base64
+    let hash = "n+zc/Y1kPX/nlNEMch5ToMvMOvkxRuO4TZGxerHss+U=";
+    assert!(html.contains(&format!("script-src 'sha256-{hash}'\"")));
+    assert!(html.contains("<script>play()</script>"));
+    assert!(html.contains("<div id=\"rowburst\"></div><noscript><figure class=\"movie\">"));
+    assert!(html.contains("#rowburst{color:red}"));
+    let json = r#"{"a":"\u003c/script>\u003cb>"}"#;
+    assert!(html.contains(json) && !html.contains(data));
+    let without = render(&case.input()).unwrap().html;
+    assert!(!without.contains("script"));
+}
+
+#[test]
+fn figures_for_papers_have_vector_text_and_letters() {
+    let case = Case::new(Shape::new(6, 8, 9), 8, 9);
+    for layout in [Layout::Fig2, Layout::Fig3] {
+        let composed = compose(&case.input(), layout).unwrap();
+        assert!(composed.png.starts_with(b"\x89PNG"));
+        let options = resvg::usvg::Options::default();
+        resvg::usvg::Tree::from_str(&composed.svg, &options).unwrap();
+        for text in [">a</text>", ">b</text>", ">c</text>"] {
+            assert!(composed.svg.contains(text), "{layout:?} {text}");
+        }
     }
 }

@@ -22,10 +22,11 @@ mod watch;
 pub use outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
 };
-pub use solved::{Solved, Words, thousands};
+pub use solved::{About, MakePlayer, PlayerPage, Solved, Words, thousands};
 pub use task::{Seen, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,
     Traces, TruthNumbers, Wanted,
 };
+pub use view_files::ViewFiles;
 pub use watch::Watch;

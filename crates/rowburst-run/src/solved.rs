@@ -11,7 +11,7 @@ use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::{Image, Result, Video};
 use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
-use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Report, ReportInput};
+use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Player, Report, ReportInput};
 use std::borrow::Cow;
 
 /// Files of a result, and what they are.
@@ -57,6 +57,29 @@ pub struct Solved {
     pub(crate) started_after: f64,
     /// The course of the run.
     pub curve: Vec<Iteration>,
+}
+
+/// What a folder of results says of where it comes from.
+pub struct About<'a> {
+    /// Of the pages.
+    pub title: &'a str,
+    /// What makes the same result again.
+    pub reproduce: Option<&'a str>,
+    /// Makes the viewer's page for the report.
+    pub player: Option<MakePlayer>,
+}
+
+/// From what the viewer shows, and `view.json`, to its page; `None` where the video is too large.
+pub type MakePlayer = Box<dyn Fn(&ViewFiles, &serde_json::Value) -> Option<PlayerPage>>;
+
+/// The viewer's page for one file.
+pub struct PlayerPage {
+    /// Its code.
+    pub script: String,
+    /// Its looks.
+    pub style: String,
+    /// What it shows.
+    pub data: String,
 }
 
 /// What a report says of where it comes from.
@@ -212,13 +235,7 @@ impl Solved {
     ///
     /// # Errors
     /// Failed writes.
-    pub fn write(
-        &self,
-        traces: &Traces,
-        folder: &OutputFolder,
-        title: &str,
-        reproduce: Option<&str>,
-    ) -> Result<Outcome> {
+    pub fn write(&self, traces: &Traces, folder: &OutputFolder, about: About) -> Result<Outcome> {
         let mut outcome = self.outcome(traces);
         let video = &self.found.video;
         let camera = &self.task.camera;
@@ -242,16 +259,16 @@ impl Solved {
 
         outcome.peak_memory_bytes = peak_memory_bytes();
         let words = Words {
-            title,
-            reproduce,
+            title: about.title,
+            reproduce: about.reproduce,
             files: FILES
                 .iter()
                 .chain(self.found.background.as_ref().map(|_| &BACKGROUND_FILE))
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
-        self.write_view(traces, &outcome, folder, &words)?;
-        let report = self.report_of(traces, &outcome, words, mp4.as_deref())?;
+        let page = self.write_view(traces, &outcome, folder, &about)?;
+        let report = self.report_of(traces, &outcome, words, mp4.as_deref(), page.as_ref())?;
         for picture in &report.pictures {
             folder.write_bytes(&picture.name, &picture.png)?;
         }
@@ -271,39 +288,39 @@ impl Solved {
         let mut outcome = self.outcome(traces);
         outcome.peak_memory_bytes = peak_memory_bytes();
         let mp4 = encoded(&self.found.video)?;
-        self.report_of(traces, &outcome, words, mp4.as_deref())
+        self.report_of(traces, &outcome, words, mp4.as_deref(), None)
     }
 
-    /// What the viewer shows beside the video.
+    /// What the viewer shows beside the video; the page for one file, where there is one.
     fn write_view(
         &self,
         traces: &Traces,
         outcome: &Outcome,
         folder: &OutputFolder,
-        words: &Words,
-    ) -> Result<()> {
+        about: &About,
+    ) -> Result<Option<PlayerPage>> {
         let (task, direct) = (&self.task, self.direct());
         let truth = task.truth.as_ref();
-        view_files::write(
-            folder,
-            &ViewFiles {
-                title: words.title,
-                camera: &task.camera,
-                video: &self.found.video,
-                truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
-                frame: task.measurement.image(),
-                psf: task.psfs.central().image(),
-                residual: &self.found.residual,
-                direct: direct.as_ref().map(|(image, _)| image.as_ref()),
-                traces: &traces.placed(),
-                course: &self.curve,
-                headline: &headline(outcome),
-                settings: &self.settings(outcome),
-                fit: (outcome.fit, &outcome.fit_reason),
-                warnings: &outcome.warnings,
-                command: words.reproduce.unwrap_or_default(),
-            },
-        )
+        let files = ViewFiles {
+            title: about.title,
+            camera: &task.camera,
+            video: &self.found.video,
+            truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
+            frame: task.measurement.image(),
+            psf: task.psfs.central().image(),
+            residual: &self.found.residual,
+            direct: direct.as_ref().map(|(image, _)| image.as_ref()),
+            traces: &traces.placed(),
+            course: &self.curve,
+            headline: &headline(outcome),
+            settings: &self.settings(outcome),
+            fit: (outcome.fit, &outcome.fit_reason),
+            warnings: &outcome.warnings,
+            command: about.reproduce.unwrap_or_default(),
+        };
+        let view = view_files::write(folder, &files)?;
+        let make = about.player.as_ref();
+        Ok(make.and_then(|make| make(&files, &view)))
     }
 
     /// The scene without the diffuser: the frame that was given, or computed from the truth.
@@ -325,6 +342,7 @@ impl Solved {
         outcome: &Outcome,
         words: Words,
         mp4: Option<&[u8]>,
+        page: Option<&PlayerPage>,
     ) -> Result<Report> {
         let task = &self.task;
         let direct = self.direct();
@@ -352,6 +370,11 @@ impl Solved {
             settings: self.settings(outcome),
             pixel_pitch_um: task.camera.sensor().pixel_pitch_um,
             mp4,
+            player: page.map(|page| Player {
+                script: &page.script,
+                style: &page.style,
+                data: &page.data,
+            }),
             files: words.files,
             reproduce: words.reproduce,
         })

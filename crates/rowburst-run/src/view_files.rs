@@ -1,6 +1,6 @@
 //! What a result folder keeps for the viewer: `view.json`, and pictures beside it.
 
-use rowburst::{Camera, Image, Result, Video};
+use rowburst::{Camera, Image, Result, Shutter, Video};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
 use rowburst_report::{Iteration, PlacedTrace};
 use serde_json::{Value, json};
@@ -30,8 +30,8 @@ pub struct ViewFiles<'a> {
     pub command: &'a str,
 }
 
-/// Writes the pictures, then `view.json`.
-pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<()> {
+/// Writes the pictures, then `view.json`; returns what that says.
+pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<Value> {
     let images = [
         ("view-frame.npy", Some(files.frame)),
         ("view-psf.npy", Some(files.psf)),
@@ -59,8 +59,9 @@ pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<()> {
             None
         }
     };
-    let json = describe(files, truth).to_string();
-    folder.write_bytes("view.json", format!("{json}\n").as_bytes())
+    let view = describe(files, truth);
+    folder.write_bytes("view.json", format!("{view}\n").as_bytes())?;
+    Ok(view)
 }
 
 fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
@@ -69,7 +70,7 @@ fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
 }
 
 /// `view.json`; numbers that are not finite become null.
-pub fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
+fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     let camera = files.camera;
     let time = camera.time();
     let bins_of = |instant: &usize| {
@@ -91,6 +92,13 @@ pub fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         "pixel_pitch_um": camera.sensor().pixel_pitch_um,
         "ranges": ranges,
         "truth": truth,
+        "shutter": {
+            "instants": camera.instants(),
+            "is_global": *camera.shutter() == Shutter::Global,
+            "row_time_us": camera.params().row_time_us,
+            "exposure_us": camera.params().exposure_us,
+            "bins_per_row": camera.params().bins_per_row,
+        },
         // First and last bin that each row of the frame integrates.
         "row_bins": camera.instants().iter().map(bins_of).collect::<Vec<_>>(),
         "traces": files.traces.iter().map(trace).collect::<Vec<_>>(),

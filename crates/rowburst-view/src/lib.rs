@@ -14,12 +14,14 @@
 mod array;
 mod guard;
 mod live;
+pub mod offline;
 pub mod opened;
 mod page;
 mod server;
 
 pub use array::{Array, Quantised, quantise8, range_of_video};
 pub use live::{Live, LiveStart, Point, Stage};
+pub use offline::Offline;
 pub use opened::Opened;
 pub use page::{Bundle, HOW_TO_GET_THE_PAGE, bundle};
 pub use server::Server;
