@@ -143,6 +143,11 @@ impl FrameData {
         }
     }
 
+    /// How many pixels are held out now.
+    pub fn pixels_held_out(&self) -> usize {
+        self.held_out.as_ref().map_or(0, |h| h.pixels().len())
+    }
+
     /// `W(b − A v)` at the pixels that are held out.
     pub fn errors_held_out(&self, video: &[f32]) -> Vec<f64> {
         let Some(held_out) = &self.held_out else {

@@ -46,12 +46,17 @@ const DENSE: f64 = 1.0 / 3.0;
 /// another `τ`: none gained more than 5 % by it.
 const WORTH_TUNING: f64 = 1.06;
 
-/// Part by which an error must be smaller than that of the prior or the `τ` before it: less is
-/// chance with 600 pixels. Of a moving digit (seed 2) `group+support` predicted them better than
-/// `tv+0.5*tdiff+support` by 0.3 %, and was 3 dB worse; where it is better (LEDs) it is so by 4 to
-/// 7 %. Half or twice the `τ` was no better for LEDs and larger digits where it gained less than
-/// 0.5 %; for moving digits it gains 0.6 to 3 %.
-const MARGIN: f64 = 0.005;
+/// Part by which an error must be smaller than that of the prior or the `τ` before it, times the
+/// root of the number of pixels held out; less is chance. Of 600 pixels it is half a per cent: of a moving
+/// digit (seed 2) `group+support` predicted them better than `tv+0.5*tdiff+support` by 0.3 %, and was
+/// 3 dB worse; where it is better (LEDs) it is so by 4 to 7 %. Half or twice the `τ` was no better
+/// for LEDs and larger digits where it gained less than that; for moving digits it gains 0.6 to 3 %.
+const CHANCE: f64 = 0.12;
+
+/// See [`CHANCE`].
+fn margin(held_out: usize) -> f64 {
+    CHANCE / (held_out.max(1) as f64).sqrt()
+}
 
 /// What `auto` chose among.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,15 +97,16 @@ impl Candidate {
 }
 
 impl Choice {
-    /// The candidate with the smallest error, where it is smaller by half a per cent than that of
-    /// all before it.
+    /// The candidate with the smallest error, where it is smaller than that of all before it by
+    /// more than chance (half a per cent with 600 pixels).
     ///
     /// # Panics
     /// If there is none.
     pub fn best(&self) -> Candidate {
+        let margin = margin(self.held_out);
         let better = |best: Candidate, next: &Candidate| {
             // An error that is no number never is the smaller one.
-            if next.error < (1.0 - MARGIN) * best.error || best.error.is_nan() {
+            if next.error < (1.0 - margin) * best.error || best.error.is_nan() {
                 *next
             } else {
                 best
@@ -125,9 +131,12 @@ impl Choice {
             best.error,
             others.collect::<Vec<_>>().join("; "),
             if smallest {
-                ""
+                String::new()
             } else {
-                "; differences below half a per cent are taken for chance, and the earlier prior is kept"
+                format!(
+                    "; differences below {:.1} % are taken for chance, and the earlier prior is kept",
+                    100.0 * margin(self.held_out)
+                )
             }
         )
     }

@@ -2,7 +2,7 @@
 
 use super::super::data::FrameData;
 use super::super::{Found, Prior, show};
-use super::{Candidate, MARGIN, Observer, rms};
+use super::{Candidate, Observer, margin, rms};
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
@@ -112,6 +112,7 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<(f64, f64), StopReason> {
         let tau = self.run.tau();
+        let margin = margin(data.pixels_held_out());
         let mut best = (1.0, error);
         for direction in [1.0 / STRENGTH, STRENGTH] {
             let mut factor = direction;
@@ -119,7 +120,7 @@ impl Trial {
                 self.run.aim_at(TauRule::Fixed(factor * tau), data);
                 let until = self.run.iterations() + STRENGTH_ITERATIONS;
                 let (error, _) = self.go_on(data, until, observer)?;
-                if error >= (1.0 - MARGIN) * best.1 || error.is_nan() {
+                if error >= (1.0 - margin) * best.1 || error.is_nan() {
                     break;
                 }
                 best = (factor, error);
