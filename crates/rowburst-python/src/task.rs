@@ -138,7 +138,7 @@ pub fn measured(
 fn within_frame(error: Error) -> Error {
     match &error {
         Error::Input { subject, .. }
-            if ["dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
+            if ["frame", "dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
         {
             error
         }

@@ -11,22 +11,35 @@ const MOST_POINTS: usize = 5000;
 
 /// All of it, borrowed.
 pub struct ViewFiles<'a> {
+    /// Of the page.
     pub title: &'a str,
+    /// The camera.
     pub camera: &'a Camera,
+    /// The video.
     pub video: &'a Video,
     /// The true video, and the file that it came from.
     pub truth: Option<(&'a Video, Option<&'a Path>)>,
+    /// The corrected frame.
     pub frame: &'a Image,
+    /// The PSF, or the one in the middle of the field.
     pub psf: &'a Image,
+    /// `W(b − A v)/σ`.
     pub residual: &'a Image,
+    /// The scene without the diffuser.
     pub direct: Option<&'a Image>,
+    /// What is drawn over the video.
     pub traces: &'a [PlacedTrace],
+    /// The points of the convergence curve.
     pub course: &'a [Iteration],
+    /// Name and value.
     pub headline: &'a [(String, String)],
+    /// Groups of name and value.
     pub settings: &'a [(String, Vec<(String, String)>)],
     /// Verdict and reason.
     pub fit: (&'a str, &'a str),
+    /// What the user should know.
     pub warnings: &'a [String],
+    /// What makes the same result again.
     pub command: &'a str,
 }
 
