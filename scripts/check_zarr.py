@@ -205,6 +205,10 @@ def main():
     bins = FRAMES * (BINS + 1) - 1
     check_readers(out / "stitched", (bins, ROWS, COLUMNS), ("t", "y", "x"), units[1:])
     check_tree(out)
+    image = folder / "alone/video.ome.zarr"
+    check("rowburst reconstruct: the image is the video, to the bit",
+          same(zarr.open_group(image, mode="r")["0"][:], np.load(folder / "alone/video.npy")))
+    check_readers(image, (BINS, ROWS, COLUMNS), ("t", "y", "x"), units[1:])
     if failures:
         sys.exit(f"{failures} checks failed")
 

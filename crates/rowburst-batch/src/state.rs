@@ -12,7 +12,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Version of these files.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// What a job was begun with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

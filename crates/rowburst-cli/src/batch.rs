@@ -11,6 +11,7 @@ use rowburst_batch::{
     Again, Batch, Crew, Event, Files, FrameRow, Plan, Status, naming_correction, plan_files,
 };
 use rowburst_io::{Calibration, Frames, gaps};
+use rowburst_run::options::{prior_of, tau_of};
 use rowburst_run::{peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
@@ -76,15 +77,21 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
         own.output = sweep::place(&args.output, point, ".zarr");
         for (key, value) in point {
             match *key {
-                "prior" => own.prior = Some(value.clone()),
-                "tau" => own.tau = Some(value.clone()),
+                "prior" => {
+                    prior_of(value)?;
+                    own.prior = Some(value.clone());
+                }
+                "tau" => {
+                    tau_of(value)?;
+                    own.tau = Some(value.clone());
+                }
                 "noise-sigma" => own.noise_sigma = Some(sweep::number(key, value)?),
-                _ => own.max_iterations = Some(sweep::number(key, value)?),
+                _ => own.max_iterations = Some(sweep::count(key, value)?),
             }
         }
         Ok((sweep::words(point), own))
     });
-    // A value that is none is found before the first run.
+    // A value that is none is found before the first run, which may take hours.
     let plans: Vec<(String, BatchArgs)> = plans.collect::<Result<_>>()?;
     let folder = rowburst_io::OutputFolder::create(&args.output)?;
     let mut rows: Vec<sweep::Row> = Vec::new();

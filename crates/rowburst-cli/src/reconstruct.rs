@@ -59,7 +59,7 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
                 "prior" => own.prior = Some(value.clone()),
                 "tau" => own.tau = Some(value.clone()),
                 "noise-sigma" => own.noise_sigma = Some(sweep::number(key, value)?),
-                _ => own.max_iterations = Some(sweep::number(key, value)?),
+                _ => own.max_iterations = Some(sweep::count(key, value)?),
             }
         }
         Ok((sweep::words(point), own))

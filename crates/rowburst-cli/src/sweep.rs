@@ -94,10 +94,15 @@ pub fn number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
         Error::input(
             format!("--sweep {key}"),
             format!("\"{value}\""),
-            "it is a number",
+            "it is a number that the option takes",
             "Write it as for the option of the same name.",
         )
     })
+}
+
+/// The same for a number of iterations.
+pub fn count(key: &str, value: &str) -> Result<u32> {
+    number::<std::num::NonZeroU32>(key, value).map(std::num::NonZeroU32::get)
 }
 
 /// Writes `sweep.csv` into `output`, and says where.

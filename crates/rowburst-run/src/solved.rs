@@ -21,6 +21,8 @@ const FILES: &[(&str, &str)] = &[
         "video.tif",
         "the same as an ImageJ time stack (Fiji, napari)",
     ),
+    #[cfg(feature = "zarr")]
+    ("video.ome.zarr", "the same as an OME-Zarr image (napari)"),
     #[cfg(feature = "mp4")]
     ("video.mp4", "the same slowed down, for browsers and slides"),
     (
@@ -242,6 +244,7 @@ impl Solved {
         // That of an earlier run would vouch for files that are no longer its own.
         folder.remove("result.json")?;
         folder.write("video.npy", |w| write_npy_video(w, video))?;
+        folder.remove("video.mp4")?;
         folder.remove("background.npy")?;
         if let Some(background) = &self.found.background {
             folder.write("background.npy", |w| write_npy_video(w, background))?;
@@ -251,6 +254,13 @@ impl Solved {
             pixel_pitch_um: camera.sensor().pixel_pitch_um,
         };
         folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
+        #[cfg(feature = "zarr")]
+        rowburst_zarr::write_video(
+            &folder.path().join("video.ome.zarr"),
+            video,
+            camera.time().bin_duration_us(),
+            camera.sensor().pixel_pitch_um,
+        )?;
         traces.write(folder, camera.time())?;
         let mp4 = encoded(video)?;
         if let Some(mp4) = &mp4 {

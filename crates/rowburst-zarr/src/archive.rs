@@ -276,7 +276,7 @@ impl<'a> StitchedVideo<'a> {
 }
 
 /// Bins of a chunk, such that all chunks but the last are alike.
-fn bins_of_chunk(video: Shape) -> u64 {
+pub(crate) fn bins_of_chunk(video: Shape) -> u64 {
     let bytes = video.voxels() * size_of::<f32>();
     let chunks = bytes.div_ceil(CHUNK_BYTES).clamp(1, video.bins);
     video.bins.div_ceil(chunks) as u64

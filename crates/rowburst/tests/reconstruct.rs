@@ -271,6 +271,34 @@ fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
     assert_eq!(named.video, found.video);
 }
 
+/// Stopped while another prior is tried, or soon after the last run has begun, the result is the
+/// best so far.
+#[test]
+fn what_is_stopped_while_priors_are_tried_is_the_best_so_far() {
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let whole = case.psnr(&case.solve(Recipe::default()));
+    let measurement = Measurement::new(case.frame.clone()).unwrap();
+    // Three trials, then the run on the whole frame.
+    for stopped in [2, 4] {
+        let recipe = Recipe::default();
+        let problem = Problem::new(&measurement, &case.camera, &case.psf, recipe).unwrap();
+        let mut run = 0;
+        let found = problem
+            .solve(&mut |progress| {
+                run += usize::from(progress.iteration == 1);
+                match run == stopped && progress.iteration == 3 {
+                    true => ControlFlow::Break(StopReason::Interrupted),
+                    false => ControlFlow::Continue(()),
+                }
+            })
+            .unwrap();
+        let psnr = case.psnr(&found);
+        println!("stopped in run {stopped}: {psnr:.1} dB of {whole:.1}");
+        assert_eq!(found.stop_reason, StopReason::Interrupted);
+        assert!(psnr > whole - 3.0, "{psnr} of {whole} in run {stopped}");
+    }
+}
+
 /// Without a noise level, held-out pixels find one that serves as well.
 #[test]
 fn held_out_pixels_find_tau() {

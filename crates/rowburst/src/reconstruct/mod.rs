@@ -9,6 +9,7 @@ mod model;
 mod prior;
 mod sigma;
 
+use choose::Tried;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, Verdict, Without};
@@ -308,7 +309,8 @@ impl Problem {
     ) -> std::result::Result<Option<Choice>, StopReason> {
         let stopped = |found: Box<Found>| found.solution.stop_reason;
         let rule = self.rule(observer).map_err(stopped)?;
-        self.choice(rule, observer).map_err(stopped)
+        let chosen = self.choice(rule, observer).map_err(stopped)?;
+        Ok(chosen.map(|(choice, _)| choice))
     }
 
     /// How `τ` is found; where no noise level is known held-out pixels tell it now.
@@ -333,7 +335,7 @@ impl Problem {
         &mut self,
         rule: TauRule,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> std::result::Result<Option<Choice>, Box<Found>> {
+    ) -> std::result::Result<Option<(Choice, Option<Tried>)>, Box<Found>> {
         // The candidates differ in how they treat time.
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
@@ -349,9 +351,12 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Found, Box<Found>> {
         let rule = self.rule(observer)?;
-        let choice = match self.recipe.prior {
-            Some(_) => None,
-            None => self.choice(rule, observer)?,
+        let (choice, tried) = match self.recipe.prior {
+            Some(_) => (None, None),
+            None => match self.choice(rule, observer)? {
+                Some((choice, tried)) => (Some(choice), tried),
+                None => (None, None),
+            },
         };
         let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
         let (prior, strength) = choice.as_ref().map_or((standard, self.strength), |c| {
@@ -383,6 +388,14 @@ impl Problem {
         let stop_reason =
             stop_reason.unwrap_or_else(|| go_on(&mut run, &mut self.data, params.max_iterations));
         let solution = run.solution(&self.data, &*prox, stop_reason);
+        // Stopped soon after its start: the trial of this prior was nearer.
+        if let (StopReason::Interrupted | StopReason::TimeBudget, Some(tried)) =
+            (stop_reason, tried)
+            && tried.misfit() < crate::vecmath::norm(&solution.residual)
+        {
+            let found = tried.stopped(&self.data, stop_reason);
+            return Ok(Found { choice, ..*found });
+        }
         Ok(Found {
             prior,
             prox,

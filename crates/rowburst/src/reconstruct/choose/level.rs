@@ -92,7 +92,7 @@ pub(in crate::reconstruct) fn noise_level(
     for sigma in [level / FALL, level, level * FALL] {
         data.start(whole.second_part(), Some(held_out.clone()));
         let trial = Trial::new(data, whole, rule(sigma), 1.0, most);
-        let (candidate, _) = trial.run(data, &[], 0.0, observer)?;
+        let (candidate, ..) = trial.run(data, &[], 0.0, observer)?;
         tried.push((sigma, candidate.error));
     }
     let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1));

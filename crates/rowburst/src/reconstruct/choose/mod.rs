@@ -8,7 +8,7 @@
 //! little stronger or weaker than on average moves it by a factor of 2 in `τ` and more. So from
 //! where it ends, each candidate goes on with half or twice the `τ` as long as that predicts the
 //! held-out pixels better; the factor goes with the prior into the run on the whole frame. A moving
-//! digit gains 0.5 to 2 dB by it at a signal-to-noise ratio of 256, digits 1.9 dB at 8.
+//! digit gains 0.3 to 2 dB by it at a signal-to-noise ratio of 256, digits 1.9 dB at 8.
 
 mod level;
 mod trial;
@@ -19,7 +19,8 @@ pub(super) use trial::TOLERANCE;
 use super::data::FrameData;
 use super::{Found, Prior};
 use crate::solve::StopReason;
-use crate::solve::admm::{Progress, TauRule};
+use crate::solve::admm::{Progress, Solution, TauRule};
+use crate::vecmath::norm;
 use std::ops::ControlFlow;
 use trial::Trial;
 
@@ -150,31 +151,69 @@ pub(super) fn can_choose(data: &FrameData) -> bool {
     data.held_out().pixels().len() >= FEWEST_PIXELS
 }
 
-/// Tries the candidates without the pixels that are held out; what there is so far where the
-/// observer stops it.
+/// What the best trial has found, without the pixels that were held out.
+pub(super) struct Tried {
+    prior: Prior,
+    solution: Solution,
+}
+
+impl Tried {
+    /// Rms of `W(b − A v)`, but for a factor that all runs on a frame share.
+    pub fn misfit(&self) -> f64 {
+        norm(&self.solution.residual)
+    }
+
+    /// The same as the end of a run that was stopped, for `data` that it was found with.
+    pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<Found> {
+        self.solution.stop_reason = reason;
+        Box::new(Found {
+            prior: self.prior,
+            prox: self.prior.prox(data.shape()),
+            choice: None,
+            solution: self.solution,
+        })
+    }
+}
+
+/// Tries the candidates without the pixels that are held out; also what the best of them has found.
+/// Where the observer stops it, the best so far.
 pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
     sigma: f64,
     most: Option<usize>,
     observer: &mut Observer,
-) -> Result<Choice, Box<Found>> {
+) -> Result<(Choice, Option<Tried>), Box<Found>> {
     let held_out = data.held_out();
     let mut choice = Choice {
         candidates: Vec::new(),
         held_out: held_out.pixels().len(),
     };
     let mut best: Vec<f64> = Vec::new();
+    let mut tried: Option<Tried> = None;
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<Found>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
         data.start(prior.second_part(), Some(held_out.clone()));
         let trial = Trial::new(data, prior, rule, sigma, most);
         let worth = choice.candidates.iter().map(|c| WORTH_TUNING * c.error);
         let worth = worth.fold(f64::INFINITY, f64::min);
-        let (candidate, errors) = trial.run(data, &best, worth, observer)?;
+        let (candidate, errors, found) = match trial.run(data, &best, worth, observer) {
+            Ok(ended) => ended,
+            Err(stopped) => {
+                let Some(tried) = tried.take() else {
+                    return Err(stopped);
+                };
+                data.start(tried.prior.second_part(), Some(held_out.clone()));
+                return Err(tried.stopped(data, stopped.solution.stop_reason));
+            }
+        };
         choice.candidates.push(candidate);
         if choice.best() == candidate {
             best = errors;
+            tried = Some(Tried {
+                prior,
+                solution: found.solution,
+            });
         }
         Ok(())
     };
@@ -186,7 +225,7 @@ pub(super) fn choose_prior(
             run(&mut choice, name)?;
         }
     }
-    Ok(choice)
+    Ok((choice, tried))
 }
 
 fn rms(values: &[f64]) -> f64 {

@@ -24,6 +24,14 @@ const STRENGTH: f64 = 2.0;
 const FARTHEST: f64 = 8.0;
 const STRENGTH_ITERATIONS: usize = 30;
 
+/// A strength of a candidate, the held-out error there and the part of the voxels that may be lit.
+#[derive(Clone, Copy)]
+struct Tuned {
+    strength: f64,
+    error: f64,
+    support: f64,
+}
+
 /// A candidate that is being tried.
 pub(super) struct Trial {
     prior: Prior,
@@ -58,14 +66,14 @@ impl Trial {
 
     /// Runs to the end, or until it is hopelessly worse than `best`, the course of the errors of
     /// the best so far; then tries other `τ` where the error is at most `worth`. Also returns
-    /// the course of its errors.
+    /// the course of its errors, and what it has found.
     pub fn run(
         mut self,
         data: &mut FrameData,
         best: &[f64],
         worth: f64,
         observer: &mut Observer,
-    ) -> Result<(Candidate, Vec<f64>), Box<Found>> {
+    ) -> Result<(Candidate, Vec<f64>, Box<Found>), Box<Found>> {
         let mut errors = Vec::new();
         let given_up = loop {
             // In pieces: an observer cannot ask the data for the held-out error.
@@ -85,48 +93,56 @@ impl Trial {
                 break !ended;
             }
         };
-        let mut found = (1.0, errors[errors.len() - 1]);
+        let mut found = Tuned {
+            strength: 1.0,
+            error: errors[errors.len() - 1],
+            support: self.run.support(),
+        };
         let is_free = matches!(self.params.tau, TauRule::Discrepancy { .. });
-        if is_free && !given_up && found.1 <= worth {
-            found = match self.tune(data, found.1, observer) {
+        if is_free && !given_up && found.error <= worth {
+            found = match self.tune(data, found, observer) {
                 Ok(found) => found,
                 Err(reason) => return Err(self.so_far(data, reason)),
             };
         }
         let candidate = Candidate {
             prior: self.prior,
-            strength: found.0,
-            error: found.1,
-            support: self.run.support(),
+            strength: found.strength,
+            error: found.error,
+            support: found.support,
             given_up,
         };
-        Ok((candidate, errors))
+        let reason = StopReason::IterationLimit;
+        Ok((candidate, errors, self.so_far(data, reason)))
     }
 
-    /// Goes on with half of `τ`, or twice, as long as the held-out error falls; the factor at
-    /// which it was smallest, and the error there.
+    /// Goes on with half of `τ`, or twice, as long as the held-out error falls; where it was
+    /// smallest.
     fn tune(
         &mut self,
         data: &mut FrameData,
-        error: f64,
+        mut best: Tuned,
         observer: &mut Observer,
-    ) -> Result<(f64, f64), StopReason> {
+    ) -> Result<Tuned, StopReason> {
         let tau = self.run.tau();
         let margin = margin(data.pixels_held_out());
-        let mut best = (1.0, error);
         for direction in [1.0 / STRENGTH, STRENGTH] {
             let mut factor = direction;
             while (1.0 / FARTHEST..=FARTHEST).contains(&factor) {
                 self.run.aim_at(TauRule::Fixed(factor * tau), data);
                 let until = self.run.iterations() + STRENGTH_ITERATIONS;
                 let (error, _) = self.go_on(data, until, observer)?;
-                if error >= (1.0 - margin) * best.1 || error.is_nan() {
+                if error >= (1.0 - margin) * best.error || error.is_nan() {
                     break;
                 }
-                best = (factor, error);
+                best = Tuned {
+                    strength: factor,
+                    error,
+                    support: self.run.support(),
+                };
                 factor *= direction;
             }
-            if best.0 != 1.0 {
+            if best.strength != 1.0 {
                 break;
             }
         }

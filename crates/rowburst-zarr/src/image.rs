@@ -1,0 +1,99 @@
+//! One video as an OME-Zarr image `[t, y, x]`.
+
+use crate::Scratch;
+use crate::archive::bins_of_chunk;
+use crate::array::{ArrayParams, FloatArray};
+use crate::ome::{Axis, write_group};
+use rowburst::{Result, Video};
+use rowburst_io::cannot_write;
+use serde_json::json;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Writes `video` as the OME-Zarr 0.5 image `path`, float32 `[t, y, x]` with bins of `bin_us` and,
+/// where it is known, pixels of `pixel_pitch_um`. What was there is replaced by the whole image or
+/// stays.
+///
+/// # Errors
+/// Failed writes.
+pub fn write_video(
+    path: &Path,
+    video: &Video,
+    bin_us: f64,
+    pixel_pitch_um: Option<f64>,
+) -> Result<()> {
+    let fault = |e: std::io::Error| cannot_write(&e).within(path.display());
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let place = path.with_file_name(format!(".{name}.part"));
+    let scratch = Arc::new(Scratch::open(&place)?);
+    let (whole, old) = (scratch.folder().join("new"), scratch.folder().join("old"));
+    let shape = video.shape();
+    let lengths = [shape.bins as u64, shape.rows as u64, shape.columns as u64];
+    let array = FloatArray::create(
+        &whole.join("0"),
+        &ArrayParams {
+            shape: &lengths,
+            chunks: &[bins_of_chunk(shape), lengths[1], lengths[2]],
+            names: &["t", "y", "x"],
+            attributes: json!({}),
+        },
+        &scratch,
+    )?;
+    // The last chunk may reach beyond the array.
+    let length = array.chunks()[0] as usize * shape.pixels();
+    let mut values = vec![f32::NAN; length];
+    for (chunk, part) in video.data().chunks(length).enumerate() {
+        values[..part.len()].copy_from_slice(part);
+        values[part.len()..].fill(f32::NAN);
+        array.store_chunk(&[chunk as u64, 0, 0], &values)?;
+    }
+    let time = Axis {
+        name: "t",
+        kind: Some("time"),
+        unit: Some("microsecond"),
+        scale: bin_us,
+    };
+    let space = |name| Axis::space(name, pixel_pitch_um);
+    write_group(
+        &whole,
+        &[time, space("y"), space("x")],
+        &json!({}),
+        &scratch,
+    )?;
+    if path.exists() {
+        fs::rename(path, &old).map_err(fault)?;
+    }
+    fs::rename(&whole, path).map_err(fault)?;
+    drop((array, scratch));
+    // Another process may be using it.
+    let _ = fs::remove_dir(&place);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowburst::Shape;
+
+    #[test]
+    fn an_image_takes_the_place_of_an_older_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("video.ome.zarr");
+        for bins in [3, 2] {
+            let shape = Shape::new(bins, 4, 5);
+            let data: Vec<f32> = (0..shape.voxels()).map(|i| (i * bins) as f32).collect();
+            let video = Video::new(shape, data).unwrap();
+            write_video(&path, &video, 9.6, Some(6.5)).unwrap();
+            let read = crate::open_zarr_recording(&path).unwrap();
+            assert_eq!(read.count(), bins);
+            let names = fs::read_dir(folder.path()).unwrap();
+            assert_eq!(names.count(), 1, "nothing else is left");
+            let meta = fs::read_to_string(path.join("zarr.json")).unwrap();
+            assert!(
+                meta.contains("9.6") && meta.contains("micrometer"),
+                "{meta}"
+            );
+        }
+    }
+}
