@@ -136,6 +136,45 @@ test("two results are seen side by side with one clock", async () => {
   const hash = (role) => page.$eval(`canvas[data-role=${role}]`, (c) => c.toDataURL().length);
   await until(async () => (await hash("main")) > 0 && (await hash("other")) > 0);
   assert.ok(await page.$("#over-other"));
+  // The other one is the truth: in each bin both are brightest where it is, above the scale bar.
+  const truth = await readFile(join(results, "other", "video.npy"));
+  const from = truth.length - 4 * 54 * 108 * 108;
+  const lit = (bin) => {
+    let [most, at] = [0, 0];
+    for (let i = 0; i < 97 * 108; i++) {
+      const value = truth.readFloatLE(from + 4 * (bin * 108 * 108 + i));
+      if (value > most) [most, at] = [value, i];
+    }
+    return { most, y: (Math.floor(at / 108) + 0.5) / 108, x: ((at % 108) + 0.5) / 108 };
+  };
+  const bins = Array.from({ length: 54 }, (_, bin) => ({ bin, ...lit(bin) }));
+  const bright = Math.max(...bins.map((b) => b.most));
+  const brightest = (role) =>
+    page.$eval(`canvas[data-role=${role}]`, (c) => {
+      const rows = Math.floor((97 * c.height) / 108);
+      const { data } = c.getContext("2d").getImageData(0, 0, c.width, rows);
+      let [most, at] = [-1, 0];
+      for (let i = 0; i < data.length; i += 4) {
+        const light = data[i] + data[i + 1] + data[i + 2];
+        if (light > most) [most, at] = [light, i / 4];
+      }
+      return [(Math.floor(at / c.width) + 0.5) / c.height, ((at % c.width) + 0.5) / c.width];
+    });
+  await page.evaluate(() => [...document.querySelectorAll("button")].find((b) => b.textContent === "Remove all")?.click());
+  const places = new Set();
+  for (const { bin, y, x } of bins.filter((b) => b.most > 0.7 * bright).slice(0, 12)) {
+    await page.$eval("#scrub", (e, t) => {
+      e.value = t;
+      e.dispatchEvent(new Event("input"));
+    }, String(bin));
+    await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+    for (const role of ["main", "other"]) {
+      const at = await brightest(role);
+      assert.ok(Math.hypot(at[0] - y, at[1] - x) < 4 / 108, `bin ${bin}, ${role}: brightest at ${at}, the truth at ${[y, x]}`);
+    }
+    places.add(`${y.toFixed(1)} ${x.toFixed(1)}`);
+  }
+  assert.ok(places.size > 1, "the clock moves");
   assert.deepEqual(faults, []);
   await page.close();
   two.stop();
@@ -249,6 +288,28 @@ test("light, dark and on a phone it looks as it did", async () => {
     await compare(name, await page.screenshot());
     await page.close();
   }
+});
+
+test("space and time, evidence, settings and two results look as they did", async () => {
+  const { page } = await open(browser, view.url, { width: 1000, height: 900 });
+  await loaded(page);
+  await page.select("#beside", "none");
+  const rest = () => page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 400)));
+  for (const name of ["space-time", "evidence", "settings"]) {
+    await page.click(`#tab-${name}`);
+    await page.keyboard.press("Home");
+    await rest();
+    await compare(name, await page.screenshot());
+  }
+  await page.close();
+  const two = await serve(["view", join(results, "leds"), join(results, "other", "video.npy"), "--port", "0", "--no-open"]);
+  const { page: both } = await open(browser, two.url, { width: 1000, height: 900 });
+  await loaded(both);
+  await both.keyboard.press("Home");
+  await both.evaluate(() => new Promise((resolve) => setTimeout(resolve, 400)));
+  await compare("two-results", await both.screenshot());
+  await both.close();
+  two.stop();
 });
 
 test("report.html is the same page, from a file and without a network", async () => {
