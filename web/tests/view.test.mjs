@@ -180,6 +180,21 @@ test("two results are seen side by side with one clock", async () => {
   two.stop();
 });
 
+test("two browsers at once each have a clock of their own", async () => {
+  const second = await chromium();
+  const pages = await Promise.all([open(browser, view.url), open(second, view.url)]);
+  await Promise.all(pages.map(({ page }) => loaded(page)));
+  await pages[0].page.keyboard.press("End");
+  const times = await Promise.all(pages.map(({ page }) => page.$eval("#time", (e) => e.textContent)));
+  assert.match(times[0], /54 of 54$/);
+  assert.match(times[1], / 1 of 54$/);
+  for (const { page, faults } of pages) {
+    assert.deepEqual(faults, []);
+    await page.close();
+  }
+  await second.close();
+});
+
 test("space and time, evidence and settings are drawn", async () => {
   const { page, faults } = await open(browser, view.url);
   await loaded(page);
