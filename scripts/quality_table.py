@@ -22,6 +22,7 @@ import argparse
 import datetime
 import hashlib
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -434,8 +435,8 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
         ])
     text = [
         "# Quality",
-        f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. "
-        f"Do not edit: run the command again.",
+        f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}, load average "
+        f"{os.getloadavg()[2]:.1f} at the end (over 1: its seconds are those of a busy machine). Do not edit: run the command again.",
         f"Problems of 108×108 pixels and 54 bins (dual-inside-out, 9.6 µs, simulated speckle with a grain of 2.5 px, "
         f"SNR 256 where nothing else is said), drawn anew for {seeds}; solved with `--prior auto --tau auto`. "
         f"PSNR in dB with the truth's maximum as peak, median and range; \"dark\" is that of a video in which nothing is lit, for "
