@@ -179,7 +179,10 @@ def test_other_threads_run_meanwhile(capture, camera, psf):
 
 def test_ctrl_c_ends_a_run(tmp_path):
     script = """
+import signal
 import numpy as np, rowburst as rb
+# Tests that are started in the background ignore Ctrl-C, and so do their children.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 camera = rb.Camera(rows=40, columns=40, shutter="top-down", row_time_us=10, exposure_us=10)
 rng = np.random.default_rng(1)
 def said(p):
