@@ -13,8 +13,8 @@ use rowburst_io::{
 use rowburst_run::inputs::check_memory;
 use rowburst_run::short;
 use rowburst_run::simulate::{
-    NoiseChoice, Scene, Simulated, Simulation, check_noise, naming_camera, pixel_pitch_um,
-    simulate, speckle_for, without,
+    LensOptics, NoiseChoice, Scene, Simulated, Simulation, check_noise, naming_camera,
+    pixel_pitch_um, simulate, speckle_for, without,
 };
 use serde_json::json;
 use std::path::Path;
@@ -280,13 +280,14 @@ fn total(values: &[f32]) -> f64 {
 impl OpticsArgs {
     /// The defaults of the command line.
     pub fn demo() -> Self {
+        let lens = LensOptics::demo();
         Self {
-            wavelength_nm: 532.0,
-            pupil_mm: 1.71,
-            focal_length_mm: 50.0,
-            magnification: 1.0 / 22.5,
-            na: None,
-            diffuser_deg: 1.0,
+            wavelength_nm: lens.wavelength_nm,
+            pupil_mm: lens.pupil_mm,
+            focal_length_mm: lens.focal_length_mm,
+            magnification: lens.magnification,
+            na: lens.na,
+            diffuser_deg: lens.diffuser_deg,
         }
     }
 }
