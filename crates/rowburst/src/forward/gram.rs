@@ -180,7 +180,7 @@ impl RollingShutter {
         }
     }
 
-    /// The diagonal element of `A Aᵀ` of the sensor's pixel `(row, column)`.
+    /// The diagonal element of `A Aᵀ` of the sensor's pixel `(row, column)`, in a row that is read.
     pub fn pixel_power(&self, row: usize, column: usize) -> f64 {
         let g = &self.geometry;
         let sees = |rows: &Vec<usize>| rows.contains(&row);
@@ -207,8 +207,9 @@ impl RollingShutter {
     /// Positions in the frame of the rows of instant `i`, in the order of its block.
     pub fn indices_of(&self, instant: usize) -> Vec<usize> {
         let columns = self.geometry.columns;
-        let rows = self.rows_of[instant].iter();
-        rows.flat_map(|&row| row * columns..(row + 1) * columns)
+        let places = self.places_of[instant].iter();
+        places
+            .flat_map(|&row| row * columns..(row + 1) * columns)
             .collect()
     }
 

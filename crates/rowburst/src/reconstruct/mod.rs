@@ -7,6 +7,7 @@ mod fit;
 mod held_out;
 mod model;
 mod prior;
+mod sequence;
 mod sigma;
 
 use choose::Tried;
@@ -15,6 +16,7 @@ pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use model::Model;
 pub use prior::{FurtherWeights, Prior};
+pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use crate::linop::SecondPart;
@@ -162,19 +164,8 @@ impl Problem {
                 ));
             }
         }
-        let (sigma, sigma_source) = match (recipe.noise_sigma, measurement.sigma()) {
-            (Some(sigma), _) => (sigma, SigmaSource::Given),
-            (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
-            (None, None) => match estimate_sigma(measurement, psf.central()) {
-                Some(sigma) => (sigma, SigmaSource::Frame),
-                // Until held-out pixels tell.
-                None => (
-                    rms(measurement.image().data()) / 256.0,
-                    SigmaSource::HeldOut,
-                ),
-            },
-        };
         let bands = Bands::new(measurement, psf.central());
+        let (sigma, sigma_source) = noise_of(measurement, &bands, &recipe);
         if let Some(prior) = recipe.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
@@ -226,12 +217,17 @@ impl Problem {
             history.push(progress.residual_rms);
             observer(progress)
         });
+        self.conclude(found.unwrap_or_else(|so_far| *so_far), &history)
+    }
+
+    /// Judges what was found.
+    fn conclude(&self, found: Found, history: &[f64]) -> Result<Reconstruction> {
         let Found {
             prior,
-            prox,
+            freedom,
             choice,
             solution,
-        } = found.unwrap_or_else(|so_far| *so_far);
+        } = found;
         if !solution.certificate.primal.is_finite() {
             return Err(Error::work(
                 "reconstruction",
@@ -249,8 +245,6 @@ impl Problem {
             .collect();
         let columns = self.camera.columns();
         let residual = Image::new(residual.len() / columns, columns, residual)?;
-        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
-        let freedom = prox.degrees_of_freedom(&solution.video, faint);
         let background = match prior.second_part() {
             SecondPart::None => None,
             second => {
@@ -272,7 +266,7 @@ impl Problem {
             bands: &self.bands,
             video: &video,
             freedom,
-            history: &history,
+            history,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.recipe.tau, Tau::Given(_)),
@@ -397,10 +391,8 @@ impl Problem {
             return Ok(Found { choice, ..*found });
         }
         Ok(Found {
-            prior,
-            prox,
             choice,
-            solution,
+            ..Found::new(prior, &*prox, shape, solution)
         })
     }
 }
@@ -424,9 +416,38 @@ fn show(
 /// What a run ends with.
 struct Found {
     prior: Prior,
-    prox: Box<dyn Prox>,
+    /// Degrees of freedom of the video.
+    freedom: f64,
     choice: Option<Choice>,
     solution: Solution,
+}
+
+impl Found {
+    fn new(prior: Prior, prox: &dyn Prox, shape: Shape, solution: Solution) -> Self {
+        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
+        Self {
+            prior,
+            freedom: prox.degrees_of_freedom(&solution.video, faint),
+            choice: None,
+            solution,
+        }
+    }
+}
+
+/// The standard deviation of the noise, and where it is known from.
+fn noise_of(measurement: &Measurement, bands: &Bands, recipe: &Recipe) -> (f64, SigmaSource) {
+    match (recipe.noise_sigma, measurement.sigma()) {
+        (Some(sigma), _) => (sigma, SigmaSource::Given),
+        (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
+        (None, None) => match bands.sigma(measurement) {
+            Some(sigma) => (sigma, SigmaSource::Frame),
+            // Until held-out pixels tell.
+            None => (
+                rms(measurement.image().data()) / 256.0,
+                SigmaSource::HeldOut,
+            ),
+        },
+    }
 }
 
 fn rms(values: &[f32]) -> f64 {

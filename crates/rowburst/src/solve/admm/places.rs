@@ -3,9 +3,8 @@
 use crate::{Shape, Support};
 use std::ops::Range;
 
-/// Iteration at which the support is found first, and from then on every so many.
+/// Iteration at which the support is found first.
 const FIRST: usize = 20;
-const EVERY: usize = 10;
 /// Threshold of the support over the brightness of the video.
 const THRESHOLD: f64 = 0.12;
 /// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
@@ -37,6 +36,9 @@ pub(super) struct Places {
 }
 
 impl Places {
+    /// Iterations from one look to the next.
+    pub const EVERY: usize = 10;
+
     /// All `voxels` of videos of `shape` and what follows them.
     pub fn everywhere(shape: Shape, voxels: usize) -> Self {
         let whole = std::iter::once(0..voxels);
@@ -54,7 +56,7 @@ impl Places {
 
     /// Whether iteration `k` looks.
     pub fn are_due(k: usize) -> bool {
-        k >= FIRST && (k - FIRST).is_multiple_of(EVERY)
+        k >= FIRST && (k - FIRST).is_multiple_of(Self::EVERY)
     }
 
     /// `None`: every voxel.
@@ -75,6 +77,13 @@ impl Places {
     /// Whether the last look changed little.
     pub fn are_settled(&self) -> bool {
         self.is_settled
+    }
+
+    /// Another frame is to be explained, from the places of the last one.
+    pub fn unsettle(&mut self) {
+        self.is_settled = false;
+        self.levels.fill(0);
+        self.misfits.fill(f64::INFINITY);
     }
 
     /// Bins that the support cannot explain: their misfit is above `expected` and no longer falls.
