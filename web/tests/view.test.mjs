@@ -353,7 +353,9 @@ test("a run that goes on looks as it did", async () => {
   await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
   assert.match(await page.$eval("#live-words", (e) => e.textContent), /^iteration \d+ of at most 100000, .*residual\/σ .*PSNR [\d.]+ dB$/);
   assert.equal(await page.$eval("#stop", (e) => e.disabled), false);
-  await compare("running", await page.screenshot());
+  // The title is the folder's place on this machine; seconds and iterations are a few letters: two runs differ in 0.2 %.
+  await page.$eval("h1", (e) => (e.textContent = "running"));
+  await compare("running", await page.screenshot(), 0.03);
   run.child.kill("SIGKILL");
   assert.deepEqual(faults, []);
   await page.close();
@@ -444,7 +446,7 @@ test("report.html is the same page, from a file and without a network", async ()
   const plain = await browser.newPage();
   const film = await decoded(plain, await download(folder, ".mp4"), 10, [], []);
   await plain.close();
-  assert.deepEqual([film.width, film.height], [1628, 540]);
+  assert.deepEqual([film.width, film.height], [1088, 540]);
   // The figures of the report are there, too.
   assert.ok((await page.$$("main svg")).length >= 6);
   assert.deepEqual(requests, []);
