@@ -215,6 +215,10 @@ pub struct ReconstructArgs {
     /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
     #[arg(long)]
     pub debias: bool,
+    /// Leave out the time in µs that video.mp4 has in a strip below the picture, as a paper's
+    /// supplement wants it
+    #[arg(long)]
+    pub no_stamp: bool,
     /// A trace of the 3×3 pixels about row Y, column X, or of a region (repeatable)
     #[arg(long, value_name = "Y,X[,ROWS,COLUMNS]", allow_hyphen_values = true)]
     pub region: Vec<String>,

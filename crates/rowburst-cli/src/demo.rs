@@ -59,6 +59,7 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         time_budget_s: None,
         max_iterations: None,
         debias: args.debias,
+        no_stamp: false,
         region: Vec::new(),
         photodiode: match args.scene {
             DemoScene::Leds => (1..=LED_FREQUENCIES_HZ.len())

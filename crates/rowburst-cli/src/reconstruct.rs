@@ -13,7 +13,9 @@ use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
-use rowburst_run::{About, MakePlayer, Outcome, Task, Traces, Wanted, short, solve, thousands};
+use rowburst_run::{
+    About, Film, MakePlayer, Outcome, Task, Traces, Wanted, short, solve, thousands,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -170,6 +172,10 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
         title: &title,
         reproduce: Some(&reproduce),
         player: player_of(&folder),
+        film: match args.no_stamp {
+            true => Film::Plain,
+            false => Film::Stamped,
+        },
     };
     let outcome = solved.write(&traces, &folder, about)?;
     Ok(Done {
@@ -215,8 +221,10 @@ fn command_line(args: &ReconstructArgs) -> String {
             line += &format!(" {flag} {}", path.display());
         }
     }
-    if args.debias {
-        line += " --debias";
+    for (flag, is_set) in [("--debias", args.debias), ("--no-stamp", args.no_stamp)] {
+        if is_set {
+            line += &format!(" {flag}");
+        }
     }
     let regions = args.region.iter().map(|r| format!(" --region {r}"));
     let diodes = args.photodiode.iter();

@@ -36,7 +36,7 @@ pub use experiment::{Calibration, Experiment, Reconstruction, Recording};
 pub use fault::writing as cannot_write;
 pub use folder::OutputFolder;
 #[cfg(feature = "mp4")]
-pub use mp4::write_mp4;
+pub use mp4::{Strip, write_mp4};
 pub use npy::{write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};

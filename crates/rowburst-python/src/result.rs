@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
-use rowburst_run::{About, Solved, Traces, Wanted, Words};
+use rowburst_run::{About, Film, Solved, Traces, Wanted, Words};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -280,6 +280,7 @@ impl PyReconstruction {
                     title: &title,
                     reproduce: None,
                     player: None,
+                    film: Film::Stamped,
                 };
                 solved.write(traces, &folder, about).map(|_| ())
             }

@@ -9,7 +9,9 @@
 //! the numbers of `result.json`, the report and the folder of results. No terminal: what is to be
 //! said goes to the caller, and an observer sees every iteration and may stop it.
 
+mod film;
 pub mod inputs;
+mod numbers;
 pub mod options;
 mod outcome;
 pub mod simulate;
@@ -19,10 +21,12 @@ mod traces;
 mod view_files;
 mod watch;
 
+pub use film::Film;
+pub use numbers::thousands;
 pub use outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
 };
-pub use solved::{About, MakePlayer, PlayerPage, Solved, Words, thousands};
+pub use solved::{About, MakePlayer, PlayerPage, Solved, Words};
 pub use task::{Seen, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,
