@@ -180,7 +180,7 @@ pub struct CalibrationArgs {
 /// Recover the video from one frame.
 #[derive(Debug, Clone, Args)]
 #[command(
-    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep"
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep\n  rowburst reconstruct wide-sensor.toml --frame capture.tif --prior tv+support --part-bins 0 -o result"
 )]
 pub struct ReconstructArgs {
     /// The experiment file: camera, calibration, field, recipe
@@ -212,6 +212,14 @@ pub struct ReconstructArgs {
     /// Stop after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
+    /// Only these bins of the video, of the rows that see them
+    #[arg(long, value_name = "FIRST..END")]
+    pub bins: Option<String>,
+    /// Find the video in parts of so many bins, each written before the next: for videos that do not fit
+    /// memory. The prior has no term over time [default prior: tv+support]; 0: as many as 3 GiB hold.
+    /// Stopped, the same command goes on
+    #[arg(long, value_name = "N", conflicts_with_all = ["truth", "direct", "debias", "region", "photodiode", "time_budget_s", "sweep"])]
+    pub part_bins: Option<usize>,
     /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
     #[arg(long)]
     pub debias: bool,

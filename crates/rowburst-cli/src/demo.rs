@@ -48,6 +48,8 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         output: &args.output,
     })?;
     let reconstruction = ReconstructArgs {
+        bins: None,
+        part_bins: None,
         experiment: args.output.join("experiment.toml"),
         frame: args.output.join("frame.npy"),
         calibration: CalibrationArgs::default(),

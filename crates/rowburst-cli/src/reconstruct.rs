@@ -3,19 +3,21 @@
 use crate::args::ReconstructArgs;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
-use crate::progress::{Bar, stop_on_ctrl_c};
+use crate::progress::{Bar, PartsBar, stop_on_ctrl_c};
 use crate::sweep;
-use rowburst::Result;
 use rowburst::measurement::correct;
-use rowburst::reconstruct::{Recipe, Verdict};
+use rowburst::reconstruct::{InParts, Recipe, Verdict};
+use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    About, Film, MakePlayer, Outcome, Task, Traces, Wanted, short, solve, thousands,
+    About, Film, MakePlayer, Outcome, PartsOutcome, PartsTask, Task, Traces, Wanted, run_in_parts,
+    short, solve, thousands,
 };
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -26,7 +28,10 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
-    let done = one(args, began, stop)?;
+    let done = match one(args, began, stop)? {
+        Made::Whole(done) => done,
+        Made::InParts(outcome) => return told(&outcome, args),
+    };
     if args.json {
         let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
         say(json);
@@ -38,6 +43,12 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
         return page.stay(&args.output);
     }
     Ok(())
+}
+
+/// What a run has made.
+enum Made {
+    Whole(Box<Done>),
+    InParts(Box<PartsOutcome>),
 }
 
 /// A reconstruction that is written.
@@ -74,7 +85,10 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         let began = Instant::now();
         eprintln!("{point}");
         let done = one(&own, began, Arc::clone(stop));
-        let outcome = done.as_ref().ok().map(|done| &done.outcome);
+        let outcome = match &done {
+            Ok(Made::Whole(done)) => Some(&done.outcome),
+            _ => None,
+        };
         rows.push(sweep::Row {
             point,
             output: own.output.display().to_string(),
@@ -108,7 +122,7 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
 }
 
 /// One reconstruction, written.
-fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<Done> {
+fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<Made> {
     let folder = OutputFolder::create(&args.output)?;
     let experiment = Experiment::read(&args.experiment)?;
     let camera = experiment.camera()?;
@@ -126,7 +140,29 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
     let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
     let measurement = correct(&raw, &camera, &corrections)
         .map_err(|e| naming_file(e, &args.frame, &calibration))?;
-    check_memory(&args.experiment, &camera)?;
+    drop((raw, corrections));
+    let (camera, measurement) = match &args.bins {
+        None => (camera, measurement),
+        Some(bins) => {
+            let part = camera.cut(bins_of(bins)?)?;
+            let rows: Vec<usize> = part.sensor_rows().collect();
+            let measurement = measurement.rows(&rows);
+            (part, measurement)
+        }
+    };
+    let memory = check_memory(&args.experiment, &camera);
+    if args.part_bins.is_some() {
+        let task = PartsTask {
+            parts: InParts::new(camera, psfs, measurement, recipe)?,
+            tau: recipe.tau,
+            each: args.part_bins.filter(|n| *n > 0),
+            title: &format!("Rowburst: {}", args.frame.display()),
+            reproduce: &command_line(args),
+            film: film_of(args),
+        };
+        return in_parts(&task, &folder, stop).map(|outcome| Made::InParts(Box::new(outcome)));
+    }
+    memory?;
     let truth = args
         .truth
         .as_deref()
@@ -134,7 +170,6 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
         .transpose()?;
     let direct = args.direct.as_deref().map(read_frame).transpose()?;
     let direct = direct.map(|(image, _)| image);
-    drop((raw, corrections));
     let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
     #[cfg(feature = "view")]
@@ -172,18 +207,87 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
         title: &title,
         reproduce: Some(&reproduce),
         player: player_of(&folder),
-        film: match args.no_stamp {
-            true => Film::Plain,
-            false => Film::Stamped,
-        },
+        film: film_of(args),
     };
     let outcome = solved.write(&traces, &folder, about)?;
-    Ok(Done {
+    Ok(Made::Whole(Box::new(Done {
         outcome,
         traces,
         #[cfg(feature = "view")]
         page,
-    })
+    })))
+}
+
+fn film_of(args: &ReconstructArgs) -> Film {
+    match args.no_stamp {
+        true => Film::Plain,
+        false => Film::Stamped,
+    }
+}
+
+/// A range of bins, `FIRST..END`.
+fn bins_of(text: &str) -> Result<Range<usize>> {
+    let ends = text
+        .split_once("..")
+        .map(|(a, b)| (a.trim().parse(), b.trim().parse()));
+    match ends {
+        Some((Ok(first), Ok(end))) => Ok(first..end),
+        _ => Err(Error::input(
+            "--bins",
+            format!("\"{text}\""),
+            "a range is its first bin and the one after its last, FIRST..END",
+            "Give for example --bins 0..32.",
+        )),
+    }
+}
+
+/// A video that is found part by part, with a bar.
+fn in_parts(
+    task: &PartsTask,
+    folder: &OutputFolder,
+    stop: Arc<AtomicBool>,
+) -> Result<PartsOutcome> {
+    let mut bar = PartsBar::new(stop);
+    let outcome = run_in_parts(task, folder, &mut |part, bins, progress| {
+        bar.show(part, bins, progress)
+    });
+    bar.finish();
+    outcome
+}
+
+fn told(outcome: &PartsOutcome, args: &ReconstructArgs) -> Result<()> {
+    if args.json {
+        say(serde_json::to_string_pretty(outcome).expect("plain numbers and text"));
+        return Ok(());
+    }
+    say(format_args!(
+        "{} frames of {}×{} at {} fps from one frame, in {} parts and {:.1} s ({} s a bin)",
+        outcome.frames,
+        outcome.rows,
+        outcome.columns,
+        thousands(outcome.frame_rate_hz),
+        outcome.parts.len(),
+        outcome.seconds,
+        short(outcome.seconds_per_bin),
+    ));
+    say(format_args!(
+        "residual/σ {:.3}, σ {} ({}), prior {}",
+        outcome.residual_over_sigma,
+        short(outcome.noise_sigma),
+        outcome.noise_sigma_source,
+        outcome.prior,
+    ));
+    if outcome.fit == Verdict::Good.name() {
+        say(format_args!("the fit is good: {}", outcome.fit_reason));
+    }
+    for warning in &outcome.warnings {
+        say(format_args!("warning: {warning}"));
+    }
+    say(format_args!(
+        "open {}",
+        args.output.join("report.html").display()
+    ));
+    Ok(())
 }
 
 /// Makes the viewer's page of the report, where this program has one.
@@ -238,6 +342,8 @@ fn command_line(args: &ReconstructArgs) -> String {
             "--max-iterations",
             args.max_iterations.map(|v| v.to_string()),
         ),
+        ("--bins", args.bins.clone()),
+        ("--part-bins", args.part_bins.map(|v| v.to_string())),
     ];
     for (flag, text) in texts {
         if let Some(text) = text {

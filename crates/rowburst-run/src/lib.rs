@@ -10,6 +10,7 @@
 //! said goes to the caller, and an observer sees every iteration and may stop it.
 
 mod film;
+mod in_parts;
 pub mod inputs;
 mod numbers;
 pub mod options;
@@ -22,6 +23,7 @@ mod view_files;
 mod watch;
 
 pub use film::Film;
+pub use in_parts::{PartNumbers, PartsOutcome, PartsTask, run_in_parts};
 pub use numbers::thousands;
 pub use outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,

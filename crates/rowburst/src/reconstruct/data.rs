@@ -14,6 +14,9 @@ use faer::MatMut;
 use faer::reborrow::ReborrowMut;
 use std::sync::Arc;
 
+/// Measurements of an instant from which its factor costs more than ten iterations.
+const WIDE: usize = 1024;
+
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
     model: Model,
@@ -308,6 +311,23 @@ impl DataTerm for FrameData {
         sums.iter()
             .map(|(power, count)| (power / (*count).max(1) as f64).sqrt())
             .collect()
+    }
+
+    fn is_wide(&self) -> bool {
+        let (rows, (_, columns)) = (
+            self.shutter().rows_of_instants(),
+            self.shutter().frame_shape(),
+        );
+        rows.iter().any(|rows| rows.len() * columns > WIDE)
+    }
+
+    /// The block of so many voxels takes as long as that of all, which leans on the field's shifts:
+    /// `m²` products for each voxel, and 4 for each row of the field.
+    fn most_lit(&self) -> usize {
+        match self.is_wide() {
+            true => 4 * self.shape().rows,
+            false => usize::MAX,
+        }
     }
 
     fn restrict(&mut self, support: &Support) {

@@ -30,6 +30,8 @@ pub(super) struct Places {
     runs: Vec<Range<usize>>,
     /// Voxels of the first part, and all.
     lengths: (usize, usize),
+    /// Most voxels of a bin that a restriction is worth.
+    most: usize,
     /// How often the support of each bin has been widened, and its misfit at the last look.
     levels: Vec<usize>,
     misfits: Vec<f64>,
@@ -39,8 +41,8 @@ impl Places {
     /// Iterations from one look to the next.
     pub const EVERY: usize = 10;
 
-    /// All `voxels` of videos of `shape` and what follows them.
-    pub fn everywhere(shape: Shape, voxels: usize) -> Self {
+    /// All `voxels` of videos of `shape` and what follows them; later at most `most` of a bin, or all.
+    pub fn everywhere(shape: Shape, voxels: usize, most: usize) -> Self {
         let whole = std::iter::once(0..voxels);
         Self {
             runs: whole.flat_map(chunks).collect(),
@@ -49,6 +51,7 @@ impl Places {
             support: None,
             fraction: 1.0,
             is_settled: false,
+            most,
             levels: vec![0; shape.bins],
             misfits: vec![f64::INFINITY; shape.bins],
         }
@@ -116,7 +119,9 @@ impl Places {
             level => THRESHOLD * brightness * LEVEL_STEP.powi(level as i32),
         };
         let cuts: Vec<f64> = self.levels.iter().map(cut).collect();
-        let support = Support::above(video, self.shape, &cuts).with_missed(correlation, missed);
+        let support = Support::above(video, self.shape, &cuts)
+            .with_missed(correlation, missed)
+            .opening_above(self.most);
         let fraction = support.fraction();
         self.is_settled =
             self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
@@ -167,7 +172,7 @@ mod tests {
     #[test]
     fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
-        let mut places = Places::everywhere(shape, shape.voxels());
+        let mut places = Places::everywhere(shape, shape.voxels(), usize::MAX);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
@@ -198,7 +203,7 @@ mod tests {
     #[test]
     fn runs_are_the_rows_that_hold_a_place_and_what_follows() {
         let shape = Shape::new(2, 200, 100);
-        let mut places = Places::everywhere(shape, 40_007);
+        let mut places = Places::everywhere(shape, 40_007, usize::MAX);
         let all: Vec<usize> = places.runs().iter().cloned().flatten().collect();
         assert!(all.iter().copied().eq(0..40_007) && places.runs().len() == 3);
         let mut video = vec![0.0f32; shape.voxels()];

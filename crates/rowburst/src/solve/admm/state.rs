@@ -8,6 +8,9 @@ use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
 
+/// Corrections of `ρ` that are not worth another factor, and where one takes long.
+const STEADY: (f64, f64) = (0.98, 1.02);
+const WIDE_STEADY: (f64, f64) = (0.85, 1.2);
 /// Iterations in which the brightness that `β` refers to is followed.
 const SETTLE: usize = 40;
 /// `β` at first over what it will be, and the iteration at which it is that: large steps find
@@ -90,7 +93,7 @@ impl State {
             is_steady: false,
             iterations: 0,
             ahead: 0,
-            places: Places::everywhere(shape, n),
+            places: Places::everywhere(shape, n, data.most_lit()),
         };
         state.aim_at(params.tau, data);
         state
@@ -220,7 +223,8 @@ impl State {
             }
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
-            if !(0.98..1.02).contains(&correction) {
+            let (least, most) = if data.is_wide() { WIDE_STEADY } else { STEADY };
+            if !(least..most).contains(&correction) {
                 self.rho = (self.rho * correction).clamp(self.lowest_rho, 1e7 * data.scale());
             }
             if k > COUNT_AFTER && k.is_multiple_of(10) {
