@@ -14,8 +14,9 @@ use rowburst_run::inputs::{
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    About, Film, MakePlayer, Outcome, Task, Traces, Wanted, short, solve, thousands,
+    About, Film, Outcome, Task, Traces, Wanted, player_of, short, solve, thousands,
 };
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -171,7 +172,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
     let about = About {
         title: &title,
         reproduce: Some(&reproduce),
-        player: player_of(&folder),
+        player: player_of(folder.path()),
         film: match args.no_stamp {
             true => Film::Plain,
             false => Film::Stamped,
@@ -186,65 +187,41 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
     })
 }
 
-/// Makes the viewer's page of the report, where this program has one.
-#[cfg(feature = "view")]
-fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
-    let path = folder.path().to_path_buf();
-    Some(Box::new(move |files, view| {
-        crate::view::offline(&path, files, view)
-    }))
-}
-
-/// In a build without the viewer.
-#[cfg(not(feature = "view"))]
-fn player_of(_: &OutputFolder) -> Option<MakePlayer> {
-    None
-}
-
-/// What makes the same result again.
+/// What makes the same result again, as a shell takes it.
 fn command_line(args: &ReconstructArgs) -> String {
-    let mut line = format!(
-        "rowburst reconstruct {} --frame {}",
-        args.experiment.display(),
-        args.frame.display()
-    );
-    let paths = [
-        ("--psf", &args.calibration.psf),
-        ("--dark", &args.calibration.dark),
-        ("--flat", &args.calibration.flat),
-        ("--bad-pixels", &args.calibration.bad_pixels),
-        ("--truth", &args.truth),
-        ("--direct", &args.direct),
-    ];
-    for (flag, path) in paths {
-        if let Some(path) = path {
-            line += &format!(" {flag} {}", path.display());
+    let path = |path: &PathBuf| path.display().to_string();
+    let mut words: Vec<String> = ["rowburst", "reconstruct"].map(String::from).into();
+    words.extend([path(&args.experiment), "--frame".into(), path(&args.frame)]);
+    let mut option = |flag: &str, value: Option<String>| {
+        if let Some(value) = value {
+            words.extend([flag.to_string(), value]);
         }
+    };
+    option("--psf", args.calibration.psf.as_ref().map(path));
+    option("--dark", args.calibration.dark.as_ref().map(path));
+    option("--flat", args.calibration.flat.as_ref().map(path));
+    let bad_pixels = args.calibration.bad_pixels.as_ref();
+    option("--bad-pixels", bad_pixels.map(path));
+    option("--truth", args.truth.as_ref().map(path));
+    option("--direct", args.direct.as_ref().map(path));
+    for region in &args.region {
+        option("--region", Some(region.clone()));
     }
-    for (flag, is_set) in [("--debias", args.debias), ("--no-stamp", args.no_stamp)] {
-        if is_set {
-            line += &format!(" {flag}");
-        }
+    for diode in &args.photodiode {
+        option("--photodiode", Some(path(diode)));
     }
-    let regions = args.region.iter().map(|r| format!(" --region {r}"));
-    let diodes = args.photodiode.iter();
-    line.extend(regions.chain(diodes.map(|p| format!(" --photodiode {}", p.display()))));
-    let texts = [
-        ("--prior", args.prior.clone()),
-        ("--tau", args.tau.clone()),
-        ("--noise-sigma", args.noise_sigma.map(|v| v.to_string())),
-        ("--time-budget-s", args.time_budget_s.map(|v| v.to_string())),
-        (
-            "--max-iterations",
-            args.max_iterations.map(|v| v.to_string()),
-        ),
-    ];
-    for (flag, text) in texts {
-        if let Some(text) = text {
-            line += &format!(" {flag} {text}");
-        }
-    }
-    line + &format!(" -o {}", args.output.display())
+    option("--prior", args.prior.clone());
+    option("--tau", args.tau.clone());
+    let number = |value: Option<f64>| value.map(|v| v.to_string());
+    option("--noise-sigma", number(args.noise_sigma));
+    option("--time-budget-s", number(args.time_budget_s));
+    let most = args.max_iterations.map(|v| v.to_string());
+    option("--max-iterations", most);
+    let flags = [("--debias", args.debias), ("--no-stamp", args.no_stamp)];
+    let flags = flags.iter().filter(|(_, is_set)| *is_set);
+    words.extend(flags.map(|(flag, _)| flag.to_string()));
+    words.extend(["-o".to_string(), path(&args.output)]);
+    shell_words::join(words)
 }
 
 fn print_summary(outcome: &Outcome, args: &ReconstructArgs, traces: &Traces) {
