@@ -85,7 +85,7 @@ def reconstruct(
     frames_per_task: int | None = None,
     threads_per_task: int = 1,
     retry_failed: bool = False,
-    workers_timeout_s: float = 60,
+    workers_timeout_s: float = 600,
     progress: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> dict[str, Any]:
@@ -176,7 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frame-period-us", type=float)
     parser.add_argument("--retry-failed", action="store_true")
     parser.add_argument("--frames-per-task", type=int)
-    parser.add_argument("--workers-timeout-s", type=float, default=60, help="how long to wait for the first worker")
+    parser.add_argument("--workers-timeout-s", type=float, default=600, help="how long to wait for the first worker [600]")
     parser.add_argument("--json", action="store_true", help="the summary as JSON")
     return parser
 
@@ -196,6 +196,8 @@ def _main() -> int:
 
     try:
         with Client(scheduler, timeout=int(os.environ.get("ROWBURST_SCHEDULER_TIMEOUT_S", "15"))) as client:
+            if not client.nthreads():
+                print(f"{scheduler} has no worker yet: waiting up to {args['workers_timeout_s']:g} s", file=sys.stderr)
             summary = reconstruct(
                 args.pop("frames"), args.pop("output"), args.pop("experiment"), client, progress=said, **args
             )
