@@ -3,7 +3,7 @@
 use crate::identity::{hash_image, hash_psfs};
 use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Model, Recipe};
+use rowburst::reconstruct::{Model, NUMBERS, Recipe};
 use rowburst_io::{Capture, Frames, Level};
 use std::collections::BTreeMap;
 
@@ -45,6 +45,7 @@ impl Plan {
         let or_auto = |value: Option<String>| value.unwrap_or("auto".into());
         let parts = [
             ("program version", self.version.clone()),
+            ("numbers of the algorithm", NUMBERS.to_string()),
             ("rows", params.rows.to_string()),
             ("columns", params.columns.to_string()),
             ("shutter", format!("{:?}", params.shutter)),

@@ -364,7 +364,7 @@ pub struct BatchArgs {
     pub retry_failed: bool,
     /// Have the workers of a Dask scheduler do it, such as tcp://host:8786. Needs the Python package
     /// with Dask (pip install 'rowburst[dask]'), here and on the workers, and a disk that all share
-    #[arg(long, value_name = "ADDRESS", conflicts_with = "frames_range")]
+    #[arg(long, value_name = "ADDRESS", conflicts_with_all = ["frames_range", "at_once"])]
     pub scheduler: Option<String>,
     /// Frames at once [default: one per thread, as many as fit into memory]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]

@@ -53,7 +53,16 @@ struct Summary {
     warnings: Vec<String>,
 }
 
-pub fn run(args: &BatchArgs) -> Result<()> {
+/// `threads` are those that were asked for.
+pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
+    if let (Some(threads), Some(_)) = (threads, &args.scheduler) {
+        return Err(Error::input(
+            "--threads",
+            threads,
+            "with --scheduler the workers do the work, on threads of their own",
+            "Leave it out, and start the workers with dask worker --nthreads.",
+        ));
+    }
     let stop = stop_on_ctrl_c("what is done stays, and the same command goes on from there");
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);

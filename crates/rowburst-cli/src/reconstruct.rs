@@ -1,23 +1,24 @@
 //! `rowburst reconstruct`: files in, video and report out.
 
 use crate::args::ReconstructArgs;
+use crate::in_parts;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
-use crate::progress::{Bar, PartsBar, stop_on_ctrl_c};
+use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
+use rowburst::Result;
 use rowburst::measurement::correct;
 use rowburst::reconstruct::{InParts, Recipe, Verdict};
-use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    About, Film, MakePlayer, Outcome, PartsOutcome, PartsTask, Task, Traces, Wanted, run_in_parts,
-    short, solve, thousands,
+    About, Film, Outcome, PartsOutcome, PartsTask, Task, Traces, Wanted, player_of, short, solve,
+    thousands,
 };
-use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -30,7 +31,7 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     }
     let done = match one(args, began, stop)? {
         Made::Whole(done) => done,
-        Made::InParts(outcome) => return told(&outcome, args),
+        Made::InParts(outcome) => return in_parts::tell(&outcome, args),
     };
     if args.json {
         let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
@@ -144,7 +145,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
     let (camera, measurement) = match &args.bins {
         None => (camera, measurement),
         Some(bins) => {
-            let part = camera.cut(bins_of(bins)?)?;
+            let part = camera.cut(in_parts::bins_of(bins)?)?;
             let rows: Vec<usize> = part.sensor_rows().collect();
             let measurement = measurement.rows(&rows);
             (part, measurement)
@@ -160,7 +161,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
             reproduce: &command_line(args),
             film: film_of(args),
         };
-        return in_parts(&task, &folder, stop).map(|outcome| Made::InParts(Box::new(outcome)));
+        return in_parts::run(&task, &folder, stop).map(|outcome| Made::InParts(Box::new(outcome)));
     }
     memory?;
     let truth = args
@@ -206,7 +207,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
     let about = About {
         title: &title,
         reproduce: Some(&reproduce),
-        player: player_of(&folder),
+        player: player_of(folder.path()),
         film: film_of(args),
     };
     let outcome = solved.write(&traces, &folder, about)?;
@@ -225,132 +226,43 @@ fn film_of(args: &ReconstructArgs) -> Film {
     }
 }
 
-/// A range of bins, `FIRST..END`.
-fn bins_of(text: &str) -> Result<Range<usize>> {
-    let ends = text
-        .split_once("..")
-        .map(|(a, b)| (a.trim().parse(), b.trim().parse()));
-    match ends {
-        Some((Ok(first), Ok(end))) => Ok(first..end),
-        _ => Err(Error::input(
-            "--bins",
-            format!("\"{text}\""),
-            "a range is its first bin and the one after its last, FIRST..END",
-            "Give for example --bins 0..32.",
-        )),
-    }
-}
-
-/// A video that is found part by part, with a bar.
-fn in_parts(
-    task: &PartsTask,
-    folder: &OutputFolder,
-    stop: Arc<AtomicBool>,
-) -> Result<PartsOutcome> {
-    let mut bar = PartsBar::new(stop);
-    let outcome = run_in_parts(task, folder, &mut |part, bins, progress| {
-        bar.show(part, bins, progress)
-    });
-    bar.finish();
-    outcome
-}
-
-fn told(outcome: &PartsOutcome, args: &ReconstructArgs) -> Result<()> {
-    if args.json {
-        say(serde_json::to_string_pretty(outcome).expect("plain numbers and text"));
-        return Ok(());
-    }
-    say(format_args!(
-        "{} frames of {}×{} at {} fps from one frame, in {} parts and {:.1} s ({} s a bin)",
-        outcome.frames,
-        outcome.rows,
-        outcome.columns,
-        thousands(outcome.frame_rate_hz),
-        outcome.parts.len(),
-        outcome.seconds,
-        short(outcome.seconds_per_bin),
-    ));
-    say(format_args!(
-        "residual/σ {:.3}, σ {} ({}), prior {}",
-        outcome.residual_over_sigma,
-        short(outcome.noise_sigma),
-        outcome.noise_sigma_source,
-        outcome.prior,
-    ));
-    if outcome.fit == Verdict::Good.name() {
-        say(format_args!("the fit is good: {}", outcome.fit_reason));
-    }
-    for warning in &outcome.warnings {
-        say(format_args!("warning: {warning}"));
-    }
-    say(format_args!(
-        "open {}",
-        args.output.join("report.html").display()
-    ));
-    Ok(())
-}
-
-/// Makes the viewer's page of the report, where this program has one.
-#[cfg(feature = "view")]
-fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
-    let path = folder.path().to_path_buf();
-    Some(Box::new(move |files, view| {
-        crate::view::offline(&path, files, view)
-    }))
-}
-
-/// In a build without the viewer.
-#[cfg(not(feature = "view"))]
-fn player_of(_: &OutputFolder) -> Option<MakePlayer> {
-    None
-}
-
-/// What makes the same result again.
+/// What makes the same result again, as a shell takes it.
 fn command_line(args: &ReconstructArgs) -> String {
-    let mut line = format!(
-        "rowburst reconstruct {} --frame {}",
-        args.experiment.display(),
-        args.frame.display()
-    );
-    let paths = [
-        ("--psf", &args.calibration.psf),
-        ("--dark", &args.calibration.dark),
-        ("--flat", &args.calibration.flat),
-        ("--bad-pixels", &args.calibration.bad_pixels),
-        ("--truth", &args.truth),
-        ("--direct", &args.direct),
-    ];
-    for (flag, path) in paths {
-        if let Some(path) = path {
-            line += &format!(" {flag} {}", path.display());
+    let path = |path: &PathBuf| path.display().to_string();
+    let mut words: Vec<String> = ["rowburst", "reconstruct"].map(String::from).into();
+    words.extend([path(&args.experiment), "--frame".into(), path(&args.frame)]);
+    let mut option = |flag: &str, value: Option<String>| {
+        if let Some(value) = value {
+            words.extend([flag.to_string(), value]);
         }
+    };
+    option("--psf", args.calibration.psf.as_ref().map(path));
+    option("--dark", args.calibration.dark.as_ref().map(path));
+    option("--flat", args.calibration.flat.as_ref().map(path));
+    let bad_pixels = args.calibration.bad_pixels.as_ref();
+    option("--bad-pixels", bad_pixels.map(path));
+    option("--truth", args.truth.as_ref().map(path));
+    option("--direct", args.direct.as_ref().map(path));
+    for region in &args.region {
+        option("--region", Some(region.clone()));
     }
-    for (flag, is_set) in [("--debias", args.debias), ("--no-stamp", args.no_stamp)] {
-        if is_set {
-            line += &format!(" {flag}");
-        }
+    for diode in &args.photodiode {
+        option("--photodiode", Some(path(diode)));
     }
-    let regions = args.region.iter().map(|r| format!(" --region {r}"));
-    let diodes = args.photodiode.iter();
-    line.extend(regions.chain(diodes.map(|p| format!(" --photodiode {}", p.display()))));
-    let texts = [
-        ("--prior", args.prior.clone()),
-        ("--tau", args.tau.clone()),
-        ("--noise-sigma", args.noise_sigma.map(|v| v.to_string())),
-        ("--time-budget-s", args.time_budget_s.map(|v| v.to_string())),
-        (
-            "--max-iterations",
-            args.max_iterations.map(|v| v.to_string()),
-        ),
-        ("--bins", args.bins.clone()),
-        ("--part-bins", args.part_bins.map(|v| v.to_string())),
-    ];
-    for (flag, text) in texts {
-        if let Some(text) = text {
-            line += &format!(" {flag} {text}");
-        }
-    }
-    line + &format!(" -o {}", args.output.display())
+    option("--prior", args.prior.clone());
+    option("--tau", args.tau.clone());
+    let number = |value: Option<f64>| value.map(|v| v.to_string());
+    option("--noise-sigma", number(args.noise_sigma));
+    option("--time-budget-s", number(args.time_budget_s));
+    let most = args.max_iterations.map(|v| v.to_string());
+    option("--max-iterations", most);
+    option("--bins", args.bins.clone());
+    option("--part-bins", args.part_bins.map(|v| v.to_string()));
+    let flags = [("--debias", args.debias), ("--no-stamp", args.no_stamp)];
+    let flags = flags.iter().filter(|(_, is_set)| *is_set);
+    words.extend(flags.map(|(flag, _)| flag.to_string()));
+    words.extend(["-o".to_string(), path(&args.output)]);
+    shell_words::join(words)
 }
 
 fn print_summary(outcome: &Outcome, args: &ReconstructArgs, traces: &Traces) {

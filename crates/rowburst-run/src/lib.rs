@@ -15,6 +15,7 @@ pub mod inputs;
 mod numbers;
 pub mod options;
 mod outcome;
+mod player;
 pub mod simulate;
 mod solved;
 mod task;
@@ -28,7 +29,8 @@ pub use numbers::thousands;
 pub use outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
 };
-pub use solved::{About, MakePlayer, PlayerPage, Solved, Words};
+pub use player::{MakePlayer, PlayerPage, player_of};
+pub use solved::{About, Solved, Words};
 pub use task::{Seen, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,

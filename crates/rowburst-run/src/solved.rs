@@ -5,9 +5,10 @@ use crate::numbers::{headline, settings};
 use crate::outcome::{
     FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes,
 };
+use crate::player::{MakePlayer, PlayerPage};
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, Traces, Wanted};
-use crate::view_files::{self, ViewFiles};
+use crate::view_files::{self, TRUTH, ViewFiles};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
@@ -73,19 +74,6 @@ pub struct About<'a> {
     pub player: Option<MakePlayer>,
     /// What `video.mp4` shows.
     pub film: Film,
-}
-
-/// From what the viewer shows, and `view.json`, to its page; `None` where the video is too large.
-pub type MakePlayer = Box<dyn Fn(&ViewFiles, &serde_json::Value) -> Option<PlayerPage>>;
-
-/// The viewer's page for one file.
-pub struct PlayerPage {
-    /// Its code.
-    pub script: String,
-    /// Its looks.
-    pub style: String,
-    /// What it shows.
-    pub data: String,
 }
 
 /// What a report says of where it comes from.
@@ -294,18 +282,29 @@ impl Solved {
         Ok(outcome)
     }
 
-    /// The report alone, with its film in it.
+    /// The report alone, with its film or its player in it.
     ///
     /// # Errors
     /// A film that cannot be encoded.
-    pub fn report(&self, traces: &Traces, words: Words) -> Result<Report> {
+    pub fn report(
+        &self,
+        traces: &Traces,
+        words: Words,
+        player: Option<MakePlayer>,
+    ) -> Result<Report> {
         let mut outcome = self.outcome(traces);
         outcome.peak_memory_bytes = peak_memory_bytes();
-        let mp4 = encoded(&self.found.video, self.task.camera.time(), Film::Stamped)?;
-        self.report_of(traces, &outcome, words, mp4.as_deref(), None)
+        let time = self.task.camera.time();
+        let mp4 = encoded(&self.found.video, time, Film::Stamped)?;
+        let (title, command) = (words.title, words.reproduce);
+        let page = self.with_view(traces, &outcome, title, command, |files| {
+            let truth = files.truth.map(|_| TRUTH);
+            player.and_then(|make| make(files, &view_files::describe(files, truth)))
+        });
+        self.report_of(traces, &outcome, words, mp4.as_deref(), page.as_ref())
     }
 
-    /// What the viewer shows beside the video; the page for one file, where there is one.
+    /// Writes what the viewer shows beside the video; the page for one file, where there is one.
     fn write_view(
         &self,
         traces: &Traces,
@@ -313,10 +312,26 @@ impl Solved {
         folder: &OutputFolder,
         about: &About,
     ) -> Result<Option<PlayerPage>> {
+        self.with_view(traces, outcome, about.title, about.reproduce, |files| {
+            let view = view_files::write(folder, files)?;
+            let make = about.player.as_ref();
+            Ok(make.and_then(|make| make(files, &view)))
+        })
+    }
+
+    /// Does something with all that the viewer shows.
+    fn with_view<T>(
+        &self,
+        traces: &Traces,
+        outcome: &Outcome,
+        title: &str,
+        command: Option<&str>,
+        act: impl FnOnce(&ViewFiles) -> T,
+    ) -> T {
         let (task, direct) = (&self.task, self.direct());
         let truth = task.truth.as_ref();
-        let files = ViewFiles {
-            title: about.title,
+        act(&ViewFiles {
+            title,
             camera: &task.camera,
             video: &self.found.video,
             truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
@@ -330,11 +345,8 @@ impl Solved {
             settings: &settings(task, outcome),
             fit: (outcome.fit, &outcome.fit_reason),
             warnings: &outcome.warnings,
-            command: about.reproduce.unwrap_or_default(),
-        };
-        let view = view_files::write(folder, &files)?;
-        let make = about.player.as_ref();
-        Ok(make.and_then(|make| make(&files, &view)))
+            command: command.unwrap_or_default(),
+        })
     }
 
     /// The scene without the diffuser: the frame that was given, or computed from the truth.

@@ -1,5 +1,5 @@
 //! A whole sensor, part by part: `cargo bench --workspace --bench full_sensor`. 32 of the 1024 bins of a dual
-//! shutter of 2048×2048 pixels are simulated (a digit of 96 px in each, SNR 256) and found with `tv+support`;
+//! shutter of 2048×2048 pixels are simulated (a digit of 48 px in each, SNR 256) and found with `tv+support`;
 //! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size.
 
 use rowburst::camera::CameraParams;
@@ -50,7 +50,8 @@ fn run(side: usize, bins: usize) -> Cost {
         began.elapsed().as_secs_f64()
     );
     // A few bins at a time: the truth of all would not fit where the reconstruction does.
-    let height = 12 * side / 256;
+    // As bright a part of what is measured of a bin as digits of 12 px have of 108 columns.
+    let height = 6 * side / 256;
     let digit = |bin: usize| -> Video {
         scene::digits(Shape::new(1, side, side), height.max(12), 1 + bin as u64)
             .expect("a digit fits")
