@@ -239,3 +239,20 @@ def test_experiments_are_read_with_their_files(tmp_path, camera, psf):
     assert experiment.flat is None
     with pytest.raises(rb.InputError, match="nowhere.toml"):
         rb.Experiment(tmp_path / "nowhere.toml")
+
+
+def test_a_live_view_goes_on_from_frame_to_frame(capture, camera):
+    live = rb.LiveView(camera, capture.psf, prior=PRIOR)
+    first = live.next(capture.frame)
+    alone = rb.reconstruct(capture.frame, camera, capture.psf, prior=PRIOR)
+    np.testing.assert_array_equal(first.video, alone.video)
+    assert not first.went_on and first.iterations == alone.iterations
+    again = live.next(capture.frame, time_budget_s=60)
+    assert again.went_on and again.iterations <= first.iterations
+    assert again.fit == first.fit and 0 < again.seconds < 60
+    live.forget()
+    np.testing.assert_array_equal(live.next(capture.frame).video, first.video)
+    with pytest.raises(rb.InputError, match="frame"):
+        live.next(capture.frame[1:])
+    with pytest.raises(rb.InputError, match="budget"):
+        live.next(capture.frame, time_budget_s=-1)

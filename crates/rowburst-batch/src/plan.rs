@@ -6,6 +6,7 @@ use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::{Model, NUMBERS, Recipe};
 use rowburst_io::{Capture, Frames, Level};
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Experiment, recording and recipe: values, wherever they come from.
 pub struct Plan {
@@ -15,6 +16,9 @@ pub struct Plan {
     pub corrections: Corrections,
     /// How to reconstruct. Where its prior is left open one is chosen for the whole recording.
     pub recipe: Recipe,
+    /// For each frame. Frames are then done one after another, each from the end of the last one:
+    /// a preview, whose videos depend on how fast the machine is.
+    pub budget: Option<Duration>,
     /// The recording.
     pub frames: Box<dyn Frames>,
     /// From the start of a frame to that of the next, where it is known.
@@ -67,6 +71,11 @@ impl Plan {
             (
                 "most iterations",
                 or_auto(recipe.max_iterations.map(|n| n.to_string())),
+            ),
+            (
+                "time budget",
+                self.budget
+                    .map_or("none".into(), |b| format!("{} s", b.as_secs_f64())),
             ),
             ("number of frames", self.frames.count().to_string()),
         ];

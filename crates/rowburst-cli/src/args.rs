@@ -343,6 +343,10 @@ pub struct BatchArgs {
     /// Stop each frame after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
+    /// A preview: so many seconds for each frame, which goes on from the end of the frame before.
+    /// The videos then depend on how fast the machine is
+    #[arg(long, allow_hyphen_values = true, conflicts_with_all = ["at_once", "scheduler"])]
+    pub time_budget_s: Option<f64>,
     /// Only the frames from A up to, but without, B, counted from 0 (either may be left out):
     /// several processes may work on parts of one archive at once
     #[arg(

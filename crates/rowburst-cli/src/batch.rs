@@ -172,7 +172,11 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         return Err(stopped(args));
     };
     let threads = rayon::current_num_threads();
-    let most = args.at_once.map(usize::from);
+    // With a budget frames follow each other.
+    let most = args
+        .at_once
+        .map(usize::from)
+        .or(args.time_budget_s.map(|_| 1));
     let crew = Crew::new(threads, left.len(), &batch.plan().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
     let started = Instant::now();
@@ -241,6 +245,7 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration)> {
         tau: args.tau.as_deref(),
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
+        time_budget_s: args.time_budget_s,
         frame_period_us: args.frame_period_us,
         version: env!("CARGO_PKG_VERSION"),
     })?;

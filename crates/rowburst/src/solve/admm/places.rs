@@ -1,6 +1,7 @@
 //! Where light may be.
 
 use crate::{Shape, Support};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Iteration at which the support is found first.
@@ -35,6 +36,8 @@ pub(super) struct Places {
     /// How often the support of each bin has been widened, and its misfit at the last look.
     levels: Vec<usize>,
     misfits: Vec<f64>,
+    /// Bins of which every voxel is allowed: no support of theirs lacks light.
+    is_open: Vec<bool>,
 }
 
 impl Places {
@@ -54,6 +57,7 @@ impl Places {
             most,
             levels: vec![0; shape.bins],
             misfits: vec![f64::INFINITY; shape.bins],
+            is_open: vec![true; shape.bins],
         }
     }
 
@@ -93,7 +97,7 @@ impl Places {
     pub fn missed(&mut self, misfits: Vec<f64>, expected: f64) -> Vec<usize> {
         let is_missed = |t: &usize| {
             let (now, before) = (misfits[*t], self.misfits[*t]);
-            now > MISFIT * expected && now > FALLING * before && self.levels[*t] < OPEN
+            now > MISFIT * expected && now > FALLING * before && !self.is_open[*t]
         };
         let missed: Vec<usize> = (0..misfits.len()).filter(is_missed).collect();
         self.misfits = misfits;
@@ -126,6 +130,8 @@ impl Places {
         self.is_settled =
             self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
         self.fraction = fraction;
+        let bins = support.mask().par_chunks_exact(self.shape.pixels());
+        self.is_open = bins.map(|bin| !bin.contains(&0)).collect();
         self.runs = self.runs_of(&support);
         self.support = Some(support.clone());
         support
