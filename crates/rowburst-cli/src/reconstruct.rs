@@ -1,14 +1,15 @@
 //! `rowburst reconstruct`: files in, video and report out.
 
 use crate::args::ReconstructArgs;
+use crate::colour;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
-use rowburst::Result;
 use rowburst::measurement::correct;
 use rowburst::reconstruct::{Recipe, Verdict};
-use rowburst_io::{Experiment, OutputFolder};
+use rowburst::{Error, Result};
+use rowburst_io::{Experiment, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
@@ -24,7 +25,11 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
-    let done = one(args, began, stop)?;
+    let experiment = read_experiment(args)?;
+    if let Some(mosaic) = experiment.bayer {
+        return colour::run(args, experiment, mosaic, began, &stop);
+    }
+    let done = one(args, experiment, began, stop)?;
     if args.json {
         let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
         say(json);
@@ -71,7 +76,9 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     for (point, own) in plans {
         let began = Instant::now();
         eprintln!("{point}");
-        let done = one(&own, began, Arc::clone(stop));
+        let done = read_experiment(&own)
+            .and_then(refuse_colour)
+            .and_then(|experiment| one(&own, experiment, began, Arc::clone(stop)));
         let outcome = done.as_ref().ok().map(|done| &done.outcome);
         rows.push(sweep::Row {
             point,
@@ -105,10 +112,35 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     }
 }
 
+/// The experiment, filled from what the frame's file says.
+fn read_experiment(args: &ReconstructArgs) -> Result<Experiment> {
+    let experiment = Experiment::read_with(&args.experiment, &read_metadata(&args.frame))?;
+    if let Some(taken) = experiment.taken.summary() {
+        eprintln!("{taken}");
+    }
+    Ok(experiment)
+}
+
+fn refuse_colour(experiment: Experiment) -> Result<Experiment> {
+    match experiment.bayer {
+        None => Ok(experiment),
+        Some(mosaic) => Err(Error::input(
+            "--sweep",
+            format!("raw frames of the mosaic {}", mosaic.name()),
+            "their planes are reconstructed apart, and a sweep compares one video",
+            "Leave --sweep out.",
+        )),
+    }
+}
+
 /// One reconstruction, written.
-fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<Done> {
+fn one(
+    args: &ReconstructArgs,
+    experiment: Experiment,
+    began: Instant,
+    stop: Arc<AtomicBool>,
+) -> Result<Done> {
     let folder = OutputFolder::create(&args.output)?;
-    let experiment = Experiment::read(&args.experiment)?;
     let camera = experiment.camera()?;
     let recipe = Recipe {
         prior: chosen_prior(args.prior.as_deref(), &experiment)?,
@@ -147,6 +179,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
         truth_file: args.truth.clone(),
         direct,
         seed: args.seed,
+        taken: experiment.taken,
     };
     let mut bar = Bar::new(stop);
     let solved = solve(task, began, &mut |progress, seen| {
@@ -182,7 +215,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
 
 /// Makes the viewer's page of the report, where this program has one.
 #[cfg(feature = "view")]
-fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
+pub(crate) fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
     let path = folder.path().to_path_buf();
     Some(Box::new(move |files, view| {
         crate::view::offline(&path, files, view)
@@ -191,12 +224,12 @@ fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
 
 /// In a build without the viewer.
 #[cfg(not(feature = "view"))]
-fn player_of(_: &OutputFolder) -> Option<MakePlayer> {
+pub(crate) fn player_of(_: &OutputFolder) -> Option<MakePlayer> {
     None
 }
 
 /// What makes the same result again.
-fn command_line(args: &ReconstructArgs) -> String {
+pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     let mut line = format!(
         "rowburst reconstruct {} --frame {}",
         args.experiment.display(),

@@ -20,7 +20,8 @@ mod view_files;
 mod watch;
 
 pub use outcome::{
-    FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
+    FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
+    peak_memory_bytes, short,
 };
 pub use solved::{About, MakePlayer, PlayerPage, Solved, Words, thousands};
 pub use task::{Seen, Task, solve};

@@ -1,7 +1,8 @@
 //! A finished reconstruction: its numbers, its report and its folder of results.
 
 use crate::outcome::{
-    FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
+    FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
+    peak_memory_bytes, short,
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, Traces, Wanted};
@@ -163,6 +164,7 @@ impl Solved {
             rows: shape.rows,
             columns: shape.columns,
             frame_rate_hz: self.task.camera.time().frame_rate_hz(),
+            metadata: MetadataNumbers::from(&self.task.taken),
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
             threads: rayon::current_num_threads(),
@@ -211,7 +213,7 @@ impl Solved {
     /// What the user should know before trusting the video.
     fn warnings(&self, traces: &Traces) -> Vec<String> {
         let found = &self.found;
-        let mut warnings = Vec::new();
+        let mut warnings = self.task.taken.warnings.clone();
         if found.fit.verdict != Verdict::Good {
             warnings.push(format!(
                 "the fit is {}: {}",
@@ -421,6 +423,9 @@ impl Solved {
             if let Some(value) = value {
                 of_camera.push(pair(name, value.to_string()));
             }
+        }
+        if let Some(taken) = self.task.taken.summary() {
+            of_camera.push(pair("from metadata", taken));
         }
         let psf = self.task.psfs.central().image();
         let of_solver = vec![
