@@ -202,27 +202,28 @@ class _Bar:
 
 
 def reconstruct(
-    frame: ArrayLike,
+    frame: ArrayLike | PathLike[str],
     camera: Camera,
-    psf: Psf | ArrayLike,
+    psf: Psf | ArrayLike | PathLike[str],
     *,
     prior: str = "auto",
     tau: str | float = "auto",
     noise_sigma: float | None = None,
     time_budget_s: float | None = None,
     max_iterations: int | None = None,
-    dark: ArrayLike | None = None,
-    flat: ArrayLike | None = None,
-    bad_pixels: ArrayLike | None = None,
-    truth: ArrayLike | None = None,
-    direct: ArrayLike | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    truth: ArrayLike | PathLike[str] | None = None,
+    direct: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | bool | None = None,
     seed: int = 0,
 ) -> Result:
     """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``.
 
     A frame (and a PSF given as an array) of integers is a raw capture: dark or bias are taken off,
-    and the end of its type is saturation. ``prior`` and ``tau`` are those of the command line.
+    and the end of its type is saturation. The name of a file, in any format that the command line
+    reads, may stand in for an array. ``prior`` and ``tau`` are those of the command line.
     ``progress`` is ``True`` for a tqdm bar, or a function that is given a :class:`Progress` after
     every iteration; where it returns ``False`` the best so far is the result. Ctrl-C raises
     ``KeyboardInterrupt``. Other Python threads run meanwhile.

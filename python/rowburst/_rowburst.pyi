@@ -121,7 +121,10 @@ class Psf:
 class Experiment:
     """What an experiment file says, with the files that it names read."""
 
-    def __new__(cls, path: str | PathLike[str]) -> Experiment: ...
+    def __new__(
+        cls, path: str | PathLike[str], frame: str | PathLike[str] | None = None
+    ) -> Experiment:
+        """What the file leaves open is taken from the metadata of ``frame``, a file or a folder."""
     @property
     def camera(self) -> Camera: ...
     @property
@@ -138,6 +141,15 @@ class Experiment:
     def tau(self) -> str | float: ...
     @property
     def frame_period_us(self) -> float | None: ...
+    @property
+    def metadata_taken(self) -> dict[str, str]:
+        """Keys that came from metadata, with their values as text."""
+    @property
+    def metadata_warnings(self) -> list[str]:
+        """Where the metadata contradicts the file, and what of it cannot be used."""
+
+def read_frames(path: str | PathLike[str]) -> NDArray[np.float32]:
+    """The frames of a file, ``[frame, y, x]``: every format that the command line reads."""
 
 @final
 class Simulation:
@@ -310,20 +322,20 @@ class _Batch:
     def video(self, frame: int) -> NDArray[np.float32]: ...
 
 def reconstruct(
-    frame: ArrayLike,
+    frame: ArrayLike | PathLike[str],
     camera: Camera,
-    psf: Psf | ArrayLike,
+    psf: Psf | ArrayLike | PathLike[str],
     *,
     prior: str = "auto",
     tau: str | float | None = None,
     noise_sigma: float | None = None,
     time_budget_s: float | None = None,
     max_iterations: int | None = None,
-    dark: ArrayLike | None = None,
-    flat: ArrayLike | None = None,
-    bad_pixels: ArrayLike | None = None,
-    truth: ArrayLike | None = None,
-    direct: ArrayLike | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    truth: ArrayLike | PathLike[str] | None = None,
+    direct: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | None = None,
     seed: int = 0,
 ) -> Result: ...

@@ -241,12 +241,12 @@ def test_experiments_are_read_with_their_files(tmp_path, camera, psf):
         rb.Experiment(tmp_path / "nowhere.toml")
 
 
-def test_a_live_view_goes_on_from_frame_to_frame(capture, camera):
-    live = rb.LiveView(camera, capture.psf, prior=PRIOR)
+def test_a_live_view_goes_on_from_frame_to_frame(capture, camera, psf):
+    live = rb.LiveView(camera, psf, prior=PRIOR)
     first = live.next(capture.frame)
-    alone = rb.reconstruct(capture.frame, camera, capture.psf, prior=PRIOR)
+    alone = rb.reconstruct(capture.frame, camera, psf, prior=PRIOR)
     np.testing.assert_array_equal(first.video, alone.video)
-    assert not first.went_on and first.iterations == alone.iterations
+    assert not first.went_on and first.iterations == alone.numbers["iterations"]
     again = live.next(capture.frame, time_budget_s=60)
     assert again.went_on and again.iterations <= first.iterations
     assert again.fit == first.fit and 0 < again.seconds < 60
@@ -256,3 +256,48 @@ def test_a_live_view_goes_on_from_frame_to_frame(capture, camera):
         live.next(capture.frame[1:])
     with pytest.raises(rb.InputError, match="budget"):
         live.next(capture.frame, time_budget_s=-1)
+
+
+def test_signed_counts_end_at_the_top_of_their_type(camera, psf, capture):
+    scale = 30000 / capture.frame.max()
+    frame = (capture.frame * scale).astype(np.int16)
+    frame[3, 4] = 32767
+    frame[5, 6] = -3
+    signed = rb.reconstruct(frame, camera, psf, prior="tv", max_iterations=5)
+    assert signed.numbers["saturated_pixels"] == 1
+    unsigned = rb.reconstruct(np.abs(frame).astype(np.uint16), camera, psf, prior="tv", max_iterations=5)
+    assert unsigned.numbers["saturated_pixels"] == 0
+    small = (capture.frame / capture.frame.max() * 120).astype(np.int8)
+    small[2, 2] = 127
+    found = rb.reconstruct(small, camera, psf, prior="tv", max_iterations=5)
+    assert found.numbers["saturated_pixels"] == 1
+
+
+def test_files_stand_in_for_arrays(camera, psf, capture, tmp_path):
+    np.save(tmp_path / "frame.npy", capture.frame)
+    np.save(tmp_path / "psf.npy", psf.array)
+    array = rb.reconstruct(capture.frame, camera, np.load(tmp_path / "psf.npy"), prior="tv", max_iterations=5)
+    for name in (str, lambda path: path):
+        file = rb.reconstruct(
+            name(tmp_path / "frame.npy"), camera, name(tmp_path / "psf.npy"), prior="tv", max_iterations=5
+        )
+        np.testing.assert_array_equal(file.video, array.video)
+    frames = rb.read_frames(tmp_path / "frame.npy")
+    assert frames.shape == (1, *camera.frame_shape) and frames.dtype == np.float32
+    with pytest.raises(rb.InputError, match="nowhere.h5"):
+        rb.reconstruct(tmp_path / "nowhere.h5", camera, psf)
+
+
+def test_metadata_fills_an_experiment(camera, tmp_path):
+    rows, columns = camera.frame_shape
+    np.save(tmp_path / "frame.npy", np.ones((rows, columns)))
+    (tmp_path / "metadata.txt").write_text(
+        json.dumps({"FrameKey-0-0-0": {"Exposure-ms": 0.0192, "ROI": f"0-0-{columns}-{rows}", "BitDepth": 12}})
+    )
+    (tmp_path / "experiment.toml").write_text('[camera]\nshutter = "top-down"\nrow_time_us = 9.6\nbit_depth = 16\n')
+    with pytest.raises(rb.InputError, match="rows"):
+        rb.Experiment(tmp_path / "experiment.toml")
+    experiment = rb.Experiment(tmp_path / "experiment.toml", frame=tmp_path / "frame.npy")
+    assert experiment.camera.frame_shape == (rows, columns)
+    assert set(experiment.metadata_taken) == {"rows", "columns", "exposure_us"}
+    assert "bit_depth is 16" in experiment.metadata_warnings[0]

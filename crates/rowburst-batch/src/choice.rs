@@ -135,6 +135,7 @@ pub(crate) fn or_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
 /// The kind of numbers in words.
 pub(crate) fn numbers_of(level: Level) -> String {
     match level {
+        Level::Counts { bits } if bits % 8 == 7 => format!("signed integers of {} bits", bits + 1),
         Level::Counts { bits } => format!("integers of {bits} bits"),
         Level::Float => "floating point".into(),
     }

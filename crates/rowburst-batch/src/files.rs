@@ -1,10 +1,11 @@
 //! A plan from files and what is typed, for the command line and for Python.
 
 use crate::choice::CORRECTIONS;
+use crate::clock::Clock;
 use crate::plan::Plan;
 use rowburst::reconstruct::{Model, Prior, Recipe};
-use rowburst::{Error, Result};
-use rowburst_io::{Calibration, Experiment, open_recording};
+use rowburst::{Camera, Error, Result};
+use rowburst_io::{Calibration, Experiment, Metadata, Taken, open_recording, read_metadata};
 use rowburst_run::inputs::{
     calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
 };
@@ -44,6 +45,8 @@ pub struct Planned {
     pub calibration: Calibration,
     /// What is to be said of the PSF.
     pub note: Option<String>,
+    /// What of the experiment came from the frames' metadata.
+    pub taken: Taken,
 }
 
 /// Reads the files of a batch.
@@ -51,9 +54,22 @@ pub struct Planned {
 /// # Errors
 /// Files that are missing or damaged, and choices that are none.
 pub fn plan_files(files: &Files) -> Result<Planned> {
-    let experiment = Experiment::read(files.experiment)?;
+    let metadata = match is_zarr(files.frames) {
+        true => Metadata::default(),
+        false => read_metadata(files.frames),
+    };
+    let mut experiment = Experiment::read_with(files.experiment, &metadata)?;
+    if let Some(mosaic) = experiment.bayer {
+        return Err(Error::input(
+            files.experiment.display().to_string(),
+            format!("bayer = \"{}\"", mosaic.name()),
+            "a batch makes grey videos",
+            "Reconstruct frames one by one; each gives a video in colour.",
+        ));
+    }
     let camera = experiment.camera()?;
     let budget = time_budget(files.time_budget_s)?;
+    leave_short_period(&mut experiment, &camera);
     let recipe = Recipe {
         // A choice takes a run for each candidate: a budget has no time for it.
         prior: chosen_prior(files.prior, &experiment)?.or(budget.map(|_| Prior::STANDARD)),
@@ -86,7 +102,27 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
         plan,
         calibration,
         note,
+        taken: experiment.taken,
     })
+}
+
+/// A frame period of the metadata that is shorter than the readout is none of this shutter's.
+fn leave_short_period(experiment: &mut Experiment, camera: &Camera) {
+    let key = "frame_period_us";
+    let taken = &mut experiment.taken;
+    let Some(at) = taken.values.iter().position(|(name, _)| name == key) else {
+        return;
+    };
+    let Some(period) = experiment.recording.frame_period_us else {
+        return;
+    };
+    if let Err(error) = Clock::new(camera, period) {
+        taken.values.remove(at);
+        taken
+            .warnings
+            .push(format!("{key} of the metadata is not used: {error}"));
+        experiment.recording.frame_period_us = None;
+    }
 }
 
 /// Names the file in an error of a dark, a flat or a mask.

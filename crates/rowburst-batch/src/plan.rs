@@ -4,7 +4,7 @@ use crate::identity::{hash_image, hash_psfs};
 use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::{Model, NUMBERS, Recipe};
-use rowburst_io::{Capture, Frames, Level};
+use rowburst_io::{Capture, Frames};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -34,7 +34,7 @@ impl Plan {
     /// Those of [`correct`].
     pub fn measurement(&self, capture: &Capture) -> Result<Measurement> {
         let corrections = Corrections {
-            saturation_counts: container_end(capture.level),
+            saturation_counts: capture.level.end(),
             ..self.corrections.clone()
         };
         correct(&capture.image, self.model.camera(), &corrections)
@@ -80,13 +80,5 @@ impl Plan {
             ("number of frames", self.frames.count().to_string()),
         ];
         parts.into_iter().map(|(k, v)| (k.to_string(), v)).collect()
-    }
-}
-
-/// Counts at which a file of integers ends.
-fn container_end(level: Level) -> Option<f64> {
-    match level {
-        Level::Counts { bits } if bits <= 16 => Some(f64::from(1u32 << bits) - 1.0),
-        Level::Counts { .. } | Level::Float => None,
     }
 }

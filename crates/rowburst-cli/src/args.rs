@@ -180,12 +180,13 @@ pub struct CalibrationArgs {
 /// Recover the video from one frame.
 #[derive(Debug, Clone, Args)]
 #[command(
-    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep\n  rowburst reconstruct wide-sensor.toml --frame capture.tif --prior tv+support --part-bins 0 -o result"
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame run.h5:/camera/frame -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep\n  rowburst reconstruct wide-sensor.toml --frame capture.tif --prior tv+support --part-bins 0 -o result"
 )]
 pub struct ReconstructArgs {
     /// The experiment file: camera, calibration, field, recipe
     pub experiment: PathBuf,
-    /// The raw frame (.npy, .tif, .png, .bmp)
+    /// The raw frame (.npy, .tif, .png, .bmp, .h5, .mat, .fits, .cihx); FILE.h5:/path names an array. What
+    /// the experiment file leaves open is taken from its metadata
     #[arg(long)]
     pub frame: PathBuf,
     #[command(flatten)]
@@ -324,8 +325,9 @@ pub struct BrowserArgs {
 pub struct BatchArgs {
     /// The experiment file: camera, calibration, field, recipe
     pub experiment: PathBuf,
-    /// The recording: a folder of images (.npy, .tif, .png, .bmp), a multi-page .tif, an .npy array
-    /// [frame, y, x], or a Zarr array or OME-Zarr image [frame, y, x]
+    /// The recording: a folder of images or stacks, a multi-page .tif, an array [frame, y, x] (.npy, .h5,
+    /// .mat, .fits; FILE.h5:/path names one), .cihx with .mraw, or a Zarr array or OME-Zarr image. What the
+    /// experiment file leaves open is taken from its metadata
     #[arg(long)]
     pub frames: PathBuf,
     #[command(flatten)]

@@ -10,9 +10,9 @@ use rowburst::{Error, Result};
 use rowburst_batch::{
     Again, Batch, Crew, Event, Files, FrameRow, Plan, Status, naming_correction, plan_files,
 };
-use rowburst_io::{Calibration, Frames, gaps};
+use rowburst_io::{Calibration, Frames, Taken, gaps};
 use rowburst_run::options::{prior_of, tau_of};
-use rowburst_run::{peak_memory_bytes, short};
+use rowburst_run::{MetadataNumbers, peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
@@ -39,6 +39,7 @@ struct Summary {
     prior: String,
     prior_reason: String,
     prior_frame: Option<usize>,
+    metadata: MetadataNumbers,
     frame_period_us: Option<f64>,
     dead_us: Option<f64>,
     threads: usize,
@@ -145,7 +146,7 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 /// One batch, through; the lines of its frames.
 fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> {
     let began = Instant::now();
-    let (plan, calibration) = plan_of(args)?;
+    let (plan, calibration, taken) = plan_of(args)?;
     let batch = Batch::open(plan, &args.output)
         .map_err(|e| naming_correction(e, &args.frames, &calibration))?;
     let frames = &batch.plan().frames;
@@ -221,6 +222,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         prior: prior.prior.clone(),
         prior_reason: prior.reason.clone(),
         prior_frame: prior.frame,
+        metadata: MetadataNumbers::from(&taken),
         frame_period_us: batch.clock().map(|clock| clock.frame_period_us),
         dead_us: batch.clock().map(|clock| clock.dead_us()),
         threads,
@@ -230,13 +232,13 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         seconds,
         frames_per_second: (!left.is_empty()).then(|| left.len() as f64 / seconds),
         peak_memory_bytes: peak_memory_bytes(),
-        warnings: warnings(&rows, missing_words),
+        warnings: warnings(&rows, [taken.warnings, missing_words].concat()),
     };
     Ok((summary, rows))
 }
 
 /// The plan, and the files that it is from.
-fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration)> {
+fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, Taken)> {
     let planned = plan_files(&Files {
         experiment: &args.experiment,
         frames: &args.frames,
@@ -252,7 +254,10 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration)> {
     if let Some(note) = planned.note {
         eprintln!("{note}");
     }
-    Ok((planned.plan, planned.calibration))
+    if let Some(taken) = planned.taken.summary() {
+        eprintln!("{taken}");
+    }
+    Ok((planned.plan, planned.calibration, planned.taken))
 }
 
 /// `A:B` of `count` frames.

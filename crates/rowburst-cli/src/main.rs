@@ -10,6 +10,7 @@ mod batch;
 mod calibrate;
 #[cfg(feature = "batch")]
 mod cluster;
+mod colour;
 mod demo;
 mod design;
 mod figure;

@@ -1,15 +1,16 @@
 //! `rowburst reconstruct`: files in, video and report out.
 
 use crate::args::ReconstructArgs;
+use crate::colour;
 use crate::in_parts;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
-use rowburst::Result;
 use rowburst::measurement::correct;
 use rowburst::reconstruct::{InParts, Recipe, Verdict};
-use rowburst_io::{Experiment, OutputFolder};
+use rowburst::{Error, Result};
+use rowburst_io::{Experiment, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
@@ -29,7 +30,11 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
-    let done = match one(args, began, stop)? {
+    let experiment = read_experiment(args)?;
+    if let Some(mosaic) = experiment.bayer {
+        return colour::run(args, experiment, mosaic, began, &stop);
+    }
+    let done = match one(args, experiment, began, stop)? {
         Made::Whole(done) => done,
         Made::InParts(outcome) => return in_parts::tell(&outcome, args),
     };
@@ -85,7 +90,9 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     for (point, own) in plans {
         let began = Instant::now();
         eprintln!("{point}");
-        let done = one(&own, began, Arc::clone(stop));
+        let done = read_experiment(&own)
+            .and_then(refuse_colour)
+            .and_then(|experiment| one(&own, experiment, began, Arc::clone(stop)));
         let outcome = match &done {
             Ok(Made::Whole(done)) => Some(&done.outcome),
             _ => None,
@@ -122,10 +129,35 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     }
 }
 
+/// The experiment, filled from what the frame's file says.
+fn read_experiment(args: &ReconstructArgs) -> Result<Experiment> {
+    let experiment = Experiment::read_with(&args.experiment, &read_metadata(&args.frame))?;
+    if let Some(taken) = experiment.taken.summary() {
+        eprintln!("{taken}");
+    }
+    Ok(experiment)
+}
+
+fn refuse_colour(experiment: Experiment) -> Result<Experiment> {
+    match experiment.bayer {
+        None => Ok(experiment),
+        Some(mosaic) => Err(Error::input(
+            "--sweep",
+            format!("raw frames of the mosaic {}", mosaic.name()),
+            "their planes are reconstructed apart, and a sweep compares one video",
+            "Leave --sweep out.",
+        )),
+    }
+}
+
 /// One reconstruction, written.
-fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<Made> {
+fn one(
+    args: &ReconstructArgs,
+    experiment: Experiment,
+    began: Instant,
+    stop: Arc<AtomicBool>,
+) -> Result<Made> {
     let folder = OutputFolder::create(&args.output)?;
-    let experiment = Experiment::read(&args.experiment)?;
     let camera = experiment.camera()?;
     let recipe = Recipe {
         prior: chosen_prior(args.prior.as_deref(), &experiment)?,
@@ -185,6 +217,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
         truth_file: args.truth.clone(),
         direct,
         seed: args.seed,
+        taken: experiment.taken,
     };
     let mut bar = Bar::new(stop);
     let solved = solve(task, began, &mut |progress, seen| {
@@ -219,7 +252,7 @@ fn one(args: &ReconstructArgs, began: Instant, stop: Arc<AtomicBool>) -> Result<
     })))
 }
 
-fn film_of(args: &ReconstructArgs) -> Film {
+pub(crate) fn film_of(args: &ReconstructArgs) -> Film {
     match args.no_stamp {
         true => Film::Plain,
         false => Film::Stamped,
@@ -227,7 +260,7 @@ fn film_of(args: &ReconstructArgs) -> Film {
 }
 
 /// What makes the same result again, as a shell takes it.
-fn command_line(args: &ReconstructArgs) -> String {
+pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     let path = |path: &PathBuf| path.display().to_string();
     let mut words: Vec<String> = ["rowburst", "reconstruct"].map(String::from).into();
     words.extend([path(&args.experiment), "--frame".into(), path(&args.frame)]);

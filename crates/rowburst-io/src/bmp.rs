@@ -1,6 +1,7 @@
 //! Windows bitmaps: 8 bits with a palette of greys, or 24 and 32 bits of grey colours.
 
-use crate::read::{Level, Pages, Source};
+use crate::read::{Level, Pages};
+use crate::source::Source;
 use image::codecs::bmp::BmpDecoder;
 use image::{ColorType, ImageDecoder};
 use rowburst::Result;

@@ -1,17 +1,25 @@
 //! The experiment file: a camera, its calibration, the field and the recipe, in TOML.
 
+mod taken;
+
+pub use taken::Taken;
+
 use crate::fault;
+use crate::metadata::Metadata;
 use crate::npy;
-use crate::read::{Colour, Level, Source};
+use crate::read::Level;
+use crate::source::{Colour, Source};
 use crate::table::{Table, nearest};
+use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Result, Sensor, Shutter};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use taken::Filling;
 use toml::de::DeTable;
 
-const CAMERA_KEYS: [&str; 14] = [
+const CAMERA_KEYS: [&str; 15] = [
     "rows",
     "columns",
     "shutter",
@@ -26,6 +34,7 @@ const CAMERA_KEYS: [&str; 14] = [
     "gain_electrons_per_count",
     "read_noise_electrons",
     "full_well_counts",
+    "bayer",
 ];
 
 /// What an experiment file says. Paths are those of the file's folder joined with
@@ -36,6 +45,8 @@ pub struct Experiment {
     pub path: PathBuf,
     /// The camera and the field: `[camera]` and `[field]`.
     pub params: CameraParams,
+    /// The mosaic of a colour sensor whose frames are raw.
+    pub bayer: Option<Bayer>,
     /// The file of a custom shutter's order.
     pub row_order: Option<PathBuf>,
     /// Where the calibration lies.
@@ -44,6 +55,8 @@ pub struct Experiment {
     pub reconstruction: Reconstruction,
     /// How frames follow each other.
     pub recording: Recording,
+    /// What of all this came from the metadata of a frame.
+    pub taken: Taken,
 }
 
 /// What `[recording]` says.
@@ -81,22 +94,34 @@ impl Experiment {
         Self {
             path: "experiment.toml".into(),
             params,
+            bayer: None,
             row_order: None,
             calibration: Calibration::default(),
             reconstruction: Reconstruction::default(),
             recording: Recording::default(),
+            taken: Taken::default(),
         }
     }
 
-    /// Reads an experiment file, and the row order of a custom shutter.
+    /// Reads an experiment file that stands alone; see [`Experiment::read_with`].
+    ///
+    /// # Errors
+    /// Those of [`Experiment::read_with`].
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::read_with(path, &Metadata::default())
+    }
+
+    /// Reads an experiment file, and the row order of a custom shutter. What the file leaves
+    /// open is taken from the metadata of a frame of it, where that says it.
     ///
     /// `row_time_us` may be left out for the shutter `global`, for which it means
     /// nothing; it is then `exposure_us`.
     ///
     /// # Errors
     /// A file that is missing or not TOML, keys that are unknown or missing, values
-    /// of a wrong type; each names the file, the line, the rule and the remedy.
-    pub fn read(path: &Path) -> Result<Self> {
+    /// of a wrong type; each names the file, the line, the rule and the remedy. Metadata of a
+    /// frame of another size.
+    pub fn read_with(path: &Path, metadata: &Metadata) -> Result<Self> {
         if path.is_dir() {
             let source = path.join("experiment.toml");
             return Err(rowburst::Error::input(
@@ -115,7 +140,7 @@ impl Experiment {
                 "Name the .toml file here and the frame with --frame.",
             )
         })?;
-        Self::parse(path, &text)
+        Self::parse(path, &text, metadata)
     }
 
     /// The camera that the file describes.
@@ -126,7 +151,7 @@ impl Experiment {
         Camera::new(self.params.clone()).map_err(|e| e.within(self.path.display()))
     }
 
-    fn parse(path: &Path, text: &str) -> Result<Self> {
+    fn parse(path: &Path, text: &str, metadata: &Metadata) -> Result<Self> {
         let document = DeTable::parse(text).map_err(|e| Table::not_toml(path, text, &e))?;
         let file = Table {
             path,
@@ -149,9 +174,20 @@ impl Experiment {
         };
         let camera = file.table("camera")?;
         let row_order = resolved(&camera, "row_order")?;
+        let mut filling = Filling::new(path, metadata);
+        let field = file.table("field")?;
+        let params = read_params(&camera, &field, row_order.as_deref(), &mut filling)?;
+        let mut recording = read_recording(&file.table("recording")?)?;
+        recording.frame_period_us = filling.number(
+            "frame_period_us",
+            recording.frame_period_us,
+            metadata.frame_period_us,
+        );
+        let bayer = filling.bayer(read_bayer(&camera)?);
         Ok(Self {
             path: path.into(),
-            params: read_params(&camera, &file.table("field")?, row_order.as_deref())?,
+            params,
+            bayer,
             row_order,
             calibration: Calibration {
                 psf: resolved(&calibration, "psf")?,
@@ -160,7 +196,8 @@ impl Experiment {
                 bad_pixels: resolved(&calibration, "bad_pixels")?,
             },
             reconstruction: read_reconstruction(&file.table("reconstruction")?)?,
-            recording: read_recording(&file.table("recording")?)?,
+            recording,
+            taken: filling.taken,
         })
     }
 
@@ -209,6 +246,7 @@ impl Experiment {
             sensor.read_noise_electrons,
         );
         line(&mut text, "full_well_counts", sensor.full_well_counts);
+        line(&mut text, "bayer", self.bayer.map(Bayer::name));
 
         let calibration = &self.calibration;
         if *calibration != Calibration::default() {
@@ -256,18 +294,38 @@ fn line(text: &mut String, key: &str, value: Option<impl Into<toml::Value>>) {
     }
 }
 
-fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Result<CameraParams> {
+fn read_params(
+    camera: &Table,
+    field: &Table,
+    row_order: Option<&Path>,
+    filling: &mut Filling,
+) -> Result<CameraParams> {
     camera.check_keys(&CAMERA_KEYS)?;
     field.check_keys(&["rows", "columns"])?;
-    let rows = camera.required("rows", camera.side("rows")?)?;
-    let columns = camera.required("columns", camera.side("columns")?)?;
-    let shutter = read_shutter(camera, row_order)?;
+    let metadata = filling.metadata;
+    let (rows, columns, binning) = filling.size(
+        camera.side("rows")?,
+        camera.side("columns")?,
+        camera.count("binning")?,
+    )?;
+    let rows = camera.required("rows", rows)?;
+    let columns = camera.required("columns", columns)?;
+    let own_shutter = read_shutter(camera, row_order)?;
+    let shutter = camera.required("shutter", filling.shutter(own_shutter))?;
     let exposure_us = camera.number("exposure_us")?;
+    let exposure_us = filling.number("exposure_us", exposure_us, metadata.exposure_us);
+    let row_time_us = camera.number("row_time_us")?;
     let row_time_us = match shutter {
-        Shutter::Global => camera.number("row_time_us")?.or(exposure_us),
-        _ => camera.number("row_time_us")?,
+        Shutter::Global => row_time_us.or(exposure_us),
+        _ => filling.number("row_time_us", row_time_us, metadata.row_time_us),
     };
-    let bit_depth = camera.count("bit_depth")?.map(u32::try_from).transpose();
+    let frame_rows = metadata.size.map_or(rows, |(rows, _)| rows);
+    let pitch_factor = frame_rows as f64 / rows.max(1) as f64;
+    let pixel_pitch_um = filling.pitch(camera.number("pixel_pitch_um")?, pitch_factor);
+    let bit_depth = camera.count("bit_depth")?;
+    let metadata_bits = metadata.bit_depth.map(|bits| bits as usize);
+    let bit_depth = filling.count("bit_depth", bit_depth, metadata_bits);
+    let bit_depth = bit_depth.map(u32::try_from).transpose();
     Ok(CameraParams {
         rows,
         columns,
@@ -283,8 +341,8 @@ fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Resul
             )),
         },
         sensor: Sensor {
-            binning: camera.count("binning")?.unwrap_or(1),
-            pixel_pitch_um: camera.number("pixel_pitch_um")?,
+            binning: binning.unwrap_or(1),
+            pixel_pitch_um,
             // What 32 bits cannot hold is out of range as well.
             bit_depth: bit_depth.unwrap_or(Some(u32::MAX)),
             bias_counts: camera.number("bias_counts")?,
@@ -295,11 +353,13 @@ fn read_params(camera: &Table, field: &Table, row_order: Option<&Path>) -> Resul
     })
 }
 
-fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Shutter> {
-    let name = camera.required("shutter", camera.text("shutter")?)?;
+fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Option<Shutter>> {
+    let Some(name) = camera.text("shutter")? else {
+        return Ok(None);
+    };
     if name == "custom" {
         let path = camera.required("row_order", row_order)?;
-        return Ok(Shutter::Custom(read_row_order(path)?));
+        return Ok(Some(Shutter::Custom(read_row_order(path)?)));
     }
     let shutter = Shutter::named(name).ok_or_else(|| {
         camera.error(
@@ -310,7 +370,7 @@ fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Shutter> {
         )
     })?;
     match row_order {
-        None => Ok(shutter),
+        None => Ok(Some(shutter)),
         Some(_) => Err(camera.error(
             "row_order",
             format!("an order of rows for the shutter \"{name}\""),
@@ -318,6 +378,21 @@ fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Shutter> {
             "Remove it, or set shutter = \"custom\".",
         )),
     }
+}
+
+fn read_bayer(camera: &Table) -> Result<Option<Bayer>> {
+    let Some(name) = camera.text("bayer")? else {
+        return Ok(None);
+    };
+    let mosaic = Bayer::named(name).ok_or_else(|| {
+        camera.error(
+            "bayer",
+            format!("\"{name}\""),
+            &format!("the mosaic is one of {}", Bayer::NAMES.join(", ")),
+            "Give the colours of the first two pixels of the first row, then of the second.",
+        )
+    })?;
+    Ok(Some(mosaic))
 }
 
 fn read_row_order(path: &Path) -> Result<Vec<usize>> {

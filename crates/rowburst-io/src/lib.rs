@@ -16,32 +16,43 @@
 //! # }
 //! ```
 
+mod arrays;
 mod bmp;
 mod csv;
 mod experiment;
 mod fault;
+mod fits;
 mod folder;
+#[cfg(feature = "hdf5")]
+mod hdf5;
+mod mat;
+mod metadata;
 #[cfg(feature = "mp4")]
 mod mp4;
 mod npy;
 mod npy_parts;
 mod patches;
+mod photron;
 mod png;
 mod read;
 mod recording;
+mod source;
+mod stack;
 mod table;
 mod tiff;
 
 pub use csv::{read_photodiode, write_csv};
-pub use experiment::{Calibration, Experiment, Reconstruction, Recording};
+pub use experiment::{Calibration, Experiment, Reconstruction, Recording, Taken};
 pub use fault::writing as cannot_write;
 pub use folder::OutputFolder;
+pub use metadata::{Metadata, read_metadata};
 #[cfg(feature = "mp4")]
 pub use mp4::{Strip, write_mp4};
-pub use npy::{write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
+pub use npy::{write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
 pub use npy_parts::VideoInParts;
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
 pub use read::{Capture, Level, read_colour_image, read_image, read_stack, read_video};
 pub use recording::{Frames, gaps, open_recording};
-pub use tiff::{TiffScale, write_tiff_image, write_tiff_video};
+pub use source::{ENDINGS as IMAGE_ENDINGS, is_image};
+pub use tiff::{TiffScale, write_tiff_colour, write_tiff_image, write_tiff_video};

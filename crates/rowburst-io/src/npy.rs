@@ -4,8 +4,9 @@
 //! damaged header claims. Format: `numpy.lib.format`, versions 1 to 3.
 
 use crate::fault;
-use crate::read::{Level, Pages, Source};
-use rowburst::{Image, Result, Video};
+use crate::read::{Level, Pages};
+use crate::source::Source;
+use rowburst::{Image, Result, Shape, Video};
 use std::io::{Read, Seek, SeekFrom, Write};
 
 /// An array of any number of dimensions, in C order.
@@ -121,11 +122,6 @@ impl Stack {
         })
     }
 
-    /// Number of frames that the header claims.
-    pub fn count(&self) -> usize {
-        self.count
-    }
-
     /// Reads one frame; `file` stands anywhere.
     pub fn frame(
         &self,
@@ -161,6 +157,30 @@ impl Stack {
             data,
             level: self.header.level,
         })
+    }
+}
+
+/// A stack with its file.
+pub(crate) struct OpenStack<R> {
+    stack: Stack,
+    file: R,
+}
+
+impl<R: Read + Seek> OpenStack<R> {
+    /// Reads the header.
+    pub fn new(source: &Source, mut file: R) -> Result<Self> {
+        let stack = Stack::open(source, &mut file)?;
+        Ok(Self { stack, file })
+    }
+}
+
+impl<R: Read + Seek + Send> crate::stack::Stack for OpenStack<R> {
+    fn count(&self) -> usize {
+        self.stack.count
+    }
+
+    fn page(&mut self, source: &Source, at: usize) -> Result<Pages> {
+        self.stack.frame(source, &mut self.file, at)
     }
 }
 
@@ -279,13 +299,13 @@ fn decoder(dtype: &str) -> Option<(usize, Level, Decode)> {
         "f8" => decode!(f64, Level::Float),
         "b1" => decode!(u8, counts(1)),
         "u1" => decode!(u8, counts(8)),
-        "i1" => decode!(i8, counts(8)),
+        "i1" => decode!(i8, counts(7)),
         "u2" => decode!(u16, counts(16)),
-        "i2" => decode!(i16, counts(16)),
+        "i2" => decode!(i16, counts(15)),
         "u4" => decode!(u32, counts(32)),
-        "i4" => decode!(i32, counts(32)),
+        "i4" => decode!(i32, counts(31)),
         "u8" => decode!(u64, counts(64)),
-        "i8" => decode!(i64, counts(64)),
+        "i8" => decode!(i64, counts(63)),
         _ => None,
     }
 }
@@ -307,6 +327,21 @@ pub fn write_npy_video(w: &mut impl Write, video: &Video) -> Result<()> {
     let shape = video.shape();
     let shape = [shape.bins, shape.rows, shape.columns];
     write(w, "<f4", &shape, video.data(), |v| v.to_le_bytes())
+}
+
+/// Writes red, green and blue videos of one `shape` as float32 `[t, y, x, colour]`.
+///
+/// # Errors
+/// A failed write.
+///
+/// # Panics
+/// If a colour has not a value for each voxel.
+pub fn write_npy_colour(w: &mut impl Write, shape: Shape, colours: &[Vec<f32>; 3]) -> Result<()> {
+    let [red, green, blue] = colours;
+    let voxels = red.iter().zip(green).zip(blue);
+    let data: Vec<f32> = voxels.flat_map(|((r, g), b)| [*r, *g, *b]).collect();
+    let shape = [shape.bins, shape.rows, shape.columns, 3];
+    write(w, "<f4", &shape, &data, |v| v.to_le_bytes())
 }
 
 /// Writes numbers in C order as a float64 array of the given shape.
@@ -407,13 +442,13 @@ mod tests {
         case!(f32, "f4", Level::Float);
         case!(f64, "f8", Level::Float);
         case!(u8, "u1", counts(8));
-        case!(i8, "i1", counts(8));
+        case!(i8, "i1", counts(7));
         case!(u16, "u2", counts(16));
-        case!(i16, "i2", counts(16));
+        case!(i16, "i2", counts(15));
         case!(u32, "u4", counts(32));
-        case!(i32, "i4", counts(32));
+        case!(i32, "i4", counts(31));
         case!(u64, "u8", counts(64));
-        case!(i64, "i8", counts(64));
+        case!(i64, "i8", counts(63));
         let mask = file(
             folder.path(),
             1,

@@ -1,7 +1,8 @@
 //! PNG: grey images of 8 and 16 bits.
 
 use crate::fault;
-use crate::read::{Level, Pages, Source};
+use crate::read::{Level, Pages};
+use crate::source::Source;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
 use rowburst::{Error, Result};
 use std::io::{BufRead, Seek, Write};

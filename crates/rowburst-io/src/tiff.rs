@@ -1,10 +1,12 @@
 //! TIFF: single images, and stacks that ImageJ and Fiji open as a time series.
 
 use crate::fault;
-use crate::read::{Level, Pages, Source};
-use rowburst::{Error, Image, Result, Video};
+use crate::read::{Level, Pages};
+use crate::source::Source;
+use rowburst::{Error, Image, Result, Shape, Video};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, Write};
+use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Rational, TiffEncoder, TiffKind, colortype::Gray32Float};
 use tiff::tags::Tag;
@@ -18,12 +20,14 @@ const CLASSIC_BYTES: u64 = (1 << 32) - (1 << 26);
 pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Result<Pages> {
     let mut pages = decoder(source, file)?;
     let first = kind(source, &mut pages)?;
+    let promised = images_of_image_j(&mut pages);
     let mut count = 1;
     while pages.more_images() {
         pages.next_image().map_err(|e| fault_of(source, e))?;
         check_alike(source, kind(source, &mut pages)?, first, count)?;
         count += 1;
     }
+    check_count(source, count, promised)?;
     let (rows, columns, _) = first;
     let mut data = source.room(count, rows, columns)?;
     let mut level = Level::Float;
@@ -39,6 +43,40 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
     })
 }
 
+/// What the first page says beside its pixels.
+#[derive(Debug, Default)]
+pub(crate) struct Tags {
+    pub description: Option<String>,
+    /// Micro-Manager's record of the image, JSON.
+    pub micro_manager: Option<String>,
+    pub andor_exposure_s: Option<f64>,
+    pub andor_cycle_s: Option<f64>,
+}
+
+/// Reads the tags of the first page; one that is damaged is left out.
+pub(crate) fn tags<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Result<Tags> {
+    let mut pages = decoder(source, file)?;
+    let mut value = |tag| pages.find_tag(Tag::from_u16_exhaustive(tag)).ok().flatten();
+    let text = |value: Value| match value {
+        Value::Ascii(text) => Some(text),
+        other => {
+            let bytes = other.into_u8_vec().ok()?;
+            let text = String::from_utf8_lossy(&bytes).into_owned();
+            Some(text.trim_end_matches('\0').to_string())
+        }
+    };
+    let number = |value: Value| match value {
+        Value::Float(number) => Some(f64::from(number)),
+        other => other.into_f64().ok(),
+    };
+    Ok(Tags {
+        description: value(270).and_then(text),
+        micro_manager: value(51123).and_then(text),
+        andor_exposure_s: value(4876).and_then(number),
+        andor_cycle_s: value(4878).and_then(number),
+    })
+}
+
 /// A stack that is read page by page.
 pub(crate) struct Stack {
     pages: Decoder<BufReader<File>>,
@@ -49,21 +87,27 @@ impl Stack {
     /// Counts the pages, which may differ in size and kind.
     pub fn open(source: &Source, file: BufReader<File>) -> Result<Self> {
         let mut pages = decoder(source, file)?;
+        let promised = images_of_image_j(&mut pages);
         let mut count = 1;
         while pages.more_images() {
             pages.next_image().map_err(|e| fault_of(source, e))?;
             count += 1;
         }
+        check_count(source, count, promised)?;
         Ok(Self { pages, count })
     }
+}
 
-    /// Number of pages.
-    pub fn count(&self) -> usize {
+impl crate::stack::Stack for Stack {
+    fn count(&self) -> usize {
         self.count
     }
 
-    /// Reads one page.
-    pub fn page(&mut self, source: &Source, page: usize) -> Result<Pages> {
+    fn name(&self, at: usize) -> String {
+        format!("page {}", at + 1)
+    }
+
+    fn page(&mut self, source: &Source, page: usize) -> Result<Pages> {
         let seek = self.pages.seek_to_image(page);
         seek.map_err(|e| fault_of(source, e))?;
         let (rows, columns, _) = kind(source, &mut self.pages)?;
@@ -76,6 +120,24 @@ impl Stack {
             data,
             level,
         })
+    }
+}
+
+/// How many images ImageJ says that it wrote: beyond 4 GB it has no page for those after the first.
+fn images_of_image_j<R: Read + Seek>(pages: &mut Decoder<R>) -> Option<usize> {
+    let text = pages.get_tag_ascii_string(Tag::ImageDescription).ok()?;
+    let mut lines = text.strip_prefix("ImageJ=")?.lines();
+    lines.find_map(|line| line.strip_prefix("images=")?.trim().parse().ok())
+}
+
+fn check_count(source: &Source, count: usize, promised: Option<usize>) -> Result<()> {
+    match promised {
+        Some(promised) if count == 1 && promised > 1 => Err(source.error(
+            format!("one page, where ImageJ wrote {promised} images"),
+            "every image has a page: ImageJ leaves them out beyond 4 GB",
+            "Save it as BigTIFF or OME-TIFF (Bio-Formats), or as .npy from Python.",
+        )),
+        _ => Ok(()),
     }
 }
 
@@ -164,13 +226,13 @@ fn push(
     let counts = |bits| Level::Counts { bits };
     match samples {
         DecodingResult::U8(s) => push!(s, counts(8)),
-        DecodingResult::I8(s) => push!(s, counts(8)),
+        DecodingResult::I8(s) => push!(s, counts(7)),
         DecodingResult::U16(s) => push!(s, counts(16)),
-        DecodingResult::I16(s) => push!(s, counts(16)),
+        DecodingResult::I16(s) => push!(s, counts(15)),
         DecodingResult::U32(s) => push!(s, counts(32)),
-        DecodingResult::I32(s) => push!(s, counts(32)),
+        DecodingResult::I32(s) => push!(s, counts(31)),
         DecodingResult::U64(s) => push!(s, counts(64)),
-        DecodingResult::I64(s) => push!(s, counts(64)),
+        DecodingResult::I64(s) => push!(s, counts(63)),
         DecodingResult::F32(s) => push!(s, Level::Float),
         DecodingResult::F64(s) => push!(s, Level::Float),
         DecodingResult::F16(_) => Err(source.unsupported("16-bit floating point")),
@@ -238,6 +300,46 @@ pub fn write_tiff_video(
     write(w, &page, bins, shape.voxels())
 }
 
+/// Writes red, green and blue videos of one `shape` as a float32 hyperstack of three channels,
+/// which ImageJ opens as one picture in colour along its time axis.
+///
+/// # Errors
+/// A failed write.
+///
+/// # Panics
+/// If a colour has not a value for each voxel.
+pub fn write_tiff_colour(
+    w: &mut (impl Write + Seek),
+    shape: Shape,
+    colours: &[Vec<f32>; 3],
+    scale: TiffScale,
+) -> Result<()> {
+    let most = colours.iter().flatten().copied().fold(0.0, f32::max);
+    let mut description = format!(
+        "ImageJ=1.54f\nimages={}\nchannels=3\nframes={}\nhyperstack=true\nmode=composite\nloop=false\n\
+         finterval={}\nfps={}\ntunit=s\nmin=0\nmax={most}\n",
+        3 * shape.bins,
+        shape.bins,
+        scale.frame_interval_s,
+        1.0 / scale.frame_interval_s,
+    );
+    if scale.pixel_pitch_um.is_some() {
+        description += "unit=micron\n";
+    }
+    let page = Page {
+        rows: shape.rows,
+        columns: shape.columns,
+        description,
+        pitch_um: scale.pixel_pitch_um,
+    };
+    let pixels = shape.pixels();
+    let pages = (0..shape.bins).flat_map(|t| {
+        let bin = t * pixels..(t + 1) * pixels;
+        colours.iter().map(move |colour| &colour[bin.clone()])
+    });
+    write(w, &page, pages, 3 * shape.voxels())
+}
+
 struct Page {
     rows: usize,
     columns: usize,
@@ -301,7 +403,6 @@ fn rational(value: f64) -> Rational {
 mod tests {
     use super::*;
     use crate::read::{read_colour_image, read_image, read_stack, read_video};
-    use rowburst::Shape;
     use std::io::Cursor;
     use std::path::PathBuf;
     use tiff::encoder::colortype::{self, ColorType};
@@ -352,7 +453,7 @@ mod tests {
         }
         case!(colortype::Gray8, counts(8));
         case!(colortype::Gray16, counts(16));
-        case!(colortype::GrayI16, counts(16));
+        case!(colortype::GrayI16, counts(15));
         case!(colortype::Gray32, counts(32));
         case!(colortype::Gray32Float, Level::Float);
         case!(colortype::Gray64Float, Level::Float);
@@ -417,6 +518,27 @@ mod tests {
             .unwrap();
         let (_folder, path) = saved(bytes.get_ref());
         assert_eq!(read_image(&path).unwrap().image.at(1, 0), 30.0);
+    }
+
+    #[test]
+    fn images_without_a_page_are_told() {
+        let mut bytes = Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
+        let mut image = encoder.new_image::<colortype::Gray8>(2, 1).unwrap();
+        let text = "ImageJ=1.54f\nimages=9\nframes=9\n";
+        image
+            .encoder()
+            .write_tag(Tag::ImageDescription, text)
+            .unwrap();
+        image.write_data(&[1, 2]).unwrap();
+        let (_folder, path) = saved(bytes.get_ref());
+        for error in [
+            read_image(&path).unwrap_err(),
+            crate::open_recording(&path).err().unwrap(),
+        ] {
+            let message = error.to_string();
+            assert!(message.contains("ImageJ wrote 9 images"), "{message}");
+        }
     }
 
     #[test]

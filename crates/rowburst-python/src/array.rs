@@ -6,9 +6,10 @@ use numpy::{
 };
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyString};
 use rowburst::{Error, Image, Shape, Video};
-use rowburst_io::{Capture, Level};
+use rowburst_io::{Capture, Level, read_image, read_video};
+use std::path::PathBuf;
 
 /// Anything that numpy takes for an array, in float32 and C order, with the kind of its numbers.
 fn floats<'py>(
@@ -24,7 +25,10 @@ fn floats<'py>(
     let bytes: u32 = dtype.getattr(intern!(py, "itemsize"))?.extract()?;
     let level = match kind.as_str() {
         "b" => Level::Counts { bits: 1 },
-        "u" | "i" => Level::Counts { bits: 8 * bytes },
+        "u" => Level::Counts { bits: 8 * bytes },
+        "i" => Level::Counts {
+            bits: 8 * bytes - 1,
+        },
         "f" => Level::Float,
         _ => {
             return Err(raised(Error::input(
@@ -62,8 +66,19 @@ fn floats<'py>(
     Ok((converted?, level))
 }
 
-/// A frame, a PSF or a mask.
+/// The path that `value` is, if it is text or an `os.PathLike`.
+fn path_of(value: &Bound<'_, PyAny>) -> Option<PathBuf> {
+    let py = value.py();
+    let is_path = value.is_instance_of::<PyString>()
+        || value.hasattr(intern!(py, "__fspath__")).unwrap_or(false);
+    is_path.then(|| value.extract().ok()).flatten()
+}
+
+/// A frame, a PSF or a mask; the name of a file is read.
 pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
+    if let Some(path) = path_of(value) {
+        return read_image(&path).map_err(raised);
+    }
     let (array, level) = floats(value, name, 2)?;
     let array = array.cast::<PyArray2<f32>>()?;
     let (rows, columns) = (array.shape()[0], array.shape()[1]);
@@ -86,8 +101,11 @@ pub fn finite_image(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Image> {
     }
 }
 
-/// A video.
+/// A video; the name of a file is read.
 pub fn video(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Video> {
+    if let Some(path) = path_of(value) {
+        return read_video(&path).map_err(raised);
+    }
     let (array, _) = floats(value, name, 3)?;
     let array = array.cast::<PyArray3<f32>>()?;
     let shape = array.shape();

@@ -8,8 +8,9 @@ use numpy::PyArray2;
 use pyo3::prelude::*;
 use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Image, PatchSet};
-use rowburst_io::Experiment;
+use rowburst_io::{Experiment, read_metadata};
 use rowburst_run::inputs::{read_corrections, read_psfs};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// What an experiment file says, with the files that it names.
@@ -31,10 +32,13 @@ fn array<'py>(py: Python<'py>, image: &Option<Image>) -> Pixels<'py> {
 
 #[pymethods]
 impl PyExperiment {
+    /// What the file leaves open is taken from the metadata of `frame`, a file or a folder.
     #[new]
-    fn new(path: PathBuf) -> PyResult<Self> {
+    #[pyo3(signature = (path, frame=None))]
+    fn new(path: PathBuf, frame: Option<PathBuf>) -> PyResult<Self> {
         let read = || {
-            let experiment = Experiment::read(&path)?;
+            let metadata = frame.as_deref().map(read_metadata).unwrap_or_default();
+            let experiment = Experiment::read_with(&path, &metadata)?;
             let camera = experiment.camera()?;
             let calibration = &experiment.calibration;
             let corrections = read_corrections(calibration, None)?;
@@ -93,6 +97,18 @@ impl PyExperiment {
             Tau::HeldOut => Ok("held-out".into_pyobject(py)?.into_any()),
             Tau::Given(tau) => Ok(tau.into_pyobject(py)?.into_any()),
         }
+    }
+
+    /// Keys that came from metadata, with their values as text.
+    #[getter]
+    fn metadata_taken(&self) -> BTreeMap<String, String> {
+        self.experiment.taken.values.iter().cloned().collect()
+    }
+
+    /// Where the metadata contradicts the file, and what of it cannot be used.
+    #[getter]
+    fn metadata_warnings(&self) -> Vec<String> {
+        self.experiment.taken.warnings.clone()
     }
 
     #[getter]

@@ -62,6 +62,16 @@ mod _rowburst {
         })
     }
 
+    /// The frames of a file, float32 [frame, y, x]: every format that the command line reads.
+    #[pyfunction]
+    fn read_frames(
+        py: Python<'_>,
+        path: std::path::PathBuf,
+    ) -> PyResult<Bound<'_, numpy::PyArray3<f32>>> {
+        let video = py.detach(|| rowburst_io::read_video(&path));
+        crate::array::from_video(py, video.map_err(crate::error::raised)?)
+    }
+
     /// Threads that are used.
     #[pyfunction]
     fn threads() -> usize {

@@ -10,7 +10,8 @@ use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::{Prior, Recipe, Tau};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Error};
-use rowburst_run::inputs::{check_memory, checked_truth, container_end};
+use rowburst_io::Taken;
+use rowburst_run::inputs::{check_memory, checked_truth};
 use rowburst_run::options::{prior_of, tau_of, time_budget};
 use rowburst_run::{Task, solve};
 use std::ops::ControlFlow;
@@ -85,6 +86,7 @@ pub fn reconstruct(
         truth_file: None,
         direct,
         seed,
+        taken: Taken::default(),
     };
     // Raised by the callback, or Ctrl-C: the run is given up.
     let mut broken: Option<PyErr> = None;
@@ -128,7 +130,7 @@ pub fn measured(
 ) -> PyResult<Measurement> {
     let raw = capture(frame, "frame")?;
     let corrections = Corrections {
-        saturation_counts: container_end(raw.level),
+        saturation_counts: raw.level.end(),
         ..corrections
     };
     correct(&raw.image, camera, &corrections).map_err(|e| raised(within_frame(e)))

@@ -33,15 +33,7 @@ pub fn psf_of<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Resu
 /// A recorded frame, and the counts at which its file ends if they are integers.
 pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {
     let Capture { image, level } = read_image(path)?;
-    Ok((image, container_end(level)))
-}
-
-/// The counts at which numbers of this kind end, if they are integers of a sensor.
-pub fn container_end(level: Level) -> Option<f64> {
-    match level {
-        Level::Counts { bits } if bits <= 16 => Some(f64::from(1u32 << bits) - 1.0),
-        Level::Counts { .. } | Level::Float => None,
-    }
+    Ok((image, level.end()))
 }
 
 /// Dark, flat and bad pixels of `calibration`.

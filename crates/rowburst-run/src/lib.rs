@@ -27,7 +27,8 @@ pub use film::Film;
 pub use in_parts::{PartNumbers, PartsOutcome, PartsTask, run_in_parts};
 pub use numbers::thousands;
 pub use outcome::{
-    FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes, short,
+    FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
+    peak_memory_bytes, short,
 };
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use solved::{About, Solved, Words};

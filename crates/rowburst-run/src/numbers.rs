@@ -36,6 +36,9 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
             of_camera.push(pair(name, value.to_string()));
         }
     }
+    if let Some(taken) = task.taken.summary() {
+        of_camera.push(pair("from metadata", taken));
+    }
     let psf = task.psfs.central().image();
     let of_solver = vec![
             pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),

@@ -4,8 +4,10 @@
 
 use crate::traces::{DebiasNumbers, ErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Candidate, FitStatistics};
+use rowburst_io::Taken;
 use rowburst_report::Iteration;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Everything that `result.json` says.
 #[derive(Debug, Clone, Serialize)]
@@ -36,6 +38,7 @@ pub struct Outcome {
     pub rows: usize,
     pub columns: usize,
     pub frame_rate_hz: f64,
+    pub metadata: MetadataNumbers,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
     pub threads: usize,
@@ -57,6 +60,24 @@ pub struct Outcome {
     /// The course of the run that gave the video.
     pub history: Vec<HistoryPoint>,
     pub warnings: Vec<String>,
+}
+
+/// What came from the metadata of the frame's file.
+#[derive(Debug, Clone, Serialize)]
+pub struct MetadataNumbers {
+    /// Where there was any.
+    pub sources: Vec<String>,
+    /// Keys that the experiment file leaves open, with the values that were taken.
+    pub taken: BTreeMap<String, String>,
+}
+
+impl From<&Taken> for MetadataNumbers {
+    fn from(taken: &Taken) -> Self {
+        Self {
+            sources: taken.sources.clone(),
+            taken: taken.values.iter().cloned().collect(),
+        }
+    }
 }
 
 /// The video after an iteration.

@@ -3,7 +3,8 @@
 use crate::film::{Film, encoded};
 use crate::numbers::{headline, settings};
 use crate::outcome::{
-    FitNumbers, HistoryPoint, Outcome, PriorCandidate, PriorChoice, peak_memory_bytes,
+    FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
+    peak_memory_bytes,
 };
 use crate::player::{MakePlayer, PlayerPage};
 use crate::task::Task;
@@ -155,6 +156,7 @@ impl Solved {
             rows: shape.rows,
             columns: shape.columns,
             frame_rate_hz: self.task.camera.time().frame_rate_hz(),
+            metadata: MetadataNumbers::from(&self.task.taken),
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
             threads: rayon::current_num_threads(),
@@ -203,7 +205,7 @@ impl Solved {
     /// What the user should know before trusting the video.
     fn warnings(&self, traces: &Traces) -> Vec<String> {
         let found = &self.found;
-        let mut warnings = Vec::new();
+        let mut warnings = self.task.taken.warnings.clone();
         if found.fit.verdict != Verdict::Good {
             warnings.push(format!(
                 "the fit is {}: {}",

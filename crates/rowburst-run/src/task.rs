@@ -7,6 +7,7 @@ use rowburst::reconstruct::{Prior, Problem, Recipe};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Image, PatchSet, Result, Video};
+use rowburst_io::Taken;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -31,6 +32,8 @@ pub struct Task {
     pub direct: Option<Image>,
     /// Of the simulation that the frame comes from.
     pub seed: u64,
+    /// What of the camera came from the frame's metadata.
+    pub taken: Taken,
 }
 
 /// What the clock beside the solver knows of an iteration.

@@ -181,10 +181,14 @@ impl Kind {
     fn level(self) -> Level {
         let counts = |bits| Level::Counts { bits };
         match self {
-            Self::U8 | Self::I8 => counts(8),
-            Self::U16 | Self::I16 => counts(16),
-            Self::U32 | Self::I32 => counts(32),
-            Self::U64 | Self::I64 => counts(64),
+            Self::U8 => counts(8),
+            Self::I8 => counts(7),
+            Self::U16 => counts(16),
+            Self::I16 => counts(15),
+            Self::U32 => counts(32),
+            Self::I32 => counts(31),
+            Self::U64 => counts(64),
+            Self::I64 => counts(63),
             Self::F32 | Self::F64 => Level::Float,
         }
     }

@@ -13,6 +13,7 @@
 //! Arrays are C order; a video is `[t, y, x]`, an image `[y, x]`, and `y` is the
 //! axis that the shutter scans.
 
+pub mod bayer;
 pub mod calibrate;
 pub mod camera;
 pub mod design;

@@ -14,7 +14,7 @@ const fn room(name: &'static str, floor: usize, uses: &'static [&'static str]) -
     Room { name, floor, uses }
 }
 
-const ROOMS: [Room; 23] = [
+const ROOMS: [Room; 24] = [
     room("error", 0, &[]),
     room("shape", 0, &[]),
     room("vecmath", 0, &[]),
@@ -39,6 +39,11 @@ const ROOMS: [Room; 23] = [
     ),
     room(
         "calibrate",
+        2,
+        &["image", "psf", "patches", "shutter", "camera"],
+    ),
+    room(
+        "bayer",
         2,
         &["image", "psf", "patches", "shutter", "camera"],
     ),

@@ -6,6 +6,8 @@ mod timing;
 
 use clap::{Args, Subcommand};
 use rowburst::Result;
+use rowburst_io::{Experiment, read_metadata};
+use std::path::{Path, PathBuf};
 
 /// Calibrate a camera and a diffuser from captures of your own.
 #[derive(Debug, Args)]
@@ -22,6 +24,22 @@ pub enum What {
     Psf(psf::PsfArgs),
     /// Row time, shutter and exposure from frames of a blinking light
     Timing(timing::TimingArgs),
+}
+
+/// The experiment, which must not agree with calibration captures in exposure or size: their
+/// metadata is asked only where the file alone leaves something open.
+fn experiment_of(path: &Path, captures: &[PathBuf]) -> Result<Experiment> {
+    let alone = Experiment::read(path);
+    let (Err(error), Some(first)) = (&alone, captures.first()) else {
+        return alone;
+    };
+    let metadata = read_metadata(first);
+    let filled = Experiment::read_with(path, &metadata);
+    let filled = filled.map_err(|_| error.clone())?;
+    if let Some(taken) = filled.taken.summary() {
+        eprintln!("{taken}");
+    }
+    Ok(filled)
 }
 
 pub fn run(args: &CalibrateArgs) -> Result<()> {

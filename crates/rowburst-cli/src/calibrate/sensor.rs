@@ -2,11 +2,15 @@
 
 mod report;
 
+use crate::calibrate::experiment_of;
 use crate::outcome::say;
 use clap::Args;
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack, calibrate};
 use rowburst::{Error, Image, Result, Sensor};
-use rowburst_io::{Calibration, Experiment, OutputFolder, read_stack, write_npy_image, write_png8};
+use rowburst_io::{
+    Calibration, Experiment, IMAGE_ENDINGS, OutputFolder, is_image, read_stack, write_npy_image,
+    write_png8,
+};
 use rowburst_run::short;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -21,7 +25,7 @@ use std::path::{Path, PathBuf};
     after_help = "Example:\n  rowburst calibrate sensor --darks darks/ --flats flats/ --experiment experiment.toml -o sensor\n  rowburst reconstruct sensor/experiment.toml --frame capture.tif -o result"
 )]
 pub struct SensorArgs {
-    /// Frames without light: files (.npy, .tif, .png, .bmp; stacks too) or folders of them
+    /// Frames without light: files (.npy, .tif, .png, .bmp, .h5, .mat, .fits, .cihx; stacks too) or folders of them
     #[arg(long, required = true, num_args = 1.., value_name = "FRAME")]
     pub darks: Vec<PathBuf>,
     /// Frames of even light, two or more at each level: files, stacks or folders
@@ -42,7 +46,7 @@ pub fn run(args: &SensorArgs) -> Result<()> {
     let experiment = args
         .experiment
         .as_deref()
-        .map(Experiment::read)
+        .map(|path| experiment_of(path, &args.flats))
         .transpose()?;
     let darks = Stack::new("darks", read_frames("--darks", &args.darks)?)?;
     let flats = Stack::new("flats", read_frames("--flats", &args.flats)?)?;
@@ -65,9 +69,6 @@ pub fn run(args: &SensorArgs) -> Result<()> {
     }
     Ok(())
 }
-
-/// Endings of the files that a folder is searched for.
-const ENDINGS: [&str; 5] = ["npy", "tif", "tiff", "png", "bmp"];
 
 /// The frames of `paths`, with names for messages; those of a folder by file name.
 fn read_frames(option: &str, paths: &[PathBuf]) -> Result<Vec<(String, Image)>> {
@@ -106,8 +107,7 @@ fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
         let hidden = path
             .file_name()
             .is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        !hidden && path.is_file() && ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
+        !hidden && path.is_file() && is_image(path)
     };
     let mut files: Vec<PathBuf> = entries
         .flatten()
@@ -119,7 +119,7 @@ fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
         return Err(Error::input(
             folder.display().to_string(),
             "a folder without images",
-            format!("{option} takes frames as .npy, .tif, .png or .bmp, or folders of them"),
+            format!("{option} takes frames as {IMAGE_ENDINGS}, or folders of them"),
             "Name the folder that the frames lie in.",
         ));
     }

@@ -23,7 +23,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  rowburst calibrate timing led.png --frequency-hz 1000 -o timing\n  rowburst calibrate timing led1.tif led2.tif --frequency-hz 2000 --duty 0.5 --dark dark.tif --experiment experiment.toml -o timing\n  rowburst calibrate timing chirp.tif --signal chirp.csv --json\nA line of chirp.csv is time_us,value: the light is a straight line from each to the next; two lines of one time are a step."
 )]
 pub struct TimingArgs {
-    /// Frames of the light, all of one camera setting (.npy, .tif, .png, .bmp; colour is averaged)
+    /// Frames of the light, all of one camera setting (.npy, .tif, .png, .h5, …; colour is averaged)
     #[arg(required = true, value_hint = ValueHint::FilePath)]
     pub frames: Vec<PathBuf>,
     /// Frequency of the light in hertz

@@ -1,13 +1,14 @@
 //! Tests of the experiment file.
 
 use super::*;
+use crate::metadata::Metadata;
 use proptest::prelude::*;
 use rowburst::Error;
 
 const CAMERA: &str = "[camera]\nrows = 4\ncolumns = 6\nshutter = \"top-down\"\nrow_time_us = 9.6\nexposure_us = 10\n";
 
 fn parse(text: &str) -> Result<Experiment> {
-    Experiment::parse(Path::new("lab/run.toml"), text)
+    Experiment::parse(Path::new("lab/run.toml"), text, &Metadata::default())
 }
 
 #[test]
@@ -240,4 +241,97 @@ proptest! {
         let _ = parse(&text);
         let _ = parse(&format!("{CAMERA}{text}"));
     }
+}
+
+/// An experiment with what `metadata` adds.
+fn parse_with(text: &str, metadata: &Metadata) -> rowburst::Result<Experiment> {
+    Experiment::parse(Path::new("lab/run.toml"), text, metadata)
+}
+
+fn metadata() -> Metadata {
+    Metadata {
+        sources: vec!["metadata.txt".into()],
+        size: Some((108, 120)),
+        shutter: Some(Shutter::DualInsideOut),
+        row_time_us: Some(9.6),
+        exposure_us: Some(19.2),
+        binning: Some(1),
+        bit_depth: Some(12),
+        pixel_pitch_um: Some(6.5),
+        ..Metadata::default()
+    }
+}
+
+#[test]
+fn what_the_file_leaves_open_comes_from_metadata() {
+    let experiment = parse_with("[camera]\n", &metadata()).unwrap();
+    let camera = experiment.camera().unwrap();
+    assert_eq!((camera.rows(), camera.columns()), (108, 120));
+    assert_eq!(camera.shutter(), &Shutter::DualInsideOut);
+    assert_eq!(camera.params().exposure_us, 19.2);
+    assert_eq!(camera.params().row_time_us, 9.6);
+    assert_eq!(camera.sensor().bit_depth, Some(12));
+    let taken = experiment.taken;
+    assert!(taken.warnings.is_empty(), "{:?}", taken.warnings);
+    let summary = taken.summary().unwrap();
+    for words in ["rows = 108", "exposure_us = 19.2", "from metadata.txt"] {
+        assert!(summary.contains(words), "{summary}");
+    }
+    // Without metadata the keys are asked for as before.
+    let error = parse_with("[camera]\n", &Metadata::default()).unwrap_err();
+    assert!(error.to_string().contains("no `rows`"), "{error}");
+}
+
+#[test]
+fn the_file_counts_and_contradictions_are_told() {
+    let text = "[camera]\nrows = 108\ncolumns = 120\nshutter = \"top-down\"\nrow_time_us = 9.65\nexposure_us = 9.6\nbit_depth = 16\npixel_pitch_um = 11.0\n";
+    let experiment = parse_with(text, &metadata()).unwrap();
+    assert_eq!(experiment.params.exposure_us, 9.6);
+    let warnings = experiment.taken.warnings.join("\n");
+    for words in [
+        "exposure_us is 9.6 in lab/run.toml and 19.2 in the metadata (metadata.txt): the experiment file counts",
+        "bit_depth is 16",
+        "shutter is \"top-down\"",
+    ] {
+        assert!(warnings.contains(words), "{warnings}");
+    }
+    // 9.65 is within a percent of 9.6; pitches at object and sensor are not compared.
+    assert_eq!(experiment.taken.warnings.len(), 3, "{warnings}");
+
+    let error = parse_with(&text.replace("120", "130"), &metadata()).unwrap_err();
+    let message = error.to_string();
+    assert!(
+        message.contains("[camera] columns: found 130") && message.contains("has 120 columns"),
+        "{message}"
+    );
+}
+
+#[test]
+fn binning_by_the_program_and_by_the_camera_are_told_apart() {
+    let timing = "row_time_us = 9.6\nexposure_us = 9.6\nshutter = \"top-down\"\n";
+    let read = |keys: &str, binning| {
+        let found = Metadata {
+            binning,
+            ..metadata()
+        };
+        let experiment = parse_with(&format!("[camera]\n{keys}{timing}"), &found).unwrap();
+        let (params, taken) = (experiment.params, experiment.taken);
+        let sensor = params.sensor;
+        let warnings = taken.warnings.iter().filter(|w| w.starts_with("binning"));
+        (
+            params.rows,
+            params.columns,
+            sensor.binning,
+            sensor.pixel_pitch_um,
+            warnings.count(),
+        )
+    };
+    // The camera has binned.
+    assert_eq!(read("", Some(2)), (108, 120, 2, Some(6.5), 0));
+    // The program is to bin.
+    assert_eq!(read("binning = 2\n", Some(1)), (54, 60, 2, Some(13.0), 0));
+    assert_eq!(read("binning = 2\n", None), (54, 60, 2, Some(13.0), 0));
+    let given = "rows = 54\ncolumns = 60\nbinning = 2\n";
+    assert_eq!(read(given, Some(1)), (54, 60, 2, Some(13.0), 0));
+    assert_eq!(read("binning = 3\n", Some(2)), (108, 120, 3, Some(6.5), 1));
 }

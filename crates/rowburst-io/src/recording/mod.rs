@@ -1,17 +1,18 @@
 //! Recordings: many frames of one camera, read one at a time.
 //!
-//! A folder of images in the natural order of their names, a multi-page TIFF page by page, or a
-//! 3-D `.npy` `[frame, y, x]`. Never more than a frame is in memory for each reader.
+//! A folder of images in the natural order of their names, a folder of stacks one after the other,
+//! or a file of several frames of any format that is read. Never more than a frame is in memory
+//! for each reader.
 
 mod folder;
 mod names;
 
-use crate::read::{Capture, Colour, Format, Source, open, read_image, single};
-use crate::{npy, tiff};
-use folder::Folder;
+use crate::read::{Capture, read_image, single};
+use crate::source::{Colour, Format, Source, open};
+use crate::stack::{Stack, open_stack};
+pub(crate) use folder::images_in;
+use folder::{Chain, Folder};
 use rowburst::Result;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -40,36 +41,38 @@ pub trait Frames: Send + Sync {
     fn read(&self, index: usize) -> Result<Capture>;
 }
 
-/// Opens a folder of images (`.npy`, `.tif`, `.png` or `.bmp`, one frame each), a multi-page
-/// `.tif`, a 3-D `.npy` `[frame, y, x]`, or a single image.
+/// Opens a folder of images or of stacks (all of one format), or a file of frames: a multi-page
+/// `.tif`, a 3-D array `[frame, y, x]`, or a single image.
 ///
 /// # Errors
 /// A path that is missing, a folder without images or with images of several formats, a file
 /// whose header is damaged.
 pub fn open_recording(path: &Path) -> Result<Box<dyn Frames>> {
-    if path.is_dir() {
-        return Ok(Box::new(Folder::open(path)?));
+    if !path.is_dir() {
+        return open_file(path);
     }
+    let names = images_in(path)?;
+    if let Ok(first) = open_file(&path.join(&names[0]))
+        && first.count() > 1
+    {
+        return Ok(Box::new(Chain::open(path, &names)?));
+    }
+    Ok(Box::new(Folder::new(path, names)))
+}
+
+fn open_file(path: &Path) -> Result<Box<dyn Frames>> {
     let (source, file, format) = open(path, Colour::Refused)?;
     let bytes = source.bytes;
-    let path = path.to_path_buf();
-    Ok(match format {
-        Format::Tiff => {
-            let stack = tiff::Stack::open(&source, file)?;
-            Box::new(TiffStack {
-                count: stack.count(),
-                stack: Mutex::new(stack),
-                path,
-                bytes,
-            })
-        }
-        Format::Npy => Box::new(NpyStack {
-            stack: npy::Stack::open(&source, file)?,
-            path,
-            bytes,
-        }),
-        Format::Png | Format::Bmp => Box::new(Single { path }),
-    })
+    if matches!(format, Format::Png | Format::Bmp) {
+        return Ok(Box::new(Single { path: path.into() }));
+    }
+    let stack = open_stack(&source, file, format)?;
+    Ok(Box::new(StackFile {
+        count: stack.count(),
+        stack: Mutex::new(stack),
+        path: path.into(),
+        bytes,
+    }))
 }
 
 /// Numbers that are missing between those of neighbouring frames, as (index of the frame before,
@@ -83,15 +86,15 @@ pub fn gaps(frames: &dyn Frames) -> Vec<(usize, u64, u64)> {
         .collect()
 }
 
-struct TiffStack {
+struct StackFile {
     path: PathBuf,
     bytes: u64,
     count: usize,
     /// One reader: a page takes milliseconds, what is made of it seconds.
-    stack: Mutex<tiff::Stack>,
+    stack: Mutex<Box<dyn Stack>>,
 }
 
-impl Frames for TiffStack {
+impl Frames for StackFile {
     fn path(&self) -> &Path {
         &self.path
     }
@@ -101,7 +104,8 @@ impl Frames for TiffStack {
     }
 
     fn name(&self, index: usize) -> String {
-        format!("page {}", index + 1)
+        let stack = self.stack.lock().unwrap_or_else(PoisonError::into_inner);
+        stack.name(index)
     }
 
     fn read(&self, index: usize) -> Result<Capture> {
@@ -115,37 +119,6 @@ impl Frames for TiffStack {
         let page = stack.page(&source, index);
         drop(stack);
         single(&self.path, page?)
-    }
-}
-
-struct NpyStack {
-    path: PathBuf,
-    bytes: u64,
-    stack: npy::Stack,
-}
-
-impl Frames for NpyStack {
-    fn path(&self) -> &Path {
-        &self.path
-    }
-
-    fn count(&self) -> usize {
-        self.stack.count()
-    }
-
-    fn name(&self, index: usize) -> String {
-        format!("[{index}]")
-    }
-
-    fn read(&self, index: usize) -> Result<Capture> {
-        let source = Source {
-            path: &self.path,
-            bytes: self.bytes,
-            colour: Colour::Refused,
-        };
-        let file = File::open(&self.path).map_err(|e| crate::fault::reading(&self.path, &e))?;
-        let frame = self.stack.frame(&source, &mut BufReader::new(file), index);
-        single(&self.path, frame?)
     }
 }
 

@@ -3,11 +3,8 @@
 use super::PsfArgs;
 use rowburst::calibrate::psf::Shot;
 use rowburst::{Error, Result};
-use rowburst_io::{Level, read_image, read_stack};
+use rowburst_io::{IMAGE_ENDINGS, is_image, read_image, read_stack};
 use std::path::{Path, PathBuf};
-
-/// Endings of files that are taken from a folder.
-const ENDINGS: [&str; 5] = ["npy", "tif", "tiff", "png", "bmp"];
 
 /// One file of captures.
 pub struct File {
@@ -23,10 +20,7 @@ impl File {
         let pages = read_stack(&path)?;
         let count = pages.len();
         let container_end = match count {
-            1 => match read_image(&path)?.level {
-                Level::Counts { bits } if bits <= 16 => Some(f64::from(1u32 << bits) - 1.0),
-                _ => None,
-            },
+            1 => read_image(&path)?.level.end(),
             _ => None,
         };
         let name = |page: usize| match count {
@@ -64,7 +58,7 @@ pub fn read(args: &PsfArgs) -> Result<Vec<File>> {
                 return Err(Error::input(
                     path.display().to_string(),
                     "a folder without images",
-                    "captures are read as .npy, .tif, .png or .bmp",
+                    format!("captures are read as {IMAGE_ENDINGS}"),
                     "Name the folder that the captures lie in.",
                 ));
             }
@@ -88,13 +82,10 @@ fn images_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| {
-            let ending = path
-                .extension()
-                .map(|e| e.to_string_lossy().to_ascii_lowercase());
             let hidden = path
                 .file_name()
                 .is_some_and(|n| n.to_string_lossy().starts_with('.'));
-            path.is_file() && !hidden && ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
+            path.is_file() && !hidden && is_image(path)
         })
         .collect();
     found.sort_by_cached_key(|path| {

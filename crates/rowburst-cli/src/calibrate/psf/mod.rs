@@ -19,7 +19,7 @@ pub use run::run;
     after_help = "Example:\n  rowburst calibrate psf point.tif --dark dark.tif -o psf\n  rowburst calibrate psf scan/ --positions-mm scan.csv --experiment experiment.toml -o psf\n  then open psf/report.html\n\nscan.csv has a line capture,x_mm,y_mm for each file, such as\n  0.bmp,0.00,0"
 )]
 pub struct PsfArgs {
-    /// Captures of a point source: files (.npy, .tif with one or more pages, .png, .bmp) or
+    /// Captures of a point source: files (.npy, .tif, .png, .bmp, .h5, .mat, .fits; stacks too) or
     /// folders of them
     #[arg(required = true)]
     pub captures: Vec<PathBuf>,

@@ -4,6 +4,7 @@ use super::PsfArgs;
 use super::captures::{self, File};
 use super::outcome::{Memory, Outcome, RowReach, remarks, warnings};
 use super::report::{Pages, render};
+use crate::calibrate::experiment_of;
 use crate::outcome::say;
 use rowburst::calibrate::psf::{
     Light, MemoryEffect, MergeParams, Placed, Shot, ballistic_core, centroid, chosen,
@@ -22,7 +23,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     let experiment = args
         .experiment
         .as_deref()
-        .map(Experiment::read)
+        .map(|path| experiment_of(path, &args.captures))
         .transpose()?;
     let plan = Plan::new(args, experiment.as_ref())?;
     let files = captures::read(args)?;

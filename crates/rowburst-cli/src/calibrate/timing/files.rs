@@ -1,9 +1,10 @@
 //! Files of `calibrate timing` into values, and the experiment file that comes out.
 
 use super::TimingArgs;
+use crate::calibrate::experiment_of;
 use rowburst::calibrate::timing::{After, Light, Signal, Timing};
 use rowburst::{Error, Image, Result, Shutter};
-use rowburst_io::{Calibration, Experiment, Level, OutputFolder, read_colour_image, write_npy_i64};
+use rowburst_io::{Calibration, Experiment, OutputFolder, read_colour_image, write_npy_i64};
 use std::path::Path;
 
 /// What the command line asks for, read.
@@ -28,7 +29,7 @@ impl Plan {
         let experiment = args
             .experiment
             .as_deref()
-            .map(Experiment::read)
+            .map(|path| experiment_of(path, &args.frames))
             .transpose()?;
         let camera = experiment.as_ref().map(Experiment::camera).transpose()?;
         let known = experiment
@@ -43,11 +44,7 @@ impl Plan {
         let (mut frames, mut end) = (Vec::new(), None);
         for path in &args.frames {
             let capture = read_colour_image(path)?;
-            if let Level::Counts { bits } = capture.level
-                && bits <= 16
-            {
-                end = Some(f64::from(1u32 << bits) - 1.0);
-            }
+            end = capture.level.end().or(end);
             frames.push(capture.image);
         }
         let extra = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {

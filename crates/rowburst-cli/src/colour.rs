@@ -1,0 +1,322 @@
+//! `rowburst reconstruct` of a raw Bayer frame: four planes, each with a result of its own, and
+//! one video in colour.
+
+use crate::args::ReconstructArgs;
+use crate::inputs::{calibration_of, read_psfs};
+use crate::outcome::say;
+use crate::progress::Bar;
+use crate::reconstruct::{command_line, film_of};
+use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
+use rowburst::measurement::{Corrections, correct};
+use rowburst::reconstruct::Recipe;
+use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
+use rowburst_io::{
+    Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
+};
+use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
+use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
+use rowburst_run::{About, MetadataNumbers, Outcome, Task, Wanted, player_of, solve, thousands};
+use serde::Serialize;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+/// `result.json` of the folder above the planes.
+#[derive(Serialize)]
+struct ColourOutcome {
+    version: &'static str,
+    bayer: &'static str,
+    frames: usize,
+    rows: usize,
+    columns: usize,
+    frame_rate_hz: f64,
+    metadata: MetadataNumbers,
+    planes: Vec<Plane>,
+    warnings: Vec<String>,
+}
+
+/// A plane, whose own result.json says more.
+#[derive(Serialize)]
+struct Plane {
+    name: String,
+    folder: String,
+    /// From the start of the sensor's first instant to that of the plane's.
+    start_us: f64,
+    prior: String,
+    tau: f64,
+    residual_over_sigma: f64,
+    fit: &'static str,
+    seconds: f64,
+}
+
+/// What all planes share.
+struct Whole {
+    raw: Image,
+    camera: Camera,
+    psfs: PatchSet,
+    corrections: Corrections,
+    calibration: Calibration,
+    budget: Option<Duration>,
+}
+
+pub fn run(
+    args: &ReconstructArgs,
+    experiment: Experiment,
+    mosaic: Bayer,
+    began: Instant,
+    stop: &Arc<AtomicBool>,
+) -> Result<()> {
+    refuse_options(args)?;
+    let folder = OutputFolder::create(&args.output)?;
+    let whole = Whole::read(args, &experiment)?;
+    let mut recipe = Recipe {
+        prior: chosen_prior(args.prior.as_deref(), &experiment)?,
+        tau: chosen_tau(args.tau.as_deref(), &experiment)?,
+        noise_sigma: args.noise_sigma,
+        max_iterations: args.max_iterations.map(|n| n as usize),
+    };
+    folder.remove("result.json")?;
+    // Green has half of the pixels: the prior is chosen on it, for all.
+    let mut sites = mosaic.sites();
+    sites.sort_by_key(|site| (site.colour != Colour::Green, site.row));
+    let mut found: Vec<(Site, Plane, Video)> = Vec::new();
+    let mut bin_us = 0.0;
+    for site in sites {
+        eprintln!("{}", site.name());
+        let plane = plane_camera(&whole.camera, site);
+        let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
+        let (outcome, video) = whole.solve(args, &plane, site, recipe, began, stop)?;
+        recipe.prior = recipe.prior.or(outcome.prior.parse().ok());
+        bin_us = plane.camera.time().bin_duration_us();
+        let listed = Plane::of(&outcome, site, plane.start_us, args);
+        found.push((site, listed, video));
+    }
+    let mut warnings = experiment.taken.warnings.clone();
+    warnings.extend(offset_warning(&found));
+    let video = |site: &Site| {
+        let mut all = found.iter();
+        &all.find(|(s, ..)| s == site).expect("all sites are done").2
+    };
+    let of = |colour: Colour| {
+        mosaic
+            .sites()
+            .into_iter()
+            .filter(move |s| s.colour == colour)
+    };
+    let mean = |colour: Colour| -> Vec<f32> {
+        let videos: Vec<&[f32]> = of(colour).map(|site| video(&site).data()).collect();
+        match videos[..] {
+            [one, other] => one.iter().zip(other).map(|(a, b)| 0.5 * (a + b)).collect(),
+            _ => videos[0].to_vec(),
+        }
+    };
+    let shape = found[0].2.shape();
+    if found.iter().any(|(.., video)| video.shape() != shape) {
+        return Err(Error::work(
+            args.output.display().to_string(),
+            "planes of different lengths: there is no video in colour",
+            "The planes' own folders are whole.",
+        ));
+    }
+    let colours = [Colour::Red, Colour::Green, Colour::Blue].map(mean);
+    let scale = TiffScale {
+        frame_interval_s: bin_us * 1e-6,
+        pixel_pitch_um: whole.camera.sensor().pixel_pitch_um.map(|p| 2.0 * p),
+    };
+    folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
+    folder.write("colour.tif", |w| {
+        write_tiff_colour(w, shape, &colours, scale)
+    })?;
+    let outcome = ColourOutcome {
+        version: env!("CARGO_PKG_VERSION"),
+        bayer: mosaic.name(),
+        frames: shape.bins,
+        rows: shape.rows,
+        columns: shape.columns,
+        frame_rate_hz: 1e6 / bin_us,
+        metadata: MetadataNumbers::from(&experiment.taken),
+        planes: found.into_iter().map(|(_, plane, _)| plane).collect(),
+        warnings,
+    };
+    let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
+    folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
+    match args.json {
+        true => say(json),
+        false => print_summary(&outcome, args),
+    }
+    Ok(())
+}
+
+/// What belongs to one grey video.
+fn refuse_options(args: &ReconstructArgs) -> Result<()> {
+    #[cfg(feature = "view")]
+    let view = args.view;
+    #[cfg(not(feature = "view"))]
+    let view = false;
+    let given = [
+        ("--truth", args.truth.is_some()),
+        ("--bins", args.bins.is_some()),
+        ("--part-bins", args.part_bins.is_some()),
+        ("--direct", args.direct.is_some()),
+        ("--region", !args.region.is_empty()),
+        ("--photodiode", !args.photodiode.is_empty()),
+        ("--view", view),
+        ("--sweep", !args.sweep.is_empty()),
+    ];
+    match given.iter().find(|(_, given)| *given) {
+        None => Ok(()),
+        Some((option, _)) => Err(Error::input(
+            *option,
+            "a raw Bayer frame",
+            "its four planes are reconstructed apart, and the option is for one video",
+            "Leave it out.",
+        )),
+    }
+}
+
+impl Whole {
+    fn read(args: &ReconstructArgs, experiment: &Experiment) -> Result<Self> {
+        let camera = experiment.camera()?;
+        let calibration = calibration_of(&args.calibration, experiment);
+        let psf_path = psf_of(&calibration, experiment)?.to_path_buf();
+        let (raw, container_end) = read_frame(&args.frame)?;
+        if (raw.rows(), raw.columns()) != (camera.rows(), camera.columns()) {
+            return Err(Error::input(
+                args.frame.display().to_string(),
+                format!("{}×{} pixels", raw.rows(), raw.columns()),
+                format!("the camera has {}×{}", camera.rows(), camera.columns()),
+                "Give the raw frame, before any colours are made of it.",
+            ));
+        }
+        let corrections = read_corrections(&calibration, container_end)?;
+        let psfs = read_psfs(&psf_path, &camera, corrections.dark.as_ref())?;
+        for (name, image) in [
+            ("dark", &corrections.dark),
+            ("flat", &corrections.flat),
+            ("bad_pixels", &corrections.bad_pixels),
+        ] {
+            let size = image.as_ref().map(|i| (i.rows(), i.columns()));
+            if size.is_some_and(|size| size != (raw.rows(), raw.columns())) {
+                let error = Error::input(
+                    name,
+                    format!("{size:?} pixels"),
+                    format!("it has the frame's {}×{} pixels", raw.rows(), raw.columns()),
+                    "Record it with the camera settings of the frame.",
+                );
+                return Err(naming_file(error, &args.frame, &calibration));
+            }
+        }
+        check_memory(&args.experiment, &camera)?;
+        Ok(Self {
+            raw,
+            camera,
+            psfs,
+            corrections,
+            calibration,
+            budget: time_budget(args.time_budget_s)?.map(|budget| budget / 4),
+        })
+    }
+
+    /// Solves a plane and writes its folder.
+    fn solve(
+        &self,
+        args: &ReconstructArgs,
+        plane: &PlaneCamera,
+        site: Site,
+        recipe: Recipe,
+        began: Instant,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<(Outcome, Video)> {
+        let of = |image: &Option<Image>| image.as_ref().map(|image| plane_image(image, site));
+        let corrections = Corrections {
+            dark: of(&self.corrections.dark),
+            flat: of(&self.corrections.flat),
+            bad_pixels: of(&self.corrections.bad_pixels),
+            saturation_counts: self.corrections.saturation_counts,
+        };
+        let measurement = correct(&plane_image(&self.raw, site), &plane.camera, &corrections)
+            .map_err(|e| naming_file(e, &args.frame, &self.calibration))?;
+        let task = Task {
+            camera: plane.camera.clone(),
+            psfs: plane_psfs(&self.psfs, site)?,
+            measurement,
+            recipe,
+            budget: self.budget,
+            truth: None,
+            truth_file: None,
+            direct: None,
+            seed: args.seed,
+            taken: Default::default(),
+        };
+        let mut bar = Bar::new(Arc::clone(stop));
+        let solved = solve(task, began, &mut |progress, seen| bar.show(progress, seen));
+        bar.finish();
+        let mut solved = solved?;
+        let wanted = Wanted::read(&[], &[], plane.camera.video_shape())?;
+        let mut traces = solved.traces(wanted, args.debias);
+        solved.take_debiased(&mut traces);
+        let folder = OutputFolder::create(&args.output.join(site.name()))?;
+        let title = format!("Rowburst: {}, {}", args.frame.display(), site.name());
+        let reproduce = command_line(args);
+        let about = About {
+            title: &title,
+            reproduce: Some(&reproduce),
+            player: player_of(folder.path()),
+            film: film_of(args),
+        };
+        let outcome = solved.write(&traces, &folder, about)?;
+        Ok((outcome, solved.found.video))
+    }
+}
+
+impl Plane {
+    fn of(outcome: &Outcome, site: Site, start_us: f64, args: &ReconstructArgs) -> Self {
+        Self {
+            name: site.name(),
+            folder: args.output.join(site.name()).display().to_string(),
+            start_us,
+            prior: outcome.prior.clone(),
+            tau: outcome.tau,
+            residual_over_sigma: outcome.residual_over_sigma,
+            fit: outcome.fit,
+            seconds: outcome.setup_seconds + outcome.seconds,
+        }
+    }
+}
+
+/// Colours that are not of one time.
+fn offset_warning(found: &[(Site, Plane, Video)]) -> Option<String> {
+    let starts = found.iter().map(|(_, plane, _)| plane.start_us);
+    let first = starts.clone().fold(f64::INFINITY, f64::min);
+    let last = starts.fold(f64::NEG_INFINITY, f64::max);
+    (last > first).then(|| {
+        format!(
+            "the rows of the mosaic are read at different times: colours of one bin are up to {} µs apart (start_us of each plane)",
+            last - first
+        )
+    })
+}
+
+fn print_summary(outcome: &ColourOutcome, args: &ReconstructArgs) {
+    say(format_args!(
+        "{} frames of {}×{} in colour at {} fps from one raw {} frame",
+        outcome.frames,
+        outcome.rows,
+        outcome.columns,
+        thousands(outcome.frame_rate_hz),
+        outcome.bayer
+    ));
+    for plane in &outcome.planes {
+        say(format_args!(
+            "{}: prior {}, residual/σ {:.3}, the fit is {}, {:.2} s",
+            plane.name, plane.prior, plane.residual_over_sigma, plane.fit, plane.seconds
+        ));
+    }
+    for warning in &outcome.warnings {
+        say(format_args!("warning: {warning}"));
+    }
+    say(format_args!(
+        "video: {}",
+        args.output.join("colour.tif").display()
+    ));
+}

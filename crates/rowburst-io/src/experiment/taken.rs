@@ -1,0 +1,166 @@
+//! What an experiment file leaves open and a frame's metadata says.
+//!
+//! The file counts wherever it says something. Another size is an error, since the frame is then
+//! none of this experiment; another exposure, row time, binning, bit depth or readout order a
+//! warning, from 1 % on where it is a measured number.
+
+use crate::metadata::Metadata;
+use rowburst::bayer::Bayer;
+use rowburst::{Error, Result, Shutter};
+use std::path::Path;
+
+/// What came from the metadata of a frame, and where it contradicts the experiment file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Taken {
+    /// Where metadata was found.
+    pub sources: Vec<String>,
+    /// Keys of the experiment file that it left open, with the values taken.
+    pub values: Vec<(String, String)>,
+    /// Contradictions, and metadata that cannot be used.
+    pub warnings: Vec<String>,
+}
+
+impl Taken {
+    /// One line for people; `None` where nothing was taken.
+    pub fn summary(&self) -> Option<String> {
+        let values = self.values.iter().map(|(k, v)| format!("{k} = {v}"));
+        let values = values.collect::<Vec<_>>().join(", ");
+        (!values.is_empty()).then(|| format!("{values} (from {})", self.sources.join(", ")))
+    }
+}
+
+/// Part by which measured numbers may differ without a word.
+const SAME: f64 = 0.01;
+
+/// Fills an experiment from metadata.
+pub(super) struct Filling<'a> {
+    pub experiment: &'a Path,
+    pub metadata: &'a Metadata,
+    pub taken: Taken,
+}
+
+impl<'a> Filling<'a> {
+    pub fn new(experiment: &'a Path, metadata: &'a Metadata) -> Self {
+        Self {
+            experiment,
+            metadata,
+            taken: Taken {
+                sources: metadata.sources.clone(),
+                values: Vec::new(),
+                warnings: metadata.notes.clone(),
+            },
+        }
+    }
+
+    /// The file's value, or else that of the metadata.
+    pub fn number(&mut self, key: &str, own: Option<f64>, other: Option<f64>) -> Option<f64> {
+        let is_same = |a: f64, b: f64| (a - b).abs() <= SAME * b.abs();
+        self.value(key, own, other, |a, b| is_same(*a, *b), f64::to_string)
+    }
+
+    pub fn count(&mut self, key: &str, own: Option<usize>, other: Option<usize>) -> Option<usize> {
+        self.value(key, own, other, |a, b| a == b, usize::to_string)
+    }
+
+    /// The readout order; that of a custom shutter cannot be compared.
+    pub fn shutter(&mut self, own: Option<Shutter>) -> Option<Shutter> {
+        let is_same = |a: &Shutter, b: &Shutter| matches!(a, Shutter::Custom(_)) || a == b;
+        let name = |s: &Shutter| format!("\"{}\"", s.name());
+        let other = self.metadata.shutter.clone();
+        self.value("shutter", own, other, is_same, name)
+    }
+
+    /// The mosaic of the colours.
+    pub fn bayer(&mut self, own: Option<Bayer>) -> Option<Bayer> {
+        let name = |b: &Bayer| format!("\"{}\"", b.name());
+        self.value("bayer", own, self.metadata.bayer, |a, b| a == b, name)
+    }
+
+    /// A length at the object or the sensor: taken, but not compared, since both have the name.
+    pub fn pitch(&mut self, own: Option<f64>, factor: f64) -> Option<f64> {
+        let other = self.metadata.pixel_pitch_um.map(|p| p * factor);
+        self.value("pixel_pitch_um", own, other, |_, _| true, f64::to_string)
+    }
+
+    /// Rows, columns and binning of the working grid.
+    ///
+    /// A frame that the camera has binned is on that grid; binning that the file alone asks for is
+    /// still to be done.
+    pub fn size(
+        &mut self,
+        rows: Option<usize>,
+        columns: Option<usize>,
+        binning: Option<usize>,
+    ) -> Result<(Option<usize>, Option<usize>, Option<usize>)> {
+        let cameras = self.metadata.binning;
+        let Some((frame_rows, frame_columns)) = self.metadata.size else {
+            return Ok((rows, columns, self.count("binning", binning, cameras)));
+        };
+        let is_to_be_binned = |side: usize, own: Option<usize>| match (own, binning) {
+            (Some(own), Some(binning)) => own.saturating_mul(binning) == side && own != side,
+            (None, Some(binning)) => {
+                binning > 1 && cameras.unwrap_or(1) == 1 && side.is_multiple_of(binning)
+            }
+            _ => false,
+        };
+        let divisor = match is_to_be_binned(frame_rows, rows) {
+            true => binning.unwrap_or(1),
+            false => 1,
+        };
+        let mut side = |key: &str, own: Option<usize>, frame: usize| -> Result<Option<usize>> {
+            match own {
+                Some(own) if own.saturating_mul(divisor) != frame => Err(Error::input(
+                    format!("{}: [camera] {key}", self.experiment.display()),
+                    own,
+                    format!(
+                        "the frame has {frame} {key} by its metadata ({})",
+                        self.metadata.sources.join(", ")
+                    ),
+                    format!(
+                        "Give the frame of this experiment, or correct {key} (without it, it is taken from the metadata)."
+                    ),
+                )),
+                Some(own) => Ok(Some(own)),
+                None => {
+                    let taken = frame / divisor;
+                    self.taken.values.push((key.into(), taken.to_string()));
+                    Ok(Some(taken))
+                }
+            }
+        };
+        let rows = side("rows", rows, frame_rows)?;
+        let columns = side("columns", columns, frame_columns)?;
+        // Binning still to be done is no contradiction to a camera that did not bin.
+        let cameras = cameras.filter(|&c| divisor == 1 || c != 1);
+        Ok((rows, columns, self.count("binning", binning, cameras)))
+    }
+
+    fn value<T>(
+        &mut self,
+        key: &str,
+        own: Option<T>,
+        other: Option<T>,
+        is_same: impl Fn(&T, &T) -> bool,
+        words: impl Fn(&T) -> String,
+    ) -> Option<T> {
+        match (own, other) {
+            (None, Some(other)) => {
+                self.taken.values.push((key.into(), words(&other)));
+                Some(other)
+            }
+            (Some(own), Some(other)) => {
+                if !is_same(&own, &other) {
+                    self.taken.warnings.push(format!(
+                        "{key} is {} in {} and {} in the metadata ({}): the experiment file counts",
+                        words(&own),
+                        self.experiment.display(),
+                        words(&other),
+                        self.metadata.sources.join(", ")
+                    ));
+                }
+                Some(own)
+            }
+            (own, None) => own,
+        }
+    }
+}
