@@ -274,9 +274,8 @@ impl State {
     /// Looks where light may be, and keeps the rest dark.
     fn restrict(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) {
         let mut missed = Vec::new();
-        if self.places.support().is_none() {
-            self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
-        } else {
+        let was_open = self.places.fraction() == 1.0;
+        if self.places.support().is_some() {
             let residual = self.residual(data);
             let misfits = data.misfit_of_bins(&residual);
             missed = self.places.missed(misfits, self.expected_rms(data));
@@ -292,6 +291,9 @@ impl State {
         let bright = brightness(self.first_part());
         let missed = (&self.x[..voxels], missed.as_slice());
         let support = self.places.find(&self.z[..voxels], bright, missed);
+        if was_open && self.places.fraction() < 1.0 {
+            self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
+        }
         data.restrict(&support);
         prior.restrict(&support);
         support.apply(&mut self.x);
