@@ -69,8 +69,15 @@ def check_movie(name, source):
               (context.width, context.height))
         frames = [frame.to_ndarray(format="gray") for frame in movie.decode(stream)]
         check(f"{name}: 54 frames decode", len(frames) == BINS, len(frames))
-        lit = sum(frame.max() > 100 for frame in frames)
+        # The time stands below the picture.
+        side = context.width
+        check(f"{name}: a strip below the picture", side < context.height < 1.1 * side, context.height)
+        lit = sum(frame[:side].max() > 100 for frame in frames)
         check(f"{name}: a digit in most frames", lit > BINS * 0.8, lit)
+        strips = [frame[side:, :side // 3].astype(int) for frame in frames]
+        check(f"{name}: words in every strip", all(strip.max() > 200 for strip in strips))
+        same = sum(abs(a - b).max() < 100 for a, b in zip(strips, strips[1:]))
+        check(f"{name}: the words change from frame to frame", same == 0, same)
 
 
 def check_pictures(folder):

@@ -10,7 +10,7 @@ await build({
   format: "iife",
   charset: "utf8",
   target: ["es2022"],
-  legalComments: "inline",
+  legalComments: "eof",
   outdir: "dist",
   logLevel: "warning",
 });

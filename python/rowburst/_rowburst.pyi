@@ -197,6 +197,52 @@ class Progress:
         """Since the call."""
 
 @final
+class LiveView:
+    """A live view: frames of one scene, each reconstructed from the end of the last one.
+
+    A frame that was stopped early is not lost, the next one goes on from there; where the last video
+    explains less than half of what varies in the frame, it starts from nothing. Videos depend on the
+    frames before: for a look, not for a measurement. The prior ``"auto"`` is the standard one here.
+
+        live = rowburst.LiveView(camera, psf)
+        look = live.next(frame, time_budget_s=0.1)
+        show(look.video)
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        psf: Psf | ArrayLike,
+        *,
+        prior: str = "auto",
+        tau: float | str | None = None,
+        noise_sigma: float | None = None,
+    ) -> None: ...
+    def next(self, frame: ArrayLike, *, time_budget_s: float | None = None) -> Look:
+        """The video of the next frame; the budget ends the iterations, not what comes after them."""
+    def forget(self) -> None:
+        """The next frame starts from nothing."""
+
+@final
+class Look:
+    """A frame of a :class:`LiveView`."""
+
+    @property
+    def video(self) -> NDArray[np.float32]:
+        """``[t, y, x]``, in counts."""
+    @property
+    def residual_over_sigma(self) -> float: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def went_on(self) -> bool:
+        """Whether it was begun from the end of the last frame."""
+    @property
+    def fit(self) -> str: ...
+    @property
+    def seconds(self) -> float: ...
+
+@final
 class Result:
     @property
     def video(self) -> NDArray[np.float32]: ...

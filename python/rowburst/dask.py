@@ -29,9 +29,15 @@ __all__ = ["reconstruct"]
 _FILES = ("psf", "dark", "flat", "bad_pixels")
 
 
-@lru_cache(maxsize=2)
 def _opened(job: str) -> _Batch:
     """The batch of a worker process: its operator and Gram blocks are made once, for all its tasks."""
+    begun = os.stat(Path(json.loads(job)["out"]) / "rowburst" / "job.json")
+    # An archive that was deleted and begun anew under the same name is another one.
+    return _opened_as(job, begun.st_ino, begun.st_mtime_ns)
+
+
+@lru_cache(maxsize=2)
+def _opened_as(job: str, inode: int, mtime_ns: int) -> _Batch:
     options = json.loads(job)
     return _Batch(options.pop("experiment"), options.pop("frames"), options.pop("out"), **options)
 
@@ -59,6 +65,17 @@ def _same_version(version: str) -> None:
         )
 
 
+def _wait_for_workers(client: Client, seconds: float) -> None:
+    try:
+        client.wait_for_workers(1, timeout=seconds)
+    except TimeoutError as error:
+        address = client.scheduler_info()["address"]
+        raise WorkError(
+            f"{address}: no worker has joined the scheduler within {seconds:g} s; the frames are made by its "
+            f"workers. Start some: dask worker {address} --nthreads 1 --nworkers auto"
+        ) from error
+
+
 def reconstruct(
     frames: str | PathLike[str],
     out: str | PathLike[str],
@@ -68,6 +85,7 @@ def reconstruct(
     frames_per_task: int | None = None,
     threads_per_task: int = 1,
     retry_failed: bool = False,
+    workers_timeout_s: float = 600,
     progress: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> dict[str, Any]:
@@ -77,7 +95,8 @@ def reconstruct(
     stack. All paths must be the same for client and workers. ``options`` are those of ``rowburst
     batch``: psf, dark, flat, bad_pixels (files), prior, tau, noise_sigma, max_iterations,
     frame_period_us. ``progress(done, of)`` is called after every task. Called again, it goes on where
-    it was. Returns a summary; the table of all frames is ``OUT.zarr/rowburst/frames.csv``.
+    it was. Where no worker has joined the scheduler after ``workers_timeout_s`` seconds it is a
+    :class:`WorkError`. Returns a summary; the table of all frames is ``OUT.zarr/rowburst/frames.csv``.
 
     Give workers one Dask thread for each core: a frame on one thread beats many threads on one frame.
     """
@@ -100,6 +119,7 @@ def reconstruct(
     batch = _Batch(places["experiment"], places["frames"], places["out"], **given)
     job = json.dumps(places | given, sort_keys=True)
     left = batch.left(0, batch.count, retry_failed)
+    _wait_for_workers(client, workers_timeout_s)
     prior, reason = client.submit(_choose, job, __version__, pure=False).result()
     if frames_per_task is None:
         # Several tasks for each thread, so that none waits long for the last one.
@@ -156,6 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frame-period-us", type=float)
     parser.add_argument("--retry-failed", action="store_true")
     parser.add_argument("--frames-per-task", type=int)
+    parser.add_argument("--workers-timeout-s", type=float, default=600, help="how long to wait for the first worker [600]")
     parser.add_argument("--json", action="store_true", help="the summary as JSON")
     return parser
 
@@ -175,6 +196,8 @@ def _main() -> int:
 
     try:
         with Client(scheduler, timeout=int(os.environ.get("ROWBURST_SCHEDULER_TIMEOUT_S", "15"))) as client:
+            if not client.nthreads():
+                print(f"{scheduler} has no worker yet: waiting up to {args['workers_timeout_s']:g} s", file=sys.stderr)
             summary = reconstruct(
                 args.pop("frames"), args.pop("output"), args.pop("experiment"), client, progress=said, **args
             )

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -42,19 +43,25 @@ def started(*words):
         env=environment, start_new_session=True)
 
 
+def scheduler_of(file):
+    """A scheduler without workers; its process."""
+    scheduler = started("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                        "--scheduler-file", str(file))
+    deadline = time.monotonic() + 60
+    while not file.exists():
+        assert time.monotonic() < deadline, "the scheduler did not start"
+        time.sleep(0.1)
+    return scheduler
+
+
 @pytest.fixture
 def cluster(tmp_path):
     file = tmp_path / "scheduler.json"
-    scheduler = started("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-                        "--scheduler-file", str(file))
+    scheduler = scheduler_of(file)
     workers = [started("distributed.cli.dask_worker", "--host", "127.0.0.1", "--no-dashboard", "--no-nanny",
                        "--nthreads", "1", "--scheduler-file", str(file), "--local-directory", str(tmp_path / f"w{i}"))
                for i in range(3)]
     try:
-        deadline = time.monotonic() + 60
-        while not file.exists():
-            assert time.monotonic() < deadline, "the scheduler did not start"
-            time.sleep(0.1)
         with distributed.Client(scheduler_file=str(file), timeout=60) as client:
             client.wait_for_workers(3, timeout=60)
             yield client, {w.pid: w for w in workers}
@@ -138,3 +145,31 @@ def test_without_a_scheduler_it_says_so(recording):
          "-o", recording / "o.zarr", "--scheduler", "tcp://127.0.0.1:9"],
         env=os.environ | {"ROWBURST_SCHEDULER_TIMEOUT_S": "1"}, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1 and "no scheduler answers" in done.stderr, done.stderr
+
+
+def test_without_workers_it_says_so_after_a_time(recording, tmp_path):
+    scheduler = scheduler_of(tmp_path / "alone.json")
+    try:
+        with distributed.Client(scheduler_file=str(tmp_path / "alone.json"), timeout=60) as client:
+            with pytest.raises(rb.WorkError, match="no worker has joined .* within 1 s.*dask worker tcp://"):
+                rb_dask().reconstruct(
+                    recording / "frames.npy", recording / "o.zarr", recording / "experiment.toml", client,
+                    workers_timeout_s=1, prior="tv")
+    finally:
+        scheduler.kill()
+        scheduler.wait()
+
+
+def test_an_archive_that_is_begun_anew_is_another_one(recording):
+    options = {"prior": "tv", "max_iterations": 5}
+    job = json.dumps({
+        "experiment": str(recording / "experiment.toml"), "frames": str(recording / "frames.npy"),
+        "out": str(recording / "o.zarr"), **options})
+    for _ in range(2):
+        # What the client does; then a worker that has seen the archive before.
+        _Batch(recording / "experiment.toml", recording / "frames.npy", recording / "o.zarr", **options)
+        assert rb_dask()._part(job, rb.__version__, [0, 1], 1) == (2, 0)
+        batch = _Batch(recording / "experiment.toml", recording / "frames.npy", recording / "o.zarr", **options)
+        assert batch.left(0, 3, False) == [2]
+        assert np.isfinite(batch.video(1)).all()
+        shutil.rmtree(recording / "o.zarr")

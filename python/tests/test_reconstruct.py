@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,10 +48,14 @@ def test_report_and_folder(result, tmp_path):
     report = result.report(tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text(encoding="utf-8") == report
     assert report.startswith("<!") and "iframe" in report._repr_html_()
+    # Where the page was built the report plays the video, as that of the command line.
+    if (Path(__file__).parents[2] / "web" / "dist" / "app.js").exists():
+        assert 'id="rowburst-data"' in report and "script-src 'sha256-" in report
     folder = result.save(tmp_path / "out")
     np.testing.assert_array_equal(np.load(folder / "video.npy"), result.video)
     assert json.loads((folder / "result.json").read_text())["tau"] == result.tau
-    assert (folder / "report.html").exists() and (folder / "traces.csv").exists()
+    assert ('id="rowburst-data"' in report) == ('id="rowburst-data"' in (folder / "report.html").read_text(encoding="utf-8"))
+    assert (folder / "traces.csv").exists()
 
 
 def test_bits_are_those_of_the_command_line(capture, camera, psf, tmp_path):
@@ -279,3 +284,20 @@ def test_metadata_fills_an_experiment(camera, tmp_path):
     assert experiment.camera.frame_shape == (rows, columns)
     assert set(experiment.metadata_taken) == {"rows", "columns", "exposure_us"}
     assert "bit_depth is 16" in experiment.metadata_warnings[0]
+
+
+def test_a_live_view_goes_on_from_frame_to_frame(capture, camera):
+    live = rb.LiveView(camera, capture.psf, prior=PRIOR)
+    first = live.next(capture.frame)
+    alone = rb.reconstruct(capture.frame, camera, capture.psf, prior=PRIOR)
+    np.testing.assert_array_equal(first.video, alone.video)
+    assert not first.went_on and first.iterations == alone.iterations
+    again = live.next(capture.frame, time_budget_s=60)
+    assert again.went_on and again.iterations <= first.iterations
+    assert again.fit == first.fit and 0 < again.seconds < 60
+    live.forget()
+    np.testing.assert_array_equal(live.next(capture.frame).video, first.video)
+    with pytest.raises(rb.InputError, match="frame"):
+        live.next(capture.frame[1:])
+    with pytest.raises(rb.InputError, match="budget"):
+        live.next(capture.frame, time_budget_s=-1)

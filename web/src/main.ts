@@ -2,6 +2,7 @@
 
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
+import { between } from "./between";
 import { Cloud } from "./cloud";
 import { h } from "./dom";
 import { Evidence, settings } from "./evidence";
@@ -57,7 +58,7 @@ function build(root: HTMLElement, source: Source): void {
     h(
       "div",
       { class: "page" },
-      h("div", { class: "left" }, stage.element, transport.element, limits.element, save.element),
+      h("div", { class: "left" }, stage.element, between(store), transport.element, limits.element, save.element),
       tabs,
     ),
     h(

@@ -33,6 +33,7 @@ class ServerSource implements Source {
 
   static async open(): Promise<Source> {
     const answer = await fetch("api/view");
+    if (answer.status === 409) throw new Error(await answer.text());
     if (!answer.ok) throw new Error(`The server answered ${answer.status}: ${await answer.text()}`);
     const { live, results } = (await answer.json()) as { live: boolean; results: Meta[] };
     return new ServerSource(live, results);
@@ -75,7 +76,10 @@ class ServerSource implements Source {
   async picture(at: number, name: string): Promise<Picture | null> {
     if (!this.results[at].images[name]) return null;
     const answer = await fetch(`api/result/${at}/image/${name}`);
-    if (!answer.ok) return null;
+    if (!answer.ok) {
+      report(new Error(await answer.text()));
+      return null;
+    }
     const [rows, columns] = (answer.headers.get("x-shape") ?? "").split(" ").map(Number);
     return { rows, columns, data: new Float32Array(await answer.arrayBuffer()) };
   }

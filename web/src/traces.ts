@@ -3,6 +3,7 @@
 import { Chart, type Curve } from "./chart";
 import { download, h } from "./dom";
 import { hertz, number } from "./format";
+import { align, laidOver, readSignal, type Signal } from "./photodiode";
 import { spectrum } from "./spectrum";
 import type { Region, Store } from "./store";
 import type { KnownTrace, Rect } from "./types";
@@ -18,6 +19,10 @@ export class Traces {
   private readonly note: HTMLElement;
   private readonly overlays: HTMLElement;
   private readonly shown = { truth: true, other: true, photodiode: true };
+  private readonly ticked = new Set<string>();
+  /** Photodiodes that were loaded in the page. */
+  private signals: Signal[] = [];
+  private readonly diodes: HTMLElement;
   private pending = false;
   private seen = -1;
 
@@ -40,6 +45,17 @@ export class Traces {
     this.list = h("ul", { class: "regions", "aria-label": "Regions" });
     this.note = h("p", { class: "muted note" });
     this.overlays = h("div", { class: "row overlays" });
+    this.diodes = h("ul", { class: "muted note diodes", role: "status" });
+    const file = h("input", {
+      type: "file",
+      id: "photodiode",
+      accept: ".csv,.txt,text/csv,text/plain",
+      multiple: true,
+      class: "unseen",
+      tabindex: -1,
+      "aria-hidden": "true",
+      change: () => void this.load(file.files),
+    });
     const several = clock.bins > 1;
     this.element = h(
       "div",
@@ -49,15 +65,28 @@ export class Traces {
       this.overlays,
       this.time.element,
       this.note,
+      this.diodes,
       several && h("h3", {}, "Spectrum"),
       several && this.frequency.element,
       h(
         "div",
         { class: "row" },
         h("button", { type: "button", id: "save-csv", click: () => this.save() }, "Save traces as CSV"),
+        clock.step_us != null &&
+          h(
+            "button",
+            { type: "button", id: "load-photodiode", title: "A CSV file time_us,value; it may be dropped here, too", click: () => file.click() },
+            "Lay a photodiode over",
+          ),
+        file,
         h("button", { type: "button", class: "quiet", click: () => store.set({ regions: [] }, "regions") }, "Remove all"),
       ),
     );
+    this.element.addEventListener("dragover", (event) => event.preventDefault());
+    this.element.addEventListener("drop", (event) => {
+      event.preventDefault();
+      void this.load(event.dataTransfer?.files ?? null);
+    });
     this.tickBoxes();
     store.on((what) => {
       if (what === "time") this.time.mark();
@@ -80,15 +109,57 @@ export class Traces {
     );
   }
 
+  /** Takes photodiodes from files, and says what is wrong with those that are none. */
+  private async load(files: FileList | null): Promise<void> {
+    if (this.store.clock.step_us == null) return;
+    const faults: string[] = [];
+    for (const file of files ?? []) {
+      try {
+        const signal = await readSignal(file);
+        this.signals = [...this.signals.filter((s) => s.name !== signal.name), signal];
+      } catch (error) {
+        faults.push(error instanceof Error ? error.message : String(error));
+      }
+    }
+    this.tickBoxes();
+    this.draw();
+    this.diodes.append(...faults.map((words) => h("li", { class: "error" }, words)));
+  }
+
+  /** Curves of the photodiodes that were loaded, each over the region that it fits best. */
+  private overlay(regions: { region: Region; values: Float64Array }[]): Curve[] {
+    const { clock } = this.store;
+    const curves: Curve[] = [];
+    const lines = this.signals.map((signal) => {
+      let words: string;
+      try {
+        const found = align(signal, regions.map((r) => r.values), clock);
+        if (!found) words = `${signal.name} fits no region: pick one that changes while the signal lasts.`;
+        else {
+          const { region } = regions[found.trace];
+          const [x, y] = laidOver(signal, found, clock.bins * (clock.step_us ?? 1));
+          if (this.shown.photodiode) curves.push({ label: signal.name, colour: `${region.colour}90`, x, y, width: 1 });
+          words = `${signal.name}: correlation ${found.correlation.toFixed(3)} with ${wordsOf(region)}, shifted by ${number(found.shift_us, 3)} µs`;
+        }
+      } catch (error) {
+        words = error instanceof Error ? error.message : String(error);
+      }
+      return h("li", {}, words);
+    });
+    this.diodes.replaceChildren(...lines);
+    return curves;
+  }
+
   private tickBoxes(): void {
     const { store } = this;
     const kinds: [keyof typeof this.shown, string, boolean][] = [
       ["truth", "Truth (dashed)", store.truth != null],
       ["other", `${store.source.results[1]?.name} (dotted)`, store.other != null],
-      ["photodiode", "Photodiode", (store.meta.view?.traces ?? []).some((t) => t.photodiodes.length > 0)],
+      ["photodiode", "Photodiode", (store.meta.view?.traces ?? []).some((t) => t.photodiodes.length > 0) || this.signals.length > 0],
     ];
     for (const [kind, text, there] of kinds) {
-      if (!there) continue;
+      if (!there || this.ticked.has(kind)) continue;
+      this.ticked.add(kind);
       const box = h("input", {
         type: "checkbox",
         id: `over-${kind}`,
@@ -129,12 +200,16 @@ export class Traces {
     const spectra: Curve[] = [];
     const rows: HTMLElement[] = [];
     let banded = false;
+    const overlaid: { region: Region; values: Float64Array }[] = [];
     for (const region of store.state.regions) {
       const { colour } = region;
-      const name = words(region);
+      const name = wordsOf(region);
       const values = store.video.trace(region);
       const known = this.known(region);
       curves.push({ label: name, colour, x, y: values, points: clock.bins < 80 });
+      // As the program does it: over the refitted values, where they are known.
+      const refitted = known?.debiased.every((v) => v != null) ? Float64Array.from(known.debiased as number[]) : values;
+      overlaid.push({ region, values: refitted });
       if (known && known.standard_error.some((e) => e != null)) {
         banded = true;
         const error = known.standard_error.map((e) => (e == null ? null : NINETY_FIVE * e));
@@ -165,14 +240,15 @@ export class Traces {
       spectra.push({ label: name, colour, x: found.frequency.map((f) => f * scale), y: found.amplitude });
       rows.push(this.item(region, name, found.peak_hz, known, values));
     }
+    curves.push(...this.overlay(overlaid));
     this.list.replaceChildren(...rows);
     this.time.set(curves);
     this.frequency.set(spectra);
-    const words_ = [];
-    if (banded) words_.push("Bands: where the truth is in 95 of 100 bins, from the frame's noise (refitted values).");
-    if (!store.video.isWhole) words_.push("The video is still loading.");
-    if (store.source.isOffline) words_.push("Values of this file have 8 bits; video.npy has all.");
-    this.note.textContent = words_.join(" ");
+    const words = [];
+    if (banded) words.push("Bands: where the truth is in 95 of 100 bins, from the frame's noise (refitted values).");
+    if (!store.video.isWhole) words.push("The video is still loading.");
+    if (store.source.isOffline) words.push("Values of this file have 8 bits; video.npy has all.");
+    this.note.textContent = words.join(" ");
     this.time.element.hidden = this.frequency.element.hidden = curves.length === 0;
   }
 
@@ -244,7 +320,7 @@ export class Traces {
   }
 }
 
-function words({ y, x, rows, columns }: Rect): string {
+function wordsOf({ y, x, rows, columns }: Rect): string {
   const middle = `row ${y + (rows >> 1)}, column ${x + (columns >> 1)}`;
   return rows * columns === 9 && rows === 3 ? middle : `${middle} (${rows}×${columns})`;
 }

@@ -73,6 +73,64 @@ export async function download(folder, ending) {
   return readFile(join(folder, name));
 }
 
+/** A film, decoded by the browser: its size and seconds, and of some of its pictures some places. */
+export function decoded(page, bytes, fps, bins, places) {
+  return page.evaluate(
+    async (base64, fps, bins, places) => {
+      const data = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+      const film = document.createElement("video");
+      film.muted = true;
+      const event = (name) =>
+        new Promise((resolve, reject) => {
+          film.addEventListener(name, resolve, { once: true });
+          film.addEventListener("error", () => reject(new Error(film.error?.message)), { once: true });
+        });
+      const there = event("loadeddata");
+      film.src = URL.createObjectURL(new Blob([data], { type: "video/mp4" }));
+      await there;
+      const canvas = new OffscreenCanvas(film.videoWidth, film.videoHeight);
+      const ctx = canvas.getContext("2d", { willReadFrequently: true });
+      const pictures = [];
+      for (const bin of bins) {
+        const sought = event("seeked");
+        film.currentTime = (bin + 0.5) / fps;
+        await sought;
+        ctx.drawImage(film, 0, 0);
+        pictures.push(
+          places.map(({ y, x, rows, columns }) => {
+            const { data } = ctx.getImageData(x, y, columns, rows);
+            const luma = Array.from({ length: rows * columns }, (_, i) => data[4 * i + 1]);
+            return { luma, most: Math.max(...luma), mean: luma.reduce((a, b) => a + b) / luma.length };
+          }),
+        );
+      }
+      return { width: film.videoWidth, height: film.videoHeight, seconds: film.duration, pictures };
+    },
+    Buffer.from(bytes).toString("base64"),
+    fps,
+    bins,
+    places,
+  );
+}
+
+/** Lets a page follow a run until its state is as wanted, and no further: later questions wait. `held` resolves once the page shows that state and its video. */
+export async function hold(page, url, isWanted) {
+  let [last, tell] = [null, null];
+  const held = new Promise((resolve) => (tell = resolve));
+  await page.setRequestInterception(true);
+  page.on("request", async (request) => {
+    if (request.url() === `${url}api/live`) {
+      // Its last question is that for the state after the one that it has.
+      if (last && isWanted(last)) return tell();
+      const text = await (await fetch(request.url())).text();
+      last = JSON.parse(text);
+      return request.respond({ contentType: "application/json", body: text });
+    }
+    return request.continue();
+  });
+  return { held };
+}
+
 /** Clicks pixel (y, x) of the picture. */
 export async function pick(page, y, x, selector = "canvas.picture") {
   const canvas = await page.$(selector);

@@ -2,11 +2,12 @@
 
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { readFile } from "node:fs/promises";
+import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { PNG } from "pngjs";
-import { chromium, compare, download, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
+import { chromium, compare, decoded, download, hold, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
 
 let browser;
 let view;
@@ -82,6 +83,28 @@ test("a pixel that is picked has the frequency of its LED, and the CSV the video
   await page.close();
 });
 
+test("a photodiode that is loaded lies over its LED, as the program lays it", async () => {
+  const { page, faults } = await open(browser, view.url);
+  await loaded(page);
+  const { traces } = await result();
+  const led = traces.find((t) => t.photodiodes?.length > 0);
+  const [{ file, correlation, shift_us }] = led.photodiodes;
+  const input = await page.$("#photodiode");
+  await input.uploadFile(join(results, "leds", file));
+  const words = await until(() => page.$eval(".diodes", (e) => e.textContent));
+  const [, r, us] = words.match(/correlation ([\d.]+) with .* shifted by (-?[\d.e-]+) µs/) ?? [];
+  assert.ok(words.includes(file), words);
+  assert.ok(Math.abs(Number(r) - correlation) < 0.002, `${words}; the program found ${correlation}`);
+  assert.ok(Math.abs(Number(us) - shift_us) < 0.5, `${words}; the program found ${shift_us} µs`);
+  // What is no signal is named with the line.
+  const bad = join(results, "bad.csv");
+  await writeFile(bad, "time_us,value\n0,1\n1,x\n");
+  await input.uploadFile(bad);
+  await until(async () => /bad\.csv, line 3: "1,x"/.test(await page.$eval(".diodes", (e) => e.textContent)));
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
 test("the PNG and the GIF of the view are what they say", async () => {
   const { page, faults, folder } = await open(browser, view.url);
   await loaded(page);
@@ -129,6 +152,47 @@ test("the PNG and the GIF of the view are what they say", async () => {
   await page.close();
 });
 
+test("the MP4 of the clip is what is seen, with the time or without", async () => {
+  const { page, faults, folder } = await open(browser, view.url);
+  await loaded(page);
+  await page.select("#map", "grey");
+  await page.select("#beside", "none");
+  const video = await readFile(join(results, "leds", "video.npy"));
+  const from = video.length - 4 * 54 * 108 * 108;
+  // The corner above that of the time, where light is seen.
+  let [most, bright] = [0, 0];
+  for (let i = 0; i < 54 * 108 * 108; i++) {
+    const value = video.readFloatLE(from + 4 * i);
+    if (value > most) [most, bright] = [value, i];
+  }
+  const [t, y, x] = [Math.floor(bright / 108 ** 2), Math.floor(bright / 108) % 108, bright % 108];
+  const corner = { y: 515, x: 5, rows: 20, columns: 100 };
+  const lights = {};
+  for (const stamped of [true, false]) {
+    if (!stamped) await page.click("#stamp");
+    await page.click("#save-mp4");
+    const bytes = await download(folder, ".mp4");
+    await rm(join(folder, "leds.mp4"));
+    assert.equal(bytes.subarray(4, 8).toString(), "ftyp");
+    const film = await decoded(page, bytes, 10, [0, 1, t], [corner, { y: 5 * y, x: 5 * x, rows: 5, columns: 5 }]);
+    assert.deepEqual([film.width, film.height], [540, 540]);
+    assert.ok(Math.abs(film.seconds - 5.4) < 0.05, `${film.seconds} s`);
+    assert.ok(film.pictures[2][1].mean > 150, `the brightest pixel has ${film.pictures[2][1].mean}`);
+    lights[stamped] = film.pictures.map(([c]) => c);
+  }
+  assert.ok(lights[true].every(({ most }) => most > 200), "the time is there");
+  assert.ok(lights[false].every(({ most }) => most < 100), `nothing else is: ${JSON.stringify(lights[false].map((c) => c.most))}`);
+  const [first, second] = lights[true].map(({ luma }) => luma);
+  assert.ok(first.filter((v, i) => Math.abs(v - second[i]) > 100).length > 20, "the time goes on");
+  assert.match(await page.$eval("#save-words", (e) => e.textContent), /MP4 saved/);
+  // Where there is no encoder the page says so.
+  await page.evaluate(() => delete window.VideoEncoder);
+  await page.click("#save-mp4");
+  await until(async () => /cannot encode video/.test(await page.$eval("#save-words", (e) => e.textContent)));
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
 test("two results are seen side by side with one clock", async () => {
   const two = await serve(["view", join(results, "leds"), join(results, "other", "video.npy"), "--port", "0", "--no-open"]);
   const { page, faults } = await open(browser, two.url);
@@ -138,6 +202,9 @@ test("two results are seen side by side with one clock", async () => {
   const hash = (role) => page.$eval(`canvas[data-role=${role}]`, (c) => c.toDataURL().length);
   await until(async () => (await hash("main")) > 0 && (await hash("other")) > 0);
   assert.ok(await page.$("#over-other"));
+  // The other one is the truth: the program has found the same number.
+  const db = await until(async () => Number((await page.$eval("#between", (e) => e.textContent)).match(/: ([\d.]+) dB/)?.[1]));
+  assert.ok(Math.abs(db - (await result()).psnr_db) < 0.02, `${db} dB`);
   // The other one is the truth: in each bin both are brightest where it is, above the scale bar.
   const truth = await readFile(join(results, "other", "video.npy"));
   const from = truth.length - 4 * 54 * 108 * 108;
@@ -275,6 +342,25 @@ test("a run is watched and stopped, and its result shown", async () => {
   await page.close();
 });
 
+test("a run that goes on looks as it did", async () => {
+  const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--truth", join(results, "leds", "truth.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
+  const run = await serve([...args, "--view", "--port", "0", "--no-open", "-o", join(results, "running")], "stderr");
+  const { page, faults } = await open(browser, "about:blank", { width: 1000, height: 720 });
+  // By then nothing changes that could be seen: the page is held there.
+  const { held } = await hold(page, run.url, (state) => state.iteration >= 200 && state.snapshot >= 2 && state.course.at(-1)[3] != null);
+  await page.goto(run.url);
+  await held;
+  await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
+  assert.match(await page.$eval("#live-words", (e) => e.textContent), /^iteration \d+ of at most 100000, .*residual\/σ .*PSNR [\d.]+ dB$/);
+  assert.equal(await page.$eval("#stop", (e) => e.disabled), false);
+  // The title is the folder's place on this machine; seconds and iterations are a few letters: two runs differ in 0.2 %.
+  await page.$eval("h1", (e) => (e.textContent = "running"));
+  await compare("running", await page.screenshot(), 0.03);
+  run.child.kill("SIGKILL");
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
 test("a run that is killed is seen to have ended, and leaves no half result to look at", async () => {
   const folder = join(results, "killed");
   const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
@@ -352,6 +438,15 @@ test("report.html is the same page, from a file and without a network", async ()
   }
   await page.click("#tab-evidence");
   await page.waitForFunction(() => document.querySelectorAll("canvas[data-picture]").length >= 3);
+  const session = await browser.target().createCDPSession();
+  const folder = await mkdtemp(join(tmpdir(), "rowburst-view-"));
+  await session.send("Browser.setDownloadBehavior", { behavior: "allow", downloadPath: folder });
+  await page.click("#save-mp4");
+  // The page's own policy lets no film play that is not in it.
+  const plain = await browser.newPage();
+  const film = await decoded(plain, await download(folder, ".mp4"), 10, [], []);
+  await plain.close();
+  assert.deepEqual([film.width, film.height], [1088, 540]);
   // The figures of the report are there, too.
   assert.ok((await page.$$("main svg")).length >= 6);
   assert.deepEqual(requests, []);

@@ -3,13 +3,13 @@
 use crate::choice::CORRECTIONS;
 use crate::clock::Clock;
 use crate::plan::Plan;
-use rowburst::reconstruct::{Model, Recipe};
+use rowburst::reconstruct::{Model, Prior, Recipe};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, Metadata, Taken, open_recording, read_metadata};
 use rowburst_run::inputs::{
     calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
 };
-use rowburst_run::options::{chosen_prior, chosen_tau};
+use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use std::path::Path;
 
@@ -29,6 +29,8 @@ pub struct Files<'a> {
     pub noise_sigma: Option<f64>,
     /// Most iterations of a frame.
     pub max_iterations: Option<usize>,
+    /// Seconds for each frame.
+    pub time_budget_s: Option<f64>,
     /// From frame to frame, instead of the experiment's.
     pub frame_period_us: Option<f64>,
     /// Version of the program.
@@ -67,8 +69,10 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
     }
     let camera = experiment.camera()?;
     leave_short_period(&mut experiment, &camera);
+    let budget = time_budget(files.time_budget_s)?;
     let recipe = Recipe {
-        prior: chosen_prior(files.prior, &experiment)?,
+        // A choice takes a run for each candidate: a budget has no time for it.
+        prior: chosen_prior(files.prior, &experiment)?.or(budget.map(|_| Prior::STANDARD)),
         tau: chosen_tau(files.tau, &experiment)?,
         noise_sigma: files.noise_sigma,
         max_iterations: files.max_iterations,
@@ -89,6 +93,7 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
         model: Model::new(&camera, psfs).keeping_gram(),
         corrections,
         recipe,
+        budget,
         frames,
         frame_period_us,
         version: files.version.into(),

@@ -3,9 +3,10 @@
 use crate::identity::{hash_image, hash_psfs};
 use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Model, Recipe};
+use rowburst::reconstruct::{Model, NUMBERS, Recipe};
 use rowburst_io::{Capture, Frames};
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Experiment, recording and recipe: values, wherever they come from.
 pub struct Plan {
@@ -15,6 +16,9 @@ pub struct Plan {
     pub corrections: Corrections,
     /// How to reconstruct. Where its prior is left open one is chosen for the whole recording.
     pub recipe: Recipe,
+    /// For each frame. Frames are then done one after another, each from the end of the last one:
+    /// a preview, whose videos depend on how fast the machine is.
+    pub budget: Option<Duration>,
     /// The recording.
     pub frames: Box<dyn Frames>,
     /// From the start of a frame to that of the next, where it is known.
@@ -45,6 +49,7 @@ impl Plan {
         let or_auto = |value: Option<String>| value.unwrap_or("auto".into());
         let parts = [
             ("program version", self.version.clone()),
+            ("numbers of the algorithm", NUMBERS.to_string()),
             ("rows", params.rows.to_string()),
             ("columns", params.columns.to_string()),
             ("shutter", format!("{:?}", params.shutter)),
@@ -66,6 +71,11 @@ impl Plan {
             (
                 "most iterations",
                 or_auto(recipe.max_iterations.map(|n| n.to_string())),
+            ),
+            (
+                "time budget",
+                self.budget
+                    .map_or("none".into(), |b| format!("{} s", b.as_secs_f64())),
             ),
             ("number of frames", self.frames.count().to_string()),
         ];

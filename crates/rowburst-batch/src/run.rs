@@ -8,7 +8,7 @@ use crate::plan::Plan;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction};
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Sequence};
 use rowburst::solve::StopReason;
 use rowburst::{Error, Result, Video};
 use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
@@ -17,7 +17,7 @@ use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// A recording on its way into an archive.
 pub struct Batch {
@@ -204,6 +204,19 @@ impl Batch {
             },
             strength: prior.strength,
         };
+        let live = self.plan.budget.map(|budget| Live {
+            budget,
+            sequence: Mutex::new(Sequence::new(self.plan.model.clone(), how.recipe)),
+        });
+        let crew = match &live {
+            None => crew,
+            // One after another, in their order.
+            Some(_) => Crew {
+                at_once: 1,
+                threads_each: crew.at_once * crew.threads_each,
+            },
+        };
+        let live = live.as_ref();
         let next = AtomicUsize::new(0);
         let failure: Mutex<Option<Error>> = Mutex::new(None);
         let give_up = AtomicBool::new(false);
@@ -224,7 +237,8 @@ impl Batch {
                     break;
                 };
                 // Threads of its own: a thread that waits must not begin another frame.
-                let Some((row, video)) = pool.install(|| self.make(frame, how, &is_over)) else {
+                let Some((row, video)) = pool.install(|| self.make(frame, how, live, &is_over))
+                else {
                     break;
                 };
                 let stored = video.map_or(Ok(()), |video| self.archive.store(frame, &video));
@@ -248,10 +262,11 @@ impl Batch {
         &self,
         frame: usize,
         how: How,
+        live: Option<&Live>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Option<(FrameRow, Option<Video>)> {
         let started = Instant::now();
-        let made = or_panic(|| self.reconstruct(frame, how, is_over));
+        let made = or_panic(|| self.reconstruct(frame, how, live, is_over));
         let name = self.plan.frames.name(frame);
         let seconds = started.elapsed().as_secs_f64();
         match made {
@@ -272,6 +287,7 @@ impl Batch {
         &self,
         frame: usize,
         how: How,
+        live: Option<&Live>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Result<(Measurement, Reconstruction)> {
         let capture = self.plan.frames.read(frame)?;
@@ -285,6 +301,10 @@ impl Batch {
             ));
         }
         let measurement = self.plan.measurement(&capture)?;
+        if let Some(live) = live {
+            let found = live.next(&measurement, is_over)?;
+            return Ok((measurement, found));
+        }
         let problem = Problem::of(&self.plan.model, &measurement, how.recipe)?;
         let found = problem
             .with_strength(how.strength)
@@ -316,6 +336,33 @@ pub enum Again {
     Unfinished,
     /// Those that failed, too.
     Failed,
+}
+
+/// Frames in a time budget, each from the end of the last one.
+struct Live {
+    budget: Duration,
+    sequence: Mutex<Sequence>,
+}
+
+impl Live {
+    fn next(
+        &self,
+        measurement: &Measurement,
+        is_over: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Reconstruction> {
+        let began = Instant::now();
+        let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = sequence.next(measurement, &mut |_| {
+            if is_over() {
+                return ControlFlow::Break(StopReason::Interrupted);
+            }
+            match began.elapsed() > self.budget {
+                true => ControlFlow::Break(StopReason::TimeBudget),
+                false => ControlFlow::Continue(()),
+            }
+        })?;
+        Ok(found.0)
+    }
 }
 
 /// How each frame is reconstructed.

@@ -180,7 +180,7 @@ pub struct CalibrationArgs {
 /// Recover the video from one frame.
 #[derive(Debug, Clone, Args)]
 #[command(
-    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame run.h5:/camera/frame -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep"
+    after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame run.h5:/camera/frame -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep\n  rowburst reconstruct wide-sensor.toml --frame capture.tif --prior tv+support --part-bins 0 -o result"
 )]
 pub struct ReconstructArgs {
     /// The experiment file: camera, calibration, field, recipe
@@ -213,9 +213,21 @@ pub struct ReconstructArgs {
     /// Stop after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
+    /// Only these bins of the video, of the rows that see them
+    #[arg(long, value_name = "FIRST..END")]
+    pub bins: Option<String>,
+    /// Find the video in parts of so many bins, each written before the next: for videos that do not fit
+    /// memory. The prior has no term over time [default prior: tv+support]; 0: as many as 3 GiB hold.
+    /// Stopped, the same command goes on
+    #[arg(long, value_name = "N", conflicts_with_all = ["truth", "direct", "debias", "region", "photodiode", "time_budget_s", "sweep"])]
+    pub part_bins: Option<usize>,
     /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
     #[arg(long)]
     pub debias: bool,
+    /// Leave out the time in µs that video.mp4 has in a strip below the picture, as a paper's
+    /// supplement wants it
+    #[arg(long)]
+    pub no_stamp: bool,
     /// A trace of the 3×3 pixels about row Y, column X, or of a region (repeatable)
     #[arg(long, value_name = "Y,X[,ROWS,COLUMNS]", allow_hyphen_values = true)]
     pub region: Vec<String>,
@@ -333,6 +345,10 @@ pub struct BatchArgs {
     /// Stop each frame after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
+    /// A preview: so many seconds for each frame, which goes on from the end of the frame before.
+    /// The videos then depend on how fast the machine is
+    #[arg(long, allow_hyphen_values = true, conflicts_with_all = ["at_once", "scheduler"])]
+    pub time_budget_s: Option<f64>,
     /// Only the frames from A up to, but without, B, counted from 0 (either may be left out):
     /// several processes may work on parts of one archive at once
     #[arg(
@@ -354,7 +370,7 @@ pub struct BatchArgs {
     pub retry_failed: bool,
     /// Have the workers of a Dask scheduler do it, such as tcp://host:8786. Needs the Python package
     /// with Dask (pip install 'rowburst[dask]'), here and on the workers, and a disk that all share
-    #[arg(long, value_name = "ADDRESS", conflicts_with = "frames_range")]
+    #[arg(long, value_name = "ADDRESS", conflicts_with_all = ["frames_range", "at_once"])]
     pub scheduler: Option<String>,
     /// Frames at once [default: one per thread, as many as fit into memory]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]

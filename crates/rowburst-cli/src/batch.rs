@@ -54,7 +54,16 @@ struct Summary {
     warnings: Vec<String>,
 }
 
-pub fn run(args: &BatchArgs) -> Result<()> {
+/// `threads` are those that were asked for.
+pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
+    if let (Some(threads), Some(_)) = (threads, &args.scheduler) {
+        return Err(Error::input(
+            "--threads",
+            threads,
+            "with --scheduler the workers do the work, on threads of their own",
+            "Leave it out, and start the workers with dask worker --nthreads.",
+        ));
+    }
     let stop = stop_on_ctrl_c("what is done stays, and the same command goes on from there");
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
@@ -164,7 +173,11 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         return Err(stopped(args));
     };
     let threads = rayon::current_num_threads();
-    let most = args.at_once.map(usize::from);
+    // With a budget frames follow each other.
+    let most = args
+        .at_once
+        .map(usize::from)
+        .or(args.time_budget_s.map(|_| 1));
     let crew = Crew::new(threads, left.len(), &batch.plan().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
     let started = Instant::now();
@@ -234,6 +247,7 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, Taken)> {
         tau: args.tau.as_deref(),
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
+        time_budget_s: args.time_budget_s,
         frame_period_us: args.frame_period_us,
         version: env!("CARGO_PKG_VERSION"),
     })?;

@@ -5,7 +5,7 @@ use crate::args::ReconstructArgs;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
 use crate::progress::Bar;
-use crate::reconstruct::{command_line, player_of};
+use crate::reconstruct::{command_line, film_of};
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::{Corrections, correct};
 use rowburst::reconstruct::Recipe;
@@ -15,7 +15,7 @@ use rowburst_io::{
 };
 use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
-use rowburst_run::{About, MetadataNumbers, Outcome, Task, Wanted, solve, thousands};
+use rowburst_run::{About, MetadataNumbers, Outcome, Task, Wanted, player_of, solve, thousands};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -159,6 +159,8 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
         ("--region", !args.region.is_empty()),
         ("--photodiode", !args.photodiode.is_empty()),
         ("--view", view),
+        ("--bins", args.bins.is_some()),
+        ("--part-bins", args.part_bins.is_some()),
         ("--sweep", !args.sweep.is_empty()),
     ];
     match given.iter().find(|(_, given)| *given) {
@@ -259,7 +261,8 @@ impl Whole {
         let about = About {
             title: &title,
             reproduce: Some(&reproduce),
-            player: player_of(&folder),
+            player: player_of(folder.path()),
+            film: film_of(args),
         };
         let outcome = solved.write(&traces, &folder, about)?;
         Ok((outcome, solved.found.video))

@@ -48,6 +48,8 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         output: &args.output,
     })?;
     let reconstruction = ReconstructArgs {
+        bins: None,
+        part_bins: None,
         experiment: args.output.join("experiment.toml"),
         frame: args.output.join("frame.npy"),
         calibration: CalibrationArgs::default(),
@@ -59,6 +61,7 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         time_budget_s: None,
         max_iterations: None,
         debias: args.debias,
+        no_stamp: false,
         region: Vec::new(),
         photodiode: match args.scene {
             DemoScene::Leds => (1..=LED_FREQUENCIES_HZ.len())

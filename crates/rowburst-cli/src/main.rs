@@ -14,6 +14,7 @@ mod colour;
 mod demo;
 mod design;
 mod figure;
+mod in_parts;
 mod inputs;
 mod outcome;
 mod progress;
@@ -45,7 +46,7 @@ fn main() -> ExitCode {
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Reconstruct(args) => reconstruct::run(&args, began),
         #[cfg(feature = "batch")]
-        Verb::Batch(args) => batch::run(&args),
+        Verb::Batch(args) => batch::run(&args, cli.threads),
         #[cfg(feature = "view")]
         Verb::View(args) => view::run(&args),
         Verb::Figure(args) => figure::run(&args),

@@ -5,7 +5,7 @@ use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst_run::Seen;
 use std::io::IsTerminal;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -41,6 +41,46 @@ impl Bar {
             "" => format!("residual/σ {level:.2}"),
             label => format!("{label}: residual/σ {level:.2}"),
         });
+        match self.stop.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(StopReason::Interrupted),
+            false => ControlFlow::Continue(()),
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// The bar of a video that is found part by part.
+pub struct PartsBar {
+    bar: ProgressBar,
+    stop: Arc<AtomicBool>,
+}
+
+impl PartsBar {
+    /// As [`Bar::new`].
+    pub fn new(stop: Arc<AtomicBool>) -> Self {
+        let Bar { bar, stop } = Bar::new(stop);
+        let style = ProgressStyle::with_template("{bar:30} bin {pos} of {len}, {eta} left; {msg}");
+        bar.set_style(style.expect("the template is valid"));
+        Self { bar, stop }
+    }
+
+    /// Shows an iteration of the part of these bins.
+    pub fn show(
+        &mut self,
+        part: Range<usize>,
+        bins: usize,
+        progress: &Progress,
+    ) -> ControlFlow<StopReason> {
+        self.bar.set_length(bins as u64);
+        if progress.iteration == 1 {
+            self.bar.set_position(part.start as u64);
+        }
+        self.bar
+            .set_message(format!("iteration {}", progress.iteration));
         match self.stop.load(Ordering::Relaxed) {
             true => ControlFlow::Break(StopReason::Interrupted),
             false => ControlFlow::Continue(()),

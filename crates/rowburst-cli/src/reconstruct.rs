@@ -2,19 +2,24 @@
 
 use crate::args::ReconstructArgs;
 use crate::colour;
+use crate::in_parts;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
 use rowburst::measurement::correct;
-use rowburst::reconstruct::{Recipe, Verdict};
+use rowburst::reconstruct::{InParts, Recipe, Verdict};
 use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
-use rowburst_run::{About, MakePlayer, Outcome, Task, Traces, Wanted, short, solve, thousands};
+use rowburst_run::{
+    About, Film, Outcome, PartsOutcome, PartsTask, Task, Traces, Wanted, player_of, short, solve,
+    thousands,
+};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -29,7 +34,10 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     if let Some(mosaic) = experiment.bayer {
         return colour::run(args, experiment, mosaic, began, &stop);
     }
-    let done = one(args, experiment, began, stop)?;
+    let done = match one(args, experiment, began, stop)? {
+        Made::Whole(done) => done,
+        Made::InParts(outcome) => return in_parts::tell(&outcome, args),
+    };
     if args.json {
         let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
         say(json);
@@ -41,6 +49,12 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
         return page.stay(&args.output);
     }
     Ok(())
+}
+
+/// What a run has made.
+enum Made {
+    Whole(Box<Done>),
+    InParts(Box<PartsOutcome>),
 }
 
 /// A reconstruction that is written.
@@ -79,7 +93,10 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         let done = read_experiment(&own)
             .and_then(refuse_colour)
             .and_then(|experiment| one(&own, experiment, began, Arc::clone(stop)));
-        let outcome = done.as_ref().ok().map(|done| &done.outcome);
+        let outcome = match &done {
+            Ok(Made::Whole(done)) => Some(&done.outcome),
+            _ => None,
+        };
         rows.push(sweep::Row {
             point,
             output: own.output.display().to_string(),
@@ -139,7 +156,7 @@ fn one(
     experiment: Experiment,
     began: Instant,
     stop: Arc<AtomicBool>,
-) -> Result<Done> {
+) -> Result<Made> {
     let folder = OutputFolder::create(&args.output)?;
     let camera = experiment.camera()?;
     let recipe = Recipe {
@@ -156,7 +173,31 @@ fn one(
     let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
     let measurement = correct(&raw, &camera, &corrections)
         .map_err(|e| naming_file(e, &args.frame, &calibration))?;
-    check_memory(&args.experiment, &camera)?;
+    drop((raw, corrections));
+    let (camera, measurement) = match &args.bins {
+        None => (camera, measurement),
+        Some(bins) => {
+            let part = camera.cut(in_parts::bins_of(bins)?)?;
+            let rows: Vec<usize> = part.sensor_rows().collect();
+            let measurement = measurement.rows(&rows);
+            (part, measurement)
+        }
+    };
+    let memory = check_memory(&args.experiment, &camera);
+    if args.part_bins.is_some() {
+        let warnings = experiment.taken.warnings.iter();
+        warnings.for_each(|warning| eprintln!("warning: {warning}"));
+        let task = PartsTask {
+            parts: InParts::new(camera, psfs, measurement, recipe)?,
+            tau: recipe.tau,
+            each: args.part_bins.filter(|n| *n > 0),
+            title: &format!("Rowburst: {}", args.frame.display()),
+            reproduce: &command_line(args),
+            film: film_of(args),
+        };
+        return in_parts::run(&task, &folder, stop).map(|outcome| Made::InParts(Box::new(outcome)));
+    }
+    memory?;
     let truth = args
         .truth
         .as_deref()
@@ -164,7 +205,6 @@ fn one(
         .transpose()?;
     let direct = args.direct.as_deref().map(read_frame).transpose()?;
     let direct = direct.map(|(image, _)| image);
-    drop((raw, corrections));
     let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
 
     #[cfg(feature = "view")]
@@ -202,74 +242,62 @@ fn one(
     let about = About {
         title: &title,
         reproduce: Some(&reproduce),
-        player: player_of(&folder),
+        player: player_of(folder.path()),
+        film: film_of(args),
     };
     let outcome = solved.write(&traces, &folder, about)?;
-    Ok(Done {
+    Ok(Made::Whole(Box::new(Done {
         outcome,
         traces,
         #[cfg(feature = "view")]
         page,
-    })
+    })))
 }
 
-/// Makes the viewer's page of the report, where this program has one.
-#[cfg(feature = "view")]
-pub(crate) fn player_of(folder: &OutputFolder) -> Option<MakePlayer> {
-    let path = folder.path().to_path_buf();
-    Some(Box::new(move |files, view| {
-        crate::view::offline(&path, files, view)
-    }))
+pub(crate) fn film_of(args: &ReconstructArgs) -> Film {
+    match args.no_stamp {
+        true => Film::Plain,
+        false => Film::Stamped,
+    }
 }
 
-/// In a build without the viewer.
-#[cfg(not(feature = "view"))]
-pub(crate) fn player_of(_: &OutputFolder) -> Option<MakePlayer> {
-    None
-}
-
-/// What makes the same result again.
+/// What makes the same result again, as a shell takes it.
 pub(crate) fn command_line(args: &ReconstructArgs) -> String {
-    let mut line = format!(
-        "rowburst reconstruct {} --frame {}",
-        args.experiment.display(),
-        args.frame.display()
-    );
-    let paths = [
-        ("--psf", &args.calibration.psf),
-        ("--dark", &args.calibration.dark),
-        ("--flat", &args.calibration.flat),
-        ("--bad-pixels", &args.calibration.bad_pixels),
-        ("--truth", &args.truth),
-        ("--direct", &args.direct),
-    ];
-    for (flag, path) in paths {
-        if let Some(path) = path {
-            line += &format!(" {flag} {}", path.display());
+    let path = |path: &PathBuf| path.display().to_string();
+    let mut words: Vec<String> = ["rowburst", "reconstruct"].map(String::from).into();
+    words.extend([path(&args.experiment), "--frame".into(), path(&args.frame)]);
+    let mut option = |flag: &str, value: Option<String>| {
+        if let Some(value) = value {
+            words.extend([flag.to_string(), value]);
         }
+    };
+    option("--psf", args.calibration.psf.as_ref().map(path));
+    option("--dark", args.calibration.dark.as_ref().map(path));
+    option("--flat", args.calibration.flat.as_ref().map(path));
+    let bad_pixels = args.calibration.bad_pixels.as_ref();
+    option("--bad-pixels", bad_pixels.map(path));
+    option("--truth", args.truth.as_ref().map(path));
+    option("--direct", args.direct.as_ref().map(path));
+    for region in &args.region {
+        option("--region", Some(region.clone()));
     }
-    if args.debias {
-        line += " --debias";
+    for diode in &args.photodiode {
+        option("--photodiode", Some(path(diode)));
     }
-    let regions = args.region.iter().map(|r| format!(" --region {r}"));
-    let diodes = args.photodiode.iter();
-    line.extend(regions.chain(diodes.map(|p| format!(" --photodiode {}", p.display()))));
-    let texts = [
-        ("--prior", args.prior.clone()),
-        ("--tau", args.tau.clone()),
-        ("--noise-sigma", args.noise_sigma.map(|v| v.to_string())),
-        ("--time-budget-s", args.time_budget_s.map(|v| v.to_string())),
-        (
-            "--max-iterations",
-            args.max_iterations.map(|v| v.to_string()),
-        ),
-    ];
-    for (flag, text) in texts {
-        if let Some(text) = text {
-            line += &format!(" {flag} {text}");
-        }
-    }
-    line + &format!(" -o {}", args.output.display())
+    option("--prior", args.prior.clone());
+    option("--tau", args.tau.clone());
+    let number = |value: Option<f64>| value.map(|v| v.to_string());
+    option("--noise-sigma", number(args.noise_sigma));
+    option("--time-budget-s", number(args.time_budget_s));
+    let most = args.max_iterations.map(|v| v.to_string());
+    option("--max-iterations", most);
+    option("--bins", args.bins.clone());
+    option("--part-bins", args.part_bins.map(|v| v.to_string()));
+    let flags = [("--debias", args.debias), ("--no-stamp", args.no_stamp)];
+    let flags = flags.iter().filter(|(_, is_set)| *is_set);
+    words.extend(flags.map(|(flag, _)| flag.to_string()));
+    words.extend(["-o".to_string(), path(&args.output)]);
+    shell_words::join(words)
 }
 
 fn print_summary(outcome: &Outcome, args: &ReconstructArgs, traces: &Traces) {

@@ -5,11 +5,8 @@ use crate::outcome::say;
 use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Result};
-use rowburst_run::{PlayerPage, Seen, ViewFiles};
-use rowburst_view::{
-    HOW_TO_GET_THE_PAGE, Live, LiveStart, Offline, Opened, Point, Server, Stage, bundle,
-};
-use serde_json::Value;
+use rowburst_run::Seen;
+use rowburst_view::{HOW_TO_GET_THE_PAGE, Live, LiveStart, Opened, Point, Server, Stage, bundle};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -49,31 +46,6 @@ fn open(server: &Server, args: &BrowserArgs) {
     if !args.no_open && has_screen && open::that_detached(&url).is_err() {
         eprintln!("no browser could be started: open {url} yourself");
     }
-}
-
-/// The page for one file with what it shows.
-pub fn offline(folder: &Path, files: &ViewFiles, view: &Value) -> Option<PlayerPage> {
-    let bundle = bundle()?;
-    let mut videos = vec![("video", files.video)];
-    videos.extend(files.truth.map(|(truth, _)| ("truth", truth)));
-    let mut pictures = vec![
-        ("frame", files.frame),
-        ("psf", files.psf),
-        ("residual", files.residual),
-    ];
-    pictures.extend(files.direct.map(|image| ("direct", image)));
-    let name = folder.file_name().unwrap_or(folder.as_os_str());
-    let offline = Offline {
-        name: &name.to_string_lossy(),
-        view,
-        videos: &videos,
-        pictures: &pictures,
-    };
-    Some(PlayerPage {
-        script: bundle.script,
-        style: bundle.style,
-        data: offline.json()?,
-    })
 }
 
 /// Time between two videos that are shown while it runs.

@@ -580,6 +580,44 @@ fn a_scheduler_needs_the_python_package_and_says_so() {
 }
 
 #[test]
+fn a_scheduler_takes_no_threads_of_this_machine() {
+    let lab = lab_of(2);
+    for (option, number) in [("--threads", "2"), ("--at-once", "2")] {
+        let words = ["--scheduler", "tcp://127.0.0.1:9", option, number];
+        let (code, stdout, stderr) = output(command(&lab, "out.zarr", &words));
+        assert_eq!((code, stdout.as_str()), (2, ""), "{stderr}");
+        assert!(
+            stderr.contains("--scheduler") && stderr.contains(option),
+            "{stderr}"
+        );
+    }
+    assert!(!lab.path("out.zarr").exists());
+}
+
+#[test]
+fn an_archive_of_other_numbers_is_not_continued() {
+    let lab = lab_of(2);
+    let mut begin = command(&lab, "out.zarr", &[]);
+    begin.args(QUICK);
+    assert_eq!(output(begin).0, 0);
+    let path = lab.path("out.zarr/rowburst/job.json");
+    let job = std::fs::read_to_string(&path).unwrap();
+    let key = "\"numbers of the algorithm\":";
+    let at = job.find(key).unwrap() + key.len();
+    let at = at + job[at..].find('"').unwrap() + 1;
+    let other = format!("{}0{}", &job[..at], &job[at..]);
+    std::fs::write(&path, other).unwrap();
+    let mut again = command(&lab, "out.zarr", &[]);
+    again.args(QUICK);
+    let (code, _, stderr) = output(again);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(
+        stderr.contains("numbers of the algorithm was 0"),
+        "{stderr}"
+    );
+}
+
+#[test]
 fn a_sweep_makes_an_archive_for_each_point_and_one_table() {
     let lab = lab_of(3);
     let sweep = ["--sweep", "prior=tv,l1", "--max-iterations", "20", "--json"];

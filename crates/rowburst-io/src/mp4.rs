@@ -26,17 +26,31 @@ const LEAST_SIDE: usize = 16;
 /// not darken the rest.
 const WHITE_FRACTION: f64 = 0.999;
 
+/// Height of the strip below the pictures, over their width, and at least, in pixels.
+const STRIP: f64 = 0.05;
+const LEAST_STRIP: usize = 20;
+/// Narrower pictures have no room for words.
+const LEAST_WIDTH_OF_WORDS: usize = 96;
+
+/// What stands in a strip below each picture: from the bin, and the strip's width and height in
+/// pixels, to the ink of each pixel, 0 to 255, row after row.
+pub type Strip<'a> = dyn Fn(usize, usize, usize) -> Result<Vec<u8>> + 'a;
+
 /// Writes a video `[t, y, x]` as H.264 in MP4 at 15 pictures per second.
 ///
 /// Zero is black and the 99.9th percentile white (the maximum, where that percentile
 /// is zero), in between linear. Pixels are repeated so that the shorter side has
-/// about 432 of them; videos beyond 2160 pixels are thinned.
+/// about 432 of them; videos beyond 2160 pixels are thinned. A `strip` stands below the
+/// pictures, so that it hides nothing; pictures narrower than 96 pixels have none.
 ///
 /// # Errors
-/// A failed write or encoding.
-pub fn write_mp4(w: &mut impl Write, video: &Video) -> Result<()> {
+/// A failed write or encoding, and those of `strip`.
+///
+/// # Panics
+/// If `strip` returns another number of pixels.
+pub fn write_mp4(w: &mut impl Write, video: &Video, strip: Option<&Strip>) -> Result<()> {
     let scaler = Scaler::new(video);
-    let mut picture = Picture::new(&scaler);
+    let mut picture = Picture::new(&scaler, strip.is_some());
     let config = EncoderConfig::new()
         .profile(Profile::Baseline)
         .vui(VuiConfig::bt709())
@@ -59,6 +73,9 @@ pub fn write_mp4(w: &mut impl Write, video: &Video) -> Result<()> {
     let mut bytes = Vec::new();
     for t in 0..video.shape().bins {
         scaler.draw(video, t, &mut picture);
+        if let Some(strip) = strip {
+            picture.write_below(|width, height| strip(t, width, height))?;
+        }
         let encoded = encoder.encode(&picture).map_err(failed)?;
         bytes.clear();
         encoded.write_vec(&mut bytes);
@@ -157,20 +174,46 @@ fn white(data: &[f32]) -> f32 {
 struct Picture {
     width: usize,
     height: usize,
+    /// Rows at the bottom that are for words.
+    strip: usize,
     luma: Vec<u8>,
     chroma: Vec<u8>,
 }
 
 impl Picture {
-    fn new(scaler: &Scaler) -> Self {
+    fn new(scaler: &Scaler, has_words: bool) -> Self {
         let side = |taken: usize| (taken * scaler.repeat).max(LEAST_SIDE).next_multiple_of(2);
         let (height, width) = (side(scaler.taken.0), side(scaler.taken.1));
+        let strip = match has_words && width >= LEAST_WIDTH_OF_WORDS {
+            true => ((width as f64 * STRIP) as usize)
+                .max(LEAST_STRIP)
+                .next_multiple_of(2),
+            false => 0,
+        };
+        let height = height + strip;
         Self {
             width,
             height,
+            strip,
             luma: vec![16; width * height],
             chroma: vec![128; width * height / 4],
         }
+    }
+}
+
+impl Picture {
+    fn write_below(&mut self, ink: impl FnOnce(usize, usize) -> Result<Vec<u8>>) -> Result<()> {
+        if self.strip == 0 {
+            return Ok(());
+        }
+        let ink = ink(self.width, self.strip)?;
+        let from = self.luma.len() - self.width * self.strip;
+        let luma = &mut self.luma[from..];
+        assert_eq!(ink.len(), luma.len(), "the ink of each pixel");
+        for (luma, ink) in luma.iter_mut().zip(ink) {
+            *luma = 16 + (f32::from(ink) * (219.0 / 255.0)).round() as u8;
+        }
+        Ok(())
     }
 }
 
@@ -209,7 +252,7 @@ mod tests {
             let values = video.data_mut().iter_mut().enumerate();
             values.for_each(|(i, v)| *v = (i % 97) as f32);
             let mut bytes = Vec::new();
-            write_mp4(&mut bytes, &video).unwrap();
+            write_mp4(&mut bytes, &video, None).unwrap();
             let at = |name: &[u8]| bytes.windows(4).position(|w| w == name).unwrap();
             assert!(at(b"moov") < at(b"mdat"));
         }
@@ -232,12 +275,33 @@ mod tests {
         let data = vec![0.0, 1.0, f32::NAN, -1.0, 0.5, f32::INFINITY];
         let video = Video::new(Shape::new(1, 2, 3), data).unwrap();
         let scaler = Scaler::new(&video);
-        let mut picture = Picture::new(&scaler);
+        let mut picture = Picture::new(&scaler, false);
         scaler.draw(&video, 0, &mut picture);
         let (width, repeat) = (picture.width, scaler.repeat);
         assert_eq!((picture.height, width), (432, 648));
         let luma = |y, x| picture.luma[y * repeat * width + x * repeat];
         let drawn = [0, 1].map(|y| [luma(y, 0), luma(y, 1), luma(y, 2)]);
         assert_eq!(drawn, [[16, 235, 16], [16, 126, 235]]);
+    }
+
+    #[test]
+    fn words_stand_below_the_pictures() {
+        let video = Video::zeros(Shape::new(1, 108, 108));
+        let mut picture = Picture::new(&Scaler::new(&video), true);
+        assert_eq!(
+            (picture.width, picture.height, picture.strip),
+            (432, 454, 22)
+        );
+        picture
+            .write_below(|width, height| Ok(vec![255; width * height]))
+            .unwrap();
+        let (above, below) = picture.luma.split_at(432 * 432);
+        assert!(above.iter().all(|&v| v == 16) && below.iter().all(|&v| v == 235));
+        let narrow = Video::zeros(Shape::new(1, 4000, 4));
+        assert_eq!(Picture::new(&Scaler::new(&narrow), true).strip, 0);
+        let mut bytes = Vec::new();
+        let strip = |_, width, height| Ok(vec![9; width * height]);
+        write_mp4(&mut bytes, &video, Some(&strip)).unwrap();
+        assert!(bytes.len() > 100);
     }
 }

@@ -366,6 +366,18 @@ pub fn write_npy_i64(w: &mut impl Write, shape: &[usize], data: &[i64]) -> Resul
     write(w, "<i8", shape, data, |v| v.to_le_bytes())
 }
 
+/// What stands before the numbers of an array in C order.
+pub(crate) fn header_of(dtype: &str, shape: &[usize]) -> Vec<u8> {
+    let lengths: String = shape.iter().map(|d| format!("{d}, ")).collect();
+    let text = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({lengths}), }}");
+    // The numbers start at a multiple of 64 bytes, after a newline.
+    let header = format!("{text:<0$}\n", (text.len() + 11).next_multiple_of(64) - 11);
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes
+}
+
 fn write<T: Copy, const N: usize>(
     w: &mut impl Write,
     dtype: &str,
@@ -375,14 +387,8 @@ fn write<T: Copy, const N: usize>(
 ) -> Result<()> {
     let total: usize = shape.iter().product();
     assert_eq!(data.len(), total, "one number for each of {shape:?}");
-    let lengths: String = shape.iter().map(|d| format!("{d}, ")).collect();
-    let text = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({lengths}), }}");
-    // The numbers start at a multiple of 64 bytes, after a newline.
-    let header = format!("{text:<0$}\n", (text.len() + 11).next_multiple_of(64) - 11);
     let mut write = || -> std::io::Result<()> {
-        w.write_all(b"\x93NUMPY\x01\x00")?;
-        w.write_all(&(header.len() as u16).to_le_bytes())?;
-        w.write_all(header.as_bytes())?;
+        w.write_all(&header_of(dtype, shape))?;
         data.iter().try_for_each(|&v| w.write_all(&bytes(v)))
     };
     write().map_err(|e| fault::writing(&e))

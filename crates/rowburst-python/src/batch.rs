@@ -77,6 +77,7 @@ impl PyBatch {
             tau: tau.as_deref(),
             noise_sigma,
             max_iterations,
+            time_budget_s: None,
             frame_period_us,
             version: env!("CARGO_PKG_VERSION"),
         };

@@ -11,6 +11,7 @@ mod experiment;
 mod operator;
 mod psf;
 mod result;
+mod sequence;
 mod simulation;
 mod task;
 
@@ -34,6 +35,8 @@ mod _rowburst {
     use crate::psf::{PyPsf, speckle_psf};
     #[pymodule_export]
     use crate::result::{PyProgress, PyReconstruction};
+    #[pymodule_export]
+    use crate::sequence::{PyLook, PySequence};
     #[pymodule_export]
     use crate::simulation::{PySimulation, simulate};
     #[pymodule_export]

@@ -9,8 +9,8 @@ use pyo3::types::PyDict;
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
-use rowburst_run::{About, Solved, Traces, Wanted, Words};
-use std::path::PathBuf;
+use rowburst_run::{About, Film, Solved, Traces, Wanted, Words, player_of};
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// An iteration, as a progress callback sees it.
@@ -265,7 +265,9 @@ impl PyReconstruction {
                 reproduce: None,
                 files: Vec::new(),
             };
-            solved.report(traces, words).map(|report| report.html)
+            solved
+                .report(traces, words, player_of(Path::new(&title)))
+                .map(|report| report.html)
         })?;
         page.map_err(raised)
     }
@@ -279,7 +281,8 @@ impl PyReconstruction {
                 let about = About {
                     title: &title,
                     reproduce: None,
-                    player: None,
+                    player: player_of(folder.path()),
+                    film: Film::Stamped,
                 };
                 solved.write(traces, &folder, about).map(|_| ())
             }

@@ -148,12 +148,12 @@ fn within_frame(error: Error) -> Error {
     }
 }
 
-fn prior_from(name: &str) -> PyResult<Option<Prior>> {
+pub fn prior_from(name: &str) -> PyResult<Option<Prior>> {
     prior_of(name).map_err(raised)
 }
 
 /// `None` and text as on the command line, or a number.
-fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
+pub fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
     match tau {
         None => Ok(Tau::Auto),
         Some(value) => match value.extract::<f64>() {

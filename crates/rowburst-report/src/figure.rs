@@ -69,7 +69,7 @@ const PAPER: &str = "text{font-family:'DejaVu Sans';font-size:12px;fill:#1d2330}
 .line{stroke:#1f6fb2;stroke-width:1.6;fill:none}.reference{stroke:#5b6472;stroke-width:1.2;fill:none}\
 .bars{fill:#8fb6d8;stroke:none}";
 
-static FONTS: LazyLock<Arc<usvg::fontdb::Database>> = LazyLock::new(|| {
+pub(crate) static FONTS: LazyLock<Arc<usvg::fontdb::Database>> = LazyLock::new(|| {
     let mut fonts = usvg::fontdb::Database::new();
     for face in [dejavu::sans::regular(), dejavu::sans::bold()] {
         fonts.load_font_source(usvg::fontdb::Source::Binary(Arc::new(face)));

@@ -23,12 +23,14 @@ mod pixels;
 mod projection;
 mod sheet;
 mod stats;
+mod words;
 
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
 pub use layout::{Composed, Layout, compose};
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
+pub use words::words;
 
 /// What a report is made of. Everything is borrowed; nothing is changed or copied whole.
 #[derive(Debug, Clone)]

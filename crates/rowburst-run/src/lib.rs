@@ -9,9 +9,13 @@
 //! the numbers of `result.json`, the report and the folder of results. No terminal: what is to be
 //! said goes to the caller, and an observer sees every iteration and may stop it.
 
+mod film;
+mod in_parts;
 pub mod inputs;
+mod numbers;
 pub mod options;
 mod outcome;
+mod player;
 pub mod simulate;
 mod solved;
 mod task;
@@ -19,11 +23,15 @@ mod traces;
 mod view_files;
 mod watch;
 
+pub use film::Film;
+pub use in_parts::{PartNumbers, PartsOutcome, PartsTask, run_in_parts};
+pub use numbers::thousands;
 pub use outcome::{
     FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
     peak_memory_bytes, short,
 };
-pub use solved::{About, MakePlayer, PlayerPage, Solved, Words, thousands};
+pub use player::{MakePlayer, PlayerPage, player_of};
+pub use solved::{About, Solved, Words};
 pub use task::{Seen, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,

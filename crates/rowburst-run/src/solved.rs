@@ -1,16 +1,19 @@
 //! A finished reconstruction: its numbers, its report and its folder of results.
 
+use crate::film::{Film, encoded};
+use crate::numbers::{headline, settings};
 use crate::outcome::{
     FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
-    peak_memory_bytes, short,
+    peak_memory_bytes,
 };
+use crate::player::{MakePlayer, PlayerPage};
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, Traces, Wanted};
-use crate::view_files::{self, ViewFiles};
+use crate::view_files::{self, TRUTH, ViewFiles};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
-use rowburst::{Image, Result, Video};
+use rowburst::{Image, Result};
 use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
 use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Player, Report, ReportInput};
 use std::borrow::Cow;
@@ -70,19 +73,8 @@ pub struct About<'a> {
     pub reproduce: Option<&'a str>,
     /// Makes the viewer's page for the report.
     pub player: Option<MakePlayer>,
-}
-
-/// From what the viewer shows, and `view.json`, to its page; `None` where the video is too large.
-pub type MakePlayer = Box<dyn Fn(&ViewFiles, &serde_json::Value) -> Option<PlayerPage>>;
-
-/// The viewer's page for one file.
-pub struct PlayerPage {
-    /// Its code.
-    pub script: String,
-    /// Its looks.
-    pub style: String,
-    /// What it shows.
-    pub data: String,
+    /// What `video.mp4` shows.
+    pub film: Film,
 }
 
 /// What a report says of where it comes from.
@@ -264,7 +256,7 @@ impl Solved {
             camera.sensor().pixel_pitch_um,
         )?;
         traces.write(folder, camera.time())?;
-        let mp4 = encoded(video)?;
+        let mp4 = encoded(video, camera.time(), about.film)?;
         if let Some(mp4) = &mp4 {
             folder.write_bytes("video.mp4", mp4)?;
         }
@@ -292,18 +284,29 @@ impl Solved {
         Ok(outcome)
     }
 
-    /// The report alone, with its film in it.
+    /// The report alone, with its film or its player in it.
     ///
     /// # Errors
     /// A film that cannot be encoded.
-    pub fn report(&self, traces: &Traces, words: Words) -> Result<Report> {
+    pub fn report(
+        &self,
+        traces: &Traces,
+        words: Words,
+        player: Option<MakePlayer>,
+    ) -> Result<Report> {
         let mut outcome = self.outcome(traces);
         outcome.peak_memory_bytes = peak_memory_bytes();
-        let mp4 = encoded(&self.found.video)?;
-        self.report_of(traces, &outcome, words, mp4.as_deref(), None)
+        let time = self.task.camera.time();
+        let mp4 = encoded(&self.found.video, time, Film::Stamped)?;
+        let (title, command) = (words.title, words.reproduce);
+        let page = self.with_view(traces, &outcome, title, command, |files| {
+            let truth = files.truth.map(|_| TRUTH);
+            player.and_then(|make| make(files, &view_files::describe(files, truth)))
+        });
+        self.report_of(traces, &outcome, words, mp4.as_deref(), page.as_ref())
     }
 
-    /// What the viewer shows beside the video; the page for one file, where there is one.
+    /// Writes what the viewer shows beside the video; the page for one file, where there is one.
     fn write_view(
         &self,
         traces: &Traces,
@@ -311,10 +314,26 @@ impl Solved {
         folder: &OutputFolder,
         about: &About,
     ) -> Result<Option<PlayerPage>> {
+        self.with_view(traces, outcome, about.title, about.reproduce, |files| {
+            let view = view_files::write(folder, files)?;
+            let make = about.player.as_ref();
+            Ok(make.and_then(|make| make(files, &view)))
+        })
+    }
+
+    /// Does something with all that the viewer shows.
+    fn with_view<T>(
+        &self,
+        traces: &Traces,
+        outcome: &Outcome,
+        title: &str,
+        command: Option<&str>,
+        act: impl FnOnce(&ViewFiles) -> T,
+    ) -> T {
         let (task, direct) = (&self.task, self.direct());
         let truth = task.truth.as_ref();
-        let files = ViewFiles {
-            title: about.title,
+        act(&ViewFiles {
+            title,
             camera: &task.camera,
             video: &self.found.video,
             truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
@@ -325,14 +344,11 @@ impl Solved {
             traces: &traces.placed(),
             course: &self.curve,
             headline: &headline(outcome),
-            settings: &self.settings(outcome),
+            settings: &settings(task, outcome),
             fit: (outcome.fit, &outcome.fit_reason),
             warnings: &outcome.warnings,
-            command: about.reproduce.unwrap_or_default(),
-        };
-        let view = view_files::write(folder, &files)?;
-        let make = about.player.as_ref();
-        Ok(make.and_then(|make| make(&files, &view)))
+            command: command.unwrap_or_default(),
+        })
     }
 
     /// The scene without the diffuser: the frame that was given, or computed from the truth.
@@ -379,7 +395,7 @@ impl Solved {
                 verdict: outcome.fit,
                 reason: &outcome.fit_reason,
             }),
-            settings: self.settings(outcome),
+            settings: settings(task, outcome),
             pixel_pitch_um: task.camera.sensor().pixel_pitch_um,
             mp4,
             player: page.map(|page| Player {
@@ -391,216 +407,4 @@ impl Solved {
             reproduce: words.reproduce,
         })
     }
-
-    fn settings(&self, outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
-        let camera = &self.task.camera;
-        let sensor = camera.sensor();
-        let pair = |name: &str, value: String| (name.to_string(), value);
-        let mut of_camera = vec![
-            pair(
-                "rows × columns",
-                format!("{} × {}", camera.rows(), camera.columns()),
-            ),
-            pair("shutter", camera.shutter().name().into()),
-            pair("row_time_us", camera.params().row_time_us.to_string()),
-            pair("exposure_us", camera.params().exposure_us.to_string()),
-            pair("bins_per_row", camera.params().bins_per_row.to_string()),
-            pair(
-                "field",
-                format!("{} × {}", camera.field().0, camera.field().1),
-            ),
-            pair("binning", sensor.binning.to_string()),
-        ];
-        let optional = [
-            ("pixel_pitch_um", sensor.pixel_pitch_um),
-            ("bit_depth", sensor.bit_depth.map(f64::from)),
-            ("bias_counts", sensor.bias_counts),
-            ("gain_electrons_per_count", sensor.gain_electrons_per_count),
-            ("read_noise_electrons", sensor.read_noise_electrons),
-            ("full_well_counts", sensor.full_well_counts),
-        ];
-        for (name, value) in optional {
-            if let Some(value) = value {
-                of_camera.push(pair(name, value.to_string()));
-            }
-        }
-        if let Some(taken) = self.task.taken.summary() {
-            of_camera.push(pair("from metadata", taken));
-        }
-        let psf = self.task.psfs.central().image();
-        let of_solver = vec![
-            pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
-            pair("prior R", outcome.prior.clone()),
-            pair("its choice", outcome.prior_choice.reason.clone()),
-            pair(
-                "τ",
-                format!("{} ({})", short(outcome.tau), outcome.tau_rule),
-            ),
-            pair(
-                "σ",
-                format!(
-                    "{} counts ({})",
-                    short(outcome.noise_sigma),
-                    outcome.noise_sigma_source
-                ),
-            ),
-            pair("residual/σ", format!("{:.4}", outcome.residual_over_sigma)),
-            pair("fit", format!("{}: {}", outcome.fit, outcome.fit_reason)),
-            pair(
-                "χ² per degree of freedom",
-                format!(
-                    "{} ± {}",
-                    short(outcome.fit_statistics.chi_squared),
-                    short(outcome.fit_statistics.chi_squared_error)
-                ),
-            ),
-            pair(
-                "noise over σ, outside the optics' band",
-                outcome
-                    .fit_statistics
-                    .noise_floor
-                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
-            ),
-            pair(
-                "residual/σ inside it",
-                outcome
-                    .fit_statistics
-                    .passed_level
-                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
-            ),
-            pair(
-                "free values per measurement",
-                format!("{:.2}", outcome.fit_statistics.freedom),
-            ),
-            pair(
-                "objective at the end",
-                format!("{}; {}", short(outcome.objective), outcome.certificate),
-            ),
-            pair(
-                "voxels allowed to be lit",
-                format!("{:.2} %", 100.0 * outcome.support_fraction),
-            ),
-            pair(
-                "standard errors of traces",
-                match (&outcome.trace_errors, &outcome.trace_errors.missing_because) {
-                    (_, Some(why)) => format!("not known: {why}"),
-                    (errors, None) => format!(
-                        "light changes over {:.1} px by {:.2} of its brightness, χ² {:.2}, found in {:.2} s",
-                        errors.prior_length_px.unwrap_or(f64::NAN),
-                        errors.prior_amplitude.unwrap_or(f64::NAN),
-                        errors.chi_squared.unwrap_or(f64::NAN),
-                        errors.seconds
-                    ),
-                },
-            ),
-            pair(
-                "debiased",
-                outcome.debias.as_ref().map_or("no".into(), |d| {
-                    let psnr = d.psnr_db_before.zip(outcome.psnr_db);
-                    let psnr = psnr.map_or(String::new(), |(a, b)| format!(", PSNR {a:.1} to {b:.1} dB"));
-                    format!(
-                        "yes: light × {:.4}, bright parts × {:.4}{psnr}; residual and fit are those before",
-                        d.light_ratio, d.bright_light_ratio
-                    )
-                }),
-            ),
-            pair("iterations", outcome.iterations.to_string()),
-            pair("stopped", outcome.stop_reason.into()),
-            pair(
-                "PSF",
-                match self.task.psfs.psfs().len() {
-                    1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
-                    n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
-                },
-            ),
-            pair(
-                "bad and saturated pixels",
-                format!("{} and {}", outcome.bad_pixels, outcome.saturated_pixels),
-            ),
-        ];
-        let of_run = vec![
-            pair("rowburst", outcome.version.into()),
-            pair("threads", outcome.threads.to_string()),
-            pair(
-                "set-up and solving",
-                format!(
-                    "{:.2} s and {:.2} s",
-                    outcome.setup_seconds, outcome.seconds
-                ),
-            ),
-            pair(
-                "peak memory",
-                outcome
-                    .peak_memory_bytes
-                    .map_or("unknown".into(), |b| format!("{} MB", b / 1_000_000)),
-            ),
-            pair(
-                "warnings",
-                if outcome.warnings.is_empty() {
-                    "none".into()
-                } else {
-                    outcome.warnings.join("; ")
-                },
-            ),
-        ];
-        vec![
-            ("Camera".into(), of_camera),
-            ("Reconstruction".into(), of_solver),
-            ("Run".into(), of_run),
-        ]
-    }
-}
-
-/// The video as MP4; `None` in a build without the feature `mp4`.
-#[cfg(feature = "mp4")]
-fn encoded(video: &Video) -> Result<Option<Vec<u8>>> {
-    let mut mp4 = Vec::new();
-    rowburst_io::write_mp4(&mut mp4, video)?;
-    Ok(Some(mp4))
-}
-
-/// The video as MP4; `None` in a build without the feature `mp4`.
-#[cfg(not(feature = "mp4"))]
-fn encoded(_: &Video) -> Result<Option<Vec<u8>>> {
-    Ok(None)
-}
-
-fn headline(outcome: &Outcome) -> Vec<(String, String)> {
-    let mut lines = Vec::new();
-    if let Some(psnr) = outcome.psnr_db {
-        lines.push(("PSNR".to_string(), format!("{psnr:.1} dB")));
-    }
-    if let Some(ssim) = outcome.ssim {
-        lines.push(("SSIM".to_string(), format!("{ssim:.4}")));
-    }
-    lines.extend([
-        ("Fit".to_string(), outcome.fit.to_string()),
-        (
-            "Residual/σ".to_string(),
-            format!("{:.2}", outcome.residual_over_sigma),
-        ),
-        (
-            "Frame rate".to_string(),
-            format!("{} fps", thousands(outcome.frame_rate_hz)),
-        ),
-        ("Frames".to_string(), outcome.frames.to_string()),
-        (
-            "Time".to_string(),
-            format!("{:.2} s", outcome.setup_seconds + outcome.seconds),
-        ),
-    ]);
-    lines
-}
-
-/// A whole number with a comma every three digits.
-pub fn thousands(value: f64) -> String {
-    let digits = format!("{value:.0}");
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
 }

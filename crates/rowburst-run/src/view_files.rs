@@ -9,6 +9,9 @@ use std::path::Path;
 /// Most points of a photodiode's signal that are kept; a screen shows no more.
 const MOST_POINTS: usize = 5000;
 
+/// The file of the true video, where it is copied.
+pub(crate) const TRUTH: &str = "view-truth.npy";
+
 /// All of it, borrowed.
 pub struct ViewFiles<'a> {
     /// Of the page.
@@ -60,15 +63,15 @@ pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<Value> {
     let truth = match files.truth {
         // It lies in the folder already (rowburst demo).
         Some((_, Some(path))) if is_in(path, folder, "truth.npy") => {
-            folder.remove("view-truth.npy")?;
+            folder.remove(TRUTH)?;
             Some("truth.npy")
         }
         Some((truth, _)) => {
-            folder.write("view-truth.npy", |w| write_npy_video(w, truth))?;
-            Some("view-truth.npy")
+            folder.write(TRUTH, |w| write_npy_video(w, truth))?;
+            Some(TRUTH)
         }
         None => {
-            folder.remove("view-truth.npy")?;
+            folder.remove(TRUTH)?;
             None
         }
     };
@@ -83,7 +86,7 @@ fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
 }
 
 /// `view.json`; numbers that are not finite become null.
-fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
+pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     let camera = files.camera;
     let time = camera.time();
     let bins_of = |instant: &usize| {

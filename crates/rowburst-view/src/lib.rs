@@ -12,16 +12,23 @@
 //! a picture is seen long before the video is there.
 
 mod array;
+#[cfg(feature = "server")]
 mod guard;
+#[cfg(feature = "server")]
 mod live;
 pub mod offline;
+#[cfg(feature = "server")]
 pub mod opened;
 mod page;
+#[cfg(feature = "server")]
 mod server;
 
 pub use array::{Array, Quantised, quantise8, range_of_video};
+#[cfg(feature = "server")]
 pub use live::{Live, LiveStart, Point, Stage};
 pub use offline::Offline;
+#[cfg(feature = "server")]
 pub use opened::Opened;
 pub use page::{Bundle, HOW_TO_GET_THE_PAGE, bundle};
+#[cfg(feature = "server")]
 pub use server::Server;

@@ -4,6 +4,7 @@
 //! when a page has asked since the last one, so a run that nobody watches costs nothing.
 
 use crate::array::Quantised;
+use axum::body::Bytes;
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -63,7 +64,8 @@ struct Now {
     course: Vec<Point>,
     latest: Option<Point>,
     snapshot: usize,
-    video: Option<Arc<Quantised>>,
+    /// 16-bit numbers and their range, shared with the answers that are under way.
+    video: Option<(Bytes, (f32, f32))>,
     error: Option<String>,
 }
 
@@ -110,10 +112,10 @@ impl Live {
     pub fn show(&self, video: &[f32]) {
         let voxels: usize = self.start.shape.iter().product();
         assert_eq!(video.len(), voxels, "the shape that was announced");
-        let ready = Arc::new(Quantised::of(video));
+        let Quantised { bytes, range } = Quantised::of(video);
         self.wanted.store(false, Ordering::Relaxed);
         let mut now = self.now();
-        now.video = Some(ready);
+        now.video = Some((bytes.into(), range));
         now.snapshot += 1;
     }
 
@@ -165,8 +167,8 @@ impl Live {
         })
     }
 
-    /// The video that was shown last.
-    pub(crate) fn video(&self) -> Option<Arc<Quantised>> {
+    /// The video that was shown last, and its range.
+    pub(crate) fn video(&self) -> Option<(Bytes, (f32, f32))> {
         self.now().video.clone()
     }
 

@@ -10,6 +10,7 @@ use rowburst_io::read_image;
 use serde_json::{Map, Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// Files that may be taken from a result folder, with their types.
 pub const DOWNLOADS: [(&str, &str); 7] = [
@@ -38,12 +39,26 @@ const MOST_TEXT: u64 = 64 << 20;
 
 /// A result, ready to be served.
 pub struct Opened {
-    /// `None` for a video alone.
-    folder: Option<PathBuf>,
+    /// The folder or the video.
+    path: PathBuf,
+    is_folder: bool,
+    /// What tells this result from one that is written in its place.
+    identity: Identity,
     meta: Value,
     /// By name; `video` is always there.
     arrays: Vec<(&'static str, Array)>,
     images: Vec<(&'static str, PathBuf)>,
+}
+
+/// Time and size of the file that is written last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Identity(Option<(SystemTime, u64)>);
+
+impl Identity {
+    fn of(path: &Path) -> Self {
+        let metadata = fs::metadata(path).ok();
+        Self(metadata.and_then(|m| Some((m.modified().ok()?, m.len()))))
+    }
 }
 
 impl Opened {
@@ -69,6 +84,8 @@ impl Opened {
         if !there("result.json") {
             return Err(not_whole(path));
         }
+        // Before anything is read: what is written meanwhile is another result.
+        let identity = Identity::of(&path.join("result.json"));
         let result = read_json(&path.join("result.json"))?;
         let view = match there("view.json") {
             true => read_json(&path.join("view.json"))?,
@@ -107,20 +124,24 @@ impl Opened {
             "view": view,
             "result": result,
         });
-        Ok(Self::new(Some(path), meta, arrays, images))
+        Ok(Self::new(path, true, identity, meta, arrays, images))
     }
 
     fn video(path: &Path) -> Result<Self> {
+        let identity = Identity::of(path);
         let video = Array::open(path, None)?;
         let meta = json!({
             "name": name_of(path), "images": {}, "files": [],
             "bin_duration_us": null, "view": null, "result": null,
         });
-        Ok(Self::new(None, meta, vec![("video", video)], Vec::new()))
+        let arrays = vec![("video", video)];
+        Ok(Self::new(path, false, identity, meta, arrays, Vec::new()))
     }
 
     fn new(
-        folder: Option<&Path>,
+        path: &Path,
+        is_folder: bool,
+        identity: Identity,
         mut meta: Value,
         arrays: Vec<(&'static str, Array)>,
         images: Vec<(&'static str, PathBuf)>,
@@ -131,7 +152,9 @@ impl Opened {
         let ranges = ranges.map(|(name, array)| (name.to_string(), json!(array.range())));
         meta["ranges"] = Value::Object(ranges.collect());
         Self {
-            folder: folder.map(Path::to_path_buf),
+            path: path.to_path_buf(),
+            is_folder,
+            identity,
             meta,
             arrays,
             images,
@@ -141,6 +164,20 @@ impl Opened {
     /// What the page needs to know before it asks for pictures.
     pub fn meta(&self) -> &Value {
         &self.meta
+    }
+
+    /// The folder or the video that was opened.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether its files are still those that were opened.
+    pub(crate) fn is_current(&self) -> bool {
+        let last = match self.is_folder {
+            true => &self.path.join("result.json"),
+            false => &self.path,
+        };
+        self.identity.0.is_some() && self.identity == Identity::of(last)
     }
 
     /// The video `name`.
@@ -156,7 +193,7 @@ impl Opened {
     /// A file to be taken away, with its type.
     pub(crate) fn download(&self, name: &str) -> Option<(PathBuf, &'static str)> {
         let (name, kind) = DOWNLOADS.iter().find(|(n, _)| *n == name)?;
-        Some((self.folder.as_ref()?.join(name), kind))
+        self.is_folder.then(|| (self.path.join(name), *kind))
     }
 }
 

@@ -30,6 +30,7 @@ pub fn bundle() -> Option<Bundle> {
     })
 }
 
+#[cfg(feature = "server")]
 /// A file of the page with its type, as the browser asks for it.
 pub(crate) fn file(name: &str) -> Option<(&'static str, Vec<u8>)> {
     let kind = match name {
@@ -41,6 +42,7 @@ pub(crate) fn file(name: &str) -> Option<(&'static str, Vec<u8>)> {
     Some((kind, Files::get(name)?.data.into_owned()))
 }
 
+#[cfg(feature = "server")]
 /// In the place of a page that was not built.
 pub(crate) fn without() -> String {
     format!(

@@ -4,7 +4,7 @@ use crate::guard::guard;
 use crate::live::Live;
 use crate::opened::Opened;
 use crate::page;
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{Html, IntoResponse, Response};
@@ -102,6 +102,18 @@ impl Shared {
         let results = self.results.read();
         Arc::clone(&results.unwrap_or_else(PoisonError::into_inner))
     }
+
+    /// Opens those results anew that were written since they were opened.
+    fn renew(&self) -> Result<()> {
+        let results = self.results();
+        if results.iter().all(|result| result.is_current()) {
+            return Ok(());
+        }
+        let renewed = results.iter().map(|result| Opened::open(result.path()));
+        let renewed = Arc::new(renewed.collect::<Result<Vec<_>>>()?);
+        *self.results.write().unwrap_or_else(PoisonError::into_inner) = renewed;
+        Ok(())
+    }
 }
 
 fn routes(shared: Arc<Shared>) -> Router {
@@ -122,12 +134,24 @@ fn routes(shared: Arc<Shared>) -> Router {
 const RANGE: HeaderName = HeaderName::from_static("x-range");
 const SHAPE: HeaderName = HeaderName::from_static("x-shape");
 
+/// Where a result was written anew, its parts would not fit those that a page has.
+fn written_again(result: &Opened) -> Response {
+    let words = format!(
+        "{} was written again, or is being written: reload the page when it is whole.\n",
+        result.meta()["name"].as_str().unwrap_or("The result")
+    );
+    (StatusCode::CONFLICT, words).into_response()
+}
+
 fn not_found() -> Response {
     (StatusCode::NOT_FOUND, "There is nothing of this name.\n").into_response()
 }
 
-fn binary(bytes: Vec<u8>, headers: impl IntoIterator<Item = (HeaderName, String)>) -> Response {
-    let mut response = bytes.into_response();
+fn binary(
+    bytes: impl Into<Bytes>,
+    headers: impl IntoIterator<Item = (HeaderName, String)>,
+) -> Response {
+    let mut response = bytes.into().into_response();
     for (name, value) in headers {
         let value = value.parse().expect("numbers are fit for a header");
         response.headers_mut().insert(name, value);
@@ -150,6 +174,9 @@ async fn of_page(Path(name): Path<String>) -> Response {
 }
 
 async fn view(State(shared): State<Arc<Shared>>) -> Response {
+    if let Err(error) = shared.renew() {
+        return (StatusCode::CONFLICT, format!("{error}\n")).into_response();
+    }
     let results = shared.results();
     let metas: Vec<_> = match &shared.live {
         Some(live) if results.is_empty() => vec![live.meta()],
@@ -160,7 +187,7 @@ async fn view(State(shared): State<Arc<Shared>>) -> Response {
 }
 
 #[derive(Deserialize)]
-struct Bins {
+struct Range {
     from: usize,
     to: usize,
 }
@@ -169,12 +196,15 @@ struct Bins {
 async fn bins(
     State(shared): State<Arc<Shared>>,
     Path((at, name)): Path<(usize, String)>,
-    Query(Bins { from, to }): Query<Bins>,
+    Query(Range { from, to }): Query<Range>,
 ) -> Response {
     let results = shared.results();
-    let Some(array) = results.get(at).and_then(|r| r.array(&name)) else {
+    let Some((result, array)) = results.get(at).and_then(|r| Some((r, r.array(&name)?))) else {
         return not_found();
     };
+    if !result.is_current() {
+        return written_again(result);
+    }
     let count = array.shape()[0];
     let room = MOST_BYTES / array.bytes_per_bin().max(1);
     if from >= to || to > count || to - from > room.max(1) {
@@ -188,7 +218,12 @@ async fn bins(
     let results = Arc::clone(&results);
     work(&shared, move || {
         let array = results[at].array(&name).expect("found before");
-        let found = array.bins(from, to)?;
+        let found = array.bins(from, to);
+        // It may have been replaced while it was read.
+        if !results[at].is_current() {
+            return Ok(written_again(&results[at]));
+        }
+        let found = found?;
         let (low, high) = found.range;
         Ok(binary(found.bytes, [(RANGE, format!("{low} {high}"))]))
     })
@@ -201,13 +236,18 @@ async fn image(
     Path((at, name)): Path<(usize, String)>,
 ) -> Response {
     let results = shared.results();
-    let path = results.get(at).and_then(|r| r.image(&name));
-    let Some(path) = path.map(std::path::Path::to_path_buf) else {
+    let found = results.get(at).and_then(|r| Some((r, r.image(&name)?)));
+    let Some(path) = found.map(|(_, path)| path.to_path_buf()) else {
         return not_found();
     };
+    let results = Arc::clone(&results);
     work(&shared, move || {
-        let image = rowburst_io::read_image(&path)?.image;
-        let bytes = image.data().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let image = rowburst_io::read_image(&path);
+        if !results[at].is_current() {
+            return Ok(written_again(&results[at]));
+        }
+        let image = image?.image;
+        let bytes: Vec<u8> = image.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         let size = format!("{} {}", image.rows(), image.columns());
         Ok(binary(bytes, [(SHAPE, size)]))
     })
@@ -262,10 +302,7 @@ async fn live(State(shared): State<Arc<Shared>>) -> Response {
 
 async fn live_bins(State(shared): State<Arc<Shared>>) -> Response {
     match shared.live.as_ref().and_then(|live| live.video()) {
-        Some(video) => {
-            let (low, high) = video.range;
-            binary(video.bytes.clone(), [(RANGE, format!("{low} {high}"))])
-        }
+        Some((bytes, (low, high))) => binary(bytes, [(RANGE, format!("{low} {high}"))]),
         None => not_found(),
     }
 }

@@ -249,3 +249,36 @@ fn a_running_reconstruction_is_watched_and_stopped() {
         (&false.into(), &5.into())
     );
 }
+
+#[test]
+fn a_result_that_is_written_again_is_not_mixed_with_the_one_before() {
+    let base = folder();
+    let server = served(base.path());
+    let bins = "/api/result/0/bins/video?from=0&to=1";
+    assert!(get(&server, bins).0.starts_with("http/1.1 200"));
+    let out = OutputFolder::create(&base.path().join("result")).unwrap();
+
+    // As rowburst reconstruct does it: result.json goes first, and comes last.
+    out.remove("result.json").unwrap();
+    for path in [bins, "/api/view"] {
+        let (head, body) = get(&server, path);
+        assert!(head.starts_with("http/1.1 409"), "{path}: {head}");
+        let words = String::from_utf8(body).unwrap();
+        assert!(words.contains("result"), "{path}: {words}");
+    }
+    let video = Video::new(Shape::new(2, 4, 5), vec![7.0; 40]).unwrap();
+    out.write("video.npy", |w| write_npy_video(w, &video))
+        .unwrap();
+    out.write_bytes("result.json", br#"{"frame_rate_hz": 50000.0}"#)
+        .unwrap();
+    let (head, body) = get(&server, bins);
+    assert!(head.starts_with("http/1.1 409"), "{head}");
+    assert!(String::from_utf8(body).unwrap().contains("reload"));
+
+    // A reload opens it.
+    let (_, meta) = get(&server, "/api/view");
+    let meta: serde_json::Value = serde_json::from_slice(&meta).unwrap();
+    assert_eq!(meta["results"][0]["shape"][0], 2);
+    assert_eq!(meta["results"][0]["bin_duration_us"], 20.0);
+    assert!(get(&server, bins).0.starts_with("http/1.1 200"));
+}

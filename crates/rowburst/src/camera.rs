@@ -1,6 +1,7 @@
 //! The camera: which rows it reads when, and what its numbers mean.
 
 use crate::{Error, Result, Shape, Shutter, TimeGrid};
+use std::ops::Range;
 
 /// A rolling-shutter camera and the field that it is asked to reconstruct.
 ///
@@ -10,6 +11,14 @@ pub struct Camera {
     params: CameraParams,
     instants: Vec<usize>,
     time: TimeGrid,
+    /// What a part of the readout reads of the sensor; `None`: every row.
+    cut: Option<Cut>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Cut {
+    rows: Vec<usize>,
+    first_bin: usize,
 }
 
 /// What a [`Camera`] is made from: the experiment file's `[camera]` and `[field]`.
@@ -160,12 +169,84 @@ impl Camera {
             params,
             instants,
             time,
+            cut: None,
         })
     }
 
-    /// Rows of the sensor (working grid).
+    /// The camera that reads only what sees the light of `bins`: its frame has only those rows, one
+    /// after another, its video only those bins, and the field is the same. Where no row sees bins
+    /// inside and outside (an exposure of at most a row), `A` of the whole readout is made of the `A`
+    /// of its parts, so a video can be found part by part.
+    ///
+    /// # Errors
+    /// Bins that are not there, and rows whose exposure reaches beyond them.
+    pub fn cut(&self, bins: Range<usize>) -> Result<Self> {
+        require(
+            bins.start < bins.end && bins.end <= self.time.bins(),
+            "bins",
+            format!("{}..{}", bins.start, bins.end),
+            format!("a range of the bins 0..{}", self.time.bins()),
+            "Give the first bin and the one after the last, FIRST..END.",
+        )?;
+        let mut kept = Vec::new();
+        for (i, run) in self.time.instants().iter().enumerate() {
+            let sees = run.first_bin..run.first_bin + run.weights.len();
+            if bins.start <= sees.start && sees.end <= bins.end {
+                kept.push(i);
+            } else {
+                require(
+                    sees.end <= bins.start || bins.end <= sees.start,
+                    "bins",
+                    format!("{}..{}", bins.start, bins.end),
+                    format!(
+                        "rows are exposed to bins {}..{}, inside and outside",
+                        sees.start, sees.end
+                    ),
+                    "A video can be made in parts where no exposure is longer than a row; with sub-row bins the parts begin at a row.",
+                )?;
+            }
+        }
+        let first_instant = kept.first().copied().unwrap_or(0);
+        let reads = |row: &usize| kept.contains(&self.instants[*row]);
+        let places: Vec<usize> = (0..self.rows()).filter(reads).collect();
+        require(
+            !places.is_empty(),
+            "bins",
+            format!("{}..{}", bins.start, bins.end),
+            "some row reads the bins",
+            "Give a wider range.",
+        )?;
+        let sensor_rows: Vec<usize> = self.sensor_rows().collect();
+        Ok(Self {
+            params: self.params.clone(),
+            instants: places
+                .iter()
+                .map(|&place| self.instants[place] - first_instant)
+                .collect(),
+            time: self.time.cut(bins.clone(), kept),
+            cut: Some(Cut {
+                rows: places.iter().map(|&place| sensor_rows[place]).collect(),
+                first_bin: self.first_bin() + bins.start,
+            }),
+        })
+    }
+
+    /// The bin of the whole readout at which this part of it begins.
+    pub fn first_bin(&self) -> usize {
+        self.cut.as_ref().map_or(0, |cut| cut.first_bin)
+    }
+
+    /// The row of the sensor that each row of the frame is.
+    pub fn sensor_rows(&self) -> impl Iterator<Item = usize> {
+        let cut = self.cut.as_ref();
+        (0..self.rows()).map(move |place| cut.map_or(place, |cut| cut.rows[place]))
+    }
+
+    /// Rows of the frame (working grid): those of the sensor, or of the part that is read.
     pub fn rows(&self) -> usize {
-        self.params.rows
+        self.cut
+            .as_ref()
+            .map_or(self.params.rows, |cut| cut.rows.len())
     }
 
     /// Columns of the sensor (working grid).

@@ -56,6 +56,31 @@ impl Measurement {
         })
     }
 
+    /// Some rows of it, one after another, as [`Camera::cut`] reads them. The noise is that of the
+    /// whole frame.
+    ///
+    /// # Panics
+    /// If there is no such row.
+    #[must_use]
+    pub fn rows(&self, rows: &[usize]) -> Self {
+        let columns = self.image.columns();
+        let lines = |values: &[f32]| -> Vec<f32> {
+            let lines = rows
+                .iter()
+                .map(|&r| &values[r * columns..(r + 1) * columns]);
+            lines.flatten().copied().collect()
+        };
+        let weights = self.weights().map(lines);
+        let image = Image::new(rows.len(), columns, lines(self.image.data()));
+        Self {
+            image: image.expect("as many values as pixels"),
+            noise: self.noise.as_ref().map(|law| law.picked(lines)),
+            weights,
+            bad: self.bad,
+            saturated: self.saturated,
+        }
+    }
+
     /// The corrected frame `b`, `[y, x]`, in counts.
     pub fn image(&self) -> &Image {
         &self.image

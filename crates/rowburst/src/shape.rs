@@ -111,6 +111,19 @@ impl TimeGrid {
         }
     }
 
+    /// The grid of the instants `kept` alone, which see only the bins `bins`.
+    pub(crate) fn cut(&self, bins: std::ops::Range<usize>, kept: Vec<usize>) -> Self {
+        let moved = |i: usize| InstantWeights {
+            first_bin: self.instants[i].first_bin - bins.start,
+            weights: self.instants[i].weights.clone(),
+        };
+        Self {
+            bins: bins.len(),
+            bin_duration_us: self.bin_duration_us,
+            instants: kept.into_iter().map(moved).collect(),
+        }
+    }
+
     /// Number of bins of the video.
     pub fn bins(&self) -> usize {
         self.bins

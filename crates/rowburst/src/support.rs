@@ -77,6 +77,20 @@ impl Support {
         self
     }
 
+    /// The same with all of a bin of which more than `most` voxels are in it.
+    #[must_use]
+    pub fn opening_above(mut self, most: usize) -> Self {
+        let pixels = self.shape.pixels();
+        if most < pixels {
+            for bin in Arc::make_mut(&mut self.mask).chunks_exact_mut(pixels) {
+                if bin.iter().map(|&lit| usize::from(lit)).sum::<usize>() > most {
+                    bin.fill(1);
+                }
+            }
+        }
+        self
+    }
+
     /// 1 where a voxel may be lit, else 0; `[t, y, x]`.
     pub fn mask(&self) -> &[u8] {
         &self.mask

@@ -3,7 +3,7 @@
 use super::{planar::Planar, rowwise::Rowwise};
 use crate::{Camera, Psf};
 
-/// Sizes of sensor and field, and how they lie on each other.
+/// Sizes of the whole sensor and of the field, and how they lie on each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Geometry {
     pub rows: usize,
@@ -19,7 +19,7 @@ impl Geometry {
         let (field_rows, field_columns) = camera.field();
         let (offset_rows, offset_columns) = camera.field_offset();
         Self {
-            rows: camera.rows(),
+            rows: camera.params().rows,
             columns: camera.columns(),
             field_rows,
             field_columns,

@@ -10,13 +10,15 @@
 //! changes over the field has no such diagonals: there the columns of `S_i` are written
 //! out, some at a time, and multiplied.
 
+use super::engine::smooth_length;
 use super::{Layer, RollingShutter};
-use crate::vecmath::simd;
 use crate::{Psf, Support};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::mat::AsMatMut;
 use faer::reborrow::ReborrowMut;
 use faer::{Accum, Mat, MatMut, Par};
+use realfft::RealFftPlanner;
+use rustfft::num_complex::Complex64;
 
 /// Columns of `S_i` that are held at once.
 const COLUMNS_AT_ONCE: usize = 128;
@@ -102,14 +104,42 @@ impl RollingShutter {
                 .map(|i| f64::from(psf.at_displacement(dy, first + i as isize)))
                 .collect()
         };
+        // Σ_ξ a[ξ] b[x + ξ] over all field rows: correlations, which add up as spectra. No sum that
+        // is wanted reaches beyond `width`, so nothing wraps around.
+        let length = smooth_length(width);
+        let mut planner = RealFftPlanner::<f64>::new();
+        let (forward, inverse) = (
+            planner.plan_fft_forward(length),
+            planner.plan_fft_inverse(length),
+        );
+        let spectrum = || vec![Complex64::ZERO; length / 2 + 1];
+        let mut sums = vec![spectrum(); rows.len() * rows.len()];
+        let (mut short, mut long) = (vec![spectrum(); rows.len()], vec![spectrum(); rows.len()]);
+        let mut values = vec![0.0; length];
         for y in 0..g.field_rows {
-            let lines: Vec<Vec<f64>> = rows.iter().map(|&r| line(r, y)).collect();
-            let pairs = lines.iter().flat_map(|a| lines.iter().map(move |b| (a, b)));
-            for ((a, b), edge) in pairs.zip(edges.chunks_exact_mut(g.columns)) {
-                for (x, value) in edge.iter_mut().enumerate() {
-                    *value += lanes_dot(&a[..g.field_columns], &b[x..x + g.field_columns]);
+            for ((&r, short), long) in rows.iter().zip(&mut short).zip(&mut long) {
+                let line = line(r, y);
+                for (part, to) in [(g.field_columns, short), (width, long)] {
+                    values[..part].copy_from_slice(&line[..part]);
+                    values[part..].fill(0.0);
+                    forward.process(&mut values, to).expect("lengths match");
                 }
             }
+            let pairs = short.iter().flat_map(|a| long.iter().map(move |b| (a, b)));
+            for ((a, b), sum) in pairs.zip(&mut sums) {
+                let products = a.iter().zip(b).map(|(a, b)| a.conj() * b);
+                sum.iter_mut().zip(products).for_each(|(s, p)| *s += p);
+            }
+        }
+        for (sum, edge) in sums.iter_mut().zip(edges.chunks_exact_mut(g.columns)) {
+            // A real signal's constant and highest frequency are real but for rounding.
+            sum[0].im = 0.0;
+            if length.is_multiple_of(2) {
+                sum[length / 2].im = 0.0;
+            }
+            inverse.process(sum, &mut values).expect("lengths match");
+            let scaled = values.iter().map(|v| v / length as f64);
+            edge.iter_mut().zip(scaled).for_each(|(e, v)| *e = v);
         }
         edges
     }
@@ -128,24 +158,6 @@ fn multiply(
 ) {
     let b = b.transpose();
     triangular::matmul(to, part, accum, a, WHOLE, b, WHOLE, weight, Par::Seq);
-}
-
-fn lanes_dot(a: &[f64], b: &[f64]) -> f64 {
-    simd(
-        #[inline(always)]
-        || {
-            let mut lanes = [0.0f64; 8];
-            let (a8, a_rest) = a.as_chunks::<8>();
-            let (b8, b_rest) = b.as_chunks::<8>();
-            for (a, b) in a8.iter().zip(b8) {
-                for lane in 0..8 {
-                    lanes[lane] += a[lane] * b[lane];
-                }
-            }
-            let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-            lanes.iter().sum::<f64>() + rest
-        },
-    )
 }
 
 impl RollingShutter {
@@ -180,7 +192,7 @@ impl RollingShutter {
         }
     }
 
-    /// The diagonal element of `A Aᵀ` of the sensor's pixel `(row, column)`.
+    /// The diagonal element of `A Aᵀ` of the sensor's pixel `(row, column)`, in a row that is read.
     pub fn pixel_power(&self, row: usize, column: usize) -> f64 {
         let g = &self.geometry;
         let sees = |rows: &Vec<usize>| rows.contains(&row);
@@ -207,8 +219,9 @@ impl RollingShutter {
     /// Positions in the frame of the rows of instant `i`, in the order of its block.
     pub fn indices_of(&self, instant: usize) -> Vec<usize> {
         let columns = self.geometry.columns;
-        let rows = self.rows_of[instant].iter();
-        rows.flat_map(|&row| row * columns..(row + 1) * columns)
+        let places = self.places_of[instant].iter();
+        places
+            .flat_map(|&row| row * columns..(row + 1) * columns)
             .collect()
     }
 

@@ -37,7 +37,10 @@ pub struct RollingShutter {
     video: Shape,
     time: TimeGrid,
     geometry: Geometry,
+    frame_rows: usize,
+    /// The sensor's rows that each instant reads, and where they are in the frame.
     rows_of: Vec<Vec<usize>>,
+    places_of: Vec<Vec<usize>>,
     layers: Vec<Layer>,
     /// Mean of `|P̂|²` over the field at each frequency of a plane; empty where rows are
     /// convolved one by one.
@@ -66,8 +69,11 @@ impl RollingShutter {
     pub fn new(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
         let time = camera.time().clone();
         let mut rows_of = vec![Vec::new(); time.instants().len()];
-        for (row, &instant) in camera.instants().iter().enumerate() {
+        let mut places_of = rows_of.clone();
+        let rows = camera.instants().iter().zip(camera.sensor_rows());
+        for (place, (&instant, row)) in rows.enumerate() {
             rows_of[instant].push(row);
+            places_of[instant].push(place);
         }
         let geometry = Geometry::new(camera);
         let layers = layers_of(psf.into(), &geometry, &rows_of);
@@ -76,7 +82,9 @@ impl RollingShutter {
             time,
             plane_power: plane_power(&layers),
             geometry,
+            frame_rows: camera.rows(),
             rows_of,
+            places_of,
             layers,
         }
     }
@@ -88,10 +96,10 @@ impl RollingShutter {
 
     /// Rows and columns of the frame.
     pub fn frame_shape(&self) -> (usize, usize) {
-        (self.geometry.rows, self.geometry.columns)
+        (self.frame_rows, self.geometry.columns)
     }
 
-    /// The rows that each instant reads.
+    /// The rows of the sensor that each instant reads.
     pub fn rows_of_instants(&self) -> &[Vec<usize>] {
         &self.rows_of
     }
@@ -112,18 +120,15 @@ impl RollingShutter {
         let columns = self.geometry.columns;
         let mut scratch = planar.scratch();
         let mut out = vec![0.0f32; r.len()];
-        for (rows, run) in self.rows_of.iter().zip(self.time.instants()) {
-            let values: Vec<f32> = rows
-                .iter()
-                .flat_map(|&row| &r[row * columns..(row + 1) * columns])
-                .copied()
-                .collect();
+        let read = self.rows_of.iter().zip(&self.places_of);
+        for ((rows, places), run) in read.zip(self.time.instants()) {
+            let values = lines_of(r, places, columns);
             let weight: f64 = run.weights.iter().map(|w| w * w).sum();
             let mut divided = vec![0.0f32; values.len()];
             let power = (self.plane_power.as_slice(), weight);
             planar.divide(&values, rows, power, rho, &mut divided, &mut scratch);
-            for (&row, values) in rows.iter().zip(divided.chunks_exact(columns)) {
-                out[row * columns..(row + 1) * columns].copy_from_slice(values);
+            for (&place, values) in places.iter().zip(divided.chunks_exact(columns)) {
+                out[place * columns..(place + 1) * columns].copy_from_slice(values);
             }
         }
         Some(out)
@@ -226,7 +231,7 @@ impl LinearOperator for RollingShutter {
     }
 
     fn range_len(&self) -> usize {
-        self.geometry.rows * self.geometry.columns
+        self.frame_rows * self.geometry.columns
     }
 
     fn apply(&self, video: &[f32], frame: &mut [f32]) {
@@ -246,9 +251,9 @@ impl LinearOperator for RollingShutter {
                 },
             )
             .collect();
-        for (rows, values) in self.rows_of.iter().zip(&read) {
-            for (&row, values) in rows.iter().zip(values.chunks_exact(columns)) {
-                frame[row * columns..(row + 1) * columns].copy_from_slice(values);
+        for (places, values) in self.places_of.iter().zip(&read) {
+            for (&place, values) in places.iter().zip(values.chunks_exact(columns)) {
+                frame[place * columns..(place + 1) * columns].copy_from_slice(values);
             }
         }
     }
@@ -278,11 +283,7 @@ impl RollingShutter {
         let spread =
             |instant: usize, mask: Option<&[u8]>, light: &mut [f32], scratch: &mut Scratch| {
                 let rows = &self.rows_of[instant];
-                let values: Vec<f32> = rows
-                    .iter()
-                    .flat_map(|&row| &frame[row * columns..(row + 1) * columns])
-                    .copied()
-                    .collect();
+                let values = lines_of(frame, &self.places_of[instant], columns);
                 self.spread(&values, rows, mask, light, scratch);
             };
         let one_bin_each =
@@ -326,6 +327,14 @@ impl RollingShutter {
                 }
             });
     }
+}
+
+/// Some rows of a frame, one after another.
+fn lines_of(frame: &[f32], places: &[usize], columns: usize) -> Vec<f32> {
+    let lines = places
+        .iter()
+        .map(|&place| &frame[place * columns..(place + 1) * columns]);
+    lines.flatten().copied().collect()
 }
 
 /// The layers of `set` that have a say in the field.

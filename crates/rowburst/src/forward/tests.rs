@@ -161,3 +161,101 @@ fn blocks_of_patches_agree_with_operator_calls() {
         }
     }
 }
+
+/// The whole readout is made of its parts: operator, adjoint, blocks, measurement.
+#[test]
+fn a_part_of_the_readout_sees_what_the_whole_sees() {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(5);
+    for shutter in [Shutter::DualInsideOut, Shutter::BottomUp] {
+        for (field, bins_per_row) in [(None, 1), (Some((12, 13)), 2)] {
+            let camera = Camera::new(CameraParams {
+                rows: 10,
+                columns: 9,
+                shutter: shutter.clone(),
+                row_time_us: 1.0,
+                exposure_us: 1.0,
+                bins_per_row,
+                field,
+                sensor: Sensor::default(),
+            })
+            .unwrap();
+            let psf = random_psf(11, 13, &mut rng);
+            let whole = RollingShutter::new(&camera, &psf);
+            let shape = camera.video_shape();
+            let video: Vec<f32> = (0..shape.voxels())
+                .map(|_| rng.random_range(0.0..1.0))
+                .collect();
+            let mut frame = vec![0.0; whole.range_len()];
+            whole.apply(&video, &mut frame);
+            let mut back = vec![0.0; shape.voxels()];
+            whole.adjoint(&frame, &mut back);
+            let frame = Image::new(10, 9, frame).unwrap();
+            let measurement = crate::measurement::Measurement::new(frame).unwrap();
+            let mut read = Vec::new();
+            for bins in [0..2, 2..shape.bins] {
+                let part = camera.cut(bins.clone()).unwrap();
+                assert_eq!(part.first_bin(), bins.start);
+                // A cut of a cut is a cut.
+                let again = part.cut(0..bins.len()).unwrap();
+                assert_eq!(
+                    again.sensor_rows().collect::<Vec<_>>(),
+                    part.sensor_rows().collect::<Vec<_>>()
+                );
+                assert_eq!(again.first_bin(), part.first_bin());
+                let operator = RollingShutter::new(&part, &psf);
+                let rows: Vec<usize> = part.sensor_rows().collect();
+                let seen = measurement.rows(&rows);
+                let own = bins.start * shape.pixels()..bins.end * shape.pixels();
+                let mut values = vec![0.0; operator.range_len()];
+                operator.apply(&video[own.clone()], &mut values);
+                assert_eq!(values, seen.image().data());
+                let mut light = vec![0.0; operator.domain_len()];
+                operator.adjoint(&values, &mut light);
+                assert_eq!(light, back[own]);
+                for instant in 0..operator.rows_of_instants().len() {
+                    let of_whole = whole
+                        .rows_of_instants()
+                        .iter()
+                        .position(|rows| *rows == operator.rows_of_instants()[instant])
+                        .unwrap();
+                    let block = |operator: &RollingShutter, i: usize| {
+                        let size = operator.indices_of(i).len();
+                        let mut block = Mat::<f64>::zeros(size, size);
+                        operator.add_gram_block(i, None, block.as_mut());
+                        block
+                    };
+                    assert_eq!(block(&operator, instant), block(&whole, of_whole));
+                }
+                read.extend(rows);
+            }
+            read.sort_unstable();
+            assert_eq!(read, (0..10).collect::<Vec<_>>());
+        }
+    }
+}
+
+#[test]
+fn parts_that_rows_reach_beyond_are_refused() {
+    let camera = |exposure_us| {
+        Camera::new(CameraParams {
+            rows: 10,
+            columns: 9,
+            shutter: Shutter::TopDown,
+            row_time_us: 1.0,
+            exposure_us,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap()
+    };
+    assert!(camera(1.0).cut(0..3).is_ok());
+    for (exposure, bins, word) in [
+        (2.5, 0..3, "exposed"),
+        (1.0, 3..3, "range"),
+        (1.0, 8..11, "0..10"),
+    ] {
+        let message = camera(exposure).cut(bins).unwrap_err().to_string();
+        assert!(message.contains(word), "{message}");
+    }
+}

@@ -42,6 +42,15 @@ impl NoiseLaw {
         law
     }
 
+    /// The law of some of the pixels, with the same reference.
+    pub(super) fn picked(&self, pick: impl Fn(&[f32]) -> Vec<f32>) -> Self {
+        Self {
+            slope: pick(&self.slope),
+            floor: pick(&self.floor),
+            reference: self.reference,
+        }
+    }
+
     /// Standard deviation of a pixel with weight 1, in counts.
     pub fn sigma(&self) -> f64 {
         self.reference

@@ -14,6 +14,9 @@ use faer::MatMut;
 use faer::reborrow::ReborrowMut;
 use std::sync::Arc;
 
+/// Measurements of an instant from which its factor costs more than ten iterations.
+const WIDE: usize = 1024;
+
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
     model: Model,
@@ -84,6 +87,10 @@ impl FrameData {
         self.weights.as_deref()
     }
 
+    pub fn psfs(&self) -> &crate::PatchSet {
+        self.model.psfs()
+    }
+
     pub fn shutter(&self) -> &RollingShutter {
         self.model.shutter()
     }
@@ -133,6 +140,32 @@ impl FrameData {
             other => other,
         };
         self.weights_changed();
+    }
+
+    /// From now on the data of another frame of the same camera, on the same support. Weights that
+    /// follow the light stay those of the last frame where the same pixels hold information.
+    pub fn next(&mut self, measurement: &Measurement) {
+        self.frame = measurement.image().data().to_vec();
+        let weights = measurement.weights().map(<[f32]>::to_vec);
+        let usable = |of: &Option<Vec<f32>>| -> Option<Vec<bool>> {
+            of.as_ref().map(|w| w.iter().map(|w| *w > 0.0).collect())
+        };
+        let follows = self.noise.is_some() && measurement.noise().is_some();
+        if weights == self.first_weights
+            || (follows && usable(&weights) == usable(&self.first_weights))
+        {
+            self.weigh_frame();
+            return;
+        }
+        self.noise = measurement.noise().cloned();
+        self.first_weights = weights.clone();
+        self.weights = weights;
+        self.weights_changed();
+    }
+
+    /// `σ` of a pixel of weight 1 by the law of noise that the weights come from.
+    pub fn calibrated_sigma(&self) -> Option<f64> {
+        self.noise.as_ref().map(NoiseLaw::sigma)
     }
 
     /// The video that both parts make.
@@ -278,6 +311,23 @@ impl DataTerm for FrameData {
         sums.iter()
             .map(|(power, count)| (power / (*count).max(1) as f64).sqrt())
             .collect()
+    }
+
+    fn is_wide(&self) -> bool {
+        let (rows, (_, columns)) = (
+            self.shutter().rows_of_instants(),
+            self.shutter().frame_shape(),
+        );
+        rows.iter().any(|rows| rows.len() * columns > WIDE)
+    }
+
+    /// The block of so many voxels takes as long as that of all, which leans on the field's shifts:
+    /// `m²` products for each voxel, and 4 for each row of the field.
+    fn most_lit(&self) -> usize {
+        match self.is_wide() {
+            true => 4 * self.shape().rows,
+            false => usize::MAX,
+        }
     }
 
     fn restrict(&mut self, support: &Support) {

@@ -6,7 +6,9 @@ mod data_step;
 mod fit;
 mod held_out;
 mod model;
+mod parts;
 mod prior;
+mod sequence;
 mod sigma;
 
 use choose::Tried;
@@ -14,7 +16,9 @@ pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use model::Model;
+pub use parts::InParts;
 pub use prior::{FurtherWeights, Prior};
+pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use crate::linop::SecondPart;
@@ -26,6 +30,10 @@ use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
 use data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
+
+/// Raised by one with every change that gives other numbers for the same input, also within a
+/// version of the program: archives of many frames are not continued across it.
+pub const NUMBERS: u32 = 1;
 
 /// What the user chooses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -162,19 +170,8 @@ impl Problem {
                 ));
             }
         }
-        let (sigma, sigma_source) = match (recipe.noise_sigma, measurement.sigma()) {
-            (Some(sigma), _) => (sigma, SigmaSource::Given),
-            (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
-            (None, None) => match estimate_sigma(measurement, psf.central()) {
-                Some(sigma) => (sigma, SigmaSource::Frame),
-                // Until held-out pixels tell.
-                None => (
-                    rms(measurement.image().data()) / 256.0,
-                    SigmaSource::HeldOut,
-                ),
-            },
-        };
         let bands = Bands::new(measurement, psf.central());
+        let (sigma, sigma_source) = noise_of(measurement, &bands, &recipe);
         if let Some(prior) = recipe.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
@@ -226,12 +223,17 @@ impl Problem {
             history.push(progress.residual_rms);
             observer(progress)
         });
+        self.conclude(found.unwrap_or_else(|so_far| *so_far), &history)
+    }
+
+    /// Judges what was found.
+    fn conclude(&self, found: Found, history: &[f64]) -> Result<Reconstruction> {
         let Found {
             prior,
-            prox,
+            freedom,
             choice,
             solution,
-        } = found.unwrap_or_else(|so_far| *so_far);
+        } = found;
         if !solution.certificate.primal.is_finite() {
             return Err(Error::work(
                 "reconstruction",
@@ -249,8 +251,6 @@ impl Problem {
             .collect();
         let columns = self.camera.columns();
         let residual = Image::new(residual.len() / columns, columns, residual)?;
-        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
-        let freedom = prox.degrees_of_freedom(&solution.video, faint);
         let background = match prior.second_part() {
             SecondPart::None => None,
             second => {
@@ -272,7 +272,7 @@ impl Problem {
             bands: &self.bands,
             video: &video,
             freedom,
-            history: &history,
+            history,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.recipe.tau, Tau::Given(_)),
@@ -397,10 +397,8 @@ impl Problem {
             return Ok(Found { choice, ..*found });
         }
         Ok(Found {
-            prior,
-            prox,
             choice,
-            solution,
+            ..Found::new(prior, &*prox, shape, solution)
         })
     }
 }
@@ -424,9 +422,38 @@ fn show(
 /// What a run ends with.
 struct Found {
     prior: Prior,
-    prox: Box<dyn Prox>,
+    /// Degrees of freedom of the video.
+    freedom: f64,
     choice: Option<Choice>,
     solution: Solution,
+}
+
+impl Found {
+    fn new(prior: Prior, prox: &dyn Prox, shape: Shape, solution: Solution) -> Self {
+        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
+        Self {
+            prior,
+            freedom: prox.degrees_of_freedom(&solution.video, faint),
+            choice: None,
+            solution,
+        }
+    }
+}
+
+/// The standard deviation of the noise, and where it is known from.
+fn noise_of(measurement: &Measurement, bands: &Bands, recipe: &Recipe) -> (f64, SigmaSource) {
+    match (recipe.noise_sigma, measurement.sigma()) {
+        (Some(sigma), _) => (sigma, SigmaSource::Given),
+        (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
+        (None, None) => match bands.sigma(measurement) {
+            Some(sigma) => (sigma, SigmaSource::Frame),
+            // Until held-out pixels tell.
+            None => (
+                rms(measurement.image().data()) / 256.0,
+                SigmaSource::HeldOut,
+            ),
+        },
+    }
 }
 
 fn rms(values: &[f32]) -> f64 {

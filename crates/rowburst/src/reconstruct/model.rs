@@ -31,9 +31,10 @@ impl Model {
         let psfs = psf.into();
         let shutter = Arc::new(RollingShutter::new(camera, psfs.clone()));
         let (rows, columns) = shutter.frame_shape();
-        // Halfway between the middle and the edge of the sensor.
+        let row = camera.sensor_rows().nth(rows / 4);
+        // Halfway between the middle and the edge of a whole sensor.
         let scale = shutter
-            .pixel_power(rows / 4, columns / 4)
+            .pixel_power(row.expect("a frame has rows"), columns / 4)
             .max(f64::MIN_POSITIVE);
         Self {
             camera: camera.clone(),

@@ -67,6 +67,17 @@ pub struct FurtherWeights {
     pub lowrank_background: f64,
 }
 
+/// The terms that couple bins.
+const OF_TIME: [&str; 7] = [
+    "tdiff",
+    "tv3d",
+    "tv3d-aniso",
+    "group",
+    "lowrank",
+    "background",
+    "lowrank-background",
+];
+
 const NO_VARIATION: VariationWeights = VariationWeights {
     space: 0.0,
     time: 0.0,
@@ -96,6 +107,14 @@ impl Prior {
         },
         further: NONE,
         support: true,
+    };
+    /// The same for videos that are found part by part: `tv+support`.
+    pub const SEPARABLE: Self = Self {
+        weights: VariationWeights {
+            time: 0.0,
+            ..Self::STANDARD.weights
+        },
+        ..Self::STANDARD
     };
     /// The names of the terms, in the order in which a prior is written.
     pub const TERMS: [&'static str; 12] = [
@@ -262,22 +281,29 @@ impl Prior {
         if bins > 1 || *self == Self::STANDARD {
             return Ok(());
         }
-        let of_time = [
-            "tdiff",
-            "tv3d",
-            "tv3d-aniso",
-            "group",
-            "lowrank",
-            "background",
-            "lowrank-background",
-        ];
-        match of_time.iter().find(|name| self.weight(name) > 0.0) {
+        match OF_TIME.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(
                 "--prior",
                 format!("\"{name}\" for a video of 1 bin"),
                 format!("{name} compares bins and needs at least 2"),
                 "Use auto, or terms of space alone: tv, l1, dct, wavelet. A video of 1 bin comes from shutter = \"global\".",
+            )),
+        }
+    }
+
+    /// Checks that no term couples bins, so that each can be found by itself.
+    ///
+    /// # Errors
+    /// A term over time.
+    pub fn check_separable(&self) -> Result<()> {
+        match OF_TIME.iter().find(|name| self.weight(name) > 0.0) {
+            None => Ok(()),
+            Some(name) => Err(Error::input(
+                "--prior",
+                format!("\"{name}\" for a video that is found part by part"),
+                format!("{name} couples bins, and they would fall into different parts"),
+                "Use terms of space alone, such as tv+support, l1, wavelet, or fewer bins (--bins) in one part.",
             )),
         }
     }

@@ -20,16 +20,22 @@ const PASSED_BAND: f64 = 0.25;
 /// An upper bound where the PSF passes all frequencies of the pixel grid (a grain
 /// below two pixels). `None` where no part of a row is whole enough.
 pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> Option<f64> {
-    let image = measurement.image();
-    let bands = Bands::new(measurement, psf);
-    let blind = bands.blind_rms(|at| {
-        let weight = measurement.weights().map_or(1.0, |w| f64::from(w[at]));
-        weight * f64::from(image.data()[at])
-    });
-    let rms = (crate::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
-    // A noiseless frame still has the rounding of its numbers.
-    let floor = 1e-5 * rms;
-    blind.map(|blind| blind.max(floor))
+    Bands::new(measurement, psf).sigma(measurement)
+}
+
+impl Bands {
+    /// See [`estimate_sigma`]; the bands are those of the measurement.
+    pub fn sigma(&self, measurement: &Measurement) -> Option<f64> {
+        let image = measurement.image();
+        let blind = self.blind_rms(|at| {
+            let weight = measurement.weights().map_or(1.0, |w| f64::from(w[at]));
+            weight * f64::from(image.data()[at])
+        });
+        let rms = (crate::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
+        // A noiseless frame still has the rounding of its numbers.
+        let floor = 1e-5 * rms;
+        blind.map(|blind| blind.max(floor))
+    }
 }
 
 /// The horizontal frequencies that the optics pass least and best, and where in a frame

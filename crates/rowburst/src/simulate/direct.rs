@@ -23,8 +23,9 @@ pub fn direct_frame(camera: &Camera, video: &Video) -> Image {
     let (oy, ox) = camera.field_offset();
     let columns = camera.columns();
     let mut frame = Image::zeros(camera.rows(), columns);
-    for (r, row) in frame.data_mut().chunks_exact_mut(columns).enumerate() {
-        let instant = &camera.time().instants()[camera.instants()[r]];
+    let rows = frame.data_mut().chunks_exact_mut(columns);
+    for ((row, r), &k) in rows.zip(camera.sensor_rows()).zip(camera.instants()) {
+        let instant = &camera.time().instants()[k];
         let start = (r + oy) * shape.columns + ox;
         for (i, &weight) in instant.weights.iter().enumerate() {
             let bin = video.bin(instant.first_bin + i);

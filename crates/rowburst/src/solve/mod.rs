@@ -81,6 +81,16 @@ pub trait DataTerm {
         }
     }
 
+    /// Whether another `ρ` costs far more than an iteration: factors of thousands of measurements.
+    fn is_wide(&self) -> bool {
+        false
+    }
+
+    /// Most voxels of a bin that a restriction is worth.
+    fn most_lit(&self) -> usize {
+        usize::MAX
+    }
+
     /// Follows the light of `video`, where the noise depends on it: whether `A` and `b`, of
     /// which the weights are a part, have changed.
     fn follow(&mut self, _video: &[f32]) -> bool {

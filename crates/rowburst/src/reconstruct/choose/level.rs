@@ -65,12 +65,7 @@ pub(in crate::reconstruct) fn noise_level(
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.solution(data, &*prox, reason);
-            return Err(Box::new(Found {
-                prior,
-                prox,
-                choice: None,
-                solution,
-            }));
+            return Err(Box::new(Found::new(prior, &*prox, shape, solution)));
         }
         let errors = data.errors_held_out(run.video());
         let (error, standard_error) = (rms(&errors), (0.5 / errors.len() as f64).sqrt());

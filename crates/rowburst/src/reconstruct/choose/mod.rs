@@ -166,12 +166,8 @@ impl Tried {
     /// The same as the end of a run that was stopped, for `data` that it was found with.
     pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<Found> {
         self.solution.stop_reason = reason;
-        Box::new(Found {
-            prior: self.prior,
-            prox: self.prior.prox(data.shape()),
-            choice: None,
-            solution: self.solution,
-        })
+        let prox = self.prior.prox(data.shape());
+        Box::new(Found::new(self.prior, &*prox, data.shape(), self.solution))
     }
 }
 

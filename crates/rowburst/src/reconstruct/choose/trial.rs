@@ -179,11 +179,6 @@ impl Trial {
     /// What a run that was stopped has found.
     fn so_far(self, data: &FrameData, reason: StopReason) -> Box<Found> {
         let solution = self.run.solution(data, &*self.prox, reason);
-        Box::new(Found {
-            prior: self.prior,
-            prox: self.prox,
-            choice: None,
-            solution,
-        })
+        Box::new(Found::new(self.prior, &*self.prox, data.shape(), solution))
     }
 }

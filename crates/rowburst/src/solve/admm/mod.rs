@@ -239,6 +239,11 @@ impl Admm {
         self.params.tolerance = tolerance;
     }
 
+    /// Most iterations.
+    pub fn most_iterations(&self) -> usize {
+        self.params.max_iterations
+    }
+
     /// `τ` so far.
     pub fn tau(&self) -> f64 {
         self.state.tau()
@@ -259,9 +264,26 @@ impl Admm {
         self.state.video()
     }
 
+    /// From now on it runs on `data` that hold another frame, from where the last one ended.
+    pub fn go_on(&mut self, data: &dyn DataTerm) {
+        self.state.go_on(data);
+    }
+
+    /// The run so far; it can go on.
+    pub fn so_far(
+        &mut self,
+        data: &dyn DataTerm,
+        prior: &dyn Prox,
+        stop_reason: StopReason,
+    ) -> Solution {
+        let solution = self.state.finish(data, prior, stop_reason);
+        self.state.take_back(&solution.video);
+        solution
+    }
+
     /// The end of the run.
     pub fn solution(
-        self,
+        mut self,
         data: &dyn DataTerm,
         prior: &dyn Prox,
         stop_reason: StopReason,

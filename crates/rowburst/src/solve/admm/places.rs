@@ -1,11 +1,11 @@
 //! Where light may be.
 
 use crate::{Shape, Support};
+use rayon::prelude::*;
 use std::ops::Range;
 
-/// Iteration at which the support is found first, and from then on every so many.
+/// Iteration at which the support is found first.
 const FIRST: usize = 20;
-const EVERY: usize = 10;
 /// Threshold of the support over the brightness of the video.
 const THRESHOLD: f64 = 0.12;
 /// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
@@ -31,14 +31,21 @@ pub(super) struct Places {
     runs: Vec<Range<usize>>,
     /// Voxels of the first part, and all.
     lengths: (usize, usize),
+    /// Most voxels of a bin that a restriction is worth.
+    most: usize,
     /// How often the support of each bin has been widened, and its misfit at the last look.
     levels: Vec<usize>,
     misfits: Vec<f64>,
+    /// Bins of which every voxel is allowed: no support of theirs lacks light.
+    is_open: Vec<bool>,
 }
 
 impl Places {
-    /// All `voxels` of videos of `shape` and what follows them.
-    pub fn everywhere(shape: Shape, voxels: usize) -> Self {
+    /// Iterations from one look to the next.
+    pub const EVERY: usize = 10;
+
+    /// All `voxels` of videos of `shape` and what follows them; later at most `most` of a bin, or all.
+    pub fn everywhere(shape: Shape, voxels: usize, most: usize) -> Self {
         let whole = std::iter::once(0..voxels);
         Self {
             runs: whole.flat_map(chunks).collect(),
@@ -47,14 +54,16 @@ impl Places {
             support: None,
             fraction: 1.0,
             is_settled: false,
+            most,
             levels: vec![0; shape.bins],
             misfits: vec![f64::INFINITY; shape.bins],
+            is_open: vec![true; shape.bins],
         }
     }
 
     /// Whether iteration `k` looks.
     pub fn are_due(k: usize) -> bool {
-        k >= FIRST && (k - FIRST).is_multiple_of(EVERY)
+        k >= FIRST && (k - FIRST).is_multiple_of(Self::EVERY)
     }
 
     /// `None`: every voxel.
@@ -77,11 +86,18 @@ impl Places {
         self.is_settled
     }
 
+    /// Another frame is to be explained, from the places of the last one.
+    pub fn unsettle(&mut self) {
+        self.is_settled = false;
+        self.levels.fill(0);
+        self.misfits.fill(f64::INFINITY);
+    }
+
     /// Bins that the support cannot explain: their misfit is above `expected` and no longer falls.
     pub fn missed(&mut self, misfits: Vec<f64>, expected: f64) -> Vec<usize> {
         let is_missed = |t: &usize| {
             let (now, before) = (misfits[*t], self.misfits[*t]);
-            now > MISFIT * expected && now > FALLING * before && self.levels[*t] < OPEN
+            now > MISFIT * expected && now > FALLING * before && !self.is_open[*t]
         };
         let missed: Vec<usize> = (0..misfits.len()).filter(is_missed).collect();
         self.misfits = misfits;
@@ -107,11 +123,15 @@ impl Places {
             level => THRESHOLD * brightness * LEVEL_STEP.powi(level as i32),
         };
         let cuts: Vec<f64> = self.levels.iter().map(cut).collect();
-        let support = Support::above(video, self.shape, &cuts).with_missed(correlation, missed);
+        let support = Support::above(video, self.shape, &cuts)
+            .with_missed(correlation, missed)
+            .opening_above(self.most);
         let fraction = support.fraction();
         self.is_settled =
             self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
         self.fraction = fraction;
+        let bins = support.mask().par_chunks_exact(self.shape.pixels());
+        self.is_open = bins.map(|bin| !bin.contains(&0)).collect();
         self.runs = self.runs_of(&support);
         self.support = Some(support.clone());
         support
@@ -158,7 +178,7 @@ mod tests {
     #[test]
     fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
-        let mut places = Places::everywhere(shape, shape.voxels());
+        let mut places = Places::everywhere(shape, shape.voxels(), usize::MAX);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
@@ -189,7 +209,7 @@ mod tests {
     #[test]
     fn runs_are_the_rows_that_hold_a_place_and_what_follows() {
         let shape = Shape::new(2, 200, 100);
-        let mut places = Places::everywhere(shape, 40_007);
+        let mut places = Places::everywhere(shape, 40_007, usize::MAX);
         let all: Vec<usize> = places.runs().iter().cloned().flatten().collect();
         assert!(all.iter().copied().eq(0..40_007) && places.runs().len() == 3);
         let mut video = vec![0.0f32; shape.voxels()];

@@ -8,6 +8,9 @@ use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
 
+/// Corrections of `ρ` that are not worth another factor, and where one takes long.
+const STEADY: (f64, f64) = (0.98, 1.02);
+const WIDE_STEADY: (f64, f64) = (0.85, 1.2);
 /// Iterations in which the brightness that `β` refers to is followed.
 const SETTLE: usize = 40;
 /// `β` at first over what it will be, and the iteration at which it is that: large steps find
@@ -33,6 +36,9 @@ const LOWEST_RHO: f64 = 0.3;
 const MOST_POOR_STEPS: usize = 3;
 /// Brightest voxel that the certificate speaks of, over the brightest one found.
 const CEILING: f64 = 2.0;
+/// Iterations that the end of the frame before is worth: the first look at where light may be comes
+/// four iterations later.
+const AHEAD: usize = 26;
 
 pub(super) struct State {
     shape: Shape,
@@ -56,6 +62,8 @@ pub(super) struct State {
     /// Whether `ρ` was left as it was.
     is_steady: bool,
     pub iterations: usize,
+    /// Iterations that what it began from is worth.
+    ahead: usize,
     places: Places,
 }
 
@@ -84,7 +92,8 @@ impl State {
             x_misfit: 0.0,
             is_steady: false,
             iterations: 0,
-            places: Places::everywhere(shape, n),
+            ahead: 0,
+            places: Places::everywhere(shape, n, data.most_lit()),
         };
         state.aim_at(params.tau, data);
         state
@@ -103,6 +112,25 @@ impl State {
         }
     }
 
+    /// Goes on with other measurements of a scene that has changed little.
+    pub fn go_on(&mut self, data: &dyn DataTerm) {
+        let beyond = self.stage().saturating_sub(AHEAD);
+        // The next look at the places comes when it would have come.
+        self.ahead = self.stage().min(AHEAD) + beyond % Places::EVERY;
+        self.iterations = 0;
+        self.poor_steps = 0;
+        self.places.unsettle();
+        self.aim_at(self.rule, data);
+        // The weights may be others.
+        data.operator().apply(&self.z, &mut self.az);
+        data.operator().apply(&self.u, &mut self.au);
+    }
+
+    /// How far the run is: the iterations, and what it began with.
+    fn stage(&self) -> usize {
+        self.ahead + self.iterations
+    }
+
     /// The video, `[t, y, x]`.
     pub fn video(&self) -> &[f32] {
         &self.z
@@ -115,7 +143,7 @@ impl State {
 
     /// Whether `β`, `τ` and the support are what they will be.
     pub fn is_settled(&self, params: &AdmmParams) -> bool {
-        self.iterations > SETTLE && self.is_steady && (!params.support || self.places.are_settled())
+        self.stage() > SETTLE && self.is_steady && (!params.support || self.places.are_settled())
     }
 
     pub fn tau(&self) -> f64 {
@@ -184,7 +212,7 @@ impl State {
 
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
     pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
-        let (k, rho) = (self.iterations, self.rho);
+        let (k, rho) = (self.stage(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
             if self.poor_steps >= MOST_POOR_STEPS {
                 // The smaller ρ, the harder the step: misfit that comes of poor steps would
@@ -195,7 +223,8 @@ impl State {
             }
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
-            if !(0.98..1.02).contains(&correction) {
+            let (least, most) = if data.is_wide() { WIDE_STEADY } else { STEADY };
+            if !(least..most).contains(&correction) {
                 self.rho = (self.rho * correction).clamp(self.lowest_rho, 1e7 * data.scale());
             }
             if k > COUNT_AFTER && k.is_multiple_of(10) {
@@ -233,7 +262,7 @@ impl State {
             self.beta = self.beta.max(f64::MIN_POSITIVE);
             return;
         }
-        let early = 1.0 - self.iterations as f64 / FULL_DETAIL as f64;
+        let early = 1.0 - self.stage() as f64 / FULL_DETAIL as f64;
         let part = self.relative_threshold * (1.0 + (FIRST_THRESHOLD - 1.0) * early.max(0.0));
         let beta = part * brightness;
         self.beta = beta;
@@ -337,8 +366,9 @@ impl State {
         0.5 * distance_squared(data.measured(), &self.az) + self.tau() * prior.value(&self.z)
     }
 
+    /// What there is; afterwards it can go on, if the video is [returned](Self::take_back).
     pub fn finish(
-        mut self,
+        &mut self,
         data: &dyn DataTerm,
         prior: &dyn Prox,
         stop_reason: StopReason,
@@ -351,8 +381,13 @@ impl State {
             iterations: self.iterations,
             stop_reason,
             support: self.places.fraction(),
-            video: self.z,
+            video: std::mem::take(&mut self.z),
         }
+    }
+
+    /// Puts the video of [`Self::finish`] back.
+    pub fn take_back(&mut self, video: &[f32]) {
+        self.z = video.to_vec();
     }
 }
 

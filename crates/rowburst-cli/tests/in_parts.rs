@@ -1,0 +1,132 @@
+//! Videos that are found part by part, and a range of bins alone.
+
+mod common;
+
+use common::Lab;
+use ndarray::{ArrayView3, Axis, Slice};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+const CAMERA: &str = "[camera]
+rows = 24
+columns = 20
+shutter = \"dual-inside-out\"
+row_time_us = 10
+exposure_us = 10
+";
+
+fn simulated() -> Lab {
+    let lab = Lab::empty();
+    lab.experiment(CAMERA);
+    lab.done("simulate experiment.toml --scene digits --digit-px 8 --seed 2 -o sim");
+    lab
+}
+
+const FRAME: &str = "reconstruct sim/experiment.toml --frame sim/frame.npy";
+
+/// With `τ` given, the parts together are the video of the whole.
+#[test]
+fn parts_are_the_whole() {
+    let lab = simulated();
+    let how = "--prior tv+l1 --tau 1e-6 --noise-sigma 1e-4 --max-iterations 3000";
+    lab.done(&format!("{FRAME} {how} -o whole"));
+    let said = lab.done(&format!("{FRAME} {how} --part-bins 5 -o parts"));
+    assert!(said.contains("in 3 parts"), "{said}");
+    let (whole, parts) = (lab.array("whole/video.npy"), lab.array("parts/video.npy"));
+    assert_eq!(whole.dim(), parts.dim());
+    let far = (&whole - &parts)
+        .mapv(|d| f64::from(d).powi(2))
+        .sum()
+        .sqrt();
+    let size = whole.mapv(|v| f64::from(v).powi(2)).sum().sqrt();
+    assert!(far < 0.03 * size, "{far} of {size}");
+    for name in ["report.html", "result.json", "video.mp4", "brightest.png"] {
+        assert!(!lab.read(&format!("parts/{name}")).is_empty());
+    }
+    assert!(lab.files("parts").iter().all(|f| !f.contains("part")));
+    let result = lab.result("parts");
+    assert_eq!(result["frames"], 12);
+    assert_eq!(result["parts"].as_array().unwrap().len(), 3);
+    assert_eq!(result["parts"][2]["end_bin"], 12);
+}
+
+/// A range of bins is the part of these bins, whichever way.
+#[test]
+fn a_range_of_bins_is_a_part() {
+    let lab = simulated();
+    let how = "--prior tv+support --noise-sigma 1e-4";
+    lab.done(&format!("{FRAME} {how} --part-bins 4 -o parts"));
+    lab.done(&format!("{FRAME} {how} --bins 4..8 -o range"));
+    let (parts, range) = (lab.array("parts/video.npy"), lab.array("range/video.npy"));
+    let of = |bins: std::ops::Range<usize>| -> ArrayView3<f32> {
+        parts.slice_axis(Axis(0), Slice::from(bins))
+    };
+    assert_eq!(of(4..8), range);
+    // Both at once.
+    lab.done(&format!("{FRAME} {how} --bins 4..12 --part-bins 4 -o both"));
+    assert_eq!(lab.array("both/video.npy"), of(4..12));
+    assert_eq!(lab.result("both")["first_bin"], 4);
+}
+
+/// Killed, the same command goes on, and ends with what it would have ended with.
+#[test]
+fn a_killed_run_goes_on() {
+    let lab = simulated();
+    let how = "--prior tv+support --part-bins 1";
+    lab.done(&format!("{FRAME} {how} -o calm"));
+    let mut child = lab
+        .command(&format!("{FRAME} {how} -o killed"))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    while !lab.path("killed/parts.json").exists() && !lab.path("killed/result.json").exists() {
+        assert!(began.elapsed() < Duration::from_secs(60), "a part is found");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    lab.done(&format!("{FRAME} {how} -o killed"));
+    assert_eq!(lab.read("killed/video.npy"), lab.read("calm/video.npy"));
+    // Another recipe begins anew.
+    lab.done(&format!("{FRAME} {how} --noise-sigma 2e-4 -o killed"));
+    assert_ne!(lab.read("killed/video.npy"), lab.read("calm/video.npy"));
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let lab = simulated();
+    lab.write(
+        "long.toml",
+        CAMERA.replace("exposure_us = 10", "exposure_us = 25"),
+    );
+    let cases = [
+        (
+            format!("{FRAME} --prior tv+tdiff --part-bins 4 -o x"),
+            "couples bins",
+        ),
+        (format!("{FRAME} --bins 4 -o x"), "FIRST..END"),
+        (format!("{FRAME} --bins 4..99 -o x"), "0..12"),
+        (
+            format!("{FRAME} --truth sim/truth.npy --part-bins 4 -o x"),
+            "--truth",
+        ),
+        (
+            "reconstruct long.toml --frame sim/frame.npy --psf sim/psf.npy --part-bins 4 -o x"
+                .into(),
+            "at most a row",
+        ),
+        (
+            "reconstruct long.toml --frame sim/frame.npy --psf sim/psf.npy --bins 0..4 -o x".into(),
+            "inside and outside",
+        ),
+    ];
+    for (command, word) in cases {
+        let output = lab.run(&command);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{command}: {said}");
+        assert!(said.contains(word), "{command}: {said}");
+        assert!(!lab.path("x").exists(), "{command}");
+    }
+}

@@ -1,0 +1,58 @@
+//! `video.mp4`: the video in slow motion, with the time of each bin below it.
+
+use rowburst::{Result, TimeGrid, Video};
+
+/// What `video.mp4` shows beside the video.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Film {
+    /// The time of each bin in µs, in a strip below the picture.
+    Stamped,
+    /// Nothing.
+    Plain,
+}
+
+/// The video as MP4; `None` in a build without the feature `mp4`.
+#[cfg(feature = "mp4")]
+pub(crate) fn encoded(video: &Video, time: &TimeGrid, film: Film) -> Result<Option<Vec<u8>>> {
+    let mut mp4 = Vec::new();
+    let stamp = |bin: usize, width: usize, height: usize| {
+        rowburst_report::words(&bin_time(time, bin), width, height)
+    };
+    let strip: Option<&rowburst_io::Strip> = match film {
+        Film::Stamped => Some(&stamp),
+        Film::Plain => None,
+    };
+    rowburst_io::write_mp4(&mut mp4, video, strip)?;
+    Ok(Some(mp4))
+}
+
+/// The video as MP4; `None` in a build without the feature `mp4`.
+#[cfg(not(feature = "mp4"))]
+pub(crate) fn encoded(_: &Video, _: &TimeGrid, _: Film) -> Result<Option<Vec<u8>>> {
+    Ok(None)
+}
+
+/// The middle of a bin in µs, with the digits that tell bins apart, as in the viewer.
+#[cfg(feature = "mp4")]
+fn bin_time(time: &TimeGrid, bin: usize) -> String {
+    let step = time.bin_duration_us();
+    let digits = match step {
+        s if s < 0.1 => 3,
+        s if s < 1.0 => 2,
+        _ => 1,
+    };
+    format!("{:.digits$} µs", (bin as f64 + 0.5) * step)
+}
+
+#[cfg(all(test, feature = "mp4"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_are_told_apart() {
+        let time = |row_time_us| TimeGrid::rolling(4, row_time_us, 1.0, 1);
+        assert_eq!(bin_time(&time(9.6), 1), "14.4 µs");
+        assert_eq!(bin_time(&time(0.5), 1), "0.75 µs");
+        assert_eq!(bin_time(&time(0.04), 0), "0.020 µs");
+    }
+}

@@ -1,0 +1,204 @@
+//! The numbers of a run as a reader meets them: the few big ones, and the table of all settings.
+
+use crate::outcome::{Outcome, short};
+use crate::task::Task;
+
+/// Groups of name and value: camera, reconstruction, run.
+pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
+    let camera = &task.camera;
+    let sensor = camera.sensor();
+    let pair = |name: &str, value: String| (name.to_string(), value);
+    let mut of_camera = vec![
+        pair(
+            "rows × columns",
+            format!("{} × {}", camera.rows(), camera.columns()),
+        ),
+        pair("shutter", camera.shutter().name().into()),
+        pair("row_time_us", camera.params().row_time_us.to_string()),
+        pair("exposure_us", camera.params().exposure_us.to_string()),
+        pair("bins_per_row", camera.params().bins_per_row.to_string()),
+        pair(
+            "field",
+            format!("{} × {}", camera.field().0, camera.field().1),
+        ),
+        pair("binning", sensor.binning.to_string()),
+    ];
+    let optional = [
+        ("pixel_pitch_um", sensor.pixel_pitch_um),
+        ("bit_depth", sensor.bit_depth.map(f64::from)),
+        ("bias_counts", sensor.bias_counts),
+        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
+        ("read_noise_electrons", sensor.read_noise_electrons),
+        ("full_well_counts", sensor.full_well_counts),
+    ];
+    for (name, value) in optional {
+        if let Some(value) = value {
+            of_camera.push(pair(name, value.to_string()));
+        }
+    }
+    if let Some(taken) = task.taken.summary() {
+        of_camera.push(pair("from metadata", taken));
+    }
+    let psf = task.psfs.central().image();
+    let of_solver = vec![
+            pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
+            pair("prior R", outcome.prior.clone()),
+            pair("its choice", outcome.prior_choice.reason.clone()),
+            pair(
+                "τ",
+                format!("{} ({})", short(outcome.tau), outcome.tau_rule),
+            ),
+            pair(
+                "σ",
+                format!(
+                    "{} counts ({})",
+                    short(outcome.noise_sigma),
+                    outcome.noise_sigma_source
+                ),
+            ),
+            pair("residual/σ", format!("{:.4}", outcome.residual_over_sigma)),
+            pair("fit", format!("{}: {}", outcome.fit, outcome.fit_reason)),
+            pair(
+                "χ² per degree of freedom",
+                format!(
+                    "{} ± {}",
+                    short(outcome.fit_statistics.chi_squared),
+                    short(outcome.fit_statistics.chi_squared_error)
+                ),
+            ),
+            pair(
+                "noise over σ, outside the optics' band",
+                outcome
+                    .fit_statistics
+                    .noise_floor
+                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
+            ),
+            pair(
+                "residual/σ inside it",
+                outcome
+                    .fit_statistics
+                    .passed_level
+                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
+            ),
+            pair(
+                "free values per measurement",
+                format!("{:.2}", outcome.fit_statistics.freedom),
+            ),
+            pair(
+                "objective at the end",
+                format!("{}; {}", short(outcome.objective), outcome.certificate),
+            ),
+            pair(
+                "voxels allowed to be lit",
+                format!("{:.2} %", 100.0 * outcome.support_fraction),
+            ),
+            pair(
+                "standard errors of traces",
+                match (&outcome.trace_errors, &outcome.trace_errors.missing_because) {
+                    (_, Some(why)) => format!("not known: {why}"),
+                    (errors, None) => format!(
+                        "light changes over {:.1} px by {:.2} of its brightness, χ² {:.2}, found in {:.2} s",
+                        errors.prior_length_px.unwrap_or(f64::NAN),
+                        errors.prior_amplitude.unwrap_or(f64::NAN),
+                        errors.chi_squared.unwrap_or(f64::NAN),
+                        errors.seconds
+                    ),
+                },
+            ),
+            pair(
+                "debiased",
+                outcome.debias.as_ref().map_or("no".into(), |d| {
+                    let psnr = d.psnr_db_before.zip(outcome.psnr_db);
+                    let psnr = psnr.map_or(String::new(), |(a, b)| format!(", PSNR {a:.1} to {b:.1} dB"));
+                    format!(
+                        "yes: light × {:.4}, bright parts × {:.4}{psnr}; residual and fit are those before",
+                        d.light_ratio, d.bright_light_ratio
+                    )
+                }),
+            ),
+            pair("iterations", outcome.iterations.to_string()),
+            pair("stopped", outcome.stop_reason.into()),
+            pair(
+                "PSF",
+                match task.psfs.psfs().len() {
+                    1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
+                    n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
+                },
+            ),
+            pair(
+                "bad and saturated pixels",
+                format!("{} and {}", outcome.bad_pixels, outcome.saturated_pixels),
+            ),
+        ];
+    let of_run = vec![
+        pair("rowburst", outcome.version.into()),
+        pair("threads", outcome.threads.to_string()),
+        pair(
+            "set-up and solving",
+            format!(
+                "{:.2} s and {:.2} s",
+                outcome.setup_seconds, outcome.seconds
+            ),
+        ),
+        pair(
+            "peak memory",
+            outcome
+                .peak_memory_bytes
+                .map_or("unknown".into(), |b| format!("{} MB", b / 1_000_000)),
+        ),
+        pair(
+            "warnings",
+            if outcome.warnings.is_empty() {
+                "none".into()
+            } else {
+                outcome.warnings.join("; ")
+            },
+        ),
+    ];
+    vec![
+        ("Camera".into(), of_camera),
+        ("Reconstruction".into(), of_solver),
+        ("Run".into(), of_run),
+    ]
+}
+
+/// The few big numbers.
+pub(crate) fn headline(outcome: &Outcome) -> Vec<(String, String)> {
+    let mut lines = Vec::new();
+    if let Some(psnr) = outcome.psnr_db {
+        lines.push(("PSNR".to_string(), format!("{psnr:.1} dB")));
+    }
+    if let Some(ssim) = outcome.ssim {
+        lines.push(("SSIM".to_string(), format!("{ssim:.4}")));
+    }
+    lines.extend([
+        ("Fit".to_string(), outcome.fit.to_string()),
+        (
+            "Residual/σ".to_string(),
+            format!("{:.2}", outcome.residual_over_sigma),
+        ),
+        (
+            "Frame rate".to_string(),
+            format!("{} fps", thousands(outcome.frame_rate_hz)),
+        ),
+        ("Frames".to_string(), outcome.frames.to_string()),
+        (
+            "Time".to_string(),
+            format!("{:.2} s", outcome.setup_seconds + outcome.seconds),
+        ),
+    ]);
+    lines
+}
+
+/// A whole number with a comma every three digits.
+pub fn thousands(value: f64) -> String {
+    let digits = format!("{value:.0}");
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

@@ -1,0 +1,148 @@
+//! A whole sensor, part by part: `cargo bench --workspace --bench full_sensor`. 32 of the 1024 bins of a dual
+//! shutter of 2048×2048 pixels are simulated (a digit of 48 px in each, SNR 256) and found with `tv+support`;
+//! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size.
+
+use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Measurement;
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{InParts, Recipe};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Video};
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+struct Cost {
+    seconds_per_bin: f64,
+    per_voxel: f64,
+}
+
+/// The first `bins` bins of a sensor of `side`×`side` pixels.
+fn run(side: usize, bins: usize) -> Cost {
+    let whole = Camera::new(CameraParams {
+        rows: side,
+        columns: side,
+        shutter: Shutter::DualInsideOut,
+        row_time_us: 9.6,
+        exposure_us: 9.6,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .expect("a valid camera");
+    let all = whole.time().bins();
+    let camera = whole.cut(0..bins).expect("bins of the camera");
+    let began = Instant::now();
+    // The same grain, a diffuser that spreads as much wider.
+    let demo = SpeckleOptics::demo();
+    // The simulated speckle's transform ends at 8192 points a side.
+    let reach = (side as f64).min(1450.0);
+    let optics = SpeckleOptics {
+        diffuser_fwhm_deg: (demo.diffuser_fwhm_deg.to_radians().tan() * reach / 108.0)
+            .atan()
+            .to_degrees(),
+        ..demo
+    };
+    let psf = speckle_psf(&optics, 2 * side - 1, 2 * side - 1, 1).expect("valid optics");
+    println!(
+        "{side}×{side}, bins 0..{bins} of {all}; PSF computed in {:.1} s",
+        began.elapsed().as_secs_f64()
+    );
+    // A few bins at a time: the truth of all would not fit where the reconstruction does.
+    // As bright a part of what is measured of a bin as digits of 12 px have of 108 columns.
+    let height = 6 * side / 256;
+    let digit = |bin: usize| -> Video {
+        scene::digits(Shape::new(1, side, side), height.max(12), 1 + bin as u64)
+            .expect("a digit fits")
+    };
+    let mut rows = vec![0.0f32; camera.rows() * side];
+    let places: Vec<usize> = camera.sensor_rows().collect();
+    for bin in 0..bins {
+        let one = whole.cut(bin..bin + 1).expect("a bin");
+        let operator = RollingShutter::new(&one, &psf);
+        let mut read = vec![0.0; operator.range_len()];
+        operator.apply(digit(bin).data(), &mut read);
+        for (line, row) in read.chunks_exact(side).zip(one.sensor_rows()) {
+            let place = places.iter().position(|&r| r == row).expect("a row");
+            rows[place * side..(place + 1) * side].copy_from_slice(line);
+        }
+    }
+    let noiseless = Image::new(camera.rows(), side, rows).expect("a frame");
+    let noisy = Noise::Gaussian { snr: 256.0 }.apply(&noiseless, camera.sensor(), 1);
+    let measurement = Measurement::new(noisy.expect("light").frame).expect("light");
+    let parts = InParts::new(camera, psf.into(), measurement, Recipe::default()).expect("parts");
+    let mut decibels = Vec::new();
+    let began = Instant::now();
+    let mut comparing = 0.0;
+    for range in parts.ranges(None) {
+        let begun = Instant::now();
+        let mut stamps = Vec::new();
+        let found = parts
+            .solve(range.clone(), &mut |progress| {
+                stamps.push((begun.elapsed().as_secs_f64(), progress.support));
+                ControlFlow::Continue(())
+            })
+            .expect("a video");
+        let taken = begun.elapsed().as_secs_f64();
+        let now = Instant::now();
+        let pixels = side * side;
+        for (i, bin) in range.clone().enumerate() {
+            let own = &found.video.data()[i * pixels..(i + 1) * pixels];
+            decibels.push(psnr_db(own, digit(bin).data()));
+        }
+        comparing += now.elapsed().as_secs_f64();
+        let open = stamps.iter().take_while(|s| s.1 == 1.0).count();
+        println!(
+            "- bins {range:?}: {taken:.1} s, {} iterations ({open} of them on all voxels, until {:.1} s), residual/σ {:.3}, support {:.2e}, τ {:.3e}, {}",
+            found.iterations,
+            stamps[open.saturating_sub(1)].0,
+            found.residual_over_sigma,
+            found.support,
+            found.tau,
+            found.fit.verdict.name()
+        );
+    }
+    let seconds = began.elapsed().as_secs_f64() - comparing;
+    decibels.sort_by(f64::total_cmp);
+    let each = seconds / bins as f64;
+    let voxel = each / (side * side) as f64;
+    println!(
+        "{each:.2} s a bin, {:.2} µs a voxel, median {:.1} dB (least {:.1}); the whole sensor of {all} bins: {:.2} h; peak memory {}\n",
+        1e6 * voxel,
+        decibels[decibels.len() / 2],
+        decibels[0],
+        each * all as f64 / 3600.0,
+        peak_memory().map_or("unknown".into(), |b| format!("{:.2} GB", b / 1e9)),
+    );
+    Cost {
+        seconds_per_bin: each,
+        per_voxel: voxel,
+    }
+}
+
+/// Of this process, in bytes (Linux).
+fn peak_memory() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    line.split_whitespace()
+        .nth(1)?
+        .parse::<f64>()
+        .ok()
+        .map(|kib| 1024.0 * kib)
+}
+
+fn main() {
+    let given: Vec<usize> = std::env::args().filter_map(|a| a.parse().ok()).collect();
+    let (side, bins) = match given[..] {
+        [side, bins] => (side, bins),
+        _ => (2048, 32),
+    };
+    let small = run(108, 54);
+    let large = run(side, bins);
+    println!(
+        "{:.2} s a bin; a voxel costs {:.2} times that of 108×108×54",
+        large.seconds_per_bin,
+        large.per_voxel / small.per_voxel
+    );
+}

@@ -1,0 +1,146 @@
+//! What a time budget gives: `cargo bench --workspace --bench live`. Sequences of 20 frames of
+//! 108×108×54 at SNR 256 that change slowly: digits that move by a pixel every second frame, and three LEDs
+//! that are a bin further each time. For each budget, the PSNR of the frames alone, each from nothing,
+//! and in sequence, each from the end of the last one; then frame by frame for 0.1 s. `--verbose`: every budget.
+
+use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Measurement;
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{Model, Prior, Recipe, Sequence};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::solve::StopReason;
+use rowburst::{Camera, Image, Sensor, Shape, Shutter, Video};
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+const SIDE: usize = 108;
+const FRAMES: usize = 20;
+const BUDGETS: [f64; 5] = [0.03, 0.1, 0.3, 1.0, 3.0];
+const SHOWN: f64 = 0.1;
+
+/// `video` moved by pixels to the right and bins ahead; what leaves comes in on the other side.
+fn moved(video: &Video, pixels: usize, bins: usize) -> Video {
+    let shape = video.shape();
+    let at = |i: usize| {
+        let (t, rest) = (i / shape.pixels(), i % shape.pixels());
+        let (y, x) = (rest / shape.columns, rest % shape.columns);
+        let from = (x + shape.columns - pixels % shape.columns) % shape.columns;
+        ((t + bins) % shape.bins) * shape.pixels() + y * shape.columns + from
+    };
+    let values = (0..shape.voxels()).map(|i| video.data()[at(i)]).collect();
+    Video::new(shape, values).expect("the same shape")
+}
+
+fn sequences(shape: Shape) -> Vec<(&'static str, Vec<Video>)> {
+    let digits = scene::digits(shape, 12, 1).expect("digits fit");
+    let leds = scene::leds(shape, 9.6, 6.5, 1).expect("LEDs fit").0;
+    vec![
+        (
+            "digits that move",
+            (0..FRAMES).map(|k| moved(&digits, k / 2, 0)).collect(),
+        ),
+        (
+            "LEDs that run on",
+            (0..FRAMES).map(|k| moved(&leds, 0, k)).collect(),
+        ),
+    ]
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+fn main() {
+    let camera = Camera::new(CameraParams {
+        rows: SIDE,
+        columns: SIDE,
+        shutter: Shutter::DualInsideOut,
+        row_time_us: 9.6,
+        exposure_us: 9.6,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .expect("a valid camera");
+    let side = 2 * SIDE - 1;
+    let psf = speckle_psf(&SpeckleOptics::demo(), side, side, 1).expect("valid optics");
+    let verbose = std::env::args().any(|a| a == "--verbose");
+    let began = Instant::now();
+    let model = Model::new(&camera, &psf).keeping_gram();
+    println!(
+        "Model: {:.0} ms, once.\n",
+        1e3 * began.elapsed().as_secs_f64()
+    );
+    let recipe = Recipe {
+        prior: Some(Prior::STANDARD),
+        ..Recipe::default()
+    };
+    println!(
+        "| scene | budget (s) | from nothing (dB) | in sequence: first, median, least of frames 2 to {FRAMES} (dB) | iterations | went on | longest frame (s) |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    let mut shown = Vec::new();
+    for (name, truths) in sequences(camera.video_shape()) {
+        let measured: Vec<Measurement> = truths
+            .iter()
+            .zip(1..)
+            .map(|(truth, seed)| {
+                let mut frame = vec![0.0; model.operator().range_len()];
+                model.operator().apply(truth.data(), &mut frame);
+                let noiseless = Image::new(SIDE, SIDE, frame).expect("a frame");
+                let noise = Noise::Gaussian { snr: 256.0 };
+                let recorded = noise
+                    .apply(&noiseless, camera.sensor(), seed)
+                    .expect("light");
+                Measurement::new(recorded.frame).expect("light")
+            })
+            .collect();
+        for budget in BUDGETS {
+            let mut sequence = Sequence::new(model.clone(), recipe);
+            let next = |sequence: &mut Sequence, k: usize| {
+                let began = Instant::now();
+                let (found, went_on) = sequence
+                    .next(&measured[k], &mut |_| {
+                        if began.elapsed().as_secs_f64() > budget {
+                            return ControlFlow::Break(StopReason::TimeBudget);
+                        }
+                        ControlFlow::Continue(())
+                    })
+                    .expect("a video");
+                let taken = began.elapsed().as_secs_f64();
+                let db = psnr_db(found.video.data(), truths[k].data());
+                (db, found.iterations, went_on, taken)
+            };
+            let alone: Vec<f64> = [0, 7, 14]
+                .map(|k| {
+                    sequence.forget();
+                    next(&mut sequence, k).0
+                })
+                .to_vec();
+            sequence.forget();
+            let runs: Vec<_> = (0..FRAMES).map(|k| next(&mut sequence, k)).collect();
+            let later: Vec<f64> = runs[1..].iter().map(|r| r.0).collect();
+            let least = later.iter().copied().fold(f64::INFINITY, f64::min);
+            let iterations = median(runs[1..].iter().map(|r| r.1 as f64).collect());
+            let longest = runs.iter().map(|r| r.3).fold(0.0, f64::max);
+            let went_on = runs.iter().filter(|r| r.2).count();
+            println!(
+                "| {name} | {budget} | {:.1} | {:.1}, {:.1}, {least:.1} | {iterations} | {went_on} | {longest:.2} |",
+                median(alone),
+                runs[0].0,
+                median(later),
+            );
+            if budget == SHOWN || verbose {
+                let each: Vec<String> = runs.iter().map(|r| format!("{:.1}", r.0)).collect();
+                shown.push(format!("{name}, {budget} s: {}", each.join(" ")));
+            }
+        }
+    }
+    println!("\nFrame by frame (dB):\n");
+    for line in shown {
+        println!("- {line}");
+    }
+}

@@ -1,0 +1,176 @@
+//! Frames of one scene, one after another: a live view.
+//!
+//! From one frame to the next most of a scene stays as it is. The solver goes on from where the last
+//! frame ended: its video, its duals, the support, `ρ`, and the factors of the Gram blocks, which
+//! hold as long as neither support nor `ρ` moves. What changed is found by the data step, and new
+//! places by the looks at the support (see [`crate::solve::admm`]). A frame that was stopped early is
+//! not lost: the next one goes on from there. Where the last video explains little of the new frame,
+//! it begins from nothing.
+
+use super::sigma::Bands;
+use super::{Found, Model, Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, noise_of};
+use crate::Result;
+use crate::measurement::Measurement;
+use crate::prox::Prox;
+use crate::solve::admm::{Admm, Progress, TauRule};
+use crate::solve::{DataTerm, StopReason};
+use crate::vecmath::distance_squared;
+use std::ops::ControlFlow;
+
+/// Part of the variance of a frame that the last video may leave unexplained; beyond, it is of
+/// another scene.
+const MOST_UNEXPLAINED: f64 = 0.5;
+
+/// Reconstructs frames of the same camera, each from the end of the last one.
+///
+/// What comes out depends on the frames before, within [`crate::solve::admm::AdmmParams::tolerance`]
+/// where it converges: for a live view, not for a measurement. The prior is the recipe's, or
+/// [`Prior::STANDARD`].
+pub struct Sequence {
+    model: Model,
+    recipe: Recipe,
+    last: Option<Last>,
+}
+
+/// The end of the last frame.
+struct Last {
+    problem: Problem,
+    prox: Box<dyn Prox>,
+    run: Admm,
+}
+
+impl Sequence {
+    /// A sequence without frames yet. With [`Model::keeping_gram`] a frame that starts from nothing
+    /// is set up sooner.
+    pub fn new(model: Model, recipe: Recipe) -> Self {
+        let recipe = Recipe {
+            prior: Some(recipe.prior.unwrap_or(Prior::STANDARD)),
+            ..recipe
+        };
+        Self {
+            model,
+            recipe,
+            last: None,
+        }
+    }
+
+    /// Forgets what it has seen: the next frame starts from nothing.
+    pub fn forget(&mut self) {
+        self.last = None;
+    }
+
+    /// The video of the next frame, and whether it went on from the last one; `observer` sees every
+    /// iteration and may stop it: what a time budget needs.
+    ///
+    /// # Errors
+    /// Those of [`Problem::of`] and [`Problem::solve`]; the next frame then starts from nothing.
+    pub fn next(
+        &mut self,
+        measurement: &Measurement,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> Result<(Reconstruction, bool)> {
+        let went_on = self.last.take().and_then(|last| last.on(measurement));
+        let goes_on = went_on.is_some();
+        let mut last = match went_on {
+            Some(last) => last,
+            None => match self.first(measurement, observer)? {
+                Ok(first) => *first,
+                Err(stopped) => return Ok((*stopped, false)),
+            },
+        };
+        let mut history = Vec::new();
+        let reason = last.run(&mut history, observer);
+        let found = last.conclude(reason, &history)?;
+        self.last = Some(last);
+        Ok((found, goes_on))
+    }
+
+    /// A run from nothing; what there is where the observer stopped the search for the noise level.
+    fn first(
+        &self,
+        measurement: &Measurement,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> Result<std::result::Result<Box<Last>, Box<Reconstruction>>> {
+        let mut problem = Problem::of(&self.model, measurement, self.recipe)?;
+        let rule = match problem.rule(observer) {
+            Ok(rule) => rule,
+            Err(so_far) => return Ok(Err(Box::new(problem.conclude(*so_far, &[])?))),
+        };
+        let (shape, prior) = (problem.data.shape(), problem.prior());
+        problem.data.start(prior.second_part(), None);
+        let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
+        Ok(Ok(Box::new(Last {
+            run: Admm::new(&problem.data, shape, params),
+            prox: prior.prox(shape),
+            problem,
+        })))
+    }
+}
+
+impl Problem {
+    fn prior(&self) -> Prior {
+        self.recipe.prior.unwrap_or(Prior::STANDARD)
+    }
+}
+
+impl Last {
+    fn run(
+        &mut self,
+        history: &mut Vec<f64>,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> StopReason {
+        let shape = self.problem.data.shape();
+        let second = self.problem.prior().second_part();
+        let (data, most) = (&mut self.problem.data, self.run.most_iterations());
+        self.run.run(data, &mut *self.prox, most, &mut |progress| {
+            history.push(progress.residual_rms);
+            super::show(second, shape, progress, observer)
+        })
+    }
+
+    fn conclude(&mut self, reason: StopReason, history: &[f64]) -> Result<Reconstruction> {
+        let (problem, prox) = (&self.problem, &*self.prox);
+        let solution = self.run.so_far(&problem.data, prox, reason);
+        let found = Found::new(problem.prior(), prox, problem.data.shape(), solution);
+        problem.conclude(found, history)
+    }
+
+    /// The same with the data of the next frame; `None` where that is of another scene.
+    fn on(mut self, measurement: &Measurement) -> Option<Self> {
+        let problem = &mut self.problem;
+        problem.data.next(measurement);
+        problem.bands = Bands::new(measurement, problem.data.psfs().central());
+        let (sigma, source) = noise_of(measurement, &problem.bands, &problem.recipe);
+        if source != SigmaSource::HeldOut {
+            // Weights that stayed have the reference of the law that they come from.
+            problem.sigma = match source {
+                SigmaSource::Calibration => problem.data.calibrated_sigma()?,
+                _ => sigma,
+            };
+            problem.sigma_source = source;
+        }
+        if problem.recipe.tau == Tau::Auto {
+            let sigma = problem.sigma;
+            let rule = TauRule::Discrepancy { sigma };
+            self.run.aim_at(rule, &problem.data);
+        }
+        // A run that was stopped early has no video yet that could explain anything.
+        let is_young = self.run.support() == 1.0;
+        if !is_young && !explains(problem, self.run.video()) {
+            return None;
+        }
+        self.run.go_on(&problem.data);
+        Some(self)
+    }
+}
+
+/// Whether `video` explains most of what varies in the frame.
+fn explains(problem: &Problem, video: &[f32]) -> bool {
+    let data = &problem.data;
+    let measured = data.measured();
+    let mut seen = vec![0.0; measured.len()];
+    data.operator().apply(video, &mut seen);
+    let mean = measured.iter().map(|b| f64::from(*b)).sum::<f64>() / measured.len() as f64;
+    let varies = distance_squared(measured, &vec![mean as f32; measured.len()]);
+    distance_squared(measured, &seen) <= MOST_UNEXPLAINED * varies
+}
