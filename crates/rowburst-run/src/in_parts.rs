@@ -94,6 +94,9 @@ struct State {
 
 const STATE: &str = "parts.json";
 
+/// Sees the bins of the part at work, how many parts are through, and its iteration.
+type Observer<'o> = dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason> + 'o;
+
 /// Finds all parts that are not there yet and writes the result. `observer` sees the bins that are
 /// through and every iteration, and may stop it.
 ///
@@ -102,7 +105,7 @@ const STATE: &str = "parts.json";
 pub fn run_in_parts(
     task: &PartsTask,
     folder: &OutputFolder,
-    observer: &mut dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason>,
+    observer: &mut Observer,
 ) -> Result<PartsOutcome> {
     let parts = &task.parts;
     let shape = parts.camera().video_shape();
