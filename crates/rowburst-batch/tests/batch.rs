@@ -65,6 +65,7 @@ fn plan(camera: &Camera, prior: &str) -> Plan {
     Plan {
         model: Model::new(camera, psf()).keeping_gram(),
         corrections: Corrections::default(),
+        budget: None,
         recipe: Recipe {
             prior: Some(prior.parse().unwrap()),
             max_iterations: Some(70),

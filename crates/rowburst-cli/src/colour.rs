@@ -155,12 +155,12 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
     let view = false;
     let given = [
         ("--truth", args.truth.is_some()),
-        ("--bins", args.bins.is_some()),
-        ("--part-bins", args.part_bins.is_some()),
         ("--direct", args.direct.is_some()),
         ("--region", !args.region.is_empty()),
         ("--photodiode", !args.photodiode.is_empty()),
         ("--view", view),
+        ("--bins", args.bins.is_some()),
+        ("--part-bins", args.part_bins.is_some()),
         ("--sweep", !args.sweep.is_empty()),
     ];
     match given.iter().find(|(_, given)| *given) {

@@ -185,6 +185,8 @@ fn one(
     };
     let memory = check_memory(&args.experiment, &camera);
     if args.part_bins.is_some() {
+        let warnings = experiment.taken.warnings.iter();
+        warnings.for_each(|warning| eprintln!("warning: {warning}"));
         let task = PartsTask {
             parts: InParts::new(camera, psfs, measurement, recipe)?,
             tau: recipe.tau,

@@ -94,15 +94,18 @@ struct State {
 
 const STATE: &str = "parts.json";
 
-/// Finds all parts that are not there yet and writes the result. `observer` sees the bins that are
-/// through and every iteration, and may stop it.
+/// Sees the bins of the part at work, the number of all bins, and the iteration.
+type Observer<'o> = dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason> + 'o;
+
+/// Finds all parts that are not there yet and writes the result. `observer` sees every iteration
+/// and may stop it.
 ///
 /// # Errors
 /// Those of a reconstruction, failed writes, and where it was stopped: what is done stays.
 pub fn run_in_parts(
     task: &PartsTask,
     folder: &OutputFolder,
-    observer: &mut dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason>,
+    observer: &mut Observer,
 ) -> Result<PartsOutcome> {
     let parts = &task.parts;
     let shape = parts.camera().video_shape();

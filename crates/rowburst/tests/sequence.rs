@@ -25,7 +25,7 @@ fn model() -> Model {
         sensor: Sensor::default(),
     });
     let psf = speckle_psf(&SpeckleOptics::demo(), 2 * SIDE - 1, 2 * SIDE - 1, 1);
-    Model::new(&camera.unwrap(), &psf.unwrap()).keeping_gram()
+    Model::new(&camera.unwrap(), psf.unwrap()).keeping_gram()
 }
 
 fn measured(model: &Model, truth: &Video, seed: u64) -> Measurement {
