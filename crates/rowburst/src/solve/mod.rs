@@ -86,7 +86,8 @@ pub trait DataTerm {
         false
     }
 
-    /// Most voxels of a bin that a restriction is worth.
+    /// Most voxels of a bin that [`Self::restrict`] is worth its cost for; of more, the prior alone
+    /// keeps the others dark.
     fn most_lit(&self) -> usize {
         usize::MAX
     }

@@ -25,13 +25,15 @@ const CHUNK: usize = 1 << 14;
 pub(super) struct Places {
     shape: Shape,
     support: Option<Support>,
+    /// The same, but for bins that are left open in the data step.
+    data_support: Option<Support>,
     fraction: f64,
     is_settled: bool,
     /// Voxels in a row that are worked on together, in their order: whole rows that hold a place.
     runs: Vec<Range<usize>>,
     /// Voxels of the first part, and all.
     lengths: (usize, usize),
-    /// Most voxels of a bin that a restriction is worth.
+    /// Most voxels of a bin that the data step is restricted to.
     most: usize,
     /// How often the support of each bin has been widened, and its misfit at the last look.
     levels: Vec<usize>,
@@ -52,6 +54,7 @@ impl Places {
             lengths: (shape.voxels(), voxels),
             shape,
             support: None,
+            data_support: None,
             fraction: 1.0,
             is_settled: false,
             most,
@@ -69,6 +72,12 @@ impl Places {
     /// `None`: every voxel.
     pub fn support(&self) -> Option<&Support> {
         self.support.as_ref()
+    }
+
+    /// The places that the data step knows of: where a bin has too many for a block of them all of it,
+    /// and the prior alone keeps the rest dark.
+    pub fn data_support(&self) -> Option<&Support> {
+        self.data_support.as_ref()
     }
 
     /// What is not sure to be dark, piece by piece.
@@ -123,16 +132,16 @@ impl Places {
             level => THRESHOLD * brightness * LEVEL_STEP.powi(level as i32),
         };
         let cuts: Vec<f64> = self.levels.iter().map(cut).collect();
-        let support = Support::above(video, self.shape, &cuts)
-            .with_missed(correlation, missed)
-            .opening_above(self.most);
+        let support = Support::above(video, self.shape, &cuts).with_missed(correlation, missed);
         let fraction = support.fraction();
         self.is_settled =
             self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
         self.is_open = bins.map(|bin| !bin.contains(&0)).collect();
-        self.runs = self.runs_of(&support);
+        let for_data = support.clone().opening_above(self.most);
+        self.runs = self.runs_of(&for_data);
+        self.data_support = Some(for_data);
         self.support = Some(support.clone());
         support
     }

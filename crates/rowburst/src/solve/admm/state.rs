@@ -165,7 +165,7 @@ impl State {
         let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
         self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
-        data.adjoint_on(&self.y, self.places.support(), &mut self.x); // x − p
+        data.adjoint_on(&self.y, self.places.data_support(), &mut self.x); // x − p
         let runs = self.places.runs();
         let (x, z) = (&self.x, &self.z);
         let steps = pieces(&mut self.u, runs).into_par_iter().zip(runs);
@@ -294,11 +294,13 @@ impl State {
         if was_open && self.places.fraction() < 1.0 {
             self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
         }
-        data.restrict(&support);
         prior.restrict(&support);
-        support.apply(&mut self.x);
         support.apply(&mut self.z);
-        support.apply(&mut self.u);
+        if let Some(places) = self.places.data_support() {
+            data.restrict(places);
+            places.apply(&mut self.x);
+            places.apply(&mut self.u);
+        }
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.u, &mut self.au);
     }
@@ -316,7 +318,7 @@ impl State {
         let (b, tau) = (data.measured(), self.tau());
         let brightest = self.z.par_iter().copied().reduce(|| 0.0, f32::max);
         // Twice: a trace has no part outside the support, and the dual may have one.
-        data.adjoint_on(&self.y, self.places.support(), &mut self.x);
+        data.adjoint_on(&self.y, self.places.data_support(), &mut self.x);
         prior.subtract_dual(&mut self.x);
         self.restrict_x();
         // In units of ρ up to here.
