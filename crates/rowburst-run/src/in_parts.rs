@@ -319,11 +319,19 @@ fn sheet<'a>(task: &'a PartsTask, outcome: &PartsOutcome, seen: &'a Seen) -> She
     let camera = task.parts.camera();
     let bin_us = camera.time().bin_duration_us();
     let time = |bin: usize| ((camera.first_bin() + bin) as f64 + 0.5) * bin_us;
-    let course = |name: &'a str, what, points, caption: &str| Drawing {
+    let top =
+        |points: &[(f64, f64)]| 1.05 * points.iter().map(|p| p.1).fold(f64::MIN_POSITIVE, f64::max);
+    let course = |name: &'a str, what, points: Vec<(f64, f64)>, caption: &str| Drawing {
         name,
         plot: Plot::Curves {
-            x: ("time (µs)", Scale::Auto),
-            y: (what, Scale::Auto),
+            x: (
+                "time (µs)",
+                Scale::Linear(
+                    time(0) - 0.5 * bin_us,
+                    time(seen.light.len()) - 0.5 * bin_us,
+                ),
+            ),
+            y: (what, Scale::Linear(0.0, top(&points))),
             curves: vec![Curve {
                 name: String::new(),
                 points,

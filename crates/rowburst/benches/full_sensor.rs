@@ -1,5 +1,5 @@
 //! A whole sensor, part by part: `cargo bench --workspace --bench full_sensor`. 32 of the 1024 bins of a dual
-//! shutter of 2048×2048 pixels are simulated (a digit of 48 px in each, SNR 256) and found with `tv+support`;
+//! shutter of 2048×2048 pixels are simulated (18 digits of 12 px in each, SNR 256) and found with `tv+support`;
 //! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size.
 
 use rowburst::camera::CameraParams;
@@ -49,12 +49,19 @@ fn run(side: usize, bins: usize) -> Cost {
         "{side}×{side}, bins 0..{bins} of {all}; PSF computed in {:.1} s",
         began.elapsed().as_secs_f64()
     );
-    // A few bins at a time: the truth of all would not fit where the reconstruction does.
-    // As bright a part of what is measured of a bin as digits of 12 px have of 108 columns.
-    let height = 6 * side / 256;
-    let digit = |bin: usize| -> Video {
-        scene::digits(Shape::new(1, side, side), height.max(12), 1 + bin as u64)
-            .expect("a digit fits")
+    // Bin by bin: the truth of all would not fit where the reconstruction does. As many digits of 12 px as
+    // give the same part of what is measured of a bin as one does on 108 columns.
+    let digits = (side / 108).max(1);
+    let scene_of = |bin: usize| -> Video {
+        let shape = Shape::new(1, side, side);
+        let mut sum = vec![0.0f32; shape.voxels()];
+        for i in 0..digits {
+            let seed = 1 + (bin * digits + i) as u64;
+            let one = scene::digits(shape, 12, seed).expect("a digit fits");
+            let places = sum.iter_mut().zip(one.data());
+            places.for_each(|(sum, v)| *sum = sum.max(*v));
+        }
+        Video::new(shape, sum).expect("the same shape")
     };
     let mut rows = vec![0.0f32; camera.rows() * side];
     let places: Vec<usize> = camera.sensor_rows().collect();
@@ -62,7 +69,7 @@ fn run(side: usize, bins: usize) -> Cost {
         let one = whole.cut(bin..bin + 1).expect("a bin");
         let operator = RollingShutter::new(&one, &psf);
         let mut read = vec![0.0; operator.range_len()];
-        operator.apply(digit(bin).data(), &mut read);
+        operator.apply(scene_of(bin).data(), &mut read);
         for (line, row) in read.chunks_exact(side).zip(one.sensor_rows()) {
             let place = places.iter().position(|&r| r == row).expect("a row");
             rows[place * side..(place + 1) * side].copy_from_slice(line);
@@ -89,7 +96,7 @@ fn run(side: usize, bins: usize) -> Cost {
         let pixels = side * side;
         for (i, bin) in range.clone().enumerate() {
             let own = &found.video.data()[i * pixels..(i + 1) * pixels];
-            decibels.push(psnr_db(own, digit(bin).data()));
+            decibels.push(psnr_db(own, scene_of(bin).data()));
         }
         comparing += now.elapsed().as_secs_f64();
         let open = stamps.iter().take_while(|s| s.1 == 1.0).count();
