@@ -238,7 +238,7 @@ pub struct ReconstructArgs {
     /// Show the video in the browser while it is found, with a button to stop; then the result,
     /// until Ctrl-C
     #[cfg(feature = "view")]
-    #[arg(long, conflicts_with = "sweep")]
+    #[arg(long, conflicts_with_all = ["sweep", "part_bins"])]
     pub view: bool,
     #[cfg(feature = "view")]
     #[command(flatten)]

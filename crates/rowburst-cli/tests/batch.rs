@@ -60,6 +60,29 @@ fn quick(more: &[&'static str]) -> Vec<&'static str> {
     [&QUICK[..], more].concat()
 }
 
+/// A preview: one frame after another by the standard prior, and its archive is not gone on with by a job
+/// that has no budget.
+#[test]
+fn a_preview_goes_from_frame_to_frame() {
+    let lab = lab_of(4);
+    let summary = done(&lab, "preview.zarr", &["--time-budget-s", "0.2"]);
+    assert_eq!(
+        (&summary["done"], &summary["frames_at_once"]),
+        (&4.into(), &1.into())
+    );
+    assert_eq!(summary["prior"], "tv+0.5*tdiff+support");
+    let refused = [
+        (&["--time-budget-s", "-1"][..], "budget"),
+        (&["--time-budget-s", "0.2", "--at-once", "2"], "at-once"),
+        (&["--prior", "tv+0.5*tdiff+support"], "time budget"),
+    ];
+    for (more, word) in refused {
+        let (code, _, stderr) = output(command(&lab, "preview.zarr", more));
+        assert_eq!(code, 2, "{stderr}");
+        assert!(stderr.contains(word), "{stderr}");
+    }
+}
+
 /// All files below `folder` with their content; without locks, and without the seconds that
 /// frames took.
 fn content(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {

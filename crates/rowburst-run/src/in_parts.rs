@@ -292,7 +292,8 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
         prior: task.parts.prior().to_string(),
         tau_rule: match task.tau {
             Tau::Given(_) => "given",
-            _ => "discrepancy principle, for each part",
+            Tau::HeldOut => "held-out pixels, for each part",
+            Tau::Auto => "discrepancy principle, for each part",
         },
         noise_sigma: sigma,
         noise_sigma_source: source.name(),

@@ -56,8 +56,8 @@ impl Measurement {
         })
     }
 
-    /// Some rows of it, one after another, as [`Camera::cut`] reads them. The noise is that of the
-    /// whole frame.
+    /// Some rows of it, one after another, as [`Camera::cut`] reads them. The noise, and the
+    /// numbers of bad and saturated pixels, are those of the whole frame.
     ///
     /// # Panics
     /// If there is no such row.

@@ -131,13 +131,24 @@ fn short_looks_add_up() {
 fn another_scene_starts_afresh() {
     let model = model();
     let shape = model.camera().video_shape();
-    let mut sequence = Sequence::new(model.clone(), recipe());
+    // Also with a prior that has no support.
+    let tv = Recipe {
+        prior: Some("tv".parse().unwrap()),
+        ..recipe()
+    };
+    for recipe in [recipe(), tv] {
+        check_another_scene(&model, shape, recipe);
+    }
+}
+
+fn check_another_scene(model: &Model, shape: Shape, recipe: Recipe) {
+    let mut sequence = Sequence::new(model.clone(), recipe);
     let leds = scene::leds(shape, 9.6, 6.5, 1).unwrap().0;
-    let first = measured(&model, &digits(shape), 1);
+    let first = measured(model, &digits(shape), 1);
     sequence.next(&first, &mut after(60)).unwrap();
-    let frame = measured(&model, &leds, 2);
+    let frame = measured(model, &leds, 2);
     let (found, went_on) = sequence.next(&frame, &mut after(60)).unwrap();
     assert!(!went_on);
-    let alone = Problem::of(&model, &frame, recipe()).unwrap();
+    let alone = Problem::of(model, &frame, recipe).unwrap();
     assert_eq!(found.video, alone.solve(&mut after(60)).unwrap().video);
 }

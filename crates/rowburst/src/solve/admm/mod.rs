@@ -239,6 +239,11 @@ impl Admm {
         self.params.tolerance = tolerance;
     }
 
+    /// Whether it has done so few iterations that its video tells nothing of the scene yet.
+    pub fn is_young(&self) -> bool {
+        self.state.is_young()
+    }
+
     /// Most iterations.
     pub fn most_iterations(&self) -> usize {
         self.params.max_iterations

@@ -4,8 +4,6 @@ use crate::{Shape, Support};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Iteration at which the support is found first.
-const FIRST: usize = 20;
 /// Threshold of the support over the brightness of the video.
 const THRESHOLD: f64 = 0.12;
 /// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
@@ -43,6 +41,9 @@ pub(super) struct Places {
 }
 
 impl Places {
+    /// Iteration at which the support is found first: the video has taken shape.
+    pub const FIRST: usize = 20;
+
     /// Iterations from one look to the next.
     pub const EVERY: usize = 10;
 
@@ -66,7 +67,7 @@ impl Places {
 
     /// Whether iteration `k` looks.
     pub fn are_due(k: usize) -> bool {
-        k >= FIRST && (k - FIRST).is_multiple_of(Self::EVERY)
+        k >= Self::FIRST && (k - Self::FIRST).is_multiple_of(Self::EVERY)
     }
 
     /// `None`: every voxel.

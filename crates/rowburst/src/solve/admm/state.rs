@@ -131,6 +131,11 @@ impl State {
         self.ahead + self.iterations
     }
 
+    /// Whether it has not come to where a video has taken shape.
+    pub fn is_young(&self) -> bool {
+        self.stage() <= Places::FIRST
+    }
+
     /// The video, `[t, y, x]`.
     pub fn video(&self) -> &[f32] {
         &self.z
