@@ -13,17 +13,17 @@ from ._rowburst import Camera, Psf
 
 
 def _like(array: NDArray[Any]) -> np.dtype[Any]:
-    """float32 for float32 and float64 for the rest."""
-    return np.dtype(np.float32 if array.dtype == np.float32 else np.float64)
+    """float32 for float32 of any byte order, and float64 for the rest."""
+    return np.dtype(np.float32 if array.dtype.newbyteorder("=") == np.float32 else np.float64)
 
 
 class RollingShutterOperator(LinearOperator):
     """``A``: from the flattened video ``[t, y, x]`` to the flattened frame ``[y, x]``.
 
-    Computed in float32; float64 vectors are converted, and give float64 vectors.
+    Vectors of float32 are computed in float32 and give float32; all others, in float64.
     """
 
-    def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float32) -> None:
+    def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> None:
         self._own = _rowburst._Operator(camera, psf)
         self.camera = camera
         super().__init__(np.dtype(dtype), self._own.shape)  # type: ignore[call-arg]
@@ -40,11 +40,13 @@ class RollingShutterOperator(LinearOperator):
 
     def _matvec(self, x: Any) -> NDArray[Any]:
         x = np.asarray(x)
-        return self._own.apply(x.reshape(-1)).astype(_like(x), copy=False)
+        apply = self._own.apply if _like(x) == np.float32 else self._own.apply_double
+        return apply(x.reshape(-1))
 
     def _rmatvec(self, x: Any) -> NDArray[Any]:
         x = np.asarray(x)
-        return self._own.adjoint(x.reshape(-1)).astype(_like(x), copy=False)
+        adjoint = self._own.adjoint if _like(x) == np.float32 else self._own.adjoint_double
+        return adjoint(x.reshape(-1))
 
     def data_term(self, frame: ArrayLike) -> DataTerm:
         """``½‖W(b - A v)‖²`` of a raw frame ``b``, with its exact prox."""
@@ -100,6 +102,9 @@ class DataTerm:
         return functional(self)
 
 
-def operator(camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float32) -> RollingShutterOperator:
-    """The forward operator ``A`` of a camera behind a diffuser; ``dtype`` is what solvers see."""
+def operator(camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> RollingShutterOperator:
+    """The forward operator ``A`` of a camera behind a diffuser.
+
+    ``dtype`` is what solvers see, and most work in: with ``numpy.float32`` they are about twice as fast.
+    """
     return RollingShutterOperator(camera, psf, dtype)

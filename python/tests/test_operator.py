@@ -61,7 +61,8 @@ def test_types_and_layouts(operator, capture):
         np.testing.assert_array_equal(operator.matvec(same).ravel(), expected)
     doubled = operator.matvec(flat.astype(np.float64))
     assert doubled.dtype == np.float64
-    np.testing.assert_array_equal(doubled, expected)
+    np.testing.assert_allclose(doubled, expected, rtol=1e-5)
+    np.testing.assert_array_equal(operator.matvec(flat.astype(np.float64).tolist()), doubled)
     np.testing.assert_array_equal(operator @ np.stack([flat, 2 * flat], 1), np.stack([expected, 2 * expected], 1))
     np.testing.assert_allclose(expected, (operator.H.H @ flat), rtol=1e-6)
     with pytest.raises(ValueError):
@@ -72,10 +73,10 @@ def test_types_and_layouts(operator, capture):
 
 def test_pylops_dottest(operator, small):
     pylops = pytest.importorskip("pylops")
-    for own in (operator, rb.operator(*small), rb.operator(*small, dtype=np.float64)):
-        for seed in range(5):
+    for own in (operator, rb.operator(*small)):
+        for seed in range(20):
             np.random.seed(seed)
-            assert pylops.utils.dottest(pylops.aslinearoperator(own), *own.shape, rtol=1e-5)
+            assert pylops.utils.dottest(pylops.aslinearoperator(own), *own.shape)
 
 
 @pytest.mark.parametrize("step", [1e-2, 1.0, 1e3])

@@ -185,8 +185,6 @@ fn one(
     };
     let memory = check_memory(&args.experiment, &camera);
     if args.part_bins.is_some() {
-        let warnings = experiment.taken.warnings.iter();
-        warnings.for_each(|warning| eprintln!("warning: {warning}"));
         let task = PartsTask {
             parts: InParts::new(camera, psfs, measurement, recipe)?,
             tau: recipe.tau,
@@ -194,6 +192,7 @@ fn one(
             title: &format!("Rowburst: {}", args.frame.display()),
             reproduce: &command_line(args),
             film: film_of(args),
+            taken: &experiment.taken,
         };
         return in_parts::run(&task, &folder, stop).map(|outcome| Made::InParts(Box::new(outcome)));
     }

@@ -79,6 +79,11 @@ fn metadata_is_taken_over_and_contradictions_are_told() {
     );
     let report = String::from_utf8(lab.read("out/report.html")).unwrap();
     assert!(report.contains("from metadata"));
+    lab.done(
+        "reconstruct experiment.toml --frame frame.npy --prior tv+support --part-bins 3 -o parts",
+    );
+    let parts: Value = serde_json::from_slice(&lab.read("parts/result.json")).unwrap();
+    assert_eq!(parts["metadata"], result["metadata"]);
 
     lab.write(
         "metadata.txt",

@@ -2,7 +2,7 @@
 
 use crate::error::raised;
 use numpy::{
-    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods,
+    Element, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods,
 };
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -11,8 +11,8 @@ use rowburst::{Error, Image, Shape, Video};
 use rowburst_io::{Capture, Level, read_image, read_video};
 use std::path::PathBuf;
 
-/// Anything that numpy takes for an array, in float32 and C order, with the kind of its numbers.
-fn floats<'py>(
+/// Anything that numpy takes for an array, in C order and in numbers of `T`, with the kind of its own.
+fn floats<'py, T: Element>(
     value: &Bound<'py, PyAny>,
     name: &str,
     dimensions: usize,
@@ -54,10 +54,10 @@ fn floats<'py>(
         )));
     }
     let options = PyDict::new(py);
-    options.set_item("dtype", numpy.getattr(intern!(py, "float32"))?)?;
+    options.set_item("dtype", T::get_dtype(py))?;
     options.set_item("order", "C")?;
     let errors = PyDict::new(py);
-    // What float32 cannot hold becomes infinite, which is refused with its place.
+    // What `T` cannot hold becomes infinite, which is refused with its place.
     errors.set_item("over", "ignore")?;
     let state = numpy.call_method("errstate", (), Some(&errors))?;
     state.call_method0("__enter__")?;
@@ -79,7 +79,7 @@ pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
     if let Some(path) = path_of(value) {
         return read_image(&path).map_err(raised);
     }
-    let (array, level) = floats(value, name, 2)?;
+    let (array, level) = floats::<f32>(value, name, 2)?;
     let array = array.cast::<PyArray2<f32>>()?;
     let (rows, columns) = (array.shape()[0], array.shape()[1]);
     let data = array.readonly().as_slice()?.to_vec();
@@ -106,7 +106,7 @@ pub fn video(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Video> {
     if let Some(path) = path_of(value) {
         return read_video(&path).map_err(raised);
     }
-    let (array, _) = floats(value, name, 3)?;
+    let (array, _) = floats::<f32>(value, name, 3)?;
     let array = array.cast::<PyArray3<f32>>()?;
     let shape = array.shape();
     let shape = Shape::new(shape[0], shape[1], shape[2]);
@@ -114,14 +114,14 @@ pub fn video(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Video> {
     Video::new(shape, data).map_err(|e| raised(e.within(name)))
 }
 
-/// A vector of `length` finite float32, borrowed where it is one already.
-pub fn vector<'py>(
+/// A vector of `length` numbers of `T`, borrowed where it is one already.
+pub fn vector<'py, T: Element>(
     value: &Bound<'py, PyAny>,
     name: &str,
     length: usize,
-) -> PyResult<PyReadonlyArray1<'py, f32>> {
-    let (array, _) = floats(value, name, 1)?;
-    let array = array.cast_into::<PyArray1<f32>>()?;
+) -> PyResult<PyReadonlyArray1<'py, T>> {
+    let (array, _) = floats::<T>(value, name, 1)?;
+    let array = array.cast_into::<PyArray1<T>>()?;
     if array.len() != length {
         return Err(raised(Error::input(
             name,

@@ -5,25 +5,32 @@ use crate::camera::PyCamera;
 use crate::error::raised;
 use crate::psf::psfs_of;
 use crate::task::measured;
-use numpy::PyArray1;
+use numpy::{Element, PyArray1};
 use pyo3::prelude::*;
-use rowburst::linop::LinearOperator;
+use rowburst::linop::{LinearOperator, Scalar};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{DataStep, Model};
 use rowburst::{Error, RollingShutter};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
-type Vector<'py> = PyResult<Bound<'py, PyArray1<f32>>>;
+type Vector<'py, T = f32> = PyResult<Bound<'py, PyArray1<T>>>;
 
 /// `A`: from a flattened video to a flattened frame.
 #[pyclass(name = "_Operator", module = "rowburst", frozen)]
 pub struct PyOperator {
     model: Model,
+    /// The same in double precision, once somebody asks for it.
+    double: OnceLock<RollingShutter<f64>>,
 }
 
 impl PyOperator {
     fn shutter(&self) -> &RollingShutter {
         self.model.operator()
+    }
+
+    fn double(&self) -> &RollingShutter<f64> {
+        let make = || RollingShutter::in_precision(self.model.camera(), self.model.psfs().clone());
+        self.double.get_or_init(make)
     }
 }
 
@@ -33,7 +40,10 @@ impl PyOperator {
     fn new(py: Python<'_>, camera: &PyCamera, psf: &Bound<'_, PyAny>) -> PyResult<Self> {
         let psfs = psfs_of(psf, &camera.camera, None)?;
         let model = py.detach(|| Model::new(&camera.camera, psfs));
-        Ok(Self { model })
+        Ok(Self {
+            model,
+            double: OnceLock::new(),
+        })
     }
 
     #[getter]
@@ -50,21 +60,55 @@ impl PyOperator {
 
     /// `A x`.
     fn apply<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>) -> Vector<'py> {
-        let x = vector(x, "video", self.shutter().domain_len())?;
-        let x = x.as_slice()?;
-        let mut y = vec![0.0; self.shutter().range_len()];
-        py.detach(|| self.shutter().apply(x, &mut y));
-        Ok(PyArray1::from_vec(py, y))
+        let x = vector::<f32>(x, "video", self.shutter().domain_len())?;
+        applied(py, || self.shutter(), x.as_slice()?)
+    }
+
+    /// `A x` in float64.
+    fn apply_double<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>) -> Vector<'py, f64> {
+        let x = vector::<f64>(x, "video", self.shutter().domain_len())?;
+        applied(py, || self.double(), x.as_slice()?)
     }
 
     /// `Aᵀ y`.
     fn adjoint<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> Vector<'py> {
-        let y = vector(y, "frame", self.shutter().range_len())?;
-        let y = y.as_slice()?;
-        let mut x = vec![0.0; self.shutter().domain_len()];
-        py.detach(|| self.shutter().adjoint(y, &mut x));
-        Ok(PyArray1::from_vec(py, x))
+        let y = vector::<f32>(y, "frame", self.shutter().range_len())?;
+        adjoint_of(py, || self.shutter(), y.as_slice()?)
     }
+
+    /// `Aᵀ y` in float64.
+    fn adjoint_double<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> Vector<'py, f64> {
+        let y = vector::<f64>(y, "frame", self.shutter().range_len())?;
+        adjoint_of(py, || self.double(), y.as_slice()?)
+    }
+}
+
+fn applied<'py, 'a, T: Scalar + Element>(
+    py: Python<'py>,
+    shutter: impl FnOnce() -> &'a RollingShutter<T> + Send,
+    x: &[T],
+) -> Vector<'py, T> {
+    let y = py.detach(|| {
+        let shutter = shutter();
+        let mut y = vec![T::zero(); shutter.range_len()];
+        shutter.apply(x, &mut y);
+        y
+    });
+    Ok(PyArray1::from_vec(py, y))
+}
+
+fn adjoint_of<'py, 'a, T: Scalar + Element>(
+    py: Python<'py>,
+    shutter: impl FnOnce() -> &'a RollingShutter<T> + Send,
+    y: &[T],
+) -> Vector<'py, T> {
+    let x = py.detach(|| {
+        let shutter = shutter();
+        let mut x = vec![T::zero(); shutter.domain_len()];
+        shutter.adjoint(y, &mut x);
+        x
+    });
+    Ok(PyArray1::from_vec(py, x))
 }
 
 /// `½‖W(b − A v)‖²` of a frame.
@@ -112,7 +156,7 @@ impl PyDataTerm {
         x: &Bound<'_, PyAny>,
         work: impl FnOnce(&mut DataStep, &[f32]) -> rowburst::Result<T> + Send,
     ) -> PyResult<T> {
-        let x = vector(x, "video", self.length)?;
+        let x = vector::<f32>(x, "video", self.length)?;
         let x = x.as_slice()?;
         if let Some(i) = x.iter().position(|v| !v.is_finite()) {
             let rule = "every value is a finite number";

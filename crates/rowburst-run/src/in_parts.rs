@@ -7,12 +7,12 @@
 
 use crate::film::{Film, encoded};
 use crate::numbers::thousands;
-use crate::outcome::{peak_memory_bytes, short};
+use crate::outcome::{MetadataNumbers, peak_memory_bytes, short};
 use rowburst::reconstruct::{InParts, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
-use rowburst_io::{OutputFolder, VideoInParts};
+use rowburst_io::{OutputFolder, Taken, VideoInParts};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -37,6 +37,8 @@ pub struct PartsTask<'a> {
     pub reproduce: &'a str,
     /// What `video.mp4` shows.
     pub film: Film,
+    /// What of the camera came from the frame's metadata.
+    pub taken: &'a Taken,
 }
 
 /// A part that is through.
@@ -81,6 +83,7 @@ pub struct PartsOutcome {
     pub threads: usize,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
+    pub metadata: MetadataNumbers,
     pub parts: Vec<PartNumbers>,
     pub warnings: Vec<String>,
 }
@@ -279,7 +282,7 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
         of_worst[0].fit_reason
     );
     let seconds: f64 = parts.iter().map(|p| p.seconds).sum();
-    let mut warnings = Vec::new();
+    let mut warnings = task.taken.warnings.clone();
     if worst != Verdict::Good.name() {
         warnings.push(format!("the fit is {worst}: {fit_reason}"));
     }
@@ -311,6 +314,7 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
         threads: rayon::current_num_threads(),
         bad_pixels: task.parts.measurement().bad(),
         saturated_pixels: saturated,
+        metadata: MetadataNumbers::from(task.taken),
         parts,
         warnings,
     }

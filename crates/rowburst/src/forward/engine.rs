@@ -1,6 +1,7 @@
 //! Two ways to convolve one instant's light and keep some rows, and the choice.
 
 use super::{planar::Planar, rowwise::Rowwise};
+use crate::linop::Scalar;
 use crate::{Camera, Psf};
 
 /// Sizes of the whole sensor and of the field, and how they lie on each other.
@@ -50,18 +51,18 @@ impl Geometry {
 }
 
 /// The cheaper of the two ways for this geometry.
-pub(super) enum Engine {
-    Rowwise(Rowwise),
-    Planar(Planar),
+pub(super) enum Engine<T: Scalar> {
+    Rowwise(Rowwise<T>),
+    Planar(Planar<T>),
 }
 
 /// Work space of one thread.
-pub(super) enum Scratch {
-    Rowwise(super::rowwise::Scratch),
-    Planar(super::planar::Scratch),
+pub(super) enum Scratch<T> {
+    Rowwise(super::rowwise::Scratch<T>),
+    Planar(super::planar::Scratch<T>),
 }
 
-impl Engine {
+impl<T: Scalar> Engine<T> {
     pub fn cheapest(geometry: &Geometry, psf: &Psf, rows_of: &[Vec<usize>]) -> Self {
         // Real operations per x-frequency: 8 for a complex multiply–add, 5 n log2 n
         // for a complex FFT of length n, there and back.
@@ -76,7 +77,7 @@ impl Engine {
         }
     }
 
-    pub fn scratch(&self) -> Scratch {
+    pub fn scratch(&self) -> Scratch<T> {
         match self {
             Self::Rowwise(engine) => Scratch::Rowwise(engine.scratch()),
             Self::Planar(engine) => Scratch::Planar(engine.scratch()),
@@ -84,7 +85,7 @@ impl Engine {
     }
 
     /// `values[i, x]`: row `rows[i]` of the convolved light of a field.
-    pub fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+    pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
         match (self, scratch) {
             (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.read(light, rows, values, s),
             (Self::Planar(engine), Scratch::Planar(s)) => engine.read(light, rows, values, s),
@@ -96,11 +97,11 @@ impl Engine {
     /// anything.
     pub fn spread(
         &self,
-        values: &[f32],
+        values: &[T],
         rows: &[usize],
         mask: Option<&[u8]>,
-        light: &mut [f32],
-        scratch: &mut Scratch,
+        light: &mut [T],
+        scratch: &mut Scratch<T>,
     ) {
         match (self, scratch) {
             (Self::Rowwise(engine), Scratch::Rowwise(s)) => {

@@ -254,7 +254,7 @@ impl RollingShutter {
     }
 }
 
-impl Layer {
+impl Layer<f32> {
     /// What a pixel of the field sends to the displacement `(dy, dx)` by this layer.
     fn value(&self, pixel: usize, dy: isize, dx: isize) -> f64 {
         let share = self.share.as_ref().map_or(1.0, |share| share[pixel]);

@@ -19,7 +19,7 @@ mod rowwise;
 #[cfg(test)]
 mod tests;
 
-use crate::linop::LinearOperator;
+use crate::linop::{LinearOperator, Scalar};
 use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
 use engine::{Engine, Geometry};
 use planar::Planar;
@@ -33,7 +33,7 @@ use std::borrow::Cow;
 /// rows that are not read are never computed. Where an instant reads many rows
 /// (`global`), 2-D FFTs take over, whichever needs less arithmetic. All that once for
 /// each PSF that a pixel's light is shared out among.
-pub struct RollingShutter {
+pub struct RollingShutter<T: Scalar = f32> {
     video: Shape,
     time: TimeGrid,
     geometry: Geometry,
@@ -41,32 +41,49 @@ pub struct RollingShutter {
     /// The sensor's rows that each instant reads, and where they are in the frame.
     rows_of: Vec<Vec<usize>>,
     places_of: Vec<Vec<usize>>,
-    layers: Vec<Layer>,
+    layers: Vec<Layer<T>>,
     /// Mean of `|P̂|²` over the field at each frequency of a plane; empty where rows are
     /// convolved one by one.
     plane_power: Vec<f32>,
 }
 
 /// A PSF with its part of the field.
-struct Layer {
+struct Layer<T: Scalar> {
     psf: Psf,
     /// `a_c` of every pixel of the field; `None`: 1.
     share: Option<Vec<f32>>,
-    engine: Engine,
+    engine: Engine<T>,
 }
 
 /// Work space of one thread.
-struct Scratch {
-    engine: engine::Scratch,
+struct Scratch<T> {
+    engine: engine::Scratch<T>,
     /// Light of the field, and values of the rows, of one of several layers.
-    light: Vec<f32>,
-    values: Vec<f32>,
+    light: Vec<T>,
+    values: Vec<T>,
 }
 
 impl RollingShutter {
     /// The operator of `camera` behind a diffuser with one PSF (`&Psf`) or with one that
-    /// changes over the field (`&PatchSet`).
+    /// changes over the field (`&PatchSet`), in `f32`.
     pub fn new(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
+        Self::in_precision(camera, psf)
+    }
+
+    /// `P Aᵀ`, with `P` the projection onto `support`: rows without a place of it cost nothing.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    pub fn adjoint_on(&self, frame: &[f32], support: &Support, video: &mut [f32]) {
+        self.adjoint_of(frame, Some(support), video);
+        support.apply(video);
+    }
+}
+
+impl<T: Scalar> RollingShutter<T> {
+    /// The operator of `camera` behind a diffuser with one PSF (`&Psf`) or with one that
+    /// changes over the field (`&PatchSet`).
+    pub fn in_precision(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
         let time = camera.time().clone();
         let mut rows_of = vec![Vec::new(); time.instants().len()];
         let mut places_of = rows_of.clone();
@@ -113,18 +130,18 @@ impl RollingShutter {
     /// the sensor had no edge, where it is a division by `|P̂|² + ρ` (the mean over the
     /// field) at each spatial frequency. Symmetric and positive definite. `None` where rows are convolved one
     /// by one.
-    pub fn circulant_inverse(&self, r: &[f32], rho: f64) -> Option<Vec<f32>> {
+    pub fn circulant_inverse(&self, r: &[T], rho: f64) -> Option<Vec<T>> {
         let Engine::Planar(planar) = &self.layers[0].engine else {
             return None;
         };
         let columns = self.geometry.columns;
         let mut scratch = planar.scratch();
-        let mut out = vec![0.0f32; r.len()];
+        let mut out = vec![T::zero(); r.len()];
         let read = self.rows_of.iter().zip(&self.places_of);
         for ((rows, places), run) in read.zip(self.time.instants()) {
             let values = lines_of(r, places, columns);
             let weight: f64 = run.weights.iter().map(|w| w * w).sum();
-            let mut divided = vec![0.0f32; values.len()];
+            let mut divided = vec![T::zero(); values.len()];
             let power = (self.plane_power.as_slice(), weight);
             planar.divide(&values, rows, power, rho, &mut divided, &mut scratch);
             for (&place, values) in places.iter().zip(divided.chunks_exact(columns)) {
@@ -134,17 +151,17 @@ impl RollingShutter {
         Some(out)
     }
 
-    fn scratch(&self) -> Scratch {
+    fn scratch(&self) -> Scratch<T> {
         let several = self.layers.iter().any(|layer| layer.share.is_some());
         Scratch {
             engine: self.layers[0].engine.scratch(),
-            light: vec![0.0; if several { self.video.pixels() } else { 0 }],
+            light: vec![T::zero(); if several { self.video.pixels() } else { 0 }],
             values: Vec::new(),
         }
     }
 
     /// `values[i, x]`: row `rows[i]` of the convolved light of a field.
-    fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+    fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
         if let [
             Layer {
                 share: None,
@@ -155,14 +172,14 @@ impl RollingShutter {
         {
             return engine.read(light, rows, values, &mut scratch.engine);
         }
-        values.fill(0.0);
-        scratch.values.resize(values.len(), 0.0);
+        values.fill(T::zero());
+        scratch.values.resize(values.len(), T::zero());
         for layer in &self.layers {
             match &layer.share {
                 None => scratch.light.copy_from_slice(light),
                 Some(share) => {
                     let shared = scratch.light.iter_mut().zip(light).zip(share);
-                    shared.for_each(|((s, v), a)| *s = a * v);
+                    shared.for_each(|((s, &v), &a)| *s = v * T::from(a));
                 }
             }
             let Scratch {
@@ -171,7 +188,7 @@ impl RollingShutter {
                 values: part,
             } = scratch;
             layer.engine.read(light, rows, part, engine);
-            add_scaled(values, part, 1.0);
+            add_scaled(values, part, T::one());
         }
     }
 
@@ -179,11 +196,11 @@ impl RollingShutter {
     /// anything.
     fn spread(
         &self,
-        values: &[f32],
+        values: &[T],
         rows: &[usize],
         mask: Option<&[u8]>,
-        light: &mut [f32],
-        scratch: &mut Scratch,
+        light: &mut [T],
+        scratch: &mut Scratch<T>,
     ) {
         if let [
             Layer {
@@ -195,37 +212,37 @@ impl RollingShutter {
         {
             return engine.spread(values, rows, mask, light, &mut scratch.engine);
         }
-        light.fill(0.0);
+        light.fill(T::zero());
         for layer in &self.layers {
             let (own, engine) = (&mut scratch.light, &mut scratch.engine);
             layer.engine.spread(values, rows, mask, own, engine);
             match &layer.share {
-                None => add_scaled(light, &scratch.light, 1.0),
+                None => add_scaled(light, &scratch.light, T::one()),
                 Some(share) => {
                     let shared = light.iter_mut().zip(&scratch.light).zip(share);
-                    shared.for_each(|((v, s), a)| *v += a * s);
+                    shared.for_each(|((v, &s), &a)| *v += s * T::from(a));
                 }
             }
         }
     }
 
     /// The light that instant `i` integrates: `Σ_j w_i[j] v_j`.
-    fn integrate<'v>(&self, video: &'v [f32], instant: usize) -> Cow<'v, [f32]> {
+    fn integrate<'v>(&self, video: &'v [T], instant: usize) -> Cow<'v, [T]> {
         let run = &self.time.instants()[instant];
         let pixels = self.video.pixels();
         let bin = |j: usize| &video[j * pixels..(j + 1) * pixels];
         if run.weights == [1.0] {
             return Cow::Borrowed(bin(run.first_bin));
         }
-        let mut light = vec![0.0f32; pixels];
+        let mut light = vec![T::zero(); pixels];
         for (k, &weight) in run.weights.iter().enumerate() {
-            add_scaled(&mut light, bin(run.first_bin + k), weight as f32);
+            add_scaled(&mut light, bin(run.first_bin + k), T::nearest(weight));
         }
         Cow::Owned(light)
     }
 }
 
-impl LinearOperator for RollingShutter {
+impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
     fn domain_len(&self) -> usize {
         self.video.voxels()
     }
@@ -234,17 +251,17 @@ impl LinearOperator for RollingShutter {
         self.frame_rows * self.geometry.columns
     }
 
-    fn apply(&self, video: &[f32], frame: &mut [f32]) {
+    fn apply(&self, video: &[T], frame: &mut [T]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         let columns = self.geometry.columns;
-        let read: Vec<Vec<f32>> = (0..self.rows_of.len())
+        let read: Vec<Vec<T>> = (0..self.rows_of.len())
             .into_par_iter()
             .map_init(
                 || self.scratch(),
                 |scratch, instant| {
                     let rows = &self.rows_of[instant];
-                    let mut values = vec![0.0; rows.len() * columns];
+                    let mut values = vec![T::zero(); rows.len() * columns];
                     let light = self.integrate(video, instant);
                     self.read(&light, rows, &mut values, scratch);
                     values
@@ -258,30 +275,21 @@ impl LinearOperator for RollingShutter {
         }
     }
 
-    fn adjoint(&self, frame: &[f32], video: &mut [f32]) {
+    fn adjoint(&self, frame: &[T], video: &mut [T]) {
         self.adjoint_of(frame, None, video);
     }
 }
 
-impl RollingShutter {
-    /// `P Aᵀ`, with `P` the projection onto `support`: rows without a place of it cost nothing.
-    ///
-    /// # Panics
-    /// If a length does not match.
-    pub fn adjoint_on(&self, frame: &[f32], support: &Support, video: &mut [f32]) {
-        self.adjoint_of(frame, Some(support), video);
-        support.apply(video);
-    }
-
+impl<T: Scalar> RollingShutter<T> {
     /// The adjoint; rows that are dark in `support` may be anything.
-    fn adjoint_of(&self, frame: &[f32], support: Option<&Support>, video: &mut [f32]) {
+    fn adjoint_of(&self, frame: &[T], support: Option<&Support>, video: &mut [T]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         let columns = self.geometry.columns;
         let pixels = self.video.pixels();
         let instants = self.time.instants();
         let spread =
-            |instant: usize, mask: Option<&[u8]>, light: &mut [f32], scratch: &mut Scratch| {
+            |instant: usize, mask: Option<&[u8]>, light: &mut [T], scratch: &mut Scratch<T>| {
                 let rows = &self.rows_of[instant];
                 let values = lines_of(frame, &self.places_of[instant], columns);
                 self.spread(&values, rows, mask, light, scratch);
@@ -299,15 +307,15 @@ impl RollingShutter {
                         let bin = instant * pixels..(instant + 1) * pixels;
                         let mask = support.map(|s| &s.mask()[bin]);
                         spread(instant, mask, light, scratch);
-                        let weight = instants[instant].weights[0] as f32;
-                        if weight != 1.0 {
+                        let weight = T::nearest(instants[instant].weights[0]);
+                        if weight != T::one() {
                             light.iter_mut().for_each(|v| *v *= weight);
                         }
                     },
                 );
             return;
         }
-        let mut lights = vec![0.0f32; instants.len() * pixels];
+        let mut lights = vec![T::zero(); instants.len() * pixels];
         lights
             .par_chunks_exact_mut(pixels)
             .enumerate()
@@ -319,10 +327,10 @@ impl RollingShutter {
             .par_chunks_exact_mut(pixels)
             .enumerate()
             .for_each(|(j, bin)| {
-                bin.fill(0.0);
+                bin.fill(T::zero());
                 for (run, light) in instants.iter().zip(lights.chunks_exact(pixels)) {
                     if (run.first_bin..run.first_bin + run.weights.len()).contains(&j) {
-                        add_scaled(bin, light, run.weights[j - run.first_bin] as f32);
+                        add_scaled(bin, light, T::nearest(run.weights[j - run.first_bin]));
                     }
                 }
             });
@@ -330,7 +338,7 @@ impl RollingShutter {
 }
 
 /// Some rows of a frame, one after another.
-fn lines_of(frame: &[f32], places: &[usize], columns: usize) -> Vec<f32> {
+fn lines_of<T: Scalar>(frame: &[T], places: &[usize], columns: usize) -> Vec<T> {
     let lines = places
         .iter()
         .map(|&place| &frame[place * columns..(place + 1) * columns]);
@@ -338,7 +346,11 @@ fn lines_of(frame: &[f32], places: &[usize], columns: usize) -> Vec<f32> {
 }
 
 /// The layers of `set` that have a say in the field.
-fn layers_of(set: PatchSet, geometry: &Geometry, rows_of: &[Vec<usize>]) -> Vec<Layer> {
+fn layers_of<T: Scalar>(
+    set: PatchSet,
+    geometry: &Geometry,
+    rows_of: &[Vec<usize>],
+) -> Vec<Layer<T>> {
     let engine = |psf: &Psf| Engine::cheapest(geometry, psf, rows_of);
     if let [psf] = set.psfs() {
         return vec![Layer {
@@ -360,8 +372,8 @@ fn layers_of(set: PatchSet, geometry: &Geometry, rows_of: &[Vec<usize>]) -> Vec<
 }
 
 /// `|Σ_c a_c P̂_c|²`, its mean over the field, at each frequency of a plane.
-fn plane_power(layers: &[Layer]) -> Vec<f32> {
-    let planes: Vec<&Planar> = layers
+fn plane_power<T: Scalar>(layers: &[Layer<T>]) -> Vec<f32> {
+    let planes: Vec<&Planar<T>> = layers
         .iter()
         .filter_map(|layer| match &layer.engine {
             Engine::Planar(planar) => Some(planar),
@@ -383,7 +395,7 @@ fn plane_power(layers: &[Layer]) -> Vec<f32> {
     power
 }
 
-fn add_scaled(sum: &mut [f32], term: &[f32], weight: f32) {
+fn add_scaled<T: Scalar>(sum: &mut [T], term: &[T], weight: T) {
     crate::vecmath::simd(
         #[inline(always)]
         || {

@@ -2,36 +2,38 @@
 
 use super::engine::Geometry;
 use crate::Psf;
+use crate::linop::Scalar;
 use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use rustfft::num_complex::Complex32;
+use rustfft::num_complex::Complex;
+use rustfft::num_traits::Zero;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-pub(super) struct Planar {
+pub(super) struct Planar<T: Scalar> {
     geometry: Geometry,
     /// Spectrum of the PSF, `[x-frequency, y-frequency]`, with the transforms' scale.
-    psf: Vec<Complex32>,
+    psf: Vec<Complex<T>>,
     width: usize,
     height: usize,
     frequencies: usize,
-    row_forward: Arc<dyn RealToComplex<f32>>,
-    row_inverse: Arc<dyn ComplexToReal<f32>>,
-    column_forward: Arc<dyn Fft<f32>>,
-    column_inverse: Arc<dyn Fft<f32>>,
+    row_forward: Arc<dyn RealToComplex<T>>,
+    row_inverse: Arc<dyn ComplexToReal<T>>,
+    column_forward: Arc<dyn Fft<T>>,
+    column_inverse: Arc<dyn Fft<T>>,
 }
 
 /// Spectra of rows `[y, x-frequency]` and of the plane `[x-frequency, y]`.
-pub(super) struct Scratch {
-    rows: Vec<Complex32>,
-    plane: Vec<Complex32>,
+pub(super) struct Scratch<T> {
+    rows: Vec<Complex<T>>,
+    plane: Vec<Complex<T>>,
 }
 
-impl Planar {
+impl<T: Scalar> Planar<T> {
     pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
         let (width, height) = (geometry.fft_columns(), geometry.fft_rows());
-        let mut real = RealFftPlanner::<f32>::new();
-        let mut complex = FftPlanner::<f32>::new();
+        let mut real = RealFftPlanner::<T>::new();
+        let mut complex = FftPlanner::<T>::new();
         let mut planar = Self {
             geometry: geometry.clone(),
             psf: Vec::new(),
@@ -47,7 +49,7 @@ impl Planar {
         planar
     }
 
-    fn kernel_spectrum(&self, psf: &Psf) -> Vec<Complex32> {
+    fn kernel_spectrum(&self, psf: &Psf) -> Vec<Complex<T>> {
         // Index i along an axis is the displacement i + offset; negative ones wrap.
         let wrapped = |i: usize, positive: usize, length: usize| {
             if i < positive {
@@ -57,44 +59,44 @@ impl Planar {
             }
         };
         let g = &self.geometry;
-        let mut kernel = vec![0.0f32; self.width * self.height];
+        let mut kernel = vec![T::zero(); self.width * self.height];
         for (y, line) in kernel.chunks_exact_mut(self.width).enumerate() {
             let dy = wrapped(y, g.rows, self.height) + g.offset_rows as isize;
             for (x, value) in line.iter_mut().enumerate() {
                 let dx = wrapped(x, g.columns, self.width) + g.offset_columns as isize;
-                *value = psf.at_displacement(dy, dx);
+                *value = psf.at_displacement(dy, dx).into();
             }
         }
         let mut scratch = self.scratch();
         let rows: Vec<usize> = (0..self.height).collect();
         self.transform(&kernel, self.width, &rows, &mut scratch);
-        let scale = 1.0 / (self.width * self.height) as f32;
-        scratch.plane.iter().map(|c| c * scale).collect()
+        let scale = T::nearest(1.0 / (self.width * self.height) as f64);
+        scratch.plane.iter().map(|c| c.scale(scale)).collect()
     }
 
-    pub fn scratch(&self) -> Scratch {
+    pub fn scratch(&self) -> Scratch<T> {
         let size = self.frequencies * self.height;
         Scratch {
-            rows: vec![Complex32::ZERO; size],
-            plane: vec![Complex32::ZERO; size],
+            rows: vec![Complex::zero(); size],
+            plane: vec![Complex::zero(); size],
         }
     }
 
     /// Spectrum of the plane whose row `at[i]` is row `i` of `lines`; the rest is zero.
-    fn transform(&self, lines: &[f32], columns: usize, at: &[usize], scratch: &mut Scratch) {
+    fn transform(&self, lines: &[T], columns: usize, at: &[usize], scratch: &mut Scratch<T>) {
         let rows = &mut scratch.rows[..at.len() * self.frequencies];
         rows.par_chunks_exact_mut(self.frequencies)
             .zip(lines.par_chunks_exact(columns))
             .for_each_init(
                 || {
                     (
-                        vec![0.0f32; self.width],
+                        vec![T::zero(); self.width],
                         self.row_forward.make_scratch_vec(),
                     )
                 },
                 |(line, fft), (spectrum, values)| {
                     line[..columns].copy_from_slice(values);
-                    line[columns..].fill(0.0);
+                    line[columns..].fill(T::zero());
                     self.row_forward
                         .process_with_scratch(line, spectrum, fft)
                         .expect("lengths match");
@@ -106,9 +108,9 @@ impl Planar {
             .par_chunks_exact_mut(self.height)
             .enumerate()
             .for_each_init(
-                || vec![Complex32::ZERO; self.column_forward.get_inplace_scratch_len()],
+                || vec![Complex::zero(); self.column_forward.get_inplace_scratch_len()],
                 |fft, (f, column)| {
-                    column.fill(Complex32::ZERO);
+                    column.fill(Complex::zero());
                     for (i, &y) in at.iter().enumerate() {
                         column[y] = rows[i * self.frequencies + f];
                     }
@@ -118,21 +120,21 @@ impl Planar {
     }
 
     /// Row `at[i]` of the plane into row `i` of `lines`.
-    fn invert(&self, scratch: &mut Scratch, columns: usize, at: &[usize], lines: &mut [f32]) {
+    fn invert(&self, scratch: &mut Scratch<T>, columns: usize, at: &[usize], lines: &mut [T]) {
         scratch
             .plane
             .par_chunks_exact_mut(self.height)
             .for_each_init(
-                || vec![Complex32::ZERO; self.column_inverse.get_inplace_scratch_len()],
+                || vec![Complex::zero(); self.column_inverse.get_inplace_scratch_len()],
                 |fft, column| self.column_inverse.process_with_scratch(column, fft),
             );
         let plane = &scratch.plane;
         lines.par_chunks_exact_mut(columns).zip(at).for_each_init(
             || {
-                let spectrum = vec![Complex32::ZERO; self.frequencies];
+                let spectrum = vec![Complex::zero(); self.frequencies];
                 (
                     spectrum,
-                    vec![0.0f32; self.width],
+                    vec![T::zero(); self.width],
                     self.row_inverse.make_scratch_vec(),
                 )
             },
@@ -140,8 +142,8 @@ impl Planar {
                 for (f, c) in spectrum.iter_mut().enumerate() {
                     *c = plane[f * self.height + y];
                 }
-                spectrum[0].im = 0.0;
-                spectrum[self.frequencies - 1].im = 0.0;
+                spectrum[0].im = T::zero();
+                spectrum[self.frequencies - 1].im = T::zero();
                 self.row_inverse
                     .process_with_scratch(spectrum, line, fft)
                     .expect("ends are real");
@@ -150,19 +152,19 @@ impl Planar {
         );
     }
 
-    pub fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+    pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
         let field: Vec<usize> = (0..self.geometry.field_rows).collect();
         self.transform(light, self.geometry.field_columns, &field, scratch);
         let plane = scratch.plane.par_chunks_exact_mut(self.height);
         plane
             .zip(self.psf.par_chunks_exact(self.height))
             .for_each(|(column, kernel)| {
-                column.iter_mut().zip(kernel).for_each(|(c, k)| *c *= k);
+                column.iter_mut().zip(kernel).for_each(|(c, k)| *c = *c * k);
             });
         self.invert(scratch, self.geometry.columns, rows, values);
     }
 
-    pub fn spread(&self, values: &[f32], rows: &[usize], light: &mut [f32], scratch: &mut Scratch) {
+    pub fn spread(&self, values: &[T], rows: &[usize], light: &mut [T], scratch: &mut Scratch<T>) {
         self.transform(values, self.geometry.columns, rows, scratch);
         let plane = scratch.plane.par_chunks_exact_mut(self.height);
         plane
@@ -171,7 +173,7 @@ impl Planar {
                 column
                     .iter_mut()
                     .zip(kernel)
-                    .for_each(|(c, k)| *c *= k.conj());
+                    .for_each(|(c, k)| *c = *c * k.conj());
             });
         let field: Vec<usize> = (0..self.geometry.field_rows).collect();
         self.invert(scratch, self.geometry.field_columns, &field, light);
@@ -183,19 +185,19 @@ impl Planar {
         // The stored spectra carry 1/size.
         let scale = weight * ((self.width * self.height) as f64).powi(2);
         for ((sum, p), q) in power.iter_mut().zip(&self.psf).zip(&other.psf) {
-            *sum += (scale * f64::from(p.re * q.re + p.im * q.im)) as f32;
+            *sum += (scale * (p.re * q.re + p.im * q.im).into()) as f32;
         }
     }
 
     /// `values / (weight·power + ρ)` at each spatial frequency of the padded plane.
     pub fn divide(
         &self,
-        values: &[f32],
+        values: &[T],
         rows: &[usize],
         (power, weight): (&[f32], f64),
         rho: f64,
-        out: &mut [f32],
-        scratch: &mut Scratch,
+        out: &mut [T],
+        scratch: &mut Scratch<T>,
     ) {
         self.transform(values, self.geometry.columns, rows, scratch);
         let size = (self.width * self.height) as f64;
@@ -205,7 +207,7 @@ impl Planar {
             .for_each(|(column, power)| {
                 for (c, &power) in column.iter_mut().zip(power) {
                     let power = weight * f64::from(power.max(0.0));
-                    *c *= (1.0 / (size * (power + rho))) as f32;
+                    *c = c.scale(T::nearest(1.0 / (size * (power + rho))));
                 }
             });
         self.invert(scratch, self.geometry.columns, rows, out);

@@ -6,52 +6,59 @@
 
 use super::engine::Geometry;
 use crate::Psf;
+use crate::linop::Scalar;
 use crate::vecmath::simd;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use rustfft::num_complex::Complex32;
+use rustfft::num_complex::Complex;
+use rustfft::num_traits::Zero;
 use std::sync::Arc;
 
-pub(super) struct Rowwise {
+pub(super) struct Rowwise<T: Scalar> {
     geometry: Geometry,
     /// Spectra of the PSF rows, one for each row displacement, smallest first.
-    psf: Vec<Complex32>,
+    psf: Vec<Complex<T>>,
     frequencies: usize,
     length: usize,
-    forward: Arc<dyn RealToComplex<f32>>,
-    inverse: Arc<dyn ComplexToReal<f32>>,
+    forward: Arc<dyn RealToComplex<T>>,
+    inverse: Arc<dyn ComplexToReal<T>>,
 }
 
-pub(super) struct Scratch {
-    line: Vec<f32>,
-    rows: Vec<Complex32>,
-    one: Vec<Complex32>,
-    fft: Vec<Complex32>,
+pub(super) struct Scratch<T> {
+    line: Vec<T>,
+    rows: Vec<Complex<T>>,
+    one: Vec<Complex<T>>,
+    fft: Vec<Complex<T>>,
 }
 
-impl Rowwise {
+impl<T: Scalar> Rowwise<T> {
     pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
         let length = geometry.fft_columns();
-        let mut planner = RealFftPlanner::<f32>::new();
+        let mut planner = RealFftPlanner::<T>::new();
         let forward = planner.plan_fft_forward(length);
         let inverse = planner.plan_fft_inverse(length);
         let frequencies = length / 2 + 1;
         let displacements = geometry.rows + geometry.field_rows - 1;
-        let mut spectra = vec![Complex32::ZERO; displacements * frequencies];
-        let mut line = vec![0.0f32; length];
+        let mut spectra = vec![Complex::zero(); displacements * frequencies];
+        let mut line = vec![T::zero(); length];
         for (d, spectrum) in spectra.chunks_exact_mut(frequencies).enumerate() {
             let dy = d as isize + geometry.row_displacement(0, geometry.field_rows - 1);
-            line.fill(0.0);
+            line.fill(T::zero());
             // A field pixel stands at its own index x', so index i of the kernel is the
             // displacement i + ox; negative indices wrap around to the end.
             for (x, value) in line[..geometry.columns].iter_mut().enumerate() {
-                *value = psf.at_displacement(dy, geometry.column_displacement(x, 0));
+                *value = psf
+                    .at_displacement(dy, geometry.column_displacement(x, 0))
+                    .into();
             }
             for x in 1..geometry.field_columns {
-                line[length - x] = psf.at_displacement(dy, geometry.column_displacement(0, x));
+                line[length - x] = psf
+                    .at_displacement(dy, geometry.column_displacement(0, x))
+                    .into();
             }
             forward.process(&mut line, spectrum).expect("lengths match");
             // The transforms are not normalised: the kernel carries 1/length.
-            spectrum.iter_mut().for_each(|c| *c /= length as f32);
+            let length = T::nearest(length as f64);
+            spectrum.iter_mut().for_each(|c| *c = *c / length);
         }
         Self {
             geometry: geometry.clone(),
@@ -63,26 +70,26 @@ impl Rowwise {
         }
     }
 
-    pub fn scratch(&self) -> Scratch {
+    pub fn scratch(&self) -> Scratch<T> {
         let fft = self
             .forward
             .get_scratch_len()
             .max(self.inverse.get_scratch_len());
         Scratch {
-            line: vec![0.0; self.length],
+            line: vec![T::zero(); self.length],
             rows: Vec::new(),
-            one: vec![Complex32::ZERO; self.frequencies],
-            fft: vec![Complex32::ZERO; fft],
+            one: vec![Complex::zero(); self.frequencies],
+            fft: vec![Complex::zero(); fft],
         }
     }
 
     /// Spectrum of the PSF row that leads from field row `y` to sensor row `r`.
-    fn kernel(&self, r: usize, y: usize) -> &[Complex32] {
+    fn kernel(&self, r: usize, y: usize) -> &[Complex<T>] {
         let d = r + self.geometry.field_rows - 1 - y;
         &self.psf[d * self.frequencies..(d + 1) * self.frequencies]
     }
 
-    pub fn read(&self, light: &[f32], rows: &[usize], values: &mut [f32], scratch: &mut Scratch) {
+    pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
         let Scratch {
             line,
             rows: sums,
@@ -90,14 +97,14 @@ impl Rowwise {
             fft,
         } = scratch;
         sums.clear();
-        sums.resize(rows.len() * self.frequencies, Complex32::ZERO);
+        sums.resize(rows.len() * self.frequencies, Complex::zero());
         for (y, field_row) in light.chunks_exact(self.geometry.field_columns).enumerate() {
             // Recovered scenes are sparse: most rows of most bins are dark.
-            if field_row.iter().all(|&v| v == 0.0) {
+            if field_row.iter().all(|&v| v == T::zero()) {
                 continue;
             }
             line[..field_row.len()].copy_from_slice(field_row);
-            line[field_row.len()..].fill(0.0);
+            line[field_row.len()..].fill(T::zero());
             self.forward
                 .process_with_scratch(line, one, fft)
                 .expect("lengths match");
@@ -118,11 +125,11 @@ impl Rowwise {
     /// Field rows that are dark in `mask` are set to zero; the others are whole.
     pub fn spread(
         &self,
-        values: &[f32],
+        values: &[T],
         rows: &[usize],
         mask: Option<&[u8]>,
-        light: &mut [f32],
-        scratch: &mut Scratch,
+        light: &mut [T],
+        scratch: &mut Scratch<T>,
     ) {
         let Scratch {
             line,
@@ -130,14 +137,14 @@ impl Rowwise {
             one,
             fft,
         } = scratch;
-        spectra.resize(rows.len() * self.frequencies, Complex32::ZERO);
+        spectra.resize(rows.len() * self.frequencies, Complex::zero());
         let columns = self.geometry.columns;
         for (values, spectrum) in values
             .chunks_exact(columns)
             .zip(spectra.chunks_exact_mut(self.frequencies))
         {
             line[..columns].copy_from_slice(values);
-            line[columns..].fill(0.0);
+            line[columns..].fill(T::zero());
             self.forward
                 .process_with_scratch(line, spectrum, fft)
                 .expect("lengths match");
@@ -146,10 +153,10 @@ impl Rowwise {
         for (y, field_row) in light.chunks_exact_mut(field_columns).enumerate() {
             let is_lit = |mask: &[u8]| mask[y * field_columns..][..field_columns].contains(&1);
             if !mask.is_none_or(is_lit) {
-                field_row.fill(0.0);
+                field_row.fill(T::zero());
                 continue;
             }
-            one.fill(Complex32::ZERO);
+            one.fill(Complex::zero());
             for (&r, spectrum) in rows.iter().zip(spectra.chunks_exact(self.frequencies)) {
                 multiply_conjugate_add(one, spectrum, self.kernel(r, y));
             }
@@ -158,10 +165,10 @@ impl Rowwise {
         }
     }
 
-    fn invert(&self, spectrum: &mut [Complex32], line: &mut [f32], fft: &mut [Complex32]) {
+    fn invert(&self, spectrum: &mut [Complex<T>], line: &mut [T], fft: &mut [Complex<T>]) {
         // Sums of products of real signals' spectra: real at both ends up to rounding.
-        spectrum[0].im = 0.0;
-        spectrum[self.frequencies - 1].im = 0.0;
+        spectrum[0].im = T::zero();
+        spectrum[self.frequencies - 1].im = T::zero();
         self.inverse
             .process_with_scratch(spectrum, line, fft)
             .expect("ends are real");
@@ -169,7 +176,7 @@ impl Rowwise {
 }
 
 /// `sum += a · b`.
-pub(super) fn multiply_add(sum: &mut [Complex32], a: &[Complex32], b: &[Complex32]) {
+pub(super) fn multiply_add<T: Scalar>(sum: &mut [Complex<T>], a: &[Complex<T>], b: &[Complex<T>]) {
     simd(
         #[inline(always)]
         || {
@@ -182,7 +189,11 @@ pub(super) fn multiply_add(sum: &mut [Complex32], a: &[Complex32], b: &[Complex3
 }
 
 /// `sum += a · conj(b)`.
-pub(super) fn multiply_conjugate_add(sum: &mut [Complex32], a: &[Complex32], b: &[Complex32]) {
+pub(super) fn multiply_conjugate_add<T: Scalar>(
+    sum: &mut [Complex<T>],
+    a: &[Complex<T>],
+    b: &[Complex<T>],
+) {
     simd(
         #[inline(always)]
         || {

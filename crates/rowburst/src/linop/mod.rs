@@ -20,8 +20,29 @@ pub use two_parts::{SecondPart, TwoParts, sum_of_bins};
 pub use wavelet::Wavelet;
 pub use weighted::Weighted;
 
+use std::ops::{AddAssign, MulAssign};
+use std::sync::Arc;
+
+/// What an operator computes in: `f32`, or `f64` where a caller asks for its precision.
+pub trait Scalar: realfft::FftNum + AddAssign + MulAssign + From<f32> + Into<f64> {
+    /// The nearest number to `value`.
+    fn nearest(value: f64) -> Self;
+}
+
+impl Scalar for f32 {
+    fn nearest(value: f64) -> Self {
+        value as f32
+    }
+}
+
+impl Scalar for f64 {
+    fn nearest(value: f64) -> Self {
+        value
+    }
+}
+
 /// A linear map from `domain_len` to `range_len` numbers.
-pub trait LinearOperator: Sync {
+pub trait LinearOperator<T = f32>: Sync {
     /// Length of the input of [`Self::apply`].
     fn domain_len(&self) -> usize;
 
@@ -32,16 +53,16 @@ pub trait LinearOperator: Sync {
     ///
     /// # Panics
     /// If a length does not match.
-    fn apply(&self, x: &[f32], y: &mut [f32]);
+    fn apply(&self, x: &[T], y: &mut [T]);
 
     /// `x = Aᵀ y`; overwrites `x`.
     ///
     /// # Panics
     /// If a length does not match.
-    fn adjoint(&self, y: &[f32], x: &mut [f32]);
+    fn adjoint(&self, y: &[T], x: &mut [T]);
 }
 
-impl<O: LinearOperator + Send> LinearOperator for std::sync::Arc<O> {
+impl<T, O: LinearOperator<T> + Send> LinearOperator<T> for Arc<O> {
     fn domain_len(&self) -> usize {
         self.as_ref().domain_len()
     }
@@ -50,11 +71,11 @@ impl<O: LinearOperator + Send> LinearOperator for std::sync::Arc<O> {
         self.as_ref().range_len()
     }
 
-    fn apply(&self, x: &[f32], y: &mut [f32]) {
+    fn apply(&self, x: &[T], y: &mut [T]) {
         self.as_ref().apply(x, y);
     }
 
-    fn adjoint(&self, y: &[f32], x: &mut [f32]) {
+    fn adjoint(&self, y: &[T], x: &mut [T]) {
         self.as_ref().adjoint(y, x);
     }
 }
