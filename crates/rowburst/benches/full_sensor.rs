@@ -1,6 +1,6 @@
 //! A whole sensor, part by part: `cargo bench --workspace --bench full_sensor`. 32 of the 1024 bins of a dual
-//! shutter of 2048×2048 pixels are simulated (18 digits of 12 px in each, SNR 256) and found with `tv+support`;
-//! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size.
+//! shutter of 2048×2048 pixels are simulated (11 digits of 12 px in each, SNR 256) and found with `tv+support`;
+//! 108×108×54 beside, for the cost of a voxel. `-- SIDE BINS` for another size, `-- SIDE BINS DIGITS` for other scenes.
 
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
@@ -19,7 +19,7 @@ struct Cost {
 }
 
 /// The first `bins` bins of a sensor of `side`×`side` pixels.
-fn run(side: usize, bins: usize) -> Cost {
+fn run(side: usize, bins: usize, digits: usize) -> Cost {
     let whole = Camera::new(CameraParams {
         rows: side,
         columns: side,
@@ -46,12 +46,10 @@ fn run(side: usize, bins: usize) -> Cost {
     };
     let psf = speckle_psf(&optics, 2 * side - 1, 2 * side - 1, 1).expect("valid optics");
     println!(
-        "{side}×{side}, bins 0..{bins} of {all}; PSF computed in {:.1} s",
+        "{side}×{side}, bins 0..{bins} of {all}, {digits} digits in each; PSF computed in {:.1} s",
         began.elapsed().as_secs_f64()
     );
-    // Bin by bin: the truth of all would not fit where the reconstruction does. As many digits of 12 px as
-    // give the same part of what is measured of a bin as one does on 108 columns.
-    let digits = (side / 108).max(1);
+    // Bin by bin: the truth of all would not fit where the reconstruction does.
     let scene_of = |bin: usize| -> Video {
         let shape = Shape::new(1, side, side);
         let mut sum = vec![0.0f32; shape.voxels()];
@@ -128,6 +126,18 @@ fn run(side: usize, bins: usize) -> Cost {
     }
 }
 
+/// Digits in each bin of a sensor of `side`×`side` pixels that are as hard for compressed sensing as one on
+/// 108×108: `k` lit of `n` pixels take measurements in proportion to `k ln(n/k)`, of which there are `2·side`.
+fn as_hard(side: usize) -> usize {
+    const LIT: f64 = 60.0;
+    let part = |side: usize, digits: usize| {
+        let (n, k) = ((side * side) as f64, LIT * digits as f64);
+        k * (n / k).ln() / (2 * side) as f64
+    };
+    let too_many = (2..).find(|&digits| part(side, digits) > part(108, 1));
+    too_many.expect("every sensor has its limit") - 1
+}
+
 /// Of this process, in bytes (Linux).
 fn peak_memory() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -141,12 +151,13 @@ fn peak_memory() -> Option<f64> {
 
 fn main() {
     let given: Vec<usize> = std::env::args().filter_map(|a| a.parse().ok()).collect();
-    let (side, bins) = match given[..] {
-        [side, bins] => (side, bins),
-        _ => (2048, 32),
+    let (side, bins, digits) = match given[..] {
+        [side, bins] => (side, bins, as_hard(side)),
+        [side, bins, digits] => (side, bins, digits),
+        _ => (2048, 32, as_hard(2048)),
     };
-    let small = run(108, 54);
-    let large = run(side, bins);
+    let small = run(108, 54, 1);
+    let large = run(side, bins, digits);
     println!(
         "{:.2} s a bin; a voxel costs {:.2} times that of 108×108×54",
         large.seconds_per_bin,

@@ -5,7 +5,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Tau};
+use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Tau, Verdict};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
@@ -99,6 +99,56 @@ fn every_kind_of_camera_gives_a_good_video() {
         failed |= psnr < at_least;
     }
     assert!(!failed, "a video is worse than it should be");
+}
+
+/// Blocks of more than a thousand measurements, whose factors are the dear part.
+#[test]
+fn a_wide_sensor_gives_a_good_video() {
+    let camera = Camera::new(CameraParams {
+        rows: 24,
+        columns: 520,
+        shutter: Shutter::DualInsideOut,
+        row_time_us: 10.0,
+        exposure_us: 10.0,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .unwrap();
+    let demo = SpeckleOptics::demo();
+    let optics = SpeckleOptics {
+        diffuser_fwhm_deg: 5.0 * demo.diffuser_fwhm_deg,
+        ..demo
+    };
+    let psf = speckle_psf(&optics, 47, 1039, 1).unwrap();
+    let truth = scene::digits(camera.video_shape(), 12, 1).unwrap();
+    let operator = RollingShutter::new(&camera, &psf);
+    let mut frame = vec![0.0; operator.range_len()];
+    operator.apply(truth.data(), &mut frame);
+    // Of the transforms' rounding.
+    frame.iter_mut().for_each(|v: &mut f32| *v = v.max(0.0));
+    let noiseless = Image::new(24, 520, frame).unwrap();
+    let recorded = Noise::Gaussian { snr: 256.0 }
+        .apply(&noiseless, camera.sensor(), 7)
+        .unwrap();
+    let case = Case {
+        camera,
+        psf,
+        truth,
+        frame: recorded.frame,
+        sigma: recorded.sigma,
+    };
+    let found = case.solve(Recipe {
+        prior: Some(Prior::SEPARABLE),
+        ..Recipe::default()
+    });
+    let psnr = case.psnr(&found);
+    println!(
+        "{psnr:.1} dB, residual/σ {:.2}, {} iterations",
+        found.residual_over_sigma, found.iterations
+    );
+    assert_eq!(found.fit.verdict, Verdict::Good);
+    assert!(psnr > 45.0, "{psnr} dB");
 }
 
 /// Multiplying the frame by a constant multiplies the video, and nothing else.

@@ -314,6 +314,9 @@ impl DataTerm for FrameData {
     }
 
     fn is_wide(&self) -> bool {
+        if matches!(self.gram, Gram::Iterative(_)) {
+            return false;
+        }
         let (rows, (_, columns)) = (
             self.shutter().rows_of_instants(),
             self.shutter().frame_shape(),

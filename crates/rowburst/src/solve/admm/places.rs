@@ -16,6 +16,9 @@ const FALLING: f64 = 0.85;
 /// the level at which every voxel is allowed.
 const LEVEL_STEP: f64 = 0.125;
 const OPEN: usize = 5;
+/// Looks for which a bin of a wide sensor is opened that its support cannot explain: its light takes
+/// long to show, and the block of half of its voxels as long to factor as that of all.
+const OPEN_FOR: usize = 5;
 /// Most voxels of a run.
 const CHUNK: usize = 1 << 14;
 
@@ -125,18 +128,18 @@ impl Places {
         brightness: f64,
         (correlation, missed): (&[f32], &[usize]),
     ) -> Support {
-        for &t in missed {
-            self.levels[t] += 1;
-        }
+        self.widen(missed);
         let cut = |level: &usize| match *level {
-            OPEN => 0.0,
+            OPEN.. => 0.0,
             level => THRESHOLD * brightness * LEVEL_STEP.powi(level as i32),
         };
         let cuts: Vec<f64> = self.levels.iter().map(cut).collect();
         let support = Support::above(video, self.shape, &cuts).with_missed(correlation, missed);
         let fraction = support.fraction();
-        self.is_settled =
-            self.support.is_some() && missed.is_empty() && fraction > 0.9 * self.fraction;
+        self.is_settled = self.support.is_some()
+            && missed.is_empty()
+            && fraction > 0.9 * self.fraction
+            && self.levels.iter().all(|level| *level <= OPEN);
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
         self.is_open = bins.map(|bin| !bin.contains(&0)).collect();
@@ -145,6 +148,25 @@ impl Places {
         self.data_support = Some(for_data);
         self.support = Some(support.clone());
         support
+    }
+
+    /// Allows more of the bins `missed`. Levels above [`OPEN`] count the looks of a bin that is open
+    /// for a while.
+    fn widen(&mut self, missed: &[usize]) {
+        for level in self.levels.iter_mut().filter(|level| **level > OPEN) {
+            *level -= 1;
+            if *level == OPEN {
+                *level = 0;
+            }
+        }
+        let is_wide = self.most < usize::MAX;
+        for &t in missed {
+            self.levels[t] = if is_wide {
+                OPEN + OPEN_FOR
+            } else {
+                self.levels[t] + 1
+            };
+        }
     }
 
     fn runs_of(&self, support: &Support) -> Vec<Range<usize>> {
@@ -214,6 +236,28 @@ mod tests {
         }
         assert_eq!(places.support().unwrap().pixels_of(1), None);
         assert!(places.missed(vec![1.0, 3.9], 1.0).is_empty());
+    }
+
+    #[test]
+    fn a_bin_of_a_wide_sensor_is_opened_for_a_while() {
+        let shape = Shape::new(2, 9, 9);
+        let mut places = Places::everywhere(shape, shape.voxels(), 50);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[40], video[81 + 40]) = (1.0, 1.0);
+        places.find(&video, 1.0, (&video, &[]));
+        places.missed(vec![1.0, 4.0], 1.0);
+        assert_eq!(places.missed(vec![1.0, 3.9], 1.0), [1]);
+        places.find(&video, 1.0, (&video, &[1]));
+        for _ in 1..OPEN_FOR {
+            assert_eq!(places.support().unwrap().pixels_of(1), None);
+            assert!(places.missed(vec![1.0, 3.9], 1.0).is_empty());
+            places.find(&video, 1.0, (&video, &[]));
+            assert!(!places.are_settled());
+        }
+        places.find(&video, 1.0, (&video, &[]));
+        assert_eq!(places.support().unwrap().pixels_of(1).unwrap().len(), 9);
+        places.find(&video, 1.0, (&video, &[]));
+        assert!(places.are_settled());
     }
 
     #[test]

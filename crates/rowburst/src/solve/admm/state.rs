@@ -8,11 +8,24 @@ use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
 
-/// Corrections of `ρ` that are not worth another factor, and where one takes long.
+/// Corrections of `ρ` that are not worth another factor; those of a wide sensor, whose factors take
+/// as long as ten iterations, on its support and while everything is lit.
 const STEADY: (f64, f64) = (0.98, 1.02);
-const WIDE_STEADY: (f64, f64) = (0.85, 1.2);
+const WIDE_STEADY: (f64, f64) = (0.95, 1.05);
+const OPEN_STEADY: (f64, f64) = (0.6, 1.6);
+/// Iterations from one such correction to the next while everything is lit.
+const OPEN_EVERY: usize = 5;
 /// Iterations in which the brightness that `β` refers to is followed.
 const SETTLE: usize = 40;
+/// With so many voxels for each measurement a video takes shape slowly: the
+/// clock stands at [`Places::FIRST`] until the brightness of every bin has passed its top, falling by this part in
+/// so many iterations, or up to the iteration `LATEST`. Digits on 2048×2048 pixels end at 62 dB so;
+/// with a support found at iteration 80 half of the bins lack light
+/// (`cargo bench --workspace --bench full_sensor -- 2048 2`).
+const MANY: usize = 300;
+const PAST_TOP: f64 = 0.005;
+const TOP_OVER: usize = 5;
+const LATEST: usize = 150;
 /// `β` at first over what it will be, and the iteration at which it is that: large steps find
 /// the places, small ones the details. 8 up to the 20th iteration is faster still, and loses faint
 /// LEDs in small videos, whose bins then have to be opened.
@@ -29,8 +42,9 @@ const COUNT_AFTER: usize = 15;
 /// Largest part of the measurements that the fit is allowed to spend.
 pub(crate) const MOST_FREEDOM: f64 = 0.3;
 /// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
-/// bound, and the dual would grow without end.
+/// bound, and the dual would grow without end. On a wide sensor `ρ` is farther from its end there.
 const LOWEST_RHO: f64 = 0.3;
+const WIDE_LOWEST_RHO: f64 = 0.1;
 /// Data steps in a row that may be solved worse than asked for: the first ones start
 /// from nothing.
 const MOST_POOR_STEPS: usize = 3;
@@ -54,6 +68,8 @@ pub(super) struct State {
     /// Data steps in a row that were solved worse than asked for.
     poor_steps: usize,
     beta: f64,
+    /// The brightness of each bin at the last look whether it grows; zero once it has passed its top.
+    growing: Vec<f64>,
     rule: TauRule,
     relative_threshold: f64,
     /// Bound on `‖b − A v‖`, and `‖b − A x‖` of the last data step.
@@ -64,6 +80,8 @@ pub(super) struct State {
     pub iterations: usize,
     /// Iterations that what it began from is worth.
     ahead: usize,
+    /// Iterations in which the video only took shape.
+    held: usize,
     places: Places,
 }
 
@@ -86,6 +104,7 @@ impl State {
             lowest_rho: 1e-7 * data.scale(),
             poor_steps: 0,
             beta: 0.0,
+            growing: vec![f64::MIN_POSITIVE; shape.bins],
             rule: params.tau,
             relative_threshold: params.threshold,
             bound: 0.0,
@@ -93,6 +112,7 @@ impl State {
             is_steady: false,
             iterations: 0,
             ahead: 0,
+            held: 0,
             places: Places::everywhere(shape, n, data.most_lit()),
         };
         state.aim_at(params.tau, data);
@@ -118,6 +138,7 @@ impl State {
         // The next look at the places comes when it would have come.
         self.ahead = self.stage().min(AHEAD) + beyond % Places::EVERY;
         self.iterations = 0;
+        self.held = 0;
         self.poor_steps = 0;
         self.places.unsettle();
         self.aim_at(self.rule, data);
@@ -126,9 +147,9 @@ impl State {
         data.operator().apply(&self.u, &mut self.au);
     }
 
-    /// How far the run is: the iterations, and what it began with.
+    /// How far the run is: the iterations that count, and what it began with.
     fn stage(&self) -> usize {
-        self.ahead + self.iterations
+        self.ahead + self.iterations - self.held
     }
 
     /// Whether it has not come to where a video has taken shape.
@@ -217,6 +238,10 @@ impl State {
 
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
     pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
+        let is_slow = self.shape.voxels() > MANY * self.az.len();
+        if is_slow && self.stage() == Places::FIRST && self.iterations < LATEST && self.grows() {
+            self.held += TOP_OVER;
+        }
         let (k, rho) = (self.stage(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
             if self.poor_steps >= MOST_POOR_STEPS {
@@ -228,8 +253,14 @@ impl State {
             }
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
-            let (least, most) = if data.is_wide() { WIDE_STEADY } else { STEADY };
-            if !(least..most).contains(&correction) {
+            let is_open = self.places.fraction() == 1.0;
+            let (least, most) = match (data.is_wide(), is_open) {
+                (false, _) => STEADY,
+                (true, false) => WIDE_STEADY,
+                (true, true) => OPEN_STEADY,
+            };
+            let is_due = !(data.is_wide() && is_open) || k.is_multiple_of(OPEN_EVERY);
+            if is_due && !(least..most).contains(&correction) {
                 self.rho = (self.rho * correction).clamp(self.lowest_rho, 1e7 * data.scale());
             }
             if k > COUNT_AFTER && k.is_multiple_of(10) {
@@ -257,6 +288,22 @@ impl State {
             // A u is a long sum: start it afresh.
             data.operator().apply(&self.u, &mut self.au);
         }
+    }
+
+    /// Whether a bin is still taking shape.
+    fn grows(&mut self) -> bool {
+        let bins = self.z.chunks_exact(self.shape.pixels());
+        for (before, bin) in self.growing.iter_mut().zip(bins) {
+            if *before > 0.0 {
+                let now = brightness(bin);
+                *before = if now > (1.0 - PAST_TOP) * *before {
+                    now
+                } else {
+                    0.0
+                };
+            }
+        }
+        self.growing.iter().any(|before| *before > 0.0)
     }
 
     /// Sets `β` to its part of the brightness of the video's first part. The scaled dual `u` is left
@@ -297,7 +344,11 @@ impl State {
         let missed = (&self.x[..voxels], missed.as_slice());
         let support = self.places.find(&self.z[..voxels], bright, missed);
         if was_open && self.places.fraction() < 1.0 {
-            self.lowest_rho = self.lowest_rho.max(LOWEST_RHO * self.rho);
+            let part = match data.is_wide() {
+                true => WIDE_LOWEST_RHO,
+                false => LOWEST_RHO,
+            };
+            self.lowest_rho = self.lowest_rho.max(part * self.rho);
         }
         prior.restrict(&support);
         support.apply(&mut self.z);
