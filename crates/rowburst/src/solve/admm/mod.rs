@@ -29,6 +29,7 @@
 //! hides in dark voxels, converges in a few steps. Where
 //! they cannot explain what was measured of a bin, and come no nearer to it, its threshold is
 //! lowered and the voxels are added to which the residual points, `Aᵀ(b − A v)`; in the end all are.
+//! With hundreds of voxels for each measurement the video takes shape slowly, and all this waits for it.
 //!
 //! **When it stops.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ τ R(v)`) give
 //!
