@@ -241,15 +241,19 @@ def test_experiments_are_read_with_their_files(tmp_path, camera, psf):
         rb.Experiment(tmp_path / "nowhere.toml")
 
 
-def test_a_live_view_goes_on_from_frame_to_frame(capture, camera, psf):
+def test_a_live_view_goes_on_from_frame_to_frame():
+    # Of a lens, and with a good fit: where the fit is poor, the count of iterations says little.
+    camera = rb.Camera(rows=48, columns=48, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
+    capture = rb.simulate(camera, "digits", snr=256, seed=1)
+    psf = capture.psf
     live = rb.LiveView(camera, psf, prior=PRIOR)
     first = live.next(capture.frame)
     alone = rb.reconstruct(capture.frame, camera, psf, prior=PRIOR)
     np.testing.assert_array_equal(first.video, alone.video)
     assert not first.went_on and first.iterations == alone.numbers["iterations"]
     again = live.next(capture.frame, time_budget_s=60)
-    assert again.went_on and again.iterations <= first.iterations
-    assert again.fit == first.fit and 0 < again.seconds < 60
+    assert again.went_on and again.iterations < first.iterations
+    assert again.fit == first.fit == "good" and 0 < again.seconds < 60
     live.forget()
     np.testing.assert_array_equal(live.next(capture.frame).video, first.video)
     with pytest.raises(rb.InputError, match="frame"):

@@ -1,11 +1,17 @@
-//! Dot products and norms with f64 accumulation, small normal equations, and the SIMD gate.
+//! Dot products and norms with f64 accumulation, products of spectra, small normal equations, and
+//! the SIMD gate.
 //!
 //! Hot loops are plain Rust; [`simd`] compiles them once for each instruction set
-//! and picks the widest that the processor has at run time.
+//! and picks the widest that the processor has at run time (AVX-512, AVX2 or NEON). `ROWBURST_SIMD=portable`
+//! in the environment keeps to what every processor of the kind has.
 
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use rustfft::num_complex::Complex;
+use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Elements per parallel task of the reductions below; fixed, so that a sum does
 /// not depend on the number of threads.
@@ -24,7 +30,108 @@ pub fn simd<R>(work: impl FnOnce() -> R) -> R {
             self.0()
         }
     }
-    pulp::Arch::new().dispatch(Work(work))
+    arch().dispatch(Work(work))
+}
+
+/// The widest instruction set that may be used.
+#[inline(always)]
+fn arch() -> Arch {
+    static ARCH: OnceLock<Arch> = OnceLock::new();
+    *ARCH.get_or_init(|| match is_portable() {
+        true => Arch::Scalar,
+        false => Arch::new(),
+    })
+}
+
+/// Whether `ROWBURST_SIMD=portable` is set.
+pub(crate) fn is_portable() -> bool {
+    std::env::var_os("ROWBURST_SIMD").is_some_and(|value| value == "portable")
+}
+
+/// Numbers of which the processor multiplies several complex ones at once.
+pub trait Lanes: Sized {
+    /// `sum += a · b`, with `a` conjugate where `IS_CONJUGATE`.
+    fn add_products<S: Simd, const IS_CONJUGATE: bool>(
+        simd: S,
+        sum: &mut [Complex<Self>],
+        a: &[Complex<Self>],
+        b: &[Complex<Self>],
+    );
+}
+
+macro_rules! lanes {
+    ($real:ty, $split:ident, $split_mut:ident, $multiply:ident, $multiply_conjugate:ident) => {
+        impl Lanes for $real {
+            #[inline(always)]
+            fn add_products<S: Simd, const IS_CONJUGATE: bool>(
+                simd: S,
+                sum: &mut [Complex<Self>],
+                a: &[Complex<Self>],
+                b: &[Complex<Self>],
+            ) {
+                let length = sum.len();
+                let (sums, sum_rest) = S::$split_mut(sum);
+                let ((a, a_rest), (b, b_rest)) = (S::$split(&a[..length]), S::$split(&b[..length]));
+                for ((s, &a), &b) in sums.iter_mut().zip(a).zip(b) {
+                    *s = match IS_CONJUGATE {
+                        true => simd.$multiply_conjugate(a, b, *s),
+                        false => simd.$multiply(a, b, *s),
+                    };
+                }
+                for ((s, a), b) in sum_rest.iter_mut().zip(a_rest).zip(b_rest) {
+                    *s += if IS_CONJUGATE { a.conj() * b } else { a * b };
+                }
+            }
+        }
+    };
+}
+lanes!(
+    f32,
+    as_simd_c32s,
+    as_mut_simd_c32s,
+    mul_add_e_c32s,
+    conj_mul_add_e_c32s
+);
+lanes!(
+    f64,
+    as_simd_c64s,
+    as_mut_simd_c64s,
+    mul_add_e_c64s,
+    conj_mul_add_e_c64s
+);
+
+struct Products<'a, T, const IS_CONJUGATE: bool>(
+    &'a mut [Complex<T>],
+    &'a [Complex<T>],
+    &'a [Complex<T>],
+);
+
+impl<T: Lanes, const IS_CONJUGATE: bool> WithSimd for Products<'_, T, IS_CONJUGATE> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        T::add_products::<S, IS_CONJUGATE>(simd, self.0, self.1, self.2);
+    }
+}
+
+/// `sum += a · b`.
+///
+/// # Panics
+/// If `a` or `b` is shorter than `sum`.
+pub fn add_products<T: Lanes>(sum: &mut [Complex<T>], a: &[Complex<T>], b: &[Complex<T>]) {
+    arch().dispatch(Products::<T, false>(sum, a, b));
+}
+
+/// `sum += a* · b`.
+///
+/// # Panics
+/// If `a` or `b` is shorter than `sum`.
+pub fn add_conjugate_products<T: Lanes>(
+    sum: &mut [Complex<T>],
+    a: &[Complex<T>],
+    b: &[Complex<T>],
+) {
+    arch().dispatch(Products::<T, true>(sum, a, b));
 }
 
 /// `Σ aᵢ bᵢ`.
@@ -70,6 +177,18 @@ fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64) -> f64 {
     }
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(&a, &b)| term(a, b)).sum();
     lanes.iter().sum::<f64>() + rest
+}
+
+/// The `runs` of `values`, which are in order and do not overlap.
+pub(crate) fn pieces<'v>(mut values: &'v mut [f32], runs: &[Range<usize>]) -> Vec<&'v mut [f32]> {
+    let mut at = 0;
+    let take = |run: &Range<usize>| {
+        let rest = std::mem::take(&mut values).split_at_mut(run.start - at).1;
+        let (piece, rest) = rest.split_at_mut(run.len());
+        (values, at) = (rest, run.end);
+        piece
+    };
+    runs.iter().map(take).collect()
 }
 
 /// `x` of the normal equations `G x = b`, with `G` symmetric and positive definite and

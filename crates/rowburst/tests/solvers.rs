@@ -73,7 +73,9 @@ impl Data {
         let instants = 0..operator.rows_of_instants().len();
         let indices = instants.map(|i| operator.indices_of(i)).collect();
         Self {
-            gram: Blocks::new(indices, |i, block| operator.add_gram_block(i, None, block)),
+            gram: Blocks::new(indices, |i, block: faer::MatMut<f64>| {
+                operator.add_gram_block(i, None, block)
+            }),
             scale: operator.pixel_power(rows / 4, columns / 4),
             measured: recorded.frame.data().to_vec(),
             operator: Box::new(operator),
@@ -88,13 +90,16 @@ impl Data {
             let pairs = rows[i].iter().zip(&rows[j]);
             pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
         };
-        let gram = Blocks::new(vec![(0..rows.len()).collect()], |_, mut block| {
-            for i in 0..rows.len() {
-                for j in 0..rows.len() {
-                    block[(i, j)] = product(i, j);
+        let gram = Blocks::new(
+            vec![(0..rows.len()).collect()],
+            |_, mut block: faer::MatMut<f64>| {
+                for i in 0..rows.len() {
+                    for j in 0..rows.len() {
+                        block[(i, j)] = product(i, j);
+                    }
                 }
-            }
-        });
+            },
+        );
         Self {
             scale: product(0, 0),
             gram,

@@ -2,7 +2,10 @@
 
 use super::{planar::Planar, rowwise::Rowwise};
 use crate::linop::Scalar;
+use crate::vecmath::is_portable;
 use crate::{Camera, Psf};
+use rustfft::{Fft, FftPlanner, FftPlannerScalar};
+use std::sync::Arc;
 
 /// Sizes of the whole sensor and of the field, and how they lie on each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -110,6 +113,23 @@ impl<T: Scalar> Engine<T> {
             (Self::Planar(engine), Scratch::Planar(s)) => engine.spread(values, rows, light, s),
             _ => unreachable!("scratch comes from the same engine"),
         }
+    }
+}
+
+/// The complex transforms of a length, there and back, by what the processor has.
+pub(super) fn transforms<T: Scalar>(length: usize) -> (Arc<dyn Fft<T>>, Arc<dyn Fft<T>>) {
+    if is_portable() {
+        let mut planner = FftPlannerScalar::new();
+        (
+            planner.plan_fft_forward(length),
+            planner.plan_fft_inverse(length),
+        )
+    } else {
+        let mut planner = FftPlanner::new();
+        (
+            planner.plan_fft_forward(length),
+            planner.plan_fft_inverse(length),
+        )
     }
 }
 

@@ -12,10 +12,12 @@
 
 use super::engine::smooth_length;
 use super::{Layer, RollingShutter};
+use crate::linop::Scalar;
 use crate::{Psf, Support};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::mat::AsMatMut;
 use faer::reborrow::ReborrowMut;
+use faer::traits::ComplexField;
 use faer::{Accum, Mat, MatMut, Par};
 use realfft::RealFftPlanner;
 use rustfft::num_complex::Complex64;
@@ -23,29 +25,57 @@ use rustfft::num_complex::Complex64;
 /// Columns of `S_i` that are held at once.
 const COLUMNS_AT_ONCE: usize = 128;
 
+/// Columns of a sensor from which on the products of PSF columns are taken in f32, in half of the time. The sums that
+/// run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each element, 1e-6 in
+/// the norm of the block, where [`LEAST_RHO`] is ten times as much.
+const SINGLE_FROM: usize = 1024;
+
+/// Smallest `ρ` over a diagonal element of the block, of such sensors and of others, whose f64 factors have no
+/// digits left below it.
+const LEAST_RHO: (f64, f64) = (1e-5, 1e-9);
+
 impl RollingShutter {
     /// The upper triangle of `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
     /// of column `x` of the instant's `a`-th row is `a · columns + x`.
     ///
     /// Cost: about `(rows·columns)² · field_rows` multiply–adds, with the number of
-    /// rows of this instant.
-    fn add_spatial_gram(&self, instant: usize, weight: f64, mut sum: MatMut<f64>) {
-        let [
-            Layer {
-                psf, share: None, ..
-            },
-        ] = self.layers.as_slice()
-        else {
-            let pixels: Vec<usize> = (0..self.video.pixels()).collect();
-            return self.add_gram_of(instant, &pixels, weight, sum);
-        };
+    /// rows of this instant: in f32 on sensors from [`SINGLE_FROM`] columns on.
+    fn add_spatial_gram(&self, instant: usize, weight: f64, sum: MatMut<f64>) {
+        match self.layers.as_slice() {
+            [
+                Layer {
+                    psf, share: None, ..
+                },
+            ] if self.geometry.columns >= SINGLE_FROM => {
+                self.add_shifted::<f32>(instant, psf, weight, sum);
+            }
+            [
+                Layer {
+                    psf, share: None, ..
+                },
+            ] => self.add_shifted::<f64>(instant, psf, weight, sum),
+            _ => {
+                let pixels: Vec<usize> = (0..self.video.pixels()).collect();
+                self.add_gram_of(instant, &pixels, weight, sum);
+            }
+        }
+    }
+
+    /// The same for one PSF, with the products of the columns that enter and leave in `T`.
+    fn add_shifted<T: Scalar + ComplexField>(
+        &self,
+        instant: usize,
+        psf: &Psf,
+        weight: f64,
+        mut sum: MatMut<f64>,
+    ) {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
         let columns = g.columns;
         // `[x, y]`: PSF values that lead to row `r` from the field column that enters, and, times
         // `sign`, from the one that leaves.
-        let strips = |r: usize, sign: f64| {
-            let mut strips = Mat::<f64>::zeros(columns, 2 * g.field_rows);
+        let strips = |r: usize, sign: f32| {
+            let mut strips = Mat::<T>::zeros(columns, 2 * g.field_rows);
             let sides = [(1, 0, 1.0), (0, g.field_columns - 1, sign)];
             for (side, (x0, field_x, factor)) in sides.into_iter().enumerate() {
                 let dx = g.column_displacement(x0, field_x);
@@ -53,7 +83,7 @@ impl RollingShutter {
                     let values = psf.row_from(g.row_displacement(r, y), dx);
                     let line = strips.col_as_slice_mut(side * g.field_rows + y);
                     let line = line.iter_mut().skip(values.start).zip(values.values);
-                    line.for_each(|(to, value)| *to = factor * f64::from(*value));
+                    line.for_each(|(to, value)| *to = T::from(factor * *value));
                 }
             }
             strips
@@ -63,7 +93,7 @@ impl RollingShutter {
             .iter()
             .map(|&r| (strips(r, 1.0), strips(r, -1.0)))
             .collect();
-        let mut steps = Mat::<f64>::zeros(columns, columns);
+        let mut steps = Mat::<T>::zeros(columns, columns);
         for (a, b) in (0..rows.len()).flat_map(|a| (a..rows.len()).map(move |b| (a, b))) {
             let part = if a == b { UPPER } else { WHOLE };
             multiply(
@@ -71,22 +101,24 @@ impl RollingShutter {
                 part,
                 Accum::Replace,
                 (&strips[a].0, &strips[b].1),
-                1.0,
+                T::one(),
             );
             let edge = |a: usize, b: usize| &edges[(a * rows.len() + b) * columns..][..columns];
-            let first = if a == b { 0 } else { -(columns as isize - 1) };
-            for diagonal in first..columns as isize {
-                let (mut x, mut x2) = ((-diagonal).max(0) as usize, diagonal.max(0) as usize);
-                let mut value = if diagonal >= 0 {
-                    edge(a, b)[x2]
-                } else {
-                    edge(b, a)[x]
-                };
-                while x < columns && x2 < columns {
-                    sum[(a * columns + x, b * columns + x2)] += weight * value;
-                    value += steps[(x, x2)];
-                    (x, x2) = (x + 1, x2 + 1);
+            // `[x]`: this column of the block of the two rows, made from the last one.
+            let mut line = edge(b, a).to_vec();
+            for x2 in 0..columns {
+                if x2 > 0 {
+                    let steps = steps.col_as_slice(x2 - 1);
+                    line.copy_within(..columns - 1, 1);
+                    let moved = line[1..].iter_mut().zip(steps);
+                    moved.for_each(|(value, step)| *value += (*step).into());
+                    line[0] = edge(a, b)[x2];
                 }
+                let end = if a == b { x2 + 1 } else { columns };
+                let column = sum.rb_mut().col_mut(b * columns + x2);
+                let column = column.subrows_mut(a * columns, end);
+                let pairs = column.iter_mut().zip(&line);
+                pairs.for_each(|(sum, value)| *sum += weight * value);
             }
         }
     }
@@ -149,18 +181,26 @@ const WHOLE: BlockStructure = BlockStructure::Rectangular;
 const UPPER: BlockStructure = BlockStructure::TriangularUpper;
 
 /// The `part` of `to` plus or replaced by `weight · a bᵀ`.
-fn multiply(
-    to: impl AsMatMut<T = f64, Rows = usize, Cols = usize>,
+fn multiply<T: ComplexField>(
+    to: impl AsMatMut<T = T, Rows = usize, Cols = usize>,
     part: BlockStructure,
     accum: Accum,
-    (a, b): (&Mat<f64>, &Mat<f64>),
-    weight: f64,
+    (a, b): (&Mat<T>, &Mat<T>),
+    weight: T,
 ) {
     let b = b.transpose();
     triangular::matmul(to, part, accum, a, WHOLE, b, WHOLE, weight, Par::Seq);
 }
 
 impl RollingShutter {
+    /// Smallest `ρ` over the typical size of a diagonal element for which `(G + ρI)⁻¹` has digits.
+    pub fn least_rho(&self) -> f64 {
+        match self.geometry.columns >= SINGLE_FROM {
+            true => LEAST_RHO.0,
+            false => LEAST_RHO.1,
+        }
+    }
+
     /// Adds to `sum` the diagonal block of `A P Aᵀ` of the rows of instant `i`, in f64,
     /// with `P` the projection onto `support` (`None`: every voxel). Indices as in
     /// [`Self::indices_of`]. The block is symmetric: only what lies on and above its diagonal
@@ -181,6 +221,23 @@ impl RollingShutter {
         if open_weight > 0.0 {
             self.add_spatial_gram(instant, open_weight, sum);
         }
+    }
+
+    /// The columns of `A` that lead from the lit voxels of `support` to the rows of instant `i`: `B` with `B Bᵀ`
+    /// the block of [`Self::add_gram_block`]. `None` where a bin is open, or there are more than `most`.
+    pub fn lit_columns(&self, instant: usize, support: &Support, most: usize) -> Option<Mat<f64>> {
+        let run = &self.time.instants()[instant];
+        let bins = run.first_bin..run.first_bin + run.weights.len();
+        let lit: Option<Vec<Vec<usize>>> = bins.map(|bin| support.pixels_of(bin)).collect();
+        let lit = lit.filter(|lit| lit.iter().map(Vec::len).sum::<usize>() <= most)?;
+        let all: Vec<usize> = lit.concat();
+        let mut columns = self.columns_of(instant, &all);
+        let weights = lit.iter().zip(&run.weights);
+        let weights = weights.flat_map(|(lit, weight)| std::iter::repeat_n(*weight, lit.len()));
+        for (mut column, weight) in columns.col_iter_mut().zip(weights) {
+            column *= faer::Scale(weight);
+        }
+        Some(columns)
     }
 
     /// The upper triangle of `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.

@@ -19,7 +19,7 @@ mod rowwise;
 #[cfg(test)]
 mod tests;
 
-use crate::linop::{LinearOperator, Scalar};
+use crate::linop::{LinearOperator, Scalar, WritePart, write_parts};
 use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
 use engine::{Engine, Geometry};
 use planar::Planar;
@@ -281,38 +281,95 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
 }
 
 impl<T: Scalar> RollingShutter<T> {
+    /// Whether bin `j` is all that instant `j` integrates.
+    fn has_one_bin_each(&self) -> bool {
+        let instants = self.time.instants();
+        self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1)
+    }
+
+    /// The light that instant `i` sends back from its rows of `frame`.
+    fn spread_from(
+        &self,
+        frame: &[T],
+        instant: usize,
+        mask: Option<&[u8]>,
+        light: &mut [T],
+        scratch: &mut Scratch<T>,
+    ) {
+        let values = lines_of(frame, &self.places_of[instant], self.geometry.columns);
+        self.spread(&values, &self.rows_of[instant], mask, light, scratch);
+    }
+
+    /// Calls `write(start, part, target)` for parts of `P Aᵀ frame` and of `target` that begin at `start`, with `P` the
+    /// projection onto `support` (`None`: every voxel). Rows without a place of it are left out.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    pub fn adjoint_each(
+        &self,
+        frame: &[T],
+        support: Option<&Support>,
+        target: &mut [T],
+        write: WritePart<T>,
+    ) {
+        assert_eq!(frame.len(), self.range_len(), "length of the frame");
+        assert_eq!(target.len(), self.domain_len(), "length of the video");
+        let (pixels, columns) = (self.video.pixels(), self.video.columns);
+        if !self.has_one_bin_each() {
+            let mut video = vec![T::zero(); target.len()];
+            self.adjoint(frame, &mut video);
+            if let Some(support) = support {
+                let lit = video.par_iter_mut().zip(support.mask());
+                lit.for_each(|(v, lit)| *v *= T::from(f32::from(*lit)));
+            }
+            return write_parts(&video, target, write);
+        }
+        let start = || (self.scratch(), vec![T::zero(); pixels]);
+        let bins = target.par_chunks_exact_mut(pixels).enumerate();
+        bins.for_each_init(start, |(scratch, light), (bin, target)| {
+            let first = bin * pixels;
+            let mask = support.map(|s| &s.mask()[first..first + pixels]);
+            self.spread_from(frame, bin, mask, light, scratch);
+            let weight = T::nearest(self.time.instants()[bin].weights[0]);
+            let Some(mask) = mask else {
+                if weight != T::one() {
+                    light.iter_mut().for_each(|v| *v *= weight);
+                }
+                return write(first, light, target);
+            };
+            let rows = light.chunks_exact_mut(columns);
+            let rows = rows.zip(mask.chunks_exact(columns));
+            let rows = rows.zip(target.chunks_exact_mut(columns)).enumerate();
+            for (y, ((light, mask), target)) in rows {
+                if mask.contains(&1) {
+                    let lit = light.iter_mut().zip(mask);
+                    lit.for_each(|(v, lit)| *v *= weight * T::from(f32::from(*lit)));
+                    write(first + y * columns, light, target);
+                }
+            }
+        });
+    }
+
     /// The adjoint; rows that are dark in `support` may be anything.
     fn adjoint_of(&self, frame: &[T], support: Option<&Support>, video: &mut [T]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
-        let columns = self.geometry.columns;
         let pixels = self.video.pixels();
         let instants = self.time.instants();
-        let spread =
-            |instant: usize, mask: Option<&[u8]>, light: &mut [T], scratch: &mut Scratch<T>| {
-                let rows = &self.rows_of[instant];
-                let values = lines_of(frame, &self.places_of[instant], columns);
-                self.spread(&values, rows, mask, light, scratch);
-            };
-        let one_bin_each =
-            self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1);
-        if one_bin_each {
+        if self.has_one_bin_each() {
             // Bin j is instant j: no second video is needed.
-            video
-                .par_chunks_exact_mut(pixels)
-                .enumerate()
-                .for_each_init(
-                    || self.scratch(),
-                    |scratch, (instant, light)| {
-                        let bin = instant * pixels..(instant + 1) * pixels;
-                        let mask = support.map(|s| &s.mask()[bin]);
-                        spread(instant, mask, light, scratch);
-                        let weight = T::nearest(instants[instant].weights[0]);
-                        if weight != T::one() {
-                            light.iter_mut().for_each(|v| *v *= weight);
-                        }
-                    },
-                );
+            let bins = video.par_chunks_exact_mut(pixels).enumerate();
+            bins.for_each_init(
+                || self.scratch(),
+                |scratch, (bin, light)| {
+                    let mask = support.map(|s| &s.mask()[bin * pixels..(bin + 1) * pixels]);
+                    self.spread_from(frame, bin, mask, light, scratch);
+                    let weight = T::nearest(instants[bin].weights[0]);
+                    if weight != T::one() {
+                        light.iter_mut().for_each(|v| *v *= weight);
+                    }
+                },
+            );
             return;
         }
         let mut lights = vec![T::zero(); instants.len() * pixels];
@@ -321,7 +378,9 @@ impl<T: Scalar> RollingShutter<T> {
             .enumerate()
             .for_each_init(
                 || self.scratch(),
-                |scratch, (instant, light)| spread(instant, None, light, scratch),
+                |scratch, (instant, light)| {
+                    self.spread_from(frame, instant, None, light, scratch);
+                },
             );
         video
             .par_chunks_exact_mut(pixels)

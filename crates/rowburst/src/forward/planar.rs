@@ -1,13 +1,13 @@
 //! Convolution of the whole plane by 2-D FFTs, for instants that read many rows.
 
-use super::engine::Geometry;
+use super::engine::{Geometry, transforms};
 use crate::Psf;
 use crate::linop::Scalar;
 use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::Fft;
 use rustfft::num_complex::Complex;
 use rustfft::num_traits::Zero;
-use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 pub(super) struct Planar<T: Scalar> {
@@ -33,7 +33,7 @@ impl<T: Scalar> Planar<T> {
     pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
         let (width, height) = (geometry.fft_columns(), geometry.fft_rows());
         let mut real = RealFftPlanner::<T>::new();
-        let mut complex = FftPlanner::<T>::new();
+        let (column_forward, column_inverse) = transforms(height);
         let mut planar = Self {
             geometry: geometry.clone(),
             psf: Vec::new(),
@@ -42,8 +42,8 @@ impl<T: Scalar> Planar<T> {
             frequencies: width / 2 + 1,
             row_forward: real.plan_fft_forward(width),
             row_inverse: real.plan_fft_inverse(width),
-            column_forward: complex.plan_fft_forward(height),
-            column_inverse: complex.plan_fft_inverse(height),
+            column_forward,
+            column_inverse,
         };
         planar.psf = planar.kernel_spectrum(psf);
         planar

@@ -3,67 +3,79 @@
 //! Row `r` of the convolution needs every field row once:
 //! `B_r(f) = Σ_y V_y(f) · P_{r−sy(y)}(f)`, with `V_y`, `P_d` the spectra along x
 //! of a field row and of a PSF row. No FFT along y, no padded plane.
+//!
+//! Field rows go in pairs, as the real and the imaginary part of one complex line with the spectrum
+//! `Z = V_y + i V_{y+1}`; with `Q_d = P_d − i P_{d−1}` for the pair of PSF rows
+//!
+//! ```text
+//! b_r = Re F⁻¹ Σ_pairs Z Q_d            v_y + i v_{y+1} = F⁻¹ Σ_r B_r Q_d*
+//! ```
+//!
+//! forward and adjoint: `Re F⁻¹` keeps of `Z Q = V_y P_d + V_{y+1} P_{d−1} + i (V_{y+1} P_d − V_y P_{d−1})`
+//! what is the spectrum of a real line. One complex transform for two rows, and nothing is ever taken apart.
 
-use super::engine::Geometry;
+use super::engine::{Geometry, transforms};
 use crate::Psf;
 use crate::linop::Scalar;
-use crate::vecmath::simd;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use crate::vecmath::{add_conjugate_products, add_products, simd};
+use rustfft::Fft;
 use rustfft::num_complex::Complex;
 use rustfft::num_traits::Zero;
 use std::sync::Arc;
 
+/// Pairs of rows that are transformed at once: their spectra stay in the nearest cache.
+const PAIRS_AT_ONCE: usize = 4;
+
 pub(super) struct Rowwise<T: Scalar> {
     geometry: Geometry,
-    /// Spectra of the PSF rows, one for each row displacement, smallest first.
+    /// `Q_d` for each row displacement, smallest first.
     psf: Vec<Complex<T>>,
-    frequencies: usize,
     length: usize,
-    forward: Arc<dyn RealToComplex<T>>,
-    inverse: Arc<dyn ComplexToReal<T>>,
+    forward: Arc<dyn Fft<T>>,
+    inverse: Arc<dyn Fft<T>>,
 }
 
 pub(super) struct Scratch<T> {
-    line: Vec<T>,
-    rows: Vec<Complex<T>>,
-    one: Vec<Complex<T>>,
+    /// A line for each sensor row that is read.
+    sums: Vec<Complex<T>>,
+    /// Pairs of field rows, and where they begin.
+    lines: Vec<Complex<T>>,
+    pairs: Vec<usize>,
     fft: Vec<Complex<T>>,
 }
 
 impl<T: Scalar> Rowwise<T> {
     pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
         let length = geometry.fft_columns();
-        let mut planner = RealFftPlanner::<T>::new();
-        let forward = planner.plan_fft_forward(length);
-        let inverse = planner.plan_fft_inverse(length);
-        let frequencies = length / 2 + 1;
+        let (forward, inverse) = transforms::<T>(length);
         let displacements = geometry.rows + geometry.field_rows - 1;
-        let mut spectra = vec![Complex::zero(); displacements * frequencies];
-        let mut line = vec![T::zero(); length];
-        for (d, spectrum) in spectra.chunks_exact_mut(frequencies).enumerate() {
+        let mut spectra = vec![Complex::zero(); displacements * length];
+        // The transforms are not normalised: the kernel carries 1/length.
+        let scale = T::nearest(1.0 / length as f64);
+        let mut before = vec![T::zero(); length];
+        for (d, spectrum) in spectra.chunks_exact_mut(length).enumerate() {
             let dy = d as isize + geometry.row_displacement(0, geometry.field_rows - 1);
-            line.fill(T::zero());
+            let value = |x, field_x| -> T {
+                let dx = geometry.column_displacement(x, field_x);
+                T::from(psf.at_displacement(dy, dx)) * scale
+            };
             // A field pixel stands at its own index x', so index i of the kernel is the
             // displacement i + ox; negative indices wrap around to the end.
-            for (x, value) in line[..geometry.columns].iter_mut().enumerate() {
-                *value = psf
-                    .at_displacement(dy, geometry.column_displacement(x, 0))
-                    .into();
+            for (x, to) in spectrum[..geometry.columns].iter_mut().enumerate() {
+                to.re = value(x, 0);
             }
             for x in 1..geometry.field_columns {
-                line[length - x] = psf
-                    .at_displacement(dy, geometry.column_displacement(0, x))
-                    .into();
+                spectrum[length - x].re = value(0, x);
             }
-            forward.process(&mut line, spectrum).expect("lengths match");
-            // The transforms are not normalised: the kernel carries 1/length.
-            let length = T::nearest(length as f64);
-            spectrum.iter_mut().for_each(|c| *c = *c / length);
+            for (to, before) in spectrum.iter_mut().zip(&mut before) {
+                to.im = -*before;
+                *before = to.re;
+            }
         }
+        forward.process(&mut spectra);
         Self {
             geometry: geometry.clone(),
             psf: spectra,
-            frequencies,
             length,
             forward,
             inverse,
@@ -73,56 +85,64 @@ impl<T: Scalar> Rowwise<T> {
     pub fn scratch(&self) -> Scratch<T> {
         let fft = self
             .forward
-            .get_scratch_len()
-            .max(self.inverse.get_scratch_len());
+            .get_inplace_scratch_len()
+            .max(self.inverse.get_inplace_scratch_len());
         Scratch {
-            line: vec![T::zero(); self.length],
-            rows: Vec::new(),
-            one: vec![Complex::zero(); self.frequencies],
+            sums: Vec::new(),
+            lines: vec![Complex::zero(); PAIRS_AT_ONCE * self.length],
+            pairs: Vec::with_capacity(PAIRS_AT_ONCE),
             fft: vec![Complex::zero(); fft],
         }
     }
 
-    /// Spectrum of the PSF row that leads from field row `y` to sensor row `r`.
+    /// `Q_d` that leads from field rows `y` and `y + 1` to sensor row `r`.
     fn kernel(&self, r: usize, y: usize) -> &[Complex<T>] {
         let d = r + self.geometry.field_rows - 1 - y;
-        &self.psf[d * self.frequencies..(d + 1) * self.frequencies]
+        &self.psf[d * self.length..(d + 1) * self.length]
     }
 
     pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
-        let Scratch {
-            line,
-            rows: sums,
-            one,
-            fft,
-        } = scratch;
-        sums.clear();
-        sums.resize(rows.len() * self.frequencies, Complex::zero());
-        for (y, field_row) in light.chunks_exact(self.geometry.field_columns).enumerate() {
+        let (columns, pair) = (self.geometry.columns, 2 * self.geometry.field_columns);
+        scratch.sums.clear();
+        scratch
+            .sums
+            .resize(rows.len() * self.length, Complex::zero());
+        scratch.pairs.clear();
+        for (i, lit) in light.chunks(pair).enumerate() {
             // Recovered scenes are sparse: most rows of most bins are dark.
-            if field_row.iter().all(|&v| v == T::zero()) {
+            if is_dark(lit) {
                 continue;
             }
-            line[..field_row.len()].copy_from_slice(field_row);
-            line[field_row.len()..].fill(T::zero());
-            self.forward
-                .process_with_scratch(line, one, fft)
-                .expect("lengths match");
-            for (&r, sum) in rows.iter().zip(sums.chunks_exact_mut(self.frequencies)) {
-                multiply_add(sum, one, self.kernel(r, y));
+            let at = scratch.pairs.len() * self.length;
+            let line = &mut scratch.lines[at..at + self.length];
+            pack(lit, self.geometry.field_columns, line);
+            scratch.pairs.push(2 * i);
+            if scratch.pairs.len() == PAIRS_AT_ONCE {
+                self.add_pairs(rows, scratch);
             }
         }
-        let columns = self.geometry.columns;
-        for (sum, values) in sums
-            .chunks_exact_mut(self.frequencies)
-            .zip(values.chunks_exact_mut(columns))
-        {
-            self.invert(sum, line, fft);
-            values.copy_from_slice(&line[..columns]);
+        self.add_pairs(rows, scratch);
+        self.inverse
+            .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
+        let sums = scratch.sums.chunks_exact(self.length);
+        for (sum, values) in sums.zip(values.chunks_exact_mut(columns)) {
+            values.iter_mut().zip(sum).for_each(|(v, s)| *v = s.re);
         }
     }
 
-    /// Field rows that are dark in `mask` are set to zero; the others are whole.
+    /// Adds what the pairs of rows that are waiting send to `rows`.
+    fn add_pairs(&self, rows: &[usize], scratch: &mut Scratch<T>) {
+        let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
+        self.forward.process_with_scratch(lines, &mut scratch.fft);
+        for (&r, sum) in rows.iter().zip(scratch.sums.chunks_exact_mut(self.length)) {
+            for (&y, line) in scratch.pairs.iter().zip(lines.chunks_exact(self.length)) {
+                add_products(sum, line, self.kernel(r, y));
+            }
+        }
+        scratch.pairs.clear();
+    }
+
+    /// Pairs of field rows that are dark in `mask` are set to zero; the others are whole.
     pub fn spread(
         &self,
         values: &[T],
@@ -131,76 +151,87 @@ impl<T: Scalar> Rowwise<T> {
         light: &mut [T],
         scratch: &mut Scratch<T>,
     ) {
-        let Scratch {
-            line,
-            rows: spectra,
-            one,
-            fft,
-        } = scratch;
-        spectra.resize(rows.len() * self.frequencies, Complex::zero());
-        let columns = self.geometry.columns;
-        for (values, spectrum) in values
-            .chunks_exact(columns)
-            .zip(spectra.chunks_exact_mut(self.frequencies))
-        {
-            line[..columns].copy_from_slice(values);
-            line[columns..].fill(T::zero());
-            self.forward
-                .process_with_scratch(line, spectrum, fft)
-                .expect("lengths match");
+        let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
+        scratch
+            .sums
+            .resize(rows.len() * self.length, Complex::zero());
+        let spectra = scratch.sums.chunks_exact_mut(self.length);
+        for (values, line) in values.chunks_exact(columns).zip(spectra) {
+            pack(values, columns, line);
         }
-        let field_columns = self.geometry.field_columns;
-        for (y, field_row) in light.chunks_exact_mut(field_columns).enumerate() {
-            let is_lit = |mask: &[u8]| mask[y * field_columns..][..field_columns].contains(&1);
-            if !mask.is_none_or(is_lit) {
-                field_row.fill(T::zero());
+        self.forward
+            .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
+        scratch.pairs.clear();
+        for y in (0..self.geometry.field_rows).step_by(2) {
+            let at = y * field_columns..light.len().min((y + 2) * field_columns);
+            if mask.is_some_and(|mask| !mask[at.clone()].contains(&1)) {
+                light[at].fill(T::zero());
                 continue;
             }
-            one.fill(Complex::zero());
-            for (&r, spectrum) in rows.iter().zip(spectra.chunks_exact(self.frequencies)) {
-                multiply_conjugate_add(one, spectrum, self.kernel(r, y));
+            scratch.pairs.push(y);
+            if scratch.pairs.len() == PAIRS_AT_ONCE {
+                self.write_pairs(rows, light, scratch);
             }
-            self.invert(one, line, fft);
-            field_row.copy_from_slice(&line[..field_columns]);
         }
+        self.write_pairs(rows, light, scratch);
     }
 
-    fn invert(&self, spectrum: &mut [Complex<T>], line: &mut [T], fft: &mut [Complex<T>]) {
-        // Sums of products of real signals' spectra: real at both ends up to rounding.
-        spectrum[0].im = T::zero();
-        spectrum[self.frequencies - 1].im = T::zero();
-        self.inverse
-            .process_with_scratch(spectrum, line, fft)
-            .expect("ends are real");
+    /// Writes the pairs of field rows that are waiting.
+    fn write_pairs(&self, rows: &[usize], light: &mut [T], scratch: &mut Scratch<T>) {
+        let field_columns = self.geometry.field_columns;
+        let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
+        lines.fill(Complex::zero());
+        for (&y, line) in scratch
+            .pairs
+            .iter()
+            .zip(lines.chunks_exact_mut(self.length))
+        {
+            for (&r, spectrum) in rows.iter().zip(scratch.sums.chunks_exact(self.length)) {
+                add_conjugate_products(line, self.kernel(r, y), spectrum);
+            }
+        }
+        self.inverse.process_with_scratch(lines, &mut scratch.fft);
+        for (&y, line) in scratch.pairs.iter().zip(lines.chunks_exact(self.length)) {
+            let end = light.len().min((y + 2) * field_columns);
+            unpack(line, field_columns, &mut light[y * field_columns..end]);
+        }
+        scratch.pairs.clear();
     }
 }
 
-/// `sum += a · b`.
-pub(super) fn multiply_add<T: Scalar>(sum: &mut [Complex<T>], a: &[Complex<T>], b: &[Complex<T>]) {
+/// Whether all is zero.
+fn is_dark<T: Scalar>(values: &[T]) -> bool {
+    let is_zero = |part: &[T]| part.iter().fold(true, |dark, v| dark & (*v == T::zero()));
+    values.chunks(32).all(is_zero)
+}
+
+/// One or two rows of `columns` values as the real and the imaginary part of `line`, with zeros behind.
+fn pack<T: Scalar>(rows: &[T], columns: usize, line: &mut [Complex<T>]) {
+    let (first, second) = rows.split_at(columns);
+    let (to, rest) = line.split_at_mut(columns);
     simd(
         #[inline(always)]
         || {
-            for ((s, a), b) in sum.iter_mut().zip(a).zip(b) {
-                s.re += a.re * b.re - a.im * b.im;
-                s.im += a.re * b.im + a.im * b.re;
+            if second.is_empty() {
+                let lines = to.iter_mut().zip(first);
+                lines.for_each(|(c, a)| *c = Complex::new(*a, T::zero()));
+            } else {
+                let lines = to.iter_mut().zip(first).zip(second);
+                lines.for_each(|((c, a), b)| *c = Complex::new(*a, *b));
             }
         },
     );
+    rest.fill(Complex::zero());
 }
 
-/// `sum += a · conj(b)`.
-pub(super) fn multiply_conjugate_add<T: Scalar>(
-    sum: &mut [Complex<T>],
-    a: &[Complex<T>],
-    b: &[Complex<T>],
-) {
+/// The real and, where there is place for it, the imaginary part of `line` into rows of `columns` values.
+fn unpack<T: Scalar>(line: &[Complex<T>], columns: usize, rows: &mut [T]) {
+    let (first, second) = rows.split_at_mut(columns);
     simd(
         #[inline(always)]
         || {
-            for ((s, a), b) in sum.iter_mut().zip(a).zip(b) {
-                s.re += a.re * b.re + a.im * b.im;
-                s.im += a.im * b.re - a.re * b.im;
-            }
+            first.iter_mut().zip(line).for_each(|(a, c)| *a = c.re);
+            second.iter_mut().zip(line).for_each(|(b, c)| *b = c.im);
         },
     );
 }

@@ -111,6 +111,19 @@ fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
             let mut found = vec![1.0; video.len()];
             operator.adjoint_on(&frame, &support, &mut found);
             assert_eq!(found, expected, "{camera:?}");
+            // Part by part, added to what there was.
+            let add = |start: usize, part: &[f32], target: &mut [f32]| {
+                for (i, (t, p)) in target.iter_mut().zip(part).enumerate() {
+                    *t += p * (1.0 + 0.0 * video[start + i]);
+                }
+            };
+            found.fill(0.0);
+            operator.adjoint_each(&frame, Some(&support), &mut found, &add);
+            assert_eq!(found, expected, "{camera:?}");
+            operator.adjoint(&frame, &mut expected);
+            found.fill(0.0);
+            operator.adjoint_each(&frame, None, &mut found, &add);
+            assert_eq!(found, expected, "{camera:?}");
         }
     }
 }

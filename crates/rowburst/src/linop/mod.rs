@@ -20,11 +20,13 @@ pub use two_parts::{SecondPart, TwoParts, sum_of_bins};
 pub use wavelet::Wavelet;
 pub use weighted::Weighted;
 
+use crate::vecmath::Lanes;
+use rayon::prelude::*;
 use std::ops::{AddAssign, MulAssign};
 use std::sync::Arc;
 
 /// What an operator computes in: `f32`, or `f64` where a caller asks for its precision.
-pub trait Scalar: realfft::FftNum + AddAssign + MulAssign + From<f32> + Into<f64> {
+pub trait Scalar: realfft::FftNum + Lanes + AddAssign + MulAssign + From<f32> + Into<f64> {
     /// The nearest number to `value`.
     fn nearest(value: f64) -> Self;
 }
@@ -39,6 +41,19 @@ impl Scalar for f64 {
     fn nearest(value: f64) -> Self {
         value
     }
+}
+
+/// `write(start, part, target)`: does something to a part of a vector that begins at `start`, with
+/// the same part of another.
+pub type WritePart<'w, T = f32> = &'w (dyn Fn(usize, &[T], &mut [T]) + Sync);
+
+/// Calls `write` for all of `values` and `target`, part by part.
+pub fn write_parts<T: Scalar>(values: &[T], target: &mut [T], write: WritePart<T>) {
+    const PART: usize = 1 << 14;
+    let parts = target.par_chunks_mut(PART).zip(values.par_chunks(PART));
+    parts
+        .enumerate()
+        .for_each(|(i, (target, part))| write(i * PART, part, target));
 }
 
 /// A linear map from `domain_len` to `range_len` numbers.

@@ -10,6 +10,7 @@ mod rows;
 pub mod sparse;
 pub mod variation;
 pub mod variation3d;
+mod wave;
 
 pub use composite::Composite;
 pub use dual::DualTerm;
@@ -20,6 +21,25 @@ pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 
 use crate::Support;
+use crate::vecmath::{pieces, simd};
+use rayon::prelude::*;
+use std::ops::{AddAssign, Range};
+
+/// How a video has moved.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Moved {
+    /// `‖z‖²`.
+    pub size: f64,
+    /// `‖z − z_last‖²`.
+    pub distance: f64,
+}
+
+impl AddAssign for Moved {
+    fn add_assign(&mut self, other: Self) {
+        self.size += other.size;
+        self.distance += other.distance;
+    }
+}
 
 /// A convex prior `R(v)` with the constraint `v ≥ 0` inside.
 ///
@@ -31,6 +51,28 @@ pub trait Prox: Send {
     /// # Panics
     /// If a length does not match.
     fn prox(&mut self, q: &[f32], scale: f64, z: &mut [f32]);
+
+    /// `z = prox(q)` and then `q −= z`; how far that is from `last`, the last `z`. All outside `runs` is dark.
+    ///
+    /// # Panics
+    /// If a length does not match.
+    fn prox_and_rest(
+        &mut self,
+        q: &mut [f32],
+        scale: f64,
+        z: &mut [f32],
+        last: &[f32],
+        runs: &[Range<usize>],
+    ) -> Moved {
+        self.prox(q, scale, z);
+        let steps = pieces(q, runs).into_par_iter().zip(runs);
+        let parts: Vec<Moved> = steps
+            .map(|(q, run)| subtract(q, &z[run.clone()], &last[run.clone()]))
+            .collect();
+        let mut sum = Moved::default();
+        parts.iter().for_each(|part| sum += *part);
+        sum
+    }
 
     /// `R(z)`.
     fn value(&self, z: &[f32]) -> f64;
@@ -46,6 +88,35 @@ pub trait Prox: Send {
     /// which the last call of [`Self::prox`] ended, with its `scale`. Where that is
     /// positive, `v` is more than the prior holds back. Elements below zero may be cut.
     fn subtract_dual(&self, v: &mut [f32]);
+}
+
+/// `q −= z`.
+fn subtract(q: &mut [f32], z: &[f32], last: &[f32]) -> Moved {
+    simd(
+        #[inline(always)]
+        || {
+            let (mut size, mut moved) = ([0.0f64; 8], [0.0f64; 8]);
+            let (q8, q_rest) = q.as_chunks_mut::<8>();
+            let (z8, z_rest) = z.as_chunks::<8>();
+            let (last8, last_rest) = last.as_chunks::<8>();
+            for ((q, z), last) in q8.iter_mut().zip(z8).zip(last8) {
+                for i in 0..8 {
+                    q[i] -= z[i];
+                    size[i] += f64::from(z[i]) * f64::from(z[i]);
+                    moved[i] += f64::from(z[i] - last[i]) * f64::from(z[i] - last[i]);
+                }
+            }
+            for ((q, z), last) in q_rest.iter_mut().zip(z_rest).zip(last_rest) {
+                *q -= z;
+                size[0] += f64::from(*z).powi(2);
+                moved[0] += f64::from(z - last).powi(2);
+            }
+            Moved {
+                size: size.iter().sum(),
+                distance: moved.iter().sum(),
+            }
+        },
+    )
 }
 
 #[cfg(test)]

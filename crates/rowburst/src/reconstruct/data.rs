@@ -3,15 +3,17 @@
 use super::held_out::HeldOut;
 use super::model::Model;
 use crate::camera::CameraParams;
-use crate::linop::{LinearOperator, SecondPart, TwoParts, Weighted, sum_of_bins};
+use crate::linop::{
+    LinearOperator, SecondPart, TwoParts, Weighted, WritePart, sum_of_bins, write_parts,
+};
 use crate::measurement::{Measurement, NoiseLaw};
-use crate::solve::blocks::Blocks;
+use crate::solve::blocks::{BlockSource, Blocks};
 use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
 use crate::solve::{DataTerm, GramSolver};
 use crate::{Camera, RollingShutter, Shape, Shutter, Support};
-use faer::MatMut;
 use faer::reborrow::ReborrowMut;
+use faer::{Mat, MatMut};
 use std::sync::Arc;
 
 /// Measurements of an instant from which its factor costs more than ten iterations.
@@ -131,7 +133,7 @@ impl FrameData {
             self.planes =
                 whole.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
         }
-        let empty = Gram::Exact(Blocks::new(Vec::new(), |_, _| ()));
+        let empty = Gram::Exact(Blocks::default());
         self.gram = match std::mem::replace(&mut self.gram, empty) {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) if is_still => {
                 Gram::Bordered(blocks, Bordered::default())
@@ -212,7 +214,14 @@ impl FrameData {
         let lit = (self.support.as_ref(), self.second);
         match &mut self.gram {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
-                blocks.refill(|_| true, |i, sum| fill(model, operator, i, lit, sum));
+                blocks.refill(
+                    |_| true,
+                    GramOf {
+                        model,
+                        operator,
+                        lit,
+                    },
+                );
             }
             Gram::Iterative(solver) => {
                 let blocks = blocks(model, operator, lit);
@@ -266,6 +275,10 @@ impl DataTerm for FrameData {
 
     fn scale(&self) -> f64 {
         self.model.scale()
+    }
+
+    fn least_rho(&self) -> f64 {
+        self.shutter().least_rho() * self.scale()
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
@@ -347,7 +360,14 @@ impl DataTerm for FrameData {
                         .as_ref()
                         .is_none_or(|b| !support.agrees_with(b, bins))
                 };
-                blocks.refill(has_changed, |i, sum| fill(model, operator, i, lit, sum));
+                blocks.refill(
+                    has_changed,
+                    GramOf {
+                        model,
+                        operator,
+                        lit,
+                    },
+                );
             }
             Gram::Iterative(solver) => {
                 let blocks = blocks(model, operator, (Some(support), self.second));
@@ -370,6 +390,23 @@ impl DataTerm for FrameData {
                 support.apply(video);
             }
         }
+    }
+
+    fn adjoint_each(
+        &self,
+        y: &[f32],
+        support: Option<&Support>,
+        target: &mut [f32],
+        write: WritePart,
+    ) {
+        if self.second == SecondPart::None {
+            let weighted = self.operator.weigh(y);
+            let shutter = self.model.shutter();
+            return shutter.adjoint_each(&weighted, support, target, write);
+        }
+        let mut video = vec![0.0; target.len()];
+        self.adjoint_on(y, support, &mut video);
+        write_parts(&video, target, write);
     }
 
     fn follow(&mut self, video: &[f32]) -> bool {
@@ -417,36 +454,61 @@ fn blocks(model: &Model, operator: &Weighted<Arc<RollingShutter>>, lit: Lit) -> 
     model.gram_bytes()?;
     let shutter = operator.inner();
     let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
-    Some(Blocks::new(indices.collect(), |i, sum| {
-        fill(model, operator, i, lit, sum)
-    }))
+    Some(Blocks::new(
+        indices.collect(),
+        GramOf {
+            model,
+            operator,
+            lit,
+        },
+    ))
 }
 
-/// Writes the block of instant `i` of `W A P Aᵀ W` over zeros.
-fn fill(
-    model: &Model,
-    operator: &Weighted<Arc<RollingShutter>>,
-    instant: usize,
-    (support, second): Lit,
-    mut sum: MatMut<f64>,
-) {
-    let shutter = operator.inner();
-    match model.kept_block(instant, support, second) {
-        Some(block) => sum.copy_from(block),
-        None => {
-            shutter.add_gram_block(instant, support, sum.rb_mut());
-            if second == SecondPart::Video {
-                shutter.add_gram_block(instant, None, sum.rb_mut());
+/// The blocks of `W A P Aᵀ W`.
+struct GramOf<'a> {
+    model: &'a Model,
+    operator: &'a Weighted<Arc<RollingShutter>>,
+    lit: Lit<'a>,
+}
+
+impl BlockSource for GramOf<'_> {
+    fn fill(&self, instant: usize, mut sum: MatMut<f64>) {
+        let (support, second) = self.lit;
+        let shutter = self.operator.inner();
+        match self.model.kept_block(instant, support, second) {
+            Some(block) => sum.copy_from(block),
+            None => {
+                shutter.add_gram_block(instant, support, sum.rb_mut());
+                if second == SecondPart::Video {
+                    shutter.add_gram_block(instant, None, sum.rb_mut());
+                }
+            }
+        }
+        if let Some(weights) = self.operator.weights() {
+            let indices = shutter.indices_of(instant);
+            for (j, &column) in indices.iter().enumerate() {
+                for (i, &row) in indices.iter().enumerate() {
+                    sum[(i, j)] *= f64::from(weights[row]) * f64::from(weights[column]);
+                }
             }
         }
     }
-    if let Some(weights) = operator.weights() {
-        let indices = shutter.indices_of(instant);
-        for (j, &column) in indices.iter().enumerate() {
-            for (i, &row) in indices.iter().enumerate() {
-                sum[(i, j)] *= f64::from(weights[row]) * f64::from(weights[column]);
+
+    fn columns(&self, instant: usize, most: usize) -> Option<Mat<f64>> {
+        let (support, second) = self.lit;
+        if second == SecondPart::Video {
+            return None;
+        }
+        let shutter = self.operator.inner();
+        let mut columns = shutter.lit_columns(instant, support?, most)?;
+        if let Some(weights) = self.operator.weights() {
+            let indices = shutter.indices_of(instant);
+            for column in columns.col_iter_mut() {
+                let values = column.iter_mut().zip(&indices);
+                values.for_each(|(value, &i)| *value *= f64::from(weights[i]));
             }
         }
+        Some(columns)
     }
 }
 

@@ -15,9 +15,6 @@ use crate::solve::DataTerm;
 use crate::vecmath::norm;
 use crate::{Error, Result};
 
-/// Smallest `1/s` over the typical size of a diagonal element of `A Aᵀ`: below it the Cholesky
-/// factors in f64 have no digits left.
-const SMALLEST_RHO: f64 = 1e-9;
 /// What may be left of the right-hand side; f32 holds no more.
 const TOLERANCE: f64 = 1e-6;
 /// Most calls of the solver for one step; blocks need one.
@@ -91,7 +88,7 @@ impl DataStep {
     /// the last one a Cholesky factor of each block besides.
     pub fn prox(&mut self, p: &[f32], step: f64) -> Result<Vec<f32>> {
         let rho = 1.0 / step;
-        let least = SMALLEST_RHO * self.data.scale();
+        let least = self.data.least_rho();
         if !(rho.is_finite() && rho >= least) {
             return Err(Error::input(
                 "step",

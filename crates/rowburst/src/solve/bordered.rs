@@ -144,7 +144,7 @@ mod tests {
         let border = Dense((0..m).map(|_| random(3)).collect());
         let r = random(m);
         let indices = (0..m / 2).map(|i| vec![2 * i, 2 * i + 1]).collect();
-        let mut blocks = Blocks::new(indices, |i, mut g| {
+        let mut blocks = Blocks::new(indices, |i, mut g: faer::MatMut<f64>| {
             g[(0, 0)] = (2 * i + 1) as f64;
             g[(1, 1)] = (2 * i + 2) as f64;
         });

@@ -16,7 +16,7 @@ pub use objective::Objective;
 pub use run::{Certified, Limits};
 
 use crate::Support;
-use crate::linop::LinearOperator;
+use crate::linop::{LinearOperator, WritePart};
 
 /// Why a solver stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,6 +63,11 @@ pub trait DataTerm {
     /// Typical size of a diagonal element of `A Aᵀ`.
     fn scale(&self) -> f64;
 
+    /// Smallest `ρ` for which [`Self::solve_gram`] has digits.
+    fn least_rho(&self) -> f64 {
+        0.0
+    }
+
     /// See [`GramSolver::solve`]. Returns whether `y` is as good as it was asked to be.
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool;
 
@@ -79,6 +84,20 @@ pub trait DataTerm {
         if let Some(support) = support {
             support.apply(video);
         }
+    }
+
+    /// Calls `write(start, part, target)` for parts of [`Self::adjoint_on`] and of `target` that begin at `start`, for
+    /// all that the support does not keep dark: while they are at hand, and without a video between.
+    fn adjoint_each(
+        &self,
+        y: &[f32],
+        support: Option<&Support>,
+        target: &mut [f32],
+        write: WritePart,
+    ) {
+        let mut video = vec![0.0; target.len()];
+        self.adjoint_on(y, support, &mut video);
+        crate::linop::write_parts(&video, target, write);
     }
 
     /// Whether another `ρ` costs far more than an iteration: factors of thousands of measurements.

@@ -94,6 +94,11 @@ impl Places {
         self.fraction
     }
 
+    /// Whether every voxel of a bin is allowed, so that another `ρ` costs a factor of all its measurements.
+    pub fn has_open_bin(&self) -> bool {
+        self.is_open.contains(&true)
+    }
+
     /// Whether the last look changed little.
     pub fn are_settled(&self) -> bool {
         self.is_settled
@@ -191,21 +196,10 @@ fn chunks(run: Range<usize>) -> impl Iterator<Item = Range<usize>> {
         .map(move |start| start..end.min(start + CHUNK))
 }
 
-/// The `runs` of `values`, which are in order and do not overlap.
-pub(super) fn pieces<'v>(mut values: &'v mut [f32], runs: &[Range<usize>]) -> Vec<&'v mut [f32]> {
-    let mut at = 0;
-    let take = |run: &Range<usize>| {
-        let rest = std::mem::take(&mut values).split_at_mut(run.start - at).1;
-        let (piece, rest) = rest.split_at_mut(run.len());
-        (values, at) = (rest, run.end);
-        piece
-    };
-    runs.iter().map(take).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::vecmath::pieces;
 
     #[test]
     fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
