@@ -344,6 +344,34 @@ pub(super) mod tests {
             .collect()
     }
 
+    /// The two kinds of products, of a sensor that is read two rows at a time.
+    #[test]
+    fn products_in_f32_stay_far_below_the_least_rho() {
+        let camera = Camera::new(CameraParams {
+            rows: 8,
+            columns: 200,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 1.0,
+            exposure_us: 1.0,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(2);
+        let values = (0..15 * 399)
+            .map(|_| rng.random_range(0.0f32..1.0))
+            .collect();
+        let psf = Psf::new(Image::new(15, 399, values).unwrap()).unwrap();
+        let operator = RollingShutter::new(&camera, &psf);
+        let side = operator.indices_of(1).len();
+        let (mut single, mut double) = (Mat::zeros(side, side), Mat::zeros(side, side));
+        operator.add_shifted::<f32>(1, &psf, 1.0, single.as_mut());
+        operator.add_shifted::<f64>(1, &psf, 1.0, double.as_mut());
+        let error = (&single - &double).norm_max() / double[(0, 0)];
+        assert!(0.0 < error && error < 0.1 * LEAST_RHO.0, "{error}");
+    }
+
     #[test]
     fn blocks_agree_with_operator_calls() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(1);

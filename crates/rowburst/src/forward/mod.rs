@@ -28,8 +28,8 @@ use std::borrow::Cow;
 
 /// The operator `A`: from a video `[t, y, x]` to a frame `[y, x]`.
 ///
-/// Adjoint: exact, `Aᵀ = Tᵀ Sᵀ`. Cost: for each instant one short real FFT per
-/// field row, and a multiply–add over the field for each row that is read; the
+/// Adjoint: exact, `Aᵀ = Tᵀ Sᵀ`. Cost: for each instant one short complex FFT per
+/// two field rows, and a multiply–add over the field for each row that is read; the
 /// rows that are not read are never computed. Where an instant reads many rows
 /// (`global`), 2-D FFTs take over, whichever needs less arithmetic. All that once for
 /// each PSF that a pixel's light is shared out among.

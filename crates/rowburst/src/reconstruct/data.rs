@@ -19,6 +19,9 @@ use std::sync::Arc;
 /// Measurements of an instant from which its factor costs more than ten iterations.
 const WIDE: usize = 1024;
 
+/// Smallest `ρ` over the typical size of a diagonal element of `A Aᵀ` where no block limits it.
+const LEAST_RHO: f64 = 1e-9;
+
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
     model: Model,
@@ -278,7 +281,12 @@ impl DataTerm for FrameData {
     }
 
     fn least_rho(&self) -> f64 {
-        self.shutter().least_rho() * self.scale()
+        // Without blocks nothing is factored.
+        let least = match self.model.gram_bytes() {
+            Some(_) => self.shutter().least_rho(),
+            None => LEAST_RHO,
+        };
+        least * self.scale()
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 /// Corrections of `ρ` that are not worth another factor, and at first, when factors
 /// take as long as two iterations and corrections say little yet: a factor for every 2 % left the pictures of four
-/// scenes within 0.2 dB, and took half of the time.
+/// scenes within 0.3 dB, and took a quarter of the time.
 const STEADY: (f64, f64) = (0.98, 1.02);
 const OPEN_STEADY: (f64, f64) = (0.8, 1.25);
 /// The same on a wide sensor, where they take as long as ten iterations, and while one of its bins is open.
@@ -31,7 +31,7 @@ const TOP_OVER: usize = 5;
 const LATEST: usize = 150;
 /// `β` at first over what it will be, and the iteration at which it is that: large steps find
 /// the places, small ones the details. Up to the 12th iteration larger digits take 56 to 85 iterations to 0.5 dB
-/// of their end, up to the 20th 42 to 79; up to the 28th some lose 5 dB (four seeds). 8 up to the 20th iteration is faster still, and loses faint
+/// of their end, up to the 20th 43 to 82; up to the 28th one of four seeds lost 5 dB. 8 up to the 20th iteration is faster still, and loses faint
 /// LEDs in small videos, whose bins then have to be opened.
 const FIRST_THRESHOLD: f64 = 4.0;
 const FULL_DETAIL: usize = 20;
