@@ -159,14 +159,19 @@ fn reduce(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64 + Sync + Copy) ->
     let partial: Vec<f64> = a
         .par_chunks(CHUNK)
         .zip(b.par_chunks(CHUNK))
-        .map(|(a, b)| simd(|| sum_of_lanes(a, b, term)))
+        .map(|(a, b)| {
+            simd(
+                #[inline(always)]
+                || sum_of_lanes(a, b, term),
+            )
+        })
         .collect();
     partial.iter().sum()
 }
 
 /// Eight running sums let the compiler use SIMD lanes without reordering one sum.
 #[inline(always)]
-fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64) -> f64 {
+pub(crate) fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64) -> f64 {
     let mut lanes = [0.0; 8];
     let (a8, a_rest) = a.as_chunks::<8>();
     let (b8, b_rest) = b.as_chunks::<8>();

@@ -21,7 +21,7 @@ pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 
 use crate::Support;
-use crate::vecmath::{pieces, simd};
+use crate::vecmath::{pieces, simd, sum_of_lanes};
 use rayon::prelude::*;
 use std::ops::{AddAssign, Range};
 
@@ -95,25 +95,14 @@ fn subtract(q: &mut [f32], z: &[f32], last: &[f32]) -> Moved {
     simd(
         #[inline(always)]
         || {
-            let (mut size, mut moved) = ([0.0f64; 8], [0.0f64; 8]);
-            let (q8, q_rest) = q.as_chunks_mut::<8>();
-            let (z8, z_rest) = z.as_chunks::<8>();
-            let (last8, last_rest) = last.as_chunks::<8>();
-            for ((q, z), last) in q8.iter_mut().zip(z8).zip(last8) {
-                for i in 0..8 {
-                    q[i] -= z[i];
-                    size[i] += f64::from(z[i]) * f64::from(z[i]);
-                    moved[i] += f64::from(z[i] - last[i]) * f64::from(z[i] - last[i]);
-                }
-            }
-            for ((q, z), last) in q_rest.iter_mut().zip(z_rest).zip(last_rest) {
+            // The places are at hand: three short loops rather than one that no vector fits.
+            for (q, z) in q.iter_mut().zip(z) {
                 *q -= z;
-                size[0] += f64::from(*z).powi(2);
-                moved[0] += f64::from(z - last).powi(2);
             }
+            let product = |a: f32, b: f32| f64::from(a) * f64::from(b);
             Moved {
-                size: size.iter().sum(),
-                distance: moved.iter().sum(),
+                size: sum_of_lanes(z, z, product),
+                distance: sum_of_lanes(z, last, |a, b| product(a - b, a - b)),
             }
         },
     )

@@ -2,21 +2,24 @@
 //!
 //! A dual prox makes the primal point of every bin, which reads the dual over time before and behind it, then steps
 //! the dual between every two bins, which reads both points, and so on, level after level. Done so, the whole video
-//! passes the cache for each. Here level `l` follows `l` bins behind the first one, so a bin is at hand for all
-//! its levels. Where bins do not see each other, each takes all levels at once.
+//! passes the cache for each. Here level `l` follows `l` bins and `l` rows behind the first one, through a strip
+//! of a few rows of all bins after the other, so what a level has made is at hand for the next one. Where bins do not see
+//! each other, each takes all levels by itself.
 //!
 //! Threads take blocks of bins each. What level `l` may do there ends `l` bins from a border that blocks
 //! share; what is left, a few bins around each border, is done after all blocks. Every voxel sees the
 //! same steps in the same order however many blocks there are, so the bits do not depend on the threads.
 
 use super::{Moved, subtract};
+use crate::Shape;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Levels `0..=steps` over bins of so many pixels: first between the bins, except at level 0, then at the bins.
+/// Levels `0..=steps` over the bins: first between the bins, except at level 0, then at the bins.
 pub(super) struct Wave {
-    pub bins: usize,
-    pub pixels: usize,
+    pub shape: Shape,
+    /// Rows of a strip.
+    pub rows_at_once: usize,
     pub steps: usize,
     /// Whether bins see their neighbours; else each is done by itself.
     pub is_coupled: bool,
@@ -122,10 +125,11 @@ impl Slab<'_> {
     }
 }
 
-/// What is done to a bin, or between a bin and the next one, at a level.
+/// What is done to some rows of a bin, or of the dual between a bin and the next one, at a level. Rows may end one
+/// behind the last: what looks at the row above has its turn there.
 pub(super) trait Levels: Sync {
-    fn at(&self, slab: &mut Slab, t: usize, levels: Range<usize>);
-    fn between(&self, slab: &mut Slab, t: usize);
+    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>);
+    fn between(&self, slab: &mut Slab, t: usize, rows: Range<usize>);
 }
 
 impl Wave {
@@ -139,8 +143,9 @@ impl Wave {
     ) -> Moved {
         let reach = if self.is_coupled { self.steps } else { 0 };
         let blocks = 2 * rayon::current_num_threads();
-        let blocks = blocks.min(self.bins / (2 * reach + 2)).max(1);
-        let borders: Vec<usize> = (0..=blocks).map(|i| i * self.bins / blocks).collect();
+        let bins = self.shape.bins;
+        let blocks = blocks.min(bins / (2 * reach + 2)).max(1);
+        let borders: Vec<usize> = (0..=blocks).map(|i| i * bins / blocks).collect();
         let slabs = self.slabs(&borders, &mut q, z, duals, true);
         let done = slabs.into_par_iter().flat_map_iter(|mut slab| {
             self.climb(&mut slab, levels);
@@ -150,7 +155,7 @@ impl Wave {
         if self.is_coupled && blocks > 1 {
             let mut middles = vec![0];
             middles.extend((2..blocks).map(|i| (borders[i - 1] + borders[i]) / 2));
-            middles.push(self.bins);
+            middles.push(bins);
             let slabs = self.slabs(&middles, &mut q, z, duals, false);
             let slabs = slabs.into_par_iter().zip(&borders[1..blocks]);
             moved.par_extend(slabs.flat_map_iter(|(mut slab, &border)| {
@@ -158,10 +163,23 @@ impl Wave {
                 slab.moved
             }));
         }
-        moved.sort_unstable_by_key(|(t, _)| *t);
+        // Strips of a bin stay in their order.
+        moved.sort_by_key(|(t, _)| *t);
         let mut sum = Moved::default();
         moved.iter().for_each(|(_, bin)| sum += *bin);
         sum
+    }
+
+    /// The rows that each level takes of a strip; at the end all have had every row, and the one behind the last.
+    fn strips(&self) -> impl Iterator<Item = impl Fn(usize) -> Range<usize>> {
+        let (size, end) = (self.rows_at_once, self.shape.rows + 1);
+        let starts = (0..end + self.steps).step_by(size);
+        starts.map(move |start| {
+            move |level| {
+                let row = |y: usize| y.saturating_sub(level).min(end);
+                row(start)..row(start + size)
+            }
+        })
     }
 
     /// All that can be done without the neighbours of `slab`: level `l` reads what level `l − 1` has made of a
@@ -169,20 +187,27 @@ impl Wave {
     fn climb(&self, slab: &mut Slab, levels: &impl Levels) {
         let Range { start, end } = slab.bins;
         if !self.is_coupled {
-            return (start..end).for_each(|t| levels.at(slab, t, 0..self.steps + 1));
-        }
-        let (is_first, is_last) = (start == 0, end == self.bins);
-        for front in start..end + self.steps {
-            for level in 0..=self.steps.min(front - start) {
-                let t = front - level;
-                let low = start + if is_first { 0 } else { level };
-                let high = end - if is_last { 0 } else { level };
-                let low_between = low - usize::from(!is_first && level > 0);
-                if level > 0 && (low_between..high).contains(&t) && t + 1 < self.bins {
-                    levels.between(slab, t);
+            for t in start..end {
+                for rows in self.strips() {
+                    (0..=self.steps).for_each(|level| levels.at(slab, t, level, rows(level)));
                 }
-                if (low..high).contains(&t) {
-                    levels.at(slab, t, level..level + 1);
+            }
+            return;
+        }
+        let (is_first, is_last) = (start == 0, end == self.shape.bins);
+        for rows in self.strips() {
+            for front in start..end + self.steps {
+                for level in 0..=self.steps.min(front - start) {
+                    let t = front - level;
+                    let low = start + if is_first { 0 } else { level };
+                    let high = end - if is_last { 0 } else { level };
+                    let low_between = low - usize::from(!is_first && level > 0);
+                    if level > 0 && (low_between..high).contains(&t) && t + 1 < self.shape.bins {
+                        levels.between(slab, t, rows(level));
+                    }
+                    if (low..high).contains(&t) {
+                        levels.at(slab, t, level, rows(level));
+                    }
                 }
             }
         }
@@ -190,9 +215,13 @@ impl Wave {
 
     /// What [`Self::climb`] has left on both sides of `border`.
     fn fill(&self, slab: &mut Slab, border: usize, levels: &impl Levels) {
-        for level in 1..=self.steps {
-            (border - level..border + level - 1).for_each(|t| levels.between(slab, t));
-            (border - level..border + level).for_each(|t| levels.at(slab, t, level..level + 1));
+        for rows in self.strips() {
+            for level in 1..=self.steps {
+                (border - level..border + level - 1)
+                    .for_each(|t| levels.between(slab, t, rows(level)));
+                (border - level..border + level)
+                    .for_each(|t| levels.at(slab, t, level, rows(level)));
+            }
         }
     }
 
@@ -212,16 +241,16 @@ impl Wave {
         let (mut z, mut before) = (z, None);
         let mut slabs = Vec::new();
         for (start, end) in cuts.iter().copied().zip(cuts[1..].iter().copied()) {
-            let size = (end - start) * self.pixels;
+            let size = (end - start) * self.shape.pixels();
             let mut own = split(&mut time, size);
             let mut last = None;
-            if is_shared && end < self.bins && !own.is_empty() {
-                let (first, shared) = own.split_at_mut(size - self.pixels);
+            if is_shared && end < self.shape.bins && !own.is_empty() {
+                let (first, shared) = own.split_at_mut(size - self.shape.pixels());
                 (own, last) = (first, Some(&*shared));
             }
             slabs.push(Slab {
                 bins: start..end,
-                pixels: self.pixels,
+                pixels: self.shape.pixels(),
                 q: match &mut q {
                     Point::Kept(q) => {
                         let (own, rest) = q.split_at(size);

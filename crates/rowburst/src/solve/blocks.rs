@@ -47,7 +47,7 @@ pub struct Blocks {
 /// A diagonal block of `G` with its Cholesky factor at the last `ρ`.
 ///
 /// One square, column after column, holds both: `G` above its diagonal, which is kept
-/// apart, and the factor on and below it. Of a block that is given by columns the memory holds these and, behind
+/// apart, and the factor on and below it, with the inverse of its diagonal. Of a block that is given by columns the memory holds these and, behind
 /// them, `BᵀB` in the same way.
 struct Block {
     indices: Vec<usize>,
@@ -192,6 +192,7 @@ impl Block {
         for j in 0..size {
             let lower = j * size + j..(j + 1) * size;
             square[lower.clone()].copy_from_slice(&factor[lower]);
+            square[j * size + j] = factor[j * size + j].recip();
         }
         self.is_factorised = true;
     }
@@ -229,31 +230,32 @@ impl Block {
 /// Columns of a factor that one pass over the values takes.
 const AT_ONCE: usize = 4;
 
-/// `L⁻¹ values` in place, with `L` on and below the diagonal of `square`, column after column.
+/// The part of the columns `first..first + AT_ONCE` that belongs to the `rest` of the values.
+#[inline(always)]
+fn below<'s>(square: &'s [f64], size: usize, first: usize, rest: &[f64]) -> [&'s [f64]; AT_ONCE] {
+    std::array::from_fn(|j| &square[(first + j + 1) * size - rest.len()..][..rest.len()])
+}
+
+/// `L⁻¹ values` in place, with `L` below the diagonal of `square`, column after column, and the inverse of its
+/// diagonal on it.
 #[inline(always)]
 fn forward(square: &[f64], size: usize, values: &mut [f64]) {
     for first in (0..size).step_by(AT_ONCE) {
         let end = (first + AT_ONCE).min(size);
         for j in first..end {
-            values[j] /= square[j * size + j];
+            values[j] *= square[j * size + j];
             for i in j + 1..end {
                 values[i] -= square[j * size + i] * values[j];
             }
         }
         let (solved, rest) = values.split_at_mut(end);
-        let below = |j: usize| &square[j * size + end..(j + 1) * size][..rest.len()];
-        if let [.., a, b, c, d] = solved
-            && end - first == AT_ONCE
-        {
-            let (la, lb, lc, ld) = (
-                below(first),
-                below(first + 1),
-                below(first + 2),
-                below(first + 3),
-            );
-            for i in 0..rest.len() {
-                rest[i] -= (la[i] * *a + lb[i] * *b) + (lc[i] * *c + ld[i] * *d);
-            }
+        if rest.is_empty() {
+            break;
+        }
+        let v: [f64; AT_ONCE] = std::array::from_fn(|j| solved[first + j]);
+        let [a, b, c, d] = below(square, size, first, rest);
+        for i in 0..rest.len() {
+            rest[i] -= (a[i] * v[0] + b[i] * v[1]) + (c[i] * v[2] + d[i] * v[3]);
         }
     }
 }
@@ -261,20 +263,49 @@ fn forward(square: &[f64], size: usize, values: &mut [f64]) {
 /// `L⁻ᵀ values` in place.
 #[inline(always)]
 fn backward(square: &[f64], size: usize, values: &mut [f64]) {
-    for j in (0..size).rev() {
-        let (own, rest) = values.split_at_mut(j + 1);
-        let column = &square[j * size + j + 1..(j + 1) * size];
-        let mut lanes = [0.0; 16];
-        let (column16, column_rest) = column.as_chunks::<16>();
-        let (rest16, rest_rest) = rest.as_chunks::<16>();
-        for (l, v) in column16.iter().zip(rest16) {
-            for i in 0..16 {
-                lanes[i] += l[i] * v[i];
-            }
+    for first in (0..size).step_by(AT_ONCE).rev() {
+        let end = (first + AT_ONCE).min(size);
+        let (own, rest) = values.split_at_mut(end);
+        if !rest.is_empty() {
+            let sums = sums_of_products(below(square, size, first, rest), rest);
+            own[first..].iter_mut().zip(sums).for_each(|(v, s)| *v -= s);
         }
-        let tail: f64 = column_rest.iter().zip(rest_rest).map(|(l, v)| l * v).sum();
-        own[j] = (own[j] - (lanes.iter().sum::<f64>() + tail)) / square[j * size + j];
+        for j in (first..end).rev() {
+            for i in j + 1..end {
+                own[j] -= square[j * size + i] * own[i];
+            }
+            own[j] *= square[j * size + j];
+        }
     }
+}
+
+/// `Σ column · values` of each column.
+#[inline(always)]
+fn sums_of_products(columns: [&[f64]; AT_ONCE], values: &[f64]) -> [f64; AT_ONCE] {
+    let mut lanes = [[0.0; 8]; AT_ONCE];
+    let (values8, values_rest) = values.as_chunks::<8>();
+    let [a, b, c, d] = columns.map(|column| column.as_chunks::<8>());
+    let parts = a.0.iter().zip(b.0).zip(c.0).zip(d.0).zip(values8);
+    for ((((a, b), c), d), v) in parts {
+        for i in 0..8 {
+            lanes[0][i] += a[i] * v[i];
+        }
+        for i in 0..8 {
+            lanes[1][i] += b[i] * v[i];
+        }
+        for i in 0..8 {
+            lanes[2][i] += c[i] * v[i];
+        }
+        for i in 0..8 {
+            lanes[3][i] += d[i] * v[i];
+        }
+    }
+    let rests = [a.1, b.1, c.1, d.1];
+    std::array::from_fn(|j| {
+        let pairs = rests[j].iter().zip(values_rest);
+        let tail: f64 = pairs.map(|(l, v)| l * v).sum();
+        lanes[j].iter().sum::<f64>() + tail
+    })
 }
 
 /// Writes what lies above the diagonal of a square of side `size` below that of `to`: a transposition,

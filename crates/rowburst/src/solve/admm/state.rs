@@ -16,7 +16,8 @@ const OPEN_STEADY: (f64, f64) = (0.8, 1.25);
 /// The same on a wide sensor, where they take as long as ten iterations, and while one of its bins is open.
 const WIDE_STEADY: (f64, f64) = (0.95, 1.05);
 const WIDE_OPEN_STEADY: (f64, f64) = (0.6, 1.6);
-/// Iterations from one such correction to the next.
+/// The first such correction, when the misfit has settled, and iterations from one to the next.
+const WIDE_OPEN_FROM: usize = 20;
 const WIDE_OPEN_EVERY: usize = 5;
 /// Iterations in which the brightness that `β` refers to is followed.
 const SETTLE: usize = 40;
@@ -47,7 +48,7 @@ const COUNT_AFTER: usize = 15;
 pub(crate) const MOST_FREEDOM: f64 = 0.3;
 /// `ρ` of the first step over the typical size of a diagonal element; on a wide sensor nearer to where it goes.
 const FIRST_RHO: f64 = 0.01;
-const WIDE_FIRST_RHO: f64 = 0.003;
+const WIDE_FIRST_RHO: f64 = 0.0015;
 /// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
 /// bound, and the dual would grow without end. On a wide sensor `ρ` is farther from its end there.
 const LOWEST_RHO: f64 = 0.3;
@@ -270,7 +271,9 @@ impl State {
                 (true, false) => WIDE_STEADY,
                 (true, true) => WIDE_OPEN_STEADY,
             };
-            let is_due = !is_open || self.iterations.is_multiple_of(WIDE_OPEN_EVERY);
+            let iterations = self.iterations;
+            let is_due = !is_open
+                || (iterations >= WIDE_OPEN_FROM && iterations.is_multiple_of(WIDE_OPEN_EVERY));
             if is_due && !(least..most).contains(&correction) {
                 self.rho = (self.rho * correction).clamp(self.lowest_rho, 1e7 * data.scale());
             }
