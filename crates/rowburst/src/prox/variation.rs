@@ -501,11 +501,12 @@ impl Dual<'_> {
             time: &self.time[..size],
             before: &self.before[..size],
         };
-        if size > 0 {
-            z[0] = value(0, z[0], dual.pull(0));
-        }
-        for i in 1..size {
-            z[i] = value(i, z[i], dual.pull(i) + dual.right[i - 1]);
+        let Some((first, others)) = z.split_first_mut() else {
+            return;
+        };
+        *first = value(0, *first, dual.pull(0));
+        for (i, z) in (1..size).zip(others) {
+            *z = value(i, *z, dual.pull(i) + dual.right[i - 1]);
         }
     }
 }
