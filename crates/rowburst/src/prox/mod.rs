@@ -99,10 +99,9 @@ fn subtract(q: &mut [f32], z: &[f32], last: &[f32]) -> Moved {
             for (q, z) in q.iter_mut().zip(z) {
                 *q -= z;
             }
-            let product = |a: f32, b: f32| f64::from(a) * f64::from(b);
             Moved {
-                size: sum_of_lanes(z, z, product),
-                distance: sum_of_lanes(z, last, |a, b| product(a - b, a - b)),
+                size: sum_of_lanes(z, z, |a, b| f64::from(a) * f64::from(b)),
+                distance: sum_of_lanes(z, last, |a, b| f64::from(a - b).powi(2)),
             }
         },
     )

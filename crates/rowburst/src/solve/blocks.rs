@@ -46,9 +46,9 @@ pub struct Blocks {
 
 /// A diagonal block of `G` with its Cholesky factor at the last `ρ`.
 ///
-/// One square, column after column, holds both: `G` above its diagonal, which is kept
-/// apart, and the factor on and below it, with the inverse of its diagonal. Of a block that is given by columns the memory holds these and, behind
-/// them, `BᵀB` in the same way.
+/// One square, column after column, holds both: `G` above its diagonal, which is kept apart, and the factor below it;
+/// on the diagonal are the inverses of the factor's. Of a block that is given by columns the memory holds these and,
+/// behind them, `BᵀB` in the same way.
 struct Block {
     indices: Vec<usize>,
     memory: Vec<f64>,
@@ -252,7 +252,7 @@ fn forward(square: &[f64], size: usize, values: &mut [f64]) {
         if rest.is_empty() {
             break;
         }
-        let v: [f64; AT_ONCE] = std::array::from_fn(|j| solved[first + j]);
+        let v = &solved[first..];
         let [a, b, c, d] = below(square, size, first, rest);
         for i in 0..rest.len() {
             rest[i] -= (a[i] * v[0] + b[i] * v[1]) + (c[i] * v[2] + d[i] * v[3]);
@@ -391,12 +391,12 @@ mod tests {
     /// `(B Bᵀ + ρI) y = r` itself: over the spread of eigenvalues that a fit on a support has.
     #[test]
     fn few_columns_give_what_the_whole_block_gives() {
-        const ROWS: usize = 12;
+        const ROWS: usize = 27;
         let wave = |k: usize| (k as f64 * 1.7).sin() + 0.8;
         let of = |columns| Mat::from_fn(ROWS, columns, |i, j| wave(i * 5 + j * j + columns));
         let r: Vec<f32> = (0..ROWS).map(|i| wave(3 * i) as f32).collect();
         let mut blocks = Blocks::new(vec![(0..ROWS).collect()], ByColumns(vec![of(ROWS)]));
-        for columns in [9, 6, 0, 3, 7, 1] {
+        for columns in [22, 13, 0, 3, 14, 11, 1] {
             let source = ByColumns(vec![of(columns)]);
             blocks.refill(|_| true, source);
             assert_eq!(blocks.blocks[0].columns.is_some(), columns <= ROWS / 2);

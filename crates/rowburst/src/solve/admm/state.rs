@@ -271,9 +271,9 @@ impl State {
                 (true, false) => WIDE_STEADY,
                 (true, true) => WIDE_OPEN_STEADY,
             };
-            let iterations = self.iterations;
-            let is_due = !is_open
-                || (iterations >= WIDE_OPEN_FROM && iterations.is_multiple_of(WIDE_OPEN_EVERY));
+            let has_settled = self.ahead + self.iterations >= WIDE_OPEN_FROM;
+            let is_due =
+                !is_open || (has_settled && self.iterations.is_multiple_of(WIDE_OPEN_EVERY));
             if is_due && !(least..most).contains(&correction) {
                 self.rho = (self.rho * correction).clamp(self.lowest_rho, 1e7 * data.scale());
             }
