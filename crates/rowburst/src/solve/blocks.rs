@@ -252,7 +252,7 @@ fn forward(square: &[f64], size: usize, values: &mut [f64]) {
         if rest.is_empty() {
             break;
         }
-        let v = &solved[first..];
+        let v: [f64; AT_ONCE] = std::array::from_fn(|j| solved[first + j]);
         let [a, b, c, d] = below(square, size, first, rest);
         for i in 0..rest.len() {
             rest[i] -= (a[i] * v[0] + b[i] * v[1]) + (c[i] * v[2] + d[i] * v[3]);
