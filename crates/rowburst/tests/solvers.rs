@@ -35,9 +35,9 @@ const ALL: VariationWeights = VariationWeights {
 
 /// `A`, `b` and the blocks of `A Aᵀ`.
 struct Data {
-    operator: Box<dyn LinearOperator>,
+    operator: Box<dyn LinearOperator + Send>,
     measured: Vec<f32>,
-    gram: Blocks,
+    gram: Blocks<f64>,
     scale: f64,
     shape: Shape,
 }
@@ -170,7 +170,7 @@ impl DataTerm for Data {
         self.scale
     }
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        GramSolver::solve(&mut self.gram, r, rho, y, gram_y);
+        self.gram.solve_along(r, rho, y, gram_y);
         true
     }
     fn misfit_of_bins(&self, _: &[f32]) -> Vec<f64> {

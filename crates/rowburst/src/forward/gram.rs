@@ -17,7 +17,6 @@ use crate::{Psf, Support};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::mat::AsMatMut;
 use faer::reborrow::ReborrowMut;
-use faer::traits::ComplexField;
 use faer::{Accum, Mat, MatMut, Par};
 use realfft::RealFftPlanner;
 use rustfft::num_complex::Complex64;
@@ -25,14 +24,22 @@ use rustfft::num_complex::Complex64;
 /// Columns of `S_i` that are held at once.
 const COLUMNS_AT_ONCE: usize = 128;
 
-/// Columns of a sensor from which on the products of PSF columns are taken in f32, in half of the time. The sums that
-/// run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each element, 1e-6 in
-/// the norm of the block, where [`LEAST_RHO`] is ten times as much.
+/// Columns of a sensor from which on blocks are f32, and the products of PSF columns are taken in f32, in half of the
+/// time. The sums that run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each
+/// element, 1e-6 in the norm of the block, where [`LEAST_RHO`] is ten times as much.
 const SINGLE_FROM: usize = 1024;
 
 /// Smallest `ρ` over a diagonal element of the block, of such sensors and of others, whose f64 factors have no
 /// digits left below it.
 const LEAST_RHO: (f64, f64) = (1e-5, 1e-9);
+
+/// Bytes of an element of a block of a sensor of so many columns.
+pub(crate) fn element_bytes(columns: usize) -> usize {
+    match columns >= SINGLE_FROM {
+        true => size_of::<f32>(),
+        false => size_of::<f64>(),
+    }
+}
 
 impl RollingShutter {
     /// The upper triangle of `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
@@ -40,20 +47,20 @@ impl RollingShutter {
     ///
     /// Cost: about `(rows·columns)² · field_rows` multiply–adds, with the number of
     /// rows of this instant: in f32 on sensors from [`SINGLE_FROM`] columns on.
-    fn add_spatial_gram(&self, instant: usize, weight: f64, sum: MatMut<f64>) {
+    fn add_spatial_gram<S: Scalar>(&self, instant: usize, weight: f64, sum: MatMut<S>) {
         match self.layers.as_slice() {
             [
                 Layer {
                     psf, share: None, ..
                 },
             ] if self.geometry.columns >= SINGLE_FROM => {
-                self.add_shifted::<f32>(instant, psf, weight, sum);
+                self.add_shifted::<f32, S>(instant, psf, weight, sum);
             }
             [
                 Layer {
                     psf, share: None, ..
                 },
-            ] => self.add_shifted::<f64>(instant, psf, weight, sum),
+            ] => self.add_shifted::<f64, S>(instant, psf, weight, sum),
             _ => {
                 let pixels: Vec<usize> = (0..self.video.pixels()).collect();
                 self.add_gram_of(instant, &pixels, weight, sum);
@@ -62,12 +69,12 @@ impl RollingShutter {
     }
 
     /// The same for one PSF, with the products of the columns that enter and leave in `T`.
-    fn add_shifted<T: Scalar + ComplexField>(
+    fn add_shifted<T: Scalar, S: Scalar>(
         &self,
         instant: usize,
         psf: &Psf,
         weight: f64,
-        mut sum: MatMut<f64>,
+        mut sum: MatMut<S>,
     ) {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
@@ -118,7 +125,7 @@ impl RollingShutter {
                 let column = sum.rb_mut().col_mut(b * columns + x2);
                 let column = column.subrows_mut(a * columns, end);
                 let pairs = column.iter_mut().zip(&line);
-                pairs.for_each(|(sum, value)| *sum += weight * value);
+                pairs.for_each(|(sum, value)| *sum += S::nearest(weight * value));
             }
         }
     }
@@ -181,7 +188,7 @@ const WHOLE: BlockStructure = BlockStructure::Rectangular;
 const UPPER: BlockStructure = BlockStructure::TriangularUpper;
 
 /// The `part` of `to` plus or replaced by `weight · a bᵀ`.
-fn multiply<T: ComplexField>(
+fn multiply<T: Scalar>(
     to: impl AsMatMut<T = T, Rows = usize, Cols = usize>,
     part: BlockStructure,
     accum: Accum,
@@ -201,13 +208,18 @@ impl RollingShutter {
         }
     }
 
-    /// Adds to `sum` the diagonal block of `A P Aᵀ` of the rows of instant `i`, in f64,
+    /// Adds to `sum` the diagonal block of `A P Aᵀ` of the rows of instant `i`,
     /// with `P` the projection onto `support` (`None`: every voxel). Indices as in
     /// [`Self::indices_of`]. The block is symmetric: only what lies on and above its diagonal
     /// is written.
     ///
     /// The blocks are all of `A P Aᵀ` where no bin is seen by two instants.
-    pub fn add_gram_block(&self, instant: usize, support: Option<&Support>, mut sum: MatMut<f64>) {
+    pub fn add_gram_block<T: Scalar>(
+        &self,
+        instant: usize,
+        support: Option<&Support>,
+        mut sum: MatMut<T>,
+    ) {
         let run = &self.time.instants()[instant];
         let mut open_weight = 0.0;
         for (k, weight) in run.weights.iter().enumerate() {
@@ -225,7 +237,12 @@ impl RollingShutter {
 
     /// The columns of `A` that lead from the lit voxels of `support` to the rows of instant `i`: `B` with `B Bᵀ`
     /// the block of [`Self::add_gram_block`]. `None` where a bin is open, or there are more than `most`.
-    pub fn lit_columns(&self, instant: usize, support: &Support, most: usize) -> Option<Mat<f64>> {
+    pub fn lit_columns<T: Scalar>(
+        &self,
+        instant: usize,
+        support: &Support,
+        most: usize,
+    ) -> Option<Mat<T>> {
         let run = &self.time.instants()[instant];
         let bins = run.first_bin..run.first_bin + run.weights.len();
         let lit: Option<Vec<Vec<usize>>> = bins.map(|bin| support.pixels_of(bin)).collect();
@@ -235,13 +252,20 @@ impl RollingShutter {
         let weights = lit.iter().zip(&run.weights);
         let weights = weights.flat_map(|(lit, weight)| std::iter::repeat_n(*weight, lit.len()));
         for (mut column, weight) in columns.col_iter_mut().zip(weights) {
-            column *= faer::Scale(weight);
+            column *= faer::Scale(T::nearest(weight));
         }
         Some(columns)
     }
 
     /// The upper triangle of `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.
-    fn add_gram_of(&self, instant: usize, pixels: &[usize], weight: f64, mut sum: MatMut<f64>) {
+    fn add_gram_of<T: Scalar>(
+        &self,
+        instant: usize,
+        pixels: &[usize],
+        weight: f64,
+        mut sum: MatMut<T>,
+    ) {
+        let weight = T::nearest(weight);
         // A few columns at a time: those of a crowded bin are several videos' worth.
         for pixels in pixels.chunks(COLUMNS_AT_ONCE) {
             let a = self.columns_of(instant, pixels);
@@ -284,10 +308,10 @@ impl RollingShutter {
 
     /// The columns of `S_i` for some pixels of the field: shifted cut-outs of the PSF. Rows as
     /// in [`Self::indices_of`].
-    pub fn columns_of(&self, instant: usize, pixels: &[usize]) -> Mat<f64> {
+    pub fn columns_of<T: Scalar>(&self, instant: usize, pixels: &[usize]) -> Mat<T> {
         let g = &self.geometry;
         let rows = &self.rows_of[instant];
-        let mut columns = Mat::<f64>::zeros(rows.len() * g.columns, pixels.len());
+        let mut columns = Mat::<T>::zeros(rows.len() * g.columns, pixels.len());
         for (&pixel, column) in pixels.iter().zip(columns.col_iter_mut()) {
             let column = column.try_as_col_major_mut().expect("columns are whole");
             let column = column.as_slice_mut();
@@ -302,7 +326,7 @@ impl RollingShutter {
                 for (&row, line) in rows.iter().zip(lines) {
                     let values = layer.psf.row_from(g.row_displacement(row, y), first);
                     for (sum, value) in line[values.start..].iter_mut().zip(values.values) {
-                        *sum += f64::from(share) * f64::from(*value);
+                        *sum += T::from(share) * T::from(*value);
                     }
                 }
             }
@@ -366,8 +390,8 @@ pub(super) mod tests {
         let operator = RollingShutter::new(&camera, &psf);
         let side = operator.indices_of(1).len();
         let (mut single, mut double) = (Mat::zeros(side, side), Mat::zeros(side, side));
-        operator.add_shifted::<f32>(1, &psf, 1.0, single.as_mut());
-        operator.add_shifted::<f64>(1, &psf, 1.0, double.as_mut());
+        operator.add_shifted::<f32, f64>(1, &psf, 1.0, single.as_mut());
+        operator.add_shifted::<f64, f64>(1, &psf, 1.0, double.as_mut());
         let error = (&single - &double).norm_max() / double[(0, 0)];
         assert!(0.0 < error && error < 0.1 * LEAST_RHO.0, "{error}");
     }
@@ -408,7 +432,7 @@ pub(super) mod tests {
                 let expected = brute_force(&operator, support);
                 for instant in 0..operator.rows_of_instants().len() {
                     let indices = operator.indices_of(instant);
-                    let mut gram = Mat::zeros(indices.len(), indices.len());
+                    let mut gram = Mat::<f64>::zeros(indices.len(), indices.len());
                     operator.add_gram_block(instant, support, gram.as_mut());
                     for (i, &row) in indices.iter().enumerate() {
                         if support.is_none() {

@@ -13,7 +13,7 @@
 //! instant's light and keeps the rows that are read then.
 
 mod engine;
-mod gram;
+pub(crate) mod gram;
 mod planar;
 mod rowwise;
 #[cfg(test)]

@@ -157,7 +157,7 @@ fn blocks_of_patches_agree_with_operator_calls() {
             let gram = gram_by_calls(&operator, support);
             for instant in 0..operator.rows_of_instants().len() {
                 let indices = operator.indices_of(instant);
-                let mut block = Mat::zeros(indices.len(), indices.len());
+                let mut block = Mat::<f64>::zeros(indices.len(), indices.len());
                 operator.add_gram_block(instant, support, block.as_mut());
                 for (i, &row) in indices.iter().enumerate() {
                     if support.is_none() {

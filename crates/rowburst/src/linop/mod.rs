@@ -22,11 +22,20 @@ pub use weighted::Weighted;
 
 use crate::vecmath::Lanes;
 use rayon::prelude::*;
-use std::ops::{AddAssign, MulAssign};
+use std::ops::{AddAssign, MulAssign, SubAssign};
 use std::sync::Arc;
 
 /// What an operator computes in: `f32`, or `f64` where a caller asks for its precision.
-pub trait Scalar: realfft::FftNum + Lanes + AddAssign + MulAssign + From<f32> + Into<f64> {
+pub trait Scalar:
+    realfft::FftNum
+    + faer::traits::RealField
+    + Lanes
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + From<f32>
+    + Into<f64>
+{
     /// The nearest number to `value`.
     fn nearest(value: f64) -> Self;
 }

@@ -21,7 +21,7 @@ pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 
 use crate::Support;
-use crate::vecmath::{pieces, simd, sum_of_lanes};
+use crate::vecmath::{pieces, simd};
 use rayon::prelude::*;
 use std::ops::{AddAssign, Range};
 
@@ -92,19 +92,43 @@ pub trait Prox: Send {
 
 /// `q −= z`.
 fn subtract(q: &mut [f32], z: &[f32], last: &[f32]) -> Moved {
+    /// Elements of which sums are f32, in so many lanes.
+    const PART: usize = 256;
+    const LANES: usize = 16;
+    let mut moved = Moved::default();
+    let parts = q
+        .chunks_mut(PART)
+        .zip(z.chunks(PART))
+        .zip(last.chunks(PART));
     simd(
         #[inline(always)]
         || {
-            // The places are at hand: three short loops rather than one that no vector fits.
-            for (q, z) in q.iter_mut().zip(z) {
-                *q -= z;
-            }
-            Moved {
-                size: sum_of_lanes(z, z, |a, b| f64::from(a) * f64::from(b)),
-                distance: sum_of_lanes(z, last, |a, b| f64::from(a - b).powi(2)),
+            for ((q, z), last) in parts {
+                let (mut size, mut distance) = ([0.0f32; LANES], [0.0f32; LANES]);
+                let (q, q_rest) = q.as_chunks_mut::<LANES>();
+                let (z, z_rest) = z.as_chunks::<LANES>();
+                let (last, last_rest) = last.as_chunks::<LANES>();
+                for ((q, z), last) in q.iter_mut().zip(z).zip(last) {
+                    for i in 0..LANES {
+                        q[i] -= z[i];
+                        size[i] += z[i] * z[i];
+                        distance[i] += (z[i] - last[i]) * (z[i] - last[i]);
+                    }
+                }
+                for ((q, z), last) in q_rest.iter_mut().zip(z_rest).zip(last_rest) {
+                    *q -= z;
+                    size[0] += z * z;
+                    distance[0] += (z - last) * (z - last);
+                }
+                let sum = |lanes: [f32; LANES]| lanes.iter().map(|s| f64::from(*s)).sum::<f64>();
+                moved += Moved {
+                    size: sum(size),
+                    distance: sum(distance),
+                };
             }
         },
-    )
+    );
+    moved
 }
 
 #[cfg(test)]

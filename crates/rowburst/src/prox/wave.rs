@@ -141,10 +141,13 @@ impl Wave {
         duals: &mut [Vec<f32>; 3],
         levels: &impl Levels,
     ) -> Moved {
-        let reach = if self.is_coupled { self.steps } else { 0 };
-        let blocks = 2 * rayon::current_num_threads();
         let bins = self.shape.bins;
-        let blocks = blocks.min(bins / (2 * reach + 2)).max(1);
+        let blocks = match self.is_coupled {
+            true => (2 * rayon::current_num_threads()).min(bins / (2 * self.steps + 2)),
+            // Some may take far longer than others, which are dark.
+            false => bins,
+        };
+        let blocks = blocks.max(1);
         let borders: Vec<usize> = (0..=blocks).map(|i| i * bins / blocks).collect();
         let slabs = self.slabs(&borders, &mut q, z, duals, true);
         let done = slabs.into_par_iter().flat_map_iter(|mut slab| {

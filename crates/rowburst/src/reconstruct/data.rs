@@ -4,13 +4,13 @@ use super::held_out::HeldOut;
 use super::model::Model;
 use crate::camera::CameraParams;
 use crate::linop::{
-    LinearOperator, SecondPart, TwoParts, Weighted, WritePart, sum_of_bins, write_parts,
+    LinearOperator, Scalar, SecondPart, TwoParts, Weighted, WritePart, sum_of_bins, write_parts,
 };
 use crate::measurement::{Measurement, NoiseLaw};
 use crate::solve::blocks::{BlockSource, Blocks};
 use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
-use crate::solve::{DataTerm, GramSolver};
+use crate::solve::{DataTerm, GramSolver, without};
 use crate::{Camera, RollingShutter, Shape, Shutter, Support};
 use faer::reborrow::ReborrowMut;
 use faer::{Mat, MatMut};
@@ -21,6 +21,9 @@ const WIDE: usize = 1024;
 
 /// Smallest `ρ` over the typical size of a diagonal element of `A Aᵀ` where no block limits it.
 const LEAST_RHO: f64 = 1e-9;
+
+/// Where `ρ` is smaller the blocks are f64: the rounding of f32 blocks and factors is near 1e-6 of the diagonal in norm.
+const LEAST_RHO_SINGLE: f64 = 1e-5;
 
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
@@ -46,10 +49,89 @@ pub(super) struct FrameData {
 
 enum Gram {
     /// No bin is seen by two instants: the blocks are all there is.
-    Exact(Blocks),
+    Exact(Precision),
     /// The same, and a part that all bins share.
-    Bordered(Blocks, Bordered),
+    Bordered(Precision, Bordered),
     Iterative(ConjugateGradient),
+}
+
+impl Gram {
+    /// Leaves nothing behind.
+    fn take(&mut self) -> Self {
+        let nothing = |_: usize, _: MatMut<f32>| {};
+        let empty = Precision::single(Blocks::new(Vec::new(), nothing));
+        std::mem::replace(self, Self::Exact(empty))
+    }
+}
+
+/// The blocks, in f32 as long as `ρ` stands above its rounding.
+enum Precision {
+    Single(Blocks<f32>, Option<Last>),
+    Double(Blocks<f64>),
+}
+
+/// `(G + ρI) y = r` of the last step.
+struct Last {
+    rho: f64,
+    r: Vec<f32>,
+    y: Vec<f32>,
+}
+
+impl Precision {
+    fn single(blocks: Blocks<f32>) -> Self {
+        Self::Single(blocks, None)
+    }
+
+    fn refill(&mut self, has_changed: impl Fn(usize) -> bool + Sync, source: GramOf) {
+        match self {
+            Self::Single(blocks, last) => {
+                *last = None;
+                blocks.refill(has_changed, source);
+            }
+            Self::Double(blocks) => blocks.refill(has_changed, source),
+        }
+    }
+
+    /// With other weights, or another second part.
+    fn renew(&mut self, source: GramOf) {
+        match self {
+            Self::Single(blocks, last) => {
+                *last = None;
+                blocks.renew(source);
+            }
+            Self::Double(blocks) => blocks.renew(source),
+        }
+    }
+
+    fn solver(&mut self) -> &mut dyn GramSolver {
+        match self {
+            Self::Single(blocks, _) => blocks,
+            Self::Double(blocks) => blocks,
+        }
+    }
+
+    /// A step of an iteration, in which `r` changes less and less. In f32 the change is solved for, so
+    /// that rounding fades with it: with a defect `d` of the first step, all later ones are as if `r` were
+    /// `r + d`, and an iteration that adds up `gram_y = r − ρy` comes to `d` along with them.
+    fn follow(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+        let Self::Single(blocks, last) = self else {
+            return self.solver().solve_along(r, rho, y, gram_y);
+        };
+        match last.take().filter(|last| last.rho == rho) {
+            Some(last) => {
+                let change: Vec<f32> = r.iter().zip(&last.r).map(|(r, last)| r - last).collect();
+                blocks.solve(&change, rho, y);
+                y.iter_mut().zip(&last.y).for_each(|(y, last)| *y += last);
+            }
+            None => blocks.solve(r, rho, y),
+        }
+        without(r, rho, y, gram_y);
+        *last = Some(Last {
+            rho,
+            r: r.to_vec(),
+            y: y.to_vec(),
+        });
+    }
 }
 
 impl FrameData {
@@ -59,10 +141,16 @@ impl FrameData {
         let weights = measurement.weights().map(<[f32]>::to_vec);
         let operator = Arc::new(Weighted::new(Arc::clone(shutter), weights.clone()));
         let second = SecondPart::None;
-        let gram = match blocks(model, &operator, (None, second)) {
-            Some(blocks) if shutter.time().is_disjoint() => Gram::Exact(blocks),
-            blocks => {
-                let preconditioner = preconditioner(&operator, blocks, model.scale());
+        let all = GramOf {
+            model,
+            operator: &operator,
+            lit: (None, second),
+        };
+        let is_exact = shutter.time().is_disjoint();
+        let gram = match is_exact.then(|| all.blocks()).flatten() {
+            Some(blocks) => Gram::Exact(Precision::single(blocks)),
+            None => {
+                let preconditioner = all.preconditioner();
                 Gram::Iterative(ConjugateGradient::new(preconditioner, frame.len()))
             }
         };
@@ -136,8 +224,7 @@ impl FrameData {
             self.planes =
                 whole.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
         }
-        let empty = Gram::Exact(Blocks::default());
-        self.gram = match std::mem::replace(&mut self.gram, empty) {
+        self.gram = match self.gram.take() {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) if is_still => {
                 Gram::Bordered(blocks, Bordered::default())
             }
@@ -213,25 +300,39 @@ impl FrameData {
         self.operator = Arc::new(Weighted::new(Arc::clone(self.model.shutter()), weights));
         self.parts = TwoParts::new(Arc::clone(&self.operator), self.shape(), self.second);
         self.weigh_frame();
-        let (model, operator) = (&self.model, &self.operator);
-        let lit = (self.support.as_ref(), self.second);
+        let source = GramOf {
+            model: &self.model,
+            operator: &self.operator,
+            lit: (self.support.as_ref(), self.second),
+        };
         match &mut self.gram {
-            Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
-                blocks.refill(
-                    |_| true,
-                    GramOf {
-                        model,
-                        operator,
-                        lit,
-                    },
-                );
-            }
+            Gram::Exact(blocks) | Gram::Bordered(blocks, _) => blocks.renew(source),
             Gram::Iterative(solver) => {
-                let blocks = blocks(model, operator, lit);
-                let preconditioner = preconditioner(operator, blocks, model.scale());
-                solver.restart(lit.0, preconditioner);
+                solver.restart(self.support.as_ref(), source.preconditioner());
             }
         }
+    }
+
+    /// From now on the blocks are f64.
+    pub fn work_in_double(&mut self) {
+        let is_single = matches!(
+            self.gram,
+            Gram::Exact(Precision::Single(..)) | Gram::Bordered(Precision::Single(..), _)
+        );
+        if !is_single {
+            return;
+        }
+        let gram = self.gram.take();
+        let source = GramOf {
+            model: &self.model,
+            operator: &self.operator,
+            lit: (self.support.as_ref(), self.second),
+        };
+        let blocks = Precision::Double(source.blocks().expect("they were there in f32"));
+        self.gram = match gram {
+            Gram::Bordered(_, bordered) => Gram::Bordered(blocks, bordered),
+            _ => Gram::Exact(blocks),
+        };
     }
 
     fn weigh_frame(&mut self) {
@@ -242,21 +343,6 @@ impl FrameData {
             pixels.for_each(|(b, w)| *b *= w);
             self.informative = weights.iter().filter(|w| **w > 0.0).count();
         }
-    }
-}
-
-/// Blocks where there are some, else what suits whole planes.
-fn preconditioner(
-    operator: &Arc<Weighted<Arc<RollingShutter>>>,
-    blocks: Option<Blocks>,
-    scale: f64,
-) -> Box<dyn Preconditioner> {
-    match blocks {
-        Some(blocks) => Box::new(BlockPreconditioner(blocks)),
-        None => Box::new(PlanePreconditioner {
-            shutter: Arc::clone(operator.inner()),
-            scale,
-        }),
     }
 }
 
@@ -290,9 +376,12 @@ impl DataTerm for FrameData {
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
+        if rho < LEAST_RHO_SINGLE * self.scale() {
+            self.work_in_double();
+        }
         match &mut self.gram {
             Gram::Exact(blocks) => {
-                GramSolver::solve(blocks, r, rho, y, gram_y);
+                blocks.follow(r, rho, y, gram_y);
                 true
             }
             Gram::Bordered(blocks, bordered) => {
@@ -302,7 +391,9 @@ impl DataTerm for FrameData {
                     let divided = planes.and_then(|p| p.circulant_inverse(g, rho / h));
                     divided.unwrap_or_else(|| g.to_vec())
                 };
-                bordered.solve(blocks, &border, &inverse, (r, rho), y, gram_y)
+                let blocks = blocks.solver();
+                let mut blocks = |r: &[f32], y: &mut [f32]| blocks.solve(r, rho, y);
+                bordered.solve(&mut blocks, &border, &inverse, (r, rho), y, gram_y)
             }
             Gram::Iterative(solver) => {
                 let operator: &dyn LinearOperator = match self.second {
@@ -356,11 +447,14 @@ impl DataTerm for FrameData {
 
     fn restrict(&mut self, support: &Support) {
         let before = self.support.replace(support.clone());
-        let (model, operator) = (&self.model, &self.operator);
+        let source = GramOf {
+            model: &self.model,
+            operator: &self.operator,
+            lit: (Some(support), self.second),
+        };
         match &mut self.gram {
             Gram::Exact(blocks) | Gram::Bordered(blocks, _) => {
-                let lit = (Some(support), self.second);
-                let instants = model.shutter().time().instants();
+                let instants = self.model.shutter().time().instants();
                 let has_changed = |i: usize| {
                     let run = &instants[i];
                     let bins = run.first_bin..run.first_bin + run.weights.len();
@@ -368,17 +462,10 @@ impl DataTerm for FrameData {
                         .as_ref()
                         .is_none_or(|b| !support.agrees_with(b, bins))
                 };
-                blocks.refill(
-                    has_changed,
-                    GramOf {
-                        model,
-                        operator,
-                        lit,
-                    },
-                );
+                blocks.refill(has_changed, source);
             }
             Gram::Iterative(solver) => {
-                let blocks = blocks(model, operator, (Some(support), self.second));
+                let blocks = source.blocks();
                 let preconditioner =
                     blocks.map(|b| Box::new(BlockPreconditioner(b)) as Box<dyn Preconditioner>);
                 solver.restrict(support, preconditioner);
@@ -457,34 +544,54 @@ impl LinearOperator for Border<'_> {
 /// What may be lit: the support of the first part, and the second part.
 type Lit<'a> = (Option<&'a Support>, SecondPart);
 
-/// The diagonal blocks of `W A P Aᵀ W`, one for each instant; `None` if they are too large.
-fn blocks(model: &Model, operator: &Weighted<Arc<RollingShutter>>, lit: Lit) -> Option<Blocks> {
-    model.gram_bytes()?;
-    let shutter = operator.inner();
-    let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
-    Some(Blocks::new(
-        indices.collect(),
-        GramOf {
-            model,
-            operator,
-            lit,
-        },
-    ))
-}
-
 /// The blocks of `W A P Aᵀ W`.
+#[derive(Clone, Copy)]
 struct GramOf<'a> {
     model: &'a Model,
-    operator: &'a Weighted<Arc<RollingShutter>>,
+    operator: &'a Arc<Weighted<Arc<RollingShutter>>>,
     lit: Lit<'a>,
 }
 
-impl BlockSource for GramOf<'_> {
-    fn fill(&self, instant: usize, mut sum: MatMut<f64>) {
+impl GramOf<'_> {
+    /// One for each instant; `None` if they are too large.
+    fn blocks<T: Scalar>(self) -> Option<Blocks<T>> {
+        self.model.gram_bytes()?;
+        let shutter = self.operator.inner();
+        let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
+        Some(Blocks::new(indices.collect(), self))
+    }
+
+    /// Whether the support leaves all bins of an instant open.
+    fn leaves_open(&self, instant: usize) -> bool {
+        let run = &self.model.shutter().time().instants()[instant];
+        let mut bins = run.first_bin..run.first_bin + run.weights.len();
+        let (support, _) = self.lit;
+        support.is_none_or(|s| bins.all(|bin| s.pixels_of(bin).is_none()))
+    }
+
+    /// Blocks where there are some, else what suits whole planes.
+    fn preconditioner(self) -> Box<dyn Preconditioner> {
+        let plane = PlanePreconditioner {
+            shutter: Arc::clone(self.operator.inner()),
+            scale: self.model.scale(),
+        };
+        match self.blocks() {
+            Some(blocks) => Box::new(BlockPreconditioner(blocks)),
+            None => Box::new(plane),
+        }
+    }
+}
+
+impl<T: Scalar> BlockSource<T> for GramOf<'_> {
+    fn fill(&self, instant: usize, mut sum: MatMut<T>) {
         let (support, second) = self.lit;
         let shutter = self.operator.inner();
-        match self.model.kept_block(instant, support, second) {
-            Some(block) => sum.copy_from(block),
+        let is_kept = self.leaves_open(instant) && second != SecondPart::Video;
+        match self.model.kept_block(instant).filter(|_| is_kept) {
+            Some(block) => {
+                faer::zip!(sum.rb_mut(), block)
+                    .for_each(|faer::unzip!(to, from)| *to = T::nearest(*from));
+            }
             None => {
                 shutter.add_gram_block(instant, support, sum.rb_mut());
                 if second == SecondPart::Video {
@@ -496,31 +603,36 @@ impl BlockSource for GramOf<'_> {
             let indices = shutter.indices_of(instant);
             for (j, &column) in indices.iter().enumerate() {
                 for (i, &row) in indices.iter().enumerate() {
-                    sum[(i, j)] *= f64::from(weights[row]) * f64::from(weights[column]);
+                    sum[(i, j)] *= T::from(weights[row]) * T::from(weights[column]);
                 }
             }
         }
     }
 
-    fn columns(&self, instant: usize, most: usize) -> Option<Mat<f64>> {
+    fn is_whole(&self, instant: usize) -> bool {
+        self.leaves_open(instant)
+    }
+
+    fn columns(&self, instant: usize, most: usize) -> Option<Mat<T>> {
         let (support, second) = self.lit;
         if second == SecondPart::Video {
             return None;
         }
         let shutter = self.operator.inner();
-        let mut columns = shutter.lit_columns(instant, support?, most)?;
+        let mut columns = shutter.lit_columns::<T>(instant, support?, most)?;
         if let Some(weights) = self.operator.weights() {
             let indices = shutter.indices_of(instant);
             for column in columns.col_iter_mut() {
                 let values = column.iter_mut().zip(&indices);
-                values.for_each(|(value, &i)| *value *= f64::from(weights[i]));
+                values.for_each(|(value, &i)| *value *= T::from(weights[i]));
             }
         }
         Some(columns)
     }
 }
 
-struct BlockPreconditioner(Blocks);
+/// In f64: here `ρ` may be small.
+struct BlockPreconditioner(Blocks<f64>);
 
 impl Preconditioner for BlockPreconditioner {
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]) {

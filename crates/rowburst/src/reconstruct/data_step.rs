@@ -28,9 +28,9 @@ pub struct DataStep {
 impl DataStep {
     /// The data term of `measurement`. Cost: the set-up of a reconstruction.
     pub fn new(model: &Model, measurement: &Measurement) -> Self {
-        Self {
-            data: FrameData::new(model, measurement),
-        }
+        let mut data = FrameData::new(model, measurement);
+        data.work_in_double();
+        Self { data }
     }
 
     /// Length of a video.

@@ -1,8 +1,8 @@
 //! What all frames of one experiment share.
 
 use crate::forward::RollingShutter;
-use crate::linop::SecondPart;
-use crate::{Camera, PatchSet, Support};
+use crate::forward::gram::element_bytes;
+use crate::{Camera, PatchSet};
 use faer::Mat;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -89,29 +89,21 @@ impl Model {
         self.scale
     }
 
-    /// Memory of the blocks of `A Aᵀ`, which each frame at work has for itself; `None` where
+    /// Memory of the blocks of `A Aᵀ`, which each frame at work has for itself at most; `None` where
     /// they are too large to be built.
     pub fn gram_bytes(&self) -> Option<usize> {
         let (_, columns) = self.shutter.frame_shape();
         let rows = self.shutter.rows_of_instants().iter();
         let sizes = || rows.clone().map(|rows| rows.len() * columns);
-        let bytes: usize = sizes().map(|size| 8 * size * size).sum();
+        let bytes: usize = sizes()
+            .map(|size| element_bytes(columns) * size * size)
+            .sum();
         let is_small = sizes().all(|size| size <= LARGEST_BLOCK) && bytes <= MOST_BYTES;
         is_small.then_some(bytes)
     }
 
-    /// The block of `A P Aᵀ` of an instant, where it was kept: with `P` the identity, or a
-    /// support that leaves all of the instant's bins open, and no second part that adds to it.
-    pub(super) fn kept_block(
-        &self,
-        instant: usize,
-        support: Option<&Support>,
-        second: SecondPart,
-    ) -> Option<&Mat<f64>> {
-        let kept = self.gram.as_ref()?.get(instant)?;
-        let run = &self.shutter.time().instants()[instant];
-        let mut bins = run.first_bin..run.first_bin + run.weights.len();
-        let is_open = support.is_none_or(|s| bins.all(|bin| s.pixels_of(bin).is_none()));
-        (is_open && second != SecondPart::Video).then_some(kept)
+    /// The block of `A Aᵀ` of an instant, where it was kept.
+    pub(super) fn kept_block(&self, instant: usize) -> Option<&Mat<f64>> {
+        self.gram.as_ref()?.get(instant)
     }
 }

@@ -13,6 +13,7 @@
 
 use super::sigma::Bands;
 use super::{Model, Prior, Problem, Recipe, Reconstruction, SigmaSource, noise_of};
+use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
@@ -20,8 +21,10 @@ use crate::{Camera, Error, PatchSet, Result};
 use std::ops::{ControlFlow, Range};
 
 /// Memory that a part may take where its size is left open, in bytes: of 2048×2048 pixels with two
-/// rows an instant 13 bins, and the process stays below 6 GiB.
+/// rows an instant 16 bins, and the process stays below 6 GiB.
 const BYTES: usize = 3 << 30;
+/// Bins of a part are a multiple of this where there are as many: threads share them evenly.
+const EVEN: usize = 8;
 /// Copies of a part's video that its reconstruction holds.
 const COPIES: usize = 6;
 
@@ -113,8 +116,14 @@ impl InParts {
         let instants = self.camera.time().instants().len();
         let per_row = self.camera.params().bins_per_row;
         let block = (self.camera.rows().div_ceil(instants) * self.camera.columns()).pow(2);
-        let bytes = COPIES * size_of::<f32>() * shape.pixels() * per_row + size_of::<f64>() * block;
-        let each = each.unwrap_or(per_row * (BYTES / bytes).max(1));
+        let element = element_bytes(self.camera.columns());
+        let bytes = COPIES * size_of::<f32>() * shape.pixels() * per_row + element * block;
+        let fitting = (BYTES / bytes).max(1);
+        let even = match fitting > EVEN {
+            true => fitting - fitting % EVEN,
+            false => fitting,
+        };
+        let each = each.unwrap_or(per_row * even);
         let each = each.next_multiple_of(per_row);
         (0..bins)
             .step_by(each)

@@ -1,7 +1,7 @@
 //! `(G + C Cᵀ + ρI) y = r` where `G` has small blocks and `C` joins them all: a part of the
 //! unknowns that every measurement sees, such as a background that stands still.
 //!
-//! With `H = (G + ρI)⁻¹`, which the blocks give exactly, `δ = Cᵀ y` is the solution of
+//! With `H = (G + ρI)⁻¹`, which the blocks' factors give, `δ = Cᵀ y` is the solution of
 //!
 //! ```text
 //! (I + Cᵀ H C) δ = Cᵀ H r,     y = H (r − C δ)
@@ -11,7 +11,6 @@
 //! preconditioned conjugate gradients from the last `δ`. Its residual `g = Cᵀ y − δ` leaves
 //! `C g` of the whole system.
 
-use super::blocks::Blocks;
 use crate::linop::LinearOperator;
 use crate::vecmath::{dot, norm};
 
@@ -36,11 +35,11 @@ pub struct Bordered {
 }
 
 impl Bordered {
-    /// Overwrites `y`, and `gram_y` with `(G + C Cᵀ) y`, exact for the `y` returned; whether
+    /// `blocks(r, y)` is `y = H r`. Overwrites `y`, and `gram_y` with `(G + C Cᵀ) y`, exact for the `y` returned; whether
     /// `y` is as good as it should be.
     pub fn solve(
         &mut self,
-        blocks: &mut Blocks,
+        blocks: &mut dyn FnMut(&[f32], &mut [f32]),
         border: &dyn LinearOperator,
         inverse: Inverse,
         (r, rho): (&[f32], f64),
@@ -53,7 +52,7 @@ impl Bordered {
         let mut light = vec![0.0f32; m];
         border.apply(&self.delta, &mut light);
         let rest: Vec<f32> = r.iter().zip(&light).map(|(r, l)| r - l).collect();
-        blocks.solve(&rest, rho, y);
+        blocks(&rest, y);
         let mut g = vec![0.0f32; n];
         border.adjoint(y, &mut g);
         g.iter_mut().zip(&self.delta).for_each(|(g, d)| *g -= d);
@@ -74,7 +73,7 @@ impl Bordered {
                 }
             }
             border.apply(&direction, &mut seen);
-            blocks.solve(&seen, rho, &mut answer);
+            blocks(&seen, &mut answer);
             border.adjoint(&answer, &mut pull);
             let curvature = dot(&direction, &direction) + dot(&direction, &pull);
             let step = (slope / curvature) as f32;
@@ -110,6 +109,8 @@ impl Bordered {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::solve::GramSolver;
+    use crate::solve::blocks::Blocks;
     use rand::{RngExt, SeedableRng};
 
     struct Dense(Vec<Vec<f32>>);
@@ -152,6 +153,7 @@ mod tests {
         let plain = |g: &[f32], _: f64, _: f64| g.to_vec();
         let (mut y, mut gram_y) = (vec![f32::NAN; m], vec![f32::NAN; m]);
         let rho = 0.1;
+        let mut blocks = |r: &[f32], y: &mut [f32]| blocks.solve(r, rho, y);
         assert!(solver.solve(&mut blocks, &border, &plain, (&r, rho), &mut y, &mut gram_y));
         let mut pull = vec![0.0; 3];
         border.adjoint(&y, &mut pull);

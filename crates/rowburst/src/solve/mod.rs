@@ -45,12 +45,25 @@ impl StopReason {
 
 /// Solves `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
 pub trait GramSolver: Send {
-    /// Overwrites `y`, and `gram_y` with `A P Aᵀ y`.
-    fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]);
+    /// Overwrites `y`.
+    fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]);
+
+    /// The same, and `gram_y` with `A P Aᵀ y`.
+    fn solve_along(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+        self.solve(r, rho, y);
+        without(r, rho, y, gram_y);
+    }
+}
+
+/// `gram_y = r − ρy`.
+pub(crate) fn without(r: &[f32], rho: f64, y: &[f32], gram_y: &mut [f32]) {
+    for ((g, &r), &y) in gram_y.iter_mut().zip(r).zip(y) {
+        *g = (f64::from(r) - rho * f64::from(y)) as f32;
+    }
 }
 
 /// The data term `½‖b − A v‖²` as a solver sees it.
-pub trait DataTerm {
+pub trait DataTerm: Send {
     /// `A`.
     fn operator(&self) -> &dyn LinearOperator;
 
@@ -68,7 +81,7 @@ pub trait DataTerm {
         0.0
     }
 
-    /// See [`GramSolver::solve`]. Returns whether `y` is as good as it was asked to be.
+    /// See [`GramSolver::solve_along`]. Returns whether `y` is as good as it was asked to be.
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool;
 
     /// Root mean square of `residual` over the measurements that see each bin.

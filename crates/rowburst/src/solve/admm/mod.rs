@@ -197,11 +197,14 @@ impl Admm {
     ) -> StopReason {
         let (state, params) = (&mut self.state, &self.params);
         for k in state.iterations + 1..=until {
-            if k > 1 {
-                state.adapt(data, prior, params);
-            }
-            state.data_step(data, params);
-            let change = state.prior_step(data, prior);
+            // On a thread of the pool: else each parallel loop would wake one and wait for it.
+            let change = rayon::scope(|_| {
+                if k > 1 {
+                    state.adapt(data, prior, params);
+                }
+                state.data_step(data, params);
+                state.prior_step(data, prior)
+            });
             state.iterations = k;
             if k % CERTIFY_EVERY == 1 {
                 self.objective = state.objective(data, prior);
