@@ -62,7 +62,23 @@ pub(super) enum Engine<T: Scalar> {
 /// Work space of one thread.
 pub(super) enum Scratch<T> {
     Rowwise(super::rowwise::Scratch<T>),
-    Planar(super::planar::Scratch<T>),
+    /// With the light of a field.
+    Planar(super::planar::Scratch<T>, Vec<T>),
+}
+
+/// The light of a field, and the rows of the sensor that read it: `values[i, x]` is row `rows[i]` of the convolved
+/// light.
+pub(super) struct Reading<'a, T> {
+    pub light: &'a [T],
+    pub rows: &'a [usize],
+    pub values: &'a mut [T],
+}
+
+/// The adjoint: what `values` of some rows send back to a field. Rows of it that are dark in `mask` are not wanted.
+pub(super) struct Spreading<'a, T> {
+    pub values: &'a [T],
+    pub rows: &'a [usize],
+    pub mask: Option<&'a [u8]>,
 }
 
 impl<T: Scalar> Engine<T> {
@@ -83,34 +99,48 @@ impl<T: Scalar> Engine<T> {
     pub fn scratch(&self) -> Scratch<T> {
         match self {
             Self::Rowwise(engine) => Scratch::Rowwise(engine.scratch()),
-            Self::Planar(engine) => Scratch::Planar(engine.scratch()),
+            Self::Planar(engine) => Scratch::Planar(engine.scratch(), Vec::new()),
         }
     }
 
-    /// `values[i, x]`: row `rows[i]` of the convolved light of a field.
-    pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
+    /// Bytes that each field is multiplied by nearly the same of.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Rowwise(engine) => engine.bytes(),
+            Self::Planar(_) => 0,
+        }
+    }
+
+    /// Writes the values of all `fields`.
+    pub fn read(&self, fields: &mut [Reading<T>], scratch: &mut Scratch<T>) {
         match (self, scratch) {
-            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.read(light, rows, values, s),
-            (Self::Planar(engine), Scratch::Planar(s)) => engine.read(light, rows, values, s),
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.read(fields, s),
+            (Self::Planar(engine), Scratch::Planar(s, _)) => {
+                for field in fields {
+                    engine.read(field.light, field.rows, field.values, s);
+                }
+            }
             _ => unreachable!("scratch comes from the same engine"),
         }
     }
 
-    /// The adjoint of [`Self::read`]; overwrites `light`. Rows that are dark in `mask` may be
-    /// anything.
+    /// The adjoint of [`Self::read`]. Calls `write(field, start, light)` for pieces of the light of each field, in
+    /// whole rows from pixel `start` on, until all that is wanted was written.
     pub fn spread(
         &self,
-        values: &[T],
-        rows: &[usize],
-        mask: Option<&[u8]>,
-        light: &mut [T],
+        fields: &[Spreading<T>],
         scratch: &mut Scratch<T>,
+        mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
         match (self, scratch) {
-            (Self::Rowwise(engine), Scratch::Rowwise(s)) => {
-                engine.spread(values, rows, mask, light, s);
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.spread(fields, s, write),
+            (Self::Planar(engine), Scratch::Planar(s, light)) => {
+                light.resize(engine.field_pixels(), T::zero());
+                for (i, field) in fields.iter().enumerate() {
+                    engine.spread(field.values, field.rows, light, s);
+                    write(i, 0, light);
+                }
             }
-            (Self::Planar(engine), Scratch::Planar(s)) => engine.spread(values, rows, light, s),
             _ => unreachable!("scratch comes from the same engine"),
         }
     }

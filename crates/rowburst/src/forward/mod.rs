@@ -21,7 +21,7 @@ mod tests;
 
 use crate::linop::{LinearOperator, Scalar, WritePart, write_parts};
 use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
-use engine::{Engine, Geometry};
+use engine::{Engine, Geometry, Reading, Spreading};
 use planar::Planar;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -75,8 +75,10 @@ impl RollingShutter {
     /// # Panics
     /// If a length does not match.
     pub fn adjoint_on(&self, frame: &[f32], support: &Support, video: &mut [f32]) {
-        self.adjoint_of(frame, Some(support), video);
-        support.apply(video);
+        let copy = |_: usize, part: &[f32], video: &mut [f32]| video.copy_from_slice(part);
+        let bins = video.par_chunks_mut(self.video.pixels());
+        bins.for_each(|bin| bin.fill(0.0));
+        self.adjoint_each(frame, Some(support), video, &copy);
     }
 }
 
@@ -160,8 +162,22 @@ impl<T: Scalar> RollingShutter<T> {
         }
     }
 
-    /// `values[i, x]`: row `rows[i]` of the convolved light of a field.
-    fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
+    /// Instants that a thread works on together, so that they share what is read of the PSF's spectra where a cache does
+    /// not hold all of them.
+    fn at_once(&self) -> usize {
+        /// Bytes of a cache that a thread has for itself.
+        const CACHE: usize = 1 << 20;
+        const MOST: usize = 8;
+        match self.layers.as_slice() {
+            [layer] if layer.engine.bytes() > CACHE => {
+                (self.rows_of.len() / rayon::current_num_threads()).clamp(1, MOST)
+            }
+            _ => 1,
+        }
+    }
+
+    /// Writes the values of all `fields`.
+    fn read(&self, fields: &mut [Reading<T>], scratch: &mut Scratch<T>) {
         if let [
             Layer {
                 share: None,
@@ -170,37 +186,36 @@ impl<T: Scalar> RollingShutter<T> {
             },
         ] = self.layers.as_slice()
         {
-            return engine.read(light, rows, values, &mut scratch.engine);
+            return engine.read(fields, &mut scratch.engine);
         }
-        values.fill(T::zero());
-        scratch.values.resize(values.len(), T::zero());
-        for layer in &self.layers {
-            match &layer.share {
-                None => scratch.light.copy_from_slice(light),
-                Some(share) => {
-                    let shared = scratch.light.iter_mut().zip(light).zip(share);
-                    shared.for_each(|((s, &v), &a)| *s = v * T::from(a));
+        for field in fields {
+            field.values.fill(T::zero());
+            scratch.values.resize(field.values.len(), T::zero());
+            for layer in &self.layers {
+                match &layer.share {
+                    None => scratch.light.copy_from_slice(field.light),
+                    Some(share) => {
+                        let shared = scratch.light.iter_mut().zip(field.light).zip(share);
+                        shared.for_each(|((s, &v), &a)| *s = v * T::from(a));
+                    }
                 }
+                let part = Reading {
+                    light: &scratch.light,
+                    rows: field.rows,
+                    values: &mut scratch.values,
+                };
+                layer.engine.read(&mut [part], &mut scratch.engine);
+                add_scaled(field.values, &scratch.values, T::one());
             }
-            let Scratch {
-                engine,
-                light,
-                values: part,
-            } = scratch;
-            layer.engine.read(light, rows, part, engine);
-            add_scaled(values, part, T::one());
         }
     }
 
-    /// The adjoint of [`Self::read`]; overwrites `light`. Rows that are dark in `mask` may be
-    /// anything.
+    /// The adjoint of [`Self::read`]; see [`Engine::spread`].
     fn spread(
         &self,
-        values: &[T],
-        rows: &[usize],
-        mask: Option<&[u8]>,
-        light: &mut [T],
+        fields: &[Spreading<T>],
         scratch: &mut Scratch<T>,
+        mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
         if let [
             Layer {
@@ -210,19 +225,25 @@ impl<T: Scalar> RollingShutter<T> {
             },
         ] = self.layers.as_slice()
         {
-            return engine.spread(values, rows, mask, light, &mut scratch.engine);
+            return engine.spread(fields, &mut scratch.engine, write);
         }
-        light.fill(T::zero());
-        for layer in &self.layers {
-            let (own, engine) = (&mut scratch.light, &mut scratch.engine);
-            layer.engine.spread(values, rows, mask, own, engine);
-            match &layer.share {
-                None => add_scaled(light, &scratch.light, T::one()),
-                Some(share) => {
-                    let shared = light.iter_mut().zip(&scratch.light).zip(share);
-                    shared.for_each(|((v, &s), &a)| *v += s * T::from(a));
-                }
+        let Scratch { engine, light, .. } = scratch;
+        for (i, field) in fields.iter().enumerate() {
+            light.fill(T::zero());
+            for layer in &self.layers {
+                let one = std::slice::from_ref(field);
+                layer.engine.spread(one, engine, |_, start, part| {
+                    let sum = &mut light[start..start + part.len()];
+                    match &layer.share {
+                        None => add_scaled(sum, part, T::one()),
+                        Some(share) => {
+                            let shared = sum.iter_mut().zip(part).zip(&share[start..]);
+                            shared.for_each(|((v, s), &a)| *v += *s * T::from(a));
+                        }
+                    }
+                });
             }
+            write(i, 0, light);
         }
     }
 
@@ -255,19 +276,32 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         let columns = self.geometry.columns;
-        let read: Vec<Vec<T>> = (0..self.rows_of.len())
-            .into_par_iter()
-            .map_init(
-                || self.scratch(),
-                |scratch, instant| {
-                    let rows = &self.rows_of[instant];
-                    let mut values = vec![T::zero(); rows.len() * columns];
-                    let light = self.integrate(video, instant);
-                    self.read(&light, rows, &mut values, scratch);
-                    values
-                },
-            )
-            .collect();
+        let instants: Vec<usize> = (0..self.rows_of.len()).collect();
+        let groups = instants.par_chunks(self.at_once()).map_init(
+            || self.scratch(),
+            |scratch, group| {
+                let rows = |instant: &usize| self.rows_of[*instant].as_slice();
+                let lights: Vec<Cow<[T]>> = group
+                    .iter()
+                    .map(|&instant| self.integrate(video, instant))
+                    .collect();
+                let mut values: Vec<Vec<T>> = group
+                    .iter()
+                    .map(|instant| vec![T::zero(); rows(instant).len() * columns])
+                    .collect();
+                let fields = group.iter().zip(&lights).zip(&mut values);
+                let mut fields: Vec<Reading<T>> = fields
+                    .map(|((instant, light), values)| Reading {
+                        light,
+                        rows: rows(instant),
+                        values,
+                    })
+                    .collect();
+                self.read(&mut fields, scratch);
+                values
+            },
+        );
+        let read: Vec<Vec<T>> = groups.flatten_iter().collect();
         for (places, values) in self.places_of.iter().zip(&read) {
             for (&place, values) in places.iter().zip(values.chunks_exact(columns)) {
                 frame[place * columns..(place + 1) * columns].copy_from_slice(values);
@@ -276,7 +310,7 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
     }
 
     fn adjoint(&self, frame: &[T], video: &mut [T]) {
-        self.adjoint_of(frame, None, video);
+        self.adjoint_of(frame, video);
     }
 }
 
@@ -287,17 +321,42 @@ impl<T: Scalar> RollingShutter<T> {
         self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1)
     }
 
-    /// The light that instant `i` sends back from its rows of `frame`.
-    fn spread_from(
+    /// Calls `write(instant, start, light, target)` for pieces of the light that each instant sends back from its rows of
+    /// `frame`, in whole rows from pixel `start` on, with the same piece of the instant's part of `target`. Rows
+    /// that are dark in `mask` may be left out.
+    fn spread_from<'m>(
         &self,
         frame: &[T],
-        instant: usize,
-        mask: Option<&[u8]>,
-        light: &mut [T],
-        scratch: &mut Scratch<T>,
+        mask: impl Fn(usize) -> Option<&'m [u8]> + Sync,
+        target: &mut [T],
+        write: impl Fn(usize, usize, &mut [T], &mut [T]) + Sync,
     ) {
-        let values = lines_of(frame, &self.places_of[instant], self.geometry.columns);
-        self.spread(&values, &self.rows_of[instant], mask, light, scratch);
+        let (pixels, size) = (self.video.pixels(), self.at_once());
+        let groups = target.par_chunks_mut(size * pixels).enumerate();
+        groups.for_each_init(
+            || self.scratch(),
+            |scratch, (group, target)| {
+                let first = group * size;
+                let instants = first..first + target.len() / pixels;
+                let values: Vec<Vec<T>> = instants
+                    .clone()
+                    .map(|i| lines_of(frame, &self.places_of[i], self.geometry.columns))
+                    .collect();
+                let fields: Vec<Spreading<T>> = instants
+                    .zip(&values)
+                    .map(|(i, values)| Spreading {
+                        values,
+                        rows: &self.rows_of[i],
+                        mask: mask(i),
+                    })
+                    .collect();
+                self.spread(&fields, scratch, |i, start, light| {
+                    let at = i * pixels + start;
+                    let target = &mut target[at..at + light.len()];
+                    write(first + i, start, light, target);
+                });
+            },
+        );
     }
 
     /// Calls `write(start, part, target)` for parts of `P Aᵀ frame` and of `target` that begin at `start`, with `P` the
@@ -324,21 +383,18 @@ impl<T: Scalar> RollingShutter<T> {
             }
             return write_parts(&video, target, write);
         }
-        let start = || (self.scratch(), vec![T::zero(); pixels]);
-        let bins = target.par_chunks_exact_mut(pixels).enumerate();
-        bins.for_each_init(start, |(scratch, light), (bin, target)| {
-            let first = bin * pixels;
-            let mask = support.map(|s| &s.mask()[first..first + pixels]);
-            self.spread_from(frame, bin, mask, light, scratch);
+        let mask_of = |bin: usize| support.map(|s| &s.mask()[bin * pixels..(bin + 1) * pixels]);
+        self.spread_from(frame, mask_of, target, |bin, start, light, target| {
             let weight = T::nearest(self.time.instants()[bin].weights[0]);
-            let Some(mask) = mask else {
+            let first = bin * pixels + start;
+            let Some(mask) = mask_of(bin) else {
                 if weight != T::one() {
                     light.iter_mut().for_each(|v| *v *= weight);
                 }
                 return write(first, light, target);
             };
             let rows = light.chunks_exact_mut(columns);
-            let rows = rows.zip(mask.chunks_exact(columns));
+            let rows = rows.zip(mask[start..].chunks_exact(columns));
             let rows = rows.zip(target.chunks_exact_mut(columns)).enumerate();
             for (y, ((light, mask), target)) in rows {
                 if mask.contains(&1) {
@@ -350,38 +406,24 @@ impl<T: Scalar> RollingShutter<T> {
         });
     }
 
-    /// The adjoint; rows that are dark in `support` may be anything.
-    fn adjoint_of(&self, frame: &[T], support: Option<&Support>, video: &mut [T]) {
+    fn adjoint_of(&self, frame: &[T], video: &mut [T]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
-        let pixels = self.video.pixels();
-        let instants = self.time.instants();
         if self.has_one_bin_each() {
             // Bin j is instant j: no second video is needed.
-            let bins = video.par_chunks_exact_mut(pixels).enumerate();
-            bins.for_each_init(
-                || self.scratch(),
-                |scratch, (bin, light)| {
-                    let mask = support.map(|s| &s.mask()[bin * pixels..(bin + 1) * pixels]);
-                    self.spread_from(frame, bin, mask, light, scratch);
-                    let weight = T::nearest(instants[bin].weights[0]);
-                    if weight != T::one() {
-                        light.iter_mut().for_each(|v| *v *= weight);
-                    }
-                },
-            );
-            return;
+            let copy = |_: usize, part: &[T], video: &mut [T]| video.copy_from_slice(part);
+            return self.adjoint_each(frame, None, video, &copy);
         }
+        let (pixels, instants) = (self.video.pixels(), self.time.instants());
         let mut lights = vec![T::zero(); instants.len() * pixels];
-        lights
-            .par_chunks_exact_mut(pixels)
-            .enumerate()
-            .for_each_init(
-                || self.scratch(),
-                |scratch, (instant, light)| {
-                    self.spread_from(frame, instant, None, light, scratch);
-                },
-            );
+        self.spread_from(
+            frame,
+            |_| None,
+            &mut lights,
+            |_, _, light, target| {
+                target.copy_from_slice(light);
+            },
+        );
         video
             .par_chunks_exact_mut(pixels)
             .enumerate()

@@ -74,6 +74,10 @@ impl<T: Scalar> Planar<T> {
         scratch.plane.iter().map(|c| c.scale(scale)).collect()
     }
 
+    pub fn field_pixels(&self) -> usize {
+        self.geometry.field_rows * self.geometry.field_columns
+    }
+
     pub fn scratch(&self) -> Scratch<T> {
         let size = self.frequencies * self.height;
         Scratch {

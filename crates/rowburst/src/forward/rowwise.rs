@@ -14,7 +14,7 @@
 //! forward and adjoint: `Re F⁻¹` keeps of `Z Q = V_y P_d + V_{y+1} P_{d−1} + i (V_{y+1} P_d − V_y P_{d−1})`
 //! what is the spectrum of a real line. One complex transform for two rows, and nothing is ever taken apart.
 
-use super::engine::{Geometry, transforms};
+use super::engine::{Geometry, Reading, Spreading, transforms};
 use crate::Psf;
 use crate::linop::Scalar;
 use crate::vecmath::{add_conjugate_products, add_products, simd};
@@ -23,7 +23,8 @@ use rustfft::num_complex::Complex;
 use rustfft::num_traits::Zero;
 use std::sync::Arc;
 
-/// Pairs of rows that are transformed at once: their spectra stay in the nearest cache.
+/// Pairs of rows of a field that are transformed at once: their spectra stay in the nearest cache. After them come those of
+/// the next field, which need nearly the same spectra of the PSF.
 const PAIRS_AT_ONCE: usize = 4;
 
 pub(super) struct Rowwise<T: Scalar> {
@@ -36,8 +37,10 @@ pub(super) struct Rowwise<T: Scalar> {
 }
 
 pub(super) struct Scratch<T> {
-    /// A line for each sensor row that is read.
+    /// A line for each sensor row that is read, field after field.
     sums: Vec<Complex<T>>,
+    /// Rows of a field.
+    light: Vec<T>,
     /// Pairs of field rows, and where they begin.
     lines: Vec<Complex<T>>,
     pairs: Vec<usize>,
@@ -89,6 +92,7 @@ impl<T: Scalar> Rowwise<T> {
             .max(self.inverse.get_inplace_scratch_len());
         Scratch {
             sums: Vec::new(),
+            light: vec![T::zero(); 2 * PAIRS_AT_ONCE * self.geometry.field_columns],
             lines: vec![Complex::zero(); PAIRS_AT_ONCE * self.length],
             pairs: Vec::with_capacity(PAIRS_AT_ONCE),
             fft: vec![Complex::zero(); fft],
@@ -101,101 +105,130 @@ impl<T: Scalar> Rowwise<T> {
         &self.psf[d * self.length..(d + 1) * self.length]
     }
 
-    pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
-        let (columns, pair) = (self.geometry.columns, 2 * self.geometry.field_columns);
+    /// Bytes of the PSF's spectra.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.psf.as_slice())
+    }
+
+    pub fn read(&self, fields: &mut [Reading<T>], scratch: &mut Scratch<T>) {
+        let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
+        let lines = fields.iter().map(|field| field.rows.len()).sum::<usize>();
         scratch.sums.clear();
-        scratch
-            .sums
-            .resize(rows.len() * self.length, Complex::zero());
-        scratch.pairs.clear();
-        for (i, lit) in light.chunks(pair).enumerate() {
-            // Recovered scenes are sparse: most rows of most bins are dark.
-            if is_dark(lit) {
-                continue;
-            }
-            let at = scratch.pairs.len() * self.length;
-            let line = &mut scratch.lines[at..at + self.length];
-            pack(lit, self.geometry.field_columns, line);
-            scratch.pairs.push(2 * i);
-            if scratch.pairs.len() == PAIRS_AT_ONCE {
-                self.add_pairs(rows, scratch);
+        scratch.sums.resize(lines * self.length, Complex::zero());
+        for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_AT_ONCE) {
+            let end = self.geometry.field_rows.min(first + 2 * PAIRS_AT_ONCE);
+            let mut at = 0;
+            for field in &*fields {
+                let light = &field.light[first * field_columns..end * field_columns];
+                self.add_pairs(light, first, field.rows, at, scratch);
+                at += field.rows.len() * self.length;
             }
         }
-        self.add_pairs(rows, scratch);
         self.inverse
             .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
-        let sums = scratch.sums.chunks_exact(self.length);
-        for (sum, values) in sums.zip(values.chunks_exact_mut(columns)) {
+        let lines = fields
+            .iter_mut()
+            .flat_map(|field| field.values.chunks_exact_mut(columns));
+        for (values, sum) in lines.zip(scratch.sums.chunks_exact(self.length)) {
             values.iter_mut().zip(sum).for_each(|(v, s)| *v = s.re);
         }
     }
 
-    /// Adds what the pairs of rows that are waiting send to `rows`.
-    fn add_pairs(&self, rows: &[usize], scratch: &mut Scratch<T>) {
+    /// Adds what some pairs of field rows, from row `first` on, send to `rows`, whose sums begin at `at`.
+    fn add_pairs(
+        &self,
+        light: &[T],
+        first: usize,
+        rows: &[usize],
+        at: usize,
+        scratch: &mut Scratch<T>,
+    ) {
+        let field_columns = self.geometry.field_columns;
+        scratch.pairs.clear();
+        for (i, lit) in light.chunks(2 * field_columns).enumerate() {
+            // Recovered scenes are sparse: most rows of most bins are dark.
+            if !is_dark(lit) {
+                let place = scratch.pairs.len() * self.length;
+                let line = &mut scratch.lines[place..place + self.length];
+                pack(lit, field_columns, line);
+                scratch.pairs.push(first + 2 * i);
+            }
+        }
         let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
         self.forward.process_with_scratch(lines, &mut scratch.fft);
-        for (&r, sum) in rows.iter().zip(scratch.sums.chunks_exact_mut(self.length)) {
+        let sums = scratch.sums[at..].chunks_exact_mut(self.length);
+        for (&r, sum) in rows.iter().zip(sums) {
             for (&y, line) in scratch.pairs.iter().zip(lines.chunks_exact(self.length)) {
                 add_products(sum, line, self.kernel(r, y));
             }
         }
-        scratch.pairs.clear();
     }
 
-    /// Pairs of field rows that are dark in `mask` are set to zero; the others are whole.
+    /// Calls `write(field, start, light)` for all pairs of rows that are not dark in their mask: some pixels of the
+    /// light of a field, from `start` on.
     pub fn spread(
         &self,
-        values: &[T],
-        rows: &[usize],
-        mask: Option<&[u8]>,
-        light: &mut [T],
+        fields: &[Spreading<T>],
         scratch: &mut Scratch<T>,
+        mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
         let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
-        scratch
-            .sums
-            .resize(rows.len() * self.length, Complex::zero());
-        let spectra = scratch.sums.chunks_exact_mut(self.length);
-        for (values, line) in values.chunks_exact(columns).zip(spectra) {
+        let lines = fields.iter().map(|field| field.rows.len()).sum::<usize>();
+        scratch.sums.resize(lines * self.length, Complex::zero());
+        let values = fields
+            .iter()
+            .flat_map(|field| field.values.chunks_exact(columns));
+        for (values, line) in values.zip(scratch.sums.chunks_exact_mut(self.length)) {
             pack(values, columns, line);
         }
         self.forward
             .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
-        scratch.pairs.clear();
-        for y in (0..self.geometry.field_rows).step_by(2) {
-            let at = y * field_columns..light.len().min((y + 2) * field_columns);
-            if mask.is_some_and(|mask| !mask[at.clone()].contains(&1)) {
-                light[at].fill(T::zero());
-                continue;
-            }
-            scratch.pairs.push(y);
-            if scratch.pairs.len() == PAIRS_AT_ONCE {
-                self.write_pairs(rows, light, scratch);
+        for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_AT_ONCE) {
+            let end = self.geometry.field_rows.min(first + 2 * PAIRS_AT_ONCE);
+            let mut at = 0;
+            for (i, field) in fields.iter().enumerate() {
+                scratch.pairs.clear();
+                for y in (first..end).step_by(2) {
+                    let pixels = y * field_columns..end.min(y + 2) * field_columns;
+                    if field.mask.is_none_or(|mask| mask[pixels].contains(&1)) {
+                        scratch.pairs.push(y);
+                    }
+                }
+                self.make_pairs(field.rows, at, scratch);
+                // Neighbouring pairs are written together.
+                let mut made = 0;
+                let pairs = std::mem::take(&mut scratch.pairs);
+                for run in pairs.chunk_by(|a, b| a + 2 == *b) {
+                    let start = run[0] * field_columns;
+                    let stop = end.min(run[run.len() - 1] + 2) * field_columns;
+                    let light = &mut scratch.light[made * field_columns..];
+                    write(i, start, &mut light[..stop - start]);
+                    made += 2 * run.len();
+                }
+                scratch.pairs = pairs;
+                at += field.rows.len() * self.length;
             }
         }
-        self.write_pairs(rows, light, scratch);
     }
 
-    /// Writes the pairs of field rows that are waiting.
-    fn write_pairs(&self, rows: &[usize], light: &mut [T], scratch: &mut Scratch<T>) {
+    /// The light of the pairs of rows that are waiting, one after another, from the spectra of `rows`, which begin at
+    /// `at`.
+    fn make_pairs(&self, rows: &[usize], at: usize, scratch: &mut Scratch<T>) {
         let field_columns = self.geometry.field_columns;
         let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
         lines.fill(Complex::zero());
-        for (&y, line) in scratch
-            .pairs
-            .iter()
-            .zip(lines.chunks_exact_mut(self.length))
-        {
-            for (&r, spectrum) in rows.iter().zip(scratch.sums.chunks_exact(self.length)) {
+        let waiting = scratch.pairs.iter();
+        for (&y, line) in waiting.zip(lines.chunks_exact_mut(self.length)) {
+            let spectra = scratch.sums[at..].chunks_exact(self.length);
+            for (&r, spectrum) in rows.iter().zip(spectra) {
                 add_conjugate_products(line, self.kernel(r, y), spectrum);
             }
         }
         self.inverse.process_with_scratch(lines, &mut scratch.fft);
-        for (&y, line) in scratch.pairs.iter().zip(lines.chunks_exact(self.length)) {
-            let end = light.len().min((y + 2) * field_columns);
-            unpack(line, field_columns, &mut light[y * field_columns..end]);
+        let light = scratch.light.chunks_exact_mut(2 * field_columns);
+        for (line, light) in lines.chunks_exact(self.length).zip(light) {
+            unpack(line, field_columns, light);
         }
-        scratch.pairs.clear();
     }
 }
 
