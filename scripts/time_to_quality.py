@@ -36,9 +36,9 @@ PRIORS = {"tv+0.5*tdiff+support": "Rowburst", "auto": "Rowburst, `--prior auto`"
 RUNS = {"tv+0.5*tdiff+support": 3, "auto": 1}
 # Title, what is fixed, exponents of 3 where the climb starts.
 TOOLBOXES = {
-    "scico-apgm": ("SCICO accelerated proximal gradient", {}, {"lambda": -17, "step": 0}),
-    "scico-pdhg": ("SCICO PDHG", {}, {"lambda": -17, "step": -6}),
-    "scico-admm": ("SCICO ADMM, data step by CG", {"cg": 10}, {"lambda": -17, "step": -5}),
+    "scico-apgm": ("SCICO accelerated proximal gradient", {}, {"lambda": -16, "step": 0}),
+    "scico-pdhg": ("SCICO PDHG", {}, {"lambda": -19, "step": -8}),
+    "scico-admm": ("SCICO ADMM, data step by CG", {"cg": 10}, {"lambda": -15, "step": -7}),
     "scico-proximal-admm": ("SCICO proximal ADMM", {}, {"lambda": -17, "step": -6}),
     "pyproximal-primal-dual": ("PyProximal primal–dual", {}, {"lambda": -17, "step": -6}),
     "pyproximal-apg": ("PyProximal accelerated proximal gradient", {"inner": 1}, {"lambda": -17, "step": 0}),

@@ -41,7 +41,7 @@ fn main() -> ExitCode {
         eprintln!("error: --threads {threads}: {error}");
         return ExitCode::from(1);
     }
-    let done = match cli.verb {
+    let done = rowburst::vecmath::check_choice().and_then(|()| match cli.verb {
         Verb::Demo(args) => demo::run(&args, began),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Reconstruct(args) => reconstruct::run(&args, began),
@@ -52,7 +52,7 @@ fn main() -> ExitCode {
         Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
-    };
+    });
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -1244,3 +1244,16 @@ fn folders_that_cannot_be_written_to() {
         check("out/below");
     }
 }
+
+#[test]
+fn instructions_that_nobody_knows() {
+    let lab = Lab::new();
+    let mut command = lab.command("reconstruct experiment.toml --frame frame.npy -o out");
+    let output = command.env("ROWBURST_SIMD", "avx9").output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    for part in ["ROWBURST_SIMD", "avx9", "`portable`", "Unset it"] {
+        assert!(text.contains(part), "lacks {part}: {text}");
+    }
+    assert!(lab.files("out").is_empty());
+}

@@ -5,6 +5,7 @@
 //! and picks the widest that the processor has at run time (AVX-512, AVX2 or NEON). `ROWBURST_SIMD=portable`
 //! in the environment keeps to what every processor of the kind has.
 
+use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use pulp::{Arch, Simd, WithSimd};
@@ -43,9 +44,28 @@ fn arch() -> Arch {
     })
 }
 
+const CHOICE: &str = "ROWBURST_SIMD";
+const PORTABLE: &str = "portable";
+
 /// Whether `ROWBURST_SIMD=portable` is set.
 pub(crate) fn is_portable() -> bool {
-    std::env::var_os("ROWBURST_SIMD").is_some_and(|value| value == "portable")
+    std::env::var_os(CHOICE).is_some_and(|value| value == PORTABLE)
+}
+
+/// Looks at `ROWBURST_SIMD`, for programs: the library takes what it does not know for nothing.
+///
+/// # Errors
+/// Any value but `portable`.
+pub fn check_choice() -> Result<()> {
+    match std::env::var_os(CHOICE) {
+        Some(value) if value != PORTABLE => Err(Error::input(
+            format!("{CHOICE} in the environment"),
+            value.to_string_lossy(),
+            "it is `portable`, or not set",
+            "Unset it: the widest vectors of this processor are chosen by themselves.",
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// Numbers of which the processor multiplies several complex ones at once.

@@ -24,7 +24,7 @@ use rustfft::num_complex::Complex64;
 /// Columns of `S_i` that are held at once.
 const COLUMNS_AT_ONCE: usize = 128;
 
-/// Columns of a sensor from which on blocks are f32, and the products of PSF columns are taken in f32, in half of the
+/// Columns of a sensor from which on blocks stay f32, and the products of PSF columns are taken in f32, in half of the
 /// time. The sums that run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each
 /// element, 1e-6 in the norm of the block, where [`LEAST_RHO`] is ten times as much.
 const SINGLE_FROM: usize = 1024;
@@ -33,7 +33,7 @@ const SINGLE_FROM: usize = 1024;
 /// digits left below it.
 const LEAST_RHO: (f64, f64) = (1e-5, 1e-9);
 
-/// Bytes of an element of a block of a sensor of so many columns.
+/// Bytes of an element of a block of a sensor of so many columns, at most.
 pub(crate) fn element_bytes(columns: usize) -> usize {
     match columns >= SINGLE_FROM {
         true => size_of::<f32>(),
@@ -200,6 +200,11 @@ fn multiply<T: Scalar>(
 }
 
 impl RollingShutter {
+    /// Whether a block is a sum of so many parts that it has to be made in f64.
+    pub(crate) fn sums_need_f64(&self) -> bool {
+        self.geometry.columns < SINGLE_FROM || self.layers.len() > 1
+    }
+
     /// Smallest `ρ` over the typical size of a diagonal element for which `(G + ρI)⁻¹` has digits.
     pub fn least_rho(&self) -> f64 {
         match self.geometry.columns >= SINGLE_FROM {

@@ -170,7 +170,10 @@ impl<T: Scalar> RollingShutter<T> {
         const MOST: usize = 8;
         match self.layers.as_slice() {
             [layer] if layer.engine.bytes() > CACHE => {
-                (self.rows_of.len() / rayon::current_num_threads()).clamp(1, MOST)
+                // All threads have as many groups.
+                let (instants, threads) = (self.rows_of.len(), rayon::current_num_threads());
+                let rounds = instants.div_ceil(threads * MOST);
+                instants.div_ceil(threads * rounds)
             }
             _ => 1,
         }

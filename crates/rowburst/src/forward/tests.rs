@@ -3,6 +3,7 @@
 use super::gram::tests::brute_force as gram_by_calls;
 use crate::camera::CameraParams;
 use crate::linop::{LinearOperator, laws};
+use crate::vecmath::dot;
 use crate::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter, Support};
 use faer::Mat;
 use rand::{RngExt, SeedableRng};
@@ -126,6 +127,54 @@ fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
             assert_eq!(found, expected, "{camera:?}");
         }
     }
+}
+
+/// Instants that go through rows together, in groups of all sizes: spectra of more than a cache, an odd number of
+/// rows, a short last group. The bits do not depend on the threads.
+#[test]
+fn instants_together_give_the_bits_of_instants_alone() {
+    let camera = Camera::new(CameraParams {
+        rows: 17,
+        columns: 2100,
+        shutter: Shutter::TopDown,
+        row_time_us: 1.0,
+        exposure_us: 1.0,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .unwrap();
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(16);
+    let operator = RollingShutter::new(&camera, &random_psf(33, 301, &mut rng));
+    let shape = operator.video_shape();
+    let video: Vec<f32> = (0..shape.voxels()).map(|_| rng.random()).collect();
+    let frame: Vec<f32> = (0..operator.range_len()).map(|_| rng.random()).collect();
+    let support = Support::above(&video, shape, &vec![0.9999; shape.bins]);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build().unwrap().install(|| {
+            let (mut read, mut spread) = (vec![0.0; frame.len()], vec![0.0; video.len()]);
+            operator.apply(&video, &mut read);
+            operator.adjoint(&frame, &mut spread);
+            let mut lit = vec![f32::NAN; video.len()];
+            operator.adjoint_on(&frame, &support, &mut lit);
+            (operator.at_once(), [read, spread, lit])
+        })
+    };
+    let (alone, expected) = run(17);
+    assert_eq!(alone, 1);
+    let mut masked = expected[1].clone();
+    support.apply(&mut masked);
+    assert_eq!(masked, expected[2]);
+    for (threads, together) in [(1, 6), (2, 5), (5, 4)] {
+        assert_eq!(
+            run(threads),
+            (together, expected.clone()),
+            "{threads} threads"
+        );
+    }
+    let (a, b) = (dot(&expected[0], &frame), dot(&video, &expected[1]));
+    assert!((a - b).abs() < 1e-5 * a, "{a} {b}");
 }
 
 #[test]

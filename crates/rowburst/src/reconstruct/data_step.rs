@@ -28,9 +28,9 @@ pub struct DataStep {
 impl DataStep {
     /// The data term of `measurement`. Cost: the set-up of a reconstruction.
     pub fn new(model: &Model, measurement: &Measurement) -> Self {
-        let mut data = FrameData::new(model, measurement);
-        data.work_in_double();
-        Self { data }
+        Self {
+            data: FrameData::in_double(model, measurement),
+        }
     }
 
     /// Length of a video.

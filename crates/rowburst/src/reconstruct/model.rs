@@ -89,8 +89,9 @@ impl Model {
         self.scale
     }
 
-    /// Memory of the blocks of `A Aᵀ`, which each frame at work has for itself at most; `None` where
-    /// they are too large to be built.
+    /// Memory of the blocks of `A Aᵀ`, which each frame at work has for itself (half of it on sensors of less than 1024
+    /// columns as long as f32 is enough; up to three quarters more while bins are found on a support); `None`
+    /// where they are too large to be built.
     pub fn gram_bytes(&self) -> Option<usize> {
         let (_, columns) = self.shutter.frame_shape();
         let rows = self.shutter.rows_of_instants().iter();

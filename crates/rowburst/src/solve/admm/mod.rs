@@ -146,7 +146,8 @@ pub struct Solution {
 
 /// Minimises `½‖b − A v‖² + τ R(v)` over `v ≥ 0` of `shape`, from `v = 0`.
 ///
-/// `observer` sees every iteration and may stop it; the video so far is returned.
+/// `observer` sees every iteration and may stop it; the video so far is returned. Runs of several threads in one pool
+/// wait for each other, an iteration at a time: give each its own pool if its time counts.
 ///
 /// # Panics
 /// If the shapes of `data`, `prior` and `shape` disagree.
