@@ -163,7 +163,7 @@ impl<T: Scalar> Planar<T> {
         plane
             .zip(self.psf.par_chunks_exact(self.height))
             .for_each(|(column, kernel)| {
-                column.iter_mut().zip(kernel).for_each(|(c, k)| *c = *c * k);
+                column.iter_mut().zip(kernel).for_each(|(c, k)| *c *= k);
             });
         self.invert(scratch, self.geometry.columns, rows, values);
     }
@@ -177,7 +177,7 @@ impl<T: Scalar> Planar<T> {
                 column
                     .iter_mut()
                     .zip(kernel)
-                    .for_each(|(c, k)| *c = *c * k.conj());
+                    .for_each(|(c, k)| *c *= k.conj());
             });
         let field: Vec<usize> = (0..self.geometry.field_rows).collect();
         self.invert(scratch, self.geometry.field_columns, &field, light);

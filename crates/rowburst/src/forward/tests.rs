@@ -145,7 +145,7 @@ fn instants_together_give_the_bits_of_instants_alone() {
     })
     .unwrap();
     let mut rng = rand_pcg::Pcg64::seed_from_u64(16);
-    let operator = RollingShutter::new(&camera, &random_psf(33, 301, &mut rng));
+    let operator = RollingShutter::new(&camera, random_psf(33, 301, &mut rng));
     let shape = operator.video_shape();
     let video: Vec<f32> = (0..shape.voxels()).map(|_| rng.random()).collect();
     let frame: Vec<f32> = (0..operator.range_len()).map(|_| rng.random()).collect();
