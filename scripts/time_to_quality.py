@@ -3,6 +3,7 @@
 
     cargo build --release
     python3 scripts/time_to_quality.py               about an hour the first time, then half of that
+    python3 scripts/time_to_quality.py --no-climb    with the settings where the climb starts: those that served best before
     python3 scripts/time_to_quality.py --quick       one round of 30 s each, with the settings where the climb starts
     python3 scripts/time_to_quality.py --fresh       the timed runs again, the toolboxes' settings kept
     python3 scripts/time_to_quality.py --report      the page again from the runs that there are
@@ -39,9 +40,9 @@ TOOLBOXES = {
     "scico-apgm": ("SCICO accelerated proximal gradient", {}, {"lambda": -16, "step": 0}),
     "scico-pdhg": ("SCICO PDHG", {}, {"lambda": -19, "step": -8}),
     "scico-admm": ("SCICO ADMM, data step by CG", {"cg": 10}, {"lambda": -15, "step": -7}),
-    "scico-proximal-admm": ("SCICO proximal ADMM", {}, {"lambda": -17, "step": -6}),
+    "scico-proximal-admm": ("SCICO proximal ADMM", {}, {"lambda": -19, "step": -7}),
     "pyproximal-primal-dual": ("PyProximal primal–dual", {}, {"lambda": -17, "step": -6}),
-    "pyproximal-apg": ("PyProximal accelerated proximal gradient", {"inner": 1}, {"lambda": -17, "step": 0}),
+    "pyproximal-apg": ("PyProximal accelerated proximal gradient", {"inner": 1}, {"lambda": -15, "step": 0}),
 }
 # A toolbox has come to its best quality when it is this close.
 SLACK_DB = 0.1
