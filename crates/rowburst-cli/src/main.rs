@@ -41,7 +41,7 @@ fn main() -> ExitCode {
         eprintln!("error: --threads {threads}: {error}");
         return ExitCode::from(1);
     }
-    let done = rowburst::vecmath::check_choice().and_then(|()| match cli.verb {
+    let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
         Verb::Demo(args) => demo::run(&args, began),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Reconstruct(args) => reconstruct::run(&args, began),

@@ -56,7 +56,7 @@ pub(crate) fn is_portable() -> bool {
 ///
 /// # Errors
 /// Any value but `portable`.
-pub fn check_choice() -> Result<()> {
+pub fn check_environment() -> Result<()> {
     match std::env::var_os(CHOICE) {
         Some(value) if value != PORTABLE => Err(Error::input(
             format!("{CHOICE} in the environment"),

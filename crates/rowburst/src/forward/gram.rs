@@ -373,20 +373,25 @@ pub(super) mod tests {
             .collect()
     }
 
-    /// The two kinds of products, of a sensor that is read two rows at a time.
-    #[test]
-    fn products_in_f32_stay_far_below_the_least_rho() {
-        let camera = Camera::new(CameraParams {
-            rows: 8,
-            columns: 200,
-            shutter: Shutter::DualInsideOut,
+    /// A whole sensor with a bin and an exposure of a row.
+    pub fn row_by_row(rows: usize, columns: usize, shutter: Shutter) -> Camera {
+        Camera::new(CameraParams {
+            rows,
+            columns,
+            shutter,
             row_time_us: 1.0,
             exposure_us: 1.0,
             bins_per_row: 1,
             field: None,
             sensor: Sensor::default(),
         })
-        .unwrap();
+        .unwrap()
+    }
+
+    /// The two kinds of products, of a sensor that is read two rows at a time.
+    #[test]
+    fn products_in_f32_stay_far_below_the_least_rho() {
+        let camera = row_by_row(8, 200, Shutter::DualInsideOut);
         let mut rng = rand_pcg::Pcg64::seed_from_u64(2);
         let values = (0..15 * 399)
             .map(|_| rng.random_range(0.0f32..1.0))

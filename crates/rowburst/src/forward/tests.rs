@@ -1,6 +1,6 @@
 //! A PSF that changes over the field: brute force, laws, Gram blocks.
 
-use super::gram::tests::brute_force as gram_by_calls;
+use super::gram::tests::{brute_force as gram_by_calls, row_by_row};
 use crate::camera::CameraParams;
 use crate::linop::{LinearOperator, laws};
 use crate::vecmath::dot;
@@ -133,17 +133,7 @@ fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
 /// rows, a short last group. The bits do not depend on the threads.
 #[test]
 fn instants_together_give_the_bits_of_instants_alone() {
-    let camera = Camera::new(CameraParams {
-        rows: 17,
-        columns: 2100,
-        shutter: Shutter::TopDown,
-        row_time_us: 1.0,
-        exposure_us: 1.0,
-        bins_per_row: 1,
-        field: None,
-        sensor: Sensor::default(),
-    })
-    .unwrap();
+    let camera = row_by_row(17, 2100, Shutter::TopDown);
     let mut rng = rand_pcg::Pcg64::seed_from_u64(16);
     let operator = RollingShutter::new(&camera, random_psf(33, 301, &mut rng));
     let shape = operator.video_shape();

@@ -393,19 +393,15 @@ impl DataTerm for FrameData {
         if matches!(self.gram, Gram::Exact(Precision::Single(..))) && rho < least {
             self.replace_blocks(true);
         }
-        if let Gram::Exact(blocks) = &mut self.gram {
-            if !blocks.follow(r, rho, y, gram_y) {
-                self.replace_blocks(true);
-                let Gram::Exact(blocks) = &mut self.gram else {
-                    unreachable!("exact blocks are replaced by such");
-                };
-                let is_good = blocks.follow(r, rho, y, gram_y);
-                assert!(is_good, "ρ is above the rounding of f64");
-            }
-            return true;
-        }
         match &mut self.gram {
-            Gram::Exact(_) => unreachable!("solved above"),
+            Gram::Exact(blocks) => {
+                let is_good = blocks.follow(r, rho, y, gram_y);
+                if is_good || matches!(blocks, Precision::Double(_)) {
+                    return is_good;
+                }
+                self.replace_blocks(true);
+                self.solve_gram(r, rho, y, gram_y)
+            }
             Gram::Bordered(blocks, bordered) => {
                 let border = Border(&self.operator);
                 let planes = self.planes.as_ref();
@@ -413,8 +409,9 @@ impl DataTerm for FrameData {
                     let divided = planes.and_then(|p| p.circulant_inverse(g, rho / h));
                     divided.unwrap_or_else(|| g.to_vec())
                 };
-                let mut blocks = |r: &[f32], y: &mut [f32]| blocks.solve(r, rho, y);
-                bordered.solve(&mut blocks, &border, &inverse, (r, rho), y, gram_y)
+                let mut solve = |r: &[f32], y: &mut [f32]| blocks.solve(r, rho, y);
+                let is_good = bordered.solve(&mut solve, &border, &inverse, (r, rho), y, gram_y);
+                is_good && !blocks.has_lost_digits()
             }
             Gram::Iterative(solver) => {
                 let operator: &dyn LinearOperator = match self.second {
