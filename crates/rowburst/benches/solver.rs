@@ -62,28 +62,33 @@ fn main() {
             prior: Some(Prior::STANDARD),
             ..Recipe::default()
         };
-        // The fastest of three of everything.
+        // The fastest of three of everything; pictures are looked at in a run of their own, which is not timed.
         let (mut setup, mut open, mut tight, mut all) = (f64::MAX, f64::MAX, f64::MAX, f64::MAX);
         let mut products = f64::MAX;
         let mut curve = Vec::new();
         let light: Vec<f32> = truth.data().iter().map(|v| v + 0.1).collect();
         let mut back = light.clone();
-        for _ in 0..3 {
+        for run in 0..4 {
+            let is_looked_at = run == 3;
             let begin = Instant::now();
             let problem = Problem::new(&measurement, &camera, &psf, recipe).expect("a problem");
             setup = setup.min(begin.elapsed().as_secs_f64());
             let begin = Instant::now();
-            let (mut stamps, mut spent) = (Vec::new(), 0.0);
-            curve.clear();
+            let mut stamps = Vec::new();
             let found = problem
                 .solve(&mut |progress| {
-                    let now = Instant::now();
-                    stamps.push((begin.elapsed().as_secs_f64() - spent, progress.support));
-                    curve.push(psnr_db(progress.video, truth.data()));
-                    spent += now.elapsed().as_secs_f64();
+                    stamps.push((begin.elapsed().as_secs_f64(), progress.support));
+                    if is_looked_at {
+                        curve.push(psnr_db(progress.video, truth.data()));
+                    }
                     ControlFlow::Continue(())
                 })
                 .expect("a video");
+            if is_looked_at {
+                *curve.last_mut().expect("an iteration") =
+                    psnr_db(found.video.data(), truth.data());
+                continue;
+            }
             all = all.min(stamps.last().expect("an iteration").0);
             for (k, pair) in stamps.windows(2).enumerate() {
                 let time = pair[1].0 - pair[0].0;
@@ -93,7 +98,6 @@ fn main() {
                     tight = tight.min(time);
                 }
             }
-            *curve.last_mut().expect("an iteration") = psnr_db(found.video.data(), truth.data());
             for _ in 0..5 {
                 let begin = Instant::now();
                 operator.apply(black_box(&light), &mut frame);

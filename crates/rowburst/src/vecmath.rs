@@ -11,7 +11,6 @@ use faer::{Mat, Side};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
-use std::ops::Range;
 use std::sync::OnceLock;
 
 /// Elements per parallel task of the reductions below; fixed, so that a sum does
@@ -202,18 +201,6 @@ pub(crate) fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64)
     }
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(&a, &b)| term(a, b)).sum();
     lanes.iter().sum::<f64>() + rest
-}
-
-/// The `runs` of `values`, which are in order and do not overlap.
-pub(crate) fn pieces<'v>(mut values: &'v mut [f32], runs: &[Range<usize>]) -> Vec<&'v mut [f32]> {
-    let mut at = 0;
-    let take = |run: &Range<usize>| {
-        let rest = std::mem::take(&mut values).split_at_mut(run.start - at).1;
-        let (piece, rest) = rest.split_at_mut(run.len());
-        (values, at) = (rest, run.end);
-        piece
-    };
-    runs.iter().map(take).collect()
 }
 
 /// `x` of the normal equations `G x = b`, with `G` symmetric and positive definite and

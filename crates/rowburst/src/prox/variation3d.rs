@@ -11,7 +11,6 @@
 //! the axes, and is cheaper for light that is switched on and off.
 
 use super::dual::{self, DualTerm};
-use super::variation::{add, add_divergence};
 use crate::Shape;
 use crate::vecmath::simd;
 use rayon::prelude::*;
@@ -104,6 +103,28 @@ fn project(isotropy: Isotropy, radius: f32, (y, x, t): (f32, f32, f32)) -> (f32,
             let clamp = |p: f32| p.max(-radius).min(radius);
             (clamp(y), clamp(x), clamp(t))
         }
+    }
+}
+
+/// `z += a·p`.
+#[inline(always)]
+fn add(z: &mut [f32], p: &[f32], a: f32) {
+    for (z, p) in z.iter_mut().zip(p) {
+        *z += a * p;
+    }
+}
+
+/// `z −= Dᵀp` over one bin: `−(Dᵀp)[y,x] = py[y,x] − py[y−1,x] + px[y,x] − px[y,x−1]`.
+#[inline(always)]
+fn add_divergence(z: &mut [f32], py: &[f32], px: &[f32], columns: usize) {
+    for (y, z) in z.chunks_exact_mut(columns).enumerate() {
+        let line = y * columns..(y + 1) * columns;
+        add(z, &py[line.clone()], 1.0);
+        if y > 0 {
+            add(z, &py[line.start - columns..line.start], -1.0);
+        }
+        add(z, &px[line.clone()], 1.0);
+        add(&mut z[1..], &px[line], -1.0);
     }
 }
 

@@ -10,7 +10,6 @@
 //! share; what is left, a few bins around each border, is done after all blocks. Every voxel sees the
 //! same steps in the same order however many blocks there are, so the bits do not depend on the threads.
 
-use super::{Moved, subtract};
 use crate::Shape;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -25,46 +24,11 @@ pub(super) struct Wave {
     pub is_coupled: bool,
 }
 
-/// The point whose prox is taken.
-pub(super) enum Point<'a> {
-    Kept(&'a [f32]),
-    /// Less the prox in the end, by [`Point::take_away`]; and the last prox.
-    Reduced(&'a mut [f32], &'a [f32]),
-}
-
-impl Point<'_> {
-    pub fn values(&self) -> &[f32] {
-        match self {
-            Point::Kept(q) => q,
-            Point::Reduced(q, _) => q,
-        }
-    }
-
-    fn part(&mut self, at: Range<usize>) -> Point<'_> {
-        match self {
-            Point::Kept(q) => Point::Kept(&q[at]),
-            Point::Reduced(q, last) => Point::Reduced(&mut q[at.clone()], &last[at]),
-        }
-    }
-
-    /// Takes the prox `z` away `at` these places, if it is [`Point::Reduced`].
-    pub fn take_away(&mut self, at: Range<usize>, z: &[f32]) -> Moved {
-        match self {
-            Point::Kept(_) => Moved::default(),
-            Point::Reduced(q, last) => subtract(&mut q[at.clone()], &z[at.clone()], &last[at]),
-        }
-    }
-
-    pub fn kept(&self) -> Point<'_> {
-        Point::Kept(self.values())
-    }
-}
-
 /// Some neighbouring bins of everything that the steps read and write.
 pub(super) struct Slab<'a> {
     bins: Range<usize>,
     pixels: usize,
-    q: Point<'a>,
+    q: &'a [f32],
     z: &'a mut [f32],
     /// Two duals in space; empty where there is none.
     space: [&'a mut [f32]; 2],
@@ -73,41 +37,49 @@ pub(super) struct Slab<'a> {
     time: &'a mut [f32],
     last: Option<&'a [f32]>,
     before: Option<&'a [f32]>,
-    moved: Vec<(usize, Moved)>,
 }
+
+/// The dual along y and along x.
+pub(super) type PerAxis<'s> = (&'s mut [f32], &'s mut [f32]);
 
 /// A bin of a [`Slab`].
 pub(super) struct Parts<'s> {
     pub z: &'s mut [f32],
-    pub q: Point<'s>,
-    pub space: (&'s mut [f32], &'s mut [f32]),
-    /// The dual over time of it, and of the bin before.
-    pub time: (Option<&'s [f32]>, Option<&'s [f32]>),
-    pub moved: &'s mut Vec<(usize, Moved)>,
+    pub q: &'s [f32],
+    pub space: Option<PerAxis<'s>>,
+    /// The dual over time of it, and of the bin before, unless that is to step.
+    pub time: Option<&'s [f32]>,
+    pub before: Option<&'s [f32]>,
+    /// Else that, and the bin before.
+    pub led: Option<(&'s mut [f32], &'s [f32])>,
 }
 
 impl Slab<'_> {
-    pub fn bin(&mut self, t: usize) -> Parts<'_> {
+    /// Bin `t`; the dual over time before it to be stepped, if it `is_led`.
+    pub fn bin(&mut self, t: usize, is_led: bool) -> Parts<'_> {
         let at = self.place(t);
-        let part =
-            |of: &'_ mut [f32]| -> Range<usize> { if of.is_empty() { 0..0 } else { at.clone() } };
         let [py, px] = &mut self.space;
-        let (in_y, in_x) = (part(py), part(px));
-        let first = self.bins.start;
-        let time = |t: usize| -> Option<&[f32]> {
-            if t < first {
-                return self.before;
-            }
-            let at = (t - first) * self.pixels..(t + 1 - first) * self.pixels;
-            self.time.get(at).or(self.last)
-        };
-        let times = (time(t), t.checked_sub(1).and_then(time));
+        let space = py.get_mut(at.clone()).zip(px.get_mut(at.clone()));
+        // What is before the bin, and from it on.
+        let (z_before, z) = self.z.split_at_mut(at.start);
+        let (p_before, p) = self.time.split_at_mut(at.start.min(self.time.len()));
+        let time = p.get(..self.pixels).or(self.last);
+        let (mut before, mut led) = (None, None);
+        if is_led {
+            let start = at.start - self.pixels;
+            led = Some((&mut p_before[start..], &z_before[start..]));
+        } else if at.start == 0 {
+            before = self.before;
+        } else {
+            before = p_before.get(at.start - self.pixels..);
+        }
         Parts {
-            q: self.q.part(at.clone()),
-            z: &mut self.z[at],
-            space: (&mut py[in_y], &mut px[in_x]),
-            time: times,
-            moved: &mut self.moved,
+            q: &self.q[at.clone()],
+            z: &mut z[..self.pixels],
+            space,
+            time,
+            before,
+            led,
         }
     }
 
@@ -125,52 +97,36 @@ impl Slab<'_> {
     }
 }
 
-/// What is done to some rows of a bin, or of the dual between a bin and the next one, at a level. Rows may end one
-/// behind the last: what looks at the row above has its turn there.
+/// What is done to some rows of a bin at a level, and if it `is_led` to the dual over time before the bin, which is
+/// then at the next level; or to that of bin `t` alone. Rows may end one behind the last: what looks at the row above has
+/// its turn there.
 pub(super) trait Levels: Sync {
-    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>);
+    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, is_led: bool);
     fn between(&self, slab: &mut Slab, t: usize, rows: Range<usize>);
 }
 
 impl Wave {
     /// Takes `levels` through all bins.
-    pub fn run(
-        &self,
-        mut q: Point,
-        z: &mut [f32],
-        duals: &mut [Vec<f32>; 3],
-        levels: &impl Levels,
-    ) -> Moved {
+    pub fn run(&self, q: &[f32], z: &mut [f32], duals: &mut [Vec<f32>; 3], levels: &impl Levels) {
         let bins = self.shape.bins;
         let blocks = match self.is_coupled {
-            true => (2 * rayon::current_num_threads()).min(bins / (2 * self.steps + 2)),
+            true => rayon::current_num_threads().min(bins / (2 * self.steps + 2)),
             // Some may take far longer than others, which are dark.
             false => bins,
         };
         let blocks = blocks.max(1);
         let borders: Vec<usize> = (0..=blocks).map(|i| i * bins / blocks).collect();
-        let slabs = self.slabs(&borders, &mut q, z, duals, true);
-        let done = slabs.into_par_iter().flat_map_iter(|mut slab| {
-            self.climb(&mut slab, levels);
-            slab.moved
-        });
-        let mut moved: Vec<(usize, Moved)> = done.collect();
+        let slabs = self.slabs(&borders, q, z, duals, true);
+        let slabs = slabs.into_par_iter();
+        slabs.for_each(|mut slab| self.climb(&mut slab, levels));
         if self.is_coupled && blocks > 1 {
             let mut middles = vec![0];
             middles.extend((2..blocks).map(|i| (borders[i - 1] + borders[i]) / 2));
             middles.push(bins);
-            let slabs = self.slabs(&middles, &mut q, z, duals, false);
+            let slabs = self.slabs(&middles, q, z, duals, false);
             let slabs = slabs.into_par_iter().zip(&borders[1..blocks]);
-            moved.par_extend(slabs.flat_map_iter(|(mut slab, &border)| {
-                self.fill(&mut slab, border, levels);
-                slab.moved
-            }));
+            slabs.for_each(|(mut slab, &border)| self.fill(&mut slab, border, levels));
         }
-        // Strips of a bin stay in their order.
-        moved.sort_by_key(|(t, _)| *t);
-        let mut sum = Moved::default();
-        moved.iter().for_each(|(_, bin)| sum += *bin);
-        sum
     }
 
     /// The rows that each level takes of a strip; at the end all have had every row, and the one behind the last.
@@ -192,7 +148,8 @@ impl Wave {
         if !self.is_coupled {
             for t in start..end {
                 for rows in self.strips() {
-                    (0..=self.steps).for_each(|level| levels.at(slab, t, level, rows(level)));
+                    let each = 0..=self.steps;
+                    each.for_each(|level| levels.at(slab, t, level, rows(level), false));
                 }
             }
             return;
@@ -204,12 +161,9 @@ impl Wave {
                     let t = front - level;
                     let low = start + if is_first { 0 } else { level };
                     let high = end - if is_last { 0 } else { level };
-                    let low_between = low - usize::from(!is_first && level > 0);
-                    if level > 0 && (low_between..high).contains(&t) && t + 1 < self.shape.bins {
-                        levels.between(slab, t, rows(level));
-                    }
                     if (low..high).contains(&t) {
-                        levels.at(slab, t, level, rows(level));
+                        let is_led = t > low && level < self.steps;
+                        levels.at(slab, t, level, rows(level), is_led);
                     }
                 }
             }
@@ -220,10 +174,11 @@ impl Wave {
     fn fill(&self, slab: &mut Slab, border: usize, levels: &impl Levels) {
         for rows in self.strips() {
             for level in 1..=self.steps {
-                (border - level..border + level - 1)
-                    .for_each(|t| levels.between(slab, t, rows(level)));
-                (border - level..border + level)
-                    .for_each(|t| levels.at(slab, t, level, rows(level)));
+                // Behind it is a bin that its block has brought to the level before.
+                levels.between(slab, border + level - 2, rows(level));
+                for t in border - level..border + level {
+                    levels.at(slab, t, level, rows(level), level < self.steps);
+                }
             }
         }
     }
@@ -231,15 +186,11 @@ impl Wave {
     fn slabs<'a>(
         &self,
         cuts: &[usize],
-        q: &'a mut Point,
+        mut q: &'a [f32],
         z: &'a mut [f32],
         duals: &'a mut [Vec<f32>; 3],
         is_shared: bool,
     ) -> Vec<Slab<'a>> {
-        let mut q = match q {
-            Point::Kept(q) => Point::Kept(q),
-            Point::Reduced(q, last) => Point::Reduced(q, last),
-        };
         let [mut py, mut px, mut time] = duals.each_mut().map(Vec::as_mut_slice);
         let (mut z, mut before) = (z, None);
         let mut slabs = Vec::new();
@@ -254,24 +205,12 @@ impl Wave {
             slabs.push(Slab {
                 bins: start..end,
                 pixels: self.shape.pixels(),
-                q: match &mut q {
-                    Point::Kept(q) => {
-                        let (own, rest) = q.split_at(size);
-                        *q = rest;
-                        Point::Kept(own)
-                    }
-                    Point::Reduced(q, last) => {
-                        let (own, rest) = last.split_at(size);
-                        *last = rest;
-                        Point::Reduced(split(q, size), own)
-                    }
-                },
+                q: q.split_off(..size).expect("as long as the video"),
                 z: split(&mut z, size),
                 space: [split(&mut py, size), split(&mut px, size)],
                 time: own,
                 last,
                 before: std::mem::replace(&mut before, last),
-                moved: Vec::new(),
             });
         }
         slabs

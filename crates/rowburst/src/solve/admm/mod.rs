@@ -6,9 +6,10 @@
 //! x = argmin ½‖b − A x‖² + ρ/2 ‖x − p‖² = p + Aᵀ (A Aᵀ + ρI)⁻¹ (b − A p),   p = z − u
 //! ```
 //!
-//! and `z` the prox of the prior with `β = τ/ρ` (Boyd et al. 2011; over-relaxed).
+//! and `z` the prox of the prior with `β = τ/ρ` (Boyd et al. 2011; over-relaxed), of a point `q`; the scaled dual is
+//! what that leaves, `u = q − z`, and is not kept.
 //! `A z` is the only product with `A` in an iteration: `A x` follows from the solve,
-//! and `A u` by addition.
+//! and `A q` by addition.
 //!
 //! **Threshold.** `β` is what the prior takes from the video in a step; it is a fixed
 //! part of the video's own brightness, so nothing depends on the units of the data. At first
@@ -119,7 +120,7 @@ pub struct Progress<'a> {
     pub objective: f64,
     /// `τ` of this iteration.
     pub tau: f64,
-    /// Relative change of the video.
+    /// How far the point whose prox the video is has moved, in sizes of the video before: the video has moved no farther.
     pub change: f64,
     /// Part of the voxels that may be lit.
     pub support: f64,
@@ -203,8 +204,9 @@ impl Admm {
                 if k > 1 {
                     state.adapt(data, prior, params);
                 }
-                state.data_step(data, params);
-                state.prior_step(data, prior)
+                let change = state.data_step(data, params);
+                state.prior_step(data, prior);
+                change
             });
             state.iterations = k;
             if k % CERTIFY_EVERY == 1 {

@@ -2,7 +2,6 @@
 
 use crate::{Shape, Support};
 use rayon::prelude::*;
-use std::ops::Range;
 
 /// Threshold of the support over the brightness of the video.
 const THRESHOLD: f64 = 0.12;
@@ -19,8 +18,6 @@ const OPEN: usize = 5;
 /// Looks for which a bin of a wide sensor is opened that its support cannot explain: its light takes
 /// long to show, and the block of half of its voxels as long to factor as that of all.
 const OPEN_FOR: usize = 5;
-/// Most voxels of a run.
-const CHUNK: usize = 1 << 14;
 
 /// The bright voxels of a video and their neighbours, found anew every few iterations.
 pub(super) struct Places {
@@ -30,10 +27,6 @@ pub(super) struct Places {
     data_support: Option<Support>,
     fraction: f64,
     is_settled: bool,
-    /// Voxels in a row that are worked on together, in their order: whole rows that hold a place.
-    runs: Vec<Range<usize>>,
-    /// Voxels of the first part, and all.
-    lengths: (usize, usize),
     /// Most voxels of a bin that the data step is restricted to.
     most: usize,
     /// How often the support of each bin has been widened, and its misfit at the last look.
@@ -50,12 +43,9 @@ impl Places {
     /// Iterations from one look to the next.
     pub const EVERY: usize = 10;
 
-    /// All `voxels` of videos of `shape` and what follows them; later at most `most` of a bin, or all.
-    pub fn everywhere(shape: Shape, voxels: usize, most: usize) -> Self {
-        let whole = std::iter::once(0..voxels);
+    /// All of videos of `shape`; later at most `most` of a bin, or all.
+    pub fn everywhere(shape: Shape, most: usize) -> Self {
         Self {
-            runs: whole.flat_map(chunks).collect(),
-            lengths: (shape.voxels(), voxels),
             shape,
             support: None,
             data_support: None,
@@ -82,11 +72,6 @@ impl Places {
     /// and the prior alone keeps the rest dark.
     pub fn data_support(&self) -> Option<&Support> {
         self.data_support.as_ref()
-    }
-
-    /// What is not sure to be dark, piece by piece.
-    pub fn runs(&self) -> &[Range<usize>] {
-        &self.runs
     }
 
     /// Part of the voxels that may be lit.
@@ -148,9 +133,7 @@ impl Places {
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
         self.is_open = bins.map(|bin| !bin.contains(&0)).collect();
-        let for_data = support.clone().opening_above(self.most);
-        self.runs = self.runs_of(&for_data);
-        self.data_support = Some(for_data);
+        self.data_support = Some(support.clone().opening_above(self.most));
         self.support = Some(support.clone());
         support
     }
@@ -173,38 +156,16 @@ impl Places {
             };
         }
     }
-
-    fn runs_of(&self, support: &Support) -> Vec<Range<usize>> {
-        let columns = self.shape.columns;
-        let mut runs: Vec<Range<usize>> = Vec::new();
-        let lit = support.lit_rows();
-        for (row, _) in lit.iter().enumerate().filter(|(_, lit)| **lit) {
-            match runs.last_mut() {
-                Some(run) if run.end == row * columns => run.end += columns,
-                _ => runs.push(row * columns..(row + 1) * columns),
-            }
-        }
-        let (first, all) = self.lengths;
-        let rest = std::iter::once(first..all);
-        runs.into_iter().chain(rest).flat_map(chunks).collect()
-    }
-}
-
-fn chunks(run: Range<usize>) -> impl Iterator<Item = Range<usize>> {
-    let end = run.end;
-    run.step_by(CHUNK)
-        .map(move |start| start..end.min(start + CHUNK))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vecmath::pieces;
 
     #[test]
     fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
-        let mut places = Places::everywhere(shape, shape.voxels(), usize::MAX);
+        let mut places = Places::everywhere(shape, usize::MAX);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
@@ -235,7 +196,7 @@ mod tests {
     #[test]
     fn a_bin_of_a_wide_sensor_is_opened_for_a_while() {
         let shape = Shape::new(2, 9, 9);
-        let mut places = Places::everywhere(shape, shape.voxels(), 50);
+        let mut places = Places::everywhere(shape, 50);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         places.find(&video, 1.0, (&video, &[]));
@@ -252,23 +213,5 @@ mod tests {
         assert_eq!(places.support().unwrap().pixels_of(1).unwrap().len(), 9);
         places.find(&video, 1.0, (&video, &[]));
         assert!(places.are_settled());
-    }
-
-    #[test]
-    fn runs_are_the_rows_that_hold_a_place_and_what_follows() {
-        let shape = Shape::new(2, 200, 100);
-        let mut places = Places::everywhere(shape, 40_007, usize::MAX);
-        let all: Vec<usize> = places.runs().iter().cloned().flatten().collect();
-        assert!(all.iter().copied().eq(0..40_007) && places.runs().len() == 3);
-        let mut video = vec![0.0f32; shape.voxels()];
-        (video[550], video[20_000]) = (1.0, 1.0);
-        places.find(&video, 1.0, (&video, &[]));
-        assert_eq!(places.runs(), [400..700, 20_000..20_200, 40_000..40_007]);
-        let mut values: Vec<f32> = (0..40_007).map(|i| i as f32).collect();
-        let starts: Vec<f32> = pieces(&mut values, places.runs())
-            .iter()
-            .map(|p| p[0])
-            .collect();
-        assert_eq!(starts, [400.0, 20_000.0, 40_000.0]);
     }
 }

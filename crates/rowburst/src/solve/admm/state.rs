@@ -7,6 +7,7 @@ use crate::prox::Prox;
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Corrections of `ρ` that are not worth another factor, and at first, when factors
 /// take as long as two iterations and corrections say little yet: a factor for every 2 % left the pictures of four
@@ -64,11 +65,13 @@ const AHEAD: usize = 26;
 
 pub(super) struct State {
     shape: Shape,
+    /// For what needs a video by the way.
     x: Vec<f32>,
     z: Vec<f32>,
-    u: Vec<f32>,
+    /// `z = prox(q)`, and the scaled dual is `u = q − z`.
+    q: Vec<f32>,
     az: Vec<f32>,
-    au: Vec<f32>,
+    aq: Vec<f32>,
     /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last data step: `ρ y = b − A x`.
     y: Vec<f32>,
     rho: f64,
@@ -110,9 +113,9 @@ impl State {
             shape,
             x: vec![0.0; n],
             z: vec![0.0; n],
-            u: vec![0.0; n],
+            q: vec![0.0; n],
             az: vec![0.0; m],
-            au: vec![0.0; m],
+            aq: vec![0.0; m],
             y: vec![0.0; m],
             rho: first_rho * data.scale(),
             lowest_rho: (1e-7 * data.scale()).max(data.least_rho()),
@@ -128,7 +131,7 @@ impl State {
             iterations: 0,
             ahead: 0,
             held: 0,
-            places: Places::everywhere(shape, n, data.most_lit()),
+            places: Places::everywhere(shape, data.most_lit()),
         };
         state.aim_at(params.tau, data);
         state
@@ -159,7 +162,7 @@ impl State {
         self.aim_at(self.rule, data);
         // The weights may be others.
         data.operator().apply(&self.z, &mut self.az);
-        data.operator().apply(&self.u, &mut self.au);
+        data.operator().apply(&self.q, &mut self.aq);
     }
 
     /// How far the run is: the iterations that count, and what it began with.
@@ -194,56 +197,57 @@ impl State {
         }
     }
 
-    /// `u ← q = x̂ + u` with `x̂ = αx + (1−α)z`, and `A u` along with it.
-    pub fn data_step(&mut self, data: &mut dyn DataTerm, params: &AdmmParams) {
+    /// `q ← x̂ + u` with `x̂ = αx + (1−α)z`, and `A q` along with it; returns how far `q` is from the last one, in
+    /// sizes of `z`.
+    pub fn data_step(&mut self, data: &mut dyn DataTerm, params: &AdmmParams) -> f64 {
         let alpha = params.relaxation as f32;
         let m = self.az.len();
         // b − A p with p = z − u
-        let rest: Vec<f32> = (0..m)
-            .map(|i| data.measured()[i] - self.az[i] + self.au[i])
-            .collect();
+        let light = data.measured().iter().zip(&self.az).zip(&self.aq);
+        let rest: Vec<f32> = light.map(|((b, az), aq)| b - az + (aq - az)).collect();
         let mut gram_y = vec![0.0f32; m];
         let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
         self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
-        let z = &self.z;
+        let (z, columns) = (&self.z, self.shape.columns);
+        // Of the parts that begin in each row: their order does not count.
+        let sums: Vec<AtomicU64> = (0..z.len().div_ceil(columns))
+            .map(|_| AtomicU64::new(0))
+            .collect();
         data.adjoint_each(
             &self.y,
             self.places.data_support(),
-            &mut self.u,
-            &|start, x, u| {
+            &mut self.q,
+            &|start, x, q| {
                 // x is x − p here.
-                let z = &z[start..start + x.len()];
-                simd(
-                    #[inline(always)]
-                    || {
-                        for ((u, x), z) in u.iter_mut().zip(x).zip(z) {
-                            *u = z + (1.0 - alpha) * *u + alpha * x;
-                        }
-                    },
-                );
+                let sum = relax(q, &z[start..start + x.len()], x, alpha);
+                let [distance, size] = sum.map(|sum| u64::from(sum.to_bits()));
+                sums[start / columns].store(distance << 32 | size, Ordering::Relaxed);
             },
         );
-        for ((au, az), gram_y) in self.au.iter_mut().zip(&self.az).zip(&gram_y) {
-            *au = az + (1.0 - alpha) * *au + alpha * gram_y;
+        for ((aq, az), gram_y) in self.aq.iter_mut().zip(&self.az).zip(&gram_y) {
+            *aq = az + (1.0 - alpha) * (*aq - az) + alpha * gram_y;
+        }
+        let (mut distance, mut size) = (0.0, 0.0);
+        for sum in sums.into_iter().map(AtomicU64::into_inner) {
+            let of = |half: u64| f64::from(f32::from_bits(half as u32));
+            (distance, size) = (distance + of(sum >> 32), size + of(sum));
+        }
+        // From a dark video all of it is a change.
+        if size > 0.0 {
+            f64::from(alpha) * (distance / size).sqrt()
+        } else {
+            1.0
         }
     }
 
-    /// `z = prox(q)`, `u = q − z`; returns the relative change of `z`.
-    pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) -> f64 {
+    /// `z = prox(q)`.
+    pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) {
         if self.beta == 0.0 {
-            self.set_threshold(FIRST_GUESS * brightness(&self.u));
+            self.set_threshold(FIRST_GUESS * brightness(&self.q));
         }
-        std::mem::swap(&mut self.x, &mut self.z); // x keeps the last z
-        let (u, z, runs) = (&mut self.u, &mut self.z, self.places.runs());
-        let moved = prior.prox_and_rest(u, self.beta, z, &self.x, runs);
+        prior.prox(&self.q, self.beta, &mut self.z);
         data.operator().apply(&self.z, &mut self.az);
-        self.au.iter_mut().zip(&self.az).for_each(|(u, z)| *u -= z);
-        if moved.size == 0.0 {
-            0.0
-        } else {
-            (moved.distance / moved.size).sqrt()
-        }
     }
 
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
@@ -295,12 +299,12 @@ impl State {
             && data.follow(&self.z)
         {
             data.operator().apply(&self.z, &mut self.az);
-            data.operator().apply(&self.u, &mut self.au);
+            data.operator().apply(&self.q, &mut self.aq);
         }
         self.is_steady = self.rho == rho;
         if k.is_multiple_of(50) {
-            // A u is a long sum: start it afresh.
-            data.operator().apply(&self.u, &mut self.au);
+            // A q is a long sum: start it afresh.
+            data.operator().apply(&self.q, &mut self.aq);
         }
     }
 
@@ -378,10 +382,10 @@ impl State {
         if let Some(places) = self.places.data_support() {
             data.restrict(places);
             places.apply(&mut self.x);
-            places.apply(&mut self.u);
+            places.apply(&mut self.q);
         }
         data.operator().apply(&self.z, &mut self.az);
-        data.operator().apply(&self.u, &mut self.au);
+        data.operator().apply(&self.q, &mut self.aq);
     }
 
     /// Root mean square that the residual is expected to have.
@@ -474,6 +478,42 @@ impl State {
     }
 }
 
+/// `q ← z + (1−α)u + αx`, and with the old `u = q − z` `Σ (x − u)²` and `Σ z²`.
+fn relax(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32) -> [f32; 2] {
+    const LANES: usize = 16;
+    simd(
+        #[inline(always)]
+        || {
+            let mut sums = [[0.0f32; LANES]; 2];
+            let (q, q_rest) = q.as_chunks_mut::<LANES>();
+            let (z, z_rest) = z.as_chunks::<LANES>();
+            let (x, x_rest) = x.as_chunks::<LANES>();
+            for ((q, z), x) in q.iter_mut().zip(z).zip(x) {
+                for i in 0..LANES {
+                    let u = q[i] - z[i];
+                    sums[0][i] += (x[i] - u) * (x[i] - u);
+                    sums[1][i] += z[i] * z[i];
+                    q[i] = z[i] + (1.0 - alpha) * u + alpha * x[i];
+                }
+            }
+            for ((q, z), x) in q_rest.iter_mut().zip(z_rest).zip(x_rest) {
+                let u = *q - z;
+                sums[0][0] += (x - u) * (x - u);
+                sums[1][0] += z * z;
+                *q = z + (1.0 - alpha) * u + alpha * x;
+            }
+            sums.map(|mut lanes| {
+                for half in [8, 4, 2, 1] {
+                    for i in 0..half {
+                        lanes[i] += lanes[i + half];
+                    }
+                }
+                lanes[0]
+            })
+        },
+    )
+}
+
 /// Elements of one parallel task.
 const CHUNK: usize = 1 << 14;
 
@@ -483,10 +523,10 @@ pub(crate) fn brightness(video: &[f32]) -> f64 {
     let parts: Vec<(f64, f64)> = video
         .par_chunks(CHUNK)
         .map(|chunk| {
-            let powers = chunk.iter().map(|&v| f64::from(v.max(0.0)).powi(2));
-            powers.fold((0.0, 0.0), |(second, fourth), p| {
-                (second + p, fourth + p * p)
-            })
+            simd(
+                #[inline(always)]
+                || powers(chunk),
+            )
         })
         .collect();
     let (second, fourth) = parts
@@ -497,4 +537,22 @@ pub(crate) fn brightness(video: &[f32]) -> f64 {
     } else {
         0.0
     }
+}
+
+/// `Σ v²` and `Σ v⁴` over the positive part.
+#[inline(always)]
+fn powers(values: &[f32]) -> (f64, f64) {
+    const LANES: usize = 8;
+    let (mut second, mut fourth) = ([0.0f64; LANES], [0.0f64; LANES]);
+    let (parts, rest) = values.as_chunks::<LANES>();
+    let mut last = [0.0; LANES];
+    last[..rest.len()].copy_from_slice(rest);
+    for part in parts.iter().chain([&last]) {
+        for i in 0..LANES {
+            let square = f64::from(part[i].max(0.0)).powi(2);
+            second[i] += square;
+            fourth[i] += square * square;
+        }
+    }
+    (second.iter().sum(), fourth.iter().sum())
 }
