@@ -104,7 +104,7 @@ impl Composite {
                 .iter_mut()
                 .for_each(|part| part.term.rescale(factor));
         }
-        self.variation.rescale_duals(scale);
+        self.variation.set_scale(scale);
         self.scale = scale;
     }
 

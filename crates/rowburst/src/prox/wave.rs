@@ -10,6 +10,7 @@
 //! share; what is left, a few bins around each border, is done after all blocks. Every voxel sees the
 //! same steps in the same order however many blocks there are, so the bits do not depend on the threads.
 
+use super::variation::Dual;
 use crate::Shape;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -31,16 +32,16 @@ pub(super) struct Slab<'a> {
     q: &'a [f32],
     z: &'a mut [f32],
     /// Two duals in space; empty where there is none.
-    space: [&'a mut [f32]; 2],
+    space: [&'a mut [Dual]; 2],
     /// The dual over time from each bin to the next; of the last bin, which a neighbour reads
     /// as well, and of the bin before the first it is shared.
-    time: &'a mut [f32],
-    last: Option<&'a [f32]>,
-    before: Option<&'a [f32]>,
+    time: &'a mut [Dual],
+    last: Option<&'a [Dual]>,
+    before: Option<&'a [Dual]>,
 }
 
 /// The dual along y and along x.
-pub(super) type PerAxis<'s> = (&'s mut [f32], &'s mut [f32]);
+pub(super) type PerAxis<'s> = (&'s mut [Dual], &'s mut [Dual]);
 
 /// A bin of a [`Slab`].
 pub(super) struct Parts<'s> {
@@ -48,10 +49,10 @@ pub(super) struct Parts<'s> {
     pub q: &'s [f32],
     pub space: Option<PerAxis<'s>>,
     /// The dual over time of it, and of the bin before, unless that is to step.
-    pub time: Option<&'s [f32]>,
-    pub before: Option<&'s [f32]>,
+    pub time: Option<&'s [Dual]>,
+    pub before: Option<&'s [Dual]>,
     /// Else that, and the bin before.
-    pub led: Option<(&'s mut [f32], &'s [f32])>,
+    pub led: Option<(&'s mut [Dual], &'s [f32])>,
 }
 
 impl Slab<'_> {
@@ -84,7 +85,7 @@ impl Slab<'_> {
     }
 
     /// The dual over time from bin `t` to the next, and the two bins.
-    pub fn time_step(&mut self, t: usize) -> (&mut [f32], (&[f32], &[f32])) {
+    pub fn time_step(&mut self, t: usize) -> (&mut [Dual], (&[f32], &[f32])) {
         let (now, next) = (self.place(t), self.place(t + 1));
         let p = &mut self.time[now.clone()];
         let z = &*self.z;
@@ -107,7 +108,7 @@ pub(super) trait Levels: Sync {
 
 impl Wave {
     /// Takes `levels` through all bins.
-    pub fn run(&self, q: &[f32], z: &mut [f32], duals: &mut [Vec<f32>; 3], levels: &impl Levels) {
+    pub fn run(&self, q: &[f32], z: &mut [f32], duals: &mut [Vec<Dual>; 3], levels: &impl Levels) {
         let bins = self.shape.bins;
         let blocks = match self.is_coupled {
             true => rayon::current_num_threads().min(bins / (2 * self.steps + 2)),
@@ -188,7 +189,7 @@ impl Wave {
         cuts: &[usize],
         mut q: &'a [f32],
         z: &'a mut [f32],
-        duals: &'a mut [Vec<f32>; 3],
+        duals: &'a mut [Vec<Dual>; 3],
         is_shared: bool,
     ) -> Vec<Slab<'a>> {
         let [mut py, mut px, mut time] = duals.each_mut().map(Vec::as_mut_slice);
@@ -218,7 +219,7 @@ impl Wave {
 }
 
 /// The first `size` of `values`, which goes on behind them; nothing of nothing.
-fn split<'a>(values: &mut &'a mut [f32], size: usize) -> &'a mut [f32] {
+fn split<'a, T>(values: &mut &'a mut [T], size: usize) -> &'a mut [T] {
     let all = std::mem::take(values);
     let (first, rest) = all.split_at_mut(size.min(all.len()));
     *values = rest;

@@ -33,7 +33,7 @@ use std::ops::ControlFlow;
 
 /// Raised by one with every change that gives other numbers for the same input, also within a
 /// version of the program: archives of many frames are not continued across it.
-pub const NUMBERS: u32 = 5;
+pub const NUMBERS: u32 = 6;
 
 /// What the user chooses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

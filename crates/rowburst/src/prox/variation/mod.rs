@@ -22,7 +22,8 @@ use super::rows::Rows;
 use super::wave::{Levels, Parts, PerAxis, Slab, Wave};
 use crate::vecmath::simd;
 use crate::{Shape, Support};
-use bin::{Bin, Duals, Space, Step, Time, Values, add_row};
+pub(super) use bin::Dual;
+use bin::{Bin, Duals, Space, Step, Time, Values, add_row, unit};
 use rayon::prelude::*;
 use std::mem::take;
 use std::ops::Range;
@@ -53,10 +54,10 @@ pub struct Variation {
     shape: Shape,
     weights: VariationWeights,
     steps: usize,
-    dual_y: Vec<f32>,
-    dual_x: Vec<f32>,
-    dual_t: Vec<f32>,
-    /// Scale that the duals were left at; they are multiples of it.
+    dual_y: Vec<Dual>,
+    dual_x: Vec<Dual>,
+    dual_t: Vec<Dual>,
+    /// Scale of the last call. The duals are parts of it.
     scale: f64,
     support: Option<Support>,
     rows: Rows,
@@ -81,9 +82,9 @@ impl Variation {
             shape,
             weights,
             steps: STEPS,
-            dual_y: vec![0.0; space],
-            dual_x: vec![0.0; space],
-            dual_t: vec![0.0; time],
+            dual_y: vec![0; space],
+            dual_x: vec![0; space],
+            dual_t: vec![0; time],
             scale: 0.0,
             support: None,
             rows: Rows::all(shape),
@@ -98,13 +99,7 @@ impl Variation {
         self
     }
 
-    pub(super) fn rescale_duals(&mut self, scale: f64) {
-        if self.scale > 0.0 && self.scale != scale {
-            let factor = (scale / self.scale) as f32;
-            for dual in [&mut self.dual_y, &mut self.dual_x, &mut self.dual_t] {
-                dual.par_iter_mut().for_each(|p| *p *= factor);
-            }
-        }
+    pub(super) fn set_scale(&mut self, scale: f64) {
         self.scale = scale;
     }
 
@@ -142,10 +137,12 @@ impl Variation {
     fn bin(&self, t: usize, scale: f64) -> Bin<'_> {
         let pixels = self.shape.pixels();
         let mask = self.support.as_ref().map(Support::mask);
+        let (in_space, over_time) = self.radii(scale);
         Bin {
             columns: self.shape.columns,
             rows: self.rows.lit(t),
             shrink: (scale * self.weights.l1) as f32,
+            units: (unit(in_space), unit(over_time)),
             mask: mask.map(|mask| &mask[t * pixels..(t + 1) * pixels]),
         }
     }
@@ -163,27 +160,30 @@ impl Variation {
         }
     }
 
+    fn radii(&self, scale: f64) -> (f32, f32) {
+        let VariationWeights { space, time, .. } = self.weights;
+        ((scale * space) as f32, (scale * time) as f32)
+    }
+
     /// The spatial dual of a bin, for steps of the given length at a scale.
     fn space<'s>(
         &'s self,
-        py: &'s mut [f32],
-        px: &'s mut [f32],
+        py: &'s mut [Dual],
+        px: &'s mut [Dual],
         (scale, length): (f64, f32),
     ) -> Space<'s> {
-        let radius = (scale * self.weights.space) as f32;
         Space {
             py,
             px,
-            step: Step { length, radius },
+            step: Step::new(length, self.radii(scale).0),
             columns: self.shape.columns,
             along: &self.along,
         }
     }
 
     /// The same of the dual over time behind a bin that is at `now`.
-    fn time<'s>(&self, p: &'s mut [f32], now: &'s [f32], (scale, length): (f64, f32)) -> Time<'s> {
-        let radius = (scale * self.weights.time) as f32;
-        let step = Step { length, radius };
+    fn time<'s>(&self, p: &'s mut [Dual], now: &'s [f32], (scale, length): (f64, f32)) -> Time<'s> {
+        let step = Step::new(length, self.radii(scale).1);
         Time { p, now, step }
     }
 
@@ -221,7 +221,7 @@ impl Variation {
         [self.dual_y, self.dual_x, self.dual_t] = [py, px, pt];
     }
 
-    fn take_duals(&mut self) -> [Vec<f32>; 3] {
+    fn take_duals(&mut self) -> [Vec<Dual>; 3] {
         [&mut self.dual_y, &mut self.dual_x, &mut self.dual_t].map(take)
     }
 }
@@ -320,7 +320,7 @@ impl Prox for Variation {
     fn prox(&mut self, q: &[f32], scale: f64, z: &mut [f32]) {
         assert_eq!(q.len(), self.shape.voxels(), "length of the point");
         assert_eq!(z.len(), self.shape.voxels(), "length of the result");
-        self.rescale_duals(scale);
+        self.scale = scale;
         let mut left = if self.is_dual() { self.steps } else { 0 };
         while left > STEPS {
             self.sweep(q, scale, z, STEPS, false);

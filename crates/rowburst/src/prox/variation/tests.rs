@@ -90,7 +90,7 @@ fn is_the_minimiser() {
 
 /// Level after level over the whole video, as [`Composite`](super::super::Composite) does it.
 fn level_by_level(prior: &mut Variation, q: &[f32], scale: f64, z: &mut [f32], steps: usize) {
-    prior.rescale_duals(scale);
+    prior.set_scale(scale);
     for _ in 0..steps {
         prior.primal(q, scale, z);
         prior.step_dual(z, scale, STEP / prior.norm_squared() as f32);
