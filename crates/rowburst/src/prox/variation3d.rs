@@ -14,6 +14,7 @@ use super::dual::{self, DualTerm};
 use crate::Shape;
 use crate::vecmath::simd;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// How the three differences at a voxel are put together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,12 +58,15 @@ impl Variation3d {
     }
 }
 
-/// The differences of one line of a bin towards below, right and the next bin.
+/// A line of a bin, the one below it, and the same line of the next bin; itself, where there is none.
 struct Line<'a> {
     now: &'a [f32],
     below: &'a [f32],
     next: &'a [f32],
 }
+
+/// Pixels that are worked on together.
+const PART: usize = 16;
 
 impl<'a> Line<'a> {
     #[inline(always)]
@@ -76,19 +80,81 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// `(∂y, ∂x, ∂t)` at column `x`; `right` is `x + 1`, or `x` at the last column.
+    /// Calls `work(x, differences)` for parts of the line, with the differences towards below, right and the next bin
+    /// from column `x` on; behind the line they are zero.
     #[inline(always)]
-    fn gradient(&self, x: usize, right: usize) -> (f32, f32, f32) {
-        let v = self.now[x];
-        (self.below[x] - v, self.now[right] - v, self.next[x] - v)
+    fn parts(&self, mut work: impl FnMut(usize, [[f32; PART]; 3])) {
+        let columns = self.now.len();
+        let inner = columns - 1;
+        let whole = inner - inner % PART;
+        for x in (0..whole).step_by(PART) {
+            let part = |of: &[f32], x: usize| -> [f32; PART] {
+                of[x..x + PART].try_into().expect("so many")
+            };
+            let (now, right) = (part(self.now, x), part(self.now, x + 1));
+            let (below, next) = (part(self.below, x), part(self.next, x));
+            work(
+                x,
+                [less(&below, &now), less(&right, &now), less(&next, &now)],
+            );
+        }
+        // The last column has nothing beside it.
+        for x in (whole..columns).step_by(PART) {
+            let mut rest = [[0.0; PART]; 3];
+            for i in 0..PART.min(columns - x) {
+                let v = self.now[x + i];
+                let right = self.now[(x + i + 1).min(inner)];
+                rest[0][i] = self.below[x + i] - v;
+                rest[1][i] = right - v;
+                rest[2][i] = self.next[x + i] - v;
+            }
+            work(x, rest);
+        }
     }
 }
 
 #[inline(always)]
-fn size(isotropy: Isotropy, (y, x, t): (f32, f32, f32)) -> f32 {
+fn less(a: &[f32; PART], b: &[f32; PART]) -> [f32; PART] {
+    let mut less = *a;
+    less.iter_mut().zip(b).for_each(|(a, b)| *a -= b);
+    less
+}
+
+#[inline(always)]
+fn size(isotropy: Isotropy, y: f32, x: f32, t: f32) -> f32 {
     match isotropy {
         Isotropy::Isotropic => (y * y + x * x + t * t).sqrt(),
         Isotropy::Anisotropic => y.abs() + x.abs() + t.abs(),
+    }
+}
+
+/// Adds the sizes of some differences, lane by lane.
+#[inline(always)]
+fn add_sizes(sums: &mut [f32; PART], isotropy: Isotropy, [y, x, t]: &[[f32; PART]; 3]) {
+    for i in 0..PART {
+        sums[i] += size(isotropy, y[i], x[i], t[i]);
+    }
+}
+
+/// The duals `p` of some voxels, a step along their differences and back into the ball.
+#[inline(always)]
+fn step_part(
+    p: [&mut [f32]; 3],
+    [y, x, t]: &[[f32; PART]; 3],
+    isotropy: Isotropy,
+    (step, radius): (f32, f32),
+) {
+    let [py, px, pt] = p;
+    let count = py.len();
+    let (px, pt) = (&mut px[..count], &mut pt[..count]);
+    let (y, x, t) = (&y[..count], &x[..count], &t[..count]);
+    for i in 0..count {
+        let moved = (
+            py[i] + step * y[i],
+            px[i] + step * x[i],
+            pt[i] + step * t[i],
+        );
+        (py[i], px[i], pt[i]) = project(isotropy, radius, moved);
     }
 }
 
@@ -172,32 +238,37 @@ impl DualTerm for Variation3d {
                 let next = (t + 1).min(bins - 1);
                 let now = &z[t * pixels..(t + 1) * pixels];
                 let next = &z[next * pixels..(next + 1) * pixels];
-                simd(
-                    #[inline(always)]
-                    || {
-                        let mut sum = 0.0f64;
-                        for y in 0..rows {
-                            let line = Line::new(now, next, columns, y);
-                            let range = y * columns..(y + 1) * columns;
-                            let (py, px) = (&mut py[range.clone()], &mut px[range.clone()]);
-                            let pt = &mut pt[range];
-                            let mut of_line = [0.0f32; 8];
-                            let mut at = |x: usize, right: usize, lane: usize| {
-                                let (dy, dx, dt) = line.gradient(x, right);
-                                of_line[lane] += size(isotropy, (dy, dx, dt));
-                                let moved =
-                                    (py[x] + step * dy, px[x] + step * dx, pt[x] + step * dt);
-                                (py[x], px[x], pt[x]) = project(isotropy, radius, moved);
-                            };
-                            for x in 0..columns - 1 {
-                                at(x, x + 1, x & 7);
-                            }
-                            at(columns - 1, columns - 1, 0);
-                            sum += of_line.iter().map(|&s| f64::from(s)).sum::<f64>();
-                        }
-                        sum
-                    },
-                )
+                let mut sum = 0.0f64;
+                for y in 0..rows {
+                    let (line, at) = (Line::new(now, next, columns, y), y * columns);
+                    let sums = simd(
+                        #[inline(always)]
+                        || {
+                            let mut sums = [0.0f32; PART];
+                            line.parts(
+                                #[inline(always)]
+                                |x, differences| {
+                                    add_sizes(&mut sums, isotropy, &differences);
+                                    let mut step_at = |part: Range<usize>| {
+                                        let (py, px) =
+                                            (&mut py[part.clone()], &mut px[part.clone()]);
+                                        let p = [py, px, &mut pt[part]];
+                                        step_part(p, &differences, isotropy, (step, radius));
+                                    };
+                                    // Compiled for all of a part, and for the rest.
+                                    if x + PART <= columns {
+                                        step_at(at + x..at + x + PART);
+                                    } else {
+                                        step_at(at + x..at + columns);
+                                    }
+                                },
+                            );
+                            sums
+                        },
+                    );
+                    sum += sums.iter().map(|&s| f64::from(s)).sum::<f64>();
+                }
+                sum
             })
             .collect();
         sums.iter().sum()
@@ -218,10 +289,18 @@ impl DualTerm for Variation3d {
                 let mut sum = 0.0;
                 for y in 0..self.shape.rows {
                     let line = Line::new(now, next, columns, y);
-                    for x in 0..columns {
-                        let gradient = line.gradient(x, (x + 1).min(columns - 1));
-                        sum += f64::from(size(self.isotropy, gradient));
-                    }
+                    let sums = simd(
+                        #[inline(always)]
+                        || {
+                            let mut sums = [0.0f32; PART];
+                            line.parts(
+                                #[inline(always)]
+                                |_, differences| add_sizes(&mut sums, self.isotropy, &differences),
+                            );
+                            sums
+                        },
+                    );
+                    sum += sums.iter().map(|&s| f64::from(s)).sum::<f64>();
                 }
                 sum
             })

@@ -795,6 +795,18 @@ mod tests {
         }
     }
 
+    /// Weights make the blocks larger, and their rounding: f32 ends at a larger `ρ`.
+    #[test]
+    fn large_weights_need_f64_sooner() {
+        for (weight, is_single) in [(1.0, true), (10.0, false)] {
+            let mut data = data(Shutter::DualInsideOut);
+            data.weights = Some(vec![weight; 240]);
+            data.weights_changed(true);
+            check_one(&mut data, 5e-5, 0, &format!("weights of {weight}"));
+            assert_eq!(data.is_single(), is_single, "weights of {weight}");
+        }
+    }
+
     /// What went before does not show, to the bit.
     #[test]
     fn starts_afresh() {

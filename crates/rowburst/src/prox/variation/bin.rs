@@ -24,9 +24,9 @@ pub(super) struct Bin<'a> {
     pub mask: Option<&'a [u8]>,
 }
 
-/// A dual over the radius of the ball that it stays in, in parts of [`FULL`]: half of the memory of f32, and a
-/// prior of a video that does not fit into a cache takes as long as its memory. Rounding moves a point by less than
-/// 1e-4 of that radius, which is 1.5 % of the brightness in an iteration.
+/// A dual over the radius of the ball that it stays in, in parts of [`FULL`]: half of the memory of f32, which is what
+/// a prior of a video beyond the caches waits for. Rounding moves a point by 1e-4 of the radius at most, and that is 1.5 %
+/// of the brightness in an iteration.
 pub type Dual = i16;
 
 /// The radius in units of a [`Dual`].
