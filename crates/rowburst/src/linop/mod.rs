@@ -56,13 +56,17 @@ impl Scalar for f64 {
 /// the same part of another.
 pub type WritePart<'w, T = f32> = &'w (dyn Fn(usize, &[T], &mut [T]) + Sync);
 
+/// Elements of a part of [`write_parts`].
+pub const WRITE_PART: usize = 1 << 14;
+
 /// Calls `write` for all of `values` and `target`, part by part.
 pub fn write_parts<T: Scalar>(values: &[T], target: &mut [T], write: WritePart<T>) {
-    const PART: usize = 1 << 14;
-    let parts = target.par_chunks_mut(PART).zip(values.par_chunks(PART));
+    let parts = target
+        .par_chunks_mut(WRITE_PART)
+        .zip(values.par_chunks(WRITE_PART));
     parts
         .enumerate()
-        .for_each(|(i, (target, part))| write(i * PART, part, target));
+        .for_each(|(i, (target, part))| write(i * WRITE_PART, part, target));
 }
 
 /// A linear map from `domain_len` to `range_len` numbers.

@@ -88,9 +88,6 @@ impl<'a> Line<'a> {
         let inner = columns - 1;
         let whole = inner - inner % PART;
         for x in (0..whole).step_by(PART) {
-            let part = |of: &[f32], x: usize| -> [f32; PART] {
-                of[x..x + PART].try_into().expect("so many")
-            };
             let (now, right) = (part(self.now, x), part(self.now, x + 1));
             let (below, next) = (part(self.below, x), part(self.next, x));
             work(
@@ -99,18 +96,21 @@ impl<'a> Line<'a> {
             );
         }
         // The last column has nothing beside it.
-        for x in (whole..columns).step_by(PART) {
-            let mut rest = [[0.0; PART]; 3];
-            for i in 0..PART.min(columns - x) {
-                let v = self.now[x + i];
-                let right = self.now[(x + i + 1).min(inner)];
-                rest[0][i] = self.below[x + i] - v;
-                rest[1][i] = right - v;
-                rest[2][i] = self.next[x + i] - v;
-            }
-            work(x, rest);
+        let mut rest = [[0.0; PART]; 3];
+        for (i, x) in (whole..columns).enumerate() {
+            let v = self.now[x];
+            let right = self.now[(x + 1).min(inner)];
+            rest[0][i] = self.below[x] - v;
+            rest[1][i] = right - v;
+            rest[2][i] = self.next[x] - v;
         }
+        work(whole, rest);
     }
+}
+
+#[inline(always)]
+fn part(of: &[f32], x: usize) -> [f32; PART] {
+    of[x..x + PART].try_into().expect("so many")
 }
 
 #[inline(always)]
@@ -136,17 +136,15 @@ fn add_sizes(sums: &mut [f32; PART], isotropy: Isotropy, [y, x, t]: &[[f32; PART
     }
 }
 
-/// The duals `p` of some voxels, a step along their differences and back into the ball.
+/// The duals of some voxels, a step along their differences and back into the ball.
 #[inline(always)]
 fn step_part(
-    p: [&mut [f32]; 3],
-    [y, x, t]: &[[f32; PART]; 3],
-    isotropy: Isotropy,
-    (step, radius): (f32, f32),
+    (py, px, pt): (&mut [f32], &mut [f32], &mut [f32]),
+    at: Range<usize>,
+    ([y, x, t], isotropy, (step, radius)): (&[[f32; PART]; 3], Isotropy, (f32, f32)),
 ) {
-    let [py, px, pt] = p;
-    let count = py.len();
-    let (px, pt) = (&mut px[..count], &mut pt[..count]);
+    let count = at.len();
+    let (py, px, pt) = (&mut py[at.clone()], &mut px[at.clone()], &mut pt[at]);
     let (y, x, t) = (&y[..count], &x[..count], &t[..count]);
     for i in 0..count {
         let moved = (
@@ -249,17 +247,13 @@ impl DualTerm for Variation3d {
                                 #[inline(always)]
                                 |x, differences| {
                                     add_sizes(&mut sums, isotropy, &differences);
-                                    let mut step_at = |part: Range<usize>| {
-                                        let (py, px) =
-                                            (&mut py[part.clone()], &mut px[part.clone()]);
-                                        let p = [py, px, &mut pt[part]];
-                                        step_part(p, &differences, isotropy, (step, radius));
-                                    };
+                                    let p = (&mut *py, &mut *px, &mut *pt);
+                                    let of = (&differences, isotropy, (step, radius));
                                     // Compiled for all of a part, and for the rest.
                                     if x + PART <= columns {
-                                        step_at(at + x..at + x + PART);
+                                        step_part(p, at + x..at + x + PART, of);
                                     } else {
-                                        step_at(at + x..at + columns);
+                                        step_part(p, at + x..at + columns, of);
                                     }
                                 },
                             );

@@ -15,7 +15,7 @@ use crate::Shape;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Levels `0..=steps` over the bins: first between the bins, except at level 0, then at the bins.
+/// Levels `0..=steps` over the bins; each brings the duals before the bins to the next one.
 pub(super) struct Wave {
     pub shape: Shape,
     /// Rows of a strip.
@@ -52,12 +52,12 @@ pub(super) struct Parts<'s> {
     pub time: Option<&'s [Dual]>,
     pub before: Option<&'s [Dual]>,
     /// Else that, and the bin before.
-    pub led: Option<(&'s mut [Dual], &'s [f32])>,
+    pub to_step: Option<(&'s mut [Dual], &'s [f32])>,
 }
 
 impl Slab<'_> {
-    /// Bin `t`; the dual over time before it to be stepped, if it `is_led`.
-    pub fn bin(&mut self, t: usize, is_led: bool) -> Parts<'_> {
+    /// Bin `t`, where the dual over time before it is to step if `steps_before`.
+    pub fn bin(&mut self, t: usize, steps_before: bool) -> Parts<'_> {
         let at = self.place(t);
         let [py, px] = &mut self.space;
         let space = py.get_mut(at.clone()).zip(px.get_mut(at.clone()));
@@ -65,14 +65,15 @@ impl Slab<'_> {
         let (z_before, z) = self.z.split_at_mut(at.start);
         let (p_before, p) = self.time.split_at_mut(at.start.min(self.time.len()));
         let time = p.get(..self.pixels).or(self.last);
-        let (mut before, mut led) = (None, None);
-        if is_led {
+        let (mut before, mut to_step) = (None, None);
+        if steps_before {
             let start = at.start - self.pixels;
-            led = Some((&mut p_before[start..], &z_before[start..]));
+            to_step = Some((&mut p_before[start..], &z_before[start..]));
         } else if at.start == 0 {
             before = self.before;
         } else {
-            before = p_before.get(at.start - self.pixels..);
+            let p = p_before.get(at.start - self.pixels..);
+            before = p.filter(|p| !p.is_empty());
         }
         Parts {
             q: &self.q[at.clone()],
@@ -80,7 +81,7 @@ impl Slab<'_> {
             space,
             time,
             before,
-            led,
+            to_step,
         }
     }
 
@@ -98,11 +99,11 @@ impl Slab<'_> {
     }
 }
 
-/// What is done to some rows of a bin at a level, and if it `is_led` to the dual over time before the bin, which is
-/// then at the next level; or to that of bin `t` alone. Rows may end one behind the last: what looks at the row above has
-/// its turn there.
+/// What is done to some rows of a bin at a level, and if `steps_before` to the dual over time before the bin, which is then
+/// at the next level; or to that of bin `t` alone. Rows may end one behind the last: what looks at the row above has its
+/// turn there.
 pub(super) trait Levels: Sync {
-    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, is_led: bool);
+    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, steps_before: bool);
     fn between(&self, slab: &mut Slab, t: usize, rows: Range<usize>);
 }
 
@@ -163,8 +164,8 @@ impl Wave {
                     let low = start + if is_first { 0 } else { level };
                     let high = end - if is_last { 0 } else { level };
                     if (low..high).contains(&t) {
-                        let is_led = t > low && level < self.steps;
-                        levels.at(slab, t, level, rows(level), is_led);
+                        let steps_before = t > low && level < self.steps;
+                        levels.at(slab, t, level, rows(level), steps_before);
                     }
                 }
             }

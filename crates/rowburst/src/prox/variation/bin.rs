@@ -2,7 +2,7 @@
 //!
 //! All goes by parts of [`PART`] pixels, whatever rows they fall in, and what follows from a part of the primal point is
 //! done while that is in registers: the dual over time from the bin before and the spatial dual of the row above, which
-//! have waited for nothing else, take their steps, or the point is taken away from where it came from.
+//! have waited for nothing else, take their steps.
 
 use super::reached;
 use crate::vecmath::simd;
@@ -37,7 +37,7 @@ pub(super) fn unit(radius: f32) -> f32 {
     radius / FULL
 }
 
-/// Rounded to the nearest whole number; at most [`FULL`] and half of one away from zero.
+/// Rounded to the nearest whole number; less than half of one beyond [`FULL`].
 #[inline(always)]
 fn nearest(value: f32) -> Dual {
     // From here on f32 has no digits behind the point, and the last ones are those of the number.
@@ -273,34 +273,31 @@ impl Bin<'_> {
         rows: Range<usize>,
         (z, q): (&mut [f32], &[f32]),
         space: Space,
-        (time, before, led): (Values, Values, Option<Time>),
+        (time, before, to_step): (Values, Values, Option<Time>),
     ) {
-        let (bin, pixels) = (self, self.pixels(rows));
-        match led {
-            Some(led) => {
-                let before = led;
-                let work = WriteAndStep {
-                    bin,
-                    q,
-                    z,
-                    space,
-                    time,
-                    before,
-                };
-                walk(pixels, self.columns, work);
-            }
-            None => {
-                let work = WriteAndStep {
-                    bin,
-                    q,
-                    z,
-                    space,
-                    time,
-                    before,
-                };
-                walk(pixels, self.columns, work);
-            }
+        match to_step {
+            Some(before) => self.step_beside(rows, (z, q), space, (time, before)),
+            None => self.step_beside(rows, (z, q), space, (time, before)),
         }
+    }
+
+    fn step_beside(
+        &self,
+        rows: Range<usize>,
+        (z, q): (&mut [f32], &[f32]),
+        space: Space,
+        (time, before): (Values, impl Before),
+    ) {
+        let bin = self;
+        let work = WriteAndStep {
+            bin,
+            q,
+            z,
+            space,
+            time,
+            before,
+        };
+        walk(self.pixels(rows), self.columns, work);
     }
 
     /// `z −= s·w_1 + Dᵀp` of the rows that may be lit.

@@ -249,20 +249,20 @@ struct DualSteps<'a> {
 
 impl DualSteps<'_> {
     /// The primal points of some rows, and while they are at hand steps of the spatial dual of the rows above, and of
-    /// the dual over time before them if it is led.
+    /// the dual over time before them if it is to step.
     fn write_and_step(&self, bin: &Bin, parts: Parts, (py, px): PerAxis, rows: Range<usize>) {
         let (prior, lengths) = (self.prior, (self.scale, self.length));
         let (time, before) = (Values::new(parts.time), Values::new(parts.before));
-        let mut led = parts.led;
+        let mut to_step = parts.to_step;
         for run in reached(bin.rows, &rows) {
             // The row behind a run is dark.
             let (start, end) = (run.start.max(rows.start), rows.end.min(run.end + 1));
             let lit = start..end.min(run.end);
             let above = |y: usize| y.max(1) - 1;
             let left = above(lit.end)..above(end);
-            let led = led.as_mut().map(|(p, now)| prior.time(p, now, lengths));
+            let stepping = to_step.as_mut().map(|(p, now)| prior.time(p, now, lengths));
             let (space, point) = (prior.space(py, px, lengths), (&mut *parts.z, parts.q));
-            bin.write_and_step(lit, point, space, (time, before, led));
+            bin.write_and_step(lit, point, space, (time, before, stepping));
             prior.space(py, px, lengths).rows(left, parts.z);
         }
     }
@@ -284,15 +284,15 @@ impl DualSteps<'_> {
 }
 
 impl Levels for DualSteps<'_> {
-    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, is_led: bool) {
+    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, steps_before: bool) {
         let is_end = level == self.steps;
         if is_end && !self.is_last {
             return;
         }
         let (prior, bin) = (self.prior, self.prior.bin(t, self.scale));
         // On a support what moves between the bins is not what is lit.
-        let is_along = is_led && prior.weights.space > 0.0 && prior.support.is_none();
-        let mut parts = slab.bin(t, is_along);
+        let in_one = steps_before && prior.weights.space > 0.0 && prior.support.is_none();
+        let mut parts = slab.bin(t, in_one);
         if level == 0 {
             bin.darken_others(parts.z, rows.clone());
         }
@@ -300,7 +300,7 @@ impl Levels for DualSteps<'_> {
             Some(space) if !is_end => self.write_and_step(&bin, parts, space, rows.clone()),
             space => self.write(&bin, parts, space, rows.clone()),
         }
-        if is_led && !is_along {
+        if steps_before && !in_one {
             self.between(slab, t - 1, rows);
         }
     }

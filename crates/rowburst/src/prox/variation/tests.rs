@@ -140,6 +140,48 @@ fn the_wave_gives_the_bits_of_level_by_level() {
     }
 }
 
+/// What the certificate rests on, whatever went before: `⟨c, w⟩ ≤ s·R(w)` for every `w ≥ 0`.
+#[test]
+fn the_dual_stays_below_the_prior() {
+    let calls = [
+        (0.2, 1.0),
+        (0.0, 1.0),
+        (0.05, 1e6),
+        (1e-3, 1.0),
+        (1e-30, 1e9),
+        (0.3, 50.0),
+    ];
+    for weights in WEIGHTS {
+        for (bins, rows, columns) in SHAPES.into_iter().chain([(7, 9, 40)]) {
+            let shape = Shape::new(bins, rows, columns);
+            let mut prior = Variation::new(shape, weights);
+            let mut z = vec![f32::NAN; shape.voxels()];
+            for (call, (scale, size)) in calls.into_iter().cycle().take(12).enumerate() {
+                let mut q = random(shape.voxels(), 40 + call as u64);
+                q.iter_mut().for_each(|q| *q *= size);
+                prior.prox(&q, scale, &mut z);
+                assert!(z.iter().all(|z| *z >= 0.0 && z.is_finite()));
+                if scale == 0.0 {
+                    assert!(z.iter().zip(&q).all(|(z, q)| *z == q.max(0.0)));
+                }
+                let mut less = vec![0.0f32; q.len()];
+                prior.subtract_dual(&mut less);
+                for seed in 0..5 {
+                    let mut w = random(q.len(), 80 + seed);
+                    w.iter_mut().for_each(|w| *w = w.max(0.0));
+                    let most = scale * prior.value(&w);
+                    let rounding = 1e-6 * scale * w.iter().map(|w| f64::from(*w)).sum::<f64>();
+                    let found = -dot(&less, &w);
+                    assert!(
+                        found <= most + rounding,
+                        "{weights:?} {shape}: {found} {most}"
+                    );
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn l1_alone_is_the_non_negative_soft_threshold() {
     let shape = Shape::new(1, 1, 4);

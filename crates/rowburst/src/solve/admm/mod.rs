@@ -120,7 +120,8 @@ pub struct Progress<'a> {
     pub objective: f64,
     /// `τ` of this iteration.
     pub tau: f64,
-    /// How far the point whose prox the video is has moved, in sizes of the video before: the video has moved no farther.
+    /// How far the point whose prox the video is has moved, in sizes of the video before; 1 from a dark one. Under the
+    /// same prox the video moves no farther.
     pub change: f64,
     /// Part of the voxels that may be lit.
     pub support: f64,

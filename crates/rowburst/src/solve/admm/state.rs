@@ -3,6 +3,7 @@
 use super::places::Places;
 use super::{AdmmParams, Solution, TauRule};
 use crate::Shape;
+use crate::linop::WRITE_PART;
 use crate::prox::Prox;
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::vecmath::{distance_squared, dot, norm_squared, simd};
@@ -209,9 +210,10 @@ impl State {
         let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
         self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
         self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
-        let (z, columns) = (&self.z, self.shape.columns);
+        let z = &self.z;
+        let slot = self.shape.columns.min(WRITE_PART);
         // Of the parts that begin in each row: their order does not count.
-        let sums: Vec<AtomicU64> = (0..z.len().div_ceil(columns))
+        let sums: Vec<AtomicU64> = (0..z.len().div_ceil(slot))
             .map(|_| AtomicU64::new(0))
             .collect();
         data.adjoint_each(
@@ -222,7 +224,7 @@ impl State {
                 // x is x − p here.
                 let sum = relax(q, &z[start..start + x.len()], x, alpha);
                 let [distance, size] = sum.map(|sum| u64::from(sum.to_bits()));
-                sums[start / columns].store(distance << 32 | size, Ordering::Relaxed);
+                sums[start / slot].store(distance << 32 | size, Ordering::Relaxed);
             },
         );
         for ((aq, az), gram_y) in self.aq.iter_mut().zip(&self.az).zip(&gram_y) {
@@ -232,6 +234,9 @@ impl State {
         for sum in sums.into_iter().map(AtomicU64::into_inner) {
             let of = |half: u64| f64::from(f32::from_bits(half as u32));
             (distance, size) = (distance + of(sum >> 32), size + of(sum));
+        }
+        if distance == 0.0 {
+            return 0.0;
         }
         // From a dark video all of it is a change.
         if size > 0.0 {
@@ -378,10 +383,19 @@ impl State {
             self.lowest_rho = self.lowest_rho.max(part * self.rho);
         }
         prior.restrict(&support);
-        support.apply(&mut self.z);
+        // What goes dark leaves the dual u = q − z as it was.
+        let lit = support
+            .mask()
+            .par_iter()
+            .zip(&mut self.z[..voxels])
+            .zip(&mut self.q[..voxels]);
+        lit.filter(|((lit, _), _)| **lit == 0)
+            .for_each(|((_, z), q)| {
+                *q -= *z;
+                *z = 0.0;
+            });
         if let Some(places) = self.places.data_support() {
             data.restrict(places);
-            places.apply(&mut self.x);
             places.apply(&mut self.q);
         }
         data.operator().apply(&self.z, &mut self.az);
