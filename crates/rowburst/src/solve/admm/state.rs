@@ -492,9 +492,11 @@ impl State {
     }
 }
 
+/// Lanes of sums.
+const LANES: usize = 16;
+
 /// `q ← z + (1−α)u + αx`, and with the old `u = q − z` `Σ (x − u)²` and `Σ z²`.
 fn relax(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32) -> [f32; 2] {
-    const LANES: usize = 16;
     simd(
         #[inline(always)]
         || {
@@ -503,29 +505,38 @@ fn relax(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32) -> [f32; 2] {
             let (z, z_rest) = z.as_chunks::<LANES>();
             let (x, x_rest) = x.as_chunks::<LANES>();
             for ((q, z), x) in q.iter_mut().zip(z).zip(x) {
-                for i in 0..LANES {
-                    let u = q[i] - z[i];
-                    sums[0][i] += (x[i] - u) * (x[i] - u);
-                    sums[1][i] += z[i] * z[i];
-                    q[i] = z[i] + (1.0 - alpha) * u + alpha * x[i];
-                }
+                relax_part(q, z, x, alpha, &mut sums);
             }
-            for ((q, z), x) in q_rest.iter_mut().zip(z_rest).zip(x_rest) {
-                let u = *q - z;
-                sums[0][0] += (x - u) * (x - u);
-                sums[1][0] += z * z;
-                *q = z + (1.0 - alpha) * u + alpha * x;
+            // A pair of rows seldom fills all lanes to its end.
+            let (q, q_rest) = q_rest.as_chunks_mut::<4>();
+            let (z, z_rest) = z_rest.as_chunks::<4>();
+            let (x, x_rest) = x_rest.as_chunks::<4>();
+            for ((q, z), x) in q.iter_mut().zip(z).zip(x) {
+                relax_part(q, z, x, alpha, &mut sums);
             }
-            sums.map(|mut lanes| {
+            relax_part(q_rest, z_rest, x_rest, alpha, &mut sums);
+            for sum in &mut sums {
                 for half in [8, 4, 2, 1] {
                     for i in 0..half {
-                        lanes[i] += lanes[i + half];
+                        sum[i] += sum[i + half];
                     }
                 }
-                lanes[0]
-            })
+            }
+            [sums[0][0], sums[1][0]]
         },
     )
+}
+
+/// [`relax`] of as many as there are lanes, or fewer.
+#[inline(always)]
+fn relax_part(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32, sums: &mut [[f32; LANES]; 2]) {
+    let (z, x) = (&z[..q.len()], &x[..q.len()]);
+    for i in 0..q.len() {
+        let u = q[i] - z[i];
+        sums[0][i] += (x[i] - u) * (x[i] - u);
+        sums[1][i] += z[i] * z[i];
+        q[i] = z[i] + (1.0 - alpha) * u + alpha * x[i];
+    }
 }
 
 /// Elements of one parallel task.
