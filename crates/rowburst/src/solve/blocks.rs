@@ -20,6 +20,7 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, ColMut, ColRef, Mat, MatMut, MatRef, Par, Spec};
 use rayon::prelude::*;
+use std::hint::black_box;
 
 /// Where the diagonal blocks of `G` come from.
 pub trait BlockSource<T>: Sync {
@@ -276,9 +277,25 @@ impl<T: Scalar> Square<T> {
         if self.rho != Some(rho) {
             self.factorise(rho, beside);
         }
+        self.fetch();
         values.resize(self.stride(), T::zero());
         solve_square(&self.memory, &self.tiles, values);
         values.truncate(self.size);
+    }
+
+    /// Reads a number of each cache line of the factor: the processor waits for many at once then, and the solution, which
+    /// goes from one column to the next, for none.
+    fn fetch(&self) {
+        const LINE: usize = 64;
+        let (stride, every) = (self.stride(), LINE / size_of::<T>());
+        let mut sums = [T::zero(); 8];
+        for (j, column) in self.memory.chunks_exact(stride.max(1)).enumerate() {
+            let lines = column[j..].iter().step_by(every);
+            for (k, value) in lines.enumerate() {
+                sums[k % 8] += *value;
+            }
+        }
+        black_box(sums);
     }
 }
 
