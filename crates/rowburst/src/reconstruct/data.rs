@@ -10,7 +10,7 @@ use crate::measurement::{Measurement, NoiseLaw};
 use crate::solve::blocks::{BlockSource, Blocks};
 use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
-use crate::solve::{DataTerm, GramSolver, without};
+use crate::solve::{DataTerm, GramSolver};
 use crate::{Camera, RollingShutter, Shape, Shutter, Support};
 use faer::reborrow::ReborrowMut;
 use faer::{Mat, MatMut, MatRef};
@@ -61,63 +61,31 @@ enum Gram {
 
 /// The blocks, in f32 as long as `ρ` stands above its rounding.
 enum Precision {
-    Single(Blocks<f32>, Option<Last>),
+    Single(Blocks<f32>),
     Double(Blocks<f64>),
-}
-
-/// `(G + ρI) y = r` of the last step.
-struct Last {
-    rho: f64,
-    r: Vec<f32>,
-    y: Vec<f64>,
 }
 
 impl Precision {
     /// Writes those that `has_changed` anew, or all with other weights or another second part.
     fn refill(&mut self, has_changed: Option<&(dyn Fn(usize) -> bool + Sync)>, source: GramOf) {
         match self {
-            Self::Single(blocks, last) => {
-                *last = None;
+            Self::Single(blocks) => {
+                blocks.forget();
                 refill(blocks, has_changed, source);
             }
             Self::Double(blocks) => refill(blocks, has_changed, source),
         }
     }
 
-    /// A step of an iteration, in which `r` changes less and less; whether `ρ` was not lost in rounding. In f32 the
-    /// change of `y` is solved for, so that rounding fades with it: with a defect `d` of the first
-    /// step, all later ones are as if `r` were `r + d`, and an iteration that adds up `gram_y = r − ρy` takes `d` along.
+    /// A step of an iteration, in which `r` changes less and less; whether `ρ` was not lost in rounding.
     fn follow(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        let (blocks, last) = match self {
-            Self::Single(blocks, last) => (blocks, last),
+        match self {
+            Self::Single(blocks) => blocks.follow(r, rho, y, gram_y),
             Self::Double(blocks) => {
                 blocks.solve_along(r, rho, y, gram_y);
-                return !blocks.has_lost_digits();
+                !blocks.has_lost_digits()
             }
-        };
-        let mut sum = vec![0.0; r.len()];
-        let mut change = r.to_vec();
-        if let Some(last) = last.take() {
-            // G y = r − ρy of the last step.
-            let less = last.rho - rho;
-            for (i, change) in change.iter_mut().enumerate() {
-                let own = f64::from(r[i]) - f64::from(last.r[i]);
-                *change = (own + less * last.y[i]) as f32;
-            }
-            sum = last.y;
         }
-        blocks.solve(&change, rho, y);
-        for (sum, y) in sum.iter_mut().zip(&mut *y) {
-            *sum += f64::from(*y);
-            *y = *sum as f32;
-        }
-        without(r, rho, y, gram_y);
-        *last = Some(Last {
-            rho,
-            r: r.to_vec(),
-            y: sum,
-        });
-        !blocks.has_lost_digits()
     }
 }
 
@@ -207,8 +175,8 @@ impl FrameData {
     pub fn start(&mut self, second: SecondPart, held_out: Option<HeldOut>) {
         let is_as_it_was = self.support.is_none() && self.weights == self.first_weights;
         let is_fresh = match &mut self.gram {
-            Gram::Exact(Precision::Single(_, last)) => {
-                *last = None;
+            Gram::Exact(Precision::Single(blocks)) => {
+                blocks.forget();
                 true
             }
             Gram::Exact(Precision::Double(_)) => self.is_double,
@@ -576,7 +544,7 @@ impl GramOf<'_> {
     fn exact(self, is_double: bool) -> Precision {
         match is_double {
             true => Precision::Double(self.blocks()),
-            false => Precision::Single(self.blocks(), None),
+            false => Precision::Single(self.blocks()),
         }
     }
 

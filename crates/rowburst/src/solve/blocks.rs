@@ -61,6 +61,14 @@ struct Block<T> {
     is_whole: bool,
     /// The columns that the block is given by, if it is, and `BᵀB`.
     few: Option<(Mat<T>, Square<T>)>,
+    last: Option<Last>,
+}
+
+/// `(G + ρI) y = r` of a block, at the last step that was [followed](Blocks::follow).
+struct Last {
+    rho: f64,
+    r: Vec<f32>,
+    y: Vec<f64>,
 }
 
 /// A symmetric matrix `M` with the Cholesky factor of `M + ρI` at the last `ρ`.
@@ -93,6 +101,7 @@ impl<T: Scalar> Blocks<T> {
             own: Square::new(),
             is_whole: false,
             few: None,
+            last: None,
         };
         let mut blocks = Self {
             blocks: indices.into_iter().map(empty).collect(),
@@ -106,6 +115,32 @@ impl<T: Scalar> Blocks<T> {
     /// is that of other blocks.
     pub fn has_lost_digits(&self) -> bool {
         self.has_lost_digits
+    }
+
+    /// `(G + ρI) y = r` and `G y` in a step of an iteration, in which `r` changes less and less; whether `ρ` was not lost
+    /// in rounding. The change of `y` is solved for, so that rounding fades with it: with a defect `d` of the first
+    /// step, all later ones are as if `r` were `r + d`, and an iteration that adds up `gram_y = r − ρy` takes `d` along.
+    ///
+    /// # Panics
+    /// If a block is not finite.
+    pub fn follow(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
+        let parts: Vec<Vec<(f32, f32)>> = self
+            .blocks
+            .par_iter_mut()
+            .map_init(Vec::new, |beside, block| block.follow(r, rho, beside))
+            .collect();
+        self.has_lost_digits = self.blocks.iter().any(Block::has_lost_digits);
+        for (block, part) in self.blocks.iter().zip(&parts) {
+            for (values, &at) in part.iter().zip(&block.indices) {
+                (y[at], gram_y[at]) = *values;
+            }
+        }
+        !self.has_lost_digits
+    }
+
+    /// The next step is the first one.
+    pub fn forget(&mut self) {
+        self.blocks.iter_mut().for_each(|b| b.last = None);
     }
 
     /// Writes all blocks anew, those of everything lit among them.
@@ -137,7 +172,11 @@ impl<T: Scalar> GramSolver for Blocks<T> {
         let parts: Vec<Vec<T>> = self
             .blocks
             .par_iter_mut()
-            .map_init(Vec::new, |beside, block| block.solve(r, rho, beside))
+            .map_init(Vec::new, |beside, block| {
+                let mut y = block.indices.iter().map(|&i| T::from(r[i])).collect();
+                block.solve(&mut y, rho, beside);
+                y
+            })
             .collect();
         self.has_lost_digits = self.blocks.iter().any(Block::has_lost_digits);
         for (block, part) in self.blocks.iter().zip(&parts) {
@@ -188,21 +227,45 @@ impl<T: Scalar> Block<T> {
         square.has_lost_digits
     }
 
-    /// Works `beside`.
-    fn solve(&mut self, r: &[f32], rho: f64, beside: &mut Vec<T>) -> Vec<T> {
-        let mut y: Vec<T> = self.indices.iter().map(|&i| T::from(r[i])).collect();
+    /// See [`Blocks::follow`]: `y` and `G y`.
+    fn follow(&mut self, r: &[f32], rho: f64, beside: &mut Vec<T>) -> Vec<(f32, f32)> {
+        let r: Vec<f32> = self.indices.iter().map(|&i| r[i]).collect();
+        let (mut y, mut change): (Vec<f64>, Vec<T>) = match self.last.take() {
+            None => (vec![0.0; r.len()], r.iter().map(|&r| T::from(r)).collect()),
+            Some(last) => {
+                // G y = r − ρy of the last step.
+                let less = last.rho - rho;
+                let change =
+                    r.iter().zip(&last.r).zip(&last.y).map(|((&r, &last), y)| {
+                        T::nearest(f64::from(r) - f64::from(last) + less * y)
+                    });
+                let change = change.collect();
+                (last.y, change)
+            }
+        };
+        self.solve(&mut change, rho, beside);
+        let values = y.iter_mut().zip(&change).zip(&r).map(|((y, &change), &r)| {
+            *y += change.into();
+            let rounded = *y as f32;
+            (rounded, (f64::from(r) - rho * f64::from(rounded)) as f32)
+        });
+        let values = values.collect();
+        self.last = Some(Last { rho, r, y });
+        values
+    }
+
+    /// `(G + ρI)⁻¹ y` in place. Works `beside`.
+    fn solve(&mut self, y: &mut Vec<T>, rho: f64, beside: &mut Vec<T>) {
         let Some((columns, square)) = &mut self.few else {
-            self.own.solve(&mut y, rho, beside);
-            return y;
+            return self.own.solve(y, rho, beside);
         };
         let mut lit = vec![T::zero(); columns.ncols()];
         let (add, replace) = (Accum::Add, Accum::Replace);
-        multiply(replace, &mut lit, columns.transpose(), &y, T::one());
+        multiply(replace, &mut lit, columns.transpose(), y, T::one());
         square.solve(&mut lit, rho, beside);
-        multiply(add, &mut y, columns.as_ref(), &lit, -T::one());
+        multiply(add, y, columns.as_ref(), &lit, -T::one());
         let over_rho = T::nearest(1.0 / rho);
         y.iter_mut().for_each(|y| *y *= over_rho);
-        y
     }
 }
 
