@@ -11,6 +11,7 @@ use crate::outcome::{MetadataNumbers, peak_memory_bytes, short};
 use rowburst::reconstruct::{InParts, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
+use rowburst::vecmath::instruction_set;
 use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
 use rowburst_io::{OutputFolder, Taken, VideoInParts};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
@@ -81,6 +82,8 @@ pub struct PartsOutcome {
     pub seconds_per_bin: f64,
     pub peak_memory_bytes: Option<u64>,
     pub threads: usize,
+    /// See [`crate::Outcome::simd`].
+    pub simd: &'static str,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
     pub metadata: MetadataNumbers,
@@ -312,6 +315,7 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
         seconds_per_bin: seconds / shape.bins as f64,
         peak_memory_bytes: peak_memory_bytes(),
         threads: rayon::current_num_threads(),
+        simd: instruction_set(),
         bad_pixels: task.parts.measurement().bad(),
         saturated_pixels: saturated,
         metadata: MetadataNumbers::from(task.taken),

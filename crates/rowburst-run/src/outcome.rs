@@ -42,6 +42,8 @@ pub struct Outcome {
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
     pub threads: usize,
+    /// Instruction set of the vector loops: results agree between them to rounding, not to the bit.
+    pub simd: &'static str,
     /// Of the simulation in a demo; 0 else: nothing in a reconstruction is random.
     pub seed: u64,
     #[serde(skip_serializing_if = "Option::is_none")]

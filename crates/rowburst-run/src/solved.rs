@@ -13,6 +13,7 @@ use crate::view_files::{self, TRUTH, ViewFiles};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
+use rowburst::vecmath::instruction_set;
 use rowburst::{Image, Result};
 use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
 use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Player, Report, ReportInput};
@@ -160,6 +161,7 @@ impl Solved {
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
             threads: rayon::current_num_threads(),
+            simd: instruction_set(),
             seed: self.task.seed,
             psnr_db: truth.map(|t| psnr_db(found.video.data(), t.data())),
             ssim: truth.map(|t| ssim(&found.video, t)),

@@ -43,6 +43,25 @@ fn arch() -> Arch {
     })
 }
 
+/// Name of the instruction set that [`simd`] compiles for here. Results agree between instruction sets to
+/// rounding, not to the bit.
+pub fn instruction_set() -> &'static str {
+    match arch() {
+        Arch::Scalar => PORTABLE,
+        #[cfg(target_arch = "x86_64")]
+        Arch::V3(_) => "avx2",
+        #[cfg(target_arch = "x86_64")]
+        Arch::V4(_) => "avx512",
+        #[cfg(target_arch = "aarch64")]
+        Arch::Neon(_) => "neon",
+        #[allow(
+            unreachable_patterns,
+            reason = "the enum may grow on some targets alone"
+        )]
+        _ => "unknown",
+    }
+}
+
 const CHOICE: &str = "ROWBURST_SIMD";
 const PORTABLE: &str = "portable";
 
