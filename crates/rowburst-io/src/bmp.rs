@@ -18,7 +18,7 @@ pub(crate) fn read(source: &Source, file: impl BufRead + Seek) -> Result<Pages> 
         ColorType::Rgba8 => 4,
         other => return Err(source.unsupported(format!("{other:?} in BMP"))),
     };
-    let mut data = source.room(1, rows, columns)?;
+    let mut data = source.reserve_pixels(1, rows, columns)?;
     let mut bytes = vec![0; rows * columns * channels];
     decoder
         .read_image(&mut bytes)

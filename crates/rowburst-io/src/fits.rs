@@ -100,7 +100,7 @@ impl<R: Read + Seek + Send> crate::stack::Stack for Stack<R> {
     }
 
     fn page(&mut self, source: &Source, at: usize) -> Result<Pages> {
-        let mut data = source.room(1, self.rows, self.columns)?;
+        let mut data = source.reserve_pixels(1, self.rows, self.columns)?;
         let size = self.unit.bitpix.unsigned_abs() as usize / 8;
         let bytes = self.rows * self.columns * size;
         let start = (at as u64).checked_mul(bytes as u64);

@@ -50,7 +50,7 @@ impl Stack {
             Axes::Matlab => (second, first),
         };
         // The shape is a claim until the numbers are there.
-        drop(source.room(1, rows, columns)?);
+        drop(source.reserve_pixels(1, rows, columns)?);
         Ok(Self {
             is_single: shape.len() == 2,
             dataset,

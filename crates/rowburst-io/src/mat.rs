@@ -106,7 +106,7 @@ impl Variable {
             _ => unreachable!("the choice has two or three axes"),
         };
         let level = matrix.level().unwrap_or(Level::Float);
-        let mut data = source.room(count, rows, columns)?;
+        let mut data = source.reserve_pixels(count, rows, columns)?;
         let total = rows * columns * count;
         let tag = Tag::read(file, order).map_err(fault)?;
         let Some((size, decode)) = decoder(tag.kind, order) else {

@@ -59,7 +59,7 @@ pub(crate) fn read_array(source: &Source, mut file: impl Read) -> Result<Array> 
         ));
     };
     // Decoded in small runs: no page is held beside the numbers.
-    let mut data = source.room(total, 1, 1)?;
+    let mut data = source.reserve_pixels(total, 1, 1)?;
     let mut buffer = vec![0; 8192 * header.size];
     while data.len() < total {
         let count = (total - data.len()).min(8192);
@@ -129,7 +129,7 @@ impl Stack {
         file: &mut (impl Read + Seek),
         at: usize,
     ) -> Result<Pages> {
-        let mut data = source.room(1, self.rows, self.columns)?;
+        let mut data = source.reserve_pixels(1, self.rows, self.columns)?;
         let bytes = self.rows * self.columns * self.header.size;
         let start = (at as u64)
             .checked_mul(bytes as u64)

@@ -88,7 +88,7 @@ impl crate::stack::Stack for Stack {
             bytes: self.bytes,
             ..*source
         };
-        let mut data = raw.room(1, rows, columns)?;
+        let mut data = raw.reserve_pixels(1, rows, columns)?;
         let length = (rows * columns) as u64 * u64::from(bits) / 8;
         let start = (at as u64).saturating_mul(length);
         if start.saturating_add(length) > self.bytes {

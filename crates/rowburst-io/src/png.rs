@@ -15,7 +15,7 @@ pub(crate) fn read(source: &Source, file: impl BufRead + Seek) -> Result<Pages> 
     decoder.set_limits(Limits { bytes: usize::MAX });
     let (width, height) = decoder.read_header_info().map_err(fault)?.size();
     let (rows, columns) = (height as usize, width as usize);
-    let mut data = source.room(1, rows, columns)?;
+    let mut data = source.reserve_pixels(1, rows, columns)?;
     let mut reader = decoder.read_info().map_err(fault)?;
     let (colour, depth) = reader.output_color_type();
     let mut row_after_row = || -> Result<Level> {

@@ -113,7 +113,7 @@ impl<'a> Source<'a> {
     }
 
     /// An empty vector with room for the pixels, if a file this long can hold them.
-    pub fn room(&self, count: usize, rows: usize, columns: usize) -> Result<Vec<f32>> {
+    pub fn reserve_pixels(&self, count: usize, rows: usize, columns: usize) -> Result<Vec<f32>> {
         let total = rows.checked_mul(columns).and_then(|p| p.checked_mul(count));
         let most = self.bytes.saturating_mul(PIXELS_PER_BYTE);
         let total =

@@ -29,7 +29,7 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
     }
     check_count(source, count, promised)?;
     let (rows, columns, _) = first;
-    let mut data = source.room(count, rows, columns)?;
+    let mut data = source.reserve_pixels(count, rows, columns)?;
     let mut level = Level::Float;
     for page in 0..count {
         level = read_page(source, &mut pages, page, &mut data)?;
@@ -111,7 +111,7 @@ impl crate::stack::Stack for Stack {
         let seek = self.pages.seek_to_image(page);
         seek.map_err(|e| fault_of(source, e))?;
         let (rows, columns, _) = kind(source, &mut self.pages)?;
-        let mut data = source.room(1, rows, columns)?;
+        let mut data = source.reserve_pixels(1, rows, columns)?;
         let level = read_page(source, &mut self.pages, page, &mut data)?;
         Ok(Pages {
             count: 1,

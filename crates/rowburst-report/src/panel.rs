@@ -5,21 +5,21 @@ use crate::figure::{Anchor, Figure, Rect};
 use crate::format::number;
 use crate::pixels::{Pixels, Plane};
 
-/// The largest place inside `room` for an image of `rows · columns`, centred across and
+/// The largest place inside `available` for an image of `rows · columns`, centred across and
 /// at the top, on a grid of `grid` pixels a unit. Small images are enlarged by a whole factor; sides that would vanish
 /// (1-pixel-wide images) are kept at a sixteenth of the room.
-pub(crate) fn fit(room: Rect, grid: f64, rows: usize, columns: usize) -> Rect {
+pub(crate) fn fit(available: Rect, grid: f64, rows: usize, columns: usize) -> Rect {
     let (rows, columns) = (rows as f64, columns as f64);
-    let mut scale = (room.width / columns).min(room.height / rows);
+    let mut scale = (available.width / columns).min(available.height / rows);
     let whole = (scale * grid).floor();
     if whole >= 1.0 {
         scale = whole / grid;
     }
-    let width = (scale * columns).max(room.width / 16.0);
-    let height = (scale * rows).max(room.height / 16.0);
-    let x = room.x + (room.width - width) / 2.0;
+    let width = (scale * columns).max(available.width / 16.0);
+    let height = (scale * rows).max(available.height / 16.0);
+    let x = available.x + (available.width - width) / 2.0;
     let snap = |v: f64| (v * grid).round() / grid;
-    Rect::new(snap(x), snap(room.y), snap(width), snap(height))
+    Rect::new(snap(x), snap(available.y), snap(width), snap(height))
 }
 
 /// Draws a vertical colour bar right of `beside`, from `low` (below) to `high` (above),
@@ -86,9 +86,9 @@ pub(crate) fn scale_bar(figure: &mut Figure, place: Rect, columns: usize, pitch_
     );
 }
 
-/// Puts pixels in the largest fitting place of `room`; returns that place.
-pub(crate) fn put(figure: &mut Figure, room: Rect, pixels: Pixels) -> Rect {
-    let place = fit(room, figure.scale(), pixels.rows, pixels.columns);
+/// Puts pixels in the largest fitting place of `available`; returns that place.
+pub(crate) fn put(figure: &mut Figure, available: Rect, pixels: Pixels) -> Rect {
+    let place = fit(available, figure.scale(), pixels.rows, pixels.columns);
     figure.raster(place, pixels);
     place
 }

@@ -277,8 +277,12 @@ fn draw_map(image: &Image, quantity: &str, range: Option<(f32, f32)>) -> Figure 
     });
     let mut figure = Figure::new(480.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
-    let room = Rect::new(0.0, 2.0, 390.0, 390.0);
-    let place = put(&mut figure, room, plane.coloured(Map::Light, low, high));
+    let available = Rect::new(0.0, 2.0, 390.0, 390.0);
+    let place = put(
+        &mut figure,
+        available,
+        plane.coloured(Map::Light, low, high),
+    );
     colour_bar(&mut figure, place, Map::Light, (low, high), quantity);
     figure.set_height(place.bottom().max(116.0) + 6.0);
     figure

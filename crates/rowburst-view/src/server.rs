@@ -206,11 +206,11 @@ async fn bins(
         return written_again(result);
     }
     let count = array.shape()[0];
-    let room = MOST_BYTES / array.bytes_per_bin().max(1);
-    if from >= to || to > count || to - from > room.max(1) {
+    let max_bins = MOST_BYTES / array.bytes_per_bin().max(1);
+    if from >= to || to > count || to - from > max_bins.max(1) {
         let words = format!(
             "bins {from} to {to}: there are {count}, and up to {} are sent at once\n",
-            room.max(1)
+            max_bins.max(1)
         );
         return (StatusCode::BAD_REQUEST, words).into_response();
     }

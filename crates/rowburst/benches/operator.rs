@@ -179,7 +179,7 @@ fn fastest(runs: usize, mut work: impl FnMut()) -> f64 {
 /// The FFTs that a forward and an adjoint cannot do without, and nothing else: one there for
 /// each row of the video and one back, padded to twice the width, all that a bin needs in cache.
 /// The faster of real transforms one by one, and of two rows in one complex transform.
-fn fft_floor(bins: usize, size: usize, runs: usize) -> f64 {
+fn fft_lower_bound(bins: usize, size: usize, runs: usize) -> f64 {
     let length = 2 * size;
     let mut real = RealFftPlanner::<f32>::new();
     let (forward, inverse) = (real.plan_fft_forward(length), real.plan_fft_inverse(length));
@@ -234,7 +234,7 @@ fn fft_floor(bins: usize, size: usize, runs: usize) -> f64 {
 }
 
 /// The video read once and written once.
-fn memory_floor(video: &[f32], back: &mut [f32], runs: usize) -> f64 {
+fn memory_lower_bound(video: &[f32], back: &mut [f32], runs: usize) -> f64 {
     let chunk = 1 << 16;
     fastest(runs, || {
         let sum: f32 = video
@@ -267,8 +267,8 @@ fn operators() {
         let (mut frame, mut back) = (vec![0.0; ours.range_len()], vec![0.0; ours.domain_len()]);
         let forward = fastest(runs, || ours.apply(black_box(&video), &mut frame));
         let adjoint = fastest(runs, || ours.adjoint(black_box(&frame), &mut back));
-        let fft = fft_floor(camera.video_shape().bins, size, runs);
-        let memory = memory_floor(&video, &mut back, runs);
+        let fft = fft_lower_bound(camera.video_shape().bins, size, runs);
+        let memory = memory_lower_bound(&video, &mut back, runs);
         let textbook = Textbook::new(camera.clone(), &psf);
         let mut expected = frame.clone();
         textbook.apply(&video, &mut expected);

@@ -72,8 +72,8 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
     let across = per_line(shape, 6);
     let (left, gap) = (24.0, 6.0);
     let cell = (800.0 - left - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
-    let room = Rect::new(0.0, 0.0, cell, 1.6 * cell);
-    let height = fit(room, 2.0, shape.rows, shape.columns).height;
+    let available = Rect::new(0.0, 0.0, cell, 1.6 * cell);
+    let height = fit(available, 2.0, shape.rows, shape.columns).height;
     // The upright names need some length.
     let pitch = (height + gap).max(108.0);
     let group = HEAD + 3.0 * pitch + 4.0;
@@ -86,9 +86,9 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
         for (row, name) in ["truth", "reconstruction", "difference"].iter().enumerate() {
             let y = top + HEAD + row as f64 * pitch;
             let (map, range) = if row == 2 { signed } else { light };
-            let mut last = room;
+            let mut last = available;
             for (i, &bin) in bins.iter().enumerate() {
-                let room = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
+                let available = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
                 let difference: Vec<f32>;
                 let values = match row {
                     0 => truth.bin(bin),
@@ -100,7 +100,11 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
                     }
                 };
                 let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
-                last = put(&mut figure, room, plane.coloured(map, range.0, range.1));
+                last = put(
+                    &mut figure,
+                    available,
+                    plane.coloured(map, range.0, range.1),
+                );
                 if row == 0 {
                     stamp(&mut figure, input, last, bin);
                 }
@@ -135,17 +139,17 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
     let across = per_line(shape, 4);
     let gap = 8.0;
     let cell = (800.0 - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
-    let room = Rect::new(0.0, 0.0, cell, 1.4 * cell);
-    let height = fit(room, 2.0, shape.rows, shape.columns).height;
+    let available = Rect::new(0.0, 0.0, cell, 1.4 * cell);
+    let height = fit(available, 2.0, shape.rows, shape.columns).height;
     let pitch = HEAD + height.max(84.0) + gap;
     let mut figure = Figure::new(800.0, bins.len().div_ceil(across) as f64 * pitch);
     for (i, &bin) in bins.iter().enumerate() {
         let (column, line) = ((i % across) as f64, (i / across) as f64);
-        let room = Rect::new(column * (cell + gap), HEAD + line * pitch, cell, 1.4 * cell);
+        let available = Rect::new(column * (cell + gap), HEAD + line * pitch, cell, 1.4 * cell);
         let plane = Plane::reduced(shape.rows, shape.columns, videos.video.bin(bin), FRAME_SIDE);
         let place = put(
             &mut figure,
-            room,
+            available,
             plane.coloured(Map::Light, 0.0, videos.high),
         );
         stamp(&mut figure, input, place, bin);

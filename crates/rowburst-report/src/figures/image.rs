@@ -98,11 +98,11 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
     let width = if panels.len() == 2 { 340.0 } else { 690.0 };
     let mut last = Rect::new(0.0, 0.0, 0.0, 0.0);
     for (i, (name, video)) in panels.iter().enumerate() {
-        let room = Rect::new(i as f64 * (width + 10.0), 22.0, width, 560.0);
+        let available = Rect::new(i as f64 * (width + 10.0), 22.0, width, 560.0);
         let plane = Plane::reduced(shape.rows, shape.columns, video.bin(0), LONGEST_SIDE);
         last = put(
             &mut figure,
-            room,
+            available,
             plane.coloured(Map::Light, 0.0, videos.high),
         );
         let middle = last.x + last.width / 2.0;
@@ -130,8 +130,8 @@ fn picture(image: &Image, map: Map, unit: &str, pitch_um: Option<f64>) -> Figure
     let low = display_low(image.data(), high);
     let mut figure = Figure::new(330.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
-    let room = Rect::new(0.0, 2.0, 250.0, 320.0);
-    let place = put(&mut figure, room, plane.coloured(map, low, high));
+    let available = Rect::new(0.0, 2.0, 250.0, 320.0);
+    let place = put(&mut figure, available, plane.coloured(map, low, high));
     colour_bar(&mut figure, place, map, (low, high), unit);
     scale_bar(&mut figure, place, image.columns(), pitch_um);
     figure.set_height(place.bottom().max(100.0) + 22.0);

@@ -130,8 +130,8 @@ struct View {
 }
 
 impl View {
-    /// The box of a video of `rows · columns` within `room`.
-    fn fitting(room: Rect, rows: usize, columns: usize) -> Self {
+    /// The box of a video of `rows · columns` within `available`.
+    fn fitting(available: Rect, rows: usize, columns: usize) -> Self {
         // A box that is not a needle, whatever the shape of the frames.
         let aspect = (columns as f64 / rows as f64).clamp(0.25, 4.0);
         let (width, height) = (aspect.min(1.0), (1.0 / aspect).min(1.0));
@@ -140,12 +140,12 @@ impl View {
         let x = (width * turn.cos(), width * turn.sin() * rise.sin());
         let y = (0.0, height * rise.cos());
         let (across, above, below) = (t.0 + x.0, -t.1, x.1 + y.1);
-        let scale = (room.width / across).min(room.height / (above + below));
+        let scale = (available.width / across).min(available.height / (above + below));
         let by = |(a, b): (f64, f64)| (scale * a, scale * b);
         Self {
             origin: (
-                room.x + (room.width - scale * across) / 2.0,
-                room.y + (room.height - scale * (above + below)) / 2.0 + scale * above,
+                available.x + (available.width - scale * across) / 2.0,
+                available.y + (available.height - scale * (above + below)) / 2.0 + scale * above,
             ),
             t: by(t),
             x: by(x),
@@ -164,13 +164,13 @@ impl View {
 fn body(figure: &mut Figure, place: Rect, input: &ReportInput, videos: &Videos, bright: &Bright) {
     let shape = videos.video.shape();
     // Room for the numbers, left and below.
-    let room = Rect::new(
+    let available = Rect::new(
         place.x + 52.0,
         place.y + 16.0,
         place.width - 84.0,
         place.height - 56.0,
     );
-    let view = View::fitting(room, shape.rows, shape.columns);
+    let view = View::fitting(available, shape.rows, shape.columns);
     for (from, to) in edges() {
         let ends = [from, to].map(|[t, y, x]| view.at(t, y, x));
         figure.line(&ends, "mark", BOX);
@@ -339,10 +339,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_box_fills_its_room_and_keeps_left_and_right() {
+    fn the_box_fills_the_available_rectangle() {
         for (rows, columns) in [(108, 108), (10, 2000), (700, 20)] {
-            let room = Rect::new(30.0, 40.0, 300.0, 200.0);
-            let view = View::fitting(room, rows, columns);
+            let available = Rect::new(30.0, 40.0, 300.0, 200.0);
+            let view = View::fitting(available, rows, columns);
             let corners = edges().flat_map(|(from, to)| [from, to]);
             let corners: Vec<_> = corners.map(|[t, y, x]| view.at(t, y, x)).collect();
             let inside =

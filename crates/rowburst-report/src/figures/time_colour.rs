@@ -45,8 +45,8 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
     let (mut x, mut bottom) = (0.0, -18.0_f64);
     for panel in panels {
         let top = if x > 0.0 { 22.0 } else { bottom + 40.0 };
-        let room = Rect::new(x, top, width, height);
-        let place = put(&mut figure, room, panel.pixels);
+        let available = Rect::new(x, top, width, height);
+        let place = put(&mut figure, available, panel.pixels);
         let middle = place.x + place.width / 2.0;
         figure.text(middle, top - 8.0, Anchor::Middle, "strong", panel.name);
         if panel.is_field {

@@ -225,8 +225,12 @@ fn map(figure: &mut Figure, input: &ReportInput, videos: &Videos, traces: &[Plac
     let projection = &videos.projection;
     let (rows, columns) = (projection.rows, projection.columns);
     let plane = Plane::reduced(rows, columns, &projection.max, LONGEST_SIDE / 2);
-    let room = Rect::new(0.0, 20.0, 240.0, 300.0);
-    let place = put(figure, room, plane.coloured(Map::Grey, 0.0, videos.high));
+    let available = Rect::new(0.0, 20.0, 240.0, 300.0);
+    let place = put(
+        figure,
+        available,
+        plane.coloured(Map::Grey, 0.0, videos.high),
+    );
     scale_bar(figure, place, columns, input.pixel_pitch_um);
     for (i, placed) in traces.iter().enumerate() {
         let region = placed.trace.region;

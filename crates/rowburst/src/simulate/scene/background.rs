@@ -8,7 +8,7 @@
 //! v'[t, y, x] = v[t, y, x] + times · max(v) · p[y, x],      max(p) = 1
 //! ```
 
-use super::require_room;
+use super::require_field_size;
 use crate::{Error, Image, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -51,7 +51,7 @@ enum Part {
 /// # Errors
 /// A field with a side below 12 pixels.
 pub fn background(shape: Shape, seed: u64) -> Result<Image> {
-    require_room(shape, MIN_SIDE, MIN_SIDE, "a background")?;
+    require_field_size(shape, MIN_SIDE, MIN_SIDE, "a background")?;
     let mut rng = Pcg64::seed_from_u64(seed ^ STREAM);
     let side = shape.rows.min(shape.columns) as f64;
     let edge = (EDGE * side).max(MIN_EDGE_PX);

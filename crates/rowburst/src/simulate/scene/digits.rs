@@ -1,7 +1,7 @@
 //! Digits: one in every bin (the paper's Fig. 2), or moving through the bins.
 
 use super::glyph::{Glyph, digit_height, digit_width};
-use super::require_room;
+use super::require_field_size;
 use crate::{Error, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -62,11 +62,11 @@ pub fn moving_digit(shape: Shape, height_px: usize, digits: usize, seed: u64) ->
         let glyph = Glyph::digit(rng.random_range(0..10));
         let speed = rng.random_range(MIN_SPEED_PX..MAX_SPEED_PX);
         let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-        let mut line = |room: usize, wish: f64| {
-            let room = room as f64;
-            let path = (wish * steps).clamp(-room, room);
+        let mut line = |free_length: usize, wish: f64| {
+            let free_length = free_length as f64;
+            let path = (wish * steps).clamp(-free_length, free_length);
             let low = (-path).max(0.0);
-            let high = room - path.max(0.0);
+            let high = free_length - path.max(0.0);
             let start = low + (high - low) * rng.random::<f64>();
             (start, if steps > 0.0 { path / steps } else { 0.0 })
         };
@@ -92,7 +92,7 @@ fn check(shape: Shape, height_px: usize) -> Result<(usize, usize)> {
     }
     let height = digit_height(height_px);
     let width = digit_width(height);
-    require_room(shape, height, width, "a digit")?;
+    require_field_size(shape, height, width, "a digit")?;
     Ok((height, width))
 }
 

@@ -17,7 +17,7 @@ use crate::{Error, Result, Shape, Video};
 /// A value that is negative or not finite, an empty shape.
 pub fn fit(video: &Video, shape: Shape) -> Result<Video> {
     let from = video.shape();
-    super::require_room(shape, 1, 1, "a scene")?;
+    super::require_field_size(shape, 1, 1, "a scene")?;
     check_values(video)?;
     let scale = f64::min(
         shape.rows as f64 / from.rows as f64,

@@ -11,7 +11,7 @@
 //! integrated over the bin in closed form.
 
 use super::super::require_positive;
-use super::require_room;
+use super::require_field_size;
 use crate::{Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -86,7 +86,7 @@ pub fn leds(
     let sigma = spot_sigma_px(pixel_pitch_um);
     let reach = SPOT_SIGMAS * sigma;
     let side = (2.0 * reach).ceil() as usize + 1;
-    require_room(shape, side, side, "a spot")?;
+    require_field_size(shape, side, side, "a spot")?;
 
     let mut rng = Pcg64::seed_from_u64(seed);
     let mut video = Video::zeros(shape);
@@ -123,8 +123,8 @@ fn spot_sigma_px(pixel_pitch_um: f64) -> f64 {
 fn place(shape: Shape, reach: f64, others: &[Led], rng: &mut Pcg64) -> (f64, f64) {
     /// Far more than are ever needed: the others exclude at most three quarters of the field.
     const TRIES: usize = 1000;
-    let room = |side: usize| (side as f64 - 1.0 - 2.0 * reach).max(0.0);
-    let (rows, columns) = (room(shape.rows), room(shape.columns));
+    let free_length = |side: usize| (side as f64 - 1.0 - 2.0 * reach).max(0.0);
+    let (rows, columns) = (free_length(shape.rows), free_length(shape.columns));
     let apart = 0.25 * rows.max(columns);
     let mut at = (0.0, 0.0);
     for _ in 0..TRIES {

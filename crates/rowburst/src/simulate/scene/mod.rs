@@ -19,7 +19,7 @@ pub use leds::{LED_FREQUENCIES_HZ, Led, leds};
 use crate::{Error, Result, Shape};
 
 /// `Ok` where `shape` has at least one bin and `rows × columns` pixels.
-fn require_room(shape: Shape, rows: usize, columns: usize, what: &str) -> Result<()> {
+fn require_field_size(shape: Shape, rows: usize, columns: usize, what: &str) -> Result<()> {
     if shape.bins >= 1 && shape.rows >= rows && shape.columns >= columns {
         return Ok(());
     }

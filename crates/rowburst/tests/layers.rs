@@ -3,62 +3,62 @@
 use std::path::{Path, PathBuf};
 
 /// What a room stands on. A room is a module at the top of the crate.
-struct Room {
+struct Module {
     name: &'static str,
-    floor: usize,
+    layer: usize,
     /// Rooms on the same floor or below; a room may always use itself and floor 0.
     uses: &'static [&'static str],
 }
 
-const fn room(name: &'static str, floor: usize, uses: &'static [&'static str]) -> Room {
-    Room { name, floor, uses }
+const fn module(name: &'static str, layer: usize, uses: &'static [&'static str]) -> Module {
+    Module { name, layer, uses }
 }
 
-const ROOMS: [Room; 24] = [
-    room("error", 0, &[]),
-    room("shape", 0, &[]),
-    room("vecmath", 0, &[]),
+const MODULES: [Module; 24] = [
+    module("error", 0, &[]),
+    module("shape", 0, &[]),
+    module("vecmath", 0, &[]),
     // Values know no operators.
-    room("image", 1, &[]),
-    room("video", 1, &["image"]),
-    room("psf", 1, &["image"]),
-    room("shutter", 1, &[]),
-    room("camera", 1, &["shutter"]),
-    room("patches", 1, &["psf"]),
-    room("support", 1, &[]),
+    module("image", 1, &[]),
+    module("video", 1, &["image"]),
+    module("psf", 1, &["image"]),
+    module("shutter", 1, &[]),
+    module("camera", 1, &["shutter"]),
+    module("patches", 1, &["psf"]),
+    module("support", 1, &[]),
     // Maths knows no optics.
-    room("linop", 1, &[]),
-    room("prox", 1, &["linop", "support"]),
-    room("measurement", 2, &["image", "camera"]),
-    room(
+    module("linop", 1, &[]),
+    module("prox", 1, &["linop", "support"]),
+    module("measurement", 2, &["image", "camera"]),
+    module(
         "forward",
         2,
         &[
             "image", "psf", "patches", "shutter", "camera", "linop", "support",
         ],
     ),
-    room(
+    module(
         "calibrate",
         2,
         &["image", "psf", "patches", "shutter", "camera"],
     ),
-    room(
+    module(
         "bayer",
         2,
         &["image", "psf", "patches", "shutter", "camera"],
     ),
     // Noise is never inside A.
-    room("noise", 2, &["image", "camera"]),
-    room(
+    module("noise", 2, &["image", "camera"]),
+    module(
         "simulate",
         2,
         &["image", "video", "psf", "shutter", "camera"],
     ),
-    room("metrics", 2, &["image", "video"]),
+    module("metrics", 2, &["image", "video"]),
     // The solver knows neither what a pixel is nor where it comes from.
-    room("solve", 2, &["linop", "prox", "support"]),
+    module("solve", 2, &["linop", "prox", "support"]),
     // The only place where physics meets the solver.
-    room(
+    module(
         "reconstruct",
         3,
         &[
@@ -78,13 +78,13 @@ const ROOMS: [Room; 24] = [
         ],
     ),
     // What a finished video says of a place, with errors.
-    room(
+    module(
         "traces",
         3,
         &["image", "video", "forward", "solve", "support"],
     ),
     // Runs simulations and reconstructions of what a user plans to build.
-    room(
+    module(
         "design",
         4,
         &[
@@ -102,7 +102,7 @@ const ROOMS: [Room; 24] = [
             "reconstruct",
         ],
     ),
-    room("lib", 5, &[]),
+    module("lib", 5, &[]),
 ];
 
 /// What is re-exported at the crate's root, and where it lives.
@@ -128,17 +128,17 @@ fn imports_only_go_down() {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut faults = Vec::new();
     for path in files(&source) {
-        let name = room_of(path.strip_prefix(&source).unwrap());
-        let Some(room) = ROOMS.iter().find(|room| room.name == name) else {
+        let name = module_of(path.strip_prefix(&source).unwrap());
+        let Some(module) = MODULES.iter().find(|module| module.name == name) else {
             faults.push(format!("{}: give the room {name} a floor", path.display()));
             continue;
         };
-        if room.name == "lib" {
+        if module.name == "lib" {
             continue;
         }
         let text = std::fs::read_to_string(&path).unwrap();
         for import in imports(&text) {
-            if let Err(why) = judge(room, &import) {
+            if let Err(why) = judge(module, &import) {
                 faults.push(format!("{}: crate::{import}: {why}", path.display()));
             }
         }
@@ -146,31 +146,31 @@ fn imports_only_go_down() {
     assert!(faults.is_empty(), "\n{}", faults.join("\n"));
 }
 
-/// Whether `room` may import `crate::import`.
-fn judge(room: &Room, import: &str) -> Result<(), String> {
+/// Whether `module` may import `crate::import`.
+fn judge(module: &Module, import: &str) -> Result<(), String> {
     let head = import.split("::").next().unwrap_or_default();
     let name = ROOT
         .iter()
         .find(|(item, _)| *item == head)
         .map_or(head, |(_, home)| home);
-    let Some(other) = ROOMS.iter().find(|other| other.name == name) else {
+    let Some(other) = MODULES.iter().find(|other| other.name == name) else {
         return Err("no room has this name; add it to ROOMS or ROOT".into());
     };
-    if other.floor > room.floor {
+    if other.layer > module.layer {
         return Err(format!(
             "{} (floor {}) is above {} (floor {})",
-            other.name, other.floor, room.name, room.floor
+            other.name, other.layer, module.name, module.layer
         ));
     }
-    let known = other.name == room.name || other.floor == 0 || room.uses.contains(&other.name);
+    let known = other.name == module.name || other.layer == 0 || module.uses.contains(&other.name);
     if !known {
-        return Err(format!("{} does not know {}", room.name, other.name));
+        return Err(format!("{} does not know {}", module.name, other.name));
     }
     Ok(())
 }
 
 /// The room of a source file: its first folder or its name.
-fn room_of(path: &Path) -> String {
+fn module_of(path: &Path) -> String {
     let first = path.iter().next().unwrap().to_string_lossy();
     first.trim_end_matches(".rs").to_string()
 }
@@ -265,7 +265,10 @@ fn imports_are_found() {
             "metrics::psnr_db",
         ]
     );
-    let solve = ROOMS.iter().find(|room| room.name == "solve").unwrap();
+    let solve = MODULES
+        .iter()
+        .find(|module| module.name == "solve")
+        .unwrap();
     assert!(judge(solve, "vecmath::simd").is_ok());
     assert!(judge(solve, "prox::Prox").is_ok());
     for optics in [
@@ -277,7 +280,7 @@ fn imports_are_found() {
     ] {
         assert!(judge(solve, optics).is_err(), "{optics}");
     }
-    let prox = ROOMS.iter().find(|room| room.name == "prox").unwrap();
+    let prox = MODULES.iter().find(|module| module.name == "prox").unwrap();
     for optics in ["Psf", "Camera", "forward", "solve::admm"] {
         assert!(judge(prox, optics).is_err(), "{optics}");
     }
