@@ -239,8 +239,8 @@ def square_wave_frequency(trace):
 
     def explained(hertz, phases):
         u = hertz * edges[None, :] + phases[:, None]
-        lit = 0.5 * np.floor(u) + np.minimum(u - np.floor(u), 0.5)
-        model = np.diff(lit, axis=1)
+        light_integral = 0.5 * np.floor(u) + np.minimum(u - np.floor(u), 0.5)
+        model = np.diff(light_integral, axis=1)
         model -= model.mean(1, keepdims=True)
         norm = np.sqrt((model**2).sum(1))
         return np.where(norm > 1e-9, model @ centred / np.maximum(norm, 1e-9), 0)

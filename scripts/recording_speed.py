@@ -42,14 +42,14 @@ def main():
     np.save(folder / "psf.npy", psf)
     (folder / "experiment.toml").write_text(camera.to_toml())
     seconds = {name: [] for name in args.only}
-    places = {"frames": folder / "frames.npy", "experiment": folder / "experiment.toml"}
+    paths_by_name = {"frames": folder / "frames.npy", "experiment": folder / "experiment.toml"}
 
     # Dask changes this process's environment for its workers.
     environment = os.environ.copy()
 
     def batch(threads, out):
         subprocess.run(
-            [args.program, "batch", places["experiment"], "--frames", places["frames"], "--psf", folder / "psf.npy",
+            [args.program, "batch", paths_by_name["experiment"], "--frames", paths_by_name["frames"], "--psf", folder / "psf.npy",
              "--prior", PRIOR, "--threads", str(threads), "-o", out], check=True, capture_output=True,
             env=environment)
 
@@ -61,7 +61,7 @@ def main():
                     began = time.perf_counter()
                     if name == "dask":
                         rowburst.dask.reconstruct(
-                            places["frames"], out, places["experiment"], client, psf=folder / "psf.npy", prior=PRIOR)
+                            paths_by_name["frames"], out, paths_by_name["experiment"], client, psf=folder / "psf.npy", prior=PRIOR)
                     else:
                         batch(1 if name == "one" else 2, out)
                     took.append((time.perf_counter() - began) / args.frames)

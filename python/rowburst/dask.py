@@ -114,10 +114,10 @@ def reconstruct(
     if "tau" in given:
         given["tau"] = str(given["tau"])
     paths = {"experiment": experiment, "frames": frames, "out": out}
-    places = {name: str(Path(path).absolute()) for name, path in paths.items()}
+    absolute_paths = {name: str(Path(path).absolute()) for name, path in paths.items()}
     # Begins the archive, and finds every mistake before a worker sees it.
-    batch = _Batch(places["experiment"], places["frames"], places["out"], **given)
-    job = json.dumps(places | given, sort_keys=True)
+    batch = _Batch(absolute_paths["experiment"], absolute_paths["frames"], absolute_paths["out"], **given)
+    job = json.dumps(absolute_paths | given, sort_keys=True)
     left = batch.left(0, batch.count, retry_failed)
     _wait_for_workers(client, workers_timeout_s)
     prior, reason = client.submit(_choose, job, __version__, pure=False).result()
@@ -143,7 +143,7 @@ def reconstruct(
     failed = [row for row in rows if not row[2]]
     return {
         "version": __version__,
-        "archive": places["out"],
+        "archive": absolute_paths["out"],
         "table": str(table),
         "frames": batch.count,
         "done": len(rows) - len(failed),

@@ -60,9 +60,9 @@ impl Variable {
         let fault = |e: IoError| source.unreadable(e);
         let order = order_of(&mut file).map_err(fault)?;
         let mut found = Vec::new();
-        let mut places = Vec::new();
+        let mut offsets = Vec::new();
         let mut at = HEADER_BYTES;
-        while at + 8 <= source.bytes && places.len() < MOST_VARIABLES {
+        while at + 8 <= source.bytes && offsets.len() < MOST_VARIABLES {
             file.seek(SeekFrom::Start(at)).map_err(fault)?;
             let tag = Tag::read(&mut file, order).map_err(fault)?;
             let end = at + 8 + u64::from(tag.bytes);
@@ -75,7 +75,7 @@ impl Variable {
             }
             if let Some(matrix) = Matrix::begin(&mut file, tag, order).map_err(fault)? {
                 found.push(matrix.candidate());
-                places.push(at);
+                offsets.push(at);
             }
             at = end;
             // Variables that are not deflated end at a multiple of 8.
@@ -84,7 +84,7 @@ impl Variable {
             }
         }
         let chosen = choose(source, &found)?;
-        file.seek(SeekFrom::Start(places[chosen])).map_err(fault)?;
+        file.seek(SeekFrom::Start(offsets[chosen])).map_err(fault)?;
         let tag = Tag::read(&mut file, order).map_err(fault)?;
         let input = file.take(u64::from(tag.bytes));
         match tag.kind {

@@ -419,8 +419,8 @@ fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
         if xx > 0.0 { xy / xx } else { 1.0 }
     };
     let largest = wanted.iter().copied().fold(0.0, f64::max);
-    let lit = |t: &usize| wanted[*t] > 0.01 * largest && trace.standard_error[*t].is_finite();
-    let lit: Vec<usize> = (0..wanted.len()).filter(lit).collect();
+    let active = |t: &usize| wanted[*t] > 0.01 * largest && trace.standard_error[*t].is_finite();
+    let active: Vec<usize> = (0..wanted.len()).filter(active).collect();
     let covers =
         |t: &&usize| (trace.debiased[**t] - wanted[**t]).abs() <= 1.96 * trace.standard_error[**t];
     TruthNumbers {
@@ -428,8 +428,8 @@ fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
         video_rms_error: rms(&trace.value),
         amplitude_ratio: slope(&trace.debiased),
         video_amplitude_ratio: slope(&trace.value),
-        covered_bins: lit.iter().filter(covers).count(),
-        lit_bins: lit.len(),
+        covered_bins: active.iter().filter(covers).count(),
+        lit_bins: active.len(),
     }
 }
 

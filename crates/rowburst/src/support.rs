@@ -13,7 +13,7 @@ pub struct Support {
 
 /// A bin of which more than this part is in the support is left open: the restriction
 /// would gain nothing.
-const OPEN_ABOVE: f64 = 1.0 / 3.0;
+const MAX_ACTIVE_FRACTION: f64 = 1.0 / 3.0;
 
 impl Support {
     /// Every voxel.
@@ -51,13 +51,13 @@ impl Support {
         }
     }
 
-    /// The same with, in the bins `missed`, the voxels whose value in `correlation` is
+    /// The same with, in the bins `bins`, the voxels whose value in `correlation` is
     /// at least half of the bin's largest, and their eight neighbours.
     ///
     /// # Panics
     /// If a length does not match.
     #[must_use]
-    pub fn with_missed(mut self, correlation: &[f32], missed: &[usize]) -> Self {
+    pub fn with_correlated(mut self, correlation: &[f32], bins: &[usize]) -> Self {
         assert_eq!(
             correlation.len(),
             self.shape.voxels(),
@@ -65,7 +65,7 @@ impl Support {
         );
         let pixels = self.shape.pixels();
         let all = Arc::make_mut(&mut self.mask);
-        for &t in missed {
+        for &t in bins {
             let bin = &correlation[t * pixels..(t + 1) * pixels];
             let half = 0.5 * bin.iter().copied().fold(0.0f32, f32::max);
             if half > 0.0 {
@@ -77,13 +77,13 @@ impl Support {
         self
     }
 
-    /// The same with all of a bin of which more than `most` voxels are in it.
+    /// The same with all of a bin of which more than `max_active` voxels are in it.
     #[must_use]
-    pub fn opening_above(mut self, most: usize) -> Self {
+    pub fn with_crowded_bins_open(mut self, max_active: usize) -> Self {
         let pixels = self.shape.pixels();
-        if most < pixels {
+        if max_active < pixels {
             for bin in Arc::make_mut(&mut self.mask).chunks_exact_mut(pixels) {
-                if bin.iter().map(|&lit| usize::from(lit)).sum::<usize>() > most {
+                if bin.iter().map(|&active| usize::from(active)).sum::<usize>() > max_active {
                     bin.fill(1);
                 }
             }
@@ -100,12 +100,12 @@ impl Support {
     pub fn pixels_of(&self, t: usize) -> Option<Vec<usize>> {
         let pixels = self.shape.pixels();
         let bin = &self.mask[t * pixels..(t + 1) * pixels];
-        let lit: Vec<usize> = (0..pixels).filter(|&i| bin[i] == 1).collect();
-        (lit.len() < pixels).then_some(lit)
+        let active: Vec<usize> = (0..pixels).filter(|&i| bin[i] == 1).collect();
+        (active.len() < pixels).then_some(active)
     }
 
     /// Whether a row of a bin holds a voxel that may be lit, `[t, y]`.
-    pub fn lit_rows(&self) -> Vec<bool> {
+    pub fn active_rows(&self) -> Vec<bool> {
         let lines = self.mask.par_chunks_exact(self.shape.columns);
         lines.map(|line| line.contains(&1)).collect()
     }
@@ -119,8 +119,12 @@ impl Support {
 
     /// Part of all voxels that may be lit.
     pub fn fraction(&self) -> f64 {
-        let lit: usize = self.mask.par_iter().map(|&lit| usize::from(lit)).sum();
-        lit as f64 / self.mask.len() as f64
+        let active: usize = self
+            .mask
+            .par_iter()
+            .map(|&active| usize::from(active))
+            .sum();
+        active as f64 / self.mask.len() as f64
     }
 
     /// Sets all voxels outside the support to zero, and leaves what follows the video.
@@ -128,13 +132,13 @@ impl Support {
         video
             .par_iter_mut()
             .zip(self.mask.par_iter())
-            .for_each(|(v, &lit)| *v *= f32::from(lit));
+            .for_each(|(v, &active)| *v *= f32::from(active));
     }
 }
 
 fn open_if_crowded(mask: &mut [u8]) {
-    let lit = mask.iter().filter(|&&lit| lit == 1).count();
-    if lit as f64 > OPEN_ABOVE * mask.len() as f64 {
+    let active = mask.iter().filter(|&&active| active == 1).count();
+    if active as f64 > MAX_ACTIVE_FRACTION * mask.len() as f64 {
         mask.fill(1);
     }
 }
@@ -164,8 +168,8 @@ mod tests {
         video[2 * 8 + 3] = 1.0;
         video[56] = 1.0;
         let support = Support::above(&video, shape, &[0.5, 0.5]);
-        let lit = support.pixels_of(0).unwrap();
-        assert_eq!(lit, [10, 11, 12, 18, 19, 20, 26, 27, 28]);
+        let active = support.pixels_of(0).unwrap();
+        assert_eq!(active, [10, 11, 12, 18, 19, 20, 26, 27, 28]);
         assert_eq!(support.pixels_of(1).unwrap(), [0, 1, 8, 9]);
         assert!((support.fraction() - 13.0 / 112.0).abs() < 1e-12);
         let mut dimmed = vec![1.0f32; shape.voxels()];
@@ -180,7 +184,7 @@ mod tests {
         correlation[81 + 40] = 1.0;
         correlation[81 + 42] = 0.6;
         let dark = Support::above(&vec![0.0; shape.voxels()], shape, &[0.5, 0.5]);
-        let support = dark.with_missed(&correlation, &[1]);
+        let support = dark.with_correlated(&correlation, &[1]);
         assert_eq!(support.pixels_of(0), Some(vec![]));
         assert_eq!(support.pixels_of(1).unwrap().len(), 15);
     }

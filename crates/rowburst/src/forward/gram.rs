@@ -242,7 +242,7 @@ impl RollingShutter {
 
     /// The columns of `A` that lead from the lit voxels of `support` to the rows of instant `i`: `B` with `B Bᵀ`
     /// the block of [`Self::add_gram_block`]. `None` where a bin is open, or there are more than `most`.
-    pub fn lit_columns<T: Scalar>(
+    pub fn active_columns<T: Scalar>(
         &self,
         instant: usize,
         support: &Support,
@@ -250,12 +250,13 @@ impl RollingShutter {
     ) -> Option<Mat<T>> {
         let run = &self.time.instants()[instant];
         let bins = run.first_bin..run.first_bin + run.weights.len();
-        let lit: Option<Vec<Vec<usize>>> = bins.map(|bin| support.pixels_of(bin)).collect();
-        let lit = lit.filter(|lit| lit.iter().map(Vec::len).sum::<usize>() <= most)?;
-        let all: Vec<usize> = lit.concat();
+        let active: Option<Vec<Vec<usize>>> = bins.map(|bin| support.pixels_of(bin)).collect();
+        let active = active.filter(|active| active.iter().map(Vec::len).sum::<usize>() <= most)?;
+        let all: Vec<usize> = active.concat();
         let mut columns = self.columns_of(instant, &all);
-        let weights = lit.iter().zip(&run.weights);
-        let weights = weights.flat_map(|(lit, weight)| std::iter::repeat_n(*weight, lit.len()));
+        let weights = active.iter().zip(&run.weights);
+        let weights =
+            weights.flat_map(|(active, weight)| std::iter::repeat_n(*weight, active.len()));
         for (mut column, weight) in columns.col_iter_mut().zip(weights) {
             column *= faer::Scale(T::nearest(weight));
         }

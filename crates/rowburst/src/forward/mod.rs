@@ -381,8 +381,8 @@ impl<T: Scalar> RollingShutter<T> {
             let mut video = vec![T::zero(); target.len()];
             self.adjoint(frame, &mut video);
             if let Some(support) = support {
-                let lit = video.par_iter_mut().zip(support.mask());
-                lit.for_each(|(v, lit)| *v *= T::from(f32::from(*lit)));
+                let active = video.par_iter_mut().zip(support.mask());
+                active.for_each(|(v, active)| *v *= T::from(f32::from(*active)));
             }
             return write_parts(&video, target, write);
         }
@@ -401,8 +401,8 @@ impl<T: Scalar> RollingShutter<T> {
             let rows = rows.zip(target.chunks_exact_mut(columns)).enumerate();
             for (y, ((light, mask), target)) in rows {
                 if mask.contains(&1) {
-                    let lit = light.iter_mut().zip(mask);
-                    lit.for_each(|(v, lit)| *v *= weight * T::from(f32::from(*lit)));
+                    let active = light.iter_mut().zip(mask);
+                    active.for_each(|(v, active)| *v *= weight * T::from(f32::from(*active)));
                     write(first + y * columns, light, target);
                 }
             }

@@ -145,12 +145,12 @@ impl<T: Scalar> Rowwise<T> {
     ) {
         let field_columns = self.geometry.field_columns;
         scratch.pairs.clear();
-        for (i, lit) in light.chunks(2 * field_columns).enumerate() {
+        for (i, row_pair) in light.chunks(2 * field_columns).enumerate() {
             // Recovered scenes are sparse: most rows of most bins are dark.
-            if !is_dark(lit) {
+            if !is_dark(row_pair) {
                 let place = scratch.pairs.len() * self.length;
                 let line = &mut scratch.lines[place..place + self.length];
-                pack(lit, field_columns, line);
+                pack(row_pair, field_columns, line);
                 scratch.pairs.push(first + 2 * i);
             }
         }

@@ -100,10 +100,14 @@ fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
             let shape = operator.video_shape();
             let video: Vec<f32> = (0..shape.voxels()).map(|_| rng.random()).collect();
             let support = Support::above(&video, shape, &vec![0.98; shape.bins]);
-            let lit = support.lit_rows().iter().filter(|lit| **lit).count();
+            let active = support
+                .active_rows()
+                .iter()
+                .filter(|active| **active)
+                .count();
             assert!(
-                lit > 0 && support.fraction() < 1.0,
-                "{camera:?}: {lit} lit rows"
+                active > 0 && support.fraction() < 1.0,
+                "{camera:?}: {active} lit rows"
             );
             let frame: Vec<f32> = (0..operator.range_len()).map(|_| rng.random()).collect();
             let mut expected = vec![f32::NAN; video.len()];
@@ -146,9 +150,9 @@ fn instants_together_give_the_bits_of_instants_alone() {
             let (mut read, mut spread) = (vec![0.0; frame.len()], vec![0.0; video.len()]);
             operator.apply(&video, &mut read);
             operator.adjoint(&frame, &mut spread);
-            let mut lit = vec![f32::NAN; video.len()];
-            operator.adjoint_on(&frame, &support, &mut lit);
-            (operator.at_once(), [read, spread, lit])
+            let mut active = vec![f32::NAN; video.len()];
+            operator.adjoint_on(&frame, &support, &mut active);
+            (operator.at_once(), [read, spread, active])
         })
     };
     let (alone, expected) = run(17);

@@ -133,12 +133,12 @@ impl DualTerm for LowRank {
     /// voxel, over the pixels that are lit at any time.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
         let (bins, pixels) = (self.shape.bins, self.shape.pixels());
-        let lit = z.par_iter().filter(|v| **v > tolerance).count() as f64;
+        let active = z.par_iter().filter(|v| **v > tolerance).count() as f64;
         let places = (0..pixels)
             .into_par_iter()
             .filter(|i| (0..bins).any(|t| z[t * pixels + i] > tolerance))
             .count() as f64;
-        let least = f64::from(tolerance).powi(2) * lit;
+        let least = f64::from(tolerance).powi(2) * active;
         let squares = self.spectrum(z).0;
         let rank = squares.iter().filter(|s| **s > least).count() as f64;
         rank * (bins as f64 + places - rank).max(0.0)

@@ -9,9 +9,9 @@ use std::ops::Range;
 /// Runs of neighbouring rows in each bin.
 pub(super) struct Rows {
     /// Rows with a voxel that may be lit.
-    lit: Vec<Vec<Range<usize>>>,
+    active: Vec<Vec<Range<usize>>>,
     /// Those, and the rows whose differences along y or t reach one.
-    near: Vec<Vec<Range<usize>>>,
+    adjacent: Vec<Vec<Range<usize>>>,
 }
 
 impl Rows {
@@ -19,32 +19,34 @@ impl Rows {
         let whole = std::iter::once(0..shape.rows).collect();
         let all: Vec<Vec<Range<usize>>> = vec![whole; shape.bins];
         Self {
-            near: all.clone(),
-            lit: all,
+            adjacent: all.clone(),
+            active: all,
         }
     }
 
     pub fn of(support: &Support, shape: Shape) -> Self {
-        let lit = support.lit_rows();
-        let is_lit =
-            |t: usize, y: usize| t < shape.bins && y < shape.rows && lit[t * shape.rows + y];
-        let is_near = |t, y| is_lit(t, y) || is_lit(t, y + 1) || is_lit(t + 1, y);
+        let active = support.active_rows();
+        let is_active =
+            |t: usize, y: usize| t < shape.bins && y < shape.rows && active[t * shape.rows + y];
+        let is_adjacent = |t, y| is_active(t, y) || is_active(t, y + 1) || is_active(t + 1, y);
         let bins = 0..shape.bins;
         Self {
-            lit: bins
+            active: bins
                 .clone()
-                .map(|t| runs(shape.rows, |y| is_lit(t, y)))
+                .map(|t| runs(shape.rows, |y| is_active(t, y)))
                 .collect(),
-            near: bins.map(|t| runs(shape.rows, |y| is_near(t, y))).collect(),
+            adjacent: bins
+                .map(|t| runs(shape.rows, |y| is_adjacent(t, y)))
+                .collect(),
         }
     }
 
-    pub fn lit(&self, t: usize) -> &[Range<usize>] {
-        &self.lit[t]
+    pub fn active(&self, t: usize) -> &[Range<usize>] {
+        &self.active[t]
     }
 
-    pub fn near(&self, t: usize) -> &[Range<usize>] {
-        &self.near[t]
+    pub fn adjacent(&self, t: usize) -> &[Range<usize>] {
+        &self.adjacent[t]
     }
 }
 
@@ -71,10 +73,10 @@ mod tests {
         let support = Support::above(&video, shape, &[0.5; 3]);
         let rows = Rows::of(&support, shape);
         let flat = |runs: &[Range<usize>]| runs.iter().cloned().flatten().collect::<Vec<_>>();
-        assert_eq!(flat(rows.lit(1)), [3, 4, 5]);
-        assert_eq!(flat(rows.near(1)), [2, 3, 4, 5]);
-        assert_eq!(flat(rows.near(0)), [3, 4, 5]);
-        assert!(rows.lit(0).is_empty() && rows.near(2).is_empty());
-        assert_eq!(flat(Rows::all(shape).near(2)), [0, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(flat(rows.active(1)), [3, 4, 5]);
+        assert_eq!(flat(rows.adjacent(1)), [2, 3, 4, 5]);
+        assert_eq!(flat(rows.adjacent(0)), [3, 4, 5]);
+        assert!(rows.active(0).is_empty() && rows.adjacent(2).is_empty());
+        assert_eq!(flat(Rows::all(shape).adjacent(2)), [0, 1, 2, 3, 4, 5, 6, 7]);
     }
 }

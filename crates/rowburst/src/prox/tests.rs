@@ -362,7 +362,10 @@ fn outside_the_support_it_is_dark() {
         prior.restrict(&support);
         let mut z = vec![f32::NAN; q.len()];
         prior.prox(&q, 0.1, &mut z);
-        let dark = z.iter().zip(support.mask()).filter(|(_, lit)| **lit == 0);
+        let dark = z
+            .iter()
+            .zip(support.mask())
+            .filter(|(_, active)| **active == 0);
         assert!(
             dark.clone().count() > 0 && dark.clone().all(|(z, _)| *z == 0.0),
             "{name}"

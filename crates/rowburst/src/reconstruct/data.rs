@@ -119,7 +119,7 @@ impl FrameData {
         let all = GramOf {
             model,
             operator: &operator,
-            lit: (None, second),
+            active: (None, second),
         };
         let gram = match shutter.time().is_disjoint() && model.gram_bytes().is_some() {
             true => Gram::Exact(all.exact(is_double)),
@@ -285,7 +285,7 @@ impl FrameData {
         let source = GramOf {
             model: &self.model,
             operator: &self.operator,
-            lit: (self.support.as_ref(), self.second),
+            active: (self.support.as_ref(), self.second),
         };
         match &mut self.gram {
             Gram::Exact(blocks) => blocks.refill(None, source),
@@ -304,7 +304,7 @@ impl FrameData {
         let source = GramOf {
             model: &self.model,
             operator: &self.operator,
-            lit: (self.support.as_ref(), self.second),
+            active: (self.support.as_ref(), self.second),
         };
         self.gram = match self.second {
             // What all bins share is solved for from other right sides all the time.
@@ -424,7 +424,7 @@ impl DataTerm for FrameData {
 
     /// The block of so many voxels takes as long as that of all, which leans on the field's shifts:
     /// `m²` products for each voxel, and 4 for each row of the field.
-    fn most_lit(&self) -> usize {
+    fn max_active_voxels(&self) -> usize {
         match self.is_wide() {
             true => 4 * self.shape().rows,
             false => usize::MAX,
@@ -436,7 +436,7 @@ impl DataTerm for FrameData {
         let source = GramOf {
             model: &self.model,
             operator: &self.operator,
-            lit: (Some(support), self.second),
+            active: (Some(support), self.second),
         };
         let instants = self.model.shutter().time().instants();
         let has_changed = |i: usize| {
@@ -522,14 +522,14 @@ impl LinearOperator for Border<'_> {
 }
 
 /// What may be lit: the support of the first part, and the second part.
-type Lit<'a> = (Option<&'a Support>, SecondPart);
+type ActiveVoxels<'a> = (Option<&'a Support>, SecondPart);
 
 /// The blocks of `W A P Aᵀ W`.
 #[derive(Clone, Copy)]
 struct GramOf<'a> {
     model: &'a Model,
     operator: &'a Arc<Weighted<Arc<RollingShutter>>>,
-    lit: Lit<'a>,
+    active: ActiveVoxels<'a>,
 }
 
 impl GramOf<'_> {
@@ -550,7 +550,7 @@ impl GramOf<'_> {
 
     /// Adds the blocks of both parts of a video.
     fn add_parts<T: Scalar>(&self, instant: usize, mut sum: MatMut<T>) {
-        let (support, second) = self.lit;
+        let (support, second) = self.active;
         let shutter = self.operator.inner();
         shutter.add_gram_block(instant, support, sum.rb_mut());
         if second == SecondPart::Video {
@@ -562,7 +562,7 @@ impl GramOf<'_> {
     fn leaves_open(&self, instant: usize) -> bool {
         let run = &self.model.shutter().time().instants()[instant];
         let mut bins = run.first_bin..run.first_bin + run.weights.len();
-        let (support, _) = self.lit;
+        let (support, _) = self.active;
         support.is_none_or(|s| bins.all(|bin| s.pixels_of(bin).is_none()))
     }
 
@@ -585,7 +585,7 @@ impl GramOf<'_> {
 
 impl<T: Scalar> BlockSource<T> for GramOf<'_> {
     fn fill(&self, instant: usize, mut sum: MatMut<T>) {
-        let (_, second) = self.lit;
+        let (_, second) = self.active;
         let shutter = self.operator.inner();
         let is_kept = self.leaves_open(instant) && second != SecondPart::Video;
         match self.model.kept_block(instant).filter(|_| is_kept) {
@@ -612,12 +612,12 @@ impl<T: Scalar> BlockSource<T> for GramOf<'_> {
     }
 
     fn columns(&self, instant: usize, most: usize) -> Option<Mat<T>> {
-        let (support, second) = self.lit;
+        let (support, second) = self.active;
         if second == SecondPart::Video {
             return None;
         }
         let shutter = self.operator.inner();
-        let mut columns = shutter.lit_columns::<T>(instant, support?, most)?;
+        let mut columns = shutter.active_columns::<T>(instant, support?, most)?;
         if let Some(weights) = self.operator.weights() {
             let indices = shutter.indices_of(instant);
             for column in columns.col_iter_mut() {

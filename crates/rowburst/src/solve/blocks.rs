@@ -259,11 +259,11 @@ impl<T: Scalar> Block<T> {
         let Some((columns, square)) = &mut self.few else {
             return self.own.solve(y, rho, beside);
         };
-        let mut lit = vec![T::zero(); columns.ncols()];
+        let mut active = vec![T::zero(); columns.ncols()];
         let (add, replace) = (Accum::Add, Accum::Replace);
-        multiply(replace, &mut lit, columns.transpose(), y, T::one());
-        square.solve(&mut lit, rho, beside);
-        multiply(add, y, columns.as_ref(), &lit, -T::one());
+        multiply(replace, &mut active, columns.transpose(), y, T::one());
+        square.solve(&mut active, rho, beside);
+        multiply(add, y, columns.as_ref(), &active, -T::one());
         let over_rho = T::nearest(1.0 / rho);
         y.iter_mut().for_each(|y| *y *= over_rho);
     }

@@ -120,7 +120,7 @@ pub trait DataTerm: Send {
 
     /// Most voxels of a bin that [`Self::restrict`] is worth its cost for; of more, the prior alone
     /// keeps the others dark.
-    fn most_lit(&self) -> usize {
+    fn max_active_voxels(&self) -> usize {
         usize::MAX
     }
 

@@ -44,9 +44,9 @@ pub(super) fn scales(bin: &[f32], columns: usize, brightness: f64) -> Vec<f64> {
     power.iter().map(scale).collect()
 }
 
-/// `K/a²` of `places` (bin, row, column, scale); voxels of different bins have nothing to do
+/// `K/a²` of `voxels` (bin, row, column, scale); voxels of different bins have nothing to do
 /// with each other.
-pub(super) fn covariance(places: &[Place], length_px: f64) -> Mat<f64> {
+pub(super) fn covariance(voxels: &[Voxel], length_px: f64) -> Mat<f64> {
     let root5 = 5f64.sqrt();
     // Distances are few: those on a grid.
     let correlation = |dy: f64, dx: f64| {
@@ -55,17 +55,17 @@ pub(super) fn covariance(places: &[Place], length_px: f64) -> Mat<f64> {
     };
     let mut table = Vec::new();
     let side = {
-        let range = |of: &dyn Fn(&Place) -> usize| {
-            let most = places.iter().map(of).max().unwrap_or(0);
-            most - places.iter().map(of).min().unwrap_or(0) + 1
+        let range = |of: &dyn Fn(&Voxel) -> usize| {
+            let most = voxels.iter().map(of).max().unwrap_or(0);
+            most - voxels.iter().map(of).min().unwrap_or(0) + 1
         };
         (range(&|p| p.y), range(&|p| p.x))
     };
     for dy in 0..side.0 {
         table.extend((0..side.1).map(|dx| correlation(dy as f64, dx as f64)));
     }
-    Mat::from_fn(places.len(), places.len(), |i, j| {
-        let (p, q) = (&places[i], &places[j]);
+    Mat::from_fn(voxels.len(), voxels.len(), |i, j| {
+        let (p, q) = (&voxels[i], &voxels[j]);
         if p.bin != q.bin {
             return 0.0;
         }
@@ -77,7 +77,7 @@ pub(super) fn covariance(places: &[Place], length_px: f64) -> Mat<f64> {
 
 /// A voxel that may be lit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
+pub(super) struct Voxel {
     pub bin: usize,
     pub y: usize,
     pub x: usize,
@@ -108,14 +108,14 @@ mod tests {
 
     #[test]
     fn covariance_is_that_of_the_formula() {
-        let place = |bin, y, x, scale| Place { bin, y, x, scale };
-        let places = [
-            place(0, 3, 4, 2.0),
-            place(0, 3, 6, 1.0),
-            place(1, 3, 4, 1.0),
-            place(0, 5, 4, 0.5),
+        let voxel = |bin, y, x, scale| Voxel { bin, y, x, scale };
+        let voxels = [
+            voxel(0, 3, 4, 2.0),
+            voxel(0, 3, 6, 1.0),
+            voxel(1, 3, 4, 1.0),
+            voxel(0, 5, 4, 0.5),
         ];
-        let k = covariance(&places, 1.5);
+        let k = covariance(&voxels, 1.5);
         let s = 5f64.sqrt() * 2.0 / 1.5;
         let wanted = (1.0 + s + s * s / 3.0) * (-s).exp();
         assert!((k[(0, 1)] - 2.0 * wanted).abs() < 1e-12);

@@ -32,7 +32,7 @@
 //!
 //! Bins must be independent: exposures longer than a row couple them, and are refused.
 
-use super::kernel::{Place, covariance, scales};
+use super::kernel::{Voxel, covariance, scales};
 use super::posterior::{Information, Posterior, Whitened};
 use super::region::{Region, Trace};
 use crate::shape::InstantWeights;
@@ -102,7 +102,7 @@ const SIGNIFICANT: f64 = 3.0;
 
 /// The voxels of an instant and what the frame says of them.
 struct System {
-    places: Vec<Place>,
+    voxels: Vec<Voxel>,
     /// `W A/σ` and `W b/σ` of the pixels that the instant reads.
     matrix: Mat<f64>,
     measured: Mat<f64>,
@@ -216,10 +216,10 @@ impl<'a> Refit<'a> {
             .map(|i| {
                 let system = self.system(i, &[])?;
                 let posterior = self.estimate(&system)?;
-                let index = |p: &Place| p.bin * shape.pixels() + p.y * shape.columns + p.x;
+                let index = |p: &Voxel| p.bin * shape.pixels() + p.y * shape.columns + p.x;
                 let value = |k: usize| posterior.mean()[(k, 0)].max(0.0) as f32;
-                let places = system.places.iter().enumerate();
-                Some(places.map(|(k, p)| (index(p), value(k))).collect())
+                let voxels = system.voxels.iter().enumerate();
+                Some(voxels.map(|(k, p)| (index(p), value(k))).collect())
             })
             .collect();
         let mut untouched_bins = 0;
@@ -257,7 +257,7 @@ impl<'a> Refit<'a> {
     }
 
     /// The lit voxels of bin `t`, 1 in a mask; `None` where they are too many.
-    fn lit(&self, t: usize) -> Option<Vec<u8>> {
+    fn active_mask(&self, t: usize) -> Option<Vec<u8>> {
         let shape = Shape::new(1, self.shape().rows, self.shape().columns);
         let bin = self.evidence.video.bin(t);
         let threshold = THRESHOLD * self.brightness;
@@ -266,7 +266,7 @@ impl<'a> Refit<'a> {
         }
         // A bin that is lit all over comes back whole.
         let support = Support::above(bin, shape, &[threshold]);
-        let count = support.mask().iter().filter(|&&lit| lit == 1).count();
+        let count = support.mask().iter().filter(|&&active| active == 1).count();
         (count <= MOST_VOXELS).then(|| support.mask().to_vec())
     }
 
@@ -274,22 +274,22 @@ impl<'a> Refit<'a> {
     /// many voxels are lit.
     fn system(&self, i: usize, regions: &[Region]) -> Option<System> {
         let run = &self.evidence.operator.time().instants()[i];
-        let mut places = Vec::new();
+        let mut voxels = Vec::new();
         for t in run.first_bin..run.first_bin + run.weights.len() {
-            let mut mask = self.lit(t)?;
-            for region in self.touched(&mask, regions) {
+            let mut mask = self.active_mask(t)?;
+            for region in self.active_regions(&mask, regions) {
                 let wide = regions[region].widened(1, self.shape());
                 wide.indices(self.shape().columns)
                     .for_each(|at| mask[at] = 1);
             }
-            self.add_places(t, |at| mask[at] == 1, &mut places);
+            self.add_voxels(t, |at| mask[at] == 1, &mut voxels);
         }
-        (places.len() <= MOST_VOXELS).then(|| self.system_of(i, places))
+        (voxels.len() <= MOST_VOXELS).then(|| self.system_of(i, voxels))
     }
 
     /// Indices of the `regions` that a lit voxel lies in or beside, and whose surroundings are
     /// small enough to be estimated.
-    fn touched(&self, mask: &[u8], regions: &[Region]) -> Vec<usize> {
+    fn active_regions(&self, mask: &[u8], regions: &[Region]) -> Vec<usize> {
         let touches = |region: &Region| {
             let wide = region.widened(1, self.shape());
             let mut near = wide.indices(self.shape().columns);
@@ -300,20 +300,20 @@ impl<'a> Refit<'a> {
             .collect()
     }
 
-    fn add_places(&self, bin: usize, is_in: impl Fn(usize) -> bool, places: &mut Vec<Place>) {
+    fn add_voxels(&self, bin: usize, is_in: impl Fn(usize) -> bool, voxels: &mut Vec<Voxel>) {
         let columns = self.shape().columns;
         let scales = scales(self.evidence.video.bin(bin), columns, self.brightness);
-        let of = |(at, &scale): (usize, &f64)| Place {
+        let of = |(at, &scale): (usize, &f64)| Voxel {
             bin,
             y: at / columns,
             x: at % columns,
             scale,
         };
-        let lit = scales.iter().enumerate().filter(|(at, _)| is_in(*at));
-        places.extend(lit.map(of));
+        let active = scales.iter().enumerate().filter(|(at, _)| is_in(*at));
+        voxels.extend(active.map(of));
     }
 
-    fn system_of(&self, i: usize, places: Vec<Place>) -> System {
+    fn system_of(&self, i: usize, voxels: Vec<Voxel>) -> System {
         let Evidence {
             operator,
             measured,
@@ -323,12 +323,12 @@ impl<'a> Refit<'a> {
         } = self.evidence;
         let columns = self.shape().columns;
         let run = &operator.time().instants()[i];
-        let pixels: Vec<usize> = places.iter().map(|p| p.y * columns + p.x).collect();
+        let pixels: Vec<usize> = voxels.iter().map(|p| p.y * columns + p.x).collect();
         let indices = operator.indices_of(i);
         let weight = |k: usize| weights.map_or(1.0, |w| f64::from(w[indices[k]])) / sigma;
         let mut matrix = operator.columns_of(i, &pixels);
-        for (j, place) in places.iter().enumerate() {
-            let overlap = run.weights[place.bin - run.first_bin];
+        for (j, voxel) in voxels.iter().enumerate() {
+            let overlap = run.weights[voxel.bin - run.first_bin];
             for k in 0..indices.len() {
                 matrix[(k, j)] *= overlap * weight(k);
             }
@@ -338,7 +338,7 @@ impl<'a> Refit<'a> {
             weight(k) * f64::from(measured[indices[k]])
         });
         System {
-            places,
+            voxels,
             matrix,
             measured,
             informative,
@@ -360,20 +360,20 @@ impl<'a> Refit<'a> {
         };
         let run = &self.evidence.operator.time().instants()[i];
         let columns = self.shape().columns;
-        let of_video = |p: &Place| f64::from(self.evidence.video.bin(p.bin)[p.y * columns + p.x]);
-        let video = Mat::from_fn(system.places.len(), 1, |k, _| of_video(&system.places[k]));
+        let of_video = |p: &Voxel| f64::from(self.evidence.video.bin(p.bin)[p.y * columns + p.x]);
+        let video = Mat::from_fn(system.voxels.len(), 1, |k, _| of_video(&system.voxels[k]));
         let pulled = system.matrix.transpose() * (&system.matrix * &video);
         let pulled = posterior.covariance_with(pulled.col_as_slice(0)) - &video;
         let mut means = Vec::new();
         for bin in run.first_bin..run.first_bin + run.weights.len() {
             for (k, region) in regions.iter().enumerate() {
-                let (weights, inside) = mean_weights(&system.places, region, bin);
+                let (weights, inside) = mean_weights(&system.voxels, region, bin);
                 let (value, variance) = if inside || region.pixels() > MOST_VOXELS / 2 {
                     let values = weights.iter().enumerate();
                     let mean = values.map(|(k, c)| c * posterior.mean()[(k, 0)]).sum();
                     // The estimate is wᵀAᵀb with w = cov(v) c.
                     let seen = &system.matrix * posterior.covariance_with(&weights);
-                    let pull = mean_square_nearby(&system.places, &pulled, region, bin);
+                    let pull = mean_square_nearby(&system.voxels, &pulled, region, bin);
                     // Between what is expected of a video that the frame alone shows, and of one
                     // that the reconstruction has right.
                     let known = seen.squared_norm_l2() + pull;
@@ -402,24 +402,24 @@ impl<'a> Refit<'a> {
         i: usize,
         bin: usize,
         region: &Region,
-        lit: &System,
+        active: &System,
         posterior: &Posterior,
     ) -> Option<(f64, f64)> {
         let columns = self.shape().columns;
         let wide = region.widened(1, self.shape());
-        let mut places = Vec::new();
+        let mut voxels = Vec::new();
         let is_in = |at: usize| wide.has(at / columns, at % columns);
-        self.add_places(bin, is_in, &mut places);
-        let dark = self.system_of(i, places);
-        let half = posterior.half(&(lit.matrix.transpose() * &dark.matrix));
-        let rest = &lit.measured - &lit.matrix * posterior.mean();
+        self.add_voxels(bin, is_in, &mut voxels);
+        let dark = self.system_of(i, voxels);
+        let half = posterior.half(&(active.matrix.transpose() * &dark.matrix));
+        let rest = &active.measured - &active.matrix * posterior.mean();
         let information = Information {
             gram: dark.matrix.transpose() * &dark.matrix - half.transpose() * &half,
             projected: dark.matrix.transpose() * rest,
         };
         let whitened = dark.whitened(&information, self.length_px)?;
         let (found, _) = whitened.estimate(self.amplitude)?;
-        let (weights, _) = mean_weights(&dark.places, region, bin);
+        let (weights, _) = mean_weights(&dark.voxels, region, bin);
         let values = weights.iter().enumerate();
         let mean = values.map(|(k, c)| c * found.mean()[(k, 0)]).sum();
         Some((mean, found.variance(&weights)))
@@ -428,21 +428,21 @@ impl<'a> Refit<'a> {
     /// Instants, evenly spaced in time, that hold light.
     fn samples(&self) -> Vec<System> {
         let instants = self.evidence.operator.time().instants();
-        let is_lit = |i: &usize| {
+        let is_active = |i: &usize| {
             let run = &instants[*i];
             let half = (0.5 * self.brightness) as f32;
             let mut bins = run.first_bin..run.first_bin + run.weights.len();
             bins.any(|t| self.evidence.video.bin(t).iter().any(|&v| v > half))
         };
-        let lit: Vec<usize> = (0..instants.len()).filter(is_lit).collect();
-        let step = lit.len().div_ceil(MOST_SAMPLES).max(1);
-        let chosen: Vec<usize> = lit.into_iter().step_by(step).collect();
+        let active: Vec<usize> = (0..instants.len()).filter(is_active).collect();
+        let step = active.len().div_ceil(MOST_SAMPLES).max(1);
+        let chosen: Vec<usize> = active.into_iter().step_by(step).collect();
         let systems = chosen.into_par_iter().map(|i| self.system(i, &[]));
         let systems: Vec<Option<System>> = systems.collect();
         systems
             .into_iter()
             .flatten()
-            .filter(|s| !s.places.is_empty())
+            .filter(|s| !s.voxels.is_empty())
             .collect()
     }
 
@@ -530,15 +530,15 @@ impl System {
     }
 
     fn whitened(&self, information: &Information, length_px: f64) -> Option<Whitened> {
-        Whitened::new(information, &covariance(&self.places, length_px))
+        Whitened::new(information, &covariance(&self.voxels, length_px))
     }
 }
 
-/// `c` with `cᵀv` the mean over `region` in `bin`, and whether the region has a voxel in `places`.
-fn mean_weights(places: &[Place], region: &Region, bin: usize) -> (Vec<f64>, bool) {
+/// `c` with `cᵀv` the mean over `region` in `bin`, and whether the region has a voxel in `voxels`.
+fn mean_weights(voxels: &[Voxel], region: &Region, bin: usize) -> (Vec<f64>, bool) {
     let weight = 1.0 / region.pixels() as f64;
-    let is_in = |p: &Place| p.bin == bin && region.has(p.y, p.x);
-    let weights: Vec<f64> = places
+    let is_in = |p: &Voxel| p.bin == bin && region.has(p.y, p.x);
+    let weights: Vec<f64> = voxels
         .iter()
         .map(|p| if is_in(p) { weight } else { 0.0 })
         .collect();
@@ -551,13 +551,13 @@ const NEARBY: usize = 2;
 
 /// The mean square of the mean of `values` over `region` in `bin` and over the same region moved by
 /// up to [`NEARBY`] pixels.
-fn mean_square_nearby(places: &[Place], values: &Mat<f64>, region: &Region, bin: usize) -> f64 {
+fn mean_square_nearby(voxels: &[Voxel], values: &Mat<f64>, region: &Region, bin: usize) -> f64 {
     let side = 2 * NEARBY + 1;
     let mut sums = vec![0.0; side * side];
-    for (k, place) in places.iter().enumerate().filter(|(_, p)| p.bin == bin) {
+    for (k, voxel) in voxels.iter().enumerate().filter(|(_, p)| p.bin == bin) {
         for (at, sum) in sums.iter_mut().enumerate() {
-            let moved = |place: usize, shift: usize| (place + shift).checked_sub(NEARBY);
-            let (y, x) = (moved(place.y, at / side), moved(place.x, at % side));
+            let moved = |voxel: usize, shift: usize| (voxel + shift).checked_sub(NEARBY);
+            let (y, x) = (moved(voxel.y, at / side), moved(voxel.x, at % side));
             if let (Some(y), Some(x)) = (y, x)
                 && region.has(y, x)
             {

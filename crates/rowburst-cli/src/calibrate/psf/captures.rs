@@ -113,7 +113,7 @@ fn natural(name: &str) -> Vec<(u64, String)> {
 }
 
 /// Place `(y, x)` in millimetres of each of `files`.
-pub fn places(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
+pub fn read_positions(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
     let text = std::fs::read_to_string(csv).map_err(|e| {
         Error::input(
             csv.display().to_string(),
@@ -122,7 +122,7 @@ pub fn places(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
             "Check the path given to --positions-mm.",
         )
     })?;
-    let mut places: Vec<Option<(f64, f64)>> = vec![None; files.len()];
+    let mut positions: Vec<Option<(f64, f64)>> = vec![None; files.len()];
     for (number, line) in text.lines().enumerate() {
         let line = line.trim().trim_start_matches('\u{feff}');
         if line.is_empty() || line.starts_with('#') {
@@ -152,7 +152,7 @@ pub fn places(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
                 "Add the capture to the command line, or take the line out.",
             )
         })?;
-        if places[at].replace((y, x)).is_some() {
+        if positions[at].replace((y, x)).is_some() {
             return Err(Error::input(
                 subject,
                 format!("the capture \"{}\" a second time", fields[0]),
@@ -161,7 +161,7 @@ pub fn places(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
             ));
         }
     }
-    let missing = places.iter().position(Option::is_none);
+    let missing = positions.iter().position(Option::is_none);
     if let Some(i) = missing {
         return Err(Error::input(
             csv.display().to_string(),
@@ -170,7 +170,7 @@ pub fn places(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
             "Add a line capture,x_mm,y_mm, or leave the capture out.",
         ));
     }
-    Ok(places.into_iter().flatten().collect())
+    Ok(positions.into_iter().flatten().collect())
 }
 
 /// The file that `name` means: by its file name, else by the name without its ending.

@@ -36,10 +36,10 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
         ),
         ("Reach", vec![reach(pages, &sensor_rows)]),
     ];
-    if let Some((effect, places)) = pages.effect {
+    if let Some((effect, positions)) = pages.effect {
         sections.push((
             "Memory effect",
-            vec![memory(effect), shifts(effect, places)],
+            vec![memory(effect), shifts(effect, positions)],
         ));
     }
     let command = command_line(pages.args);
@@ -321,13 +321,13 @@ fn memory(effect: &MemoryEffect) -> Drawing<'static> {
     }
 }
 
-fn shifts(effect: &MemoryEffect, places: &[(f64, f64)]) -> Drawing<'static> {
-    let reference = places[effect.reference];
+fn shifts(effect: &MemoryEffect, positions: &[(f64, f64)]) -> Drawing<'static> {
+    let reference = positions[effect.reference];
     let errors = |fitted: bool, along_x: bool| -> Vec<(f64, f64)> {
-        (0..places.len())
+        (0..positions.len())
             .filter(|&i| effect.fitted[i] == fitted)
             .map(|i| {
-                let d = (places[i].0 - reference.0, places[i].1 - reference.1);
+                let d = (positions[i].0 - reference.0, positions[i].1 - reference.1);
                 let (y, x) = effect.predicted_px(d);
                 let error = if along_x {
                     effect.shifts_px[i].1 - x

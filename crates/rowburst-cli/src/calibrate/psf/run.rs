@@ -27,22 +27,22 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         .transpose()?;
     let plan = Plan::new(args, experiment.as_ref())?;
     let files = captures::read(args)?;
-    let places = args
+    let positions = args
         .positions_mm
         .as_deref()
-        .map(|csv| captures::places(csv, &files))
+        .map(|csv| captures::read_positions(csv, &files))
         .transpose()?;
-    let groups = groups(files, places.is_some());
+    let groups = groups(files, positions.is_some());
     let lights = groups
         .iter()
         .map(|group| plan.light(group))
         .collect::<Result<Vec<Light>>>()?;
 
-    let (effect, placed_lights) = match &places {
+    let (effect, placed_lights) = match &positions {
         None => (None, Vec::new()),
-        Some(places) => {
+        Some(positions) => {
             let rough = statistics(&lights[lights.len() / 2].image).grain_px;
-            let shots = lights.iter().zip(places).map(|(light, at)| Placed {
+            let shots = lights.iter().zip(positions).map(|(light, at)| Placed {
                 light: light.image.clone(),
                 at_mm: *at,
             });
@@ -88,23 +88,23 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     );
     let row_reach = RowReach::new(&reach, sensor_rows, field_rows);
 
-    let patches = match (&effect, &places) {
-        (Some(effect), Some(places)) => {
+    let patches = match (&effect, &positions) {
+        (Some(effect), Some(positions)) => {
             let kept: Vec<usize> = match args.all_patches {
-                true => (0..places.len()).collect(),
-                false => chosen(places, effect, field),
+                true => (0..positions.len()).collect(),
+                false => chosen(positions, effect, field),
             };
             let cleaned: Vec<Image> = placed_lights.iter().map(|p| cleaned(&p.light)).collect();
-            Some(patch_set(&cleaned, places, effect, &kept, middle)?)
+            Some(patch_set(&cleaned, positions, effect, &kept, middle)?)
         }
         _ => None,
     };
     let memory = effect
         .as_ref()
-        .zip(places.as_ref())
-        .map(|(effect, places)| {
+        .zip(positions.as_ref())
+        .map(|(effect, positions)| {
             let extent =
-                field.map_or_else(|| span_px(places, effect), |f| (f.0 as f64, f.1 as f64));
+                field.map_or_else(|| span_px(positions, effect), |f| (f.0 as f64, f.1 as f64));
             let count = patches.as_ref().map_or(0, |p| p.psfs().len());
             Memory::new(effect, count, patches_needed(effect, extent))
         });
@@ -115,7 +115,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         &row_reach,
         args.expected_grain_px,
     );
-    warned.extend(saturated_places(&lights, reference, &groups));
+    warned.extend(saturated_captures(&lights, reference, &groups));
     let outcome = Outcome {
         version: env!("CARGO_PKG_VERSION"),
         rows: psf.image().rows(),
@@ -155,7 +155,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         psf: psf.image(),
         speckle: &speckle,
         reach: &reach,
-        effect: effect.as_ref().zip(places.as_deref()),
+        effect: effect.as_ref().zip(positions.as_deref()),
         outcome: &outcome,
     };
     write(&folder, &pages, experiment, patches.as_ref())?;
@@ -266,7 +266,7 @@ fn groups(files: Vec<File>, by_file: bool) -> Vec<Group> {
 }
 
 /// Captures besides the reference that are saturated.
-fn saturated_places(lights: &[Light], reference: usize, groups: &[Group]) -> Option<String> {
+fn saturated_captures(lights: &[Light], reference: usize, groups: &[Group]) -> Option<String> {
     let others = lights.iter().zip(groups).enumerate();
     let mut names = others
         .filter(|(i, (light, _))| *i != reference && light.saturated_part > 1e-3)

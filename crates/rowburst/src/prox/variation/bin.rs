@@ -228,10 +228,10 @@ impl Bin<'_> {
         match self.mask {
             None => z,
             Some(mask) => {
-                let lit: [u8; P] = mask[i..i + P].try_into().expect("so many");
+                let active: [u8; P] = mask[i..i + P].try_into().expect("so many");
                 each(
                     #[inline(always)]
-                    |k| z[k] * f32::from(lit[k]),
+                    |k| z[k] * f32::from(active[k]),
                 )
             }
         }

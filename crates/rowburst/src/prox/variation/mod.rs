@@ -140,7 +140,7 @@ impl Variation {
         let (in_space, over_time) = self.radii(scale);
         Bin {
             columns: self.shape.columns,
-            rows: self.rows.lit(t),
+            rows: self.rows.active(t),
             shrink: (scale * self.weights.l1) as f32,
             units: (unit(in_space), unit(over_time)),
             mask: mask.map(|mask| &mask[t * pixels..(t + 1) * pixels]),
@@ -206,14 +206,14 @@ impl Variation {
             .par_chunks_exact_mut(pixels)
             .zip(px.par_chunks_exact_mut(pixels));
         duals.enumerate().for_each(|(t, (py, px))| {
-            for run in self.rows.near(t) {
+            for run in self.rows.adjacent(t) {
                 self.space(py, px, (scale, step)).rows(run.clone(), bin(t));
             }
         });
         // The last bin has no next one: its difference is zero.
         let duals = pt.par_chunks_exact_mut(pixels).take(self.shape.bins - 1);
         duals.enumerate().for_each(|(t, p)| {
-            for run in self.rows.near(t) {
+            for run in self.rows.adjacent(t) {
                 let run = run.start * columns..run.end * columns;
                 self.time(p, bin(t), (scale, step)).pixels(run, bin(t + 1));
             }
@@ -257,12 +257,12 @@ impl DualSteps<'_> {
         for run in reached(bin.rows, &rows) {
             // The row behind a run is dark.
             let (start, end) = (run.start.max(rows.start), rows.end.min(run.end + 1));
-            let lit = start..end.min(run.end);
+            let active = start..end.min(run.end);
             let above = |y: usize| y.max(1) - 1;
-            let left = above(lit.end)..above(end);
+            let left = above(active.end)..above(end);
             let stepping = to_step.as_mut().map(|(p, now)| prior.time(p, now, lengths));
             let (space, point) = (prior.space(py, px, lengths), (&mut *parts.z, parts.q));
-            bin.write_and_step(lit, point, space, (time, before, stepping));
+            bin.write_and_step(active, point, space, (time, before, stepping));
             prior.space(py, px, lengths).rows(left, parts.z);
         }
     }
@@ -277,8 +277,8 @@ impl DualSteps<'_> {
             before: Values::new(parts.before),
         };
         for run in reached(bin.rows, &rows) {
-            let lit = run.start.max(rows.start)..run.end.min(rows.end);
-            bin.write_rows(lit, (&mut *parts.z, parts.q), duals);
+            let active = run.start.max(rows.start)..run.end.min(rows.end);
+            bin.write_rows(active, (&mut *parts.z, parts.q), duals);
         }
     }
 }
@@ -308,7 +308,7 @@ impl Levels for DualSteps<'_> {
     fn between(&self, slab: &mut Slab, t: usize, rows: Range<usize>) {
         let (p, (now, next)) = slab.time_step(t);
         let columns = self.prior.shape.columns;
-        for run in reached(self.prior.rows.near(t), &rows) {
+        for run in reached(self.prior.rows.adjacent(t), &rows) {
             let (start, end) = (run.start.max(rows.start), run.end.min(rows.end));
             let time = self.prior.time(p, now, (self.scale, self.length));
             time.pixels(start * columns..end * columns, next);
@@ -333,7 +333,7 @@ impl Prox for Variation {
         let (shape, columns) = (self.shape, self.shape.columns);
         let VariationWeights { space, time, l1 } = self.weights;
         let bins = (0..shape.bins).into_par_iter().map(|t| {
-            let rows = self.rows.near(t).iter().cloned().flatten();
+            let rows = self.rows.adjacent(t).iter().cloned().flatten();
             let row = |t: usize, y: usize| &z[(t * shape.rows + y) * columns..][..columns];
             let mut sums = [0.0; 3];
             for y in rows {
@@ -368,8 +368,8 @@ impl Prox for Variation {
                         && (!space || *i < columns || differs(start + i - columns))
                         && (!time || t == 0 || differs(start + i - pixels))
                 };
-                let lit = self.rows.lit(t).iter();
-                let places = lit.flat_map(|run| run.start * columns..run.end * columns);
+                let active = self.rows.active(t).iter();
+                let places = active.flat_map(|run| run.start * columns..run.end * columns);
                 places.filter(is_free).count()
             })
             .sum();

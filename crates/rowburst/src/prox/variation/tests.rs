@@ -206,7 +206,7 @@ fn rows_that_are_passed_over_change_nothing() {
     let far: Vec<f32> = q
         .iter()
         .zip(support.mask())
-        .map(|(q, lit)| if *lit == 1 { *q } else { -1e3 })
+        .map(|(q, active)| if *active == 1 { *q } else { -1e3 })
         .collect();
     for weights in WEIGHTS {
         let mut whole = Variation::new(shape, weights);

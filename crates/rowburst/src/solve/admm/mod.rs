@@ -44,8 +44,8 @@
 //! stops once the objective is proved to be within [`AdmmParams::tolerance`] of its minimum:
 //! for the `τ` that was found and on the support that was found.
 
-mod places;
 mod state;
+mod support_estimator;
 
 pub(crate) use state::{MOST_FREEDOM, brightness};
 

@@ -1,6 +1,6 @@
 //! The variables of an iteration, and its steps.
 
-use super::places::Places;
+use super::support_estimator::SupportEstimator;
 use super::{AdmmParams, Solution, TauRule};
 use crate::Shape;
 use crate::linop::WRITE_PART;
@@ -24,7 +24,7 @@ const WIDE_OPEN_EVERY: usize = 5;
 /// Iterations in which the brightness that `β` refers to is followed.
 const SETTLE: usize = 40;
 /// With so many voxels for each measurement a video takes shape slowly: the
-/// clock stands at [`Places::FIRST`] until the brightness of every bin has passed its top, falling by this part in
+/// clock stands at [`SupportEstimator::FIRST_UPDATE`] until the brightness of every bin has passed its top, falling by this part in
 /// so many iterations, or up to the iteration `LATEST`. Digits on 2048×2048 pixels end at 62 dB so;
 /// with a support found at iteration 80 half of the bins lack light
 /// (`cargo bench --workspace --bench full_sensor -- 2048 2`).
@@ -96,7 +96,7 @@ pub(super) struct State {
     ahead: usize,
     /// Iterations in which the video only took shape.
     held: usize,
-    places: Places,
+    support_estimator: SupportEstimator,
 }
 
 impl State {
@@ -132,7 +132,7 @@ impl State {
             iterations: 0,
             ahead: 0,
             held: 0,
-            places: Places::everywhere(shape, data.most_lit()),
+            support_estimator: SupportEstimator::new(shape, data.max_active_voxels()),
         };
         state.aim_at(params.tau, data);
         state
@@ -155,11 +155,11 @@ impl State {
     pub fn go_on(&mut self, data: &dyn DataTerm) {
         let beyond = self.stage().saturating_sub(AHEAD);
         // The next look at the places comes when it would have come.
-        self.ahead = self.stage().min(AHEAD) + beyond % Places::EVERY;
+        self.ahead = self.stage().min(AHEAD) + beyond % SupportEstimator::UPDATE_INTERVAL;
         self.iterations = 0;
         self.held = 0;
         self.poor_steps = 0;
-        self.places.unsettle();
+        self.support_estimator.reset();
         self.aim_at(self.rule, data);
         // The weights may be others.
         data.operator().apply(&self.z, &mut self.az);
@@ -173,7 +173,7 @@ impl State {
 
     /// Whether it has not come to where a video has taken shape.
     pub fn is_young(&self) -> bool {
-        self.stage() <= Places::FIRST
+        self.stage() <= SupportEstimator::FIRST_UPDATE
     }
 
     /// The video, `[t, y, x]`.
@@ -183,12 +183,14 @@ impl State {
 
     /// Part of the voxels that may be lit.
     pub fn support_fraction(&self) -> f64 {
-        self.places.fraction()
+        self.support_estimator.fraction()
     }
 
     /// Whether `β`, `τ` and the support are what they will be.
     pub fn is_settled(&self, params: &AdmmParams) -> bool {
-        self.stage() > SETTLE && self.is_steady && (!params.support || self.places.are_settled())
+        self.stage() > SETTLE
+            && self.is_steady
+            && (!params.support || self.support_estimator.is_settled())
     }
 
     pub fn tau(&self) -> f64 {
@@ -218,7 +220,7 @@ impl State {
             .collect();
         data.adjoint_each(
             &self.y,
-            self.places.data_support(),
+            self.support_estimator.data_support(),
             &mut self.q,
             &|start, x, q| {
                 // x is x − p here.
@@ -258,7 +260,11 @@ impl State {
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
     pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
         let is_slow = self.shape.voxels() > MANY * self.az.len();
-        if is_slow && self.stage() == Places::FIRST && self.iterations < LATEST && self.grows() {
+        if is_slow
+            && self.stage() == SupportEstimator::FIRST_UPDATE
+            && self.iterations < LATEST
+            && self.grows()
+        {
             self.held += TOP_OVER;
         }
         let (k, rho) = (self.stage(), self.rho);
@@ -273,7 +279,7 @@ impl State {
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
             let is_wide = data.is_wide();
-            let is_open = is_wide && params.support && self.places.has_open_bin();
+            let is_open = is_wide && params.support && self.support_estimator.has_open_bin();
             let (least, most) = match (is_wide, self.is_young() || is_open) {
                 (false, false) => STEADY,
                 (false, true) => OPEN_STEADY,
@@ -296,7 +302,7 @@ impl State {
         if k < SETTLE && k.is_multiple_of(5) {
             self.set_threshold(brightness(self.first_part()));
         }
-        if params.support && Places::are_due(k) {
+        if params.support && SupportEstimator::is_due(k) {
             self.restrict(data, prior);
         }
         if (k <= FOLLOW_OFTEN || k.is_multiple_of(5 * FOLLOW_EVERY))
@@ -357,25 +363,29 @@ impl State {
 
     /// Looks where light may be, and keeps the rest dark.
     fn restrict(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) {
-        let mut missed = Vec::new();
-        let was_open = self.places.fraction() == 1.0;
-        if self.places.support().is_some() {
+        let mut underfit_bins = Vec::new();
+        let was_open = self.support_estimator.fraction() == 1.0;
+        if self.support_estimator.support().is_some() {
             let residual = self.residual(data);
             let misfits = data.misfit_of_bins(&residual);
-            missed = self.places.missed(misfits, self.expected_rms(data));
-            if self.places.are_settled() && missed.is_empty() {
+            underfit_bins = self
+                .support_estimator
+                .underfit_bins(misfits, self.expected_rms(data));
+            if self.support_estimator.is_settled() && underfit_bins.is_empty() {
                 return;
             }
-            if !missed.is_empty() {
+            if !underfit_bins.is_empty() {
                 // What the residual looks like in the video: brightest where light is missing.
                 data.operator().adjoint(&residual, &mut self.x);
             }
         }
         let voxels = self.shape.voxels();
         let bright = brightness(self.first_part());
-        let missed = (&self.x[..voxels], missed.as_slice());
-        let support = self.places.find(&self.z[..voxels], bright, missed);
-        if was_open && self.places.fraction() < 1.0 {
+        let underfit_bins = (&self.x[..voxels], underfit_bins.as_slice());
+        let support = self
+            .support_estimator
+            .update(&self.z[..voxels], bright, underfit_bins);
+        if was_open && self.support_estimator.fraction() < 1.0 {
             let part = match data.is_wide() {
                 true => WIDE_LOWEST_RHO,
                 false => LOWEST_RHO,
@@ -384,19 +394,20 @@ impl State {
         }
         prior.restrict(&support);
         // What goes dark leaves the dual u = q − z as it was.
-        let lit = support
+        let active = support
             .mask()
             .par_iter()
             .zip(&mut self.z[..voxels])
             .zip(&mut self.q[..voxels]);
-        lit.filter(|((lit, _), _)| **lit == 0)
+        active
+            .filter(|((active, _), _)| **active == 0)
             .for_each(|((_, z), q)| {
                 *q -= *z;
                 *z = 0.0;
             });
-        if let Some(places) = self.places.data_support() {
-            data.restrict(places);
-            places.apply(&mut self.q);
+        if let Some(data_support) = self.support_estimator.data_support() {
+            data.restrict(data_support);
+            data_support.apply(&mut self.q);
         }
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.q, &mut self.aq);
@@ -415,7 +426,7 @@ impl State {
         let (b, tau) = (data.measured(), self.tau());
         let brightest = self.z.par_iter().copied().reduce(|| 0.0, f32::max);
         // Twice: a trace has no part outside the support, and the dual may have one.
-        data.adjoint_on(&self.y, self.places.data_support(), &mut self.x);
+        data.adjoint_on(&self.y, self.support_estimator.data_support(), &mut self.x);
         prior.subtract_dual(&mut self.x);
         self.restrict_x();
         // In units of ρ up to here.
@@ -446,7 +457,7 @@ impl State {
     }
 
     fn restrict_x(&mut self) {
-        if let Some(support) = self.places.support() {
+        if let Some(support) = self.support_estimator.support() {
             support.apply(&mut self.x);
         }
     }
@@ -481,7 +492,7 @@ impl State {
             tau: self.tau(),
             iterations: self.iterations,
             stop_reason,
-            support: self.places.fraction(),
+            support: self.support_estimator.fraction(),
             video: std::mem::take(&mut self.z),
         }
     }
