@@ -11,7 +11,7 @@ import { Live } from "./live";
 import { Save } from "./save";
 import { Slices } from "./slices";
 import { openSource, report, type Source } from "./source";
-import { Stage } from "./stage";
+import { PaneGrid } from "./pane-grid";
 import { Store } from "./store";
 import { Traces } from "./traces";
 import { Transport } from "./transport";
@@ -47,10 +47,10 @@ function build(root: HTMLElement, source: Source): void {
   const other = second ? source.volume(1, "video", () => store?.otherBin ?? 0, loaded) : null;
   store = new Store(source, { video, truth, other });
 
-  const stage = new Stage(store);
+  const paneGrid = new PaneGrid(store);
   const transport = new Transport(store);
   const limits = new Limits(store);
-  const save = new Save(store, stage);
+  const save = new Save(store, paneGrid);
   const tabs = source.live ? watch(store) : panel(store);
   if (!source.isOffline) document.title = `${second ? `${meta.name} and ${second.name}` : meta.name} – Rowburst`;
   if (!source.isOffline) root.append(header(source));
@@ -58,7 +58,7 @@ function build(root: HTMLElement, source: Source): void {
     h(
       "div",
       { class: "page" },
-      h("div", { class: "left" }, stage.element, between(store), transport.element, limits.element, save.element),
+      h("div", { class: "left" }, paneGrid.element, between(store), transport.element, limits.element, save.element),
       tabs,
     ),
     h(
@@ -70,12 +70,12 @@ function build(root: HTMLElement, source: Source): void {
   document.addEventListener("keydown", (event) => {
     const target = event.target as HTMLElement;
     if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, select, textarea")) return;
-    if (event.key === "+") stage.zoom(1.5);
-    if (event.key === "-") stage.zoom(1 / 1.5);
-    if (event.key === "0") stage.zoom(0);
+    if (event.key === "+") paneGrid.zoom(1.5);
+    if (event.key === "-") paneGrid.zoom(1 / 1.5);
+    if (event.key === "0") paneGrid.zoom(0);
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => store.tell("look"));
-  for (const region of Traces.first(store)) stage.add(region);
+  for (const region of Traces.first(store)) paneGrid.add(region);
   store.tell("data");
   store.tell("regions");
 }

@@ -1,4 +1,4 @@
-// One picture of the stage with what lies over it: regions, line, scale bar, time.
+// One picture of the pane grid with what lies over it: regions, line, scale bar, time.
 
 import { timeHue } from "./colour";
 import { fit, h } from "./dom";

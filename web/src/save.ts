@@ -4,7 +4,7 @@ import { GIFEncoder } from "gifenc";
 import { Clip, GAP, savedSize } from "./clip";
 import { announce, download, h } from "./dom";
 import { mp4 } from "./movie";
-import type { Stage } from "./stage";
+import type { PaneGrid } from "./pane-grid";
 import type { Store } from "./store";
 import { breathe } from "./volume";
 
@@ -15,7 +15,7 @@ export class Save {
 
   constructor(
     private readonly store: Store,
-    private readonly stage: Stage,
+    private readonly paneGrid: PaneGrid,
   ) {
     const stamp = h("input", {
       type: "checkbox",
@@ -43,7 +43,7 @@ export class Save {
   async png(): Promise<void> {
     const canvas = document.createElement("canvas");
     const ctx = canvas.getContext("2d")!;
-    const { panes } = this.stage;
+    const { panes } = this.paneGrid;
     const sizes = panes.map(savedSize);
     canvas.width = sizes.reduce((w, s) => w + s.width + GAP, -GAP);
     canvas.height = Math.max(...sizes.map((s) => s.height));
@@ -87,7 +87,7 @@ export class Save {
 
   async mp4(): Promise<string> {
     const { store } = this;
-    const blob = await mp4(new Clip(store, this.stage.panes), store.state.speed, (done) => this.progress(done));
+    const blob = await mp4(new Clip(store, this.paneGrid.panes), store.state.speed, (done) => this.progress(done));
     if (!blob) return "This browser cannot encode video: save the GIF, or use Chrome, Edge, Safari or a newer Firefox.";
     download(`${store.meta.name}.mp4`, blob);
     return "MP4 saved";
@@ -95,7 +95,7 @@ export class Save {
 
   async gif(): Promise<string> {
     const { store } = this;
-    const clip = new Clip(store, this.stage.panes);
+    const clip = new Clip(store, this.paneGrid.panes);
     const encoder = GIFEncoder();
     // Browsers slow down below 20 ms.
     const delay = Math.max(20, Math.round(1000 / store.state.speed));

@@ -113,10 +113,10 @@ export function decoded(page, bytes, fps, bins, places) {
   );
 }
 
-/** Lets a page follow a run until its state is as wanted, and no further: later questions wait. `held` resolves once the page shows that state and its video. */
-export async function hold(page, url, isWanted) {
+/** Lets a page follow a run until its state is as wanted, and no further: later questions wait. `frozen` resolves once the page shows that state and its video. */
+export async function freezeAt(page, url, isWanted) {
   let [last, tell] = [null, null];
-  const held = new Promise((resolve) => (tell = resolve));
+  const frozen = new Promise((resolve) => (tell = resolve));
   await page.setRequestInterception(true);
   page.on("request", async (request) => {
     if (request.url() === `${url}api/live`) {
@@ -128,7 +128,7 @@ export async function hold(page, url, isWanted) {
     }
     return request.continue();
   });
-  return { held };
+  return { frozen };
 }
 
 /** Clicks pixel (y, x) of the picture. */

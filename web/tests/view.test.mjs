@@ -7,7 +7,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { PNG } from "pngjs";
-import { chromium, compare, decoded, download, hold, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
+import { chromium, compare, decoded, download, freezeAt, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
 
 let browser;
 let view;
@@ -346,10 +346,10 @@ test("a run that goes on looks as it did", async () => {
   const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--truth", join(results, "leds", "truth.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
   const run = await serve([...args, "--view", "--port", "0", "--no-open", "-o", join(results, "running")], "stderr");
   const { page, faults } = await open(browser, "about:blank", { width: 1000, height: 720 });
-  // By then nothing changes that could be seen: the page is held there.
-  const { held } = await hold(page, run.url, (state) => state.iteration >= 200 && state.snapshot >= 2 && state.course.at(-1)[3] != null);
+  // By then nothing changes that could be seen: the page is frozen there.
+  const { frozen } = await freezeAt(page, run.url, (state) => state.iteration >= 200 && state.snapshot >= 2 && state.course.at(-1)[3] != null);
   await page.goto(run.url);
-  await held;
+  await frozen;
   await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
   assert.match(await page.$eval("#live-words", (e) => e.textContent), /^iteration \d+ of at most 100000, .*residual\/σ .*PSNR [\d.]+ dB$/);
   assert.equal(await page.$eval("#stop", (e) => e.disabled), false);

@@ -101,12 +101,12 @@ fn bins_of(done: &[usize], starts_us: &[f64], clock: Clock) -> StitchParams {
     for &frame in done {
         let start_us = starts_us[frame];
         // Half a bin either way is the jitter of a period that was measured.
-        let ahead = end_us.map_or(0.0, |end| (start_us - end) / clock.bin_us);
-        if let Some(end_us) = end_us.filter(|_| ahead > 0.5) {
+        let gap_bins = end_us.map_or(0.0, |end| (start_us - end) / clock.bin_us);
+        if let Some(end_us) = end_us.filter(|_| gap_bins > 0.5) {
             params.bins.push(None);
             params.time_us.push((end_us + start_us) / 2.0);
         }
-        let overlap = (-ahead).round().max(0.0) as usize;
+        let overlap = (-gap_bins).round().max(0.0) as usize;
         for bin in overlap..bins {
             params.bins.push(Some((frame, bin)));
             params

@@ -6,7 +6,9 @@ use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Result};
 use rowburst_run::Seen;
-use rowburst_view::{HOW_TO_GET_THE_PAGE, Live, LiveStart, Opened, Point, Server, Stage, bundle};
+use rowburst_view::{
+    HOW_TO_GET_THE_PAGE, Live, LiveStart, Opened, Point, RunStatus, Server, bundle,
+};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -107,13 +109,13 @@ impl Watching {
 
     /// The iterations are over.
     pub fn writing(&self) {
-        self.live.reach(Stage::Writing);
+        self.live.set_status(RunStatus::Writing);
     }
 
     /// Shows the result that was written to `folder`, until Ctrl-C.
     pub fn stay(self, folder: &Path) -> Result<()> {
         self.server.show(vec![Opened::open(folder)?]);
-        self.live.reach(Stage::Done);
+        self.live.set_status(RunStatus::Done);
         eprintln!("the result is at {}; Ctrl-C ends it", self.server.url());
         wait_for_ctrl_c()
     }

@@ -25,7 +25,7 @@ mod server;
 
 pub use array::{Array, Quantised, quantise8, range_of_video};
 #[cfg(feature = "server")]
-pub use live::{Live, LiveStart, Point, Stage};
+pub use live::{Live, LiveStart, Point, RunStatus};
 pub use offline::Offline;
 #[cfg(feature = "server")]
 pub use opened::Opened;

@@ -39,7 +39,7 @@ pub struct Point {
 
 /// How far a run is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
+pub enum RunStatus {
     /// Set-up or iterations.
     Running,
     /// The result is being written.
@@ -59,7 +59,7 @@ pub struct Live {
 }
 
 struct Now {
-    stage: Stage,
+    status: RunStatus,
     label: String,
     course: Vec<Point>,
     latest: Option<Point>,
@@ -77,7 +77,7 @@ impl Live {
             stop,
             wanted: AtomicBool::new(false),
             now: Mutex::new(Now {
-                stage: Stage::Running,
+                status: RunStatus::Running,
                 label: String::new(),
                 course: Vec::new(),
                 latest: None,
@@ -119,21 +119,21 @@ impl Live {
         now.snapshot += 1;
     }
 
-    /// From now on the run is at `stage`.
-    pub fn reach(&self, stage: Stage) {
-        self.now().stage = stage;
+    /// From now on the run is at `status`.
+    pub fn set_status(&self, status: RunStatus) {
+        self.now().status = status;
     }
 
     /// The run has failed.
     pub fn fail(&self, error: &str) {
         let mut now = self.now();
-        now.stage = Stage::Failed;
+        now.status = RunStatus::Failed;
         now.error = Some(error.into());
     }
 
     /// How far the run is.
-    pub fn stage(&self) -> Stage {
-        self.now().stage
+    pub fn status(&self) -> RunStatus {
+        self.now().status
     }
 
     /// Asks the run to stop and keep the best so far.
@@ -146,17 +146,17 @@ impl Live {
         self.wanted.store(true, Ordering::Relaxed);
         let now = self.now();
         let stopping = self.stop.load(Ordering::Relaxed);
-        let stage = match now.stage {
-            Stage::Running if stopping => "stopping",
-            Stage::Running => "running",
-            Stage::Writing => "writing",
-            Stage::Done => "done",
-            Stage::Failed => "failed",
+        let status = match now.status {
+            RunStatus::Running if stopping => "stopping",
+            RunStatus::Running => "running",
+            RunStatus::Writing => "writing",
+            RunStatus::Done => "done",
+            RunStatus::Failed => "failed",
         };
         let course = now.course.iter();
         let course = course.map(|p| (p.iteration, p.seconds, p.residual_over_sigma, p.psnr_db));
         json!({
-            "stage": stage,
+            "stage": status,
             "label": now.label,
             "iteration": now.latest.map(|p| p.iteration),
             "max_iterations": now.latest.map(|p| p.max_iterations),

@@ -2,7 +2,7 @@
 
 use rowburst::{Shape, Video};
 use rowburst_io::{OutputFolder, write_npy_video};
-use rowburst_view::{Live, LiveStart, Opened, Point, Server, Stage};
+use rowburst_view::{Live, LiveStart, Opened, Point, RunStatus, Server};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -240,7 +240,7 @@ fn a_running_reconstruction_is_watched_and_stopped() {
 
     let base = folder();
     server.show(vec![Opened::open(&base.path().join("result")).unwrap()]);
-    live.reach(Stage::Done);
+    live.set_status(RunStatus::Done);
     assert_eq!(state()["stage"], "done");
     let (_, view) = get(&server, "/api/view");
     let view: serde_json::Value = serde_json::from_slice(&view).unwrap();

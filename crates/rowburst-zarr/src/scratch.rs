@@ -178,11 +178,11 @@ mod tests {
     fn a_lock_keeps_others_out() {
         let base = tempfile::tempdir().unwrap();
         let path = base.path().join("lock");
-        let held = Lock::wait(&path).unwrap();
-        assert!(held.is_real());
+        let lock = Lock::wait(&path).unwrap();
+        assert!(lock.is_real());
         let other = open_lock(&path).unwrap();
         assert!(other.try_lock().is_err());
-        drop(held);
+        drop(lock);
         assert!(other.try_lock().is_ok());
     }
 }

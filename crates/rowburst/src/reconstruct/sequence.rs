@@ -155,7 +155,7 @@ impl Last {
             self.run.aim_at(rule, &problem.data);
         }
         // A run that was stopped early has no video yet that could explain anything.
-        if !self.run.is_young() && !explains(problem, self.run.video()) {
+        if !self.run.is_warming_up() && !explains(problem, self.run.video()) {
             return None;
         }
         self.run.go_on(&problem.data);

@@ -151,23 +151,23 @@ impl<'a> Certifier<'a> {
         let step = (1.0 / k.norm_squared_bound()) as f32;
         let price = self.objective.price() as f32;
         let (mut over, mut rise) = (vec![0.0f32; pull.len()], vec![0.0f32; self.p.len()]);
-        let mut ahead = self.p.clone();
+        let mut extrapolated = self.p.clone();
         let mut t = 1.0f64;
         for _ in 0..steps {
-            k.adjoint(&ahead, &mut over);
+            k.adjoint(&extrapolated, &mut over);
             for (over, pull) in over.iter_mut().zip(pull) {
                 *over = (pull - *over - price).max(0.0);
             }
             k.apply(&over, &mut rise);
-            for (ahead, rise) in ahead.iter_mut().zip(&rise) {
-                *ahead += step * rise;
+            for (extrapolated, rise) in extrapolated.iter_mut().zip(&rise) {
+                *extrapolated += step * rise;
             }
-            self.objective.project(&mut ahead);
+            self.objective.project(&mut extrapolated);
             let next = 0.5 * (1.0 + (1.0 + 4.0 * t * t).sqrt());
             let momentum = ((t - 1.0) / next) as f32;
-            for (p, ahead) in self.p.iter_mut().zip(&mut ahead) {
-                let new = *ahead;
-                *ahead += momentum * (new - *p);
+            for (p, extrapolated) in self.p.iter_mut().zip(&mut extrapolated) {
+                let new = *extrapolated;
+                *extrapolated += momentum * (new - *p);
                 *p = new;
             }
             t = next;

@@ -63,25 +63,25 @@ pub fn solve(
     let norm = (MARGIN * operator_norm(operator)).max(f64::MIN_POSITIVE.sqrt());
     let step = 1.0 / norm.powi(2);
     let (mut video, mut light) = begin(objective, start);
-    let (mut ahead, mut ahead_light) = (video.clone(), light.clone());
+    let (mut extrapolated, mut extrapolated_light) = (video.clone(), light.clone());
     let mut pull = vec![0.0f32; video.len()];
     let mut inner = Inner::new(objective, step);
     let mut watch = Watch::new(objective, params.limits, observer);
     let mut t = 1.0f64;
     loop {
-        let rest = super::certificate::residual(objective, &ahead_light);
+        let rest = super::certificate::residual(objective, &extrapolated_light);
         operator.adjoint(&rest, &mut pull);
         // q = y + s Aᵀ(b − A y)
-        for (q, y) in pull.iter_mut().zip(&ahead) {
+        for (q, y) in pull.iter_mut().zip(&extrapolated) {
             *q = y + step as f32 * *q;
         }
         let before = video.clone();
-        inner.prox(&pull, &ahead, params, &mut video);
+        inner.prox(&pull, &extrapolated, params, &mut video);
         let before_light = light.clone();
         operator.apply(&video, &mut light);
 
         let back: f64 = (0..video.len())
-            .map(|i| f64::from(ahead[i] - video[i]) * f64::from(video[i] - before[i]))
+            .map(|i| f64::from(extrapolated[i] - video[i]) * f64::from(video[i] - before[i]))
             .sum();
         let next = if back > 0.0 {
             1.0
@@ -94,8 +94,8 @@ pub fn solve(
             ((t - 1.0) / next) as f32
         };
         t = next;
-        extrapolate(&mut ahead, &video, &before, momentum);
-        extrapolate(&mut ahead_light, &light, &before_light, momentum);
+        extrapolate(&mut extrapolated, &video, &before, momentum);
+        extrapolate(&mut extrapolated_light, &light, &before_light, momentum);
         let verdict = watch.see(&Iterate {
             change: relative_change(&video, &before),
             video: &video,
@@ -109,8 +109,8 @@ pub fn solve(
     }
 }
 
-fn extrapolate(ahead: &mut [f32], now: &[f32], before: &[f32], momentum: f32) {
-    for ((a, now), before) in ahead.iter_mut().zip(now).zip(before) {
+fn extrapolate(extrapolated: &mut [f32], now: &[f32], before: &[f32], momentum: f32) {
+    for ((a, now), before) in extrapolated.iter_mut().zip(now).zip(before) {
         *a = now + momentum * (now - before);
     }
 }
@@ -120,7 +120,7 @@ struct Inner<'a> {
     objective: &'a Objective<'a>,
     step: f64,
     p: Vec<f32>,
-    ahead: Vec<f32>,
+    extrapolated: Vec<f32>,
     rise: Vec<f32>,
 }
 
@@ -131,7 +131,7 @@ impl<'a> Inner<'a> {
             objective,
             step,
             p: vec![0.0; length],
-            ahead: vec![0.0; length],
+            extrapolated: vec![0.0; length],
             rise: vec![0.0; length],
         }
     }
@@ -144,7 +144,7 @@ impl<'a> Inner<'a> {
             return;
         }
         let length = (1.0 / (self.step * k.norm_squared_bound())) as f32;
-        self.ahead.copy_from_slice(&self.p);
+        self.extrapolated.copy_from_slice(&self.p);
         let mut t = 1.0f64;
         for i in 0..params.inner_steps {
             if i % INNER_CHECK == 0 {
@@ -160,15 +160,15 @@ impl<'a> Inner<'a> {
                     return;
                 }
             }
-            primal(self.objective, self.step, q, &self.ahead, z);
+            primal(self.objective, self.step, q, &self.extrapolated, z);
             k.apply(z, &mut self.rise);
-            for (a, rise) in self.ahead.iter_mut().zip(&self.rise) {
+            for (a, rise) in self.extrapolated.iter_mut().zip(&self.rise) {
                 *a += length * rise;
             }
-            self.objective.project(&mut self.ahead);
+            self.objective.project(&mut self.extrapolated);
             let next = 0.5 * (1.0 + (1.0 + 4.0 * t * t).sqrt());
             let momentum = ((t - 1.0) / next) as f32;
-            for (p, a) in self.p.iter_mut().zip(&mut self.ahead) {
+            for (p, a) in self.p.iter_mut().zip(&mut self.extrapolated) {
                 let new = *a;
                 *a += momentum * (new - *p);
                 *p = new;

@@ -66,7 +66,7 @@ pub fn solve(
     let step = 1.0 / (blocks * data_step * power);
     let prior_step = 1.0 / (blocks * step * k.norm_squared_bound().max(1.0));
     let (mut video, mut light) = begin(objective, start);
-    let (mut ahead, mut ahead_light) = (video.clone(), light.clone());
+    let (mut extrapolated, mut extrapolated_light) = (video.clone(), light.clone());
     let (mut y, mut p) = match start {
         None => (vec![0.0f32; light.len()], vec![0.0f32; k.range_len()]),
         Some(_) => {
@@ -80,10 +80,14 @@ pub fn solve(
     let mut watch = Watch::new(objective, params.limits, observer);
     let price = objective.price() as f32;
     loop {
-        for ((y, b), a) in y.iter_mut().zip(objective.measured()).zip(&ahead_light) {
+        for ((y, b), a) in y
+            .iter_mut()
+            .zip(objective.measured())
+            .zip(&extrapolated_light)
+        {
             *y = (*y + data_step as f32 * (b - a)) / (1.0 + data_step as f32);
         }
-        k.apply(&ahead, &mut rise);
+        k.apply(&extrapolated, &mut rise);
         for (p, rise) in p.iter_mut().zip(&rise) {
             *p += prior_step as f32 * rise;
         }
@@ -94,14 +98,14 @@ pub fn solve(
         for ((v, pull), hold) in video.iter_mut().zip(&pull).zip(&hold) {
             *v = (*v + step as f32 * (pull - hold - price)).max(0.0);
         }
-        for ((a, v), before) in ahead.iter_mut().zip(&video).zip(&before) {
+        for ((a, v), before) in extrapolated.iter_mut().zip(&video).zip(&before) {
             *a = 2.0 * v - before;
         }
-        for (a, light) in ahead_light.iter_mut().zip(&light) {
+        for (a, light) in extrapolated_light.iter_mut().zip(&light) {
             *a = -light;
         }
         operator.apply(&video, &mut light);
-        for (a, light) in ahead_light.iter_mut().zip(&light) {
+        for (a, light) in extrapolated_light.iter_mut().zip(&light) {
             *a += 2.0 * light;
         }
         let verdict = watch.see(&Iterate {

@@ -155,15 +155,17 @@ fn covering(places: &[(f64, f64)], reference: usize, spacing_mm: f64) -> Vec<usi
 fn thinned(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
     let mut kept = vec![start];
     for sign in [1.0, -1.0] {
-        let mut ahead: Vec<f64> = lines.iter().map(|l| sign * (l - start)).collect();
-        ahead.retain(|&d| d > 1e-6);
-        ahead.sort_by(f64::total_cmp);
-        let Some(&end) = ahead.last() else { continue };
+        let mut distances: Vec<f64> = lines.iter().map(|l| sign * (l - start)).collect();
+        distances.retain(|&d| d > 1e-6);
+        distances.sort_by(f64::total_cmp);
+        let Some(&end) = distances.last() else {
+            continue;
+        };
         let mut at = 0.0;
         while at < end {
             let within = |d: &f64| *d > at && *d <= at + spacing + 1e-9;
-            let mut beyond = ahead.iter().copied().filter(|d| *d > at);
-            let next = ahead.iter().copied().rfind(within);
+            let mut beyond = distances.iter().copied().filter(|d| *d > at);
+            let next = distances.iter().copied().rfind(within);
             at = next.or_else(|| beyond.next()).unwrap_or(end);
             kept.push(start + sign * at);
         }

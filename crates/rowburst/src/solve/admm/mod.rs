@@ -248,8 +248,8 @@ impl Admm {
     }
 
     /// Whether it has done so few iterations that its video tells nothing of the scene yet.
-    pub fn is_young(&self) -> bool {
-        self.state.is_young()
+    pub fn is_warming_up(&self) -> bool {
+        self.state.is_warming_up()
     }
 
     /// Most iterations.

@@ -62,7 +62,7 @@ const MOST_POOR_STEPS: usize = 3;
 const CEILING: f64 = 2.0;
 /// Iterations that the end of the frame before is worth: the first look at where light may be comes
 /// four iterations later.
-const AHEAD: usize = 26;
+const WARM_START_CREDIT: usize = 26;
 
 pub(super) struct State {
     shape: Shape,
@@ -93,9 +93,9 @@ pub(super) struct State {
     is_steady: bool,
     pub iterations: usize,
     /// Iterations that what it began from is worth.
-    ahead: usize,
+    warm_start_credit: usize,
     /// Iterations in which the video only took shape.
-    held: usize,
+    paused_iterations: usize,
     support_estimator: SupportEstimator,
 }
 
@@ -130,8 +130,8 @@ impl State {
             x_misfit: 0.0,
             is_steady: false,
             iterations: 0,
-            ahead: 0,
-            held: 0,
+            warm_start_credit: 0,
+            paused_iterations: 0,
             support_estimator: SupportEstimator::new(shape, data.max_active_voxels()),
         };
         state.aim_at(params.tau, data);
@@ -153,11 +153,12 @@ impl State {
 
     /// Goes on with other measurements of a scene that has changed little.
     pub fn go_on(&mut self, data: &dyn DataTerm) {
-        let beyond = self.stage().saturating_sub(AHEAD);
+        let beyond = self.schedule_iteration().saturating_sub(WARM_START_CREDIT);
         // The next look at the places comes when it would have come.
-        self.ahead = self.stage().min(AHEAD) + beyond % SupportEstimator::UPDATE_INTERVAL;
+        self.warm_start_credit = self.schedule_iteration().min(WARM_START_CREDIT)
+            + beyond % SupportEstimator::UPDATE_INTERVAL;
         self.iterations = 0;
-        self.held = 0;
+        self.paused_iterations = 0;
         self.poor_steps = 0;
         self.support_estimator.reset();
         self.aim_at(self.rule, data);
@@ -167,13 +168,13 @@ impl State {
     }
 
     /// How far the run is: the iterations that count, and what it began with.
-    fn stage(&self) -> usize {
-        self.ahead + self.iterations - self.held
+    fn schedule_iteration(&self) -> usize {
+        self.warm_start_credit + self.iterations - self.paused_iterations
     }
 
     /// Whether it has not come to where a video has taken shape.
-    pub fn is_young(&self) -> bool {
-        self.stage() <= SupportEstimator::FIRST_UPDATE
+    pub fn is_warming_up(&self) -> bool {
+        self.schedule_iteration() <= SupportEstimator::FIRST_UPDATE
     }
 
     /// The video, `[t, y, x]`.
@@ -188,7 +189,7 @@ impl State {
 
     /// Whether `β`, `τ` and the support are what they will be.
     pub fn is_settled(&self, params: &AdmmParams) -> bool {
-        self.stage() > SETTLE
+        self.schedule_iteration() > SETTLE
             && self.is_steady
             && (!params.support || self.support_estimator.is_settled())
     }
@@ -261,13 +262,13 @@ impl State {
     pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
         let is_slow = self.shape.voxels() > MANY * self.az.len();
         if is_slow
-            && self.stage() == SupportEstimator::FIRST_UPDATE
+            && self.schedule_iteration() == SupportEstimator::FIRST_UPDATE
             && self.iterations < LATEST
             && self.grows()
         {
-            self.held += TOP_OVER;
+            self.paused_iterations += TOP_OVER;
         }
-        let (k, rho) = (self.stage(), self.rho);
+        let (k, rho) = (self.schedule_iteration(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
             if self.poor_steps >= MOST_POOR_STEPS {
                 // The smaller ρ, the harder the step: misfit that comes of poor steps would
@@ -280,13 +281,13 @@ impl State {
             let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
             let is_wide = data.is_wide();
             let is_open = is_wide && params.support && self.support_estimator.has_open_bin();
-            let (least, most) = match (is_wide, self.is_young() || is_open) {
+            let (least, most) = match (is_wide, self.is_warming_up() || is_open) {
                 (false, false) => STEADY,
                 (false, true) => OPEN_STEADY,
                 (true, false) => WIDE_STEADY,
                 (true, true) => WIDE_OPEN_STEADY,
             };
-            let has_settled = self.ahead + self.iterations >= WIDE_OPEN_FROM;
+            let has_settled = self.warm_start_credit + self.iterations >= WIDE_OPEN_FROM;
             let is_due =
                 !is_open || (has_settled && self.iterations.is_multiple_of(WIDE_OPEN_EVERY));
             if is_due && !(least..most).contains(&correction) {
@@ -343,7 +344,7 @@ impl State {
             self.beta = self.beta.max(f64::MIN_POSITIVE);
             return;
         }
-        let early = 1.0 - self.stage() as f64 / FULL_DETAIL as f64;
+        let early = 1.0 - self.schedule_iteration() as f64 / FULL_DETAIL as f64;
         let part = self.relative_threshold * (1.0 + (FIRST_THRESHOLD - 1.0) * early.max(0.0));
         let beta = part * brightness;
         self.beta = beta;

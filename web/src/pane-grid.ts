@@ -9,7 +9,7 @@ import type { Rect } from "./types";
 /** Side of the region that a click picks, as that of `--region Y,X`. */
 const SIDE = 3;
 
-export class Stage {
+export class PaneGrid {
   readonly element: HTMLElement;
   private readonly row: HTMLElement;
   panes: Pane[] = [];
