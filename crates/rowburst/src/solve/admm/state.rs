@@ -25,13 +25,13 @@ const WIDE_OPEN_EVERY: usize = 5;
 const SETTLE: usize = 40;
 /// With so many voxels for each measurement a video takes shape slowly: the
 /// clock stands at [`SupportEstimator::FIRST_UPDATE`] until the brightness of every bin has passed its top, falling by this part in
-/// so many iterations, or up to the iteration `LATEST`. Digits on 2048×2048 pixels end at 62 dB so;
+/// so many iterations, or up to the iteration `LATEST_FIRST_UPDATE`. Digits on 2048×2048 pixels end at 62 dB so;
 /// with a support found at iteration 80 half of the bins lack light
 /// (`cargo bench --workspace --bench full_sensor -- 2048 2`).
-const MANY: usize = 300;
-const PAST_TOP: f64 = 0.005;
-const TOP_OVER: usize = 5;
-const LATEST: usize = 150;
+const UNDERSAMPLED: usize = 300;
+const DECLINE: f64 = 0.005;
+const DECLINE_WINDOW: usize = 5;
+const LATEST_FIRST_UPDATE: usize = 150;
 /// `β` at first over what it will be, and the iteration at which it is that: large steps find
 /// the places, small ones the details. Up to the 12th iteration larger digits take 56 to 85 iterations to 0.5 dB
 /// of their end, up to the 20th 43 to 82; up to the 28th one of four seeds lost 5 dB. 8 up to the 20th iteration is faster still, and loses faint
@@ -83,7 +83,7 @@ pub(super) struct State {
     poor_steps: usize,
     beta: f64,
     /// The brightness of each bin at the last look whether it grows; zero once it has passed its top.
-    growing: Vec<f64>,
+    rising_brightness: Vec<f64>,
     rule: TauRule,
     relative_threshold: f64,
     /// Bound on `‖b − A v‖`, and `‖b − A x‖` of the last data step.
@@ -123,7 +123,7 @@ impl State {
             least_rho: data.least_rho(),
             poor_steps: 0,
             beta: 0.0,
-            growing: vec![f64::MIN_POSITIVE; shape.bins],
+            rising_brightness: vec![f64::MIN_POSITIVE; shape.bins],
             rule: params.tau,
             relative_threshold: params.threshold,
             bound: 0.0,
@@ -260,13 +260,13 @@ impl State {
 
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
     pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
-        let is_slow = self.shape.voxels() > MANY * self.az.len();
+        let is_slow = self.shape.voxels() > UNDERSAMPLED * self.az.len();
         if is_slow
             && self.schedule_iteration() == SupportEstimator::FIRST_UPDATE
-            && self.iterations < LATEST
-            && self.grows()
+            && self.iterations < LATEST_FIRST_UPDATE
+            && self.brightness_is_rising()
         {
-            self.paused_iterations += TOP_OVER;
+            self.paused_iterations += DECLINE_WINDOW;
         }
         let (k, rho) = (self.schedule_iteration(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
@@ -321,19 +321,19 @@ impl State {
     }
 
     /// Whether a bin is still taking shape.
-    fn grows(&mut self) -> bool {
+    fn brightness_is_rising(&mut self) -> bool {
         let bins = self.z.chunks_exact(self.shape.pixels());
-        for (before, bin) in self.growing.iter_mut().zip(bins) {
+        for (before, bin) in self.rising_brightness.iter_mut().zip(bins) {
             if *before > 0.0 {
                 let now = brightness(bin);
-                *before = if now > (1.0 - PAST_TOP) * *before {
+                *before = if now > (1.0 - DECLINE) * *before {
                     now
                 } else {
                     0.0
                 };
             }
         }
-        self.growing.iter().any(|before| *before > 0.0)
+        self.rising_brightness.iter().any(|before| *before > 0.0)
     }
 
     /// Sets `β` to its part of the brightness of the video's first part. The scaled dual `u` is left
