@@ -24,9 +24,9 @@ class RollingShutterOperator(LinearOperator):
     """
 
     def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> None:
-        self._own = _rowburst._Operator(camera, psf)
+        self._native = _rowburst._Operator(camera, psf)
         self.camera = camera
-        super().__init__(np.dtype(dtype), self._own.shape)  # type: ignore[call-arg]
+        super().__init__(np.dtype(dtype), self._native.shape)  # type: ignore[call-arg]
 
     @property
     def video_shape(self) -> tuple[int, int, int]:
@@ -40,12 +40,12 @@ class RollingShutterOperator(LinearOperator):
 
     def _matvec(self, x: Any) -> NDArray[Any]:
         x = np.asarray(x)
-        apply = self._own.apply if _like(x) == np.float32 else self._own.apply_double
+        apply = self._native.apply if _like(x) == np.float32 else self._native.apply_double
         return apply(x.reshape(-1))
 
     def _rmatvec(self, x: Any) -> NDArray[Any]:
         x = np.asarray(x)
-        adjoint = self._own.adjoint if _like(x) == np.float32 else self._own.adjoint_double
+        adjoint = self._native.adjoint if _like(x) == np.float32 else self._native.adjoint_double
         return adjoint(x.reshape(-1))
 
     def data_term(self, frame: ArrayLike) -> DataTerm:
@@ -69,16 +69,16 @@ class DataTerm:
     hasgrad = True
 
     def __init__(self, operator: RollingShutterOperator, frame: ArrayLike) -> None:
-        self._own = _rowburst._DataTerm(operator._own, frame)
+        self._native = _rowburst._DataTerm(operator._native, frame)
         self.operator = operator
 
     def __call__(self, x: ArrayLike) -> float:
-        return self._own.value(np.asarray(x).reshape(-1))
+        return self._native.value(np.asarray(x).reshape(-1))
 
     def grad(self, x: ArrayLike) -> NDArray[Any]:
         """``AᵀW²(A x - b)``, in the shape of ``x``."""
         x = np.asarray(x)
-        return self._own.gradient(x.reshape(-1)).astype(_like(x), copy=False).reshape(x.shape)
+        return self._native.gradient(x.reshape(-1)).astype(_like(x), copy=False).reshape(x.shape)
 
     def prox(self, x: ArrayLike, step: float) -> NDArray[Any]:
         """``argmin_v f(v) + ‖v - x‖²/(2 step)``, in the shape of ``x``.
@@ -87,7 +87,7 @@ class DataTerm:
         that differs from the last one costs a factorisation.
         """
         x = np.asarray(x)
-        found = self._own.prox(x.reshape(-1), float(step))
+        found = self._native.prox(x.reshape(-1), float(step))
         return found.astype(_like(x), copy=False).reshape(x.shape)
 
     def proxdual(self, x: ArrayLike, step: float) -> NDArray[Any]:

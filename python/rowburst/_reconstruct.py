@@ -62,23 +62,23 @@ class Result:
     """A reconstructed video with what is needed to judge it."""
 
     def __init__(self, found: _rowburst.Result, camera: Camera) -> None:
-        self._found = found
+        self._native = found
         self.camera = camera
 
     @property
     def video(self) -> NDArray[np.float32]:
         """The video ``[t, y, x]`` in counts. No copy: it may not be written to."""
-        return self._found.video
+        return self._native.video
 
     @property
     def background(self) -> NDArray[np.float32] | None:
         """The part of the video that the prior has as its background, if it has one."""
-        return self._found.background
+        return self._native.background
 
     @property
     def residual(self) -> NDArray[np.float32]:
         """``W(b - A v) / sigma``, ``[y, x]``; 0 where a pixel holds no information."""
-        return self._found.residual
+        return self._native.residual
 
     @property
     def time_us(self) -> NDArray[np.float64]:
@@ -88,62 +88,62 @@ class Result:
     @property
     def frame_rate_hz(self) -> float:
         """Frames of the video a second."""
-        return self._found.frame_rate_hz
+        return self._native.frame_rate_hz
 
     @property
     def prior(self) -> str:
         """The prior that was used."""
-        return self._found.prior
+        return self._native.prior
 
     @property
     def tau(self) -> float:
         """The weight of the prior at the end."""
-        return self._found.tau
+        return self._native.tau
 
     @property
     def noise_sigma(self) -> float:
         """Standard deviation of the noise, in counts."""
-        return self._found.noise_sigma
+        return self._native.noise_sigma
 
     @property
     def residual_over_sigma(self) -> float:
         """1 where the video explains the frame to within the noise."""
-        return self._found.residual_over_sigma
+        return self._native.residual_over_sigma
 
     @property
     def iterations(self) -> int:
         """Iterations done."""
-        return self._found.iterations
+        return self._native.iterations
 
     @property
     def stop_reason(self) -> str:
         """converged, iteration-limit, time-budget or interrupted."""
-        return self._found.stop_reason
+        return self._native.stop_reason
 
     @property
     def fit(self) -> str:
         """good, suspicious or bad: whether the model explains the frame."""
-        return self._found.fit
+        return self._native.fit
 
     @property
     def fit_reason(self) -> str:
         """Why."""
-        return self._found.fit_reason
+        return self._native.fit_reason
 
     @property
     def seconds(self) -> float:
         """The solver alone."""
-        return self._found.seconds
+        return self._native.seconds
 
     @property
     def setup_seconds(self) -> float:
         """Operator, Gram factors, noise level."""
-        return self._found.setup_seconds
+        return self._native.setup_seconds
 
     @property
     def numbers(self) -> dict[str, Any]:
         """All that ``result.json`` of the command line says."""
-        numbers: dict[str, Any] = json.loads(self._found._json())
+        numbers: dict[str, Any] = json.loads(self._native._json())
         return numbers
 
     def traces(
@@ -157,21 +157,21 @@ class Result:
         is a CSV file with the columns ``time_us,value``, which is laid over the trace that it fits.
         """
         texts = [",".join(str(int(n)) for n in region) for region in regions]
-        found, text = self._found._traces(texts, [fspath(p) for p in photodiodes])
+        found, text = self._native._traces(texts, [fspath(p) for p in photodiodes])
         numbers = json.loads(text)["traces"]
         time_us = self.time_us
         return [Trace(time_us=time_us, numbers=n, **trace) for trace, n in zip(found, numbers, strict=True)]
 
     def report(self, path: str | PathLike[str] | None = None, title: str = "Rowburst") -> Report:
         """The report of the command line, as a page; written to ``path`` if there is one."""
-        report = Report(self._found._report(title))
+        report = Report(self._native._report(title))
         if path is not None:
             report.save(path)
         return report
 
     def save(self, folder: str | PathLike[str], title: str = "Rowburst") -> Path:
         """Writes the files of ``rowburst reconstruct``: video, traces, report, ``result.json``."""
-        self._found._save(folder, title)
+        self._native._save(folder, title)
         return Path(folder)
 
     def __repr__(self) -> str:

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from ._operator import DataTerm, RollingShutterOperator
 
 
-def linear_operator(own: RollingShutterOperator) -> Any:
+def linear_operator(operator: RollingShutterOperator) -> Any:
     """``A`` from ``[t, y, x]`` to ``[y, x]``."""
-    video, frame = own.video_shape, own.frame_shape
+    video, frame = operator.video_shape, operator.frame_shape
 
     def called(function: Any, shape: tuple[int, ...]) -> Any:
         result = jax.ShapeDtypeStruct(shape, np.float32)
@@ -30,7 +30,7 @@ def linear_operator(own: RollingShutterOperator) -> Any:
         linear.defvjp(lambda x: (forward(x), None), lambda _, y: (adjoint(y),))
         return linear
 
-    apply, adjoint = called(own._own.apply, frame), called(own._own.adjoint, video)
+    apply, adjoint = called(operator._native.apply, frame), called(operator._native.adjoint, video)
     return linop.LinearOperator(
         input_shape=video,
         output_shape=frame,
@@ -41,7 +41,7 @@ def linear_operator(own: RollingShutterOperator) -> Any:
     )
 
 
-def functional(own: DataTerm) -> Any:
+def functional(term: DataTerm) -> Any:
     """``½‖W(b - A v)‖²`` with its prox."""
 
     class RollingShutterData(scico_functional.Functional):  # type: ignore[misc]
@@ -50,11 +50,11 @@ def functional(own: DataTerm) -> Any:
 
         def __call__(self, x: Any) -> Any:
             value = jax.ShapeDtypeStruct((), np.float32)
-            return jax.pure_callback(lambda v: np.float32(own(np.asarray(v))), value, x)
+            return jax.pure_callback(lambda v: np.float32(term(np.asarray(v))), value, x)
 
         def prox(self, v: Any, lam: float = 1.0, **kwargs: Any) -> Any:
             same = jax.ShapeDtypeStruct(v.shape, np.float32)
-            step = lambda p, s: own.prox(np.asarray(p, dtype=np.float32), float(s))
+            step = lambda p, s: term.prox(np.asarray(p, dtype=np.float32), float(s))
             return jax.pure_callback(step, same, v, lam)
 
     return RollingShutterData()

@@ -73,9 +73,9 @@ def test_bits_are_those_of_the_command_line(capture, camera, psf, tmp_path):
             [program, "reconstruct", tmp_path / "experiment.toml", "--frame", tmp_path / "frame.npy",
              "--psf", tmp_path / "psf.npy", "--prior", prior, "-o", out, "--json"],
             check=True, capture_output=True)
-        own = rb.reconstruct(capture.frame, camera, psf, prior=prior)
-        np.testing.assert_array_equal(np.load(out / "video.npy"), own.video)
-        theirs, ours = json.loads(done.stdout), own.numbers
+        direct_call = rb.reconstruct(capture.frame, camera, psf, prior=prior)
+        np.testing.assert_array_equal(np.load(out / "video.npy"), direct_call.video)
+        theirs, ours = json.loads(done.stdout), direct_call.numbers
         changing = ("seconds", "setup_seconds", "peak_memory_bytes", "history", "trace_errors", "threads")
         for key in set(theirs) - set(changing):
             assert theirs[key] == ours[key], key
@@ -89,8 +89,8 @@ def test_bits_are_those_of_the_command_line(capture, camera, psf, tmp_path):
          "--psf", tmp_path / "psf.npy", "--prior", "tv", "-o", tmp_path / "counts"], check=True, capture_output=True)
     experiment = rb.Camera.from_file(tmp_path / "experiment.toml")
     assert experiment == camera
-    own = rb.reconstruct(counts, experiment, psf, prior="tv")
-    np.testing.assert_array_equal(np.load(tmp_path / "counts" / "video.npy"), own.video)
+    direct_call = rb.reconstruct(counts, experiment, psf, prior="tv")
+    np.testing.assert_array_equal(np.load(tmp_path / "counts" / "video.npy"), direct_call.video)
 
 
 def test_layouts_do_not_matter(capture, camera, psf):

@@ -82,8 +82,8 @@ mod tests {
     use rowburst::Psf;
 
     fn parts(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
-        let own = |(k, v): &(&str, &str)| (k.to_string(), v.to_string());
-        pairs.iter().map(own).collect()
+        let owned = |(k, v): &(&str, &str)| (k.to_string(), v.to_string());
+        pairs.iter().map(owned).collect()
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `rowburst batch`: a recording in, one archive of videos out.
 
 use crate::args::BatchArgs;
-use crate::inputs::own_calibration;
+use crate::inputs::calibration_from_args;
 use crate::outcome::say;
 use crate::progress::stop_on_ctrl_c;
 use crate::sweep;
@@ -82,37 +82,37 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
 fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
     let plans = points.iter().map(|point| {
-        let mut own = args.clone();
-        own.sweep.clear();
-        own.output = sweep::place(&args.output, point, ".zarr");
+        let mut point_args = args.clone();
+        point_args.sweep.clear();
+        point_args.output = sweep::place(&args.output, point, ".zarr");
         for (key, value) in point {
             match *key {
                 "prior" => {
                     prior_of(value)?;
-                    own.prior = Some(value.clone());
+                    point_args.prior = Some(value.clone());
                 }
                 "tau" => {
                     tau_of(value)?;
-                    own.tau = Some(value.clone());
+                    point_args.tau = Some(value.clone());
                 }
-                "noise-sigma" => own.noise_sigma = Some(sweep::number(key, value)?),
-                _ => own.max_iterations = Some(sweep::count(key, value)?),
+                "noise-sigma" => point_args.noise_sigma = Some(sweep::number(key, value)?),
+                _ => point_args.max_iterations = Some(sweep::count(key, value)?),
             }
         }
-        Ok((sweep::words(point), own))
+        Ok((sweep::words(point), point_args))
     });
     // A value that is none is found before the first run, which may take hours.
     let plans: Vec<(String, BatchArgs)> = plans.collect::<Result<_>>()?;
     let folder = rowburst_io::OutputFolder::create(&args.output)?;
     let mut rows: Vec<sweep::Row> = Vec::new();
-    for (point, own) in plans {
+    for (point, point_args) in plans {
         eprintln!("{point}");
-        let (summary, lines) = one(&own, stop)?;
+        let (summary, lines) = one(&point_args, stop)?;
         let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
         let good = done.iter().filter(|l| l.fit.as_deref() == Some("good"));
         rows.push(sweep::Row {
             point,
-            output: own.output.display().to_string(),
+            output: point_args.output.display().to_string(),
             prior: Some(summary.prior),
             tau: median(done.iter().filter_map(|l| l.tau)),
             residual_over_sigma: median(done.iter().filter_map(|l| l.residual_over_sigma)),
@@ -242,7 +242,7 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, Taken)> {
     let planned = plan_files(&Files {
         experiment: &args.experiment,
         frames: &args.frames,
-        calibration: own_calibration(&args.calibration),
+        calibration: calibration_from_args(&args.calibration),
         prior: args.prior.as_deref(),
         tau: args.tau.as_deref(),
         noise_sigma: args.noise_sigma,

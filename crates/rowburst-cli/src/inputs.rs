@@ -7,17 +7,17 @@ use std::path::Path;
 
 /// The files of the command line, or else of the experiment.
 pub fn calibration_of(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
-    rowburst_run::inputs::calibration_of(own_calibration(args), experiment)
+    rowburst_run::inputs::calibration_of(calibration_from_args(args), experiment)
 }
 
 /// The files of the command line.
-pub fn own_calibration(args: &CalibrationArgs) -> Calibration {
-    let own = args.clone();
+pub fn calibration_from_args(args: &CalibrationArgs) -> Calibration {
+    let files = args.clone();
     Calibration {
-        psf: own.psf,
-        dark: own.dark,
-        flat: own.flat,
-        bad_pixels: own.bad_pixels,
+        psf: files.psf,
+        dark: files.dark,
+        flat: files.flat,
+        bad_pixels: files.bad_pixels,
     }
 }
 

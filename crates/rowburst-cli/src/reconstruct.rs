@@ -70,36 +70,36 @@ struct Done {
 fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
     let plans = points.iter().map(|point| {
-        let mut own = args.clone();
-        own.sweep.clear();
-        own.output = sweep::place(&args.output, point, "");
+        let mut point_args = args.clone();
+        point_args.sweep.clear();
+        point_args.output = sweep::place(&args.output, point, "");
         for (key, value) in point {
             match *key {
-                "prior" => own.prior = Some(value.clone()),
-                "tau" => own.tau = Some(value.clone()),
-                "noise-sigma" => own.noise_sigma = Some(sweep::number(key, value)?),
-                _ => own.max_iterations = Some(sweep::count(key, value)?),
+                "prior" => point_args.prior = Some(value.clone()),
+                "tau" => point_args.tau = Some(value.clone()),
+                "noise-sigma" => point_args.noise_sigma = Some(sweep::number(key, value)?),
+                _ => point_args.max_iterations = Some(sweep::count(key, value)?),
             }
         }
-        Ok((sweep::words(point), own))
+        Ok((sweep::words(point), point_args))
     });
     // A value that is none is found before the first run.
     let plans: Vec<(String, ReconstructArgs)> = plans.collect::<Result<_>>()?;
     let mut rows: Vec<sweep::Row> = Vec::new();
     let mut first_error = None;
-    for (point, own) in plans {
+    for (point, point_args) in plans {
         let began = Instant::now();
         eprintln!("{point}");
-        let done = read_experiment(&own)
+        let done = read_experiment(&point_args)
             .and_then(refuse_colour)
-            .and_then(|experiment| one(&own, experiment, began, Arc::clone(stop)));
+            .and_then(|experiment| one(&point_args, experiment, began, Arc::clone(stop)));
         let outcome = match &done {
             Ok(Made::Whole(done)) => Some(&done.outcome),
             _ => None,
         };
         rows.push(sweep::Row {
             point,
-            output: own.output.display().to_string(),
+            output: point_args.output.display().to_string(),
             prior: outcome.map(|o| o.prior.clone()),
             tau: outcome.map(|o| o.tau),
             residual_over_sigma: outcome.map(|o| o.residual_over_sigma),

@@ -232,12 +232,12 @@ impl PyReconstruction {
         let wanted = Wanted::read(&regions, &photodiodes, self.shape).map_err(raised)?;
         let is_plain = regions.is_empty() && photodiodes.is_empty();
         let (traces, numbers) = self.with(py, |solved, kept| {
-            let own;
+            let requested;
             let found = if is_plain {
                 &*kept.get_or_insert_with(|| spots(solved))
             } else {
-                own = solved.traces(wanted, false);
-                &own
+                requested = solved.traces(wanted, false);
+                &requested
             };
             let numbers = found.outcome(solved.task.truth.as_ref());
             let numbers = serde_json::json!({ "traces": numbers, "errors": found.numbers });

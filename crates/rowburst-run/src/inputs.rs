@@ -8,13 +8,13 @@ use rowburst_io::{
 use std::path::Path;
 
 /// The files that are given, or else those of the experiment.
-pub fn calibration_of(own: Calibration, experiment: &Experiment) -> Calibration {
-    let other = experiment.calibration.clone();
+pub fn calibration_of(given: Calibration, experiment: &Experiment) -> Calibration {
+    let from_file = experiment.calibration.clone();
     Calibration {
-        psf: own.psf.or(other.psf),
-        dark: own.dark.or(other.dark),
-        flat: own.flat.or(other.flat),
-        bad_pixels: own.bad_pixels.or(other.bad_pixels),
+        psf: given.psf.or(from_file.psf),
+        dark: given.dark.or(from_file.dark),
+        flat: given.flat.or(from_file.flat),
+        bad_pixels: given.bad_pixels.or(from_file.bad_pixels),
     }
 }
 

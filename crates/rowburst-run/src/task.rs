@@ -68,9 +68,9 @@ pub fn solve(
     let left = task.budget.map(|b| b.saturating_sub(setup));
     let mut watch = Watch::new(problem.sigma(), task.truth.as_ref(), left);
     let solved = problem.solve(&mut |progress| {
-        let own = watch.observe(progress);
+        let flow = watch.observe(progress);
         watch.aside(|seen| show(progress, seen))?;
-        own
+        flow
     });
     let seconds = watch.seconds();
     let found = solved?;

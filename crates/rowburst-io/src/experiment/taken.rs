@@ -53,33 +53,55 @@ impl<'a> Filling<'a> {
     }
 
     /// The file's value, or else that of the metadata.
-    pub fn number(&mut self, key: &str, own: Option<f64>, other: Option<f64>) -> Option<f64> {
+    pub fn number(
+        &mut self,
+        key: &str,
+        in_file: Option<f64>,
+        in_metadata: Option<f64>,
+    ) -> Option<f64> {
         let is_same = |a: f64, b: f64| (a - b).abs() <= SAME * b.abs();
-        self.value(key, own, other, |a, b| is_same(*a, *b), f64::to_string)
+        self.value(
+            key,
+            in_file,
+            in_metadata,
+            |a, b| is_same(*a, *b),
+            f64::to_string,
+        )
     }
 
-    pub fn count(&mut self, key: &str, own: Option<usize>, other: Option<usize>) -> Option<usize> {
-        self.value(key, own, other, |a, b| a == b, usize::to_string)
+    pub fn count(
+        &mut self,
+        key: &str,
+        in_file: Option<usize>,
+        in_metadata: Option<usize>,
+    ) -> Option<usize> {
+        self.value(key, in_file, in_metadata, |a, b| a == b, usize::to_string)
     }
 
     /// The readout order; that of a custom shutter cannot be compared.
-    pub fn shutter(&mut self, own: Option<Shutter>) -> Option<Shutter> {
+    pub fn shutter(&mut self, in_file: Option<Shutter>) -> Option<Shutter> {
         let is_same = |a: &Shutter, b: &Shutter| matches!(a, Shutter::Custom(_)) || a == b;
         let name = |s: &Shutter| format!("\"{}\"", s.name());
-        let other = self.metadata.shutter.clone();
-        self.value("shutter", own, other, is_same, name)
+        let in_metadata = self.metadata.shutter.clone();
+        self.value("shutter", in_file, in_metadata, is_same, name)
     }
 
     /// The mosaic of the colours.
-    pub fn bayer(&mut self, own: Option<Bayer>) -> Option<Bayer> {
+    pub fn bayer(&mut self, in_file: Option<Bayer>) -> Option<Bayer> {
         let name = |b: &Bayer| format!("\"{}\"", b.name());
-        self.value("bayer", own, self.metadata.bayer, |a, b| a == b, name)
+        self.value("bayer", in_file, self.metadata.bayer, |a, b| a == b, name)
     }
 
     /// A length at the object or the sensor: taken, but not compared, since both have the name.
-    pub fn pitch(&mut self, own: Option<f64>, factor: f64) -> Option<f64> {
-        let other = self.metadata.pixel_pitch_um.map(|p| p * factor);
-        self.value("pixel_pitch_um", own, other, |_, _| true, f64::to_string)
+    pub fn pitch(&mut self, in_file: Option<f64>, factor: f64) -> Option<f64> {
+        let in_metadata = self.metadata.pixel_pitch_um.map(|p| p * factor);
+        self.value(
+            "pixel_pitch_um",
+            in_file,
+            in_metadata,
+            |_, _| true,
+            f64::to_string,
+        )
     }
 
     /// Rows, columns and binning of the working grid.
@@ -96,8 +118,10 @@ impl<'a> Filling<'a> {
         let Some((frame_rows, frame_columns)) = self.metadata.size else {
             return Ok((rows, columns, self.count("binning", binning, cameras)));
         };
-        let is_to_be_binned = |side: usize, own: Option<usize>| match (own, binning) {
-            (Some(own), Some(binning)) => own.saturating_mul(binning) == side && own != side,
+        let is_to_be_binned = |side: usize, in_file: Option<usize>| match (in_file, binning) {
+            (Some(in_file), Some(binning)) => {
+                in_file.saturating_mul(binning) == side && in_file != side
+            }
             (None, Some(binning)) => {
                 binning > 1 && cameras.unwrap_or(1) == 1 && side.is_multiple_of(binning)
             }
@@ -107,11 +131,11 @@ impl<'a> Filling<'a> {
             true => binning.unwrap_or(1),
             false => 1,
         };
-        let mut side = |key: &str, own: Option<usize>, frame: usize| -> Result<Option<usize>> {
-            match own {
-                Some(own) if own.saturating_mul(divisor) != frame => Err(Error::input(
+        let mut side = |key: &str, in_file: Option<usize>, frame: usize| -> Result<Option<usize>> {
+            match in_file {
+                Some(in_file) if in_file.saturating_mul(divisor) != frame => Err(Error::input(
                     format!("{}: [camera] {key}", self.experiment.display()),
-                    own,
+                    in_file,
                     format!(
                         "the frame has {frame} {key} by its metadata ({})",
                         self.metadata.sources.join(", ")
@@ -120,7 +144,7 @@ impl<'a> Filling<'a> {
                         "Give the frame of this experiment, or correct {key} (without it, it is taken from the metadata)."
                     ),
                 )),
-                Some(own) => Ok(Some(own)),
+                Some(in_file) => Ok(Some(in_file)),
                 None => {
                     let taken = frame / divisor;
                     self.taken.values.push((key.into(), taken.to_string()));
@@ -138,29 +162,29 @@ impl<'a> Filling<'a> {
     fn value<T>(
         &mut self,
         key: &str,
-        own: Option<T>,
-        other: Option<T>,
+        in_file: Option<T>,
+        in_metadata: Option<T>,
         is_same: impl Fn(&T, &T) -> bool,
         words: impl Fn(&T) -> String,
     ) -> Option<T> {
-        match (own, other) {
-            (None, Some(other)) => {
-                self.taken.values.push((key.into(), words(&other)));
-                Some(other)
+        match (in_file, in_metadata) {
+            (None, Some(in_metadata)) => {
+                self.taken.values.push((key.into(), words(&in_metadata)));
+                Some(in_metadata)
             }
-            (Some(own), Some(other)) => {
-                if !is_same(&own, &other) {
+            (Some(in_file), Some(in_metadata)) => {
+                if !is_same(&in_file, &in_metadata) {
                     self.taken.warnings.push(format!(
                         "{key} is {} in {} and {} in the metadata ({}): the experiment file counts",
-                        words(&own),
+                        words(&in_file),
                         self.experiment.display(),
-                        words(&other),
+                        words(&in_metadata),
                         self.metadata.sources.join(", ")
                     ));
                 }
-                Some(own)
+                Some(in_file)
             }
-            (own, None) => own,
+            (in_file, None) => in_file,
         }
     }
 }

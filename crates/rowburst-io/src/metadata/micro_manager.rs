@@ -60,14 +60,14 @@ pub(super) fn beside(path: &Path) -> Metadata {
             || text_of(record.get("FileName")) == Some(image.clone())
     };
     let mut first = None;
-    let mut own = None;
+    let mut of_file = None;
     for (key, value) in &all {
         if let Value::Object(record) = value
             && is_record(key)
         {
             first = first.or(Some(record));
             if is_own(key, record) {
-                own = Some(record);
+                of_file = Some(record);
                 break;
             }
         }
@@ -80,7 +80,7 @@ pub(super) fn beside(path: &Path) -> Metadata {
         Some(Value::Object(scope)) => Some(scope),
         _ => None,
     };
-    let records = [own.or(first), scope, summary];
+    let records = [of_file.or(first), scope, summary];
     let records: Vec<_> = records.into_iter().flatten().collect();
     if records.is_empty() {
         return Metadata::default();

@@ -57,10 +57,10 @@ pub struct Blocks<T> {
 struct Block<T> {
     indices: Vec<usize>,
     /// `G` itself, and whether it is that of everything lit: this stays, in case it is wanted again.
-    own: Square<T>,
+    gram: PackedCholesky<T>,
     is_whole: bool,
     /// The columns that the block is given by, if it is, and `BᵀB`.
-    few: Option<(Mat<T>, Square<T>)>,
+    low_rank: Option<(Mat<T>, PackedCholesky<T>)>,
     last: Option<Last>,
 }
 
@@ -74,7 +74,7 @@ struct Last {
 /// A symmetric matrix `M` with the Cholesky factor of `M + ρI` at the last `ρ`.
 ///
 /// One square, column after column, holds both: `M` above its diagonal, which is kept apart, and the factor below it.
-struct Square<T> {
+struct PackedCholesky<T> {
     size: usize,
     memory: Vec<T>,
     diagonal: Vec<T>,
@@ -98,9 +98,9 @@ impl<T: Scalar> Blocks<T> {
     pub fn new(indices: Vec<Vec<usize>>, source: impl BlockSource<T>) -> Self {
         let empty = |indices: Vec<usize>| Block {
             indices,
-            own: Square::new(),
+            gram: PackedCholesky::new(),
             is_whole: false,
-            few: None,
+            low_rank: None,
             last: None,
         };
         let mut blocks = Self {
@@ -194,21 +194,24 @@ impl<T: Scalar> Block<T> {
         let most = (MOST_COLUMNS * rows as f64) as usize;
         let columns = source.columns(i, most);
         if columns.is_some() && !self.is_whole {
-            self.own = Square::new();
+            self.gram = PackedCholesky::new();
         }
         let Some(columns) = columns else {
-            self.few = None;
+            self.low_rank = None;
             let is_whole = source.is_whole(i);
             if !(is_whole && self.is_whole) {
-                self.own.fill(rows, |own| source.fill(i, own));
+                self.gram.fill(rows, |gram| source.fill(i, gram));
                 self.is_whole = is_whole;
             }
             return;
         };
-        let mut square = self.few.take().map_or(Square::new(), |(_, square)| square);
-        square.fill(columns.ncols(), |square| {
+        let mut packed = self
+            .low_rank
+            .take()
+            .map_or(PackedCholesky::new(), |(_, packed)| packed);
+        packed.fill(columns.ncols(), |packed| {
             triangular::matmul(
-                square,
+                packed,
                 BlockStructure::TriangularUpper,
                 Accum::Replace,
                 columns.transpose(),
@@ -219,12 +222,15 @@ impl<T: Scalar> Block<T> {
                 Par::Seq,
             );
         });
-        self.few = Some((columns, square));
+        self.low_rank = Some((columns, packed));
     }
 
     fn has_lost_digits(&self) -> bool {
-        let square = self.few.as_ref().map_or(&self.own, |(_, square)| square);
-        square.has_lost_digits
+        let packed = self
+            .low_rank
+            .as_ref()
+            .map_or(&self.gram, |(_, packed)| packed);
+        packed.has_lost_digits
     }
 
     /// See [`Blocks::follow`]: `y` and `G y`.
@@ -256,20 +262,20 @@ impl<T: Scalar> Block<T> {
 
     /// `(G + ρI)⁻¹ y` in place. Works `beside`.
     fn solve(&mut self, y: &mut Vec<T>, rho: f64, beside: &mut Vec<T>) {
-        let Some((columns, square)) = &mut self.few else {
-            return self.own.solve(y, rho, beside);
+        let Some((columns, packed)) = &mut self.low_rank else {
+            return self.gram.solve(y, rho, beside);
         };
         let mut active = vec![T::zero(); columns.ncols()];
         let (add, replace) = (Accum::Add, Accum::Replace);
         multiply(replace, &mut active, columns.transpose(), y, T::one());
-        square.solve(&mut active, rho, beside);
+        packed.solve(&mut active, rho, beside);
         multiply(add, y, columns.as_ref(), &active, -T::one());
         let over_rho = T::nearest(1.0 / rho);
         y.iter_mut().for_each(|y| *y *= over_rho);
     }
 }
 
-impl<T: Scalar> Square<T> {
+impl<T: Scalar> PackedCholesky<T> {
     const fn new() -> Self {
         Self {
             size: 0,
@@ -301,10 +307,10 @@ impl<T: Scalar> Square<T> {
 
     /// Works `beside`: the factorisation writes above the diagonal, too.
     fn factorise(&mut self, rho: f64, beside: &mut Vec<T>) {
-        let (size, stride, square) = (self.size, self.stride(), &mut self.memory);
-        beside.resize(beside.len().max(square.len()), T::zero());
-        let factor = &mut beside[..square.len()];
-        copy_below(square, (size, stride), factor);
+        let (size, stride, packed) = (self.size, self.stride(), &mut self.memory);
+        beside.resize(beside.len().max(packed.len()), T::zero());
+        let factor = &mut beside[..packed.len()];
+        copy_below(packed, (size, stride), factor);
         let more = T::nearest(rho);
         for (j, diagonal) in self.diagonal.iter().enumerate() {
             factor[j * stride + j] = *diagonal + more;
@@ -325,11 +331,11 @@ impl<T: Scalar> Square<T> {
         self.has_lost_digits = info.dynamic_regularization_count > 0;
         for j in 0..size {
             let lower = j * stride + j..j * stride + size;
-            square[lower.clone()].copy_from_slice(&factor[lower]);
-            square[j * stride + size..(j + 1) * stride].fill(T::zero());
+            packed[lower.clone()].copy_from_slice(&factor[lower]);
+            packed[j * stride + size..(j + 1) * stride].fill(T::zero());
         }
         let tiles = (0..size).step_by(TILE);
-        let tiles = tiles.map(|first| inverse_tile(square, (size, stride), first));
+        let tiles = tiles.map(|first| inverse_tile(packed, (size, stride), first));
         self.tiles.clear();
         self.tiles.extend(tiles);
         self.rho = Some(rho);
@@ -342,7 +348,7 @@ impl<T: Scalar> Square<T> {
         }
         self.fetch();
         values.resize(self.stride(), T::zero());
-        solve_square(&self.memory, &self.tiles, values);
+        solve_packed(&self.memory, &self.tiles, values);
         values.truncate(self.size);
     }
 
@@ -362,8 +368,8 @@ impl<T: Scalar> Square<T> {
     }
 }
 
-fn as_matrix<T>(square: &mut [T], size: usize, stride: usize) -> MatMut<'_, T> {
-    MatMut::from_column_major_slice_with_stride_mut(square, size, size, stride)
+fn as_matrix<T>(packed: &mut [T], size: usize, stride: usize) -> MatMut<'_, T> {
+    MatMut::from_column_major_slice_with_stride_mut(packed, size, size, stride)
 }
 
 /// `to` plus or replaced by `weight · matrix · values`.
@@ -380,8 +386,8 @@ fn multiply<T: Scalar>(accum: Accum, to: &mut [T], matrix: MatRef<T>, values: &[
 }
 
 /// `L⁻¹` of the tile at column `first` of the diagonal; as if `L` went on with ones.
-fn inverse_tile<T: Scalar>(square: &[T], (size, stride): (usize, usize), first: usize) -> Tile<T> {
-    let element = |i: usize, j: usize| square[(first + j) * stride + first + i];
+fn inverse_tile<T: Scalar>(packed: &[T], (size, stride): (usize, usize), first: usize) -> Tile<T> {
+    let element = |i: usize, j: usize| packed[(first + j) * stride + first + i];
     let most = TILE.min(size - first);
     let mut inverse = [[T::zero(); TILE]; TILE];
     for (j, column) in inverse.iter_mut().enumerate() {
@@ -397,27 +403,27 @@ fn inverse_tile<T: Scalar>(square: &[T], (size, stride): (usize, usize), first: 
     inverse
 }
 
-/// `(L Lᵀ)⁻¹ values` in place, with `L` below the diagonal of `square`, column after column, and `tiles` the inverses of
+/// `(L Lᵀ)⁻¹ values` in place, with `L` below the diagonal of `packed`, column after column, and `tiles` the inverses of
 /// the tiles on it. `values` are as many as a column.
-fn solve_square<T: Scalar>(square: &[T], tiles: &[Tile<T>], values: &mut [T]) {
+fn solve_packed<T: Scalar>(packed: &[T], tiles: &[Tile<T>], values: &mut [T]) {
     let stride = values.len();
     simd(
         #[inline(always)]
         || {
             for (k, tile) in tiles.iter().enumerate() {
                 let (solved, rest) = values.split_at_mut((k + 1) * TILE);
-                let own = last_tile(solved);
-                *own = times(tile, own);
-                subtract_columns(below(square, stride, k), own, rest);
+                let current = last_tile(solved);
+                *current = times(tile, current);
+                subtract_columns(below(packed, stride, k), current, rest);
             }
             for (k, tile) in tiles.iter().enumerate().rev() {
                 let (before, rest) = values.split_at_mut((k + 1) * TILE);
-                let sums = sums_of_products(below(square, stride, k), rest);
-                let own = last_tile(before);
-                for (v, sum) in own.iter_mut().zip(sums) {
+                let sums = sums_of_products(below(packed, stride, k), rest);
+                let current = last_tile(before);
+                for (v, sum) in current.iter_mut().zip(sums) {
                     *v -= sum;
                 }
-                *own = tile.map(|column| dot(&column, own));
+                *current = tile.map(|column| dot(&column, current));
             }
         },
     );
@@ -430,12 +436,12 @@ fn last_tile<T>(values: &mut [T]) -> &mut [T; TILE] {
 
 /// The columns of tile `k`, from the row behind it on.
 #[inline(always)]
-fn below<T>(square: &[T], stride: usize, k: usize) -> [&[T]; TILE] {
+fn below<T>(packed: &[T], stride: usize, k: usize) -> [&[T]; TILE] {
     std::array::from_fn(|j| {
         let column = (k * TILE + j) * stride;
         // Behind the last tile is nothing, and its last columns may not be there.
         let rows = column + (k + 1) * TILE..column + stride;
-        square.get(rows).unwrap_or(&[])
+        packed.get(rows).unwrap_or(&[])
     })
 }
 
@@ -505,13 +511,13 @@ fn sums_of_products<T: Scalar>(columns: [&[T]; TILE], values: &[T]) -> [T; TILE]
 
 /// Writes what lies above the diagonal of a square below that of `to`: a transposition,
 /// tile by tile since columns are far apart. What is above the diagonal of `to` may be anything.
-fn copy_below<T: Scalar>(square: &[T], (size, stride): (usize, usize), to: &mut [T]) {
+fn copy_below<T: Scalar>(packed: &[T], (size, stride): (usize, usize), to: &mut [T]) {
     let whole = size - size % TILE;
     for column in (0..whole).step_by(TILE) {
         for row in (0..=column).step_by(TILE) {
             let mut tile = [[T::zero(); TILE]; TILE];
             for (i, line) in tile.iter_mut().enumerate() {
-                line.copy_from_slice(&square[(column + i) * stride + row..][..TILE]);
+                line.copy_from_slice(&packed[(column + i) * stride + row..][..TILE]);
             }
             for j in 0..TILE {
                 let line = &mut to[(row + j) * stride + column..][..TILE];
@@ -523,7 +529,7 @@ fn copy_below<T: Scalar>(square: &[T], (size, stride): (usize, usize), to: &mut 
     }
     for i in whole..size {
         for j in 0..i {
-            to[j * stride + i] = square[i * stride + j];
+            to[j * stride + i] = packed[i * stride + j];
         }
     }
 }
@@ -592,7 +598,7 @@ mod tests {
         for columns in [22, 13, 0, 3, 14, 11, 1] {
             let b = of(columns);
             blocks.refill(|_| true, ByColumns(b.clone()));
-            assert_eq!(blocks.blocks[0].few.is_some(), columns <= ROWS / 2);
+            assert_eq!(blocks.blocks[0].low_rank.is_some(), columns <= ROWS / 2);
             for &rho in rhos {
                 let mut y = [f32::NAN; ROWS];
                 blocks.solve(&r, rho, &mut y);

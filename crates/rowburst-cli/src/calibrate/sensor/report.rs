@@ -215,8 +215,8 @@ fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
 
 fn photon_transfer(found: &SensorCalibration) -> Plot<'static> {
     let points = |used: bool| -> Vec<(f64, f64)> {
-        let own = found.transfer.iter().filter(|p| p.used == used);
-        own.map(|p| (p.light, p.variance)).collect()
+        let matching = found.transfer.iter().filter(|p| p.used == used);
+        matching.map(|p| (p.light, p.variance)).collect()
     };
     let (used, left) = (points(true), points(false));
     let all = || used.iter().chain(&left);

@@ -77,12 +77,12 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
         .collect();
     let spectra: Vec<Spectrum> = flat.par_iter().map(|f| Spectrum::of(f, 0, 0)).collect();
     let energy: Vec<f64> = flat.iter().map(energy).collect();
-    let own = &spectra[reference];
+    let reference_spectrum = &spectra[reference];
 
     let first: Vec<((f64, f64), f64)> = (0..captures.len())
         .into_par_iter()
         .map(|i| {
-            let correlation = spectra[i].correlate(own);
+            let correlation = spectra[i].correlate(reference_spectrum);
             let peak = correlation.highest();
             let value = correlation.at(peak.0, peak.1) / (energy[i] * energy[reference]).sqrt();
             (correlation.refine(peak), value)
@@ -100,7 +100,11 @@ pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
             let shift = if fitted[i] {
                 shifts[i]
             } else {
-                near_prediction(&spectra[i].correlate(own), mapped(&fit, delta[i]), grain)
+                near_prediction(
+                    &spectra[i].correlate(reference_spectrum),
+                    mapped(&fit, delta[i]),
+                    grain,
+                )
             };
             (shift, registered(&flat[i], &flat[reference], shift))
         })

@@ -306,7 +306,7 @@ fn agreeing(shots: &[Shot], rates: &[Rate]) -> Result<Sorted> {
 
 /// Pearson's correlation of a capture with the mean of the `others`, over pixels that are
 /// not saturated in either.
-fn correlation(rate: &Rate, rates: &[Rate], others: &[usize], own: usize) -> f64 {
+fn correlation(rate: &Rate, rates: &[Rate], others: &[usize], index: usize) -> f64 {
     let mut sums = Sums::default();
     for p in 0..rate.full.len() {
         if rate.full[p] {
@@ -314,7 +314,7 @@ fn correlation(rate: &Rate, rates: &[Rate], others: &[usize], own: usize) -> f64
         }
         let (mut light, mut time) = (0.0, 0.0);
         for &i in others {
-            if i != own && !rates[i].full[p] {
+            if i != index && !rates[i].full[p] {
                 light += f64::from(rates[i].image.data()[p]) * rates[i].scale;
                 time += rates[i].exposure * rates[i].scale;
             }

@@ -24,7 +24,7 @@ const SPAN: f64 = 1.25;
 
 /// Part of the readings at the end of the counts below which it says nothing: single
 /// hot pixels reach it under any light.
-const FEW: f64 = 1e-3;
+const MAX_CLIPPED_FRACTION: f64 = 1e-3;
 
 /// Part of the readings at the end of the counts above which a frame is saturated.
 const SATURATED: f64 = 0.5;
@@ -89,7 +89,8 @@ pub fn end_of_counts(flats: &Stack, usable: &[bool]) -> Option<f64> {
     let frame = usable.iter().filter(|u| **u).count();
     // Where counts just run out, each count has a little fewer readings than the one
     // below it, never several times as many.
-    (at as f64 > FEW * frame as f64 && at > 20 && at > 3 * next).then_some(f64::from(end))
+    (at as f64 > MAX_CLIPPED_FRACTION * frame as f64 && at > 20 && at > 3 * next)
+        .then_some(f64::from(end))
 }
 
 /// Part of the usable pixels of frame `i` at `end` or above.
@@ -102,7 +103,7 @@ fn part_at(flats: &Stack, i: usize, end: f64, usable: &[bool]) -> f64 {
 impl Level {
     /// Whether so few readings are cut off that mean and variance can be trusted.
     pub fn is_whole(&self) -> bool {
-        self.clipped <= FEW
+        self.clipped <= MAX_CLIPPED_FRACTION
     }
 }
 

@@ -136,8 +136,8 @@ pub fn unstable_in_light(
         dof += count - 1.0;
         for &i in &level.frames {
             let pixels = flats.image(i).data();
-            let own = mean(pixels.iter().zip(dark).map(|(&p, d)| f64::from(p) - d));
-            let scale = mean_light / own;
+            let frame_mean = mean(pixels.iter().zip(dark).map(|(&p, d)| f64::from(p) - d));
+            let scale = mean_light / frame_mean;
             let readings = pixels.iter().zip(dark).zip(&light);
             squares
                 .iter_mut()

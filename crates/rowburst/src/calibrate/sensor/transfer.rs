@@ -185,8 +185,8 @@ fn add_pair(
 pub fn by_level(points: &[TransferPoint], levels: usize) -> Vec<Option<(f64, f64)>> {
     (0..levels)
         .map(|level| {
-            let own = points.iter().filter(|p| p.level == Some(level));
-            let (l, v, n) = own.fold((0.0, 0.0, 0.0), |(l, v, n), p| {
+            let level_points = points.iter().filter(|p| p.level == Some(level));
+            let (l, v, n) = level_points.fold((0.0, 0.0, 0.0), |(l, v, n), p| {
                 (
                     l + p.samples * p.light,
                     v + p.samples * p.variance,

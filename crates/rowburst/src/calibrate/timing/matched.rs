@@ -313,8 +313,8 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
     }
     let count = frames.len();
     let found: Optimum = minimise(&theta, &steps(count), &|t| residual_of(t, 0, count));
-    let own = (lamp.len() + steady.len() + 1) * count + 2;
-    let freedom = (count * rows) as f64 - own as f64;
+    let parameter_count = (lamp.len() + steady.len() + 1) * count + 2;
+    let freedom = (count * rows) as f64 - parameter_count as f64;
     let (errors, related) = found.errors(freedom, rows);
     let (tau, exposure) = (unit * found.theta[0].exp(), unit * found.theta[1].exp());
     let mut model = Vec::new();

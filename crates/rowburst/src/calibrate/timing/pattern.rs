@@ -50,10 +50,10 @@ pub(super) fn fit_without(
             let of = |a: &[Vec<f64>]| -> f64 {
                 a.iter().zip(&found.model).map(|(a, m)| a[r] * m[r]).sum()
             };
-            let own = of(&cleaned) / of(&found.model).max(f64::MIN_POSITIVE);
+            let brightness = of(&cleaned) / of(&found.model).max(f64::MIN_POSITIVE);
             // A row that is dark in all frames has no brightness of its own.
-            let own = own.clamp(0.1, 10.0);
-            cleaned.iter_mut().for_each(|y| y[r] /= own);
+            let brightness = brightness.clamp(0.1, 10.0);
+            cleaned.iter_mut().for_each(|y| y[r] /= brightness);
         }
         found = periodic::fit(&cleaned, k, found.cycles_per_row, harmonics);
     }

@@ -109,7 +109,7 @@ fn round(
     let optimum = minimise(&[start], &[step], &residual);
     let nu = optimum.theta[0];
     let waves = waves(nu, k, count);
-    let own = (2 * count + 2 * profile.len() - 1) * frames.len();
+    let parameter_count = (2 * count + 2 * profile.len() - 1) * frames.len();
     let mut found = PeriodicFit {
         cycles_per_row: nu,
         optimum,
@@ -118,7 +118,7 @@ fn round(
         gain: gain.to_vec(),
         steady: Vec::new(),
         profile: profile.clone(),
-        freedom: (frames.len() * k.len()) as f64 - own as f64 - 1.0,
+        freedom: (frames.len() * k.len()) as f64 - parameter_count as f64 - 1.0,
         loss: 1.0,
     };
     for (y, gain) in frames.iter().zip(gain) {

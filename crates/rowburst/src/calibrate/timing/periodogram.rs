@@ -63,9 +63,9 @@ impl Periodogram {
         let reach = (16.0 * cycle).max(0.5 * at as f64);
         let low = (at as f64 - reach).max(cycle) as usize;
         let high = ((at as f64 + reach.max(at as f64)) as usize).min(self.power.len());
-        let own = 3.0 * cycle;
+        let half_width = 3.0 * cycle;
         let mut around: Vec<f64> = (low..high)
-            .filter(|&i| (i as f64 - at as f64).abs() > own)
+            .filter(|&i| (i as f64 - at as f64).abs() > half_width)
             .map(|i| self.power[i])
             .collect();
         if around.is_empty() {

@@ -68,8 +68,8 @@ pub(super) fn fit(
         }
     }
     let best = best?;
-    let own = (1 + 2 * free.profile.len()) * frames.len() + best.theta.len();
-    let freedom = (frames.len() * k.len()) as f64 - own as f64;
+    let parameter_count = (1 + 2 * free.profile.len()) * frames.len() + best.theta.len();
+    let freedom = (frames.len() * k.len()) as f64 - parameter_count as f64;
     let (errors, _) = best.errors(freedom, k.len());
     let near_half = |part: f64| (part - 0.5).abs() < NEAR_HALF;
     let exposure = (within(best.theta[1]), errors[1]);
