@@ -78,9 +78,15 @@ impl Precision {
     }
 
     /// A step of an iteration, in which `r` changes less and less; whether `ρ` was not lost in rounding.
-    fn follow(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
+    fn solve_incremental(
+        &mut self,
+        r: &[f32],
+        rho: f64,
+        y: &mut [f32],
+        gram_y: &mut [f32],
+    ) -> bool {
         match self {
-            Self::Single(blocks) => blocks.follow(r, rho, y, gram_y),
+            Self::Single(blocks) => blocks.solve_incremental(r, rho, y, gram_y),
             Self::Double(blocks) => {
                 blocks.solve_along(r, rho, y, gram_y);
                 !blocks.has_lost_digits()
@@ -221,9 +227,9 @@ impl FrameData {
         let usable = |of: &Option<Vec<f32>>| -> Option<Vec<bool>> {
             of.as_ref().map(|w| w.iter().map(|w| *w > 0.0).collect())
         };
-        let follows = self.noise.is_some() && measurement.noise().is_some();
+        let uses_noise_law = self.noise.is_some() && measurement.noise().is_some();
         if weights == self.first_weights
-            || (follows && usable(&weights) == usable(&self.first_weights))
+            || (uses_noise_law && usable(&weights) == usable(&self.first_weights))
         {
             self.weigh_frame();
             return;
@@ -363,7 +369,7 @@ impl DataTerm for FrameData {
         }
         match &mut self.gram {
             Gram::Exact(blocks) => {
-                let is_good = blocks.follow(r, rho, y, gram_y);
+                let is_good = blocks.solve_incremental(r, rho, y, gram_y);
                 if is_good || matches!(blocks, Precision::Double(_)) {
                     return is_good;
                 }
@@ -484,7 +490,7 @@ impl DataTerm for FrameData {
         write_parts(&video, target, write);
     }
 
-    fn follow(&mut self, video: &[f32]) -> bool {
+    fn update_weights(&mut self, video: &[f32]) -> bool {
         let Some(noise) = &self.noise else {
             return false;
         };
@@ -834,7 +840,7 @@ mod tests {
         let held_out = data.held_out();
         data.start(SecondPart::Still, Some(held_out.clone()));
         let n = data.operator().domain_len();
-        assert!(data.follow(&vec![2.0; n]));
+        assert!(data.update_weights(&vec![2.0; n]));
         // Both parts show 2: a light of 4 everywhere.
         let mut light = vec![0.0; 240];
         data.shutter()

@@ -64,7 +64,7 @@ struct Block<T> {
     last: Option<Last>,
 }
 
-/// `(G + ρI) y = r` of a block, at the last step that was [followed](Blocks::follow).
+/// `(G + ρI) y = r` of a block, at the last step that was [followed](Blocks::solve_incremental).
 struct Last {
     rho: f64,
     r: Vec<f32>,
@@ -123,11 +123,19 @@ impl<T: Scalar> Blocks<T> {
     ///
     /// # Panics
     /// If a block is not finite.
-    pub fn follow(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
+    pub fn solve_incremental(
+        &mut self,
+        r: &[f32],
+        rho: f64,
+        y: &mut [f32],
+        gram_y: &mut [f32],
+    ) -> bool {
         let parts: Vec<Vec<(f32, f32)>> = self
             .blocks
             .par_iter_mut()
-            .map_init(Vec::new, |beside, block| block.follow(r, rho, beside))
+            .map_init(Vec::new, |beside, block| {
+                block.solve_incremental(r, rho, beside)
+            })
             .collect();
         self.has_lost_digits = self.blocks.iter().any(Block::has_lost_digits);
         for (block, part) in self.blocks.iter().zip(&parts) {
@@ -233,8 +241,8 @@ impl<T: Scalar> Block<T> {
         packed.has_lost_digits
     }
 
-    /// See [`Blocks::follow`]: `y` and `G y`.
-    fn follow(&mut self, r: &[f32], rho: f64, beside: &mut Vec<T>) -> Vec<(f32, f32)> {
+    /// See [`Blocks::solve_incremental`]: `y` and `G y`.
+    fn solve_incremental(&mut self, r: &[f32], rho: f64, beside: &mut Vec<T>) -> Vec<(f32, f32)> {
         let r: Vec<f32> = self.indices.iter().map(|&i| r[i]).collect();
         let (mut y, mut change): (Vec<f64>, Vec<T>) = match self.last.take() {
             None => (vec![0.0; r.len()], r.iter().map(|&r| T::from(r)).collect()),

@@ -126,7 +126,7 @@ pub trait DataTerm: Send {
 
     /// Follows the light of `video`, where the noise depends on it: whether `A` and `b`, of
     /// which the weights are a part, have changed.
-    fn follow(&mut self, _video: &[f32]) -> bool {
+    fn update_weights(&mut self, _video: &[f32]) -> bool {
         false
     }
 }

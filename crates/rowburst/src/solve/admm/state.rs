@@ -42,8 +42,8 @@ const FULL_DETAIL: usize = 20;
 const FIRST_GUESS: f64 = 10.0;
 /// Iterations from one look at the light that the noise depends on to the next, at first;
 /// later, when it moves little, five times as many.
-const FOLLOW_EVERY: usize = 20;
-const FOLLOW_OFTEN: usize = 100;
+const WEIGHT_UPDATE_INTERVAL: usize = 20;
+const FREQUENT_UPDATES_UNTIL: usize = 100;
 /// First iteration that counts the degrees of freedom: before, everything is lit.
 const COUNT_AFTER: usize = 15;
 /// Largest part of the measurements that the fit is allowed to spend.
@@ -146,7 +146,7 @@ impl State {
             TauRule::Discrepancy { sigma } => {
                 self.bound = sigma * (data.informative() as f64).sqrt();
             }
-            TauRule::Fixed(tau) if self.beta > 0.0 => self.follow_tau(tau),
+            TauRule::Fixed(tau) if self.beta > 0.0 => self.set_rho_for_tau(tau),
             TauRule::Fixed(_) => {}
         }
     }
@@ -306,9 +306,9 @@ impl State {
         if params.support && SupportEstimator::is_due(k) {
             self.restrict(data, prior);
         }
-        if (k <= FOLLOW_OFTEN || k.is_multiple_of(5 * FOLLOW_EVERY))
-            && k.is_multiple_of(FOLLOW_EVERY)
-            && data.follow(&self.z)
+        if (k <= FREQUENT_UPDATES_UNTIL || k.is_multiple_of(5 * WEIGHT_UPDATE_INTERVAL))
+            && k.is_multiple_of(WEIGHT_UPDATE_INTERVAL)
+            && data.update_weights(&self.z)
         {
             data.operator().apply(&self.z, &mut self.az);
             data.operator().apply(&self.q, &mut self.aq);
@@ -349,12 +349,12 @@ impl State {
         let beta = part * brightness;
         self.beta = beta;
         if let TauRule::Fixed(tau) = self.rule {
-            self.follow_tau(tau);
+            self.set_rho_for_tau(tau);
         }
     }
 
     /// `ρ = τ/β`; where the data step has no digits for that, a smaller `β`.
-    fn follow_tau(&mut self, tau: f64) {
+    fn set_rho_for_tau(&mut self, tau: f64) {
         self.rho = tau / self.beta;
         if self.rho < self.least_rho {
             self.rho = self.least_rho;
