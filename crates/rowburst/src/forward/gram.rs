@@ -26,12 +26,12 @@ const COLUMNS_AT_ONCE: usize = 128;
 
 /// Columns of a sensor from which on blocks stay f32, and the products of PSF columns are taken in f32, in half of the
 /// time. The sums that run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each
-/// element, 1e-6 in the norm of the block, where [`LEAST_RHO`] is ten times as much.
+/// element, 1e-6 in the norm of the block, where [`MIN_RHO`] is ten times as much.
 const SINGLE_FROM: usize = 1024;
 
 /// Smallest `ρ` over a diagonal element of the block, of such sensors and of others, whose f64 factors have no
 /// digits left below it.
-const LEAST_RHO: (f64, f64) = (1e-5, 1e-9);
+const MIN_RHO: (f64, f64) = (1e-5, 1e-9);
 
 /// Bytes of an element of a block of a sensor of so many columns, at most.
 pub(crate) fn element_bytes(columns: usize) -> usize {
@@ -206,10 +206,10 @@ impl RollingShutter {
     }
 
     /// Smallest `ρ` over the typical size of a diagonal element for which `(G + ρI)⁻¹` has digits.
-    pub fn least_rho(&self) -> f64 {
+    pub fn min_rho(&self) -> f64 {
         match self.geometry.columns >= SINGLE_FROM {
-            true => LEAST_RHO.0,
-            false => LEAST_RHO.1,
+            true => MIN_RHO.0,
+            false => MIN_RHO.1,
         }
     }
 
@@ -404,7 +404,7 @@ pub(super) mod tests {
         operator.add_shifted::<f32, f64>(1, &psf, 1.0, single.as_mut());
         operator.add_shifted::<f64, f64>(1, &psf, 1.0, double.as_mut());
         let error = (&single - &double).norm_max() / double[(0, 0)];
-        assert!(0.0 < error && error < 0.1 * LEAST_RHO.0, "{error}");
+        assert!(0.0 < error && error < 0.1 * MIN_RHO.0, "{error}");
     }
 
     #[test]

@@ -20,10 +20,10 @@ use std::sync::Arc;
 const WIDE: usize = 1024;
 
 /// Smallest `ρ` over the typical size of a diagonal element of `A Aᵀ` where no block limits it.
-const LEAST_RHO: f64 = 1e-9;
+const MIN_RHO: f64 = 1e-9;
 
 /// Where `ρ` is smaller the blocks are f64: the rounding of f32 blocks and factors is near 1e-6 of the diagonal in norm.
-const LEAST_RHO_SINGLE: f64 = 1e-5;
+const MIN_RHO_SINGLE: f64 = 1e-5;
 
 /// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
 pub(super) struct FrameData {
@@ -89,7 +89,7 @@ impl Precision {
             Self::Single(blocks) => blocks.solve_incremental(r, rho, y, gram_y),
             Self::Double(blocks) => {
                 blocks.solve_along(r, rho, y, gram_y);
-                !blocks.has_lost_digits()
+                !blocks.is_ill_conditioned()
             }
         }
     }
@@ -353,17 +353,17 @@ impl DataTerm for FrameData {
         self.model.scale()
     }
 
-    fn least_rho(&self) -> f64 {
+    fn min_rho(&self) -> f64 {
         // Without blocks nothing is factored.
         let least = match self.model.gram_bytes() {
-            Some(_) => self.shutter().least_rho(),
-            None => LEAST_RHO,
+            Some(_) => self.shutter().min_rho(),
+            None => MIN_RHO,
         };
         least * self.scale()
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        let least = LEAST_RHO_SINGLE * self.most_weight * self.scale();
+        let least = MIN_RHO_SINGLE * self.most_weight * self.scale();
         if matches!(self.gram, Gram::Exact(Precision::Single(..))) && rho < least {
             self.replace_blocks(true);
         }
@@ -385,7 +385,7 @@ impl DataTerm for FrameData {
                 };
                 let mut solve = |r: &[f32], y: &mut [f32]| blocks.solve(r, rho, y);
                 let is_good = bordered.solve(&mut solve, &border, &inverse, (r, rho), y, gram_y);
-                is_good && !blocks.has_lost_digits()
+                is_good && !blocks.is_ill_conditioned()
             }
             Gram::Iterative(solver) => {
                 let operator: &dyn LinearOperator = match self.second {

@@ -88,7 +88,7 @@ impl DataStep {
     /// the last one a Cholesky factor of each block besides.
     pub fn prox(&mut self, p: &[f32], step: f64) -> Result<Vec<f32>> {
         let rho = 1.0 / step;
-        let least = self.data.least_rho();
+        let least = self.data.min_rho();
         if !(rho.is_finite() && rho >= least) {
             return Err(Error::input(
                 "step",

@@ -50,7 +50,7 @@ impl<T, F: Fn(usize, MatMut<T>) + Sync> BlockSource<T> for F {
 /// The diagonal blocks of `G`; together they cover every element once.
 pub struct Blocks<T> {
     blocks: Vec<Block<T>>,
-    has_lost_digits: bool,
+    is_ill_conditioned: bool,
 }
 
 /// A diagonal block of `G`.
@@ -82,7 +82,7 @@ struct PackedCholesky<T> {
     tiles: Vec<Tile<T>>,
     /// Of the factor, if there is one, and whether one of its pivots was lost in rounding.
     rho: Option<f64>,
-    has_lost_digits: bool,
+    is_ill_conditioned: bool,
 }
 
 /// Side of the tiles that a factor is solved by: what a vector of the processor holds of f32.
@@ -105,7 +105,7 @@ impl<T: Scalar> Blocks<T> {
         };
         let mut blocks = Self {
             blocks: indices.into_iter().map(empty).collect(),
-            has_lost_digits: false,
+            is_ill_conditioned: false,
         };
         blocks.refill(|_| true, source);
         blocks
@@ -113,8 +113,8 @@ impl<T: Scalar> Blocks<T> {
 
     /// Whether rounding has changed a pivot of one of the factors so far: `ρ` is too small for `T`, and the last solution
     /// is that of other blocks.
-    pub fn has_lost_digits(&self) -> bool {
-        self.has_lost_digits
+    pub fn is_ill_conditioned(&self) -> bool {
+        self.is_ill_conditioned
     }
 
     /// `(G + ρI) y = r` and `G y` in a step of an iteration, in which `r` changes less and less; whether `ρ` was not lost
@@ -137,13 +137,13 @@ impl<T: Scalar> Blocks<T> {
                 block.solve_incremental(r, rho, beside)
             })
             .collect();
-        self.has_lost_digits = self.blocks.iter().any(Block::has_lost_digits);
+        self.is_ill_conditioned = self.blocks.iter().any(Block::is_ill_conditioned);
         for (block, part) in self.blocks.iter().zip(&parts) {
             for (values, &at) in part.iter().zip(&block.indices) {
                 (y[at], gram_y[at]) = *values;
             }
         }
-        !self.has_lost_digits
+        !self.is_ill_conditioned
     }
 
     /// The next step is the first one.
@@ -186,7 +186,7 @@ impl<T: Scalar> GramSolver for Blocks<T> {
                 y
             })
             .collect();
-        self.has_lost_digits = self.blocks.iter().any(Block::has_lost_digits);
+        self.is_ill_conditioned = self.blocks.iter().any(Block::is_ill_conditioned);
         for (block, part) in self.blocks.iter().zip(&parts) {
             for (&value, &at) in part.iter().zip(&block.indices) {
                 let value: f64 = value.into();
@@ -233,12 +233,12 @@ impl<T: Scalar> Block<T> {
         self.low_rank = Some((columns, packed));
     }
 
-    fn has_lost_digits(&self) -> bool {
+    fn is_ill_conditioned(&self) -> bool {
         let packed = self
             .low_rank
             .as_ref()
             .map_or(&self.gram, |(_, packed)| packed);
-        packed.has_lost_digits
+        packed.is_ill_conditioned
     }
 
     /// See [`Blocks::solve_incremental`]: `y` and `G y`.
@@ -291,7 +291,7 @@ impl<T: Scalar> PackedCholesky<T> {
             diagonal: Vec::new(),
             tiles: Vec::new(),
             rho: None,
-            has_lost_digits: false,
+            is_ill_conditioned: false,
         }
     }
 
@@ -336,7 +336,7 @@ impl<T: Scalar> PackedCholesky<T> {
             Spec::default(),
         )
         .expect("G is finite and positive semi-definite");
-        self.has_lost_digits = info.dynamic_regularization_count > 0;
+        self.is_ill_conditioned = info.dynamic_regularization_count > 0;
         for j in 0..size {
             let lower = j * stride + j..j * stride + size;
             packed[lower.clone()].copy_from_slice(&factor[lower]);
@@ -610,7 +610,7 @@ mod tests {
             for &rho in rhos {
                 let mut y = [f32::NAN; ROWS];
                 blocks.solve(&r, rho, &mut y);
-                assert!(!blocks.has_lost_digits());
+                assert!(!blocks.is_ill_conditioned());
                 let y = Mat::from_fn(ROWS, 1, |i, _| f64::from(y[i]));
                 let whole =
                     &b * b.transpose() + Mat::<f64>::identity(ROWS, ROWS) * faer::Scale(rho);
@@ -642,9 +642,9 @@ mod tests {
         let ones = |_: usize, mut block: MatMut<f32>| block.fill(1.0);
         let mut blocks = Blocks::new(vec![(0..ROWS).collect()], ones);
         let mut y = [0.0; ROWS];
-        for (rho, is_lost) in [(1e-2, false), (1e-9, true), (1e-2, false)] {
+        for (rho, is_ill_conditioned) in [(1e-2, false), (1e-9, true), (1e-2, false)] {
             blocks.solve(&[1.0; ROWS], rho, &mut y);
-            assert_eq!(blocks.has_lost_digits(), is_lost);
+            assert_eq!(blocks.is_ill_conditioned(), is_ill_conditioned);
         }
     }
 }

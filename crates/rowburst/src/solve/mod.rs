@@ -77,7 +77,7 @@ pub trait DataTerm: Send {
     fn scale(&self) -> f64;
 
     /// Smallest `ρ` for which [`Self::solve_gram`] has digits.
-    fn least_rho(&self) -> f64 {
+    fn min_rho(&self) -> f64 {
         0.0
     }
 

@@ -53,8 +53,8 @@ const FIRST_RHO: f64 = 0.01;
 const WIDE_FIRST_RHO: f64 = 0.0015;
 /// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
 /// bound, and the dual would grow without end. On a wide sensor `ρ` is farther from its end there.
-const LOWEST_RHO: f64 = 0.3;
-const WIDE_LOWEST_RHO: f64 = 0.1;
+const MIN_RHO_RATIO: f64 = 0.3;
+const LARGE_MIN_RHO_RATIO: f64 = 0.1;
 /// Data steps in a row that may be solved worse than asked for: the first ones start
 /// from nothing.
 const MOST_POOR_STEPS: usize = 3;
@@ -76,9 +76,9 @@ pub(super) struct State {
     /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last data step: `ρ y = b − A x`.
     y: Vec<f32>,
     rho: f64,
-    lowest_rho: f64,
-    /// See [`DataTerm::least_rho`].
-    least_rho: f64,
+    rho_lower_bound: f64,
+    /// See [`DataTerm::min_rho`].
+    min_rho: f64,
     /// Data steps in a row that were solved worse than asked for.
     poor_steps: usize,
     beta: f64,
@@ -119,8 +119,8 @@ impl State {
             aq: vec![0.0; m],
             y: vec![0.0; m],
             rho: first_rho * data.scale(),
-            lowest_rho: (1e-7 * data.scale()).max(data.least_rho()),
-            least_rho: data.least_rho(),
+            rho_lower_bound: (1e-7 * data.scale()).max(data.min_rho()),
+            min_rho: data.min_rho(),
             poor_steps: 0,
             beta: 0.0,
             rising_brightness: vec![f64::MIN_POSITIVE; shape.bins],
@@ -273,8 +273,8 @@ impl State {
             if self.poor_steps >= MOST_POOR_STEPS {
                 // The smaller ρ, the harder the step: misfit that comes of poor steps would
                 // drive it to nothing.
-                self.lowest_rho = self.lowest_rho.max(2.0 * self.rho);
-                self.rho = self.lowest_rho;
+                self.rho_lower_bound = self.rho_lower_bound.max(2.0 * self.rho);
+                self.rho = self.rho_lower_bound;
                 self.poor_steps = 0;
             }
             // ‖b − A x‖ grows with ρ, at most in proportion.
@@ -291,7 +291,7 @@ impl State {
             let is_due =
                 !is_open || (has_settled && self.iterations.is_multiple_of(WIDE_OPEN_EVERY));
             if is_due && !(least..most).contains(&correction) {
-                self.rho = (self.rho * correction).clamp(self.lowest_rho, 1e7 * data.scale());
+                self.rho = (self.rho * correction).clamp(self.rho_lower_bound, 1e7 * data.scale());
             }
             if k > COUNT_AFTER && k.is_multiple_of(10) {
                 let m = data.informative() as f64;
@@ -356,8 +356,8 @@ impl State {
     /// `ρ = τ/β`; where the data step has no digits for that, a smaller `β`.
     fn set_rho_for_tau(&mut self, tau: f64) {
         self.rho = tau / self.beta;
-        if self.rho < self.least_rho {
-            self.rho = self.least_rho;
+        if self.rho < self.min_rho {
+            self.rho = self.min_rho;
             self.beta = tau / self.rho;
         }
     }
@@ -388,10 +388,10 @@ impl State {
             .update(&self.z[..voxels], bright, underfit_bins);
         if was_open && self.support_estimator.fraction() < 1.0 {
             let part = match data.is_wide() {
-                true => WIDE_LOWEST_RHO,
-                false => LOWEST_RHO,
+                true => LARGE_MIN_RHO_RATIO,
+                false => MIN_RHO_RATIO,
             };
-            self.lowest_rho = self.lowest_rho.max(part * self.rho);
+            self.rho_lower_bound = self.rho_lower_bound.max(part * self.rho);
         }
         prior.restrict(&support);
         // What goes dark leaves the dual u = q − z as it was.
