@@ -130,7 +130,7 @@ impl Data {
             ..AdmmParams::new(TauRule::Fixed(tau))
         };
         let mut prior = Variation::new(shape, weights);
-        admm::solve(self, &mut prior, shape, &params, &mut go_on)
+        admm::solve(self, &mut prior, shape, &params, &mut never_stop)
     }
 }
 
@@ -181,7 +181,7 @@ impl DataTerm for Data {
     }
 }
 
-fn go_on(_: &Progress) -> ControlFlow<StopReason> {
+fn never_stop(_: &Progress) -> ControlFlow<StopReason> {
     ControlFlow::Continue(())
 }
 
@@ -273,7 +273,7 @@ fn all_agree(weights: VariationWeights, part: f64, threshold: f64, most: usize) 
         } else {
             most
         };
-        let found = solver.solve(&objective, None, limits(most, 5e-5), &mut go_on);
+        let found = solver.solve(&objective, None, limits(most, 5e-5), &mut never_stop);
         println!(
             "{solver:?} {:?}: {:.6e}, {} iterations; {}",
             begin.elapsed(),
@@ -339,7 +339,7 @@ fn two_pixels_by_hand() {
             if weights != L1 && matches!(solver, Solver::Gpsr(_)) {
                 continue;
             }
-            let found = solver.solve(&objective, None, limits(3000, 1e-7), &mut go_on);
+            let found = solver.solve(&objective, None, limits(3000, 1e-7), &mut never_stop);
             for (v, e) in found.video.iter().zip(expected) {
                 assert!((v - e).abs() < 2e-3, "{solver:?} {tau}: {:?}", found.video);
             }
@@ -374,7 +374,7 @@ fn three_pixels_by_brute_force() {
         check("default", objective.value(&default.video));
         for solver in EVERY {
             if weights == L1 || !matches!(solver, Solver::Gpsr(_)) {
-                let found = solver.solve(&objective, None, limits(5000, 1e-6), &mut go_on);
+                let found = solver.solve(&objective, None, limits(5000, 1e-6), &mut never_stop);
                 check(&format!("{solver:?}"), found.certificate.primal);
                 let dual = found.certificate.dual;
                 assert!(
@@ -416,7 +416,7 @@ fn the_gap_bounds_the_distance_to_the_minimum_along_every_solver() {
     let data = Data::frame();
     for (weights, part) in [(L1, 0.1), (ALL, 0.003)] {
         let objective = data.objective(weights, data.tau(part));
-        let reference = Solver::Fista.solve(&objective, None, limits(400, 1e-4), &mut go_on);
+        let reference = Solver::Fista.solve(&objective, None, limits(400, 1e-4), &mut never_stop);
         let least = reference.certificate.primal;
         for solver in EVERY {
             if weights != L1 && matches!(solver, Solver::Gpsr(_)) {
@@ -432,7 +432,7 @@ fn the_gap_bounds_the_distance_to_the_minimum_along_every_solver() {
                     assert!(certificate.dual <= least * (1.0 + 1e-6), "{solver:?}");
                     excesses.push(certificate.excess());
                 }
-                go_on(p)
+                never_stop(p)
             });
             println!("{solver:?} {excesses:?}");
             assert_eq!(excesses.len(), stages.len());
@@ -455,7 +455,7 @@ fn gpsr_descends_in_every_step() {
             let now = objective.value(p.video);
             worst = worst.max(now / last - 1.0);
             last = now;
-            go_on(p)
+            never_stop(p)
         });
     assert_eq!(found.iterations, 400);
     assert!(worst < 1e-6, "rises by {worst}");
@@ -474,7 +474,7 @@ fn the_result_of_another_solver_is_certified() {
         &objective,
         Some(&default.video),
         limits(100, 1e-4),
-        &mut go_on,
+        &mut never_stop,
     );
     let certificate = Certificate {
         primal,
@@ -490,7 +490,7 @@ fn a_warm_start_is_a_start_from_there() {
     let data = Data::frame();
     let objective = data.objective(L1, data.tau(0.2));
     for solver in EVERY {
-        let found = solver.solve(&objective, None, limits(4000, 3e-4), &mut go_on);
+        let found = solver.solve(&objective, None, limits(4000, 3e-4), &mut never_stop);
         assert_eq!(
             found.stop_reason,
             StopReason::Converged,
@@ -501,7 +501,7 @@ fn a_warm_start_is_a_start_from_there() {
             &objective,
             Some(&found.video),
             limits(4000, 3e-4),
-            &mut go_on,
+            &mut never_stop,
         );
         println!("{solver:?} {} {}", found.iterations, again.iterations);
         assert!(again.iterations < found.iterations / 2, "{solver:?}");
@@ -522,8 +522,8 @@ fn nothing_depends_on_the_units_of_the_frame() {
         );
         for solver in EVERY {
             if weights == L1 || !matches!(solver, Solver::Gpsr(_)) {
-                let a = solver.solve(&one, None, limits(60, 0.0), &mut go_on);
-                let b = solver.solve(&other, None, limits(60, 0.0), &mut go_on);
+                let a = solver.solve(&one, None, limits(60, 0.0), &mut never_stop);
+                let b = solver.solve(&other, None, limits(60, 0.0), &mut never_stop);
                 let expected: Vec<f32> = a.video.iter().map(|v| 1024.0 * v).collect();
                 let error = rowburst::vecmath::distance_squared(&b.video, &expected).sqrt();
                 assert!(
@@ -565,7 +565,7 @@ fn darkness_is_certified_where_it_is_the_answer() {
     let text = certificate.to_string();
     assert_eq!(text, "the objective is within 0.001 % of its minimum");
     for solver in EVERY {
-        let found = solver.solve(&objective, None, Limits::default(), &mut go_on);
+        let found = solver.solve(&objective, None, Limits::default(), &mut never_stop);
         assert_eq!(found.iterations, 1, "{solver:?}");
     }
 }
@@ -583,6 +583,7 @@ fn what_cannot_be_solved_is_refused() {
         .unwrap();
     assert!(error.to_string().contains("tdiff"), "{error}");
     let objective = data.objective(TV, 1.0);
-    let error = gpsr_bb::solve(&objective, None, &GpsrParams::default(), &mut go_on).unwrap_err();
+    let error =
+        gpsr_bb::solve(&objective, None, &GpsrParams::default(), &mut never_stop).unwrap_err();
     assert!(error.to_string().contains("l1 alone"), "{error}");
 }

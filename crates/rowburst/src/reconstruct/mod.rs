@@ -223,7 +223,7 @@ impl Problem {
             history.push(progress.residual_rms);
             observer(progress)
         });
-        self.conclude(found.unwrap_or_else(|so_far| *so_far), &history)
+        self.conclude(found.unwrap_or_else(|partial| *partial), &history)
     }
 
     /// Judges what was found.
@@ -367,7 +367,7 @@ impl Problem {
         let mut prox = prior.prox(shape);
         let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
         let mut run = Admm::new(&self.data, shape, params);
-        let mut go_on = |run: &mut Admm, data: &mut FrameData, until| {
+        let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
                 show(prior.second_part(), shape, progress, observer)
             })
@@ -375,18 +375,18 @@ impl Problem {
         let mut stop_reason = None;
         if strength != 1.0 && matches!(rule, TauRule::Discrepancy { .. }) {
             // As in the trial: first to where the principle leads, then on from there.
-            run.stop_at(choose::TOLERANCE);
-            let reason = go_on(&mut run, &mut self.data, 2 * params.max_iterations / 3);
+            run.set_tolerance(choose::TOLERANCE);
+            let reason = run_until(&mut run, &mut self.data, 2 * params.max_iterations / 3);
             match reason {
                 StopReason::TimeBudget | StopReason::Interrupted => stop_reason = Some(reason),
                 _ => {
-                    run.aim_at(TauRule::Fixed(strength * run.tau()), &self.data);
-                    run.stop_at(params.tolerance);
+                    run.set_tau_rule(TauRule::Fixed(strength * run.tau()), &self.data);
+                    run.set_tolerance(params.tolerance);
                 }
             }
         }
-        let stop_reason =
-            stop_reason.unwrap_or_else(|| go_on(&mut run, &mut self.data, params.max_iterations));
+        let stop_reason = stop_reason
+            .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
         let solution = run.solution(&self.data, &*prox, stop_reason);
         // Stopped soon after its start: the trial of this prior was nearer.
         if let (StopReason::Interrupted | StopReason::TimeBudget, Some(tried)) =

@@ -94,7 +94,7 @@ impl Sequence {
         let mut problem = Problem::of(&self.model, measurement, self.recipe)?;
         let rule = match problem.rule(observer) {
             Ok(rule) => rule,
-            Err(so_far) => return Ok(Err(Box::new(problem.conclude(*so_far, &[])?))),
+            Err(partial) => return Ok(Err(Box::new(problem.conclude(*partial, &[])?))),
         };
         let (shape, prior) = (problem.data.shape(), problem.prior());
         problem.data.start(prior.second_part(), None);
@@ -121,7 +121,7 @@ impl Last {
     ) -> StopReason {
         let shape = self.problem.data.shape();
         let second = self.problem.prior().second_part();
-        let (data, most) = (&mut self.problem.data, self.run.most_iterations());
+        let (data, most) = (&mut self.problem.data, self.run.max_iterations());
         self.run.run(data, &mut *self.prox, most, &mut |progress| {
             history.push(progress.residual_rms);
             super::show(second, shape, progress, observer)
@@ -130,7 +130,7 @@ impl Last {
 
     fn conclude(&mut self, reason: StopReason, history: &[f64]) -> Result<Reconstruction> {
         let (problem, prox) = (&self.problem, &*self.prox);
-        let solution = self.run.so_far(&problem.data, prox, reason);
+        let solution = self.run.snapshot(&problem.data, prox, reason);
         let found = Found::new(problem.prior(), prox, problem.data.shape(), solution);
         problem.conclude(found, history)
     }
@@ -152,13 +152,13 @@ impl Last {
         if problem.recipe.tau == Tau::Auto {
             let sigma = problem.sigma;
             let rule = TauRule::Discrepancy { sigma };
-            self.run.aim_at(rule, &problem.data);
+            self.run.set_tau_rule(rule, &problem.data);
         }
         // A run that was stopped early has no video yet that could explain anything.
         if !self.run.is_warming_up() && !explains(problem, self.run.video()) {
             return None;
         }
-        self.run.go_on(&problem.data);
+        self.run.warm_start(&problem.data);
         Some(self)
     }
 }

@@ -79,7 +79,7 @@ pub(in crate::reconstruct) fn noise_level(
             break;
         }
         sigma *= FALL;
-        run.aim_at(rule(sigma), data);
+        run.set_tau_rule(rule(sigma), data);
     }
     drop((run, prox));
     let level = highest.unwrap_or(sigma);

@@ -78,9 +78,9 @@ impl Trial {
         let given_up = loop {
             // In pieces: an observer cannot ask the data for the held-out error.
             let until = (self.run.iterations() + LOOK_EVERY).max(EARLY);
-            let (error, ended) = match self.go_on(data, until, observer) {
+            let (error, ended) = match self.run_until(data, until, observer) {
                 Ok(seen) => seen,
-                Err(reason) => return Err(self.so_far(data, reason)),
+                Err(reason) => return Err(self.into_result(data, reason)),
             };
             let then = best.get(errors.len()).or(best.last());
             let limit = if self.run.iterations() < LATE {
@@ -102,7 +102,7 @@ impl Trial {
         if is_free && !given_up && found.error <= worth {
             found = match self.tune(data, found, observer) {
                 Ok(found) => found,
-                Err(reason) => return Err(self.so_far(data, reason)),
+                Err(reason) => return Err(self.into_result(data, reason)),
             };
         }
         let candidate = Candidate {
@@ -113,7 +113,7 @@ impl Trial {
             given_up,
         };
         let reason = StopReason::IterationLimit;
-        Ok((candidate, errors, self.so_far(data, reason)))
+        Ok((candidate, errors, self.into_result(data, reason)))
     }
 
     /// Goes on with half of `τ`, or twice, as long as the held-out error falls; where it was
@@ -129,9 +129,9 @@ impl Trial {
         for direction in [1.0 / STRENGTH, STRENGTH] {
             let mut factor = direction;
             while (1.0 / FARTHEST..=FARTHEST).contains(&factor) {
-                self.run.aim_at(TauRule::Fixed(factor * tau), data);
+                self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
                 let until = self.run.iterations() + STRENGTH_ITERATIONS;
-                let (error, _) = self.go_on(data, until, observer)?;
+                let (error, _) = self.run_until(data, until, observer)?;
                 if error >= (1.0 - margin) * best.error || error.is_nan() {
                     break;
                 }
@@ -150,7 +150,7 @@ impl Trial {
     }
 
     /// Iterates up to `until` or the end; the held-out error, and whether it has ended.
-    fn go_on(
+    fn run_until(
         &mut self,
         data: &mut FrameData,
         until: usize,
@@ -177,7 +177,7 @@ impl Trial {
     }
 
     /// What a run that was stopped has found.
-    fn so_far(self, data: &FrameData, reason: StopReason) -> Box<Found> {
+    fn into_result(self, data: &FrameData, reason: StopReason) -> Box<Found> {
         let solution = self.run.solution(data, &*self.prox, reason);
         Box::new(Found::new(self.prior, &*self.prox, data.shape(), solution))
     }

@@ -238,12 +238,12 @@ impl Admm {
     }
 
     /// From now on `τ` is found by this rule.
-    pub fn aim_at(&mut self, rule: TauRule, data: &dyn DataTerm) {
-        self.state.aim_at(rule, data);
+    pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
+        self.state.set_tau_rule(rule, data);
     }
 
     /// From now on it has converged at this [`AdmmParams::tolerance`].
-    pub fn stop_at(&mut self, tolerance: f64) {
+    pub fn set_tolerance(&mut self, tolerance: f64) {
         self.params.tolerance = tolerance;
     }
 
@@ -253,7 +253,7 @@ impl Admm {
     }
 
     /// Most iterations.
-    pub fn most_iterations(&self) -> usize {
+    pub fn max_iterations(&self) -> usize {
         self.params.max_iterations
     }
 
@@ -278,19 +278,19 @@ impl Admm {
     }
 
     /// From now on it runs on `data` that hold another frame, from where the last one ended.
-    pub fn go_on(&mut self, data: &dyn DataTerm) {
-        self.state.go_on(data);
+    pub fn warm_start(&mut self, data: &dyn DataTerm) {
+        self.state.warm_start(data);
     }
 
     /// The run so far; it can go on.
-    pub fn so_far(
+    pub fn snapshot(
         &mut self,
         data: &dyn DataTerm,
         prior: &dyn Prox,
         stop_reason: StopReason,
     ) -> Solution {
         let solution = self.state.finish(data, prior, stop_reason);
-        self.state.take_back(&solution.video);
+        self.state.restore_video(&solution.video);
         solution
     }
 

@@ -134,12 +134,12 @@ impl State {
             paused_iterations: 0,
             support_estimator: SupportEstimator::new(shape, data.max_active_voxels()),
         };
-        state.aim_at(params.tau, data);
+        state.set_tau_rule(params.tau, data);
         state
     }
 
     /// From now on `τ` is found by this rule.
-    pub fn aim_at(&mut self, rule: TauRule, data: &dyn DataTerm) {
+    pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
         self.rule = rule;
         self.is_steady = false;
         match rule {
@@ -152,7 +152,7 @@ impl State {
     }
 
     /// Goes on with other measurements of a scene that has changed little.
-    pub fn go_on(&mut self, data: &dyn DataTerm) {
+    pub fn warm_start(&mut self, data: &dyn DataTerm) {
         let beyond = self.schedule_iteration().saturating_sub(WARM_START_CREDIT);
         // The next look at the places comes when it would have come.
         self.warm_start_credit = self.schedule_iteration().min(WARM_START_CREDIT)
@@ -161,7 +161,7 @@ impl State {
         self.paused_iterations = 0;
         self.poor_steps = 0;
         self.support_estimator.reset();
-        self.aim_at(self.rule, data);
+        self.set_tau_rule(self.rule, data);
         // The weights may be others.
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.q, &mut self.aq);
@@ -479,7 +479,7 @@ impl State {
         0.5 * distance_squared(data.measured(), &self.az) + self.tau() * prior.value(&self.z)
     }
 
-    /// What there is; afterwards it can go on, if the video is [returned](Self::take_back).
+    /// What there is; afterwards it can go on, if the video is [returned](Self::restore_video).
     pub fn finish(
         &mut self,
         data: &dyn DataTerm,
@@ -499,7 +499,7 @@ impl State {
     }
 
     /// Puts the video of [`Self::finish`] back.
-    pub fn take_back(&mut self, video: &[f32]) {
+    pub fn restore_video(&mut self, video: &[f32]) {
         self.z = video.to_vec();
     }
 }
