@@ -3,7 +3,7 @@
 import { REGION_COLOURS } from "./colour";
 import { choice, h } from "./dom";
 import { Pane, type Role } from "./pane";
-import type { Beside, Layer, Region, Store, Tool } from "./store";
+import type { Comparison, Layer, Region, Store, Tool } from "./store";
 import type { Rect } from "./types";
 
 /** Side of the region that a click picks, as that of `--region Y,X`. */
@@ -34,9 +34,9 @@ export class PaneGrid {
       ["time", "Time as colour"],
       ["peak", "Brightest over time"],
     ];
-    const beside: [Beside, string][] = [["none", "Nothing"]];
-    if (store.other) beside.push(["other", store.source.results[1].name]);
-    if (store.truth) beside.push(["truth", "Truth"], ["difference", "Truth and difference"]);
+    const comparison: [Comparison, string][] = [["none", "Nothing"]];
+    if (store.other) comparison.push(["other", store.source.results[1].name]);
+    if (store.truth) comparison.push(["truth", "Truth"], ["difference", "Truth and difference"]);
     const tools: [Tool, string, string][] = [
       ["trace", "Region", "Click a pixel or drag a region to see its light over time"],
       ["line", "Line", "Drag a line to see it over time"],
@@ -65,13 +65,13 @@ export class PaneGrid {
       { class: "tools" },
       h("div", { class: "segments", role: "group", "aria-label": "Tool" }, ...toolButtons),
       choice("Show", layers, state.layer, (layer) => store.set({ layer }, "look"), "layer"),
-      beside.length > 1 &&
+      comparison.length > 1 &&
         choice(
           "Beside",
-          beside,
-          state.beside,
+          comparison,
+          state.comparison,
           (value) => {
-            store.state.beside = value;
+            store.state.comparison = value;
             this.setPanes();
             store.tell("look");
           },
@@ -89,12 +89,12 @@ export class PaneGrid {
 
   private setPanes(): void {
     const { store } = this;
-    const { beside } = store.state;
+    const { comparison } = store.state;
     const name = store.other ? store.meta.name : "Reconstruction";
     const roles: [Role, string][] = [["main", name]];
-    if (beside === "other") roles.push(["other", store.source.results[1].name]);
-    if (beside === "truth" || beside === "difference") roles.push(["truth", "Truth"]);
-    if (beside === "difference") roles.push(["difference", "Reconstruction − truth"]);
+    if (comparison === "other") roles.push(["other", store.source.results[1].name]);
+    if (comparison === "truth" || comparison === "difference") roles.push(["truth", "Truth"]);
+    if (comparison === "difference") roles.push(["difference", "Reconstruction − truth"]);
     this.panes = roles.map(([role, text]) => new Pane(store, role, text));
     this.row.replaceChildren(...this.panes.map((p) => p.element));
     this.row.dataset.count = String(roles.length);

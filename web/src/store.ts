@@ -19,7 +19,7 @@ export interface Line {
 }
 
 export type Layer = "video" | "time" | "peak";
-export type Beside = "none" | "truth" | "difference" | "other";
+export type Comparison = "none" | "truth" | "difference" | "other";
 export type Tool = "trace" | "line" | "move";
 
 export interface State {
@@ -32,7 +32,7 @@ export interface State {
   low: number;
   high: number;
   layer: Layer;
-  beside: Beside;
+  comparison: Comparison;
   zoom: number;
   /** Middle of what is seen, in pixels of the video. */
   cx: number;
@@ -84,7 +84,7 @@ export class Store {
       low: 0,
       high: this.video.high,
       layer: "video",
-      beside: this.other ? "other" : this.truth ? "truth" : "none",
+      comparison: this.other ? "other" : this.truth ? "truth" : "none",
       zoom: 1,
       cx: meta.shape[2] / 2,
       cy: meta.shape[1] / 2,

@@ -122,14 +122,14 @@ pub struct PlaneCamera {
 pub fn plane_camera(camera: &Camera, site: Site) -> Result<PlaneCamera> {
     let params = camera.params();
     let (field_rows, field_columns) = camera.field();
-    let (above, beside) = camera.field_offset();
+    let (row_offset, column_offset) = camera.field_offset();
     for (key, value) in [
         ("rows", params.rows),
         ("columns", params.columns),
         ("[field] rows", field_rows),
         ("[field] columns", field_columns),
-        ("rows of the field above the sensor", above),
-        ("columns of the field beside the sensor", beside),
+        ("rows of the field above the sensor", row_offset),
+        ("columns of the field beside the sensor", column_offset),
     ] {
         if !value.is_multiple_of(2) {
             return Err(Error::input(

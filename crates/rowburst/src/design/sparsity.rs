@@ -380,8 +380,8 @@ fn random_pixels(camera: &Camera, k: usize, seed: u64) -> Video {
                 rng.random_range(0..shape.rows),
                 rng.random_range(0..shape.columns),
             );
-            let beside = |p: &(usize, usize)| p.0.abs_diff(at.0) <= 1 && p.1.abs_diff(at.1) <= 1;
-            if !taken.iter().any(beside) {
+            let touches = |p: &(usize, usize)| p.0.abs_diff(at.0) <= 1 && p.1.abs_diff(at.1) <= 1;
+            if !taken.iter().any(touches) {
                 taken.push(at);
                 let brightness: f32 = rng.random_range(0.5..1.0);
                 video.bin_mut(t)[at.0 * shape.columns + at.1] = brightness;

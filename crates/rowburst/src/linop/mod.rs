@@ -3,20 +3,20 @@
 //! Operators know no optics. Every implementation passes [`laws`]: linearity,
 //! the adjoint identity, and that outputs are overwritten whatever they held.
 
+mod background;
 mod bins;
 mod cosine;
 mod differences;
 pub mod laws;
 mod norm;
-mod two_parts;
 mod wavelet;
 mod weighted;
 
+pub use background::{Background, WithBackground, sum_of_bins};
 pub use bins::{Band, BinTransform, OverBins};
 pub use cosine::Cosine;
 pub use differences::{Axis, Differences};
 pub use norm::operator_norm;
-pub use two_parts::{SecondPart, TwoParts, sum_of_bins};
 pub use wavelet::Wavelet;
 pub use weighted::Weighted;
 

@@ -5,9 +5,9 @@
 pub mod composite;
 pub mod dual;
 pub mod lowrank;
-pub mod parts;
 mod rows;
 pub mod sparse;
+pub mod sum_prior;
 pub mod variation;
 pub mod variation3d;
 mod wave;
@@ -15,8 +15,8 @@ mod wave;
 pub use composite::Composite;
 pub use dual::DualTerm;
 pub use lowrank::LowRank;
-pub use parts::Parts;
 pub use sparse::Sparse;
+pub use sum_prior::SumPrior;
 pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 

@@ -44,7 +44,7 @@ pub(super) struct Slab<'a> {
 pub(super) type PerAxis<'s> = (&'s mut [Dual], &'s mut [Dual]);
 
 /// A bin of a [`Slab`].
-pub(super) struct Parts<'s> {
+pub(super) struct BinView<'s> {
     pub z: &'s mut [f32],
     pub q: &'s [f32],
     pub space: Option<PerAxis<'s>>,
@@ -57,7 +57,7 @@ pub(super) struct Parts<'s> {
 
 impl Slab<'_> {
     /// Bin `t`, where the dual over time before it is to step if `steps_before`.
-    pub fn bin(&mut self, t: usize, steps_before: bool) -> Parts<'_> {
+    pub fn bin(&mut self, t: usize, steps_before: bool) -> BinView<'_> {
         let at = self.place(t);
         let [py, px] = &mut self.space;
         let space = py.get_mut(at.clone()).zip(px.get_mut(at.clone()));
@@ -75,7 +75,7 @@ impl Slab<'_> {
             let p = p_before.get(at.start - self.pixels..);
             before = p.filter(|p| !p.is_empty());
         }
-        Parts {
+        BinView {
             q: &self.q[at.clone()],
             z: &mut z[..self.pixels],
             space,

@@ -4,7 +4,8 @@ use super::held_out::HeldOut;
 use super::model::Model;
 use crate::camera::CameraParams;
 use crate::linop::{
-    LinearOperator, Scalar, SecondPart, TwoParts, Weighted, WritePart, sum_of_bins, write_parts,
+    Background, LinearOperator, Scalar, Weighted, WithBackground, WritePart, sum_of_bins,
+    write_parts,
 };
 use crate::measurement::{Measurement, NoiseLaw};
 use crate::solve::blocks::{BlockSource, Blocks};
@@ -30,8 +31,8 @@ pub(super) struct FrameData {
     model: Model,
     /// `W A`, and the same of both parts of a video.
     operator: Arc<Weighted<Arc<RollingShutter>>>,
-    parts: TwoParts<Arc<Weighted<Arc<RollingShutter>>>>,
-    second: SecondPart,
+    with_background: WithBackground<Arc<Weighted<Arc<RollingShutter>>>>,
+    background: Background,
     /// What convolves the whole field at once, where the second part stands still.
     planes: Option<RollingShutter>,
     /// `b` and `W b`.
@@ -121,17 +122,18 @@ impl FrameData {
         let frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
         let operator = Arc::new(Weighted::new(Arc::clone(shutter), weights.clone()));
-        let second = SecondPart::None;
+        let background = Background::None;
         let all = GramOf {
             model,
             operator: &operator,
-            active: (None, second),
+            active: (None, background),
         };
         let gram = match shutter.time().is_disjoint() && model.gram_bytes().is_some() {
             true => Gram::Exact(all.exact(is_double)),
             false => Gram::Iterative(ConjugateGradient::new(all.preconditioner(), frame.len())),
         };
-        let parts = TwoParts::new(Arc::clone(&operator), shutter.video_shape(), second);
+        let with_background =
+            WithBackground::new(Arc::clone(&operator), shutter.video_shape(), background);
         let mut data = Self {
             measured: Vec::new(),
             informative: 0,
@@ -142,8 +144,8 @@ impl FrameData {
             support: None,
             model: model.clone(),
             planes: None,
-            second,
-            parts,
+            background,
+            with_background,
             operator,
             frame,
             first_weights: weights.clone(),
@@ -178,7 +180,7 @@ impl FrameData {
 
     /// Starts afresh, on all voxels of videos with this second part, without the pixels of
     /// `held_out`.
-    pub fn start(&mut self, second: SecondPart, held_out: Option<HeldOut>) {
+    pub fn start(&mut self, background: Background, held_out: Option<HeldOut>) {
         let is_as_it_was = self.support.is_none() && self.weights == self.first_weights;
         let is_fresh = match &mut self.gram {
             Gram::Exact(Precision::Single(blocks)) => {
@@ -188,14 +190,14 @@ impl FrameData {
             Gram::Exact(Precision::Double(_)) => self.is_double,
             _ => true,
         };
-        if second == self.second && held_out == self.held_out && is_as_it_was && is_fresh {
+        if background == self.background && held_out == self.held_out && is_as_it_was && is_fresh {
             return;
         }
         self.held_out = held_out;
         self.weights.clone_from(&self.first_weights);
         self.support = None;
-        self.second = second;
-        let is_still = second == SecondPart::Still;
+        self.background = background;
+        let is_still = background == Background::Static;
         if is_still && self.planes.is_none() {
             let (rows, columns) = self.model.camera().field();
             let whole = CameraParams {
@@ -246,10 +248,10 @@ impl FrameData {
     }
 
     /// The video that both parts make.
-    pub fn sum(&self, parts: Vec<f32>) -> Vec<f32> {
-        match self.second {
-            SecondPart::None => parts,
-            second => second.sum(self.shape(), &parts).into_owned(),
+    pub fn sum(&self, stacked: Vec<f32>) -> Vec<f32> {
+        match self.background {
+            Background::None => stacked,
+            background => background.sum(self.shape(), &stacked).into_owned(),
         }
     }
 
@@ -265,7 +267,7 @@ impl FrameData {
         };
         let mut light = vec![0.0; self.frame.len()];
         self.shutter()
-            .apply(&self.second.sum(self.shape(), video), &mut light);
+            .apply(&self.background.sum(self.shape(), video), &mut light);
         let pixels = held_out.pixels().iter();
         pixels
             .map(|&i| {
@@ -283,7 +285,8 @@ impl FrameData {
             held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
         }
         self.operator = Arc::new(Weighted::new(Arc::clone(self.model.shutter()), weights));
-        self.parts = TwoParts::new(Arc::clone(&self.operator), self.shape(), self.second);
+        self.with_background =
+            WithBackground::new(Arc::clone(&self.operator), self.shape(), self.background);
         self.weigh_frame();
         if is_other {
             return self.replace_blocks(self.is_double);
@@ -291,7 +294,7 @@ impl FrameData {
         let source = GramOf {
             model: &self.model,
             operator: &self.operator,
-            active: (self.support.as_ref(), self.second),
+            active: (self.support.as_ref(), self.background),
         };
         match &mut self.gram {
             Gram::Exact(blocks) => blocks.refill(None, source),
@@ -310,11 +313,11 @@ impl FrameData {
         let source = GramOf {
             model: &self.model,
             operator: &self.operator,
-            active: (self.support.as_ref(), self.second),
+            active: (self.support.as_ref(), self.background),
         };
-        self.gram = match self.second {
+        self.gram = match self.background {
             // What all bins share is solved for from other right sides all the time.
-            SecondPart::Still => Gram::Bordered(source.blocks(), Bordered::default()),
+            Background::Static => Gram::Bordered(source.blocks(), Bordered::default()),
             _ => Gram::Exact(source.exact(is_double)),
         };
     }
@@ -335,9 +338,9 @@ impl FrameData {
 
 impl DataTerm for FrameData {
     fn operator(&self) -> &dyn LinearOperator {
-        match self.second {
-            SecondPart::None => &*self.operator,
-            _ => &self.parts,
+        match self.background {
+            Background::None => &*self.operator,
+            _ => &self.with_background,
         }
     }
 
@@ -388,9 +391,9 @@ impl DataTerm for FrameData {
                 is_good && !blocks.is_ill_conditioned()
             }
             Gram::Iterative(solver) => {
-                let operator: &dyn LinearOperator = match self.second {
-                    SecondPart::None => &*self.operator,
-                    _ => &self.parts,
+                let operator: &dyn LinearOperator = match self.background {
+                    Background::None => &*self.operator,
+                    _ => &self.with_background,
                 };
                 solver.solve(operator, r, rho, y, gram_y)
             }
@@ -442,7 +445,7 @@ impl DataTerm for FrameData {
         let source = GramOf {
             model: &self.model,
             operator: &self.operator,
-            active: (Some(support), self.second),
+            active: (Some(support), self.background),
         };
         let instants = self.model.shutter().time().instants();
         let has_changed = |i: usize| {
@@ -460,8 +463,8 @@ impl DataTerm for FrameData {
     }
 
     fn adjoint_on(&self, y: &[f32], support: Option<&Support>, video: &mut [f32]) {
-        match (self.second, support) {
-            (SecondPart::None, Some(support)) => {
+        match (self.background, support) {
+            (Background::None, Some(support)) => {
                 let weighted = self.operator.weigh(y);
                 self.model.shutter().adjoint_on(&weighted, support, video);
             }
@@ -480,7 +483,7 @@ impl DataTerm for FrameData {
         target: &mut [f32],
         write: WritePart,
     ) {
-        if self.second == SecondPart::None {
+        if self.background == Background::None {
             let weighted = self.operator.weigh(y);
             let shutter = self.model.shutter();
             return shutter.adjoint_each(&weighted, support, target, write);
@@ -496,7 +499,7 @@ impl DataTerm for FrameData {
         };
         let mut light = vec![0.0; self.frame.len()];
         self.shutter()
-            .apply(&self.second.sum(self.shape(), video), &mut light);
+            .apply(&self.background.sum(self.shape(), video), &mut light);
         self.weights = Some(noise.weights(&light));
         self.weights_changed(false);
         true
@@ -528,7 +531,7 @@ impl LinearOperator for Border<'_> {
 }
 
 /// What may be lit: the support of the first part, and the second part.
-type ActiveVoxels<'a> = (Option<&'a Support>, SecondPart);
+type ActiveVoxels<'a> = (Option<&'a Support>, Background);
 
 /// The blocks of `W A P Aᵀ W`.
 #[derive(Clone, Copy)]
@@ -555,11 +558,11 @@ impl GramOf<'_> {
     }
 
     /// Adds the blocks of both parts of a video.
-    fn add_parts<T: Scalar>(&self, instant: usize, mut sum: MatMut<T>) {
-        let (support, second) = self.active;
+    fn add_sum_of_blocks<T: Scalar>(&self, instant: usize, mut sum: MatMut<T>) {
+        let (support, background) = self.active;
         let shutter = self.operator.inner();
         shutter.add_gram_block(instant, support, sum.rb_mut());
-        if second == SecondPart::Video {
+        if background == Background::Video {
             shutter.add_gram_block(instant, None, sum.rb_mut());
         }
     }
@@ -591,17 +594,17 @@ impl GramOf<'_> {
 
 impl<T: Scalar> BlockSource<T> for GramOf<'_> {
     fn fill(&self, instant: usize, mut sum: MatMut<T>) {
-        let (_, second) = self.active;
+        let (_, background) = self.active;
         let shutter = self.operator.inner();
-        let is_kept = self.leaves_open(instant) && second != SecondPart::Video;
+        let is_kept = self.leaves_open(instant) && background != Background::Video;
         match self.model.kept_block(instant).filter(|_| is_kept) {
             Some(block) => round(block.as_ref(), sum.rb_mut()),
             None if shutter.sums_need_f64() => {
                 let mut exact = Mat::<f64>::zeros(sum.nrows(), sum.ncols());
-                self.add_parts(instant, exact.as_mut());
+                self.add_sum_of_blocks(instant, exact.as_mut());
                 round(exact.as_ref(), sum.rb_mut());
             }
-            None => self.add_parts(instant, sum.rb_mut()),
+            None => self.add_sum_of_blocks(instant, sum.rb_mut()),
         }
         if let Some(weights) = self.operator.weights() {
             let indices = shutter.indices_of(instant);
@@ -618,8 +621,8 @@ impl<T: Scalar> BlockSource<T> for GramOf<'_> {
     }
 
     fn columns(&self, instant: usize, most: usize) -> Option<Mat<T>> {
-        let (support, second) = self.active;
-        if second == SecondPart::Video {
+        let (support, background) = self.active;
+        if background == Background::Video {
             return None;
         }
         let shutter = self.operator.inner();
@@ -797,10 +800,10 @@ mod tests {
         let mut used = data(Shutter::DualInsideOut);
         check(&mut used, "before");
         assert!(!used.is_single(), "ρ was below what f32 stands for");
-        for second in [SecondPart::None, SecondPart::Still, SecondPart::None] {
-            used.start(second, None);
-            assert_eq!(used.is_single(), second == SecondPart::None);
-            if second == SecondPart::None {
+        for background in [Background::None, Background::Static, Background::None] {
+            used.start(background, None);
+            assert_eq!(used.is_single(), background == Background::None);
+            if background == Background::None {
                 assert_eq!(solution(&mut used), expected);
             }
         }
@@ -815,15 +818,15 @@ mod tests {
         for shutter in [Shutter::DualInsideOut, Shutter::Global] {
             let mut data = data(shutter.clone());
             let shape = data.shape();
-            for second in [SecondPart::None, SecondPart::Still, SecondPart::Video] {
-                if shape.bins == 1 && second != SecondPart::None {
+            for background in [Background::None, Background::Static, Background::Video] {
+                if shape.bins == 1 && background != Background::None {
                     continue;
                 }
-                let state = format!("{} {second:?}", shutter.name());
-                data.start(second, None);
+                let state = format!("{} {background:?}", shutter.name());
+                data.start(background, None);
                 check(&mut data, &state);
                 let held_out = data.held_out();
-                data.start(second, Some(held_out.clone()));
+                data.start(background, Some(held_out.clone()));
                 assert_eq!(data.informative(), 240 - held_out.pixels().len());
                 check(&mut data, &format!("{state}, pixels held out"));
                 let bright: Vec<f32> = (0..shape.voxels()).map(|i| (i % 9) as f32).collect();
@@ -838,7 +841,7 @@ mod tests {
     fn weights_follow_the_light() {
         let mut data = data(Shutter::DualInsideOut);
         let held_out = data.held_out();
-        data.start(SecondPart::Still, Some(held_out.clone()));
+        data.start(Background::Static, Some(held_out.clone()));
         let n = data.operator().domain_len();
         assert!(data.update_weights(&vec![2.0; n]));
         // Both parts show 2: a light of 4 everywhere.
@@ -852,7 +855,7 @@ mod tests {
             assert_eq!(*w, if is_held_out { 0.0 } else { weights[i] });
         }
         check(&mut data, "after following");
-        data.start(SecondPart::Still, Some(held_out.clone()));
+        data.start(Background::Static, Some(held_out.clone()));
         assert_eq!(data.weights(), data.first_weights.as_deref());
         check(&mut data, "after starting again");
         assert_eq!(

@@ -21,7 +21,7 @@ pub use prior::{FurtherWeights, Prior};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
-use crate::linop::SecondPart;
+use crate::linop::Background;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
 use crate::solve::admm::{self, Admm, Progress, Solution, TauRule};
@@ -251,12 +251,15 @@ impl Problem {
             .collect();
         let columns = self.camera.columns();
         let residual = Image::new(residual.len() / columns, columns, residual)?;
-        let background = match prior.second_part() {
-            SecondPart::None => None,
-            second => {
-                let mut parts = solution.video.clone();
-                parts[..shape.voxels()].fill(0.0);
-                Some(Video::new(shape, second.sum(shape, &parts).into_owned())?)
+        let background = match prior.background() {
+            Background::None => None,
+            background => {
+                let mut stacked = solution.video.clone();
+                stacked[..shape.voxels()].fill(0.0);
+                Some(Video::new(
+                    shape,
+                    background.sum(shape, &stacked).into_owned(),
+                )?)
             }
         };
         let video = Video::new(shape, self.data.sum(solution.video))?;
@@ -363,13 +366,13 @@ impl Problem {
             (c.best().prior, c.best().strength)
         });
         let shape = self.data.shape();
-        self.data.start(prior.second_part(), None);
+        self.data.start(prior.background(), None);
         let mut prox = prior.prox(shape);
         let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
         let mut run = Admm::new(&self.data, shape, params);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
-                show(prior.second_part(), shape, progress, observer)
+                show(prior.background(), shape, progress, observer)
             })
         };
         let mut stop_reason = None;
@@ -405,15 +408,15 @@ impl Problem {
 
 /// Shows `observer` the video that both parts make.
 fn show(
-    second: SecondPart,
+    background: Background,
     shape: Shape,
     progress: &Progress,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
 ) -> ControlFlow<StopReason> {
-    match second {
-        SecondPart::None => observer(progress),
-        second => observer(&Progress {
-            video: &second.sum(shape, progress.video),
+    match background {
+        Background::None => observer(progress),
+        background => observer(&Progress {
+            video: &background.sum(shape, progress.video),
             ..*progress
         }),
     }

@@ -16,13 +16,13 @@
 //! | `support` | 0 on bright voxels and their neighbours, else ∞ | – | sparse scenes |
 //!
 //! With a background the video is the sum of two parts, and all other terms are those of the
-//! first one ([`crate::prox::Parts`]; `N` is the larger of pixels and bins, as in Candès et al. 2011).
+//! first one ([`crate::prox::SumPrior`]; `N` is the larger of pixels and bins, as in Candès et al. 2011).
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
-use crate::linop::{Cosine, SecondPart, Wavelet};
+use crate::linop::{Background, Cosine, Wavelet};
 use crate::prox::{
-    Composite, Isotropy, LowRank, Parts, Prox, Sparse, Variation, Variation3d, VariationWeights,
+    Composite, Isotropy, LowRank, Prox, Sparse, SumPrior, Variation, Variation3d, VariationWeights,
 };
 use crate::solve::admm::{AdmmParams, TauRule};
 use crate::{Error, Result, Shape};
@@ -155,11 +155,11 @@ impl Prior {
             lowrank_background,
             ..
         } = self.further;
-        let first = self.first_prox(shape);
+        let first = self.foreground_prox(shape);
         let voxels = shape.voxels();
-        match self.second_part() {
-            SecondPart::None => first,
-            SecondPart::Still => {
+        match self.background() {
+            Background::None => first,
+            Background::Static => {
                 let picture = Shape::new(1, shape.rows, shape.columns);
                 let weights = VariationWeights {
                     space: 1.0,
@@ -167,30 +167,30 @@ impl Prior {
                 };
                 let second = Variation::new(picture, weights);
                 let weight = background * (shape.bins as f64).sqrt();
-                Box::new(Parts::new(voxels, first, Box::new(second), weight))
+                Box::new(SumPrior::new(voxels, first, Box::new(second), weight))
             }
-            SecondPart::Video => {
+            Background::Video => {
                 let second =
                     Composite::new(shape, NO_VARIATION, 0.0).with(1.0, LowRank::new(shape));
                 let weight = lowrank_background * (shape.pixels().max(shape.bins) as f64).sqrt();
-                Box::new(Parts::new(voxels, first, Box::new(second), weight))
+                Box::new(SumPrior::new(voxels, first, Box::new(second), weight))
             }
         }
     }
 
     /// What stands behind the part that all other terms are for.
-    pub fn second_part(&self) -> SecondPart {
+    pub fn background(&self) -> Background {
         if self.further.background > 0.0 {
-            SecondPart::Still
+            Background::Static
         } else if self.further.lowrank_background > 0.0 {
-            SecondPart::Video
+            Background::Video
         } else {
-            SecondPart::None
+            Background::None
         }
     }
 
     /// Without the backgrounds.
-    fn first_prox(&self, shape: Shape) -> Box<dyn Prox> {
+    fn foreground_prox(&self, shape: Shape) -> Box<dyn Prox> {
         let FurtherWeights {
             tv3d,
             tv3d_aniso,
@@ -200,7 +200,7 @@ impl Prior {
             lowrank,
             ..
         } = self.further;
-        if self.convex_of_first() == NONE {
+        if self.foreground_terms() == NONE {
             return Box::new(Variation::new(shape, self.weights));
         }
         let Shape {
@@ -241,7 +241,7 @@ impl Prior {
     /// of `dct` at 20.2, 20.6 and 19.4 dB with 1, 5 and 20.
     /// What [`Variation`] fuses has none: 1.
     pub fn threshold_factor(&self, shape: Shape) -> f64 {
-        if self.convex_of_first() == NONE {
+        if self.foreground_terms() == NONE {
             return 1.0;
         }
         let bins = shape.bins as f64;
@@ -264,7 +264,7 @@ impl Prior {
     }
 
     /// The further terms of the first part.
-    fn convex_of_first(&self) -> FurtherWeights {
+    fn foreground_terms(&self) -> FurtherWeights {
         FurtherWeights {
             background: 0.0,
             lowrank_background: 0.0,
@@ -566,18 +566,18 @@ mod tests {
             };
             let value = |text: String| {
                 let prior: Prior = text.parse().unwrap();
-                let mut parts = video.clone();
-                parts.extend_from_slice(&video[..prior.second_part().len(shape)]);
-                prior.prox(shape).value(&parts)
+                let mut stacked = video.clone();
+                stacked.extend_from_slice(&video[..prior.background().len(shape)]);
+                prior.prox(shape).value(&stacked)
             };
             let once = value(format!("{before}{name}"));
             let twice = value(format!("{before}2*{name}"));
             assert!(once > 1.0 && (twice / once - 2.0).abs() < 1e-6, "{name}");
-            let beside = value(format!(
+            let combined = value(format!(
                 "{name}+0.5*{}",
                 if *name == "tv" { "l1" } else { "tv" }
             ));
-            assert!(beside > once, "{name}");
+            assert!(combined > once, "{name}");
         }
     }
 }

@@ -97,7 +97,7 @@ impl Sequence {
             Err(partial) => return Ok(Err(Box::new(problem.conclude(*partial, &[])?))),
         };
         let (shape, prior) = (problem.data.shape(), problem.prior());
-        problem.data.start(prior.second_part(), None);
+        problem.data.start(prior.background(), None);
         let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
         Ok(Ok(Box::new(Last {
             run: Admm::new(&problem.data, shape, params),
@@ -120,11 +120,11 @@ impl Last {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> StopReason {
         let shape = self.problem.data.shape();
-        let second = self.problem.prior().second_part();
+        let background = self.problem.prior().background();
         let (data, most) = (&mut self.problem.data, self.run.max_iterations());
         self.run.run(data, &mut *self.prox, most, &mut |progress| {
             history.push(progress.residual_rms);
-            super::show(second, shape, progress, observer)
+            super::show(background, shape, progress, observer)
         })
     }
 

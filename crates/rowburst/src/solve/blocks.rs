@@ -133,8 +133,8 @@ impl<T: Scalar> Blocks<T> {
         let parts: Vec<Vec<(f32, f32)>> = self
             .blocks
             .par_iter_mut()
-            .map_init(Vec::new, |beside, block| {
-                block.solve_incremental(r, rho, beside)
+            .map_init(Vec::new, |scratch, block| {
+                block.solve_incremental(r, rho, scratch)
             })
             .collect();
         self.is_ill_conditioned = self.blocks.iter().any(Block::is_ill_conditioned);
@@ -180,9 +180,9 @@ impl<T: Scalar> GramSolver for Blocks<T> {
         let parts: Vec<Vec<T>> = self
             .blocks
             .par_iter_mut()
-            .map_init(Vec::new, |beside, block| {
+            .map_init(Vec::new, |scratch, block| {
                 let mut y = block.indices.iter().map(|&i| T::from(r[i])).collect();
-                block.solve(&mut y, rho, beside);
+                block.solve(&mut y, rho, scratch);
                 y
             })
             .collect();
@@ -242,7 +242,7 @@ impl<T: Scalar> Block<T> {
     }
 
     /// See [`Blocks::solve_incremental`]: `y` and `G y`.
-    fn solve_incremental(&mut self, r: &[f32], rho: f64, beside: &mut Vec<T>) -> Vec<(f32, f32)> {
+    fn solve_incremental(&mut self, r: &[f32], rho: f64, scratch: &mut Vec<T>) -> Vec<(f32, f32)> {
         let r: Vec<f32> = self.indices.iter().map(|&i| r[i]).collect();
         let (mut y, mut change): (Vec<f64>, Vec<T>) = match self.last.take() {
             None => (vec![0.0; r.len()], r.iter().map(|&r| T::from(r)).collect()),
@@ -257,7 +257,7 @@ impl<T: Scalar> Block<T> {
                 (last.y, change)
             }
         };
-        self.solve(&mut change, rho, beside);
+        self.solve(&mut change, rho, scratch);
         let values = y.iter_mut().zip(&change).zip(&r).map(|((y, &change), &r)| {
             *y += change.into();
             let rounded = *y as f32;
@@ -268,15 +268,15 @@ impl<T: Scalar> Block<T> {
         values
     }
 
-    /// `(G + ρI)⁻¹ y` in place. Works `beside`.
-    fn solve(&mut self, y: &mut Vec<T>, rho: f64, beside: &mut Vec<T>) {
+    /// `(G + ρI)⁻¹ y` in place. Works in `scratch`.
+    fn solve(&mut self, y: &mut Vec<T>, rho: f64, scratch: &mut Vec<T>) {
         let Some((columns, packed)) = &mut self.low_rank else {
-            return self.gram.solve(y, rho, beside);
+            return self.gram.solve(y, rho, scratch);
         };
         let mut active = vec![T::zero(); columns.ncols()];
         let (add, replace) = (Accum::Add, Accum::Replace);
         multiply(replace, &mut active, columns.transpose(), y, T::one());
-        packed.solve(&mut active, rho, beside);
+        packed.solve(&mut active, rho, scratch);
         multiply(add, y, columns.as_ref(), &active, -T::one());
         let over_rho = T::nearest(1.0 / rho);
         y.iter_mut().for_each(|y| *y *= over_rho);
@@ -313,11 +313,11 @@ impl<T: Scalar> PackedCholesky<T> {
         self.rho = None;
     }
 
-    /// Works `beside`: the factorisation writes above the diagonal, too.
-    fn factorise(&mut self, rho: f64, beside: &mut Vec<T>) {
+    /// Works in `scratch`: the factorisation writes above the diagonal, too.
+    fn factorise(&mut self, rho: f64, scratch: &mut Vec<T>) {
         let (size, stride, packed) = (self.size, self.stride(), &mut self.memory);
-        beside.resize(beside.len().max(packed.len()), T::zero());
-        let factor = &mut beside[..packed.len()];
+        scratch.resize(scratch.len().max(packed.len()), T::zero());
+        let factor = &mut scratch[..packed.len()];
         copy_below(packed, (size, stride), factor);
         let more = T::nearest(rho);
         for (j, diagonal) in self.diagonal.iter().enumerate() {
@@ -349,10 +349,10 @@ impl<T: Scalar> PackedCholesky<T> {
         self.rho = Some(rho);
     }
 
-    /// `(M + ρI)⁻¹ values` in place. Works `beside` where it factors anew.
-    fn solve(&mut self, values: &mut Vec<T>, rho: f64, beside: &mut Vec<T>) {
+    /// `(M + ρI)⁻¹ values` in place. Works in `scratch` where it factors anew.
+    fn solve(&mut self, values: &mut Vec<T>, rho: f64, scratch: &mut Vec<T>) {
         if self.rho != Some(rho) {
-            self.factorise(rho, beside);
+            self.factorise(rho, scratch);
         }
         self.fetch();
         values.resize(self.stride(), T::zero());

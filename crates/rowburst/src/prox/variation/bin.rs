@@ -276,12 +276,12 @@ impl Bin<'_> {
         (time, before, to_step): (Values, Values, Option<Time>),
     ) {
         match to_step {
-            Some(before) => self.step_beside(rows, (z, q), space, (time, before)),
-            None => self.step_beside(rows, (z, q), space, (time, before)),
+            Some(before) => self.write_and_step_with(rows, (z, q), space, (time, before)),
+            None => self.write_and_step_with(rows, (z, q), space, (time, before)),
         }
     }
 
-    fn step_beside(
+    fn write_and_step_with(
         &self,
         rows: Range<usize>,
         (z, q): (&mut [f32], &[f32]),

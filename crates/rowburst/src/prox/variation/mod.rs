@@ -19,7 +19,7 @@ mod bin;
 
 use super::Prox;
 use super::rows::Rows;
-use super::wave::{Levels, Parts, PerAxis, Slab, Wave};
+use super::wave::{BinView, Levels, PerAxis, Slab, Wave};
 use crate::vecmath::simd;
 use crate::{Shape, Support};
 pub(super) use bin::Dual;
@@ -250,10 +250,10 @@ struct DualSteps<'a> {
 impl DualSteps<'_> {
     /// The primal points of some rows, and while they are at hand steps of the spatial dual of the rows above, and of
     /// the dual over time before them if it is to step.
-    fn write_and_step(&self, bin: &Bin, parts: Parts, (py, px): PerAxis, rows: Range<usize>) {
+    fn write_and_step(&self, bin: &Bin, bin_view: BinView, (py, px): PerAxis, rows: Range<usize>) {
         let (prior, lengths) = (self.prior, (self.scale, self.length));
-        let (time, before) = (Values::new(parts.time), Values::new(parts.before));
-        let mut to_step = parts.to_step;
+        let (time, before) = (Values::new(bin_view.time), Values::new(bin_view.before));
+        let mut to_step = bin_view.to_step;
         for run in reached(bin.rows, &rows) {
             // The row behind a run is dark.
             let (start, end) = (run.start.max(rows.start), rows.end.min(run.end + 1));
@@ -261,24 +261,24 @@ impl DualSteps<'_> {
             let above = |y: usize| y.max(1) - 1;
             let left = above(active.end)..above(end);
             let stepping = to_step.as_mut().map(|(p, now)| prior.time(p, now, lengths));
-            let (space, point) = (prior.space(py, px, lengths), (&mut *parts.z, parts.q));
+            let (space, point) = (prior.space(py, px, lengths), (&mut *bin_view.z, bin_view.q));
             bin.write_and_step(active, point, space, (time, before, stepping));
-            prior.space(py, px, lengths).rows(left, parts.z);
+            prior.space(py, px, lengths).rows(left, bin_view.z);
         }
     }
 
     /// The primal points of some rows.
-    fn write(&self, bin: &Bin, parts: Parts, space: Option<PerAxis>, rows: Range<usize>) {
+    fn write(&self, bin: &Bin, bin_view: BinView, space: Option<PerAxis>, rows: Range<usize>) {
         let (py, px) = space.unzip();
         let duals = Duals {
             py: Values::new(py.as_deref()),
             px: Values::new(px.as_deref()),
-            time: Values::new(parts.time),
-            before: Values::new(parts.before),
+            time: Values::new(bin_view.time),
+            before: Values::new(bin_view.before),
         };
         for run in reached(bin.rows, &rows) {
             let active = run.start.max(rows.start)..run.end.min(rows.end);
-            bin.write_rows(active, (&mut *parts.z, parts.q), duals);
+            bin.write_rows(active, (&mut *bin_view.z, bin_view.q), duals);
         }
     }
 }
@@ -292,13 +292,13 @@ impl Levels for DualSteps<'_> {
         let (prior, bin) = (self.prior, self.prior.bin(t, self.scale));
         // On a support what moves between the bins is not what is lit.
         let in_one = steps_before && prior.weights.space > 0.0 && prior.support.is_none();
-        let mut parts = slab.bin(t, in_one);
+        let mut bin_view = slab.bin(t, in_one);
         if level == 0 {
-            bin.darken_others(parts.z, rows.clone());
+            bin.darken_others(bin_view.z, rows.clone());
         }
-        match parts.space.take() {
-            Some(space) if !is_end => self.write_and_step(&bin, parts, space, rows.clone()),
-            space => self.write(&bin, parts, space, rows.clone()),
+        match bin_view.space.take() {
+            Some(space) if !is_end => self.write_and_step(&bin, bin_view, space, rows.clone()),
+            space => self.write(&bin, bin_view, space, rows.clone()),
         }
         if steps_before && !in_one {
             self.between(slab, t - 1, rows);

@@ -41,7 +41,7 @@ pub(in crate::reconstruct) fn noise_level(
         ..prior
     };
     let held_out = data.held_out();
-    data.start(prior.second_part(), Some(held_out.clone()));
+    data.start(prior.background(), Some(held_out.clone()));
     let rms_of_frame = norm(data.measured()) / (data.informative() as f64).sqrt();
     let mut sigma = HIGHEST * rms_of_frame;
     let rule = |sigma| TauRule::Discrepancy { sigma };
@@ -61,7 +61,7 @@ pub(in crate::reconstruct) fn noise_level(
                 label: "finding the noise level",
                 ..*progress
             };
-            show(prior.second_part(), shape, &progress, observer)
+            show(prior.background(), shape, &progress, observer)
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.solution(data, &*prox, reason);
@@ -85,7 +85,7 @@ pub(in crate::reconstruct) fn noise_level(
     let level = highest.unwrap_or(sigma);
     let mut tried: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / FALL, level, level * FALL] {
-        data.start(whole.second_part(), Some(held_out.clone()));
+        data.start(whole.background(), Some(held_out.clone()));
         let trial = Trial::new(data, whole, rule(sigma), 1.0, most);
         let (candidate, ..) = trial.run(data, &[], 0.0, observer)?;
         tried.push((sigma, candidate.error));

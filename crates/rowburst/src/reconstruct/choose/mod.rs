@@ -189,7 +189,7 @@ pub(super) fn choose_prior(
     let mut tried: Option<Tried> = None;
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<Found>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
-        data.start(prior.second_part(), Some(held_out.clone()));
+        data.start(prior.background(), Some(held_out.clone()));
         let trial = Trial::new(data, prior, rule, sigma, most);
         let worth = choice.candidates.iter().map(|c| WORTH_TUNING * c.error);
         let worth = worth.fold(f64::INFINITY, f64::min);
@@ -199,7 +199,7 @@ pub(super) fn choose_prior(
                 let Some(tried) = tried.take() else {
                     return Err(stopped);
                 };
-                data.start(tried.prior.second_part(), Some(held_out.clone()));
+                data.start(tried.prior.background(), Some(held_out.clone()));
                 return Err(tried.stopped(data, stopped.solution.stop_reason));
             }
         };

@@ -157,14 +157,14 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<(f64, bool), StopReason> {
         let until = until.min(self.params.max_iterations);
-        let (second, shape) = (self.prior.second_part(), data.shape());
+        let (background, shape) = (self.prior.background(), data.shape());
         let label = format!("trying {}", self.prior);
         let reason = self.run.run(data, &mut *self.prox, until, &mut |progress| {
             let progress = Progress {
                 label: &label,
                 ..*progress
             };
-            show(second, shape, &progress, observer)
+            show(background, shape, &progress, observer)
         });
         match reason {
             StopReason::TimeBudget | StopReason::Interrupted => Err(reason),

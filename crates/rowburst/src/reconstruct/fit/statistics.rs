@@ -44,8 +44,9 @@ pub(super) fn of(evidence: &Evidence) -> FitStatistics {
     let stands_out = |at: usize| usable(at) && power(at) > OUTLIER * OUTLIER;
     let lone = |at: usize| {
         let x = at % columns;
-        let beside = (x > 0 && stands_out(at - 1)) || (x + 1 < columns && stands_out(at + 1));
-        stands_out(at) && !beside
+        let has_neighbour =
+            (x > 0 && stands_out(at - 1)) || (x + 1 < columns && stands_out(at + 1));
+        stands_out(at) && !has_neighbour
     };
     let lone: Vec<usize> = pixels.iter().copied().filter(|&at| lone(at)).collect();
     let without_lone = total - lone.iter().map(|&at| power(at)).sum::<f64>();

@@ -295,13 +295,13 @@ impl State {
             }
             if k > COUNT_AFTER && k.is_multiple_of(10) {
                 let m = data.informative() as f64;
-                let tolerance = (0.01 * brightness(self.first_part())) as f32;
+                let tolerance = (0.01 * brightness(self.foreground())) as f32;
                 let freedom = prior.degrees_of_freedom(&self.z, tolerance);
                 self.bound = sigma * (m - freedom.min(MOST_FREEDOM * m)).sqrt();
             }
         }
         if k < SETTLE && k.is_multiple_of(5) {
-            self.set_threshold(brightness(self.first_part()));
+            self.set_threshold(brightness(self.foreground()));
         }
         if params.support && SupportEstimator::is_due(k) {
             self.restrict(data, prior);
@@ -381,7 +381,7 @@ impl State {
             }
         }
         let voxels = self.shape.voxels();
-        let bright = brightness(self.first_part());
+        let bright = brightness(self.foreground());
         let underfit_bins = (&self.x[..voxels], underfit_bins.as_slice());
         let support = self
             .support_estimator
@@ -453,7 +453,7 @@ impl State {
     }
 
     /// What the brightness and the support are taken from.
-    fn first_part(&self) -> &[f32] {
+    fn foreground(&self) -> &[f32] {
         &self.z[..self.shape.voxels()]
     }
 

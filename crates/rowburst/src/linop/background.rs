@@ -7,43 +7,47 @@ use std::borrow::Cow;
 
 /// What the second part of a video is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum SecondPart {
+pub enum Background {
     /// There is none.
     #[default]
     None,
     /// One picture that all bins show.
-    Still,
+    Static,
     /// A video.
     Video,
 }
 
-impl SecondPart {
+impl Background {
     /// Numbers that it takes beside those of a video of `shape`.
     pub fn len(self, shape: Shape) -> usize {
         match self {
             Self::None => 0,
-            Self::Still => shape.pixels(),
+            Self::Static => shape.pixels(),
             Self::Video => shape.voxels(),
         }
     }
 
-    /// `out = s + E l`, the video that both parts make, `[t, y, x]`; `parts` is `[s, l]`.
+    /// `out = s + E l`, the video that both parts make, `[t, y, x]`; `stacked` is `[s, l]`.
     ///
     /// # Panics
     /// If a length does not match.
-    pub fn sum(self, shape: Shape, parts: &[f32]) -> Cow<'_, [f32]> {
-        let (first, second) = parts.split_at(shape.voxels());
-        assert_eq!(second.len(), self.len(shape), "length of the second part");
-        if second.is_empty() {
+    pub fn sum(self, shape: Shape, stacked: &[f32]) -> Cow<'_, [f32]> {
+        let (first, background) = stacked.split_at(shape.voxels());
+        assert_eq!(
+            background.len(),
+            self.len(shape),
+            "length of the second part"
+        );
+        if background.is_empty() {
             return Cow::Borrowed(first);
         }
         let mut sum = first.to_vec();
         sum.par_chunks_mut(shape.pixels())
             .enumerate()
             .for_each(|(t, bin)| {
-                let at = t * shape.pixels() % second.len();
-                let second = &second[at..at + bin.len()];
-                bin.iter_mut().zip(second).for_each(|(b, l)| *b += l);
+                let at = t * shape.pixels() % background.len();
+                let background = &background[at..at + bin.len()];
+                bin.iter_mut().zip(background).for_each(|(b, l)| *b += l);
             });
         Cow::Owned(sum)
     }
@@ -52,31 +56,31 @@ impl SecondPart {
 /// `A [s, l] = A (s + E l)`, where `E` shows a still picture in all bins, or is the identity.
 ///
 /// Adjoint: `[Aᵀy, EᵀAᵀy]`. Cost: that of `A`, and a pass over the video.
-pub struct TwoParts<O> {
+pub struct WithBackground<O> {
     operator: O,
     shape: Shape,
-    second: SecondPart,
+    background: Background,
 }
 
-impl<O: LinearOperator> TwoParts<O> {
+impl<O: LinearOperator> WithBackground<O> {
     /// `operator` of videos of `shape`, for both parts.
     ///
     /// # Panics
     /// If the operator does not take videos of this shape.
-    pub fn new(operator: O, shape: Shape, second: SecondPart) -> Self {
+    pub fn new(operator: O, shape: Shape, background: Background) -> Self {
         let voxels = shape.voxels();
         assert_eq!(operator.domain_len(), voxels, "videos of this shape");
         Self {
             operator,
             shape,
-            second,
+            background,
         }
     }
 }
 
-impl<O: LinearOperator> LinearOperator for TwoParts<O> {
+impl<O: LinearOperator> LinearOperator for WithBackground<O> {
     fn domain_len(&self) -> usize {
-        self.shape.voxels() + self.second.len(self.shape)
+        self.shape.voxels() + self.background.len(self.shape)
     }
 
     fn range_len(&self) -> usize {
@@ -84,16 +88,16 @@ impl<O: LinearOperator> LinearOperator for TwoParts<O> {
     }
 
     fn apply(&self, x: &[f32], y: &mut [f32]) {
-        self.operator.apply(&self.second.sum(self.shape, x), y);
+        self.operator.apply(&self.background.sum(self.shape, x), y);
     }
 
     fn adjoint(&self, y: &[f32], x: &mut [f32]) {
-        let (first, second) = x.split_at_mut(self.shape.voxels());
+        let (first, background) = x.split_at_mut(self.shape.voxels());
         self.operator.adjoint(y, first);
-        match self.second {
-            SecondPart::None => {}
-            SecondPart::Still => sum_of_bins(first, second),
-            SecondPart::Video => second.copy_from_slice(first),
+        match self.background {
+            Background::None => {}
+            Background::Static => sum_of_bins(first, background),
+            Background::Video => background.copy_from_slice(first),
         }
     }
 }
@@ -119,9 +123,9 @@ mod tests {
     #[test]
     fn keeps_the_laws() {
         for shape in [Shape::new(3, 4, 5), Shape::new(1, 2, 7)] {
-            for second in [SecondPart::None, SecondPart::Still, SecondPart::Video] {
+            for background in [Background::None, Background::Static, Background::Video] {
                 let differences = Differences::new(shape, vec![Axis::Rows, Axis::Columns]);
-                laws::check(&TwoParts::new(differences, shape, second), 5);
+                laws::check(&WithBackground::new(differences, shape, background), 5);
             }
         }
     }
@@ -129,8 +133,8 @@ mod tests {
     #[test]
     fn a_still_picture_is_in_every_bin() {
         let shape = Shape::new(2, 1, 3);
-        let parts = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0, 30.0];
-        let sum = SecondPart::Still.sum(shape, &parts);
+        let stacked = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0, 30.0];
+        let sum = Background::Static.sum(shape, &stacked);
         assert_eq!(sum[..], [11.0, 22.0, 33.0, 14.0, 25.0, 36.0]);
     }
 }

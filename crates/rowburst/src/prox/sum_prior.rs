@@ -7,7 +7,7 @@
 //! the infimal convolution of `R_1` and `R_2`: a part that moves before a background that stands
 //! still (`E` shows one picture in all bins), or that is of low rank (`L + S`: Candès, Li, Ma &
 //! Wright 2011; Otazo, Candès & Sodickson 2015). The unknown is the vector `[s, l]` of
-//! [`crate::linop::TwoParts`], over which the prox is that of each part.
+//! [`crate::linop::WithBackground`], over which the prox is that of each part.
 //!
 //! The support is that of the first part alone.
 
@@ -15,7 +15,7 @@ use super::Prox;
 use crate::Support;
 
 /// `R_1(s) + w R_2(l)` over vectors `[s, l]`.
-pub struct Parts {
+pub struct SumPrior {
     first: Box<dyn Prox>,
     second: Box<dyn Prox>,
     weight: f64,
@@ -23,7 +23,7 @@ pub struct Parts {
     length: usize,
 }
 
-impl Parts {
+impl SumPrior {
     /// The sum for an `s` of `length` elements.
     pub fn new(length: usize, first: Box<dyn Prox>, second: Box<dyn Prox>, weight: f64) -> Self {
         Self {
@@ -35,7 +35,7 @@ impl Parts {
     }
 }
 
-impl Prox for Parts {
+impl Prox for SumPrior {
     fn prox(&mut self, q: &[f32], scale: f64, z: &mut [f32]) {
         let (q_first, q_second) = q.split_at(self.length);
         let (z_first, z_second) = z.split_at_mut(self.length);
@@ -82,7 +82,7 @@ mod tests {
             };
             Box::new(Variation::new(shape, weights))
         };
-        let mut prox = Parts::new(4, l1(Shape::new(2, 1, 2)), l1(Shape::new(1, 1, 2)), 3.0);
+        let mut prox = SumPrior::new(4, l1(Shape::new(2, 1, 2)), l1(Shape::new(1, 1, 2)), 3.0);
         let mut z = [f32::NAN; 6];
         prox.prox(&[1.0, 0.05, -1.0, 2.0, 1.0, 0.2], 0.1, &mut z);
         for (z, expected) in z.iter().zip([0.9, 0.0, 0.0, 1.9, 0.7, 0.0]) {
