@@ -4,7 +4,7 @@ import { css, fit, h } from "./dom";
 import { Bitmap } from "./picture";
 import type { Store } from "./store";
 
-interface Cut {
+interface Slice {
   canvas: HTMLCanvasElement;
   title: HTMLElement;
   element: HTMLElement;
@@ -13,11 +13,11 @@ interface Cut {
 
 export class Slices {
   readonly element: HTMLElement;
-  private readonly cuts: Record<"x" | "y" | "line", Cut>;
+  private readonly slices: Record<"x" | "y" | "line", Slice>;
   private stale = true;
 
   constructor(private readonly store: Store) {
-    const cut = (): Cut => {
+    const slice = (): Slice => {
       const canvas = h("canvas", { class: "slice", role: "img" });
       const title = h("figcaption");
       canvas.addEventListener("pointerdown", (event) => {
@@ -29,14 +29,14 @@ export class Slices {
       });
       return { canvas, title, element: h("figure", {}, title, canvas), bitmap: null };
     };
-    this.cuts = { x: cut(), y: cut(), line: cut() };
+    this.slices = { x: slice(), y: slice(), line: slice() };
     this.element = h(
       "div",
       {},
       h("p", { class: "muted note" }, "Time runs to the right. The slices go through the last region; with the tool “Line” drag one of your own."),
-      this.cuts.line.element,
-      this.cuts.x.element,
-      this.cuts.y.element,
+      this.slices.line.element,
+      this.slices.x.element,
+      this.slices.y.element,
     );
     store.on((what) => {
       if (what === "regions" || what === "line" || what === "data") this.stale = true;
@@ -50,14 +50,14 @@ export class Slices {
     this.store.goTo(Math.floor(((event.clientX - box.left) / box.width) * this.store.clock.bins));
   }
 
-  /** Pixels along each cut. */
-  private paths(): [keyof Slices["cuts"], string, [number, number][]][] {
+  /** Pixels along each slice. */
+  private paths(): [keyof Slices["slices"], string, [number, number][]][] {
     const { state, video } = this.store;
     const region = state.regions[state.regions.length - 1];
     const row = region ? region.y + (region.rows >> 1) : video.rows >> 1;
     const column = region ? region.x + (region.columns >> 1) : video.columns >> 1;
     const along = (n: number, at: (i: number) => [number, number]) => Array.from({ length: n }, (_, i) => at(i));
-    const paths: [keyof Slices["cuts"], string, [number, number][]][] = [
+    const paths: [keyof Slices["slices"], string, [number, number][]][] = [
       ["x", `x–t along row ${row}`, along(video.columns, (i) => [row, i])],
       ["y", `y–t along column ${column}`, along(video.rows, (i) => [i, column])],
     ];
@@ -79,21 +79,21 @@ export class Slices {
     if (this.element.offsetParent === null) return;
     const { state, video, clock } = this.store;
     const paths = this.paths();
-    this.cuts.line.element.hidden = !state.line;
+    this.slices.line.element.hidden = !state.line;
     for (const [name, title, path] of paths) {
-      const cut = this.cuts[name];
-      cut.title.textContent = title;
-      cut.canvas.setAttribute("aria-label", `${title}, light over time`);
-      if (this.stale || cut.bitmap?.rows !== path.length) cut.bitmap = new Bitmap(path.length, clock.bins);
+      const slice = this.slices[name];
+      slice.title.textContent = title;
+      slice.canvas.setAttribute("aria-label", `${title}, light over time`);
+      if (this.stale || slice.bitmap?.rows !== path.length) slice.bitmap = new Bitmap(path.length, clock.bins);
       const values = new Float32Array(path.length * clock.bins);
       for (let i = 0; i < path.length; i++) {
         const [y, x] = path[i];
         for (let t = 0; t < clock.bins; t++) values[i * clock.bins + t] = video.value(t, y, x);
       }
-      cut.bitmap.values(values, state.map, state.low, state.high);
-      const { ctx, width, height } = fit(cut.canvas);
+      slice.bitmap.values(values, state.map, state.low, state.high);
+      const { ctx, width, height } = fit(slice.canvas);
       ctx.imageSmoothingEnabled = false;
-      ctx.drawImage(cut.bitmap.canvas, 0, 0, width, height);
+      ctx.drawImage(slice.bitmap.canvas, 0, 0, width, height);
       ctx.fillStyle = css("--accent");
       ctx.fillRect(((state.t + 0.5) / clock.bins) * width - 1, 0, 2, height);
     }

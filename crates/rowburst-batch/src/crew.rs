@@ -15,9 +15,9 @@ const SHARE: f64 = 0.8;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Crew {
     /// Frames at once.
-    pub at_once: usize,
+    pub concurrent_frames: usize,
     /// Threads for each of them.
-    pub threads_each: usize,
+    pub threads_per_frame: usize,
 }
 
 impl Crew {
@@ -34,10 +34,10 @@ impl Crew {
 
     fn divide(threads: usize, frames: usize, fitting: usize, most: Option<usize>) -> Self {
         let most = most.unwrap_or(threads).min(fitting).min(frames);
-        let at_once = most.clamp(1, threads.max(1));
+        let concurrent_frames = most.clamp(1, threads.max(1));
         Self {
-            at_once,
-            threads_each: (threads / at_once).max(1),
+            concurrent_frames,
+            threads_per_frame: (threads / concurrent_frames).max(1),
         }
     }
 }
@@ -73,7 +73,7 @@ mod tests {
     fn threads_go_to_frames_first() {
         let crew = |threads, frames, fitting, most| {
             let crew = Crew::divide(threads, frames, fitting, most);
-            (crew.at_once, crew.threads_each)
+            (crew.concurrent_frames, crew.threads_per_frame)
         };
         assert_eq!(crew(8, 100, 50, None), (8, 1));
         assert_eq!(crew(8, 2, 50, None), (2, 4));

@@ -212,8 +212,8 @@ impl Batch {
             None => crew,
             // One after another, in their order.
             Some(_) => Crew {
-                at_once: 1,
-                threads_each: crew.at_once * crew.threads_each,
+                concurrent_frames: 1,
+                threads_per_frame: crew.concurrent_frames * crew.threads_per_frame,
             },
         };
         let live = live.as_ref();
@@ -227,7 +227,7 @@ impl Batch {
         };
         let is_over = || stop.load(Ordering::Relaxed) || give_up.load(Ordering::Relaxed);
         let work = || {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(crew.threads_each);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(crew.threads_per_frame);
             let pool = match pool.build() {
                 Ok(pool) => pool,
                 Err(error) => return fail(Error::work("threads", error, "Lower --threads.")),
@@ -249,7 +249,7 @@ impl Batch {
             }
         };
         std::thread::scope(|scope| {
-            for _ in 0..crew.at_once {
+            for _ in 0..crew.concurrent_frames {
                 scope.spawn(work);
             }
         });

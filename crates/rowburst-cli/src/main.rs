@@ -8,13 +8,13 @@ mod args;
 #[cfg(feature = "batch")]
 mod batch;
 mod calibrate;
+mod chunked;
 #[cfg(feature = "batch")]
 mod cluster;
 mod colour;
 mod demo;
 mod design;
 mod figure;
-mod in_parts;
 mod inputs;
 mod outcome;
 mod progress;

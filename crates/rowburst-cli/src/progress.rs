@@ -54,12 +54,12 @@ impl Bar {
 }
 
 /// The bar of a video that is found part by part.
-pub struct PartsBar {
+pub struct ChunkBar {
     bar: ProgressBar,
     stop: Arc<AtomicBool>,
 }
 
-impl PartsBar {
+impl ChunkBar {
     /// As [`Bar::new`].
     pub fn new(stop: Arc<AtomicBool>) -> Self {
         let Bar { bar, stop } = Bar::new(stop);

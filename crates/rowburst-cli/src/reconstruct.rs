@@ -1,14 +1,14 @@
 //! `rowburst reconstruct`: files in, video and report out.
 
 use crate::args::ReconstructArgs;
+use crate::chunked;
 use crate::colour;
-use crate::in_parts;
 use crate::inputs::{calibration_of, read_psfs};
 use crate::outcome::say;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
 use rowburst::measurement::correct;
-use rowburst::reconstruct::{InParts, Recipe, Verdict};
+use rowburst::reconstruct::{Chunked, Recipe, Verdict};
 use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
@@ -16,7 +16,7 @@ use rowburst_run::inputs::{
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    About, Film, Outcome, PartsOutcome, PartsTask, Task, Traces, Wanted, player_of, short, solve,
+    About, ChunkedTask, Film, Outcome, PartsOutcome, Task, Traces, Wanted, player_of, short, solve,
     thousands,
 };
 use std::path::PathBuf;
@@ -36,7 +36,7 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     }
     let done = match one(args, experiment, began, stop)? {
         Made::Whole(done) => done,
-        Made::InParts(outcome) => return in_parts::tell(&outcome, args),
+        Made::Chunked(outcome) => return chunked::print_summary(&outcome, args),
     };
     if args.json {
         let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
@@ -54,7 +54,7 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
 /// What a run has made.
 enum Made {
     Whole(Box<Done>),
-    InParts(Box<PartsOutcome>),
+    Chunked(Box<PartsOutcome>),
 }
 
 /// A reconstruction that is written.
@@ -177,7 +177,7 @@ fn one(
     let (camera, measurement) = match &args.bins {
         None => (camera, measurement),
         Some(bins) => {
-            let part = camera.cut(in_parts::bins_of(bins)?)?;
+            let part = camera.subset(chunked::bins_of(bins)?)?;
             let rows: Vec<usize> = part.sensor_rows().collect();
             let measurement = measurement.rows(&rows);
             (part, measurement)
@@ -185,16 +185,16 @@ fn one(
     };
     let memory = check_memory(&args.experiment, &camera);
     if args.part_bins.is_some() {
-        let task = PartsTask {
-            parts: InParts::new(camera, psfs, measurement, recipe)?,
+        let task = ChunkedTask {
+            chunked: Chunked::new(camera, psfs, measurement, recipe)?,
             tau: recipe.tau,
-            each: args.part_bins.filter(|n| *n > 0),
+            bins_per_chunk: args.part_bins.filter(|n| *n > 0),
             title: &format!("Rowburst: {}", args.frame.display()),
             reproduce: &command_line(args),
             film: film_of(args),
             taken: &experiment.taken,
         };
-        return in_parts::run(&task, &folder, stop).map(|outcome| Made::InParts(Box::new(outcome)));
+        return chunked::run(&task, &folder, stop).map(|outcome| Made::Chunked(Box::new(outcome)));
     }
     memory?;
     let truth = args

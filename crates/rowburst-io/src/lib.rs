@@ -30,7 +30,7 @@ mod metadata;
 #[cfg(feature = "mp4")]
 mod mp4;
 mod npy;
-mod npy_parts;
+mod npy_chunked;
 mod patches;
 mod photron;
 mod png;
@@ -49,7 +49,7 @@ pub use metadata::{Metadata, read_metadata};
 #[cfg(feature = "mp4")]
 pub use mp4::{Strip, write_mp4};
 pub use npy::{write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
-pub use npy_parts::VideoInParts;
+pub use npy_chunked::ChunkedVideoFile;
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
 pub use read::{Capture, Level, read_colour_image, read_image, read_stack, read_video};

@@ -9,8 +9,8 @@
 //! the numbers of `result.json`, the report and the folder of results. No terminal: what is to be
 //! said goes to the caller, and an observer sees every iteration and may stop it.
 
+mod chunked;
 mod film;
-mod in_parts;
 pub mod inputs;
 mod numbers;
 pub mod options;
@@ -23,8 +23,8 @@ mod traces;
 mod view_files;
 mod watch;
 
+pub use chunked::{ChunkNumbers, ChunkedTask, PartsOutcome, run_chunked};
 pub use film::Film;
-pub use in_parts::{PartNumbers, PartsOutcome, PartsTask, run_in_parts};
 pub use numbers::thousands;
 pub use outcome::{
     FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,

@@ -23,7 +23,7 @@ const PORTS: u16 = 20;
 /// Most bytes of one answer: a page asks for a few bins at a time.
 const MOST_BYTES: usize = 64 << 20;
 /// Answers that are being made at once; each holds its bins in memory.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT_ANSWERS: usize = 4;
 
 struct Shared {
     results: RwLock<Arc<Vec<Opened>>>,
@@ -65,7 +65,7 @@ impl Server {
         let shared = Arc::new(Shared {
             results: RwLock::new(Arc::new(results)),
             live,
-            turns: Semaphore::new(AT_ONCE),
+            turns: Semaphore::new(MAX_CONCURRENT_ANSWERS),
         });
         let routes = routes(Arc::clone(&shared));
         let runtime = tokio::runtime::Builder::new_multi_thread()

@@ -7,7 +7,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{InParts, Recipe};
+use rowburst::reconstruct::{Chunked, Recipe};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
@@ -32,7 +32,7 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
     })
     .expect("a valid camera");
     let all = whole.time().bins();
-    let camera = whole.cut(0..bins).expect("bins of the camera");
+    let camera = whole.subset(0..bins).expect("bins of the camera");
     let began = Instant::now();
     // The same grain, a diffuser that spreads as much wider.
     let demo = SpeckleOptics::demo();
@@ -64,7 +64,7 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
     let mut rows = vec![0.0f32; camera.rows() * side];
     let places: Vec<usize> = camera.sensor_rows().collect();
     for bin in 0..bins {
-        let one = whole.cut(bin..bin + 1).expect("a bin");
+        let one = whole.subset(bin..bin + 1).expect("a bin");
         let operator = RollingShutter::new(&one, &psf);
         let mut read = vec![0.0; operator.range_len()];
         operator.apply(scene_of(bin).data(), &mut read);
@@ -76,14 +76,14 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
     let noiseless = Image::new(camera.rows(), side, rows).expect("a frame");
     let noisy = Noise::Gaussian { snr: 256.0 }.apply(&noiseless, camera.sensor(), 1);
     let measurement = Measurement::new(noisy.expect("light").frame).expect("light");
-    let parts = InParts::new(camera, psf.into(), measurement, Recipe::default()).expect("parts");
+    let chunks = Chunked::new(camera, psf.into(), measurement, Recipe::default()).expect("parts");
     let mut decibels = Vec::new();
     let began = Instant::now();
     let mut comparing = 0.0;
-    for range in parts.ranges(None) {
+    for range in chunks.ranges(None) {
         let begun = Instant::now();
         let mut stamps = Vec::new();
-        let found = parts
+        let found = chunks
             .solve(range.clone(), &mut |progress| {
                 stamps.push((begun.elapsed().as_secs_f64(), progress.support));
                 ControlFlow::Continue(())

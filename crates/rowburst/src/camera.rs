@@ -180,7 +180,7 @@ impl Camera {
     ///
     /// # Errors
     /// Bins that are not there, and rows whose exposure reaches beyond them.
-    pub fn cut(&self, bins: Range<usize>) -> Result<Self> {
+    pub fn subset(&self, bins: Range<usize>) -> Result<Self> {
         require(
             bins.start < bins.end && bins.end <= self.time.bins(),
             "bins",
@@ -223,7 +223,7 @@ impl Camera {
                 .iter()
                 .map(|&place| self.instants[place] - first_instant)
                 .collect(),
-            time: self.time.cut(bins.clone(), kept),
+            time: self.time.subset(bins.clone(), kept),
             cut: Some(Cut {
                 rows: places.iter().map(|&place| sensor_rows[place]).collect(),
                 first_bin: self.first_bin() + bins.start,

@@ -56,7 +56,7 @@ impl Measurement {
         })
     }
 
-    /// Some rows of it, one after another, as [`Camera::cut`] reads them. The noise, and the
+    /// Some rows of it, one after another, as [`Camera::subset`] reads them. The noise, and the
     /// numbers of bad and saturated pixels, are those of the whole frame.
     ///
     /// # Panics

@@ -112,7 +112,7 @@ impl TimeGrid {
     }
 
     /// The grid of the instants `kept` alone, which see only the bins `bins`.
-    pub(crate) fn cut(&self, bins: std::ops::Range<usize>, kept: Vec<usize>) -> Self {
+    pub(crate) fn subset(&self, bins: std::ops::Range<usize>, kept: Vec<usize>) -> Self {
         let moved = |i: usize| InstantWeights {
             first_bin: self.instants[i].first_bin - bins.start,
             weights: self.instants[i].weights.clone(),

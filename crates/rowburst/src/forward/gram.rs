@@ -22,7 +22,7 @@ use realfft::RealFftPlanner;
 use rustfft::num_complex::Complex64;
 
 /// Columns of `S_i` that are held at once.
-const COLUMNS_AT_ONCE: usize = 128;
+const COLUMNS_PER_BATCH: usize = 128;
 
 /// Columns of a sensor from which on blocks stay f32, and the products of PSF columns are taken in f32, in half of the
 /// time. The sums that run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each
@@ -273,7 +273,7 @@ impl RollingShutter {
     ) {
         let weight = T::nearest(weight);
         // A few columns at a time: those of a crowded bin are several videos' worth.
-        for pixels in pixels.chunks(COLUMNS_AT_ONCE) {
+        for pixels in pixels.chunks(COLUMNS_PER_BATCH) {
             let a = self.columns_of(instant, pixels);
             multiply(sum.rb_mut(), UPPER, Accum::Add, (&a, &a), weight);
         }

@@ -164,7 +164,7 @@ impl<T: Scalar> RollingShutter<T> {
 
     /// Instants that a thread works on together, so that they share what is read of the PSF's spectra where a cache does
     /// not hold all of them.
-    fn at_once(&self) -> usize {
+    fn batch_size(&self) -> usize {
         /// Bytes of a cache that a thread has for itself.
         const CACHE: usize = 1 << 20;
         const MOST: usize = 8;
@@ -280,7 +280,7 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         let columns = self.geometry.columns;
         let instants: Vec<usize> = (0..self.rows_of.len()).collect();
-        let groups = instants.par_chunks(self.at_once()).map_init(
+        let groups = instants.par_chunks(self.batch_size()).map_init(
             || self.scratch(),
             |scratch, group| {
                 let rows = |instant: &usize| self.rows_of[*instant].as_slice();
@@ -334,7 +334,7 @@ impl<T: Scalar> RollingShutter<T> {
         target: &mut [T],
         write: impl Fn(usize, usize, &mut [T], &mut [T]) + Sync,
     ) {
-        let (pixels, size) = (self.video.pixels(), self.at_once());
+        let (pixels, size) = (self.video.pixels(), self.batch_size());
         let groups = target.par_chunks_mut(size * pixels).enumerate();
         groups.for_each_init(
             || self.scratch(),

@@ -25,7 +25,7 @@ use std::sync::Arc;
 
 /// Pairs of rows of a field that are transformed at once: their spectra stay in the nearest cache. After them come those of
 /// the next field, which need nearly the same spectra of the PSF.
-const PAIRS_AT_ONCE: usize = 4;
+const PAIRS_PER_BATCH: usize = 4;
 
 pub(super) struct Rowwise<T: Scalar> {
     geometry: Geometry,
@@ -92,9 +92,9 @@ impl<T: Scalar> Rowwise<T> {
             .max(self.inverse.get_inplace_scratch_len());
         Scratch {
             sums: Vec::new(),
-            light: vec![T::zero(); 2 * PAIRS_AT_ONCE * self.geometry.field_columns],
-            lines: vec![Complex::zero(); PAIRS_AT_ONCE * self.length],
-            pairs: Vec::with_capacity(PAIRS_AT_ONCE),
+            light: vec![T::zero(); 2 * PAIRS_PER_BATCH * self.geometry.field_columns],
+            lines: vec![Complex::zero(); PAIRS_PER_BATCH * self.length],
+            pairs: Vec::with_capacity(PAIRS_PER_BATCH),
             fft: vec![Complex::zero(); fft],
         }
     }
@@ -115,8 +115,8 @@ impl<T: Scalar> Rowwise<T> {
         let lines = fields.iter().map(|field| field.rows.len()).sum::<usize>();
         scratch.sums.clear();
         scratch.sums.resize(lines * self.length, Complex::zero());
-        for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_AT_ONCE) {
-            let end = self.geometry.field_rows.min(first + 2 * PAIRS_AT_ONCE);
+        for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_PER_BATCH) {
+            let end = self.geometry.field_rows.min(first + 2 * PAIRS_PER_BATCH);
             let mut at = 0;
             for field in &*fields {
                 let light = &field.light[first * field_columns..end * field_columns];
@@ -183,8 +183,8 @@ impl<T: Scalar> Rowwise<T> {
         }
         self.forward
             .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
-        for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_AT_ONCE) {
-            let end = self.geometry.field_rows.min(first + 2 * PAIRS_AT_ONCE);
+        for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_PER_BATCH) {
+            let end = self.geometry.field_rows.min(first + 2 * PAIRS_PER_BATCH);
             let mut at = 0;
             for (i, field) in fields.iter().enumerate() {
                 scratch.pairs.clear();

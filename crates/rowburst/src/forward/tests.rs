@@ -152,7 +152,7 @@ fn instants_together_give_the_bits_of_instants_alone() {
             operator.adjoint(&frame, &mut spread);
             let mut active = vec![f32::NAN; video.len()];
             operator.adjoint_on(&frame, &support, &mut active);
-            (operator.at_once(), [read, spread, active])
+            (operator.batch_size(), [read, spread, active])
         })
     };
     let (alone, expected) = run(17);
@@ -249,10 +249,10 @@ fn a_part_of_the_readout_sees_what_the_whole_sees() {
             let measurement = crate::measurement::Measurement::new(frame).unwrap();
             let mut read = Vec::new();
             for bins in [0..2, 2..shape.bins] {
-                let part = camera.cut(bins.clone()).unwrap();
+                let part = camera.subset(bins.clone()).unwrap();
                 assert_eq!(part.first_bin(), bins.start);
                 // A cut of a cut is a cut.
-                let again = part.cut(0..bins.len()).unwrap();
+                let again = part.subset(0..bins.len()).unwrap();
                 assert_eq!(
                     again.sensor_rows().collect::<Vec<_>>(),
                     part.sensor_rows().collect::<Vec<_>>()
@@ -305,13 +305,13 @@ fn parts_that_rows_reach_beyond_are_refused() {
         })
         .unwrap()
     };
-    assert!(camera(1.0).cut(0..3).is_ok());
+    assert!(camera(1.0).subset(0..3).is_ok());
     for (exposure, bins, word) in [
         (2.5, 0..3, "exposed"),
         (1.0, 3..3, "range"),
         (1.0, 8..11, "0..10"),
     ] {
-        let message = camera(exposure).cut(bins).unwrap_err().to_string();
+        let message = camera(exposure).subset(bins).unwrap_err().to_string();
         assert!(message.contains(word), "{message}");
     }
 }

@@ -70,7 +70,7 @@ impl LowRank {
 
     /// `dual ← (I − U diag(1 − keep) Uᵀ) dual`, with `U` and `keep` of the directions
     /// that are cut.
-    fn cut(&mut self, vectors: MatRef<f64>, keep: &[f64]) {
+    fn clip_singular_values(&mut self, vectors: MatRef<f64>, keep: &[f64]) {
         let (bins, pixels) = (self.shape.bins, self.shape.pixels());
         let rank = keep.len();
         // Uᵀ of what is taken away, bins × bins.
@@ -116,7 +116,7 @@ impl DualTerm for LowRank {
         let first = squares.partition_point(|s| *s <= radius * radius);
         if first < squares.len() {
             let keep: Vec<f64> = squares[first..].iter().map(|s| radius / s.sqrt()).collect();
-            self.cut(vectors.subcols(first, keep.len()), &keep);
+            self.clip_singular_values(vectors.subcols(first, keep.len()), &keep);
         }
         value
     }

@@ -19,7 +19,7 @@ use std::ops::Range;
 pub(super) struct Wave {
     pub shape: Shape,
     /// Rows of a strip.
-    pub rows_at_once: usize,
+    pub rows_per_strip: usize,
     pub steps: usize,
     /// Whether bins see their neighbours; else each is done by itself.
     pub is_coupled: bool,
@@ -133,7 +133,7 @@ impl Wave {
 
     /// The rows that each level takes of a strip; at the end all have had every row, and the one behind the last.
     fn strips(&self) -> impl Iterator<Item = impl Fn(usize) -> Range<usize>> {
-        let (size, end) = (self.rows_at_once, self.shape.rows + 1);
+        let (size, end) = (self.rows_per_strip, self.shape.rows + 1);
         let starts = (0..end + self.steps).step_by(size);
         starts.map(move |start| {
             move |level| {
@@ -187,7 +187,7 @@ impl Wave {
 
     fn slabs<'a>(
         &self,
-        cuts: &[usize],
+        boundaries: &[usize],
         mut q: &'a [f32],
         z: &'a mut [f32],
         duals: &'a mut [Vec<Dual>; 3],
@@ -196,7 +196,11 @@ impl Wave {
         let [mut py, mut px, mut time] = duals.each_mut().map(Vec::as_mut_slice);
         let (mut z, mut before) = (z, None);
         let mut slabs = Vec::new();
-        for (start, end) in cuts.iter().copied().zip(cuts[1..].iter().copied()) {
+        for (start, end) in boundaries
+            .iter()
+            .copied()
+            .zip(boundaries[1..].iter().copied())
+        {
             let size = (end - start) * self.shape.pixels();
             let mut own = split(&mut time, size);
             let mut last = None;

@@ -1,22 +1,22 @@
 //! From a measurement to a video: the only place where physics meets the solver.
 
 mod choose;
+mod chunked;
 mod data;
 mod data_step;
 mod fit;
 mod held_out;
 mod model;
-mod parts;
 mod prior;
 mod sequence;
 mod sigma;
 
 use choose::Tried;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
+pub use chunked::Chunked;
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, Verdict, Without};
 pub use model::Model;
-pub use parts::InParts;
 pub use prior::{FurtherWeights, Prior};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;

@@ -30,7 +30,7 @@ pub fn centroid(envelope: &Image) -> (f64, f64) {
 }
 
 /// Part of the light that may be cut off at an edge before the PSF is made larger.
-const CUT: f64 = 1e-3;
+const MAX_LOST_FRACTION: f64 = 1e-3;
 
 /// PSFs of `lights`, each moved by its `moves` pixels `(y, x)`, on one grid: that of the
 /// lights, or a larger one with the same middle where light would be cut off.
@@ -42,7 +42,7 @@ pub fn placed(lights: &[&Image], moves: &[(f64, f64)]) -> Result<Vec<Psf>> {
     for (light, m) in lights.iter().zip(moves) {
         let (y, x) = lost(light, *m);
         let needed = |lost: f64, m: f64| {
-            if lost > CUT {
+            if lost > MAX_LOST_FRACTION {
                 m.abs().ceil() as usize
             } else {
                 0

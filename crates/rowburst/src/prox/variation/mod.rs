@@ -36,7 +36,7 @@ const STEP: f32 = 1.9;
 
 /// Pixels that are worked on together, in whole rows: what a level has made of them is at hand for the next one, and
 /// few are left over by vectors of the processor.
-const AT_ONCE: usize = 12288;
+const PIXELS_PER_STRIP: usize = 12288;
 
 /// The weights of the three parts of [`Variation`]; a part with weight 0 is absent.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -119,7 +119,7 @@ impl Variation {
         let has_time = !duals[2].is_empty();
         let wave = Wave {
             shape: self.shape,
-            rows_at_once: (AT_ONCE / self.shape.columns).clamp(1, self.shape.rows),
+            rows_per_strip: (PIXELS_PER_STRIP / self.shape.columns).clamp(1, self.shape.rows),
             steps,
             is_coupled: has_time,
         };

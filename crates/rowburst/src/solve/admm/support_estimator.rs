@@ -119,13 +119,13 @@ impl SupportEstimator {
         (correlation, underfit_bins): (&[f32], &[usize]),
     ) -> Support {
         self.widen(underfit_bins);
-        let cut = |level: &usize| match *level {
+        let threshold = |level: &usize| match *level {
             OPEN_LEVEL.. => 0.0,
             level => THRESHOLD * brightness * THRESHOLD_FACTOR.powi(level as i32),
         };
-        let cuts: Vec<f64> = self.levels.iter().map(cut).collect();
-        let support =
-            Support::above(video, self.shape, &cuts).with_correlated(correlation, underfit_bins);
+        let thresholds: Vec<f64> = self.levels.iter().map(threshold).collect();
+        let support = Support::above(video, self.shape, &thresholds)
+            .with_correlated(correlation, underfit_bins);
         let fraction = support.fraction();
         self.is_settled = self.support.is_some()
             && underfit_bins.is_empty()

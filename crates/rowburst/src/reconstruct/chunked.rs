@@ -7,7 +7,7 @@
 //! min Σ_parts ½‖W_k(b_k − A_k v_k)‖² + τ R(v_k),   v ≥ 0
 //! ```
 //!
-//! Each part is a problem of its own, of the rows that read its bins ([`Camera::cut`]). With `τ` given
+//! Each part is a problem of its own, of the rows that read its bins ([`Camera::subset`]). With `τ` given
 //! the parts together are the minimiser of the whole; by the discrepancy principle each part has its
 //! own `τ`, at which its residual is the noise of the whole frame.
 
@@ -22,14 +22,14 @@ use std::ops::{ControlFlow, Range};
 
 /// Memory that a part may take where its size is left open, in bytes: of 2048×2048 pixels with two
 /// rows an instant 16 bins, and the process stays below 6 GiB.
-const BYTES: usize = 3 << 30;
+const MAX_CHUNK_BYTES: usize = 3 << 30;
 /// Bins of a part are a multiple of this where there are as many: threads share them evenly.
-const EVEN: usize = 8;
+const BIN_MULTIPLE: usize = 8;
 /// Copies of a part's video that its reconstruction holds.
-const COPIES: usize = 6;
+const VIDEO_COPIES: usize = 6;
 
 /// A frame whose video is found part by part.
-pub struct InParts {
+pub struct Chunked {
     camera: Camera,
     psfs: PatchSet,
     measurement: Measurement,
@@ -38,7 +38,7 @@ pub struct InParts {
     sigma_source: SigmaSource,
 }
 
-impl InParts {
+impl Chunked {
     /// The parts of `measurement`. The prior is the recipe's, or [`Prior::SEPARABLE`].
     ///
     /// # Errors
@@ -117,10 +117,10 @@ impl InParts {
         let per_row = self.camera.params().bins_per_row;
         let block = (self.camera.rows().div_ceil(instants) * self.camera.columns()).pow(2);
         let element = element_bytes(self.camera.columns());
-        let bytes = COPIES * size_of::<f32>() * shape.pixels() * per_row + element * block;
-        let fitting = (BYTES / bytes).max(1);
-        let even = match fitting > EVEN {
-            true => fitting - fitting % EVEN,
+        let bytes = VIDEO_COPIES * size_of::<f32>() * shape.pixels() * per_row + element * block;
+        let fitting = (MAX_CHUNK_BYTES / bytes).max(1);
+        let even = match fitting > BIN_MULTIPLE {
+            true => fitting - fitting % BIN_MULTIPLE,
             false => fitting,
         };
         let each = each.unwrap_or(per_row * even);
@@ -134,13 +134,13 @@ impl InParts {
     /// The video of some bins.
     ///
     /// # Errors
-    /// Those of [`Camera::cut`], [`Problem::of`] and [`Problem::solve`].
+    /// Those of [`Camera::subset`], [`Problem::of`] and [`Problem::solve`].
     pub fn solve(
         &self,
         bins: Range<usize>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<Reconstruction> {
-        let part = self.camera.cut(bins)?;
+        let part = self.camera.subset(bins)?;
         let first = self.camera.sensor_rows().collect::<Vec<_>>();
         let place = |row: usize| {
             first

@@ -2,11 +2,11 @@
 
 use crate::args::ReconstructArgs;
 use crate::outcome::say;
-use crate::progress::PartsBar;
+use crate::progress::ChunkBar;
 use rowburst::reconstruct::Verdict;
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
-use rowburst_run::{PartsOutcome, PartsTask, run_in_parts, short, thousands};
+use rowburst_run::{ChunkedTask, PartsOutcome, run_chunked, short, thousands};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -28,9 +28,13 @@ pub fn bins_of(text: &str) -> Result<Range<usize>> {
 }
 
 /// A video that is found part by part, with a bar.
-pub fn run(task: &PartsTask, folder: &OutputFolder, stop: Arc<AtomicBool>) -> Result<PartsOutcome> {
-    let mut bar = PartsBar::new(stop);
-    let outcome = run_in_parts(task, folder, &mut |part, bins, progress| {
+pub fn run(
+    task: &ChunkedTask,
+    folder: &OutputFolder,
+    stop: Arc<AtomicBool>,
+) -> Result<PartsOutcome> {
+    let mut bar = ChunkBar::new(stop);
+    let outcome = run_chunked(task, folder, &mut |part, bins, progress| {
         bar.show(part, bins, progress)
     });
     bar.finish();
@@ -38,7 +42,7 @@ pub fn run(task: &PartsTask, folder: &OutputFolder, stop: Arc<AtomicBool>) -> Re
 }
 
 /// Says what was found.
-pub fn tell(outcome: &PartsOutcome, args: &ReconstructArgs) -> Result<()> {
+pub fn print_summary(outcome: &PartsOutcome, args: &ReconstructArgs) -> Result<()> {
     if args.json {
         say(serde_json::to_string_pretty(outcome).expect("plain numbers and text"));
         return Ok(());

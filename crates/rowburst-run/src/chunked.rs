@@ -8,12 +8,12 @@
 use crate::film::{Film, encoded};
 use crate::numbers::thousands;
 use crate::outcome::{MetadataNumbers, peak_memory_bytes, short};
-use rowburst::reconstruct::{InParts, Tau, Verdict};
+use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
-use rowburst_io::{OutputFolder, Taken, VideoInParts};
+use rowburst_io::{ChunkedVideoFile, OutputFolder, Taken};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -25,13 +25,13 @@ const FILM_SIDE: usize = 256;
 const FILM_BINS: usize = 512;
 
 /// What is to be done, and how it is called.
-pub struct PartsTask<'a> {
+pub struct ChunkedTask<'a> {
     /// The frame and the recipe.
-    pub parts: InParts,
+    pub chunked: Chunked,
     /// How `τ` was asked for.
     pub tau: Tau,
     /// Bins of a part; `None`: as many as 3 GiB hold.
-    pub each: Option<usize>,
+    pub bins_per_chunk: Option<usize>,
     /// Of the page.
     pub title: &'a str,
     /// What makes the same result again.
@@ -44,7 +44,7 @@ pub struct PartsTask<'a> {
 
 /// A part that is through.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct PartNumbers {
+pub struct ChunkNumbers {
     /// Its first bin, and the one after its last, of the video that is written.
     pub first_bin: usize,
     pub end_bin: usize,
@@ -87,18 +87,18 @@ pub struct PartsOutcome {
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
     pub metadata: MetadataNumbers,
-    pub parts: Vec<PartNumbers>,
+    pub parts: Vec<ChunkNumbers>,
     pub warnings: Vec<String>,
 }
 
 #[derive(Serialize, Deserialize)]
-struct State {
+struct ResumeState {
     /// Of all that decides what the parts are.
     job: u64,
-    parts: Vec<PartNumbers>,
+    parts: Vec<ChunkNumbers>,
 }
 
-const STATE: &str = "parts.json";
+const STATE_FILE: &str = "parts.json";
 
 /// Sees the bins of the part at work, the number of all bins, and the iteration.
 type Observer<'o> = dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason> + 'o;
@@ -108,21 +108,21 @@ type Observer<'o> = dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<Sto
 ///
 /// # Errors
 /// Those of a reconstruction, failed writes, and where it was stopped: what is done stays.
-pub fn run_in_parts(
-    task: &PartsTask,
+pub fn run_chunked(
+    task: &ChunkedTask,
     folder: &OutputFolder,
     observer: &mut Observer,
 ) -> Result<PartsOutcome> {
-    let parts = &task.parts;
-    let shape = parts.camera().video_shape();
-    let ranges = parts.ranges(task.each);
-    let mut file = VideoInParts::open(&folder.path().join("video.npy"), shape)?;
+    let chunked = &task.chunked;
+    let shape = chunked.camera().video_shape();
+    let ranges = chunked.ranges(task.bins_per_chunk);
+    let mut file = ChunkedVideoFile::open(&folder.path().join("video.npy"), shape)?;
     let job = job_of(task, &ranges);
-    let begun = std::fs::read(folder.path().join(STATE)).ok();
-    let begun = begun.and_then(|bytes| serde_json::from_slice::<State>(&bytes).ok());
+    let begun = std::fs::read(folder.path().join(STATE_FILE)).ok();
+    let begun = begun.and_then(|bytes| serde_json::from_slice::<ResumeState>(&bytes).ok());
     let mut state = match begun {
-        Some(state) if state.job == job && file.was_there() => state,
-        _ => State {
+        Some(state) if state.job == job && file.is_resumed() => state,
+        _ => ResumeState {
             job,
             parts: Vec::new(),
         },
@@ -134,7 +134,7 @@ pub fn run_in_parts(
             continue;
         }
         let began = Instant::now();
-        let found = parts.solve(range.clone(), &mut |progress| {
+        let found = chunked.solve(range.clone(), &mut |progress| {
             observer(range.clone(), shape.bins, progress)
         })?;
         if found.stop_reason == StopReason::Interrupted {
@@ -146,7 +146,7 @@ pub fn run_in_parts(
             ));
         }
         file.write(range.start, found.video.data())?;
-        state.parts.push(PartNumbers {
+        state.parts.push(ChunkNumbers {
             first_bin: range.start,
             end_bin: range.end,
             iterations: found.iterations,
@@ -160,12 +160,12 @@ pub fn run_in_parts(
         });
         state.parts.sort_by_key(|p| p.first_bin);
         let json = serde_json::to_vec(&state).expect("plain numbers and text");
-        folder.write_bytes(STATE, &json)?;
+        folder.write_bytes(STATE_FILE, &json)?;
     }
     let seen = Seen::read(&mut file, shape)?;
     file.finish()?;
     folder.remove("video.mp4")?;
-    let bin_us = parts.camera().time().bin_duration_us();
+    let bin_us = chunked.camera().time().bin_duration_us();
     let time = TimeGrid::rolling(
         seen.film.shape().bins,
         bin_us * seen.bins_each as f64,
@@ -185,29 +185,29 @@ pub fn run_in_parts(
     outcome.peak_memory_bytes = peak_memory_bytes();
     let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
     folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
-    folder.remove(STATE)?;
+    folder.remove(STATE_FILE)?;
     Ok(outcome)
 }
 
 /// A number that another frame, PSF, camera, recipe or division would not have.
-fn job_of(task: &PartsTask, ranges: &[Range<usize>]) -> u64 {
+fn job_of(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
     let mut hasher = DefaultHasher::new();
     let image = |image: &Image, hasher: &mut DefaultHasher| {
         image.data().iter().for_each(|v| v.to_bits().hash(hasher));
     };
-    image(task.parts.measurement().image(), &mut hasher);
-    let weights = task.parts.measurement().weights().unwrap_or_default();
+    image(task.chunked.measurement().image(), &mut hasher);
+    let weights = task.chunked.measurement().weights().unwrap_or_default();
     weights.iter().for_each(|v| v.to_bits().hash(&mut hasher));
-    for psf in task.parts.psfs().psfs() {
+    for psf in task.chunked.psfs().psfs() {
         image(psf.image(), &mut hasher);
     }
     let words = format!(
         "{} {:?} {} {:?} {:?} {ranges:?}",
         env!("CARGO_PKG_VERSION"),
-        task.parts.camera(),
-        task.parts.prior(),
+        task.chunked.camera(),
+        task.chunked.prior(),
         task.tau,
-        task.parts.sigma()
+        task.chunked.sigma()
     );
     words.hash(&mut hasher);
     hasher.finish()
@@ -225,7 +225,7 @@ struct Seen {
 }
 
 impl Seen {
-    fn read(file: &mut VideoInParts, shape: Shape) -> Result<Self> {
+    fn read(file: &mut ChunkedVideoFile, shape: Shape) -> Result<Self> {
         let side = shape.rows.max(shape.columns).div_ceil(FILM_SIDE);
         let bins_each = shape.bins.div_ceil(FILM_BINS);
         let small = Shape::new(
@@ -260,11 +260,11 @@ impl Seen {
     }
 }
 
-fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
-    let camera = task.parts.camera();
+fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
+    let camera = task.chunked.camera();
     let shape = camera.video_shape();
-    let (sigma, source) = task.parts.sigma();
-    let bins = |p: &PartNumbers| (p.end_bin - p.first_bin) as f64;
+    let (sigma, source) = task.chunked.sigma();
+    let bins = |p: &ChunkNumbers| (p.end_bin - p.first_bin) as f64;
     let squares: f64 = parts
         .iter()
         .map(|p| bins(p) * p.residual_over_sigma.powi(2))
@@ -275,7 +275,7 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
         .map(|v| v.name())
         .find(|name| parts.iter().any(|p| p.fit == *name))
         .unwrap_or(Verdict::Good.name());
-    let of_worst: Vec<&PartNumbers> = parts.iter().filter(|p| p.fit == worst).collect();
+    let of_worst: Vec<&ChunkNumbers> = parts.iter().filter(|p| p.fit == worst).collect();
     let fit_reason = format!(
         "{} of {} parts are {worst}; bins {}..{}: {}",
         of_worst.len(),
@@ -289,13 +289,13 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
     if worst != Verdict::Good.name() {
         warnings.push(format!("the fit is {worst}: {fit_reason}"));
     }
-    let saturated = task.parts.measurement().saturated();
+    let saturated = task.chunked.measurement().saturated();
     if saturated > 0 {
         warnings.push(format!("{saturated} saturated pixels were left out"));
     }
     PartsOutcome {
         version: env!("CARGO_PKG_VERSION"),
-        prior: task.parts.prior().to_string(),
+        prior: task.chunked.prior().to_string(),
         tau_rule: match task.tau {
             Tau::Given(_) => "given",
             Tau::HeldOut => "held-out pixels, for each part",
@@ -316,7 +316,7 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
         peak_memory_bytes: peak_memory_bytes(),
         threads: rayon::current_num_threads(),
         simd: instruction_set(),
-        bad_pixels: task.parts.measurement().bad(),
+        bad_pixels: task.chunked.measurement().bad(),
         saturated_pixels: saturated,
         metadata: MetadataNumbers::from(task.taken),
         parts,
@@ -324,8 +324,8 @@ fn outcome(task: &PartsTask, parts: Vec<PartNumbers>) -> PartsOutcome {
     }
 }
 
-fn sheet<'a>(task: &'a PartsTask, outcome: &PartsOutcome, seen: &'a Seen) -> Sheet<'a> {
-    let camera = task.parts.camera();
+fn sheet<'a>(task: &'a ChunkedTask, outcome: &PartsOutcome, seen: &'a Seen) -> Sheet<'a> {
+    let camera = task.chunked.camera();
     let bin_us = camera.time().bin_duration_us();
     let time = |bin: usize| ((camera.first_bin() + bin) as f64 + 0.5) * bin_us;
     let top =
@@ -368,7 +368,7 @@ fn sheet<'a>(task: &'a PartsTask, outcome: &PartsOutcome, seen: &'a Seen) -> She
         ]
     });
     let pair = |name: &str, value: String| (name.to_string(), value);
-    let each = outcome.parts.first().map_or(0, |p| p.end_bin - p.first_bin);
+    let bins_per_chunk = outcome.parts.first().map_or(0, |p| p.end_bin - p.first_bin);
     Sheet {
         title: task.title,
         summary: format!(
@@ -381,7 +381,7 @@ fn sheet<'a>(task: &'a PartsTask, outcome: &PartsOutcome, seen: &'a Seen) -> She
         ),
         warnings: outcome.warnings.clone(),
         notes: vec![format!(
-            "Each part of {each} bins is a problem of its own, of the rows that see it. The prior has no term over time."
+            "Each part of {bins_per_chunk} bins is a problem of its own, of the rows that see it. The prior has no term over time."
         )],
         headline: vec![
             pair("Fit", outcome.fit.into()),
@@ -416,7 +416,7 @@ fn sheet<'a>(task: &'a PartsTask, outcome: &PartsOutcome, seen: &'a Seen) -> She
                 vec![
                     map(
                         "frame",
-                        task.parts.measurement().image(),
+                        task.chunked.measurement().image(),
                         "counts",
                         "The captured frame, corrected; of a range of bins the rows that see them, one after another.",
                     ),

@@ -10,23 +10,23 @@ use std::path::{Path, PathBuf};
 /// `NAME.part`, which takes the name once all bins are in it. One that an interrupted run has left is
 /// gone on with.
 #[derive(Debug)]
-pub struct VideoInParts {
+pub struct ChunkedVideoFile {
     path: PathBuf,
-    hidden: PathBuf,
+    partial_path: PathBuf,
     file: File,
     header: usize,
     shape: Shape,
-    was_there: bool,
+    is_resumed: bool,
 }
 
-impl VideoInParts {
+impl ChunkedVideoFile {
     /// Opens what is there of a float32 array `[t, y, x]` of `shape`, or begins it.
     ///
     /// # Errors
     /// Failed writes; a disk without room for all of it may say so only later.
     pub fn open(path: &Path, shape: Shape) -> Result<Self> {
         let header = header_of("<f4", &[shape.bins, shape.rows, shape.columns]);
-        let hidden = PathBuf::from(format!("{}.part", path.display()));
+        let partial_path = PathBuf::from(format!("{}.part", path.display()));
         let length = (header.len() + shape.voxels() * size_of::<f32>()) as u64;
         let open = || -> io::Result<(File, bool)> {
             let mut options = OpenOptions::new();
@@ -35,35 +35,36 @@ impl VideoInParts {
                 .write(true)
                 .create(true)
                 .truncate(false)
-                .open(&hidden)?;
+                .open(&partial_path)?;
             let mut found = Vec::new();
             (&mut file)
                 .take(header.len() as u64)
                 .read_to_end(&mut found)?;
-            let was_there = found == header && file.metadata()?.len() == length;
-            if !was_there {
+            let is_resumed = found == header && file.metadata()?.len() == length;
+            if !is_resumed {
                 file.set_len(0)?;
                 file.rewind()?;
                 file.write_all(&header)?;
                 // Bins that are not written yet take no room.
                 file.set_len(length)?;
             }
-            Ok((file, was_there))
+            Ok((file, is_resumed))
         };
-        let (file, was_there) = open().map_err(|e| fault::writing(&e).within(hidden.display()))?;
+        let (file, is_resumed) =
+            open().map_err(|e| fault::writing(&e).within(partial_path.display()))?;
         Ok(Self {
             path: path.into(),
-            hidden,
+            partial_path,
             file,
             header: header.len(),
             shape,
-            was_there,
+            is_resumed,
         })
     }
 
     /// Whether an interrupted run has left it.
-    pub fn was_there(&self) -> bool {
-        self.was_there
+    pub fn is_resumed(&self) -> bool {
+        self.is_resumed
     }
 
     /// Writes whole bins, from `first` on, and waits until they are on disk.
@@ -89,7 +90,7 @@ impl VideoInParts {
             }
             self.file.sync_data()
         };
-        write().map_err(|e| fault::writing(&e).within(self.hidden.display()))
+        write().map_err(|e| fault::writing(&e).within(self.partial_path.display()))
     }
 
     /// Reads a bin.
@@ -102,7 +103,7 @@ impl VideoInParts {
         let start = (self.header + bin * bytes.len()) as u64;
         let read = self.file.seek(SeekFrom::Start(start));
         read.and_then(|_| self.file.read_exact(&mut bytes))
-            .map_err(|e| fault::reading(&self.hidden, &e))?;
+            .map_err(|e| fault::reading(&self.partial_path, &e))?;
         let (values, _) = bytes.as_chunks::<4>();
         Ok(values.iter().map(|v| f32::from_le_bytes(*v)).collect())
     }
@@ -113,7 +114,7 @@ impl VideoInParts {
     /// A file that cannot be renamed.
     pub fn finish(self) -> Result<()> {
         let done = self.file.sync_all();
-        done.and_then(|()| std::fs::rename(&self.hidden, &self.path))
+        done.and_then(|()| std::fs::rename(&self.partial_path, &self.path))
             .map_err(|e| fault::writing(&e).within(self.path.display()))
     }
 }
@@ -130,13 +131,13 @@ mod tests {
         let shape = Shape::new(5, 3, 4);
         let values: Vec<f32> = (0..60).map(|i| i as f32 * 0.5 - 3.0).collect();
         let path = folder.path().join("video.npy");
-        let mut parts = VideoInParts::open(&path, shape).unwrap();
-        assert!(!parts.was_there());
+        let mut parts = ChunkedVideoFile::open(&path, shape).unwrap();
+        assert!(!parts.is_resumed());
         parts.write(3, &values[36..]).unwrap();
         drop(parts);
         assert!(!path.exists());
-        let mut parts = VideoInParts::open(&path, shape).unwrap();
-        assert!(parts.was_there());
+        let mut parts = ChunkedVideoFile::open(&path, shape).unwrap();
+        assert!(parts.is_resumed());
         parts.write(0, &values[..36]).unwrap();
         assert_eq!(parts.read(3).unwrap(), values[36..48]);
         parts.finish().unwrap();
@@ -147,7 +148,7 @@ mod tests {
         assert_eq!(std::fs::read(&path).unwrap(), whole);
         // One of another shape is begun anew.
         std::fs::rename(&path, folder.path().join("video.npy.part")).unwrap();
-        let other = VideoInParts::open(&path, Shape::new(4, 3, 4)).unwrap();
-        assert!(!other.was_there());
+        let other = ChunkedVideoFile::open(&path, Shape::new(4, 3, 4)).unwrap();
+        assert!(!other.is_resumed());
     }
 }
