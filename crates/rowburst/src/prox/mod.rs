@@ -10,7 +10,7 @@ pub mod sparse;
 pub mod sum_prior;
 pub mod variation;
 pub mod variation3d;
-mod wave;
+mod wavefront;
 
 pub use composite::Composite;
 pub use dual::DualTerm;

@@ -79,7 +79,7 @@ struct PackedCholesky<T> {
     memory: Vec<T>,
     diagonal: Vec<T>,
     /// The inverses of the tiles on the diagonal of the factor, each whole, column after column.
-    tiles: Vec<Tile<T>>,
+    tiles: Vec<FactorTile<T>>,
     /// Of the factor, if there is one, and whether one of its pivots was lost in rounding.
     rho: Option<f64>,
     is_ill_conditioned: bool,
@@ -88,7 +88,7 @@ struct PackedCholesky<T> {
 /// Side of the tiles that a factor is solved by: what a vector of the processor holds of f32.
 const TILE: usize = 8;
 
-type Tile<T> = [[T; TILE]; TILE];
+type FactorTile<T> = [[T; TILE]; TILE];
 
 /// Most columns for each row of a block that is given by them: then their square takes less time.
 const MOST_COLUMNS: f64 = 0.5;
@@ -394,7 +394,11 @@ fn multiply<T: Scalar>(accum: Accum, to: &mut [T], matrix: MatRef<T>, values: &[
 }
 
 /// `L⁻¹` of the tile at column `first` of the diagonal; as if `L` went on with ones.
-fn inverse_tile<T: Scalar>(packed: &[T], (size, stride): (usize, usize), first: usize) -> Tile<T> {
+fn inverse_tile<T: Scalar>(
+    packed: &[T],
+    (size, stride): (usize, usize),
+    first: usize,
+) -> FactorTile<T> {
     let element = |i: usize, j: usize| packed[(first + j) * stride + first + i];
     let most = TILE.min(size - first);
     let mut inverse = [[T::zero(); TILE]; TILE];
@@ -413,7 +417,7 @@ fn inverse_tile<T: Scalar>(packed: &[T], (size, stride): (usize, usize), first: 
 
 /// `(L Lᵀ)⁻¹ values` in place, with `L` below the diagonal of `packed`, column after column, and `tiles` the inverses of
 /// the tiles on it. `values` are as many as a column.
-fn solve_packed<T: Scalar>(packed: &[T], tiles: &[Tile<T>], values: &mut [T]) {
+fn solve_packed<T: Scalar>(packed: &[T], tiles: &[FactorTile<T>], values: &mut [T]) {
     let stride = values.len();
     simd(
         #[inline(always)]
@@ -454,7 +458,7 @@ fn below<T>(packed: &[T], stride: usize, k: usize) -> [&[T]; TILE] {
 }
 
 #[inline(always)]
-fn times<T: Scalar>(tile: &Tile<T>, values: &[T; TILE]) -> [T; TILE] {
+fn times<T: Scalar>(tile: &FactorTile<T>, values: &[T; TILE]) -> [T; TILE] {
     let mut sums = [[T::zero(); TILE]; 2];
     for (j, (column, &v)) in tile.iter().zip(values).enumerate() {
         let sum = &mut sums[j % 2];

@@ -13,13 +13,13 @@
 //! (in a trial on digits of 12 and 18 px: equal PSNR to 0.02 dB after 80 and 120 iterations).
 //!
 //! The steps of a call go through rows and bins as a wave, so that a video is read from memory once for all of
-//! them (`prox::wave`).
+//! them (`prox::wavefront`).
 
 mod bin;
 
 use super::Prox;
 use super::rows::Rows;
-use super::wave::{BinView, Levels, PerAxis, Slab, Wave};
+use super::wavefront::{BinView, SpatialDuals, Stencil, Tile, Wavefront};
 use crate::vecmath::simd;
 use crate::{Shape, Support};
 pub(super) use bin::Dual;
@@ -117,20 +117,20 @@ impl Variation {
     fn sweep(&mut self, q: &[f32], scale: f64, z: &mut [f32], steps: usize, is_last: bool) {
         let mut duals = self.take_duals();
         let has_time = !duals[2].is_empty();
-        let wave = Wave {
+        let wavefront = Wavefront {
             shape: self.shape,
             rows_per_strip: (PIXELS_PER_STRIP / self.shape.columns).clamp(1, self.shape.rows),
             steps,
             is_coupled: has_time,
         };
-        let levels = DualSteps {
+        let stencil = DualSteps {
             prior: self,
             scale,
             length: STEP / norm_squared(!duals[0].is_empty(), has_time) as f32,
             steps,
             is_last,
         };
-        wave.run(q, z, &mut duals, &levels);
+        wavefront.run(q, z, &mut duals, &stencil);
         [self.dual_y, self.dual_x, self.dual_t] = duals;
     }
 
@@ -250,7 +250,13 @@ struct DualSteps<'a> {
 impl DualSteps<'_> {
     /// The primal points of some rows, and while they are at hand steps of the spatial dual of the rows above, and of
     /// the dual over time before them if it is to step.
-    fn write_and_step(&self, bin: &Bin, bin_view: BinView, (py, px): PerAxis, rows: Range<usize>) {
+    fn write_and_step(
+        &self,
+        bin: &Bin,
+        bin_view: BinView,
+        (py, px): SpatialDuals,
+        rows: Range<usize>,
+    ) {
         let (prior, lengths) = (self.prior, (self.scale, self.length));
         let (time, before) = (Values::new(bin_view.time), Values::new(bin_view.before));
         let mut to_step = bin_view.to_step;
@@ -268,7 +274,7 @@ impl DualSteps<'_> {
     }
 
     /// The primal points of some rows.
-    fn write(&self, bin: &Bin, bin_view: BinView, space: Option<PerAxis>, rows: Range<usize>) {
+    fn write(&self, bin: &Bin, bin_view: BinView, space: Option<SpatialDuals>, rows: Range<usize>) {
         let (py, px) = space.unzip();
         let duals = Duals {
             py: Values::new(py.as_deref()),
@@ -283,8 +289,15 @@ impl DualSteps<'_> {
     }
 }
 
-impl Levels for DualSteps<'_> {
-    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, steps_before: bool) {
+impl Stencil for DualSteps<'_> {
+    fn update_bin(
+        &self,
+        tile: &mut Tile,
+        t: usize,
+        level: usize,
+        rows: Range<usize>,
+        steps_before: bool,
+    ) {
         let is_end = level == self.steps;
         if is_end && !self.is_last {
             return;
@@ -292,7 +305,7 @@ impl Levels for DualSteps<'_> {
         let (prior, bin) = (self.prior, self.prior.bin(t, self.scale));
         // On a support what moves between the bins is not what is lit.
         let in_one = steps_before && prior.weights.space > 0.0 && prior.support.is_none();
-        let mut bin_view = slab.bin(t, in_one);
+        let mut bin_view = tile.bin(t, in_one);
         if level == 0 {
             bin.darken_others(bin_view.z, rows.clone());
         }
@@ -301,12 +314,12 @@ impl Levels for DualSteps<'_> {
             space => self.write(&bin, bin_view, space, rows.clone()),
         }
         if steps_before && !in_one {
-            self.between(slab, t - 1, rows);
+            self.step_time_dual(tile, t - 1, rows);
         }
     }
 
-    fn between(&self, slab: &mut Slab, t: usize, rows: Range<usize>) {
-        let (p, (now, next)) = slab.time_step(t);
+    fn step_time_dual(&self, tile: &mut Tile, t: usize, rows: Range<usize>) {
+        let (p, (now, next)) = tile.time_step(t);
         let columns = self.prior.shape.columns;
         for run in reached(self.prior.rows.adjacent(t), &rows) {
             let (start, end) = (run.start.max(rows.start), run.end.min(rows.end));

@@ -111,7 +111,7 @@ fn the_wave_gives_the_bits_of_level_by_level() {
                 _ => Shape::new(29, 5, 7),
             };
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-            let (mut wave, mut plain) = (
+            let (mut wavefront, mut plain) = (
                 Variation::new(shape, *weights).with_steps(steps),
                 Variation::new(shape, *weights),
             );
@@ -124,13 +124,13 @@ fn the_wave_gives_the_bits_of_level_by_level() {
             pool.build().unwrap().install(|| {
                 for call in 0..6 {
                     if call == 3 {
-                        wave.restrict(&support);
+                        wavefront.restrict(&support);
                         plain.restrict(&support);
                     }
                     let q = random(shape.voxels(), 20 + call);
                     let (mut z, mut expected) = (vec![f32::NAN; q.len()], last.clone());
                     level_by_level(&mut plain, &q, 0.2, &mut expected, steps);
-                    wave.prox(&q, 0.2, &mut z);
+                    wavefront.prox(&q, 0.2, &mut z);
                     let differ = z.iter().zip(&expected).position(|(a, b)| a != b);
                     assert_eq!(differ, None, "{weights:?} {steps} {threads} {call}");
                     last = z;

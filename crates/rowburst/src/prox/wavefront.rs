@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Levels `0..=steps` over the bins; each brings the duals before the bins to the next one.
-pub(super) struct Wave {
+pub(super) struct Wavefront {
     pub shape: Shape,
     /// Rows of a strip.
     pub rows_per_strip: usize,
@@ -26,7 +26,7 @@ pub(super) struct Wave {
 }
 
 /// Some neighbouring bins of everything that the steps read and write.
-pub(super) struct Slab<'a> {
+pub(super) struct Tile<'a> {
     bins: Range<usize>,
     pixels: usize,
     q: &'a [f32],
@@ -41,13 +41,13 @@ pub(super) struct Slab<'a> {
 }
 
 /// The dual along y and along x.
-pub(super) type PerAxis<'s> = (&'s mut [Dual], &'s mut [Dual]);
+pub(super) type SpatialDuals<'s> = (&'s mut [Dual], &'s mut [Dual]);
 
-/// A bin of a [`Slab`].
+/// A bin of a [`Tile`].
 pub(super) struct BinView<'s> {
     pub z: &'s mut [f32],
     pub q: &'s [f32],
-    pub space: Option<PerAxis<'s>>,
+    pub space: Option<SpatialDuals<'s>>,
     /// The dual over time of it, and of the bin before, unless that is to step.
     pub time: Option<&'s [Dual]>,
     pub before: Option<&'s [Dual]>,
@@ -55,10 +55,10 @@ pub(super) struct BinView<'s> {
     pub to_step: Option<(&'s mut [Dual], &'s [f32])>,
 }
 
-impl Slab<'_> {
+impl Tile<'_> {
     /// Bin `t`, where the dual over time before it is to step if `steps_before`.
     pub fn bin(&mut self, t: usize, steps_before: bool) -> BinView<'_> {
-        let at = self.place(t);
+        let at = self.range_of(t);
         let [py, px] = &mut self.space;
         let space = py.get_mut(at.clone()).zip(px.get_mut(at.clone()));
         // What is before the bin, and from it on.
@@ -87,13 +87,13 @@ impl Slab<'_> {
 
     /// The dual over time from bin `t` to the next, and the two bins.
     pub fn time_step(&mut self, t: usize) -> (&mut [Dual], (&[f32], &[f32])) {
-        let (now, next) = (self.place(t), self.place(t + 1));
+        let (now, next) = (self.range_of(t), self.range_of(t + 1));
         let p = &mut self.time[now.clone()];
         let z = &*self.z;
         (p, (&z[now], &z[next]))
     }
 
-    fn place(&self, t: usize) -> Range<usize> {
+    fn range_of(&self, t: usize) -> Range<usize> {
         let at = t - self.bins.start;
         at * self.pixels..(at + 1) * self.pixels
     }
@@ -102,14 +102,27 @@ impl Slab<'_> {
 /// What is done to some rows of a bin at a level, and if `steps_before` to the dual over time before the bin, which is then
 /// at the next level; or to that of bin `t` alone. Rows may end one behind the last: what looks at the row above has its
 /// turn there.
-pub(super) trait Levels: Sync {
-    fn at(&self, slab: &mut Slab, t: usize, level: usize, rows: Range<usize>, steps_before: bool);
-    fn between(&self, slab: &mut Slab, t: usize, rows: Range<usize>);
+pub(super) trait Stencil: Sync {
+    fn update_bin(
+        &self,
+        tile: &mut Tile,
+        t: usize,
+        level: usize,
+        rows: Range<usize>,
+        steps_before: bool,
+    );
+    fn step_time_dual(&self, tile: &mut Tile, t: usize, rows: Range<usize>);
 }
 
-impl Wave {
-    /// Takes `levels` through all bins.
-    pub fn run(&self, q: &[f32], z: &mut [f32], duals: &mut [Vec<Dual>; 3], levels: &impl Levels) {
+impl Wavefront {
+    /// Takes `stencil` through all bins.
+    pub fn run(
+        &self,
+        q: &[f32],
+        z: &mut [f32],
+        duals: &mut [Vec<Dual>; 3],
+        stencil: &impl Stencil,
+    ) {
         let bins = self.shape.bins;
         let blocks = match self.is_coupled {
             true => rayon::current_num_threads().min(bins / (2 * self.steps + 2)),
@@ -117,17 +130,17 @@ impl Wave {
             false => bins,
         };
         let blocks = blocks.max(1);
-        let borders: Vec<usize> = (0..=blocks).map(|i| i * bins / blocks).collect();
-        let slabs = self.slabs(&borders, q, z, duals, true);
-        let slabs = slabs.into_par_iter();
-        slabs.for_each(|mut slab| self.climb(&mut slab, levels));
+        let seams: Vec<usize> = (0..=blocks).map(|i| i * bins / blocks).collect();
+        let tiles = self.tiles(&seams, q, z, duals, true);
+        let tiles = tiles.into_par_iter();
+        tiles.for_each(|mut tile| self.run_interior(&mut tile, stencil));
         if self.is_coupled && blocks > 1 {
-            let mut middles = vec![0];
-            middles.extend((2..blocks).map(|i| (borders[i - 1] + borders[i]) / 2));
-            middles.push(bins);
-            let slabs = self.slabs(&middles, q, z, duals, false);
-            let slabs = slabs.into_par_iter().zip(&borders[1..blocks]);
-            slabs.for_each(|(mut slab, &border)| self.fill(&mut slab, border, levels));
+            let mut seam_tiles = vec![0];
+            seam_tiles.extend((2..blocks).map(|i| (seams[i - 1] + seams[i]) / 2));
+            seam_tiles.push(bins);
+            let tiles = self.tiles(&seam_tiles, q, z, duals, false);
+            let tiles = tiles.into_par_iter().zip(&seams[1..blocks]);
+            tiles.for_each(|(mut tile, &seam)| self.run_seam(&mut tile, seam, stencil));
         }
     }
 
@@ -143,15 +156,15 @@ impl Wave {
         })
     }
 
-    /// All that can be done without the neighbours of `slab`: level `l` reads what level `l − 1` has made of a
+    /// All that can be done without the neighbours of `tile`: level `l` reads what level `l − 1` has made of a
     /// bin and of its neighbours, and writes over it.
-    fn climb(&self, slab: &mut Slab, levels: &impl Levels) {
-        let Range { start, end } = slab.bins;
+    fn run_interior(&self, tile: &mut Tile, stencil: &impl Stencil) {
+        let Range { start, end } = tile.bins;
         if !self.is_coupled {
             for t in start..end {
                 for rows in self.strips() {
                     let each = 0..=self.steps;
-                    each.for_each(|level| levels.at(slab, t, level, rows(level), false));
+                    each.for_each(|level| stencil.update_bin(tile, t, level, rows(level), false));
                 }
             }
             return;
@@ -165,37 +178,37 @@ impl Wave {
                     let high = end - if is_last { 0 } else { level };
                     if (low..high).contains(&t) {
                         let steps_before = t > low && level < self.steps;
-                        levels.at(slab, t, level, rows(level), steps_before);
+                        stencil.update_bin(tile, t, level, rows(level), steps_before);
                     }
                 }
             }
         }
     }
 
-    /// What [`Self::climb`] has left on both sides of `border`.
-    fn fill(&self, slab: &mut Slab, border: usize, levels: &impl Levels) {
+    /// What [`Self::run_interior`] has left on both sides of `seam`.
+    fn run_seam(&self, tile: &mut Tile, seam: usize, stencil: &impl Stencil) {
         for rows in self.strips() {
             for level in 1..=self.steps {
                 // Behind it is a bin that its block has brought to the level before.
-                levels.between(slab, border + level - 2, rows(level));
-                for t in border - level..border + level {
-                    levels.at(slab, t, level, rows(level), level < self.steps);
+                stencil.step_time_dual(tile, seam + level - 2, rows(level));
+                for t in seam - level..seam + level {
+                    stencil.update_bin(tile, t, level, rows(level), level < self.steps);
                 }
             }
         }
     }
 
-    fn slabs<'a>(
+    fn tiles<'a>(
         &self,
         boundaries: &[usize],
         mut q: &'a [f32],
         z: &'a mut [f32],
         duals: &'a mut [Vec<Dual>; 3],
         is_shared: bool,
-    ) -> Vec<Slab<'a>> {
+    ) -> Vec<Tile<'a>> {
         let [mut py, mut px, mut time] = duals.each_mut().map(Vec::as_mut_slice);
         let (mut z, mut before) = (z, None);
-        let mut slabs = Vec::new();
+        let mut tiles = Vec::new();
         for (start, end) in boundaries
             .iter()
             .copied()
@@ -208,7 +221,7 @@ impl Wave {
                 let (first, shared) = own.split_at_mut(size - self.shape.pixels());
                 (own, last) = (first, Some(&*shared));
             }
-            slabs.push(Slab {
+            tiles.push(Tile {
                 bins: start..end,
                 pixels: self.shape.pixels(),
                 q: q.split_off(..size).expect("as long as the video"),
@@ -219,7 +232,7 @@ impl Wave {
                 before: std::mem::replace(&mut before, last),
             });
         }
-        slabs
+        tiles
     }
 }
 
