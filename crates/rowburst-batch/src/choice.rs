@@ -167,7 +167,7 @@ impl ChosenPrior {
     /// Chooses on `frame`; `None` where it was stopped.
     pub(crate) fn choose(plan: &Plan, frame: usize, stop: &AtomicBool) -> Result<Option<Self>> {
         let (_, measurement) = good(plan, frame)?;
-        let problem = Problem::of(&plan.model, &measurement, plan.recipe)?;
+        let problem = Problem::of(&plan.model, &measurement, plan.options)?;
         let chosen = problem.choose(&mut |_| match stop.load(Ordering::Relaxed) {
             true => ControlFlow::Break(StopReason::Interrupted),
             false => ControlFlow::Continue(()),

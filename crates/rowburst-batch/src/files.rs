@@ -3,9 +3,9 @@
 use crate::choice::CORRECTIONS;
 use crate::clock::Clock;
 use crate::plan::Plan;
-use rowburst::reconstruct::{Model, Prior, Recipe};
+use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
-use rowburst_io::{Calibration, Experiment, Metadata, Taken, open_recording, read_metadata};
+use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::inputs::{
     calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
 };
@@ -46,7 +46,7 @@ pub struct Planned {
     /// What is to be said of the PSF.
     pub note: Option<String>,
     /// What of the experiment came from the frames' metadata.
-    pub taken: Taken,
+    pub from_metadata: FromMetadata,
 }
 
 /// Reads the files of a batch.
@@ -70,7 +70,7 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
     let camera = experiment.camera()?;
     let budget = time_budget(files.time_budget_s)?;
     leave_short_period(&mut experiment, &camera);
-    let recipe = Recipe {
+    let options = Options {
         // A choice takes a run for each candidate: a budget has no time for it.
         prior: chosen_prior(files.prior, &experiment)?.or(budget.map(|_| Prior::STANDARD)),
         tau: chosen_tau(files.tau, &experiment)?,
@@ -92,7 +92,7 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
     let plan = Plan {
         model: Model::new(&camera, psfs).keeping_gram(),
         corrections,
-        recipe,
+        options,
         budget,
         frames,
         frame_period_us,
@@ -102,23 +102,27 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
         plan,
         calibration,
         note,
-        taken: experiment.taken,
+        from_metadata: experiment.from_metadata,
     })
 }
 
 /// A frame period of the metadata that is shorter than the readout is none of this shutter's.
 fn leave_short_period(experiment: &mut Experiment, camera: &Camera) {
     let key = "frame_period_us";
-    let taken = &mut experiment.taken;
-    let Some(at) = taken.values.iter().position(|(name, _)| name == key) else {
+    let from_metadata = &mut experiment.from_metadata;
+    let Some(at) = from_metadata
+        .values
+        .iter()
+        .position(|(name, _)| name == key)
+    else {
         return;
     };
     let Some(period) = experiment.recording.frame_period_us else {
         return;
     };
     if let Err(error) = Clock::new(camera, period) {
-        taken.values.remove(at);
-        taken
+        from_metadata.values.remove(at);
+        from_metadata
             .warnings
             .push(format!("{key} of the metadata is not used: {error}"));
         experiment.recording.frame_period_us = None;

@@ -16,9 +16,9 @@
 //!
 //! **No start from the neighbouring frame**: see ARCHITECTURE.md.
 
+mod allocation;
 mod choice;
 mod clock;
-mod crew;
 mod files;
 mod identity;
 mod plan;
@@ -27,9 +27,9 @@ mod state;
 mod stitch;
 mod table;
 
+pub use allocation::ThreadAllocation;
 pub use choice::{CORRECTIONS, ChosenPrior};
 pub use clock::Clock;
-pub use crew::Crew;
 pub use files::{Files, Planned, naming_correction, plan_files};
 pub use plan::Plan;
 pub use run::{Again, Batch, Event};

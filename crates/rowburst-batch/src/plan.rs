@@ -3,7 +3,7 @@
 use crate::identity::{hash_image, hash_psfs};
 use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Model, NUMBERS, Recipe};
+use rowburst::reconstruct::{Model, NUMBERS, Options};
 use rowburst_io::{Capture, Frames};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -15,7 +15,7 @@ pub struct Plan {
     /// Dark, flat and bad pixels. The level of saturation is that of each frame's file.
     pub corrections: Corrections,
     /// How to reconstruct. Where its prior is left open one is chosen for the whole recording.
-    pub recipe: Recipe,
+    pub options: Options,
     /// For each frame. Frames are then done one after another, each from the end of the last one:
     /// a preview, whose videos depend on how fast the machine is.
     pub budget: Option<Duration>,
@@ -45,7 +45,7 @@ impl Plan {
         let camera = self.model.camera();
         let params = camera.params();
         let image = |image: &Option<_>| image.as_ref().map_or("none".into(), hash_image);
-        let recipe = &self.recipe;
+        let options = &self.options;
         let or_auto = |value: Option<String>| value.unwrap_or("auto".into());
         let parts = [
             ("program version", self.version.clone()),
@@ -62,15 +62,15 @@ impl Plan {
             ("dark", image(&self.corrections.dark)),
             ("flat", image(&self.corrections.flat)),
             ("bad pixels", image(&self.corrections.bad_pixels)),
-            ("prior", or_auto(recipe.prior.map(|p| p.to_string()))),
-            ("tau", format!("{:?}", recipe.tau)),
+            ("prior", or_auto(options.prior.map(|p| p.to_string()))),
+            ("tau", format!("{:?}", options.tau)),
             (
                 "noise sigma",
-                or_auto(recipe.noise_sigma.map(|s| s.to_string())),
+                or_auto(options.noise_sigma.map(|s| s.to_string())),
             ),
             (
                 "most iterations",
-                or_auto(recipe.max_iterations.map(|n| n.to_string())),
+                or_auto(options.max_iterations.map(|n| n.to_string())),
             ),
             (
                 "time budget",

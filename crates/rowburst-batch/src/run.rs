@@ -1,14 +1,14 @@
 //! The job itself.
 
+use crate::allocation::ThreadAllocation;
 use crate::choice::{ChosenPrior, Probed, is_same_recording, numbers_of, or_panic};
 use crate::clock::Clock;
-use crate::crew::Crew;
 use crate::identity::check_same;
 use crate::plan::Plan;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Sequence};
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Sequence};
 use rowburst::solve::StopReason;
 use rowburst::{Error, Result, Video};
 use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
@@ -164,7 +164,7 @@ impl Batch {
     /// # Errors
     /// Those of a reconstruction, and failed writes.
     pub fn prior(&self, stop: &AtomicBool, observer: Observer) -> Result<Option<ChosenPrior>> {
-        if let Some(prior) = self.plan.recipe.prior {
+        if let Some(prior) = self.plan.options.prior {
             return Ok(Some(ChosenPrior::given(prior)));
         }
         // Processes that come later wait for the first one's choice.
@@ -182,7 +182,7 @@ impl Batch {
         Ok(chosen)
     }
 
-    /// Makes the videos of `frames`, as many at once as `crew` says, until all are through or
+    /// Makes the videos of `frames`, as many at once as `allocation` says, until all are through or
     /// `stop` is set: frames at work are then given up.
     ///
     /// A frame that cannot be read or reconstructed gets its line and does not stop the others.
@@ -193,27 +193,27 @@ impl Batch {
         &self,
         frames: &[usize],
         prior: &ChosenPrior,
-        crew: Crew,
+        allocation: ThreadAllocation,
         stop: &AtomicBool,
         observer: Observer,
     ) -> Result<()> {
         let how = How {
-            recipe: Recipe {
+            options: Options {
                 prior: Some(prior.prior.parse::<Prior>()?),
-                ..self.plan.recipe
+                ..self.plan.options
             },
             strength: prior.strength,
         };
         let live = self.plan.budget.map(|budget| Live {
             budget,
-            sequence: Mutex::new(Sequence::new(self.plan.model.clone(), how.recipe)),
+            sequence: Mutex::new(Sequence::new(self.plan.model.clone(), how.options)),
         });
-        let crew = match &live {
-            None => crew,
+        let allocation = match &live {
+            None => allocation,
             // One after another, in their order.
-            Some(_) => Crew {
+            Some(_) => ThreadAllocation {
                 concurrent_frames: 1,
-                threads_per_frame: crew.concurrent_frames * crew.threads_per_frame,
+                threads_per_frame: allocation.concurrent_frames * allocation.threads_per_frame,
             },
         };
         let live = live.as_ref();
@@ -227,7 +227,7 @@ impl Batch {
         };
         let is_over = || stop.load(Ordering::Relaxed) || give_up.load(Ordering::Relaxed);
         let work = || {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(crew.threads_per_frame);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(allocation.threads_per_frame);
             let pool = match pool.build() {
                 Ok(pool) => pool,
                 Err(error) => return fail(Error::work("threads", error, "Lower --threads.")),
@@ -249,7 +249,7 @@ impl Batch {
             }
         };
         std::thread::scope(|scope| {
-            for _ in 0..crew.concurrent_frames {
+            for _ in 0..allocation.concurrent_frames {
                 scope.spawn(work);
             }
         });
@@ -305,7 +305,7 @@ impl Batch {
             let found = live.next(&measurement, is_over)?;
             return Ok((measurement, found));
         }
-        let problem = Problem::of(&self.plan.model, &measurement, how.recipe)?;
+        let problem = Problem::of(&self.plan.model, &measurement, how.options)?;
         let found = problem
             .with_strength(how.strength)
             .solve(&mut |_| match is_over() {
@@ -368,7 +368,7 @@ impl Live {
 /// How each frame is reconstructed.
 #[derive(Debug, Clone, Copy)]
 struct How {
-    recipe: Recipe,
+    options: Options,
     strength: f64,
 }
 

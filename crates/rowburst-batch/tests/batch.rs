@@ -2,9 +2,9 @@
 
 use rowburst::camera::CameraParams;
 use rowburst::measurement::Corrections;
-use rowburst::reconstruct::{Model, Problem, Recipe};
+use rowburst::reconstruct::{Model, Options, Problem};
 use rowburst::{Camera, Image, Psf, Result, Sensor, Shutter};
-use rowburst_batch::{Again, Batch, Crew, Event, Plan, Status};
+use rowburst_batch::{Again, Batch, Event, Plan, Status, ThreadAllocation};
 use rowburst_io::{Capture, Frames, Level};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -66,10 +66,10 @@ fn plan(camera: &Camera, prior: &str) -> Plan {
         model: Model::new(camera, psf()).keeping_gram(),
         corrections: Corrections::default(),
         budget: None,
-        recipe: Recipe {
+        options: Options {
             prior: Some(prior.parse().unwrap()),
             max_iterations: Some(70),
-            ..Recipe::default()
+            ..Options::default()
         },
         frames: Box::new(Computed),
         frame_period_us: None,
@@ -104,14 +104,16 @@ fn each_frame_is_as_if_alone() {
         let left = batch.left(0..4, Again::Unfinished).unwrap();
         assert_eq!(left, [0, 1, 2, 3]);
         let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
-        let crew = Crew::new(2, 4, &batch.plan().model, None);
+        let allocation = ThreadAllocation::new(2, 4, &batch.plan().model, None);
         let seen = Mutex::new(Vec::new());
         let observer = |event: Event| {
             if let Event::Through(row) = event {
                 seen.lock().unwrap().push(row.frame);
             }
         };
-        batch.run(&left, &chosen, crew, &stop, &observer).unwrap();
+        batch
+            .run(&left, &chosen, allocation, &stop, &observer)
+            .unwrap();
         let mut seen = seen.into_inner().unwrap();
         seen.sort_unstable();
         assert_eq!(seen, left);
@@ -129,7 +131,7 @@ fn each_frame_is_as_if_alone() {
                 continue;
             }
             let measurement = batch.plan().measurement(&capture(row.frame)).unwrap();
-            let alone = Problem::new(&measurement, &camera, psf(), batch.plan().recipe).unwrap();
+            let alone = Problem::new(&measurement, &camera, psf(), batch.plan().options).unwrap();
             let alone = alone.solve(&mut |_| ControlFlow::Continue(())).unwrap();
             assert_eq!(alone.video, video, "{prior}, frame {}", row.frame);
             assert_eq!(row.tau, Some(alone.tau));
@@ -145,10 +147,10 @@ fn what_was_stopped_is_left() {
     let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();
     let stop = AtomicBool::new(false);
     let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
-    let crew = Crew::new(1, 4, &batch.plan().model, None);
+    let allocation = ThreadAllocation::new(1, 4, &batch.plan().model, None);
     let after_one = |_: Event| stop.store(true, std::sync::atomic::Ordering::Relaxed);
     batch
-        .run(&[3, 1, 0], &chosen, crew, &stop, &after_one)
+        .run(&[3, 1, 0], &chosen, allocation, &stop, &after_one)
         .unwrap();
     assert_eq!(batch.left(0..4, Again::Unfinished).unwrap(), [0, 1, 2]);
     drop(batch);

@@ -8,9 +8,10 @@ use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
 use rowburst_batch::{
-    Again, Batch, Crew, Event, Files, FrameRow, Plan, Status, naming_correction, plan_files,
+    Again, Batch, Event, Files, FrameRow, Plan, Status, ThreadAllocation, naming_correction,
+    plan_files,
 };
-use rowburst_io::{Calibration, Frames, Taken, gaps};
+use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{prior_of, tau_of};
 use rowburst_run::{MetadataNumbers, peak_memory_bytes, short};
 use serde::Serialize;
@@ -146,7 +147,7 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 /// One batch, through; the lines of its frames.
 fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> {
     let began = Instant::now();
-    let (plan, calibration, taken) = plan_of(args)?;
+    let (plan, calibration, from_metadata) = plan_of(args)?;
     let batch = Batch::open(plan, &args.output)
         .map_err(|e| naming_correction(e, &args.frames, &calibration))?;
     let frames = &batch.plan().frames;
@@ -178,11 +179,11 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         .at_once
         .map(usize::from)
         .or(args.time_budget_s.map(|_| 1));
-    let crew = Crew::new(threads, left.len(), &batch.plan().model, most);
+    let allocation = ThreadAllocation::new(threads, left.len(), &batch.plan().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
     let started = Instant::now();
     bar.reset_eta();
-    let ran = batch.run(&left, &prior, crew, stop, &|event| {
+    let ran = batch.run(&left, &prior, allocation, stop, &|event| {
         show(&bar, &batch, event);
     });
     let seconds = started.elapsed().as_secs_f64();
@@ -222,23 +223,23 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         prior: prior.prior.clone(),
         prior_reason: prior.reason.clone(),
         prior_frame: prior.frame,
-        metadata: MetadataNumbers::from(&taken),
+        metadata: MetadataNumbers::from(&from_metadata),
         frame_period_us: batch.clock().map(|clock| clock.frame_period_us),
         dead_us: batch.clock().map(|clock| clock.dead_us()),
         threads,
-        frames_at_once: crew.concurrent_frames,
-        threads_per_frame: crew.threads_per_frame,
+        frames_at_once: allocation.concurrent_frames,
+        threads_per_frame: allocation.threads_per_frame,
         setup_seconds,
         seconds,
         frames_per_second: (!left.is_empty()).then(|| left.len() as f64 / seconds),
         peak_memory_bytes: peak_memory_bytes(),
-        warnings: warnings(&rows, [taken.warnings, missing_words].concat()),
+        warnings: warnings(&rows, [from_metadata.warnings, missing_words].concat()),
     };
     Ok((summary, rows))
 }
 
 /// The plan, and the files that it is from.
-fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, Taken)> {
+fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, FromMetadata)> {
     let planned = plan_files(&Files {
         experiment: &args.experiment,
         frames: &args.frames,
@@ -254,10 +255,10 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, Taken)> {
     if let Some(note) = planned.note {
         eprintln!("{note}");
     }
-    if let Some(taken) = planned.taken.summary() {
-        eprintln!("{taken}");
+    if let Some(from_metadata) = planned.from_metadata.summary_line() {
+        eprintln!("{from_metadata}");
     }
-    Ok((planned.plan, planned.calibration, planned.taken))
+    Ok((planned.plan, planned.calibration, planned.from_metadata))
 }
 
 /// `A:B` of `count` frames.

@@ -8,14 +8,16 @@ use crate::progress::Bar;
 use crate::reconstruct::{command_line, film_of};
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::{Corrections, correct};
-use rowburst::reconstruct::Recipe;
+use rowburst::reconstruct::Options;
 use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
 };
 use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
-use rowburst_run::{About, MetadataNumbers, Outcome, Task, Wanted, player_of, solve, thousands};
+use rowburst_run::{
+    MetadataNumbers, Outcome, ResultMeta, Task, Wanted, player_of, solve, thousands,
+};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -69,7 +71,7 @@ pub fn run(
     refuse_options(args)?;
     let folder = OutputFolder::create(&args.output)?;
     let whole = Whole::read(args, &experiment)?;
-    let mut recipe = Recipe {
+    let mut options = Options {
         prior: chosen_prior(args.prior.as_deref(), &experiment)?,
         tau: chosen_tau(args.tau.as_deref(), &experiment)?,
         noise_sigma: args.noise_sigma,
@@ -85,13 +87,13 @@ pub fn run(
         eprintln!("{}", site.name());
         let plane = plane_camera(&whole.camera, site);
         let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
-        let (outcome, video) = whole.solve(args, &plane, site, recipe, began, stop)?;
-        recipe.prior = recipe.prior.or(outcome.prior.parse().ok());
+        let (outcome, video) = whole.solve(args, &plane, site, options, began, stop)?;
+        options.prior = options.prior.or(outcome.prior.parse().ok());
         bin_us = plane.camera.time().bin_duration_us();
         let listed = Plane::of(&outcome, site, plane.start_us, args);
         found.push((site, listed, video));
     }
-    let mut warnings = experiment.taken.warnings.clone();
+    let mut warnings = experiment.from_metadata.warnings.clone();
     warnings.extend(offset_warning(&found));
     let video = |site: &Site| {
         let mut all = found.iter();
@@ -134,7 +136,7 @@ pub fn run(
         rows: shape.rows,
         columns: shape.columns,
         frame_rate_hz: 1e6 / bin_us,
-        metadata: MetadataNumbers::from(&experiment.taken),
+        metadata: MetadataNumbers::from(&experiment.from_metadata),
         planes: found.into_iter().map(|(_, plane, _)| plane).collect(),
         warnings,
     };
@@ -223,7 +225,7 @@ impl Whole {
         args: &ReconstructArgs,
         plane: &PlaneCamera,
         site: Site,
-        recipe: Recipe,
+        options: Options,
         began: Instant,
         stop: &Arc<AtomicBool>,
     ) -> Result<(Outcome, Video)> {
@@ -240,13 +242,13 @@ impl Whole {
             camera: plane.camera.clone(),
             psfs: plane_psfs(&self.psfs, site)?,
             measurement,
-            recipe,
+            options,
             budget: self.budget,
             truth: None,
             truth_file: None,
             direct: None,
             seed: args.seed,
-            taken: Default::default(),
+            from_metadata: Default::default(),
         };
         let mut bar = Bar::new(Arc::clone(stop));
         let solved = solve(task, began, &mut |progress, seen| bar.show(progress, seen));
@@ -258,13 +260,13 @@ impl Whole {
         let folder = OutputFolder::create(&args.output.join(site.name()))?;
         let title = format!("Rowburst: {}, {}", args.frame.display(), site.name());
         let reproduce = command_line(args);
-        let about = About {
+        let result_meta = ResultMeta {
             title: &title,
             reproduce: Some(&reproduce),
             player: player_of(folder.path()),
             film: film_of(args),
         };
-        let outcome = solved.write(&traces, &folder, about)?;
+        let outcome = solved.write(&traces, &folder, result_meta)?;
         Ok((outcome, solved.found.video))
     }
 }

@@ -8,7 +8,7 @@ use crate::outcome::say;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
 use rowburst::measurement::correct;
-use rowburst::reconstruct::{Chunked, Recipe, Verdict};
+use rowburst::reconstruct::{Chunked, Options, Verdict};
 use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
@@ -16,8 +16,8 @@ use rowburst_run::inputs::{
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    About, ChunkedTask, Film, Outcome, PartsOutcome, Task, Traces, Wanted, player_of, short, solve,
-    thousands,
+    ChunkedTask, Film, Outcome, PartsOutcome, ResultMeta, Task, Traces, Wanted, player_of, short,
+    solve, thousands,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -132,8 +132,8 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
 /// The experiment, filled from what the frame's file says.
 fn read_experiment(args: &ReconstructArgs) -> Result<Experiment> {
     let experiment = Experiment::read_with(&args.experiment, &read_metadata(&args.frame))?;
-    if let Some(taken) = experiment.taken.summary() {
-        eprintln!("{taken}");
+    if let Some(from_metadata) = experiment.from_metadata.summary_line() {
+        eprintln!("{from_metadata}");
     }
     Ok(experiment)
 }
@@ -159,7 +159,7 @@ fn one(
 ) -> Result<Made> {
     let folder = OutputFolder::create(&args.output)?;
     let camera = experiment.camera()?;
-    let recipe = Recipe {
+    let options = Options {
         prior: chosen_prior(args.prior.as_deref(), &experiment)?,
         tau: chosen_tau(args.tau.as_deref(), &experiment)?,
         noise_sigma: args.noise_sigma,
@@ -186,13 +186,13 @@ fn one(
     let memory = check_memory(&args.experiment, &camera);
     if args.part_bins.is_some() {
         let task = ChunkedTask {
-            chunked: Chunked::new(camera, psfs, measurement, recipe)?,
-            tau: recipe.tau,
+            chunked: Chunked::new(camera, psfs, measurement, options)?,
+            tau: options.tau,
             bins_per_chunk: args.part_bins.filter(|n| *n > 0),
             title: &format!("Rowburst: {}", args.frame.display()),
             reproduce: &command_line(args),
             film: film_of(args),
-            taken: &experiment.taken,
+            from_metadata: &experiment.from_metadata,
         };
         return chunked::run(&task, &folder, stop).map(|outcome| Made::Chunked(Box::new(outcome)));
     }
@@ -212,13 +212,13 @@ fn one(
         camera,
         psfs,
         measurement,
-        recipe,
+        options,
         budget,
         truth,
         truth_file: args.truth.clone(),
         direct,
         seed: args.seed,
-        taken: experiment.taken,
+        from_metadata: experiment.from_metadata,
     };
     let mut bar = Bar::new(stop);
     let solved = solve(task, began, &mut |progress, seen| {
@@ -238,13 +238,13 @@ fn one(
     }
     let title = format!("Rowburst: {}", args.frame.display());
     let reproduce = command_line(args);
-    let about = About {
+    let result_meta = ResultMeta {
         title: &title,
         reproduce: Some(&reproduce),
         player: player_of(folder.path()),
         film: film_of(args),
     };
-    let outcome = solved.write(&traces, &folder, about)?;
+    let outcome = solved.write(&traces, &folder, result_meta)?;
     Ok(Made::Whole(Box::new(Done {
         outcome,
         traces,

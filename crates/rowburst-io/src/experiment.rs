@@ -1,8 +1,8 @@
 //! The experiment file: a camera, its calibration, the field and the recipe, in TOML.
 
-mod taken;
+mod from_metadata;
 
-pub use taken::Taken;
+pub use from_metadata::FromMetadata;
 
 use crate::fault;
 use crate::metadata::Metadata;
@@ -10,13 +10,13 @@ use crate::npy;
 use crate::read::Level;
 use crate::source::{Colour, Source};
 use crate::table::{Table, nearest};
+use from_metadata::Filling;
 use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Result, Sensor, Shutter};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use taken::Filling;
 use toml::de::DeTable;
 
 const CAMERA_KEYS: [&str; 15] = [
@@ -56,7 +56,7 @@ pub struct Experiment {
     /// How frames follow each other.
     pub recording: Recording,
     /// What of all this came from the metadata of a frame.
-    pub taken: Taken,
+    pub from_metadata: FromMetadata,
 }
 
 /// What `[recording]` says.
@@ -99,7 +99,7 @@ impl Experiment {
             calibration: Calibration::default(),
             reconstruction: Reconstruction::default(),
             recording: Recording::default(),
-            taken: Taken::default(),
+            from_metadata: FromMetadata::default(),
         }
     }
 
@@ -197,7 +197,7 @@ impl Experiment {
             },
             reconstruction: read_reconstruction(&file.table("reconstruction")?)?,
             recording,
-            taken: filling.taken,
+            from_metadata: filling.from_metadata,
         })
     }
 

@@ -42,7 +42,7 @@ mod table;
 mod tiff;
 
 pub use csv::{read_photodiode, write_csv};
-pub use experiment::{Calibration, Experiment, Reconstruction, Recording, Taken};
+pub use experiment::{Calibration, Experiment, FromMetadata, Reconstruction, Recording};
 pub use fault::writing as cannot_write;
 pub use folder::OutputFolder;
 pub use metadata::{Metadata, read_metadata};

@@ -5,7 +5,7 @@ use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
 use rowburst_batch::{
-    Again, Batch, Crew, Event, Files, FrameRow, Status, naming_correction, plan_files,
+    Again, Batch, Event, Files, FrameRow, Status, ThreadAllocation, naming_correction, plan_files,
 };
 use rowburst_io::Calibration;
 use std::path::PathBuf;
@@ -142,8 +142,9 @@ impl PyBatch {
             let Some(prior) = self.batch.prior(stop, &|_| ())? else {
                 return Ok(());
             };
-            let crew = Crew::new(threads, frames.len(), &self.batch.plan().model, None);
-            self.batch.run(&frames, &prior, crew, stop, &|event| {
+            let allocation =
+                ThreadAllocation::new(threads, frames.len(), &self.batch.plan().model, None);
+            self.batch.run(&frames, &prior, allocation, stop, &|event| {
                 if let Event::Through(row) = event
                     && let Ok(mut lines) = lines.lock()
                 {

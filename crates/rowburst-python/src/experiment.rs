@@ -102,13 +102,18 @@ impl PyExperiment {
     /// Keys that came from metadata, with their values as text.
     #[getter]
     fn metadata_taken(&self) -> BTreeMap<String, String> {
-        self.experiment.taken.values.iter().cloned().collect()
+        self.experiment
+            .from_metadata
+            .values
+            .iter()
+            .cloned()
+            .collect()
     }
 
     /// Where the metadata contradicts the file, and what of it cannot be used.
     #[getter]
     fn metadata_warnings(&self) -> Vec<String> {
-        self.experiment.taken.warnings.clone()
+        self.experiment.from_metadata.warnings.clone()
     }
 
     #[getter]

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
-use rowburst_run::{About, Film, Solved, Traces, Wanted, Words, player_of};
+use rowburst_run::{Film, ReportMeta, ResultMeta, Solved, Traces, Wanted, player_of};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -260,13 +260,13 @@ impl PyReconstruction {
     fn _report(&self, py: Python<'_>, title: String) -> PyResult<String> {
         let page = self.with(py, |solved, traces| {
             let traces = traces.get_or_insert_with(|| spots(solved));
-            let words = Words {
+            let report_meta = ReportMeta {
                 title: &title,
                 reproduce: None,
                 files: Vec::new(),
             };
             solved
-                .report(traces, words, player_of(Path::new(&title)))
+                .report(traces, report_meta, player_of(Path::new(&title)))
                 .map(|report| report.html)
         })?;
         page.map_err(raised)
@@ -278,13 +278,13 @@ impl PyReconstruction {
             let folder = OutputFolder::create(&folder)?;
             let traces = traces.get_or_insert_with(|| spots(solved));
             {
-                let about = About {
+                let result_meta = ResultMeta {
                     title: &title,
                     reproduce: None,
                     player: player_of(folder.path()),
                     film: Film::Stamped,
                 };
-                solved.write(traces, &folder, about).map(|_| ())
+                solved.write(traces, &folder, result_meta).map(|_| ())
             }
         })?;
         saved.map_err(raised)

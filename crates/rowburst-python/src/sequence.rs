@@ -8,7 +8,7 @@ use crate::task::{measured, prior_from, tau_from};
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::measurement::Corrections;
-use rowburst::reconstruct::{Model, Recipe, Sequence};
+use rowburst::reconstruct::{Model, Options, Sequence};
 use rowburst::solve::StopReason;
 use rowburst_run::inputs::check_memory;
 use rowburst_run::options::time_budget;
@@ -52,7 +52,7 @@ impl PySequence {
         tau: Option<&Bound<'_, PyAny>>,
         noise_sigma: Option<f64>,
     ) -> PyResult<Self> {
-        let recipe = Recipe {
+        let options = Options {
             prior: prior_from(prior)?,
             tau: tau_from(tau)?,
             noise_sigma,
@@ -65,7 +65,7 @@ impl PySequence {
             camera: PyCamera {
                 camera: camera.camera.clone(),
             },
-            sequence: Mutex::new(Sequence::new(model, recipe)),
+            sequence: Mutex::new(Sequence::new(model, options)),
         })
     }
 

@@ -7,10 +7,10 @@ use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction as Found};
 use pyo3::prelude::*;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Prior, Recipe, Tau};
+use rowburst::reconstruct::{Options, Prior, Tau};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Error};
-use rowburst_io::Taken;
+use rowburst_io::FromMetadata;
 use rowburst_run::inputs::{check_memory, checked_truth};
 use rowburst_run::options::{prior_of, tau_of, time_budget};
 use rowburst_run::{Task, solve};
@@ -43,7 +43,7 @@ pub fn reconstruct(
 ) -> PyResult<Found> {
     let began = Instant::now();
     let camera = camera.camera.clone();
-    let recipe = Recipe {
+    let options = Options {
         prior: prior_from(prior)?,
         tau: tau_from(tau)?,
         noise_sigma,
@@ -80,13 +80,13 @@ pub fn reconstruct(
         camera,
         psfs,
         measurement,
-        recipe,
+        options,
         budget,
         truth,
         truth_file: None,
         direct,
         seed,
-        taken: Taken::default(),
+        from_metadata: FromMetadata::default(),
     };
     // Raised by the callback, or Ctrl-C: the run is given up.
     let mut broken: Option<PyErr> = None;

@@ -13,7 +13,7 @@ use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
-use rowburst_io::{ChunkedVideoFile, OutputFolder, Taken};
+use rowburst_io::{ChunkedVideoFile, FromMetadata, OutputFolder};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -39,7 +39,7 @@ pub struct ChunkedTask<'a> {
     /// What `video.mp4` shows.
     pub film: Film,
     /// What of the camera came from the frame's metadata.
-    pub taken: &'a Taken,
+    pub from_metadata: &'a FromMetadata,
 }
 
 /// A part that is through.
@@ -285,7 +285,7 @@ fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
         of_worst[0].fit_reason
     );
     let seconds: f64 = parts.iter().map(|p| p.seconds).sum();
-    let mut warnings = task.taken.warnings.clone();
+    let mut warnings = task.from_metadata.warnings.clone();
     if worst != Verdict::Good.name() {
         warnings.push(format!("the fit is {worst}: {fit_reason}"));
     }
@@ -318,7 +318,7 @@ fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
         simd: instruction_set(),
         bad_pixels: task.chunked.measurement().bad(),
         saturated_pixels: saturated,
-        metadata: MetadataNumbers::from(task.taken),
+        metadata: MetadataNumbers::from(task.from_metadata),
         parts,
         warnings,
     }

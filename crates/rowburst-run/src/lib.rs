@@ -31,7 +31,7 @@ pub use outcome::{
     peak_memory_bytes, short,
 };
 pub use player::{MakePlayer, PlayerPage, player_of};
-pub use solved::{About, Solved, Words};
+pub use solved::{ReportMeta, ResultMeta, Solved};
 pub use task::{Seen, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,

@@ -36,8 +36,8 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
             of_camera.push(pair(name, value.to_string()));
         }
     }
-    if let Some(taken) = task.taken.summary() {
-        of_camera.push(pair("from metadata", taken));
+    if let Some(from_metadata) = task.from_metadata.summary_line() {
+        of_camera.push(pair("from metadata", from_metadata));
     }
     let psf = task.psfs.central().image();
     let of_solver = vec![

@@ -4,7 +4,7 @@
 
 use crate::traces::{DebiasNumbers, ErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Candidate, FitStatistics};
-use rowburst_io::Taken;
+use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -73,11 +73,11 @@ pub struct MetadataNumbers {
     pub taken: BTreeMap<String, String>,
 }
 
-impl From<&Taken> for MetadataNumbers {
-    fn from(taken: &Taken) -> Self {
+impl From<&FromMetadata> for MetadataNumbers {
+    fn from(from_metadata: &FromMetadata) -> Self {
         Self {
-            sources: taken.sources.clone(),
-            taken: taken.values.iter().cloned().collect(),
+            sources: from_metadata.sources.clone(),
+            taken: from_metadata.values.iter().cloned().collect(),
         }
     }
 }

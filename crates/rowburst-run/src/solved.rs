@@ -67,7 +67,7 @@ pub struct Solved {
 }
 
 /// What a folder of results says of where it comes from.
-pub struct About<'a> {
+pub struct ResultMeta<'a> {
     /// Of the pages.
     pub title: &'a str,
     /// What makes the same result again.
@@ -79,7 +79,7 @@ pub struct About<'a> {
 }
 
 /// What a report says of where it comes from.
-pub struct Words<'a> {
+pub struct ReportMeta<'a> {
     /// Of the page.
     pub title: &'a str,
     /// What makes the same result again.
@@ -122,14 +122,14 @@ impl Solved {
     /// Everything that `result.json` says.
     pub fn outcome(&self, traces: &Traces) -> Outcome {
         let found = &self.found;
-        let (recipe, truth) = (&self.task.recipe, self.task.truth.as_ref());
+        let (options, truth) = (&self.task.options, self.task.truth.as_ref());
         let shape = found.video.shape();
         Outcome {
             version: env!("CARGO_PKG_VERSION"),
             prior: found.prior.to_string(),
             prior_choice: self.choice(),
             tau: found.tau,
-            tau_rule: match (recipe.tau, found.sigma_source) {
+            tau_rule: match (options.tau, found.sigma_source) {
                 (Tau::Given(_), _) => "given",
                 (_, SigmaSource::HeldOut) => "held-out pixels",
                 _ if found
@@ -157,7 +157,7 @@ impl Solved {
             rows: shape.rows,
             columns: shape.columns,
             frame_rate_hz: self.task.camera.time().frame_rate_hz(),
-            metadata: MetadataNumbers::from(&self.task.taken),
+            metadata: MetadataNumbers::from(&self.task.from_metadata),
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
             threads: rayon::current_num_threads(),
@@ -182,7 +182,7 @@ impl Solved {
 
     /// How the prior came about.
     fn choice(&self) -> PriorChoice {
-        let prior = self.task.recipe.prior;
+        let prior = self.task.options.prior;
         match &self.found.choice {
             Some(choice) => PriorChoice {
                 reason: choice.reason(),
@@ -207,7 +207,7 @@ impl Solved {
     /// What the user should know before trusting the video.
     fn warnings(&self, traces: &Traces) -> Vec<String> {
         let found = &self.found;
-        let mut warnings = self.task.taken.warnings.clone();
+        let mut warnings = self.task.from_metadata.warnings.clone();
         if found.fit.verdict != Verdict::Good {
             warnings.push(format!(
                 "the fit is {}: {}",
@@ -233,7 +233,12 @@ impl Solved {
     ///
     /// # Errors
     /// Failed writes.
-    pub fn write(&self, traces: &Traces, folder: &OutputFolder, about: About) -> Result<Outcome> {
+    pub fn write(
+        &self,
+        traces: &Traces,
+        folder: &OutputFolder,
+        result_meta: ResultMeta,
+    ) -> Result<Outcome> {
         let mut outcome = self.outcome(traces);
         let video = &self.found.video;
         let camera = &self.task.camera;
@@ -258,23 +263,24 @@ impl Solved {
             camera.sensor().pixel_pitch_um,
         )?;
         traces.write(folder, camera.time())?;
-        let mp4 = encoded(video, camera.time(), about.film)?;
+        let mp4 = encoded(video, camera.time(), result_meta.film)?;
         if let Some(mp4) = &mp4 {
             folder.write_bytes("video.mp4", mp4)?;
         }
 
         outcome.peak_memory_bytes = peak_memory_bytes();
-        let words = Words {
-            title: about.title,
-            reproduce: about.reproduce,
+        let report_meta = ReportMeta {
+            title: result_meta.title,
+            reproduce: result_meta.reproduce,
             files: FILES
                 .iter()
                 .chain(self.found.background.as_ref().map(|_| &BACKGROUND_FILE))
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
-        let page = self.write_view(traces, &outcome, folder, &about)?;
-        let report = self.report_of(traces, &outcome, words, mp4.as_deref(), page.as_ref())?;
+        let page = self.write_view(traces, &outcome, folder, &result_meta)?;
+        let report =
+            self.report_of(traces, &outcome, report_meta, mp4.as_deref(), page.as_ref())?;
         for picture in &report.pictures {
             folder.write_bytes(&picture.name, &picture.png)?;
         }
@@ -293,19 +299,19 @@ impl Solved {
     pub fn report(
         &self,
         traces: &Traces,
-        words: Words,
+        report_meta: ReportMeta,
         player: Option<MakePlayer>,
     ) -> Result<Report> {
         let mut outcome = self.outcome(traces);
         outcome.peak_memory_bytes = peak_memory_bytes();
         let time = self.task.camera.time();
         let mp4 = encoded(&self.found.video, time, Film::Stamped)?;
-        let (title, command) = (words.title, words.reproduce);
+        let (title, command) = (report_meta.title, report_meta.reproduce);
         let page = self.with_view(traces, &outcome, title, command, |files| {
             let truth = files.truth.map(|_| TRUTH);
             player.and_then(|make| make(files, &view_files::describe(files, truth)))
         });
-        self.report_of(traces, &outcome, words, mp4.as_deref(), page.as_ref())
+        self.report_of(traces, &outcome, report_meta, mp4.as_deref(), page.as_ref())
     }
 
     /// Writes what the viewer shows beside the video; the page for one file, where there is one.
@@ -314,13 +320,19 @@ impl Solved {
         traces: &Traces,
         outcome: &Outcome,
         folder: &OutputFolder,
-        about: &About,
+        result_meta: &ResultMeta,
     ) -> Result<Option<PlayerPage>> {
-        self.with_view(traces, outcome, about.title, about.reproduce, |files| {
-            let view = view_files::write(folder, files)?;
-            let make = about.player.as_ref();
-            Ok(make.and_then(|make| make(files, &view)))
-        })
+        self.with_view(
+            traces,
+            outcome,
+            result_meta.title,
+            result_meta.reproduce,
+            |files| {
+                let view = view_files::write(folder, files)?;
+                let make = result_meta.player.as_ref();
+                Ok(make.and_then(|make| make(files, &view)))
+            },
+        )
     }
 
     /// Does something with all that the viewer shows.
@@ -370,7 +382,7 @@ impl Solved {
         &self,
         traces: &Traces,
         outcome: &Outcome,
-        words: Words,
+        report_meta: ReportMeta,
         mp4: Option<&[u8]>,
         page: Option<&PlayerPage>,
     ) -> Result<Report> {
@@ -378,7 +390,7 @@ impl Solved {
         let direct = self.direct();
         let placed = traces.placed();
         rowburst_report::render(&ReportInput {
-            title: words.title,
+            title: report_meta.title,
             frame: task.measurement.image(),
             psf: task.psfs.central().image(),
             video: &self.found.video,
@@ -405,8 +417,8 @@ impl Solved {
                 style: &page.style,
                 data: &page.data,
             }),
-            files: words.files,
-            reproduce: words.reproduce,
+            files: report_meta.files,
+            reproduce: report_meta.reproduce,
         })
     }
 }

@@ -3,11 +3,11 @@
 use crate::solved::Solved;
 use crate::watch::Watch;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Prior, Problem, Recipe};
+use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Image, PatchSet, Result, Video};
-use rowburst_io::Taken;
+use rowburst_io::FromMetadata;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -21,7 +21,7 @@ pub struct Task {
     /// The corrected frame.
     pub measurement: Measurement,
     /// How to reconstruct. Where its prior is left open it is chosen, if there is time for it.
-    pub recipe: Recipe,
+    pub options: Options,
     /// For set-up and solver.
     pub budget: Option<Duration>,
     /// The true video, to compare with.
@@ -33,7 +33,7 @@ pub struct Task {
     /// Of the simulation that the frame comes from.
     pub seed: u64,
     /// What of the camera came from the frame's metadata.
-    pub taken: Taken,
+    pub from_metadata: FromMetadata,
 }
 
 /// What the clock beside the solver knows of an iteration.
@@ -57,13 +57,13 @@ pub fn solve(
     began: Instant,
     show: &mut dyn FnMut(&Progress, &Seen) -> ControlFlow<StopReason>,
 ) -> Result<Solved> {
-    let recipe = Recipe {
+    let options = Options {
         // A choice takes a run for each candidate: a budget has no time for it.
-        prior: task.recipe.prior.or(task.budget.map(|_| Prior::STANDARD)),
-        ..task.recipe
+        prior: task.options.prior.or(task.budget.map(|_| Prior::STANDARD)),
+        ..task.options
     };
     let started = Instant::now();
-    let problem = Problem::new(&task.measurement, &task.camera, &task.psfs, recipe)?;
+    let problem = Problem::new(&task.measurement, &task.camera, &task.psfs, options)?;
     let setup = started.elapsed();
     let left = task.budget.map(|b| b.saturating_sub(setup));
     let mut watch = Watch::new(problem.sigma(), task.truth.as_ref(), left);

@@ -7,7 +7,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Chunked, Recipe};
+use rowburst::reconstruct::{Chunked, Options};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
@@ -76,7 +76,7 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
     let noiseless = Image::new(camera.rows(), side, rows).expect("a frame");
     let noisy = Noise::Gaussian { snr: 256.0 }.apply(&noiseless, camera.sensor(), 1);
     let measurement = Measurement::new(noisy.expect("light").frame).expect("light");
-    let chunks = Chunked::new(camera, psf.into(), measurement, Recipe::default()).expect("parts");
+    let chunks = Chunked::new(camera, psf.into(), measurement, Options::default()).expect("parts");
     let mut decibels = Vec::new();
     let began = Instant::now();
     let mut comparing = 0.0;

@@ -8,7 +8,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Model, Prior, Recipe, Sequence};
+use rowburst::reconstruct::{Model, Options, Prior, Sequence};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Image, Sensor, Shape, Shutter, Video};
@@ -74,9 +74,9 @@ fn main() {
         "Model: {:.0} ms, once.\n",
         1e3 * began.elapsed().as_secs_f64()
     );
-    let recipe = Recipe {
+    let options = Options {
         prior: Some(Prior::STANDARD),
-        ..Recipe::default()
+        ..Options::default()
     };
     println!(
         "| scene | budget (s) | from nothing (dB) | in sequence: first, median, least of frames 2 to {FRAMES} (dB) | iterations | went on | longest frame (s) |"
@@ -99,7 +99,7 @@ fn main() {
             })
             .collect();
         for budget in BUDGETS {
-            let mut sequence = Sequence::new(model.clone(), recipe);
+            let mut sequence = Sequence::new(model.clone(), options);
             let next = |sequence: &mut Sequence, k: usize| {
                 let began = Instant::now();
                 let (found, went_on) = sequence

@@ -7,7 +7,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe};
+use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::hint::black_box;
@@ -60,9 +60,9 @@ fn main() {
         let noise = Noise::Gaussian { snr: 256.0 };
         let recorded = noise.apply(&noiseless, camera.sensor(), 1).expect("light");
         let measurement = Measurement::new(recorded.frame).expect("light");
-        let recipe = Recipe {
+        let options = Options {
             prior: Some(Prior::STANDARD),
-            ..Recipe::default()
+            ..Options::default()
         };
         // The fastest of all runs; pictures are looked at in a run of their own, which is not timed.
         let (mut setup, mut open, mut tight, mut all) = (f64::MAX, f64::MAX, f64::MAX, f64::MAX);
@@ -73,7 +73,7 @@ fn main() {
         for run in 0..=TIMED {
             let is_looked_at = run == TIMED;
             let begin = Instant::now();
-            let problem = Problem::new(&measurement, &camera, &psf, recipe).expect("a problem");
+            let problem = Problem::new(&measurement, &camera, &psf, options).expect("a problem");
             setup = setup.min(begin.elapsed().as_secs_f64());
             let begin = Instant::now();
             let mut stamps = Vec::new();

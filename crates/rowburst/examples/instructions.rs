@@ -7,7 +7,7 @@
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Prior, Problem, Recipe, Tau};
+use rowburst::reconstruct::{Options, Prior, Problem, Tau};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter};
 use std::hint::black_box;
@@ -103,24 +103,24 @@ fn measurement(camera: &Camera, psf: &Psf) -> Measurement {
     Measurement::new(image).expect("light")
 }
 
-fn problem(camera: &Camera, psf: &Psf, measurement: &Measurement, recipe: Recipe) -> Problem {
-    Problem::new(measurement, camera, psf, recipe).expect("a valid problem")
+fn problem(camera: &Camera, psf: &Psf, measurement: &Measurement, options: Options) -> Problem {
+    Problem::new(measurement, camera, psf, options).expect("a valid problem")
 }
 
 /// What a user gets who chooses nothing but the prior.
-fn standard() -> Recipe {
-    Recipe {
+fn standard() -> Options {
+    Options {
         prior: Some(Prior::STANDARD),
-        ..Recipe::default()
+        ..Options::default()
     }
 }
 
 /// The bare iteration: no factor is renewed, no support is sought.
-fn bare() -> Recipe {
-    Recipe {
+fn bare() -> Options {
+    Options {
         prior: Some("tv+0.5*tdiff".parse().expect("a prior")),
         tau: Tau::Given(1e-6),
-        ..Recipe::default()
+        ..Options::default()
     }
 }
 
@@ -133,10 +133,10 @@ fn set_up(times: usize) {
     }
 }
 
-fn iterations(recipe: Recipe, times: usize) {
+fn iterations(options: Options, times: usize) {
     let camera = camera(HALF);
     let psf = psf(&camera);
-    let problem = problem(&camera, &psf, &measurement(&camera, &psf), recipe);
+    let problem = problem(&camera, &psf, &measurement(&camera, &psf), options);
     let found = problem.solve(&mut |progress| match progress.iteration == times {
         true => ControlFlow::Break(StopReason::Interrupted),
         false => ControlFlow::Continue(()),

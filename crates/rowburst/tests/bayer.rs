@@ -6,7 +6,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe};
+use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
@@ -61,9 +61,9 @@ fn planes_give_the_scenes_of_their_colours() {
     let noise = Noise::Gaussian { snr: 256.0 };
     let raw = noise.apply(&noiseless, camera.sensor(), 7).unwrap().frame;
 
-    let recipe = Recipe {
+    let options = Options {
         prior: Some(Prior::STANDARD),
-        ..Recipe::default()
+        ..Options::default()
     };
     for site in sites {
         let plane = plane_camera(&camera, site).unwrap();
@@ -72,7 +72,7 @@ fn planes_give_the_scenes_of_their_colours() {
         assert_eq!(plane.start_us, 0.0);
         let psf = plane_psf(&psf, site).unwrap();
         let measurement = Measurement::new(plane_image(&raw, site)).unwrap();
-        let problem = Problem::new(&measurement, &plane.camera, &psf, recipe).unwrap();
+        let problem = Problem::new(&measurement, &plane.camera, &psf, options).unwrap();
         let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
         let psnr = |colour| psnr_db(found.video.data(), truth_of(colour).data());
         let others = [Colour::Red, Colour::Green, Colour::Blue];

@@ -6,7 +6,7 @@ use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Verdict};
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Verdict};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter};
 use std::ops::ControlFlow;
@@ -18,7 +18,7 @@ struct Case {
     psf: Psf,
     frame: Image,
     sigma: Option<f64>,
-    recipe: Recipe,
+    options: Options,
 }
 
 /// Size of a problem.
@@ -95,9 +95,9 @@ impl Size {
             psf,
             frame: recorded.frame,
             sigma: (!calibrated).then_some(recorded.sigma),
-            recipe: Recipe {
+            options: Options {
                 prior: Some(Prior::STANDARD),
-                ..Recipe::default()
+                ..Options::default()
             },
         }
     }
@@ -169,9 +169,9 @@ impl Size {
             ..base.clone()
         };
         let stopped = |iterations| Case {
-            recipe: Recipe {
+            options: Options {
                 max_iterations: Some(iterations),
-                ..base.recipe
+                ..base.options
             },
             ..base.clone()
         };
@@ -364,11 +364,11 @@ impl Case {
             }
             _ => Measurement::new(self.frame.clone()).unwrap(),
         };
-        let recipe = Recipe {
+        let options = Options {
             noise_sigma: self.sigma,
-            ..self.recipe
+            ..self.options
         };
-        let problem = Problem::new(&measurement, &camera, &self.psf, recipe).unwrap();
+        let problem = Problem::new(&measurement, &camera, &self.psf, options).unwrap();
         problem.solve(&mut |_| ControlFlow::Continue(())).unwrap()
     }
 }

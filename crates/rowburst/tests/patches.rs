@@ -6,7 +6,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe};
+use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::simulate::scene;
 use rowburst::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter};
 use std::ops::ControlFlow;
@@ -80,12 +80,12 @@ fn patches_beat_a_single_psf_on_a_wide_field() {
     let recorded = noise.apply(&frame, camera.sensor(), 7).unwrap();
     let measurement = Measurement::new(recorded.frame).unwrap();
     let psnr = |psfs: PatchSet| {
-        let recipe = Recipe {
+        let options = Options {
             prior: Some(Prior::STANDARD),
             max_iterations: Some(120),
-            ..Recipe::default()
+            ..Options::default()
         };
-        let problem = Problem::new(&measurement, &camera, psfs, recipe).unwrap();
+        let problem = Problem::new(&measurement, &camera, psfs, options).unwrap();
         let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
         psnr_db(found.video.data(), truth.data())
     };

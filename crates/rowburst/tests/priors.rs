@@ -7,7 +7,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Problem, Recipe};
+use rowburst::reconstruct::{Options, Problem};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
@@ -63,11 +63,11 @@ impl Case {
 
     /// PSNR of the reconstruction with `prior`.
     fn psnr(&self, prior: &str) -> f64 {
-        let recipe = Recipe {
+        let options = Options {
             prior: Some(prior.parse().unwrap()),
-            ..Recipe::default()
+            ..Options::default()
         };
-        let problem = Problem::new(&self.measurement, &self.camera, &self.psf, recipe).unwrap();
+        let problem = Problem::new(&self.measurement, &self.camera, &self.psf, options).unwrap();
         let start = std::time::Instant::now();
         let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
         let psnr = psnr_db(found.video.data(), self.truth.data());
@@ -236,12 +236,12 @@ fn a_prior_over_time_is_refused_for_one_bin() {
     let measurement = Measurement::new(frame).unwrap();
     let psf = Psf::new(Image::from_fn(5, 5, |_, _| 1.0)).unwrap();
     let set_up = |prior: &str| {
-        let recipe = Recipe {
+        let options = Options {
             prior: Some(prior.parse().unwrap()),
             noise_sigma: Some(1.0),
-            ..Recipe::default()
+            ..Options::default()
         };
-        Problem::new(&measurement, &camera(Shutter::Global), &psf, recipe)
+        Problem::new(&measurement, &camera(Shutter::Global), &psf, options)
     };
     assert!(set_up("tv+0.5*tdiff+support").is_ok() && set_up("dct").is_ok());
     let error = set_up("tv+group").err().unwrap().to_string();

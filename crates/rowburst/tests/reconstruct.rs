@@ -5,7 +5,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe, Reconstruction, Tau, Verdict};
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Tau, Verdict};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
@@ -56,9 +56,9 @@ impl Case {
         }
     }
 
-    fn solve(&self, recipe: Recipe) -> Reconstruction {
+    fn solve(&self, options: Options) -> Reconstruction {
         let measurement = Measurement::new(self.frame.clone()).unwrap();
-        let problem = Problem::new(&measurement, &self.camera, &self.psf, recipe).unwrap();
+        let problem = Problem::new(&measurement, &self.camera, &self.psf, options).unwrap();
         problem.solve(&mut |_| ControlFlow::Continue(())).unwrap()
     }
 
@@ -87,7 +87,7 @@ fn every_kind_of_camera_gives_a_good_video() {
     for (shutter, exposure_us, field, at_least) in cases {
         let name = format!("{} {exposure_us} {field:?}", shutter.name());
         let case = Case::new(shutter, exposure_us, field);
-        let found = case.solve(Recipe::default());
+        let found = case.solve(Options::default());
         let psnr = case.psnr(&found);
         println!(
             "{name}: {psnr:.1} dB, residual/σ {:.2}, σ/true {:.2}, {} iterations, {:?}",
@@ -106,11 +106,11 @@ fn every_kind_of_camera_gives_a_good_video() {
 fn a_wide_sensor_gives_a_good_video() {
     for columns in [520, 1030] {
         let case = wide(columns);
-        let recipe = Recipe {
+        let options = Options {
             prior: Some(Prior::SEPARABLE),
-            ..Recipe::default()
+            ..Options::default()
         };
-        let found = case.solve(recipe);
+        let found = case.solve(options);
         let psnr = case.psnr(&found);
         println!(
             "{columns} columns: {psnr:.1} dB, residual/σ {:.2}, {} iterations",
@@ -119,10 +119,10 @@ fn a_wide_sensor_gives_a_good_video() {
         assert_eq!(found.fit.verdict, Verdict::Good);
         assert!(psnr > 45.0, "{psnr} dB");
         // Far less than the factors have digits for.
-        let found = case.solve(Recipe {
+        let found = case.solve(Options {
             tau: Tau::Given(1e-6 * found.tau),
             max_iterations: Some(3),
-            ..recipe
+            ..options
         });
         assert!(found.video.data().iter().all(|v| v.is_finite()));
     }
@@ -170,12 +170,12 @@ fn wide(columns: usize) -> Case {
 #[test]
 fn nothing_depends_on_the_units_of_the_frame() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
-    let found = case.solve(Recipe::default());
+    let found = case.solve(Options::default());
     let scaled = Case {
         frame: Image::from_fn(48, 40, |y, x| 4096.0 * case.frame.at(y, x)),
         ..Case::new(Shutter::DualInsideOut, 10.0, None)
     };
-    let found_scaled = scaled.solve(Recipe::default());
+    let found_scaled = scaled.solve(Options::default());
     let expected: Vec<f32> = found.video.data().iter().map(|v| 4096.0 * v).collect();
     let error = rowburst::vecmath::distance_squared(found_scaled.video.data(), &expected).sqrt()
         / rowburst::vecmath::norm(&expected);
@@ -188,17 +188,17 @@ fn a_fixed_tau_reaches_the_minimum() {
     use rowburst::prox::{Prox, Variation};
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let prior: Prior = "tv+0.5*tdiff".parse().unwrap();
-    let auto = case.solve(Recipe {
+    let auto = case.solve(Options {
         prior: Some(prior),
-        ..Recipe::default()
+        ..Options::default()
     });
-    let recipe = Recipe {
+    let options = Options {
         prior: Some(prior),
         tau: Tau::Given(auto.tau),
         max_iterations: Some(2000),
-        ..Recipe::default()
+        ..Options::default()
     };
-    let found = case.solve(recipe);
+    let found = case.solve(options);
     let operator = RollingShutter::new(&case.camera, &case.psf);
     let penalty = Variation::new(case.camera.video_shape(), prior.weights);
     let objective = |video: &[f32]| {
@@ -259,7 +259,7 @@ fn the_noise_is_read_from_a_frame_that_lacks_pixels_in_every_row() {
 fn an_observer_can_stop_it() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let measurement = Measurement::new(case.frame.clone()).unwrap();
-    let problem = Problem::new(&measurement, &case.camera, &case.psf, Recipe::default()).unwrap();
+    let problem = Problem::new(&measurement, &case.camera, &case.psf, Options::default()).unwrap();
     let found = problem
         .solve(&mut |progress| match progress.iteration {
             7 => ControlFlow::Break(StopReason::TimeBudget),
@@ -279,11 +279,11 @@ fn pixels_of_weight_zero_are_ignored() {
     use rowburst::measurement::{Corrections, correct};
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     // A prior that is named: the choice among priors has other pixels to go by.
-    let recipe = Recipe {
+    let options = Options {
         prior: Some(Prior::STANDARD),
-        ..Recipe::default()
+        ..Options::default()
     };
-    let clean = case.psnr(&case.solve(recipe));
+    let clean = case.psnr(&case.solve(options));
     let is_bad = |y: usize, x: usize| (y * 40 + x).is_multiple_of(67);
     let broken = Image::from_fn(48, 40, |y, x| {
         if is_bad(y, x) {
@@ -299,7 +299,7 @@ fn pixels_of_weight_zero_are_ignored() {
         ..Corrections::default()
     };
     let measurement = correct(&broken, &case.camera, &corrections).unwrap();
-    let problem = Problem::new(&measurement, &case.camera, &case.psf, recipe).unwrap();
+    let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
     let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
     let psnr = case.psnr(&found);
     println!("clean {clean:.1} dB, with 1.5 % bad pixels {psnr:.1} dB");
@@ -310,7 +310,7 @@ fn pixels_of_weight_zero_are_ignored() {
 #[test]
 fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
-    let found = case.solve(Recipe::default());
+    let found = case.solve(Options::default());
     let choice = found.choice.as_ref().expect("there was a choice");
     println!("{}", choice.reason());
     assert_eq!(found.prior, choice.best().prior);
@@ -322,12 +322,12 @@ fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
     );
     // A twentieth of two rows, for each of 24 instants.
     assert_eq!(choice.held_out, 24 * 4);
-    let recipe = Recipe {
+    let options = Options {
         prior: Some(found.prior),
-        ..Recipe::default()
+        ..Options::default()
     };
     let measurement = Measurement::new(case.frame.clone()).unwrap();
-    let problem = Problem::new(&measurement, &case.camera, &case.psf, recipe).unwrap();
+    let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
     let named = problem
         .with_strength(choice.best().strength)
         .solve(&mut |_| ControlFlow::Continue(()))
@@ -341,12 +341,12 @@ fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
 #[test]
 fn what_is_stopped_while_priors_are_tried_is_the_best_so_far() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
-    let whole = case.psnr(&case.solve(Recipe::default()));
+    let whole = case.psnr(&case.solve(Options::default()));
     let measurement = Measurement::new(case.frame.clone()).unwrap();
     // Three trials, then the run on the whole frame.
     for stopped in [2, 4] {
-        let recipe = Recipe::default();
-        let problem = Problem::new(&measurement, &case.camera, &case.psf, recipe).unwrap();
+        let options = Options::default();
+        let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
         let mut run = 0;
         let found = problem
             .solve(&mut |progress| {
@@ -369,10 +369,10 @@ fn what_is_stopped_while_priors_are_tried_is_the_best_so_far() {
 fn held_out_pixels_find_tau() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let solve = |tau| {
-        case.solve(Recipe {
+        case.solve(Options {
             prior: Some(Prior::STANDARD),
             tau,
-            ..Recipe::default()
+            ..Options::default()
         })
     };
     let (known, found) = (solve(Tau::Auto), solve(Tau::HeldOut));
@@ -389,11 +389,11 @@ fn held_out_pixels_find_tau() {
 fn the_certificate_is_a_bound() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let solve = |iterations, tau| {
-        case.solve(Recipe {
+        case.solve(Options {
             prior: Some("tv+0.5*tdiff".parse().unwrap()),
             tau,
             max_iterations: Some(iterations),
-            ..Recipe::default()
+            ..Options::default()
         })
     };
     let tau = Tau::Given(solve(300, Tau::Auto).tau);

@@ -5,7 +5,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Model, Prior, Problem, Recipe, Sequence};
+use rowburst::reconstruct::{Model, Options, Prior, Problem, Sequence};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::StopReason;
 use rowburst::{Camera, Image, Sensor, Shape, Shutter, Video};
@@ -50,10 +50,10 @@ fn moved(video: &Video) -> Video {
     Video::new(video.shape(), values).unwrap()
 }
 
-fn recipe() -> Recipe {
-    Recipe {
+fn options() -> Options {
+    Options {
         prior: Some(Prior::STANDARD),
-        ..Recipe::default()
+        ..Options::default()
     }
 }
 
@@ -73,11 +73,11 @@ fn after(
 fn a_frame_goes_on_from_the_last_one() {
     let model = model();
     let truth = digits(model.camera().video_shape());
-    let mut sequence = Sequence::new(model.clone(), recipe());
+    let mut sequence = Sequence::new(model.clone(), options());
     let first = measured(&model, &truth, 1);
     let (whole, went_on) = sequence.next(&first, &mut after(1000)).unwrap();
     assert!(!went_on);
-    let alone = Problem::of(&model, &first, recipe()).unwrap();
+    let alone = Problem::of(&model, &first, options()).unwrap();
     let alone = alone.solve(&mut after(1000)).unwrap();
     assert_eq!(whole.video, alone.video);
     assert_eq!(whole.tau.to_bits(), alone.tau.to_bits());
@@ -98,7 +98,7 @@ fn a_frame_goes_on_from_the_last_one() {
         let (found, went_on) = sequence.next(&frame, &mut after(20)).unwrap();
         assert!(went_on);
         let db = |iterations| {
-            let problem = Problem::of(&model, &frame, recipe()).unwrap();
+            let problem = Problem::of(&model, &frame, options()).unwrap();
             let found = problem.solve(&mut after(iterations)).unwrap();
             psnr_db(found.video.data(), truth.data())
         };
@@ -115,7 +115,7 @@ fn a_frame_goes_on_from_the_last_one() {
 fn short_looks_add_up() {
     let model = model();
     let truth = digits(model.camera().video_shape());
-    let mut sequence = Sequence::new(model.clone(), recipe());
+    let mut sequence = Sequence::new(model.clone(), options());
     let mut course = Vec::new();
     for seed in 1..16 {
         let frame = measured(&model, &truth, seed);
@@ -132,23 +132,23 @@ fn another_scene_starts_afresh() {
     let model = model();
     let shape = model.camera().video_shape();
     // Also with a prior that has no support.
-    let tv = Recipe {
+    let tv = Options {
         prior: Some("tv".parse().unwrap()),
-        ..recipe()
+        ..options()
     };
-    for recipe in [recipe(), tv] {
-        check_another_scene(&model, shape, recipe);
+    for options in [options(), tv] {
+        check_another_scene(&model, shape, options);
     }
 }
 
-fn check_another_scene(model: &Model, shape: Shape, recipe: Recipe) {
-    let mut sequence = Sequence::new(model.clone(), recipe);
+fn check_another_scene(model: &Model, shape: Shape, options: Options) {
+    let mut sequence = Sequence::new(model.clone(), options);
     let leds = scene::leds(shape, 9.6, 6.5, 1).unwrap().0;
     let first = measured(model, &digits(shape), 1);
     sequence.next(&first, &mut after(60)).unwrap();
     let frame = measured(model, &leds, 2);
     let (found, went_on) = sequence.next(&frame, &mut after(60)).unwrap();
     assert!(!went_on);
-    let alone = Problem::of(model, &frame, recipe).unwrap();
+    let alone = Problem::of(model, &frame, options).unwrap();
     assert_eq!(found.video, alone.solve(&mut after(60)).unwrap().video);
 }

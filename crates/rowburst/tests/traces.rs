@@ -9,7 +9,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Prior, Problem, Recipe};
+use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::traces::{Evidence, Refit, Region, brightest_regions, frequency_of};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
@@ -94,11 +94,11 @@ impl Case {
             .apply(&self.noiseless, self.camera.sensor(), seed)
             .unwrap();
         let measurement = Measurement::new(recorded.frame).unwrap();
-        let recipe = Recipe {
+        let options = Options {
             prior: Some(Prior::STANDARD),
-            ..Recipe::default()
+            ..Options::default()
         };
-        let problem = Problem::new(&measurement, &self.camera, &self.psf, recipe);
+        let problem = Problem::new(&measurement, &self.camera, &self.psf, options);
         let found = problem
             .unwrap()
             .solve(&mut |_| ControlFlow::Continue(()))

@@ -36,8 +36,8 @@ fn experiment_of(path: &Path, captures: &[PathBuf]) -> Result<Experiment> {
     let metadata = read_metadata(first);
     let filled = Experiment::read_with(path, &metadata);
     let filled = filled.map_err(|_| error.clone())?;
-    if let Some(taken) = filled.taken.summary() {
-        eprintln!("{taken}");
+    if let Some(from_metadata) = filled.from_metadata.summary_line() {
+        eprintln!("{from_metadata}");
     }
     Ok(filled)
 }

@@ -271,9 +271,13 @@ fn what_the_file_leaves_open_comes_from_metadata() {
     assert_eq!(camera.params().exposure_us, 19.2);
     assert_eq!(camera.params().row_time_us, 9.6);
     assert_eq!(camera.sensor().bit_depth, Some(12));
-    let taken = experiment.taken;
-    assert!(taken.warnings.is_empty(), "{:?}", taken.warnings);
-    let summary = taken.summary().unwrap();
+    let from_metadata = experiment.from_metadata;
+    assert!(
+        from_metadata.warnings.is_empty(),
+        "{:?}",
+        from_metadata.warnings
+    );
+    let summary = from_metadata.summary_line().unwrap();
     for words in ["rows = 108", "exposure_us = 19.2", "from metadata.txt"] {
         assert!(summary.contains(words), "{summary}");
     }
@@ -287,7 +291,7 @@ fn the_file_counts_and_contradictions_are_told() {
     let text = "[camera]\nrows = 108\ncolumns = 120\nshutter = \"top-down\"\nrow_time_us = 9.65\nexposure_us = 9.6\nbit_depth = 16\npixel_pitch_um = 11.0\n";
     let experiment = parse_with(text, &metadata()).unwrap();
     assert_eq!(experiment.params.exposure_us, 9.6);
-    let warnings = experiment.taken.warnings.join("\n");
+    let warnings = experiment.from_metadata.warnings.join("\n");
     for words in [
         "exposure_us is 9.6 in lab/run.toml and 19.2 in the metadata (metadata.txt): the experiment file counts",
         "bit_depth is 16",
@@ -296,7 +300,7 @@ fn the_file_counts_and_contradictions_are_told() {
         assert!(warnings.contains(words), "{warnings}");
     }
     // 9.65 is within a percent of 9.6; pitches at object and sensor are not compared.
-    assert_eq!(experiment.taken.warnings.len(), 3, "{warnings}");
+    assert_eq!(experiment.from_metadata.warnings.len(), 3, "{warnings}");
 
     let error = parse_with(&text.replace("120", "130"), &metadata()).unwrap_err();
     let message = error.to_string();
@@ -315,9 +319,12 @@ fn binning_by_the_program_and_by_the_camera_are_told_apart() {
             ..metadata()
         };
         let experiment = parse_with(&format!("[camera]\n{keys}{timing}"), &found).unwrap();
-        let (params, taken) = (experiment.params, experiment.taken);
+        let (params, from_metadata) = (experiment.params, experiment.from_metadata);
         let sensor = params.sensor;
-        let warnings = taken.warnings.iter().filter(|w| w.starts_with("binning"));
+        let warnings = from_metadata
+            .warnings
+            .iter()
+            .filter(|w| w.starts_with("binning"));
         (
             params.rows,
             params.columns,

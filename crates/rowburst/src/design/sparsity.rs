@@ -16,7 +16,7 @@ use crate::camera::CameraParams;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::noise::Noise;
-use crate::reconstruct::{Prior, Problem, Recipe};
+use crate::reconstruct::{Options, Prior, Problem};
 use crate::{Camera, Error, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -348,13 +348,13 @@ fn success_rate(
     frame.iter_mut().for_each(|b| *b = b.max(0.0));
     let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
     let recorded = Noise::Gaussian { snr }.apply(&noiseless, &Sensor::default(), params.seed)?;
-    let recipe = Recipe {
+    let options = Options {
         prior: Some("l1+support".parse::<Prior>()?),
         noise_sigma: Some(recorded.sigma),
         max_iterations: Some(params.max_iterations),
-        ..Recipe::default()
+        ..Options::default()
     };
-    let problem = Problem::new(&Measurement::new(recorded.frame)?, camera, psf, recipe)?;
+    let problem = Problem::new(&Measurement::new(recorded.frame)?, camera, psf, options)?;
     let found = problem.solve(&mut |_| ControlFlow::Continue(()))?;
     let shape = truth.shape();
     let kernel = smoothing(params.grain_px);
@@ -374,15 +374,15 @@ fn random_pixels(camera: &Camera, k: usize, seed: u64) -> Video {
     let mut rng = Pcg64::seed_from_u64(seed);
     let mut video = Video::zeros(shape);
     for t in 0..shape.bins {
-        let mut taken: Vec<(usize, usize)> = Vec::with_capacity(k);
-        while taken.len() < k {
+        let mut occupied: Vec<(usize, usize)> = Vec::with_capacity(k);
+        while occupied.len() < k {
             let at = (
                 rng.random_range(0..shape.rows),
                 rng.random_range(0..shape.columns),
             );
             let touches = |p: &(usize, usize)| p.0.abs_diff(at.0) <= 1 && p.1.abs_diff(at.1) <= 1;
-            if !taken.iter().any(touches) {
-                taken.push(at);
+            if !occupied.iter().any(touches) {
+                occupied.push(at);
                 let brightness: f32 = rng.random_range(0.5..1.0);
                 video.bin_mut(t)[at.0 * shape.columns + at.1] = brightness;
             }

@@ -12,7 +12,7 @@
 //! own `τ`, at which its residual is the noise of the whole frame.
 
 use super::sigma::Bands;
-use super::{Model, Prior, Problem, Recipe, Reconstruction, SigmaSource, noise_of};
+use super::{Model, Options, Prior, Problem, Reconstruction, SigmaSource, noise_of};
 use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
 use crate::solve::StopReason;
@@ -33,7 +33,7 @@ pub struct Chunked {
     camera: Camera,
     psfs: PatchSet,
     measurement: Measurement,
-    recipe: Recipe,
+    options: Options,
     sigma: f64,
     sigma_source: SigmaSource,
 }
@@ -48,9 +48,9 @@ impl Chunked {
         camera: Camera,
         psfs: PatchSet,
         measurement: Measurement,
-        recipe: Recipe,
+        options: Options,
     ) -> Result<Self> {
-        let prior = recipe.prior.unwrap_or(Prior::SEPARABLE);
+        let prior = options.prior.unwrap_or(Prior::SEPARABLE);
         prior.check_separable()?;
         let time = camera.time();
         if !time.is_disjoint() || time.bins() == 1 {
@@ -62,8 +62,8 @@ impl Chunked {
             ));
         }
         let bands = Bands::new(&measurement, psfs.central());
-        let (sigma, sigma_source) = noise_of(&measurement, &bands, &recipe);
-        if sigma_source == SigmaSource::HeldOut && !matches!(recipe.tau, super::Tau::Given(_)) {
+        let (sigma, sigma_source) = noise_of(&measurement, &bands, &options);
+        if sigma_source == SigmaSource::HeldOut && !matches!(options.tau, super::Tau::Given(_)) {
             return Err(Error::input(
                 "--noise-sigma",
                 "a noise level that cannot be read from the frame",
@@ -72,9 +72,9 @@ impl Chunked {
             ));
         }
         Ok(Self {
-            recipe: Recipe {
+            options: Options {
                 prior: Some(prior),
-                ..recipe
+                ..options
             },
             camera,
             psfs,
@@ -101,7 +101,7 @@ impl Chunked {
 
     /// The prior of all parts.
     pub fn prior(&self) -> Prior {
-        self.recipe.prior.unwrap_or(Prior::SEPARABLE)
+        self.options.prior.unwrap_or(Prior::SEPARABLE)
     }
 
     /// Noise of a pixel with weight 1 in counts, and where it is known from.
@@ -150,11 +150,11 @@ impl Chunked {
         };
         let rows: Vec<usize> = part.sensor_rows().map(place).collect();
         let measurement = self.measurement.rows(&rows);
-        let recipe = Recipe {
+        let options = Options {
             noise_sigma: Some(self.sigma),
-            ..self.recipe
+            ..self.options
         };
         let model = Model::new(&part, self.psfs.clone());
-        Problem::of(&model, &measurement, recipe)?.solve(observer)
+        Problem::of(&model, &measurement, options)?.solve(observer)
     }
 }

@@ -37,7 +37,7 @@ pub const NUMBERS: u32 = 6;
 
 /// What the user chooses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Recipe {
+pub struct Options {
     /// The prior; `None`: the one of [`CANDIDATES`] that predicts held-out pixels best.
     pub prior: Option<Prior>,
     /// How `τ` is found.
@@ -90,7 +90,7 @@ impl SigmaSource {
 /// A reconstruction set up and ready to run.
 pub struct Problem {
     data: FrameData,
-    recipe: Recipe,
+    options: Options,
     sigma: f64,
     sigma_source: SigmaSource,
     strength: f64,
@@ -144,9 +144,9 @@ impl Problem {
         measurement: &Measurement,
         camera: &Camera,
         psf: impl Into<PatchSet>,
-        recipe: Recipe,
+        options: Options,
     ) -> Result<Self> {
-        Self::of(&Model::new(camera, psf), measurement, recipe)
+        Self::of(&Model::new(camera, psf), measurement, options)
     }
 
     /// Sets up the reconstruction of one of many frames that share `model`.
@@ -154,13 +154,13 @@ impl Problem {
     /// # Errors
     /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a
     /// prior over time for a video of one bin.
-    pub fn of(model: &Model, measurement: &Measurement, recipe: Recipe) -> Result<Self> {
+    pub fn of(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
-        let tau = match recipe.tau {
+        let tau = match options.tau {
             Tau::Given(tau) => Some(tau),
             Tau::Auto | Tau::HeldOut => None,
         };
-        for (name, value) in [("--tau", tau), ("--noise-sigma", recipe.noise_sigma)] {
+        for (name, value) in [("--tau", tau), ("--noise-sigma", options.noise_sigma)] {
             if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
                 return Err(Error::input(
                     name,
@@ -171,15 +171,15 @@ impl Problem {
             }
         }
         let bands = Bands::new(measurement, psf.central());
-        let (sigma, sigma_source) = noise_of(measurement, &bands, &recipe);
-        if let Some(prior) = recipe.prior {
+        let (sigma, sigma_source) = noise_of(measurement, &bands, &options);
+        if let Some(prior) = options.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
         Ok(Self {
             camera: camera.clone(),
             bands,
             data: FrameData::new(model, measurement),
-            recipe,
+            options,
             sigma,
             sigma_source,
             strength: 1.0,
@@ -198,8 +198,8 @@ impl Problem {
     }
 
     /// What the user chose.
-    pub fn recipe(&self) -> &Recipe {
-        &self.recipe
+    pub fn options(&self) -> &Options {
+        &self.options
     }
 
     /// Noise of a pixel with weight 1, in counts; a guess where held-out pixels are to tell.
@@ -278,7 +278,7 @@ impl Problem {
             history,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
-            tau_is_given: matches!(self.recipe.tau, Tau::Given(_)),
+            tau_is_given: matches!(self.options.tau, Tau::Given(_)),
             stop_reason: solution.stop_reason,
             support: solution.support,
         });
@@ -321,14 +321,14 @@ impl Problem {
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<TauRule, Box<Found>> {
-        let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
-        let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.recipe.tau == Tau::Auto;
-        if is_unknown || self.recipe.tau == Tau::HeldOut {
-            let most = self.recipe.max_iterations;
+        let standard = self.options.prior.unwrap_or(Prior::STANDARD);
+        let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
+        if is_unknown || self.options.tau == Tau::HeldOut {
+            let most = self.options.max_iterations;
             self.sigma = choose::noise_level(&mut self.data, standard, most, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
         }
-        Ok(match self.recipe.tau {
+        Ok(match self.options.tau {
             Tau::Given(tau) => TauRule::Fixed(tau),
             Tau::Auto | Tau::HeldOut => TauRule::Discrepancy { sigma: self.sigma },
         })
@@ -343,7 +343,7 @@ impl Problem {
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
-        let most = self.recipe.max_iterations;
+        let most = self.options.max_iterations;
         choose::choose_prior(&mut self.data, rule, self.sigma, most, observer).map(Some)
     }
 
@@ -354,21 +354,21 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Found, Box<Found>> {
         let rule = self.rule(observer)?;
-        let (choice, tried) = match self.recipe.prior {
+        let (choice, tried) = match self.options.prior {
             Some(_) => (None, None),
             None => match self.choice(rule, observer)? {
                 Some((choice, tried)) => (Some(choice), tried),
                 None => (None, None),
             },
         };
-        let standard = self.recipe.prior.unwrap_or(Prior::STANDARD);
+        let standard = self.options.prior.unwrap_or(Prior::STANDARD);
         let (prior, strength) = choice.as_ref().map_or((standard, self.strength), |c| {
             (c.best().prior, c.best().strength)
         });
         let shape = self.data.shape();
         self.data.start(prior.background(), None);
         let mut prox = prior.prox(shape);
-        let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
+        let params = prior.admm_params(shape, rule, self.options.max_iterations);
         let mut run = Admm::new(&self.data, shape, params);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
@@ -444,8 +444,8 @@ impl Found {
 }
 
 /// The standard deviation of the noise, and where it is known from.
-fn noise_of(measurement: &Measurement, bands: &Bands, recipe: &Recipe) -> (f64, SigmaSource) {
-    match (recipe.noise_sigma, measurement.sigma()) {
+fn noise_of(measurement: &Measurement, bands: &Bands, options: &Options) -> (f64, SigmaSource) {
+    match (options.noise_sigma, measurement.sigma()) {
         (Some(sigma), _) => (sigma, SigmaSource::Given),
         (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
         (None, None) => match bands.sigma(measurement) {

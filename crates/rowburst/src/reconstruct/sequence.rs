@@ -8,7 +8,7 @@
 //! it begins from nothing.
 
 use super::sigma::Bands;
-use super::{Found, Model, Prior, Problem, Recipe, Reconstruction, SigmaSource, Tau, noise_of};
+use super::{Found, Model, Options, Prior, Problem, Reconstruction, SigmaSource, Tau, noise_of};
 use crate::Result;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
@@ -28,12 +28,12 @@ const MOST_UNEXPLAINED: f64 = 0.5;
 /// [`Prior::STANDARD`].
 pub struct Sequence {
     model: Model,
-    recipe: Recipe,
-    last: Option<Last>,
+    options: Options,
+    previous: Option<PreviousFrame>,
 }
 
 /// The end of the last frame.
-struct Last {
+struct PreviousFrame {
     problem: Problem,
     prox: Box<dyn Prox>,
     run: Admm,
@@ -42,21 +42,21 @@ struct Last {
 impl Sequence {
     /// A sequence without frames yet. With [`Model::keeping_gram`] a frame that starts from nothing
     /// is set up sooner.
-    pub fn new(model: Model, recipe: Recipe) -> Self {
-        let recipe = Recipe {
-            prior: Some(recipe.prior.unwrap_or(Prior::STANDARD)),
-            ..recipe
+    pub fn new(model: Model, options: Options) -> Self {
+        let options = Options {
+            prior: Some(options.prior.unwrap_or(Prior::STANDARD)),
+            ..options
         };
         Self {
             model,
-            recipe,
-            last: None,
+            options,
+            previous: None,
         }
     }
 
     /// Forgets what it has seen: the next frame starts from nothing.
     pub fn forget(&mut self) {
-        self.last = None;
+        self.previous = None;
     }
 
     /// The video of the next frame, and whether it went on from the last one; `observer` sees every
@@ -69,19 +69,22 @@ impl Sequence {
         measurement: &Measurement,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<(Reconstruction, bool)> {
-        let went_on = self.last.take().and_then(|last| last.on(measurement));
+        let went_on = self
+            .previous
+            .take()
+            .and_then(|previous| previous.advance(measurement));
         let goes_on = went_on.is_some();
-        let mut last = match went_on {
-            Some(last) => last,
+        let mut current = match went_on {
+            Some(previous) => previous,
             None => match self.first(measurement, observer)? {
                 Ok(first) => *first,
                 Err(stopped) => return Ok((*stopped, false)),
             },
         };
         let mut history = Vec::new();
-        let reason = last.run(&mut history, observer);
-        let found = last.conclude(reason, &history)?;
-        self.last = Some(last);
+        let reason = current.run(&mut history, observer);
+        let found = current.conclude(reason, &history)?;
+        self.previous = Some(current);
         Ok((found, goes_on))
     }
 
@@ -90,16 +93,16 @@ impl Sequence {
         &self,
         measurement: &Measurement,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> Result<std::result::Result<Box<Last>, Box<Reconstruction>>> {
-        let mut problem = Problem::of(&self.model, measurement, self.recipe)?;
+    ) -> Result<std::result::Result<Box<PreviousFrame>, Box<Reconstruction>>> {
+        let mut problem = Problem::of(&self.model, measurement, self.options)?;
         let rule = match problem.rule(observer) {
             Ok(rule) => rule,
             Err(partial) => return Ok(Err(Box::new(problem.conclude(*partial, &[])?))),
         };
         let (shape, prior) = (problem.data.shape(), problem.prior());
         problem.data.start(prior.background(), None);
-        let params = prior.admm_params(shape, rule, self.recipe.max_iterations);
-        Ok(Ok(Box::new(Last {
+        let params = prior.admm_params(shape, rule, self.options.max_iterations);
+        Ok(Ok(Box::new(PreviousFrame {
             run: Admm::new(&problem.data, shape, params),
             prox: prior.prox(shape),
             problem,
@@ -109,11 +112,11 @@ impl Sequence {
 
 impl Problem {
     fn prior(&self) -> Prior {
-        self.recipe.prior.unwrap_or(Prior::STANDARD)
+        self.options.prior.unwrap_or(Prior::STANDARD)
     }
 }
 
-impl Last {
+impl PreviousFrame {
     fn run(
         &mut self,
         history: &mut Vec<f64>,
@@ -136,11 +139,11 @@ impl Last {
     }
 
     /// The same with the data of the next frame; `None` where that is of another scene.
-    fn on(mut self, measurement: &Measurement) -> Option<Self> {
+    fn advance(mut self, measurement: &Measurement) -> Option<Self> {
         let problem = &mut self.problem;
         problem.data.next(measurement);
         problem.bands = Bands::new(measurement, problem.data.psfs().central());
-        let (sigma, source) = noise_of(measurement, &problem.bands, &problem.recipe);
+        let (sigma, source) = noise_of(measurement, &problem.bands, &problem.options);
         if source != SigmaSource::HeldOut {
             // Weights that stayed have the reference of the law that they come from.
             problem.sigma = match source {
@@ -149,7 +152,7 @@ impl Last {
             };
             problem.sigma_source = source;
         }
-        if problem.recipe.tau == Tau::Auto {
+        if problem.options.tau == Tau::Auto {
             let sigma = problem.sigma;
             let rule = TauRule::Discrepancy { sigma };
             self.run.set_tau_rule(rule, &problem.data);

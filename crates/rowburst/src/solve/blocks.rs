@@ -61,11 +61,11 @@ struct Block<T> {
     is_whole: bool,
     /// The columns that the block is given by, if it is, and `BᵀB`.
     low_rank: Option<(Mat<T>, PackedCholesky<T>)>,
-    last: Option<Last>,
+    previous: Option<PreviousSolve>,
 }
 
 /// `(G + ρI) y = r` of a block, at the last step that was [followed](Blocks::solve_incremental).
-struct Last {
+struct PreviousSolve {
     rho: f64,
     r: Vec<f32>,
     y: Vec<f64>,
@@ -101,7 +101,7 @@ impl<T: Scalar> Blocks<T> {
             gram: PackedCholesky::new(),
             is_whole: false,
             low_rank: None,
-            last: None,
+            previous: None,
         };
         let mut blocks = Self {
             blocks: indices.into_iter().map(empty).collect(),
@@ -148,7 +148,7 @@ impl<T: Scalar> Blocks<T> {
 
     /// The next step is the first one.
     pub fn forget(&mut self) {
-        self.blocks.iter_mut().for_each(|b| b.last = None);
+        self.blocks.iter_mut().for_each(|b| b.previous = None);
     }
 
     /// Writes all blocks anew, those of everything lit among them.
@@ -244,17 +244,20 @@ impl<T: Scalar> Block<T> {
     /// See [`Blocks::solve_incremental`]: `y` and `G y`.
     fn solve_incremental(&mut self, r: &[f32], rho: f64, scratch: &mut Vec<T>) -> Vec<(f32, f32)> {
         let r: Vec<f32> = self.indices.iter().map(|&i| r[i]).collect();
-        let (mut y, mut change): (Vec<f64>, Vec<T>) = match self.last.take() {
+        let (mut y, mut change): (Vec<f64>, Vec<T>) = match self.previous.take() {
             None => (vec![0.0; r.len()], r.iter().map(|&r| T::from(r)).collect()),
-            Some(last) => {
+            Some(previous) => {
                 // G y = r − ρy of the last step.
-                let less = last.rho - rho;
+                let less = previous.rho - rho;
                 let change =
-                    r.iter().zip(&last.r).zip(&last.y).map(|((&r, &last), y)| {
-                        T::nearest(f64::from(r) - f64::from(last) + less * y)
-                    });
+                    r.iter()
+                        .zip(&previous.r)
+                        .zip(&previous.y)
+                        .map(|((&r, &previous), y)| {
+                            T::nearest(f64::from(r) - f64::from(previous) + less * y)
+                        });
                 let change = change.collect();
-                (last.y, change)
+                (previous.y, change)
             }
         };
         self.solve(&mut change, rho, scratch);
@@ -264,7 +267,7 @@ impl<T: Scalar> Block<T> {
             (rounded, (f64::from(r) - rho * f64::from(rounded)) as f32)
         });
         let values = values.collect();
-        self.last = Some(Last { rho, r, y });
+        self.previous = Some(PreviousSolve { rho, r, y });
         values
     }
 

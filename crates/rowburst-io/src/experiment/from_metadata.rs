@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// What came from the metadata of a frame, and where it contradicts the experiment file.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Taken {
+pub struct FromMetadata {
     /// Where metadata was found.
     pub sources: Vec<String>,
     /// Keys of the experiment file that it left open, with the values taken.
@@ -20,9 +20,9 @@ pub struct Taken {
     pub warnings: Vec<String>,
 }
 
-impl Taken {
+impl FromMetadata {
     /// One line for people; `None` where nothing was taken.
-    pub fn summary(&self) -> Option<String> {
+    pub fn summary_line(&self) -> Option<String> {
         let values = self.values.iter().map(|(k, v)| format!("{k} = {v}"));
         let values = values.collect::<Vec<_>>().join(", ");
         (!values.is_empty()).then(|| format!("{values} (from {})", self.sources.join(", ")))
@@ -36,7 +36,7 @@ const SAME: f64 = 0.01;
 pub(super) struct Filling<'a> {
     pub experiment: &'a Path,
     pub metadata: &'a Metadata,
-    pub taken: Taken,
+    pub from_metadata: FromMetadata,
 }
 
 impl<'a> Filling<'a> {
@@ -44,7 +44,7 @@ impl<'a> Filling<'a> {
         Self {
             experiment,
             metadata,
-            taken: Taken {
+            from_metadata: FromMetadata {
                 sources: metadata.sources.clone(),
                 values: Vec::new(),
                 warnings: metadata.notes.clone(),
@@ -146,9 +146,11 @@ impl<'a> Filling<'a> {
                 )),
                 Some(in_file) => Ok(Some(in_file)),
                 None => {
-                    let taken = frame / divisor;
-                    self.taken.values.push((key.into(), taken.to_string()));
-                    Ok(Some(taken))
+                    let size = frame / divisor;
+                    self.from_metadata
+                        .values
+                        .push((key.into(), size.to_string()));
+                    Ok(Some(size))
                 }
             }
         };
@@ -169,12 +171,14 @@ impl<'a> Filling<'a> {
     ) -> Option<T> {
         match (in_file, in_metadata) {
             (None, Some(in_metadata)) => {
-                self.taken.values.push((key.into(), words(&in_metadata)));
+                self.from_metadata
+                    .values
+                    .push((key.into(), words(&in_metadata)));
                 Some(in_metadata)
             }
             (Some(in_file), Some(in_metadata)) => {
                 if !is_same(&in_file, &in_metadata) {
-                    self.taken.warnings.push(format!(
+                    self.from_metadata.warnings.push(format!(
                         "{key} is {} in {} and {} in the metadata ({}): the experiment file counts",
                         words(&in_file),
                         self.experiment.display(),

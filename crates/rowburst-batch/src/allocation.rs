@@ -13,14 +13,14 @@ const SHARE: f64 = 0.8;
 
 /// A division of the threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Crew {
+pub struct ThreadAllocation {
     /// Frames at once.
     pub concurrent_frames: usize,
     /// Threads for each of them.
     pub threads_per_frame: usize,
 }
 
-impl Crew {
+impl ThreadAllocation {
     /// Divides `threads` among `frames` that each need what `model` needs; never more at once
     /// than `most`, or than fit the memory that is free now.
     pub fn new(threads: usize, frames: usize, model: &Model, most: Option<usize>) -> Self {
@@ -71,17 +71,17 @@ mod tests {
 
     #[test]
     fn threads_go_to_frames_first() {
-        let crew = |threads, frames, fitting, most| {
-            let crew = Crew::divide(threads, frames, fitting, most);
-            (crew.concurrent_frames, crew.threads_per_frame)
+        let allocation = |threads, frames, fitting, most| {
+            let allocation = ThreadAllocation::divide(threads, frames, fitting, most);
+            (allocation.concurrent_frames, allocation.threads_per_frame)
         };
-        assert_eq!(crew(8, 100, 50, None), (8, 1));
-        assert_eq!(crew(8, 2, 50, None), (2, 4));
-        assert_eq!(crew(8, 100, 3, None), (3, 2));
-        assert_eq!(crew(8, 100, 0, None), (1, 8));
-        assert_eq!(crew(8, 100, 50, Some(1)), (1, 8));
-        assert_eq!(crew(2, 100, 50, Some(9)), (2, 1));
-        assert_eq!(crew(2, 0, 50, None), (1, 2));
+        assert_eq!(allocation(8, 100, 50, None), (8, 1));
+        assert_eq!(allocation(8, 2, 50, None), (2, 4));
+        assert_eq!(allocation(8, 100, 3, None), (3, 2));
+        assert_eq!(allocation(8, 100, 0, None), (1, 8));
+        assert_eq!(allocation(8, 100, 50, Some(1)), (1, 8));
+        assert_eq!(allocation(2, 100, 50, Some(9)), (2, 1));
+        assert_eq!(allocation(2, 0, 50, None), (1, 2));
     }
 
     #[cfg(target_os = "linux")]
