@@ -147,7 +147,8 @@ pub struct ChosenPrior {
     /// Its name.
     pub prior: String,
     /// `τ` over that of the discrepancy principle.
-    pub strength: f64,
+    #[serde(rename = "strength")]
+    pub tau_factor: f64,
     /// The frame that it was chosen on; `None` where it was given.
     pub frame: Option<usize>,
     /// Why.
@@ -158,7 +159,7 @@ impl ChosenPrior {
     pub(crate) fn given(prior: Prior) -> Self {
         Self {
             prior: prior.to_string(),
-            strength: 1.0,
+            tau_factor: 1.0,
             frame: None,
             reason: "given".into(),
         }
@@ -176,7 +177,7 @@ impl ChosenPrior {
             Err(_) => None,
             Ok(None) => Some(Self {
                 prior: Prior::STANDARD.to_string(),
-                strength: 1.0,
+                tau_factor: 1.0,
                 frame: Some(frame),
                 reason:
                     "the standard one: a single bin or a small frame leaves nothing to choose by"
@@ -184,7 +185,7 @@ impl ChosenPrior {
             }),
             Ok(Some(choice)) => Some(Self {
                 prior: choice.best().prior.to_string(),
-                strength: choice.best().strength,
+                tau_factor: choice.best().tau_factor,
                 frame: Some(frame),
                 reason: choice.reason(),
             }),

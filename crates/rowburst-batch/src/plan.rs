@@ -3,7 +3,7 @@
 use crate::identity::{hash_image, hash_psfs};
 use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Model, NUMBERS, Options};
+use rowburst::reconstruct::{ALGORITHM_REVISION, Model, Options};
 use rowburst_io::{Capture, Frames};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -49,7 +49,7 @@ impl Plan {
         let or_auto = |value: Option<String>| value.unwrap_or("auto".into());
         let parts = [
             ("program version", self.version.clone()),
-            ("numbers of the algorithm", NUMBERS.to_string()),
+            ("numbers of the algorithm", ALGORITHM_REVISION.to_string()),
             ("rows", params.rows.to_string()),
             ("columns", params.columns.to_string()),
             ("shutter", format!("{:?}", params.shutter)),

@@ -202,7 +202,7 @@ impl Batch {
                 prior: Some(prior.prior.parse::<Prior>()?),
                 ..self.plan.options
             },
-            strength: prior.strength,
+            tau_factor: prior.tau_factor,
         };
         let live = self.plan.budget.map(|budget| Live {
             budget,
@@ -307,7 +307,7 @@ impl Batch {
         }
         let problem = Problem::of(&self.plan.model, &measurement, how.options)?;
         let found = problem
-            .with_strength(how.strength)
+            .with_tau_factor(how.tau_factor)
             .solve(&mut |_| match is_over() {
                 true => ControlFlow::Break(StopReason::Interrupted),
                 false => ControlFlow::Continue(()),
@@ -369,7 +369,7 @@ impl Live {
 #[derive(Debug, Clone, Copy)]
 struct How {
     options: Options,
-    strength: f64,
+    tau_factor: f64,
 }
 
 fn archive_params(plan: &Plan, clock: Option<Clock>) -> ArchiveParams {

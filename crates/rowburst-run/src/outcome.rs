@@ -129,7 +129,7 @@ impl From<&Candidate> for PriorCandidate {
     fn from(candidate: &Candidate) -> Self {
         Self {
             prior: candidate.prior.to_string(),
-            strength: candidate.strength,
+            strength: candidate.tau_factor,
             held_out_error: candidate.error,
             given_up: candidate.given_up,
         }

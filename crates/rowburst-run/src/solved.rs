@@ -135,7 +135,7 @@ impl Solved {
                 _ if found
                     .choice
                     .as_ref()
-                    .is_some_and(|c| c.best().strength != 1.0) =>
+                    .is_some_and(|c| c.best().tau_factor != 1.0) =>
                 {
                     "held-out pixels, from the discrepancy principle on"
                 }

@@ -329,7 +329,7 @@ fn the_prior_is_the_one_that_predicts_held_out_pixels_best() {
     let measurement = Measurement::new(case.frame.clone()).unwrap();
     let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
     let named = problem
-        .with_strength(choice.best().strength)
+        .with_tau_factor(choice.best().tau_factor)
         .solve(&mut |_| ControlFlow::Continue(()))
         .unwrap();
     assert!(named.choice.is_none());

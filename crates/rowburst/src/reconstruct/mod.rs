@@ -33,7 +33,7 @@ use std::ops::ControlFlow;
 
 /// Raised by one with every change that gives other numbers for the same input, also within a
 /// version of the program: archives of many frames are not continued across it.
-pub const NUMBERS: u32 = 6;
+pub const ALGORITHM_REVISION: u32 = 6;
 
 /// What the user chooses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -93,7 +93,7 @@ pub struct Problem {
     options: Options,
     sigma: f64,
     sigma_source: SigmaSource,
-    strength: f64,
+    tau_factor: f64,
     camera: Camera,
     bands: Bands,
 }
@@ -182,19 +182,19 @@ impl Problem {
             options,
             sigma,
             sigma_source,
-            strength: 1.0,
+            tau_factor: 1.0,
         })
     }
 
-    /// The same for a given prior with `strength` times the `τ` of the discrepancy principle: the
+    /// The same for a given prior with `tau_factor` times the `τ` of the discrepancy principle: the
     /// other half of what [`Problem::choose`] finds. It has no say where `τ` is given.
     ///
     /// # Panics
-    /// If `strength` is not above zero.
+    /// If `tau_factor` is not above zero.
     #[must_use]
-    pub fn with_strength(self, strength: f64) -> Self {
-        assert!(strength > 0.0, "a strength above zero, not {strength}");
-        Self { strength, ..self }
+    pub fn with_tau_factor(self, tau_factor: f64) -> Self {
+        assert!(tau_factor > 0.0, "a strength above zero, not {tau_factor}");
+        Self { tau_factor, ..self }
     }
 
     /// What the user chose.
@@ -362,8 +362,8 @@ impl Problem {
             },
         };
         let standard = self.options.prior.unwrap_or(Prior::STANDARD);
-        let (prior, strength) = choice.as_ref().map_or((standard, self.strength), |c| {
-            (c.best().prior, c.best().strength)
+        let (prior, tau_factor) = choice.as_ref().map_or((standard, self.tau_factor), |c| {
+            (c.best().prior, c.best().tau_factor)
         });
         let shape = self.data.shape();
         self.data.start(prior.background(), None);
@@ -376,14 +376,14 @@ impl Problem {
             })
         };
         let mut stop_reason = None;
-        if strength != 1.0 && matches!(rule, TauRule::Discrepancy { .. }) {
+        if tau_factor != 1.0 && matches!(rule, TauRule::Discrepancy { .. }) {
             // As in the trial: first to where the principle leads, then on from there.
             run.set_tolerance(choose::TOLERANCE);
             let reason = run_until(&mut run, &mut self.data, 2 * params.max_iterations / 3);
             match reason {
                 StopReason::TimeBudget | StopReason::Interrupted => stop_reason = Some(reason),
                 _ => {
-                    run.set_tau_rule(TauRule::Fixed(strength * run.tau()), &self.data);
+                    run.set_tau_rule(TauRule::Fixed(tau_factor * run.tau()), &self.data);
                     run.set_tolerance(params.tolerance);
                 }
             }

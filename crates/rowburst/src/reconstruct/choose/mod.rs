@@ -74,7 +74,7 @@ pub struct Candidate {
     /// The prior.
     pub prior: Prior,
     /// `τ` over that of the discrepancy principle.
-    pub strength: f64,
+    pub tau_factor: f64,
     /// Rms of `W(b − A v)/σ` over the pixels held out.
     pub error: f64,
     /// Part of the voxels that it lets be lit.
@@ -86,12 +86,12 @@ pub struct Candidate {
 impl Candidate {
     /// The prior, and the factor on `τ` where it is not 1.
     pub fn name(&self) -> String {
-        if self.strength == 1.0 {
+        if self.tau_factor == 1.0 {
             self.prior.to_string()
         } else {
             format!(
                 "{} with {} times the τ of the discrepancy principle",
-                self.prior, self.strength
+                self.prior, self.tau_factor
             )
         }
     }
@@ -237,7 +237,7 @@ mod tests {
     fn chance_does_not_choose_another_prior() {
         let candidate = |prior: &str, error: f64| Candidate {
             prior: prior.parse().unwrap(),
-            strength: 1.0,
+            tau_factor: 1.0,
             error,
             support: 0.03,
             given_up: false,

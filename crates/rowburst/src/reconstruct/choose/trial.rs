@@ -20,14 +20,14 @@ const LOOK_EVERY: usize = 20;
 
 /// Factor from one `τ` to the next that is tried, the farthest from where the discrepancy principle
 /// ended, and the iterations that each is given.
-const STRENGTH: f64 = 2.0;
-const FARTHEST: f64 = 8.0;
-const STRENGTH_ITERATIONS: usize = 30;
+const TAU_STEP: f64 = 2.0;
+const MAX_TAU_FACTOR: f64 = 8.0;
+const TUNING_ITERATIONS: usize = 30;
 
 /// A strength of a candidate, the held-out error there and the part of the voxels that may be lit.
 #[derive(Clone, Copy)]
 struct Tuned {
-    strength: f64,
+    tau_factor: f64,
     error: f64,
     support: f64,
 }
@@ -94,7 +94,7 @@ impl Trial {
             }
         };
         let mut found = Tuned {
-            strength: 1.0,
+            tau_factor: 1.0,
             error: errors[errors.len() - 1],
             support: self.run.support(),
         };
@@ -107,7 +107,7 @@ impl Trial {
         }
         let candidate = Candidate {
             prior: self.prior,
-            strength: found.strength,
+            tau_factor: found.tau_factor,
             error: found.error,
             support: found.support,
             given_up,
@@ -126,23 +126,23 @@ impl Trial {
     ) -> Result<Tuned, StopReason> {
         let tau = self.run.tau();
         let margin = margin(data.pixels_held_out());
-        for direction in [1.0 / STRENGTH, STRENGTH] {
+        for direction in [1.0 / TAU_STEP, TAU_STEP] {
             let mut factor = direction;
-            while (1.0 / FARTHEST..=FARTHEST).contains(&factor) {
+            while (1.0 / MAX_TAU_FACTOR..=MAX_TAU_FACTOR).contains(&factor) {
                 self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
-                let until = self.run.iterations() + STRENGTH_ITERATIONS;
+                let until = self.run.iterations() + TUNING_ITERATIONS;
                 let (error, _) = self.run_until(data, until, observer)?;
                 if error >= (1.0 - margin) * best.error || error.is_nan() {
                     break;
                 }
                 best = Tuned {
-                    strength: factor,
+                    tau_factor: factor,
                     error,
                     support: self.run.support(),
                 };
                 factor *= direction;
             }
-            if best.strength != 1.0 {
+            if best.tau_factor != 1.0 {
                 break;
             }
         }
