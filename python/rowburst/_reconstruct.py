@@ -190,12 +190,12 @@ class _Bar:
 
         self.bar = tqdm(unit="iteration", leave=False)
 
-    def __call__(self, seen: Progress) -> None:
-        if seen.iteration == 1:
-            self.bar.reset(total=seen.max_iterations)
-        self.bar.set_description(seen.label or "solving", refresh=False)
-        self.bar.set_postfix_str(f"residual/σ {seen.residual_over_sigma:.2f}", refresh=False)
-        self.bar.update(seen.iteration - self.bar.n)
+    def __call__(self, progress: Progress) -> None:
+        if progress.iteration == 1:
+            self.bar.reset(total=progress.max_iterations)
+        self.bar.set_description(progress.label or "solving", refresh=False)
+        self.bar.set_postfix_str(f"residual/σ {progress.residual_over_sigma:.2f}", refresh=False)
+        self.bar.update(progress.iteration - self.bar.n)
 
     def close(self) -> None:
         self.bar.close()

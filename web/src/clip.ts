@@ -18,7 +18,7 @@ export function savedSize({ volume }: Pane): { width: number; height: number } {
 }
 
 /** A pane in its place, with the part of the video that it shows. */
-interface Placed {
+interface PanePlacement {
   pane: Pane;
   left: number;
   width: number;
@@ -30,7 +30,7 @@ export class Clip {
   readonly palette: Rgb[] = [];
   readonly width: number;
   readonly height: number;
-  private readonly panes: Placed[] = [];
+  private readonly panes: PanePlacement[] = [];
   private readonly limits: [number, number];
   private readonly otherLimits: [number, number];
   private readonly isStamped: boolean;
@@ -70,7 +70,7 @@ export class Clip {
     return index;
   }
 
-  private paint(index: Uint8Array, { pane, left, width, height, window }: Placed, t: number): void {
+  private paint(index: Uint8Array, { pane, left, width, height, window }: PanePlacement, t: number): void {
     const { store } = this;
     const { volume } = pane;
     const [x0, y0, w, hgt] = window;

@@ -11,7 +11,7 @@ export interface Signal {
   integrals: Float64Array;
 }
 
-export interface Aligned {
+export interface Alignment {
   /** The trace that it fits best. */
   trace: number;
   correlation: number;
@@ -119,7 +119,7 @@ function fitOf(signal: Float64Array, trace: Float64Array): Fit | null {
 }
 
 /** Lays the signal over the trace that it fits best; null where it fits none. */
-export function align(signal: Signal, traces: Float64Array[], clock: Clock): Aligned | null {
+export function align(signal: Signal, traces: Float64Array[], clock: Clock): Alignment | null {
   const { bins, step_us: step } = clock;
   if (step == null || traces.length === 0) return null;
   const [first, last] = [signal.times_us[0], signal.times_us[signal.times_us.length - 1]];
@@ -175,7 +175,7 @@ function refined(value: (shift: number) => number, about: number, reach: number)
 const MOST_POINTS = 5000;
 
 /** The signal's points within the video, on its clock and in the units of the trace. */
-export function laidOver(signal: Signal, { shift_us, gain, offset }: Aligned, end_us: number): [number[], number[]] {
+export function laidOver(signal: Signal, { shift_us, gain, offset }: Alignment, end_us: number): [number[], number[]] {
   const [x, y]: [number[], number[]] = [[], []];
   for (let i = 0; i < signal.values.length; i++) {
     const time = signal.times_us[i] + shift_us;

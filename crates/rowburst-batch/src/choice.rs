@@ -32,7 +32,7 @@ pub(crate) struct Probe {
 }
 
 /// What the frames that were looked at tell.
-pub(crate) struct Probed {
+pub(crate) struct RecordingSurvey {
     pub probes: Vec<Probe>,
     /// The kind of numbers of the first good one.
     pub numbers: String,
@@ -40,9 +40,9 @@ pub(crate) struct Probed {
     pub brightest: usize,
 }
 
-impl Probed {
+impl RecordingSurvey {
     /// Looks at frames spread over the recording, and at all of them if none of those is good.
-    pub fn look(plan: &Plan) -> Result<Self> {
+    pub fn read(plan: &Plan) -> Result<Self> {
         let count = plan.frames.count();
         let spread = PROBES.min(count);
         let last = (spread - 1).max(1);

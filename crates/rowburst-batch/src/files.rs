@@ -38,7 +38,7 @@ pub struct Files<'a> {
 }
 
 /// A plan with the files that it is from.
-pub struct Planned {
+pub struct LoadedBatch {
     /// What is to be done.
     pub plan: Plan,
     /// Where its corrections lie.
@@ -53,7 +53,7 @@ pub struct Planned {
 ///
 /// # Errors
 /// Files that are missing or damaged, and choices that are none.
-pub fn plan_files(files: &Files) -> Result<Planned> {
+pub fn plan_files(files: &Files) -> Result<LoadedBatch> {
     let metadata = match is_zarr(files.frames) {
         true => Metadata::default(),
         false => read_metadata(files.frames),
@@ -98,7 +98,7 @@ pub fn plan_files(files: &Files) -> Result<Planned> {
         frame_period_us,
         version: files.version.into(),
     };
-    Ok(Planned {
+    Ok(LoadedBatch {
         plan,
         calibration,
         note,

@@ -1,7 +1,7 @@
 //! The job itself.
 
 use crate::allocation::ThreadAllocation;
-use crate::choice::{ChosenPrior, Probed, is_same_recording, numbers_of, or_panic};
+use crate::choice::{ChosenPrior, RecordingSurvey, is_same_recording, numbers_of, or_panic};
 use crate::clock::Clock;
 use crate::identity::check_same;
 use crate::plan::Plan;
@@ -55,7 +55,7 @@ impl Batch {
     /// A recording without a single good frame, a folder that holds anything but this job, a
     /// frame period that cannot be, failed writes. Nothing is changed then.
     pub fn open(plan: Plan, out: &Path) -> Result<Self> {
-        let probed = Probed::look(&plan)?;
+        let survey = RecordingSurvey::read(&plan)?;
         let camera = plan.model.camera();
         let told = plan.frame_period_us;
         let clock_of = |period| Clock::new(camera, period);
@@ -66,7 +66,7 @@ impl Batch {
         let begun = state.job()?;
         if let Some(begun) = &begun {
             check_same(out, &begun.identity, &identity)?;
-            if !is_same_recording(&begun.probes, &probed.probes) {
+            if !is_same_recording(&begun.probes, &survey.probes) {
                 return Err(Error::input(
                     plan.frames.path().display().to_string(),
                     format!(
@@ -94,11 +94,11 @@ impl Batch {
         let job = match begun {
             Some(job) => job,
             None => {
-                let Probed {
+                let RecordingSurvey {
                     probes,
                     numbers,
                     brightest,
-                } = probed;
+                } = survey;
                 let job = JobFile::new(identity, probes, numbers, brightest);
                 // Last: a job that has its file has all the others.
                 state.write_job(&scratch, &job)?;
@@ -134,14 +134,14 @@ impl Batch {
         self.state.rows(self.plan.frames.count())
     }
 
-    /// The frames of `range` that are not through; those that failed as well if `again`.
+    /// The frames of `range` that are not through; those that failed as well if `retry`.
     ///
     /// # Errors
     /// A line that cannot be read.
-    pub fn left(&self, range: Range<usize>, again: Again) -> Result<Vec<usize>> {
+    pub fn left(&self, range: Range<usize>, retry: RetryPolicy) -> Result<Vec<usize>> {
         let mut through = vec![false; self.plan.frames.count()];
         for row in self.rows()? {
-            through[row.frame] = row.status == Status::Done || again == Again::Unfinished;
+            through[row.frame] = row.status == Status::Done || retry == RetryPolicy::SkipFailed;
         }
         Ok(range.filter(|&frame| !through[frame]).collect())
     }
@@ -197,7 +197,7 @@ impl Batch {
         stop: &AtomicBool,
         observer: Observer,
     ) -> Result<()> {
-        let how = How {
+        let frame_options = FrameOptions {
             options: Options {
                 prior: Some(prior.prior.parse::<Prior>()?),
                 ..self.plan.options
@@ -206,7 +206,10 @@ impl Batch {
         };
         let live = self.plan.budget.map(|budget| Live {
             budget,
-            sequence: Mutex::new(Sequence::new(self.plan.model.clone(), how.options)),
+            sequence: Mutex::new(Sequence::new(
+                self.plan.model.clone(),
+                frame_options.options,
+            )),
         });
         let allocation = match &live {
             None => allocation,
@@ -237,7 +240,8 @@ impl Batch {
                     break;
                 };
                 // Threads of its own: a thread that waits must not begin another frame.
-                let Some((row, video)) = pool.install(|| self.make(frame, how, live, &is_over))
+                let Some((row, video)) =
+                    pool.install(|| self.make(frame, frame_options, live, &is_over))
                 else {
                     break;
                 };
@@ -261,12 +265,12 @@ impl Batch {
     fn make(
         &self,
         frame: usize,
-        how: How,
+        frame_options: FrameOptions,
         live: Option<&Live>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Option<(FrameRow, Option<Video>)> {
         let started = Instant::now();
-        let made = or_panic(|| self.reconstruct(frame, how, live, is_over));
+        let made = or_panic(|| self.reconstruct(frame, frame_options, live, is_over));
         let name = self.plan.frames.name(frame);
         let seconds = started.elapsed().as_secs_f64();
         match made {
@@ -286,7 +290,7 @@ impl Batch {
     fn reconstruct(
         &self,
         frame: usize,
-        how: How,
+        frame_options: FrameOptions,
         live: Option<&Live>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Result<(Measurement, Reconstruction)> {
@@ -305,13 +309,14 @@ impl Batch {
             let found = live.next(&measurement, is_over)?;
             return Ok((measurement, found));
         }
-        let problem = Problem::of(&self.plan.model, &measurement, how.options)?;
-        let found = problem
-            .with_tau_factor(how.tau_factor)
-            .solve(&mut |_| match is_over() {
-                true => ControlFlow::Break(StopReason::Interrupted),
-                false => ControlFlow::Continue(()),
-            })?;
+        let problem = Problem::of(&self.plan.model, &measurement, frame_options.options)?;
+        let found =
+            problem
+                .with_tau_factor(frame_options.tau_factor)
+                .solve(&mut |_| match is_over() {
+                    true => ControlFlow::Break(StopReason::Interrupted),
+                    false => ControlFlow::Continue(()),
+                })?;
         Ok((measurement, found))
     }
 
@@ -331,11 +336,11 @@ impl Batch {
 
 /// Which frames are done anew.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Again {
+pub enum RetryPolicy {
     /// Those that have no line.
-    Unfinished,
+    SkipFailed,
     /// Those that failed, too.
-    Failed,
+    RetryFailed,
 }
 
 /// Frames in a time budget, each from the end of the last one.
@@ -367,7 +372,7 @@ impl Live {
 
 /// How each frame is reconstructed.
 #[derive(Debug, Clone, Copy)]
-struct How {
+struct FrameOptions {
     options: Options,
     tau_factor: f64,
 }

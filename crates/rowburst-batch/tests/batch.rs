@@ -4,7 +4,7 @@ use rowburst::camera::CameraParams;
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options, Problem};
 use rowburst::{Camera, Image, Psf, Result, Sensor, Shutter};
-use rowburst_batch::{Again, Batch, Event, Plan, Status, ThreadAllocation};
+use rowburst_batch::{Batch, Event, Plan, RetryPolicy, Status, ThreadAllocation};
 use rowburst_io::{Capture, Frames, Level};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -12,9 +12,9 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
 /// Frames that are computed; number 2 breaks the program.
-struct Computed;
+struct ComputedRecording;
 
-impl Frames for Computed {
+impl Frames for ComputedRecording {
     fn path(&self) -> &Path {
         Path::new("computed")
     }
@@ -71,7 +71,7 @@ fn plan(camera: &Camera, prior: &str) -> Plan {
             max_iterations: Some(70),
             ..Options::default()
         },
-        frames: Box::new(Computed),
+        frames: Box::new(ComputedRecording),
         frame_period_us: None,
         version: "test".into(),
     }
@@ -101,7 +101,7 @@ fn each_frame_is_as_if_alone() {
         let folder = tempfile::tempdir().unwrap();
         let batch = Batch::open(plan(&camera, prior), &folder.path().join("o.zarr")).unwrap();
         let stop = AtomicBool::new(false);
-        let left = batch.left(0..4, Again::Unfinished).unwrap();
+        let left = batch.left(0..4, RetryPolicy::SkipFailed).unwrap();
         assert_eq!(left, [0, 1, 2, 3]);
         let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
         let allocation = ThreadAllocation::new(2, 4, &batch.plan().model, None);
@@ -152,10 +152,13 @@ fn what_was_stopped_is_left() {
     batch
         .run(&[3, 1, 0], &chosen, allocation, &stop, &after_one)
         .unwrap();
-    assert_eq!(batch.left(0..4, Again::Unfinished).unwrap(), [0, 1, 2]);
+    assert_eq!(
+        batch.left(0..4, RetryPolicy::SkipFailed).unwrap(),
+        [0, 1, 2]
+    );
     drop(batch);
     let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();
-    assert_eq!(batch.left(0..2, Again::Unfinished).unwrap(), [0, 1]);
+    assert_eq!(batch.left(0..2, RetryPolicy::SkipFailed).unwrap(), [0, 1]);
     let error = batch.stitch(&stop, &|_| ()).unwrap_err().to_string();
     assert!(error.contains("no frame period"), "{error}");
 }

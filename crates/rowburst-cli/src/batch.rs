@@ -8,7 +8,7 @@ use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
 use rowburst_batch::{
-    Again, Batch, Event, Files, FrameRow, Plan, Status, ThreadAllocation, naming_correction,
+    Batch, Event, Files, FrameRow, Plan, RetryPolicy, Status, ThreadAllocation, naming_correction,
     plan_files,
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
@@ -162,11 +162,11 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
     let missing_words = missing_words(&missing, &**frames);
     missing_words.iter().for_each(|words| eprintln!("{words}"));
 
-    let again = match args.retry_failed && args.scheduler.is_none() {
-        true => Again::Failed,
-        false => Again::Unfinished,
+    let retry = match args.retry_failed && args.scheduler.is_none() {
+        true => RetryPolicy::RetryFailed,
+        false => RetryPolicy::SkipFailed,
     };
-    let left = batch.left(range.clone(), again)?;
+    let left = batch.left(range.clone(), retry)?;
     let bar = bar(left.len(), range.len());
     let prior = batch.prior(stop, &|event| show(&bar, &batch, event))?;
     let Some(prior) = prior else {
@@ -240,7 +240,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
 
 /// The plan, and the files that it is from.
 fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, FromMetadata)> {
-    let planned = plan_files(&Files {
+    let loaded = plan_files(&Files {
         experiment: &args.experiment,
         frames: &args.frames,
         calibration: calibration_from_args(&args.calibration),
@@ -252,13 +252,13 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, FromMetadata)> {
         frame_period_us: args.frame_period_us,
         version: env!("CARGO_PKG_VERSION"),
     })?;
-    if let Some(note) = planned.note {
+    if let Some(note) = loaded.note {
         eprintln!("{note}");
     }
-    if let Some(from_metadata) = planned.from_metadata.summary_line() {
+    if let Some(from_metadata) = loaded.from_metadata.summary_line() {
         eprintln!("{from_metadata}");
     }
-    Ok((planned.plan, planned.calibration, planned.from_metadata))
+    Ok((loaded.plan, loaded.calibration, loaded.from_metadata))
 }
 
 /// `A:B` of `count` frames.

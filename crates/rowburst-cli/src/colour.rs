@@ -16,7 +16,7 @@ use rowburst_io::{
 use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    MetadataNumbers, Outcome, ResultMeta, Task, Wanted, player_of, solve, thousands,
+    MetadataNumbers, Outcome, ResultMeta, Task, TraceRequest, player_of, solve, thousands,
 };
 use serde::Serialize;
 use std::sync::Arc;
@@ -52,7 +52,7 @@ struct Plane {
 }
 
 /// What all planes share.
-struct Whole {
+struct SharedInputs {
     raw: Image,
     camera: Camera,
     psfs: PatchSet,
@@ -70,7 +70,7 @@ pub fn run(
 ) -> Result<()> {
     refuse_options(args)?;
     let folder = OutputFolder::create(&args.output)?;
-    let whole = Whole::read(args, &experiment)?;
+    let shared = SharedInputs::read(args, &experiment)?;
     let mut options = Options {
         prior: chosen_prior(args.prior.as_deref(), &experiment)?,
         tau: chosen_tau(args.tau.as_deref(), &experiment)?,
@@ -81,22 +81,22 @@ pub fn run(
     // Green has half of the pixels: the prior is chosen on it, for all.
     let mut sites = mosaic.sites();
     sites.sort_by_key(|site| (site.colour != Colour::Green, site.row));
-    let mut found: Vec<(Site, Plane, Video)> = Vec::new();
+    let mut planes: Vec<(Site, Plane, Video)> = Vec::new();
     let mut bin_us = 0.0;
     for site in sites {
         eprintln!("{}", site.name());
-        let plane = plane_camera(&whole.camera, site);
+        let plane = plane_camera(&shared.camera, site);
         let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
-        let (outcome, video) = whole.solve(args, &plane, site, options, began, stop)?;
+        let (outcome, video) = shared.solve(args, &plane, site, options, began, stop)?;
         options.prior = options.prior.or(outcome.prior.parse().ok());
         bin_us = plane.camera.time().bin_duration_us();
         let listed = Plane::of(&outcome, site, plane.start_us, args);
-        found.push((site, listed, video));
+        planes.push((site, listed, video));
     }
     let mut warnings = experiment.from_metadata.warnings.clone();
-    warnings.extend(offset_warning(&found));
+    warnings.extend(offset_warning(&planes));
     let video = |site: &Site| {
-        let mut all = found.iter();
+        let mut all = planes.iter();
         &all.find(|(s, ..)| s == site).expect("all sites are done").2
     };
     let of = |colour: Colour| {
@@ -112,8 +112,8 @@ pub fn run(
             _ => videos[0].to_vec(),
         }
     };
-    let shape = found[0].2.shape();
-    if found.iter().any(|(.., video)| video.shape() != shape) {
+    let shape = planes[0].2.shape();
+    if planes.iter().any(|(.., video)| video.shape() != shape) {
         return Err(Error::work(
             args.output.display().to_string(),
             "planes of different lengths: there is no video in colour",
@@ -123,7 +123,7 @@ pub fn run(
     let colours = [Colour::Red, Colour::Green, Colour::Blue].map(mean);
     let scale = TiffScale {
         frame_interval_s: bin_us * 1e-6,
-        pixel_pitch_um: whole.camera.sensor().pixel_pitch_um.map(|p| 2.0 * p),
+        pixel_pitch_um: shared.camera.sensor().pixel_pitch_um.map(|p| 2.0 * p),
     };
     folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
     folder.write("colour.tif", |w| {
@@ -137,7 +137,7 @@ pub fn run(
         columns: shape.columns,
         frame_rate_hz: 1e6 / bin_us,
         metadata: MetadataNumbers::from(&experiment.from_metadata),
-        planes: found.into_iter().map(|(_, plane, _)| plane).collect(),
+        planes: planes.into_iter().map(|(_, plane, _)| plane).collect(),
         warnings,
     };
     let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
@@ -176,7 +176,7 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
     }
 }
 
-impl Whole {
+impl SharedInputs {
     fn read(args: &ReconstructArgs, experiment: &Experiment) -> Result<Self> {
         let camera = experiment.camera()?;
         let calibration = calibration_of(&args.calibration, experiment);
@@ -251,12 +251,14 @@ impl Whole {
             from_metadata: Default::default(),
         };
         let mut bar = Bar::new(Arc::clone(stop));
-        let solved = solve(task, began, &mut |progress, seen| bar.show(progress, seen));
+        let completed = solve(task, began, &mut |progress, metrics| {
+            bar.show(progress, metrics)
+        });
         bar.finish();
-        let mut solved = solved?;
-        let wanted = Wanted::read(&[], &[], plane.camera.video_shape())?;
-        let mut traces = solved.traces(wanted, args.debias);
-        solved.take_debiased(&mut traces);
+        let mut completed = completed?;
+        let request = TraceRequest::read(&[], &[], plane.camera.video_shape())?;
+        let mut traces = completed.traces(request, args.debias);
+        completed.take_debiased(&mut traces);
         let folder = OutputFolder::create(&args.output.join(site.name()))?;
         let title = format!("Rowburst: {}, {}", args.frame.display(), site.name());
         let reproduce = command_line(args);
@@ -266,8 +268,8 @@ impl Whole {
             player: player_of(folder.path()),
             film: film_of(args),
         };
-        let outcome = solved.write(&traces, &folder, result_meta)?;
-        Ok((outcome, solved.found.video))
+        let outcome = completed.write(&traces, &folder, result_meta)?;
+        Ok((outcome, completed.reconstruction.video))
     }
 }
 
@@ -287,8 +289,8 @@ impl Plane {
 }
 
 /// Colours that are not of one time.
-fn offset_warning(found: &[(Site, Plane, Video)]) -> Option<String> {
-    let starts = found.iter().map(|(_, plane, _)| plane.start_us);
+fn offset_warning(planes: &[(Site, Plane, Video)]) -> Option<String> {
+    let starts = planes.iter().map(|(_, plane, _)| plane.start_us);
     let first = starts.clone().fold(f64::INFINITY, f64::min);
     let last = starts.fold(f64::NEG_INFINITY, f64::max);
     (last > first).then(|| {

@@ -5,7 +5,9 @@ use crate::outcome::say;
 use rowburst::traces::{Region, Trace, frequency_of};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 use rowburst_io::{OutputFolder, read_image, read_video};
-use rowburst_report::{Direct, DirectOrigin, LaidOver, Layout, PlacedTrace, ReportInput, compose};
+use rowburst_report::{
+    AlignedSignal, AnnotatedTrace, Direct, DirectOrigin, Layout, ReportInput, compose,
+};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -17,7 +19,7 @@ struct View {
     bin_duration_us: f64,
     truth: Option<String>,
     shutter: Clock,
-    traces: Vec<Known>,
+    traces: Vec<TraceRecord>,
 }
 
 #[derive(Deserialize)]
@@ -30,7 +32,7 @@ struct Clock {
 }
 
 #[derive(Deserialize)]
-struct Known {
+struct TraceRecord {
     region: Place,
     value: Vec<f64>,
     debiased: Vec<Option<f64>>,
@@ -99,7 +101,7 @@ pub fn run(args: &FigureArgs) -> Result<()> {
         .shutter
         .time(view.bin_duration_us, &folder.join("view.json"))?;
     let rate = time.frame_rate_hz();
-    let traces: Vec<PlacedTrace> = view.traces.into_iter().map(|t| t.placed(rate)).collect();
+    let traces: Vec<AnnotatedTrace> = view.traces.into_iter().map(|t| t.annotated(rate)).collect();
     let composed = compose(
         &ReportInput {
             title: &view.title,
@@ -184,8 +186,8 @@ impl Clock {
     }
 }
 
-impl Known {
-    fn placed(self, rate_hz: f64) -> PlacedTrace {
+impl TraceRecord {
+    fn annotated(self, rate_hz: f64) -> AnnotatedTrace {
         let numbers = |values: Vec<Option<f64>>| -> Vec<f64> {
             values.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect()
         };
@@ -205,11 +207,11 @@ impl Known {
             .then(|| frequency_of(&trace.debiased, &trace.standard_error, rate_hz))
             .flatten();
         let diodes = self.photodiodes.into_iter();
-        PlacedTrace {
+        AnnotatedTrace {
             trace,
             frequency,
             photodiodes: diodes
-                .map(|d| LaidOver {
+                .map(|d| AlignedSignal {
                     name: d.name,
                     correlation: d.correlation,
                     points: d.points,

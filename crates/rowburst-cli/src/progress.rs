@@ -3,7 +3,7 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
-use rowburst_run::Seen;
+use rowburst_run::IterationMetrics;
 use std::io::IsTerminal;
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
@@ -30,8 +30,12 @@ impl Bar {
     }
 
     /// Shows an iteration.
-    pub fn show(&mut self, progress: &Progress, seen: &Seen) -> ControlFlow<StopReason> {
-        let level = seen.residual_over_sigma;
+    pub fn show(
+        &mut self,
+        progress: &Progress,
+        metrics: &IterationMetrics,
+    ) -> ControlFlow<StopReason> {
+        let level = metrics.residual_over_sigma;
         if progress.iteration == 1 {
             self.bar.reset();
         }

@@ -16,8 +16,8 @@ use rowburst_run::inputs::{
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    ChunkedTask, Film, Outcome, PartsOutcome, ResultMeta, Task, Traces, Wanted, player_of, short,
-    solve, thousands,
+    ChunkedTask, Film, Outcome, PartsOutcome, ResultMeta, Task, TraceRequest, Traces, player_of,
+    short, solve, thousands,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -34,36 +34,37 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     if let Some(mosaic) = experiment.bayer {
         return colour::run(args, experiment, mosaic, began, &stop);
     }
-    let done = match one(args, experiment, began, stop)? {
-        Made::Whole(done) => done,
-        Made::Chunked(outcome) => return chunked::print_summary(&outcome, args),
+    let artifacts = match one(args, experiment, began, stop)? {
+        Artifacts::Whole(artifacts) => artifacts,
+        Artifacts::Chunked(outcome) => return chunked::print_summary(&outcome, args),
     };
     if args.json {
-        let json = serde_json::to_string_pretty(&done.outcome).expect("plain numbers and text");
+        let json =
+            serde_json::to_string_pretty(&artifacts.outcome).expect("plain numbers and text");
         say(json);
     } else {
-        print_summary(&done.outcome, args, &done.traces);
+        print_summary(&artifacts.outcome, args, &artifacts.traces);
     }
     #[cfg(feature = "view")]
-    if let Some(page) = done.page {
-        return page.stay(&args.output);
+    if let Some(page) = artifacts.page {
+        return page.serve_until_ctrl_c(&args.output);
     }
     Ok(())
 }
 
 /// What a run has made.
-enum Made {
-    Whole(Box<Done>),
+enum Artifacts {
+    Whole(Box<WholeArtifacts>),
     Chunked(Box<PartsOutcome>),
 }
 
 /// A reconstruction that is written.
-struct Done {
+struct WholeArtifacts {
     outcome: Outcome,
     traces: Traces,
     /// The page that watched it.
     #[cfg(feature = "view")]
-    page: Option<crate::view::Watching>,
+    page: Option<crate::view::LivePage>,
 }
 
 /// A run for each point of the sweep; one that fails does not stop the others.
@@ -90,11 +91,11 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     for (point, point_args) in plans {
         let began = Instant::now();
         eprintln!("{point}");
-        let done = read_experiment(&point_args)
+        let artifacts = read_experiment(&point_args)
             .and_then(refuse_colour)
             .and_then(|experiment| one(&point_args, experiment, began, Arc::clone(stop)));
-        let outcome = match &done {
-            Ok(Made::Whole(done)) => Some(&done.outcome),
+        let outcome = match &artifacts {
+            Ok(Artifacts::Whole(artifacts)) => Some(&artifacts.outcome),
             _ => None,
         };
         rows.push(sweep::Row {
@@ -107,9 +108,9 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
             ssim: outcome.and_then(|o| o.ssim),
             fit: outcome.map(|o| o.fit.to_string()),
             seconds: began.elapsed().as_secs_f64(),
-            error: done.as_ref().err().map(ToString::to_string),
+            error: artifacts.as_ref().err().map(ToString::to_string),
         });
-        if let Err(error) = done {
+        if let Err(error) = artifacts {
             first_error.get_or_insert(error);
         }
         if stop.load(Ordering::Relaxed) {
@@ -156,7 +157,7 @@ fn one(
     experiment: Experiment,
     began: Instant,
     stop: Arc<AtomicBool>,
-) -> Result<Made> {
+) -> Result<Artifacts> {
     let folder = OutputFolder::create(&args.output)?;
     let camera = experiment.camera()?;
     let options = Options {
@@ -194,7 +195,8 @@ fn one(
             film: film_of(args),
             from_metadata: &experiment.from_metadata,
         };
-        return chunked::run(&task, &folder, stop).map(|outcome| Made::Chunked(Box::new(outcome)));
+        return chunked::run(&task, &folder, stop)
+            .map(|outcome| Artifacts::Chunked(Box::new(outcome)));
     }
     memory?;
     let truth = args
@@ -204,10 +206,10 @@ fn one(
         .transpose()?;
     let direct = args.direct.as_deref().map(read_frame).transpose()?;
     let direct = direct.map(|(image, _)| image);
-    let wanted = Wanted::read(&args.region, &args.photodiode, camera.video_shape())?;
+    let request = TraceRequest::read(&args.region, &args.photodiode, camera.video_shape())?;
 
     #[cfg(feature = "view")]
-    let mut page = crate::view::watching(args, &camera, &stop)?;
+    let mut page = crate::view::open_live_page(args, &camera, &stop)?;
     let task = Task {
         camera,
         psfs,
@@ -221,20 +223,20 @@ fn one(
         from_metadata: experiment.from_metadata,
     };
     let mut bar = Bar::new(stop);
-    let solved = solve(task, began, &mut |progress, seen| {
+    let completed = solve(task, began, &mut |progress, metrics| {
         #[cfg(feature = "view")]
         if let Some(page) = &mut page {
-            page.show(progress, seen);
+            page.show(progress, metrics);
         }
-        bar.show(progress, seen)
+        bar.show(progress, metrics)
     });
     bar.finish();
-    let mut solved = solved?;
-    let mut traces = solved.traces(wanted, args.debias);
-    solved.take_debiased(&mut traces);
+    let mut completed = completed?;
+    let mut traces = completed.traces(request, args.debias);
+    completed.take_debiased(&mut traces);
     #[cfg(feature = "view")]
     if let Some(page) = &page {
-        page.writing();
+        page.mark_writing();
     }
     let title = format!("Rowburst: {}", args.frame.display());
     let reproduce = command_line(args);
@@ -244,8 +246,8 @@ fn one(
         player: player_of(folder.path()),
         film: film_of(args),
     };
-    let outcome = solved.write(&traces, &folder, result_meta)?;
-    Ok(Made::Whole(Box::new(Done {
+    let outcome = completed.write(&traces, &folder, result_meta)?;
+    Ok(Artifacts::Whole(Box::new(WholeArtifacts {
         outcome,
         traces,
         #[cfg(feature = "view")]

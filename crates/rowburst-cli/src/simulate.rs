@@ -13,8 +13,8 @@ use rowburst_io::{
 use rowburst_run::inputs::check_memory;
 use rowburst_run::short;
 use rowburst_run::simulate::{
-    LensOptics, NoiseChoice, Scene, Simulated, Simulation, check_noise, naming_camera,
-    pixel_pitch_um, simulate, speckle_for, without,
+    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, naming_camera,
+    pixel_pitch_um, simulate, speckle_for, subtract_background,
 };
 use serde_json::json;
 use std::path::Path;
@@ -69,7 +69,7 @@ pub fn write(plan: &Plan) -> Result<()> {
         .map_err(|e| naming_camera(e, &plan.experiment.path.display().to_string()))?;
     check_memory(&plan.experiment.path, &camera)?;
     let psfs = psfs_of(plan, &camera)?;
-    let Simulated {
+    let SimulatedCapture {
         recorded,
         noise,
         truth,
@@ -105,7 +105,7 @@ pub fn write(plan: &Plan) -> Result<()> {
         folder.remove(name)?;
     }
     if let Some(still) = background {
-        let moving = without(truth, &still);
+        let moving = subtract_background(truth, &still);
         light = Some(total(still.data()) * moving.shape().bins as f64 / total(moving.data()));
         let [of_still, of_moving] = OF_BACKGROUND;
         folder.write(of_still, |w| write_npy_image(w, &still))?;

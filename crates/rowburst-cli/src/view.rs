@@ -5,9 +5,9 @@ use crate::outcome::say;
 use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Result};
-use rowburst_run::Seen;
+use rowburst_run::IterationMetrics;
 use rowburst_view::{
-    HOW_TO_GET_THE_PAGE, Live, LiveStart, Opened, Point, RunStatus, Server, bundle,
+    HOW_TO_GET_THE_PAGE, Live, LiveStart, Point, ResultFiles, RunStatus, Server, bundle,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 pub fn run(args: &ViewArgs) -> Result<()> {
-    let results = args.results.iter().map(|path| Opened::open(path));
+    let results = args.results.iter().map(|path| ResultFiles::open(path));
     let results = results.collect::<Result<Vec<_>>>()?;
     check_page()?;
     let server = Server::start(args.browser.port, results, None)?;
@@ -54,7 +54,7 @@ fn open(server: &Server, args: &BrowserArgs) {
 const BETWEEN_PICTURES: Duration = Duration::from_millis(250);
 
 /// The page of a run.
-pub struct Watching {
+pub struct LivePage {
     server: Server,
     live: Arc<Live>,
     /// When the last video was shown.
@@ -62,11 +62,11 @@ pub struct Watching {
 }
 
 /// Opens the page of a run, with `--view`. `stop` is what ends the run.
-pub fn watching(
+pub fn open_live_page(
     args: &ReconstructArgs,
     camera: &Camera,
     stop: &Arc<AtomicBool>,
-) -> Result<Option<Watching>> {
+) -> Result<Option<LivePage>> {
     if !args.view {
         return Ok(None);
     }
@@ -83,22 +83,22 @@ pub fn watching(
     // Standard output is for the result.
     eprintln!("watch it at {}", server.url());
     open(&server, &args.browser);
-    Ok(Some(Watching {
+    Ok(Some(LivePage {
         server,
         live,
         last: Instant::now(),
     }))
 }
 
-impl Watching {
+impl LivePage {
     /// Shows an iteration.
-    pub fn show(&mut self, progress: &Progress, seen: &Seen) {
+    pub fn show(&mut self, progress: &Progress, metrics: &IterationMetrics) {
         let point = Point {
             iteration: progress.iteration,
             max_iterations: progress.max_iterations,
-            seconds: seen.seconds,
-            residual_over_sigma: seen.residual_over_sigma,
-            psnr_db: seen.psnr_db,
+            seconds: metrics.seconds,
+            residual_over_sigma: metrics.residual_over_sigma,
+            psnr_db: metrics.psnr_db,
         };
         self.live.point(progress.label, point);
         if self.live.is_wanted() && self.last.elapsed() > BETWEEN_PICTURES {
@@ -108,13 +108,13 @@ impl Watching {
     }
 
     /// The iterations are over.
-    pub fn writing(&self) {
+    pub fn mark_writing(&self) {
         self.live.set_status(RunStatus::Writing);
     }
 
     /// Shows the result that was written to `folder`, until Ctrl-C.
-    pub fn stay(self, folder: &Path) -> Result<()> {
-        self.server.show(vec![Opened::open(folder)?]);
+    pub fn serve_until_ctrl_c(self, folder: &Path) -> Result<()> {
+        self.server.show(vec![ResultFiles::open(folder)?]);
         self.live.set_status(RunStatus::Done);
         eprintln!("the result is at {}; Ctrl-C ends it", self.server.url());
         wait_for_ctrl_c()

@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn units_separators_and_comments() {
-        let wanted = vec![(0.0, 1.5), (2.0, -3.0)];
+        let expected = vec![(0.0, 1.5), (2.0, -3.0)];
         for text in [
             "time_us,value\n0,1.5\n2,-3\n",
             "# scope\n\ntime_us,value\n0,1.5\n2,-3\n",
@@ -153,7 +153,7 @@ mod tests {
             "\"Time_ms\"\t\"value\"\n0\t1.5\n0.002\t-3\n",
             "\u{feff}time_ns, value\n0, 1.5\n2e3, -3\n",
         ] {
-            assert_eq!(read(text.as_bytes()).unwrap(), wanted, "{text}");
+            assert_eq!(read(text.as_bytes()).unwrap(), expected, "{text}");
         }
         let seconds = read(b"time_s,value\n0,1\n1e-6,2\n").unwrap();
         assert!((seconds[1].0 - 1.0).abs() < 1e-12);

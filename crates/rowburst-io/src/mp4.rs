@@ -158,11 +158,11 @@ fn white(data: &[f32]) -> f32 {
     }
     let mut below = vec![0u64; 4096];
     finite().for_each(|v| below[(v / max * 4095.0).round() as usize] += 1);
-    let wanted = data.len() as f64 * WHITE_FRACTION;
+    let below_white = data.len() as f64 * WHITE_FRACTION;
     let mut seen = 0;
     let level = below.iter().position(|&n| {
         seen += n;
-        seen as f64 >= wanted
+        seen as f64 >= below_white
     });
     match level {
         Some(level) if level > 0 => max * level as f32 / 4095.0,

@@ -5,7 +5,8 @@ use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
 use rowburst_batch::{
-    Again, Batch, Event, Files, FrameRow, Status, ThreadAllocation, naming_correction, plan_files,
+    Batch, Event, Files, FrameRow, RetryPolicy, Status, ThreadAllocation, naming_correction,
+    plan_files,
 };
 use rowburst_io::Calibration;
 use std::path::PathBuf;
@@ -82,9 +83,9 @@ impl PyBatch {
             version: env!("CARGO_PKG_VERSION"),
         };
         let open = || -> Result<Batch> {
-            let planned = plan_files(&files)?;
-            Batch::open(planned.plan, &out)
-                .map_err(|e| naming_correction(e, &frames, &planned.calibration))
+            let loaded = plan_files(&files)?;
+            Batch::open(loaded.plan, &out)
+                .map_err(|e| naming_correction(e, &frames, &loaded.calibration))
         };
         let batch = py.detach(open).map_err(raised)?;
         Ok(Self { batch })
@@ -105,12 +106,12 @@ impl PyBatch {
         end: usize,
         retry_failed: bool,
     ) -> PyResult<Vec<usize>> {
-        let again = match retry_failed {
-            true => Again::Failed,
-            false => Again::Unfinished,
+        let retry = match retry_failed {
+            true => RetryPolicy::RetryFailed,
+            false => RetryPolicy::SkipFailed,
         };
         let end = end.min(self.count());
-        py.detach(|| self.batch.left(first..end, again))
+        py.detach(|| self.batch.left(first..end, retry))
             .map_err(raised)
     }
 

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
-use rowburst_run::{Film, ReportMeta, ResultMeta, Solved, Traces, Wanted, player_of};
+use rowburst_run::{CompletedTask, Film, ReportMeta, ResultMeta, TraceRequest, Traces, player_of};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -26,14 +26,14 @@ pub struct PyProgress {
 }
 
 impl PyProgress {
-    pub fn new(seen: &Progress, level: f64, seconds: f64) -> Self {
+    pub fn new(progress: &Progress, level: f64, seconds: f64) -> Self {
         Self {
-            label: seen.label.into(),
-            iteration: seen.iteration,
-            max_iterations: seen.max_iterations,
+            label: progress.label.into(),
+            iteration: progress.iteration,
+            max_iterations: progress.max_iterations,
             residual_over_sigma: level,
-            tau: seen.tau,
-            change: seen.change,
+            tau: progress.tau,
+            change: progress.change,
             seconds,
         }
     }
@@ -59,7 +59,7 @@ pub struct PyReconstruction {
 }
 
 struct State {
-    solved: Solved,
+    completed: CompletedTask,
     /// The video once it was asked for: numpy owns it then, and nobody may change it.
     video: Option<Py<PyArray3<f32>>>,
     /// Of the brightest spots.
@@ -67,11 +67,11 @@ struct State {
 }
 
 impl PyReconstruction {
-    pub fn new(solved: Solved) -> Self {
+    pub fn new(completed: CompletedTask) -> Self {
         Self {
-            shape: solved.found.video.shape(),
+            shape: completed.reconstruction.video.shape(),
             state: Mutex::new(State {
-                solved,
+                completed,
                 video: None,
                 traces: None,
             }),
@@ -87,7 +87,7 @@ impl PyReconstruction {
     fn with<T: Send>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&Solved, &mut Option<Traces>) -> T + Send,
+        work: impl FnOnce(&CompletedTask, &mut Option<Traces>) -> T + Send,
     ) -> PyResult<T> {
         let mut work = Some(work);
         loop {
@@ -104,15 +104,15 @@ impl PyReconstruction {
                 let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
                 let state = &mut *state;
                 match (state.video.is_some(), copy) {
-                    (true, Some(copy)) => state.solved.found.video = copy,
+                    (true, Some(copy)) => state.completed.reconstruction.video = copy,
                     (false, _) => (),
                     // Another thread has just asked for it.
                     (true, None) => return None,
                 }
                 let work = work.take().expect("it is done once");
-                let done = work(&state.solved, &mut state.traces);
+                let done = work(&state.completed, &mut state.traces);
                 if state.video.is_some() {
-                    state.solved.found.video = placeholder();
+                    state.completed.reconstruction.video = placeholder();
                 }
                 Some(done)
             });
@@ -136,7 +136,7 @@ impl PyReconstruction {
         if let Some(array) = &state.video {
             return Ok(array.bind(py).clone());
         }
-        let video = std::mem::replace(&mut state.solved.found.video, placeholder());
+        let video = std::mem::replace(&mut state.completed.reconstruction.video, placeholder());
         let array = from_video(py, video)?;
         let options = PyDict::new(py);
         options.set_item("write", false)?;
@@ -147,78 +147,78 @@ impl PyReconstruction {
 
     #[getter]
     fn background<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<f32>>>> {
-        let background = self.state(py).solved.found.background.clone();
+        let background = self.state(py).completed.reconstruction.background.clone();
         background.map(|v| from_video(py, v)).transpose()
     }
 
     #[getter]
     fn residual<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let residual = self.state(py).solved.found.residual.clone();
+        let residual = self.state(py).completed.reconstruction.residual.clone();
         from_image(py, residual)
     }
 
     /// The numbers of `result.json`, as its text.
     fn _json(&self, py: Python<'_>) -> PyResult<String> {
-        self.with(py, |solved, traces| {
-            let traces = traces.get_or_insert_with(|| spots(solved));
-            let outcome = solved.outcome(traces);
+        self.with(py, |completed, traces| {
+            let traces = traces.get_or_insert_with(|| spots(completed));
+            let outcome = completed.outcome(traces);
             serde_json::to_string(&outcome).expect("plain numbers and text")
         })
     }
 
     #[getter]
     fn prior(&self, py: Python<'_>) -> String {
-        self.state(py).solved.found.prior.to_string()
+        self.state(py).completed.reconstruction.prior.to_string()
     }
 
     #[getter]
     fn tau(&self, py: Python<'_>) -> f64 {
-        self.state(py).solved.found.tau
+        self.state(py).completed.reconstruction.tau
     }
 
     #[getter]
     fn noise_sigma(&self, py: Python<'_>) -> f64 {
-        self.state(py).solved.found.sigma
+        self.state(py).completed.reconstruction.sigma
     }
 
     #[getter]
     fn residual_over_sigma(&self, py: Python<'_>) -> f64 {
-        self.state(py).solved.found.residual_over_sigma
+        self.state(py).completed.reconstruction.residual_over_sigma
     }
 
     #[getter]
     fn iterations(&self, py: Python<'_>) -> usize {
-        self.state(py).solved.found.iterations
+        self.state(py).completed.reconstruction.iterations
     }
 
     #[getter]
     fn stop_reason(&self, py: Python<'_>) -> &'static str {
-        self.state(py).solved.found.stop_reason.name()
+        self.state(py).completed.reconstruction.stop_reason.name()
     }
 
     #[getter]
     fn fit(&self, py: Python<'_>) -> &'static str {
-        self.state(py).solved.found.fit.verdict.name()
+        self.state(py).completed.reconstruction.fit.verdict.name()
     }
 
     #[getter]
     fn fit_reason(&self, py: Python<'_>) -> String {
-        self.state(py).solved.found.fit.reason.clone()
+        self.state(py).completed.reconstruction.fit.reason.clone()
     }
 
     #[getter]
     fn seconds(&self, py: Python<'_>) -> f64 {
-        self.state(py).solved.seconds
+        self.state(py).completed.seconds
     }
 
     #[getter]
     fn setup_seconds(&self, py: Python<'_>) -> f64 {
-        self.state(py).solved.setup_seconds
+        self.state(py).completed.setup_seconds
     }
 
     #[getter]
     fn frame_rate_hz(&self, py: Python<'_>) -> f64 {
-        self.state(py).solved.task.camera.time().frame_rate_hz()
+        self.state(py).completed.task.camera.time().frame_rate_hz()
     }
 
     /// `(y, x, rows, columns)`, value, debiased and standard error of each trace, and their
@@ -229,19 +229,19 @@ impl PyReconstruction {
         regions: Vec<String>,
         photodiodes: Vec<PathBuf>,
     ) -> PyResult<(Vec<Bound<'py, PyDict>>, String)> {
-        let wanted = Wanted::read(&regions, &photodiodes, self.shape).map_err(raised)?;
+        let request = TraceRequest::read(&regions, &photodiodes, self.shape).map_err(raised)?;
         let is_plain = regions.is_empty() && photodiodes.is_empty();
-        let (traces, numbers) = self.with(py, |solved, kept| {
+        let (traces, numbers) = self.with(py, |completed, kept| {
             let requested;
-            let found = if is_plain {
-                &*kept.get_or_insert_with(|| spots(solved))
+            let selected = if is_plain {
+                &*kept.get_or_insert_with(|| spots(completed))
             } else {
-                requested = solved.traces(wanted, false);
+                requested = completed.traces(request, false);
                 &requested
             };
-            let numbers = found.outcome(solved.task.truth.as_ref());
-            let numbers = serde_json::json!({ "traces": numbers, "errors": found.numbers });
-            (found.traces.clone(), numbers.to_string())
+            let numbers = selected.outcome(completed.task.truth.as_ref());
+            let numbers = serde_json::json!({ "traces": numbers, "errors": selected.numbers });
+            (selected.traces.clone(), numbers.to_string())
         })?;
         let dicts = traces.iter().map(|trace| {
             let dict = PyDict::new(py);
@@ -258,14 +258,14 @@ impl PyReconstruction {
 
     /// The page of the report.
     fn _report(&self, py: Python<'_>, title: String) -> PyResult<String> {
-        let page = self.with(py, |solved, traces| {
-            let traces = traces.get_or_insert_with(|| spots(solved));
+        let page = self.with(py, |completed, traces| {
+            let traces = traces.get_or_insert_with(|| spots(completed));
             let report_meta = ReportMeta {
                 title: &title,
                 reproduce: None,
                 files: Vec::new(),
             };
-            solved
+            completed
                 .report(traces, report_meta, player_of(Path::new(&title)))
                 .map(|report| report.html)
         })?;
@@ -274,9 +274,9 @@ impl PyReconstruction {
 
     /// Writes all files of `rowburst reconstruct` into a folder.
     fn _save(&self, py: Python<'_>, folder: PathBuf, title: String) -> PyResult<()> {
-        let saved = self.with(py, |solved, traces| {
+        let saved = self.with(py, |completed, traces| {
             let folder = OutputFolder::create(&folder)?;
-            let traces = traces.get_or_insert_with(|| spots(solved));
+            let traces = traces.get_or_insert_with(|| spots(completed));
             {
                 let result_meta = ResultMeta {
                     title: &title,
@@ -284,7 +284,7 @@ impl PyReconstruction {
                     player: player_of(folder.path()),
                     film: Film::Stamped,
                 };
-                solved.write(traces, &folder, result_meta).map(|_| ())
+                completed.write(traces, &folder, result_meta).map(|_| ())
             }
         })?;
         saved.map_err(raised)
@@ -292,6 +292,6 @@ impl PyReconstruction {
 }
 
 /// The traces of the brightest spots.
-fn spots(solved: &Solved) -> Traces {
-    solved.traces(Wanted::default(), false)
+fn spots(completed: &CompletedTask) -> Traces {
+    completed.traces(TraceRequest::default(), false)
 }

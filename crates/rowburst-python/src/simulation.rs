@@ -9,8 +9,8 @@ use pyo3::prelude::*;
 use rowburst::{Camera, PatchSet};
 use rowburst_run::inputs::check_memory;
 use rowburst_run::simulate::{
-    LensOptics, NoiseChoice, Scene, Simulated, Simulation, pixel_pitch_um, simulate as simulated,
-    speckle_for,
+    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, pixel_pitch_um,
+    simulate as simulated, speckle_for,
 };
 
 /// A simulated capture with all that is known of it.
@@ -18,7 +18,7 @@ use rowburst_run::simulate::{
 pub struct PySimulation {
     camera: Camera,
     psfs: PatchSet,
-    made: Simulated,
+    made: SimulatedCapture,
 }
 
 #[pymethods]

@@ -4,7 +4,7 @@ use crate::array::{capture, finite_image, video};
 use crate::camera::PyCamera;
 use crate::error::raised;
 use crate::psf::psfs_of;
-use crate::result::{PyProgress, PyReconstruction as Found};
+use crate::result::{PyProgress, PyReconstruction};
 use pyo3::prelude::*;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::{Options, Prior, Tau};
@@ -40,7 +40,7 @@ pub fn reconstruct(
     direct: Option<&Bound<'_, PyAny>>,
     progress: Option<Py<PyAny>>,
     seed: u64,
-) -> PyResult<Found> {
+) -> PyResult<PyReconstruction> {
     let began = Instant::now();
     let camera = camera.camera.clone();
     let options = Options {
@@ -90,16 +90,16 @@ pub fn reconstruct(
     };
     // Raised by the callback, or Ctrl-C: the run is given up.
     let mut broken: Option<PyErr> = None;
-    let solved = py.detach(|| {
-        solve(task, began, &mut |iteration, seen| {
+    let completed = py.detach(|| {
+        solve(task, began, &mut |iteration, metrics| {
             let asked = Python::attach(|py| {
                 py.check_signals()?;
                 let Some(progress) = &progress else {
                     return Ok(true);
                 };
-                let level = seen.residual_over_sigma;
-                let seen = PyProgress::new(iteration, level, began.elapsed().as_secs_f64());
-                let answer = progress.call1(py, (seen,))?;
+                let level = metrics.residual_over_sigma;
+                let py_progress = PyProgress::new(iteration, level, began.elapsed().as_secs_f64());
+                let answer = progress.call1(py, (py_progress,))?;
                 // `None` goes on; `False` asks for the best so far.
                 Ok(!answer
                     .bind(py)
@@ -118,7 +118,7 @@ pub fn reconstruct(
     });
     match broken {
         Some(error) => Err(error),
-        None => Ok(Found::new(solved.map_err(raised)?)),
+        None => Ok(PyReconstruction::new(completed.map_err(raised)?)),
     }
 }
 

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use rowburst::traces::{Trace, brightest_regions, frequency_of};
 use rowburst::{Image, Shape, TimeGrid, Video};
-use rowburst_report::{Direct, DirectOrigin, Iteration, PlacedTrace, ReportInput, render};
+use rowburst_report::{AnnotatedTrace, Direct, DirectOrigin, Iteration, ReportInput, render};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -71,13 +71,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let place = |region| {
         let mut trace = Trace::without_errors(region, &video);
         trace.standard_error.fill(0.007 * f64::from(peak));
-        PlacedTrace {
+        AnnotatedTrace {
             frequency: frequency_of(&trace.debiased, &trace.standard_error, time.frame_rate_hz()),
             photodiodes: Vec::new(),
             trace,
         }
     };
-    let traces: Vec<PlacedTrace> = brightest_regions(&video, 6)
+    let traces: Vec<AnnotatedTrace> = brightest_regions(&video, 6)
         .into_iter()
         .map(place)
         .collect();
@@ -104,7 +104,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             pair("reconstruction", "1.9 s"),
             pair("frame rate", "104 167 Hz"),
         ],
-        fit: Some(rowburst_report::Judgement {
+        fit: Some(rowburst_report::FitVerdict {
             verdict: "good",
             reason: "the residual is white noise of the expected strength",
         }),

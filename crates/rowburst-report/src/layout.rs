@@ -15,7 +15,7 @@ pub enum Layout {
 
 /// A figure in both kinds of file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Composed {
+pub struct ComposedFigure {
     /// Text as text; pictures as PNG within.
     pub svg: String,
     /// 8-bit RGB on white, 1600 pixels wide.
@@ -46,7 +46,7 @@ impl Layout {
 ///
 /// # Errors
 /// Those of [`crate::render`]; a result that none of the panels can be drawn of.
-pub fn compose(input: &ReportInput, layout: Layout) -> Result<Composed> {
+pub fn compose(input: &ReportInput, layout: Layout) -> Result<ComposedFigure> {
     check(input)?;
     let mut drawn: Vec<_> = figures::all(input).collect();
     let mut whole = Figure::new(WIDTH, 0.0);
@@ -91,7 +91,7 @@ pub fn compose(input: &ReportInput, layout: Layout) -> Result<Composed> {
         ));
     }
     whole.set_height(top - GAP);
-    Ok(Composed {
+    Ok(ComposedFigure {
         svg: whole.file()?,
         png: whole.png()?,
     })

@@ -28,7 +28,7 @@ mod words;
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
-pub use layout::{Composed, Layout, compose};
+pub use layout::{ComposedFigure, Layout, compose};
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 pub use words::words;
 
@@ -48,7 +48,7 @@ pub struct ReportInput<'a> {
     /// The scene as the camera sees it without the diffuser, of any size.
     pub direct: Option<Direct<'a>>,
     /// The traces to be drawn; at most eight are.
-    pub traces: &'a [PlacedTrace],
+    pub traces: &'a [AnnotatedTrace],
     /// `(b − A v)/σ`, dimensionless, of the frame's size. Values that are not finite are shown grey.
     pub residual: &'a Image,
     /// Instant `k[r]` at which row `r` of the frame is read.
@@ -60,7 +60,7 @@ pub struct ReportInput<'a> {
     /// The few big numbers, as (name, value with unit).
     pub headline: Vec<(String, String)>,
     /// Whether the model explains the frame.
-    pub fit: Option<Judgement<'a>>,
+    pub fit: Option<FitVerdict<'a>>,
     /// Sections of the table of all numbers and settings needed to repeat the run,
     /// as (section, [(name, value)]).
     pub settings: Vec<(String, Vec<(String, String)>)>,
@@ -107,18 +107,18 @@ pub enum DirectOrigin {
 
 /// A trace with what is known of it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PlacedTrace {
+pub struct AnnotatedTrace {
     /// Values and errors.
     pub trace: Trace,
     /// What repeats in it.
     pub frequency: Option<Frequency>,
     /// Signals of photodiodes laid over it.
-    pub photodiodes: Vec<LaidOver>,
+    pub photodiodes: Vec<AlignedSignal>,
 }
 
 /// A photodiode's signal in the units and on the clock of a trace.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LaidOver {
+pub struct AlignedSignal {
     /// Its name.
     pub name: String,
     /// Correlation with the trace.
@@ -129,7 +129,7 @@ pub struct LaidOver {
 
 /// What is thought of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Judgement<'a> {
+pub struct FitVerdict<'a> {
     /// `good`, or another word, which is then drawn as a warning.
     pub verdict: &'a str,
     /// Why, without a full stop.
@@ -238,8 +238,9 @@ fn check(input: &ReportInput) -> Result<()> {
             format!("there is one for each of the {} rows", frame.0),
         );
     }
-    let is_other =
-        |t: &PlacedTrace| t.trace.region.check(shape).is_err() || t.trace.value.len() != shape.bins;
+    let is_other = |t: &AnnotatedTrace| {
+        t.trace.region.check(shape).is_err() || t.trace.value.len() != shape.bins
+    };
     if let Some(other) = input.traces.iter().find(|t| is_other(t)) {
         return mismatch(
             "trace",

@@ -8,7 +8,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::figures::Section;
 use crate::format::{TimeUnit, grouped, number};
-use crate::{Judgement, Player, ReportInput};
+use crate::{FitVerdict, Player, ReportInput};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -41,7 +41,7 @@ pub(crate) struct Page<'a> {
     /// What the numbers rest on.
     pub notes: &'a [String],
     pub headline: &'a [(String, String)],
-    pub fit: Option<Judgement<'a>>,
+    pub fit: Option<FitVerdict<'a>>,
     pub player: Option<Player<'a>>,
     pub parts: Vec<Part<'a>>,
     pub settings: &'a [(String, Vec<(String, String)>)],
@@ -122,7 +122,7 @@ impl Page<'_> {
                         }
                         (headline(self.headline))
                         @for note in self.notes { p.summary { (note) } }
-                        @if let Some(fit) = self.fit { (judgement(fit)) }
+                        @if let Some(fit) = self.fit { (fit_verdict(fit)) }
                     }
                     main {
                         @for part in &self.parts {
@@ -190,7 +190,7 @@ fn headline(headline: &[(String, String)]) -> Markup {
     }
 }
 
-fn judgement(fit: Judgement) -> Markup {
+fn fit_verdict(fit: FitVerdict) -> Markup {
     html! {
         p.fit.warning[fit.verdict != "good"] role="note" {
             strong { "Fit: " (fit.verdict) ". " } (capital(fit.reason)) "."

@@ -17,7 +17,7 @@ struct Case {
     instants: Vec<usize>,
     time: TimeGrid,
     convergence: Vec<Iteration>,
-    traces: Vec<PlacedTrace>,
+    traces: Vec<AnnotatedTrace>,
 }
 
 impl Case {
@@ -90,13 +90,13 @@ impl Case {
 
 /// The brightest places with made-up errors, of which one bin's is not known, a frequency and a
 /// photodiode.
-fn traces_of(video: &Video) -> Vec<PlacedTrace> {
+fn traces_of(video: &Video) -> Vec<AnnotatedTrace> {
     let place = |region: Region| {
         let mut trace = Trace::without_errors(region, video);
         trace.standard_error = (0..trace.value.len())
             .map(|t| if t == 2 { f64::NAN } else { 0.1 * t as f64 })
             .collect();
-        PlacedTrace {
+        AnnotatedTrace {
             frequency: Some(Frequency {
                 hertz: 20_833.0,
                 error_hz: 12.0,
@@ -106,7 +106,7 @@ fn traces_of(video: &Video) -> Vec<PlacedTrace> {
                 is_half_rate: false,
                 harmonics: Vec::new(),
             }),
-            photodiodes: vec![LaidOver {
+            photodiodes: vec![AlignedSignal {
                 name: "diode.csv".into(),
                 correlation: 0.99,
                 points: (0..90).map(|i| (0.1 * i as f64, (i % 2) as f64)).collect(),
@@ -240,7 +240,7 @@ fn texts_are_escaped() {
     let report = render(&ReportInput {
         title: evil,
         headline: vec![pair.clone()],
-        fit: Some(Judgement {
+        fit: Some(FitVerdict {
             verdict: evil,
             reason: evil,
         }),
@@ -260,7 +260,7 @@ fn texts_are_escaped() {
 fn the_fit_is_a_warning_unless_it_is_good() {
     let case = Case::new(Shape::new(3, 8, 8), 8, 8);
     let page = |verdict| {
-        let fit = Judgement {
+        let fit = FitVerdict {
             verdict,
             reason: "the PSF is another's",
         };

@@ -134,10 +134,10 @@ pub fn run_chunked(
             continue;
         }
         let began = Instant::now();
-        let found = chunked.solve(range.clone(), &mut |progress| {
+        let reconstruction = chunked.solve(range.clone(), &mut |progress| {
             observer(range.clone(), shape.bins, progress)
         })?;
-        if found.stop_reason == StopReason::Interrupted {
+        if reconstruction.stop_reason == StopReason::Interrupted {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
                 "reconstruction",
@@ -145,38 +145,38 @@ pub fn run_chunked(
                 "Run the same command again: it goes on from there.",
             ));
         }
-        file.write(range.start, found.video.data())?;
+        file.write(range.start, reconstruction.video.data())?;
         state.parts.push(ChunkNumbers {
             first_bin: range.start,
             end_bin: range.end,
-            iterations: found.iterations,
-            stop_reason: found.stop_reason.name().into(),
-            tau: found.tau,
-            residual_over_sigma: found.residual_over_sigma,
-            support_fraction: found.support,
-            fit: found.fit.verdict.name().into(),
-            fit_reason: found.fit.reason,
+            iterations: reconstruction.iterations,
+            stop_reason: reconstruction.stop_reason.name().into(),
+            tau: reconstruction.tau,
+            residual_over_sigma: reconstruction.residual_over_sigma,
+            support_fraction: reconstruction.support,
+            fit: reconstruction.fit.verdict.name().into(),
+            fit_reason: reconstruction.fit.reason,
             seconds: began.elapsed().as_secs_f64(),
         });
         state.parts.sort_by_key(|p| p.first_bin);
         let json = serde_json::to_vec(&state).expect("plain numbers and text");
         folder.write_bytes(STATE_FILE, &json)?;
     }
-    let seen = Seen::read(&mut file, shape)?;
+    let statistics = VideoStatistics::read(&mut file, shape)?;
     file.finish()?;
     folder.remove("video.mp4")?;
     let bin_us = chunked.camera().time().bin_duration_us();
     let time = TimeGrid::rolling(
-        seen.film.shape().bins,
-        bin_us * seen.bins_each as f64,
+        statistics.film.shape().bins,
+        bin_us * statistics.bins_each as f64,
         1.0,
         1,
     );
-    if let Some(mp4) = encoded(&seen.film, &time, task.film)? {
+    if let Some(mp4) = encoded(&statistics.film, &time, task.film)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
     let mut outcome = outcome(task, state.parts);
-    let sheet = sheet(task, &outcome, &seen);
+    let sheet = sheet(task, &outcome, &statistics);
     let report = sheet.render()?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
@@ -214,7 +214,7 @@ fn job_of(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
 }
 
 /// What is drawn of a video, from one pass over it.
-struct Seen {
+struct VideoStatistics {
     /// The brightest that each pixel was.
     brightest: Image,
     /// All light of each bin.
@@ -224,7 +224,7 @@ struct Seen {
     bins_each: usize,
 }
 
-impl Seen {
+impl VideoStatistics {
     fn read(file: &mut ChunkedVideoFile, shape: Shape) -> Result<Self> {
         let side = shape.rows.max(shape.columns).div_ceil(FILM_SIDE);
         let bins_each = shape.bins.div_ceil(FILM_BINS);
@@ -324,7 +324,11 @@ fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
     }
 }
 
-fn sheet<'a>(task: &'a ChunkedTask, outcome: &PartsOutcome, seen: &'a Seen) -> Sheet<'a> {
+fn sheet<'a>(
+    task: &'a ChunkedTask,
+    outcome: &PartsOutcome,
+    statistics: &'a VideoStatistics,
+) -> Sheet<'a> {
     let camera = task.chunked.camera();
     let bin_us = camera.time().bin_duration_us();
     let time = |bin: usize| ((camera.first_bin() + bin) as f64 + 0.5) * bin_us;
@@ -337,7 +341,7 @@ fn sheet<'a>(task: &'a ChunkedTask, outcome: &PartsOutcome, seen: &'a Seen) -> S
                 "time (µs)",
                 Scale::Linear(
                     time(0) - 0.5 * bin_us,
-                    time(seen.light.len()) - 0.5 * bin_us,
+                    time(statistics.light.len()) - 0.5 * bin_us,
                 ),
             ),
             y: (what, Scale::Linear(0.0, top(&points))),
@@ -360,7 +364,7 @@ fn sheet<'a>(task: &'a ChunkedTask, outcome: &PartsOutcome, seen: &'a Seen) -> S
         caption: caption.into(),
         alt: caption.into(),
     };
-    let light = (0..seen.light.len()).map(|bin| (time(bin), seen.light[bin]));
+    let light = (0..statistics.light.len()).map(|bin| (time(bin), statistics.light[bin]));
     let residual = outcome.parts.iter().flat_map(|p| {
         [
             (time(p.first_bin), p.residual_over_sigma),
@@ -399,7 +403,7 @@ fn sheet<'a>(task: &'a ChunkedTask, outcome: &PartsOutcome, seen: &'a Seen) -> S
                 vec![
                     map(
                         "brightest",
-                        &seen.brightest,
+                        &statistics.brightest,
                         "counts",
                         "The brightest that each pixel was at any time.",
                     ),

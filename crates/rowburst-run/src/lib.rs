@@ -10,6 +10,7 @@
 //! said goes to the caller, and an observer sees every iteration and may stop it.
 
 mod chunked;
+mod completed_task;
 mod film;
 pub mod inputs;
 mod numbers;
@@ -17,13 +18,13 @@ pub mod options;
 mod outcome;
 mod player;
 pub mod simulate;
-mod solved;
 mod task;
 mod traces;
 mod view_files;
 mod watch;
 
 pub use chunked::{ChunkNumbers, ChunkedTask, PartsOutcome, run_chunked};
+pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
 pub use film::Film;
 pub use numbers::thousands;
 pub use outcome::{
@@ -31,11 +32,10 @@ pub use outcome::{
     peak_memory_bytes, short,
 };
 pub use player::{MakePlayer, PlayerPage, player_of};
-pub use solved::{ReportMeta, ResultMeta, Solved};
-pub use task::{Seen, Task, solve};
+pub use task::{IterationMetrics, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,
-    Traces, TruthNumbers, Wanted,
+    TraceRequest, Traces, TruthNumbers,
 };
 pub use view_files::ViewFiles;
 pub use watch::Watch;

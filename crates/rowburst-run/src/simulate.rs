@@ -1,7 +1,7 @@
 //! Simulation as a user asks for it: a scene, a PSF and noise, by name or as values.
 
 use rowburst::linop::LinearOperator;
-use rowburst::noise::{Noise, Recorded};
+use rowburst::noise::{Noise, SimulatedFrame};
 use rowburst::simulate::scene::{self, Led};
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
 use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, RollingShutter, Video};
@@ -49,9 +49,9 @@ pub enum NoiseChoice {
 }
 
 /// A simulated capture with all that is known of it.
-pub struct Simulated {
+pub struct SimulatedCapture {
     /// The frame.
-    pub recorded: Recorded,
+    pub recorded: SimulatedFrame,
     /// The noise that was added.
     pub noise: Noise,
     /// The video, in counts of the frame.
@@ -68,10 +68,10 @@ pub struct Simulated {
 ///
 /// # Errors
 /// A scene that the field is too small for, a background or noise that cannot be.
-pub fn simulate(plan: &Simulation) -> Result<Simulated> {
+pub fn simulate(plan: &Simulation) -> Result<SimulatedCapture> {
     let camera = plan.camera;
     check_noise(plan.noise, camera)?;
-    let Shown {
+    let RenderedScene {
         video: scene,
         background,
         leds,
@@ -106,7 +106,7 @@ pub fn simulate(plan: &Simulation) -> Result<Simulated> {
         in_counts(still.data_mut());
         still
     });
-    Ok(Simulated {
+    Ok(SimulatedCapture {
         recorded,
         noise,
         truth,
@@ -266,7 +266,7 @@ fn naming_option(mut error: Error) -> Error {
 }
 
 /// What is to be seen, made.
-struct Shown {
+struct RenderedScene {
     /// All light, that of the background too.
     video: Video,
     /// What of it is static.
@@ -274,7 +274,7 @@ struct Shown {
     leds: Vec<Led>,
 }
 
-fn scene_of(plan: &Simulation, camera: &Camera) -> Result<Shown> {
+fn scene_of(plan: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     let shape = camera.video_shape();
     let of_font = |error: Error| error.within(format!("--digit-px {}", plan.digit_px));
     let moving = |digits| scene::moving_digit(shape, plan.digit_px, digits, plan.seed);
@@ -310,7 +310,7 @@ fn scene_of(plan: &Simulation, camera: &Camera) -> Result<Shown> {
             Some(added.map_err(naming_background)?)
         }
     };
-    Ok(Shown {
+    Ok(RenderedScene {
         video,
         background,
         leds,
@@ -328,7 +328,7 @@ fn naming_background(mut error: Error) -> Error {
 }
 
 /// `video` without what is `still`.
-pub fn without(mut video: Video, still: &Image) -> Video {
+pub fn subtract_background(mut video: Video, still: &Image) -> Video {
     for t in 0..video.shape().bins {
         for (voxel, still) in video.bin_mut(t).iter_mut().zip(still.data()) {
             *voxel = (*voxel - still).max(0.0);

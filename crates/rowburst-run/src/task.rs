@@ -1,6 +1,6 @@
 //! What a reconstruction of one frame is to do, and doing it.
 
-use crate::solved::Solved;
+use crate::completed_task::CompletedTask;
 use crate::watch::Watch;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Options, Prior, Problem};
@@ -38,7 +38,7 @@ pub struct Task {
 
 /// What the clock beside the solver knows of an iteration.
 #[derive(Debug, Clone, Copy)]
-pub struct Seen {
+pub struct IterationMetrics {
     /// Of the solver so far.
     pub seconds: f64,
     /// Residual over the noise level.
@@ -55,8 +55,8 @@ pub struct Seen {
 pub fn solve(
     task: Task,
     began: Instant,
-    show: &mut dyn FnMut(&Progress, &Seen) -> ControlFlow<StopReason>,
-) -> Result<Solved> {
+    show: &mut dyn FnMut(&Progress, &IterationMetrics) -> ControlFlow<StopReason>,
+) -> Result<CompletedTask> {
     let options = Options {
         // A choice takes a run for each candidate: a budget has no time for it.
         prior: task.options.prior.or(task.budget.map(|_| Prior::STANDARD)),
@@ -67,19 +67,19 @@ pub fn solve(
     let setup = started.elapsed();
     let left = task.budget.map(|b| b.saturating_sub(setup));
     let mut watch = Watch::new(problem.sigma(), task.truth.as_ref(), left);
-    let solved = problem.solve(&mut |progress| {
+    let result = problem.solve(&mut |progress| {
         let flow = watch.observe(progress);
-        watch.aside(|seen| show(progress, seen))?;
+        watch.aside(|metrics| show(progress, metrics))?;
         flow
     });
     let seconds = watch.seconds();
-    let found = solved?;
-    watch.rescale(found.sigma);
+    let reconstruction = result?;
+    watch.rescale(reconstruction.sigma);
     let started_after = watch.started_after(began);
     let curve = watch.curve;
-    Ok(Solved {
+    Ok(CompletedTask {
         task,
-        found,
+        reconstruction,
         debias: None,
         setup_seconds: setup.as_secs_f64(),
         seconds,

@@ -6,11 +6,12 @@ use crate::outcome::short;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::Reconstruction;
 use rowburst::traces::{
-    Aligned, Evidence, Frequency, Photodiode, Refit, Region, Trace, brightest_regions, frequency_of,
+    Alignment, Evidence, Frequency, Photodiode, Refit, Region, Trace, brightest_regions,
+    frequency_of,
 };
 use rowburst::{Camera, Error, PatchSet, Result, RollingShutter, Shape, TimeGrid, Video};
 use rowburst_io::{OutputFolder, read_photodiode, write_csv};
-use rowburst_report::{LaidOver, PlacedTrace};
+use rowburst_report::{AlignedSignal, AnnotatedTrace};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -22,13 +23,13 @@ const SIDE: usize = 3;
 
 /// What is asked for.
 #[derive(Default)]
-pub struct Wanted {
+pub struct TraceRequest {
     /// `Y,X` or `Y,X,ROWS,COLUMNS` of each region.
     regions: Vec<Region>,
     photodiodes: Vec<(String, Photodiode)>,
 }
 
-impl Wanted {
+impl TraceRequest {
     /// Reads regions and photodiodes, before the work begins.
     pub fn read(regions: &[String], photodiodes: &[PathBuf], shape: Shape) -> Result<Self> {
         let regions = regions.iter().map(|text| region(text, shape));
@@ -82,10 +83,10 @@ pub struct Traces {
     pub traces: Vec<Trace>,
     /// What repeats in each.
     pub frequencies: Vec<Option<Frequency>>,
-    photodiodes: Vec<(String, Photodiode, Option<Aligned>)>,
+    photodiodes: Vec<(String, Photodiode, Option<Alignment>)>,
     pub numbers: ErrorNumbers,
     /// The refitted video, where it was wanted and could be had.
-    pub debiased: Option<rowburst::traces::Debiased>,
+    pub debiased: Option<rowburst::traces::DebiasedVideo>,
     /// Whether it was wanted.
     pub debias_was_wanted: bool,
 }
@@ -177,17 +178,17 @@ pub struct TruthNumbers {
 
 /// Finds the traces of a finished reconstruction. `debias` asks for the refitted video, too.
 pub fn find(
-    wanted: Wanted,
+    request: TraceRequest,
     debias: bool,
-    found: &Reconstruction,
+    reconstruction: &Reconstruction,
     measurement: &Measurement,
     camera: &Camera,
     psfs: &PatchSet,
 ) -> Traces {
     let started = Instant::now();
-    let video = &found.video;
+    let video = &reconstruction.video;
     let time = camera.time();
-    let mut regions = wanted.regions;
+    let mut regions = request.regions;
     if time.bins() > 1 {
         for spot in brightest_regions(video, SPOTS) {
             if !regions.contains(&spot) {
@@ -199,8 +200,8 @@ pub fn find(
     let refit = Refit::new(Evidence {
         operator: &operator,
         measured: measurement.image().data(),
-        weights: found.weights.as_deref(),
-        sigma: found.sigma,
+        weights: reconstruction.weights.as_deref(),
+        sigma: reconstruction.sigma,
         video,
     });
     let missing_because = match (&refit, time.bins()) {
@@ -218,7 +219,7 @@ pub fn find(
     };
     let rate = time.frame_rate_hz();
     let frequency = |t: &Trace| frequency_of(&t.debiased, &t.standard_error, rate);
-    let photodiodes = wanted.photodiodes.into_iter();
+    let photodiodes = request.photodiodes.into_iter();
     let photodiodes = photodiodes.map(|(name, diode)| {
         let aligned = diode.align(&traces, time);
         (name, diode, aligned)
@@ -262,13 +263,13 @@ impl Traces {
     }
 
     /// For the report.
-    pub fn placed(&self) -> Vec<PlacedTrace> {
-        let placed = |i: usize| PlacedTrace {
+    pub fn annotated(&self) -> Vec<AnnotatedTrace> {
+        let annotated = |i: usize| AnnotatedTrace {
             trace: self.traces[i].clone(),
             frequency: self.frequencies[i].clone(),
             photodiodes: self
                 .over(i)
-                .map(|(name, diode, a)| LaidOver {
+                .map(|(name, diode, a)| AlignedSignal {
                     name: name.clone(),
                     correlation: a.correlation,
                     points: diode
@@ -278,10 +279,10 @@ impl Traces {
                 })
                 .collect(),
         };
-        (0..self.traces.len()).map(placed).collect()
+        (0..self.traces.len()).map(annotated).collect()
     }
 
-    fn over(&self, i: usize) -> impl Iterator<Item = (&String, &Photodiode, &Aligned)> {
+    fn over(&self, i: usize) -> impl Iterator<Item = (&String, &Photodiode, &Alignment)> {
         let aligned = self.photodiodes.iter();
         let aligned = aligned.filter_map(|(name, diode, a)| Some((name, diode, a.as_ref()?)));
         aligned.filter(move |(_, _, a)| a.trace == i)
@@ -404,25 +405,26 @@ impl Traces {
 }
 
 fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
-    let wanted = trace.region.mean_of(truth);
+    let expected = trace.region.mean_of(truth);
     let rms = |values: &[f64]| {
-        let squares = values.iter().zip(&wanted).map(|(v, w)| (v - w).powi(2));
-        (squares.sum::<f64>() / wanted.len() as f64).sqrt()
+        let squares = values.iter().zip(&expected).map(|(v, w)| (v - w).powi(2));
+        (squares.sum::<f64>() / expected.len() as f64).sqrt()
     };
     let slope = |values: &[f64]| {
-        let n = wanted.len() as f64;
+        let n = expected.len() as f64;
         let mean = |of: &[f64]| of.iter().sum::<f64>() / n;
-        let (x, y) = (mean(&wanted), mean(values));
-        let pairs = || wanted.iter().zip(values);
+        let (x, y) = (mean(&expected), mean(values));
+        let pairs = || expected.iter().zip(values);
         let xy: f64 = pairs().map(|(w, v)| (w - x) * (v - y)).sum();
-        let xx: f64 = wanted.iter().map(|w| (w - x).powi(2)).sum();
+        let xx: f64 = expected.iter().map(|w| (w - x).powi(2)).sum();
         if xx > 0.0 { xy / xx } else { 1.0 }
     };
-    let largest = wanted.iter().copied().fold(0.0, f64::max);
-    let active = |t: &usize| wanted[*t] > 0.01 * largest && trace.standard_error[*t].is_finite();
-    let active: Vec<usize> = (0..wanted.len()).filter(active).collect();
-    let covers =
-        |t: &&usize| (trace.debiased[**t] - wanted[**t]).abs() <= 1.96 * trace.standard_error[**t];
+    let largest = expected.iter().copied().fold(0.0, f64::max);
+    let active = |t: &usize| expected[*t] > 0.01 * largest && trace.standard_error[*t].is_finite();
+    let active: Vec<usize> = (0..expected.len()).filter(active).collect();
+    let covers = |t: &&usize| {
+        (trace.debiased[**t] - expected[**t]).abs() <= 1.96 * trace.standard_error[**t]
+    };
     TruthNumbers {
         rms_error: rms(&trace.debiased),
         video_rms_error: rms(&trace.value),

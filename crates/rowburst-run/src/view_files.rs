@@ -2,7 +2,7 @@
 
 use rowburst::{Camera, Image, Result, Shutter, Video};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
-use rowburst_report::{Iteration, PlacedTrace};
+use rowburst_report::{AnnotatedTrace, Iteration};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -31,7 +31,7 @@ pub struct ViewFiles<'a> {
     /// The scene without the diffuser.
     pub direct: Option<&'a Image>,
     /// What is drawn over the video.
-    pub traces: &'a [PlacedTrace],
+    pub traces: &'a [AnnotatedTrace],
     /// The points of the convergence curve.
     pub course: &'a [Iteration],
     /// Name and value.
@@ -134,17 +134,17 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     })
 }
 
-fn trace(placed: &PlacedTrace) -> Value {
-    let trace = &placed.trace;
+fn trace(annotated: &AnnotatedTrace) -> Value {
+    let trace = &annotated.trace;
     let region = trace.region;
-    let diodes = placed.photodiodes.iter();
+    let diodes = annotated.photodiodes.iter();
     json!({
         "region": { "y": region.y, "x": region.x, "rows": region.rows, "columns": region.columns },
         "value": trace.value,
         "debiased": trace.debiased,
         "standard_error": trace.standard_error,
-        "frequency_hz": placed.frequency.as_ref().map(|f| f.hertz),
-        "frequency_error_hz": placed.frequency.as_ref().map(|f| f.error_hz),
+        "frequency_hz": annotated.frequency.as_ref().map(|f| f.hertz),
+        "frequency_error_hz": annotated.frequency.as_ref().map(|f| f.error_hz),
         "photodiodes": diodes.map(|d| json!({
             "name": d.name,
             "correlation": d.correlation,

@@ -1,6 +1,6 @@
 //! The clock beside the solver: its time, its budget and its course.
 
-use crate::task::Seen;
+use crate::task::IterationMetrics;
 use rowburst::Video;
 use rowburst::metrics::psnr_db;
 use rowburst::solve::StopReason;
@@ -25,7 +25,7 @@ pub struct Watch<'a> {
     iterations: usize,
     /// Time spent on comparing with the truth and on showing, which is not the solver's.
     aside: Duration,
-    seen: Seen,
+    metrics: IterationMetrics,
     /// The points of the convergence curve.
     pub curve: Vec<Iteration>,
 }
@@ -40,7 +40,7 @@ impl<'a> Watch<'a> {
             truth,
             iterations: 0,
             aside: Duration::ZERO,
-            seen: Seen {
+            metrics: IterationMetrics {
                 seconds: 0.0,
                 residual_over_sigma: f64::NAN,
                 psnr_db: None,
@@ -60,9 +60,9 @@ impl<'a> Watch<'a> {
     }
 
     /// Does with the last iteration what takes no time of the solver's.
-    pub fn aside<T>(&mut self, what: impl FnOnce(&Seen) -> T) -> T {
+    pub fn aside<T>(&mut self, what: impl FnOnce(&IterationMetrics) -> T) -> T {
         let began = Instant::now();
-        let done = what(&self.seen);
+        let done = what(&self.metrics);
         self.aside += began.elapsed();
         done
     }
@@ -75,7 +75,7 @@ impl<'a> Watch<'a> {
             // Another run: the curve is that of the last one.
             self.curve.clear();
         }
-        self.seen = Seen {
+        self.metrics = IterationMetrics {
             seconds,
             residual_over_sigma: progress.residual_rms / self.sigma,
             psnr_db: None,
@@ -83,14 +83,14 @@ impl<'a> Watch<'a> {
         if progress.iteration <= RECORD_ALL || progress.iteration.is_multiple_of(RECORD_EVERY) {
             let compared = Instant::now();
             let truth = self.truth;
-            self.seen.psnr_db = truth.map(|truth| psnr_db(progress.video, truth.data()));
+            self.metrics.psnr_db = truth.map(|truth| psnr_db(progress.video, truth.data()));
             self.curve.push(Iteration {
                 iteration: progress.iteration,
                 seconds,
                 objective: progress.objective,
-                residual_over_sigma: self.seen.residual_over_sigma,
+                residual_over_sigma: self.metrics.residual_over_sigma,
                 change: progress.change,
-                psnr_db: self.seen.psnr_db,
+                psnr_db: self.metrics.psnr_db,
             });
             self.aside += compared.elapsed();
         }

@@ -19,7 +19,7 @@ pub struct Array {
 
 /// Some bins as 16-bit numbers: `value = low + number·(high − low)/65534`; 65535 is no value.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Quantised {
+pub struct QuantisedBins {
     /// Little-endian, bin after bin.
     pub bytes: Vec<u8>,
     /// Value of 0 and value of 65534.
@@ -79,14 +79,14 @@ impl Array {
     ///
     /// # Panics
     /// If the bins do not exist.
-    pub fn bins(&self, from: usize, to: usize) -> Result<Quantised> {
+    pub fn bins(&self, from: usize, to: usize) -> Result<QuantisedBins> {
         assert!(from <= to && to <= self.frames.count(), "bins that exist");
         let mut bytes = Vec::with_capacity((to - from) * self.bytes_per_bin());
         for t in from..to {
             push16(self.bin(t)?.data(), self.range, &mut bytes);
         }
         let range = self.range;
-        Ok(Quantised { bytes, range })
+        Ok(QuantisedBins { bytes, range })
     }
 
     fn bin(&self, t: usize) -> Result<rowburst::Image> {
@@ -138,7 +138,7 @@ fn push16(values: &[f32], (low, high): (f32, f32), bytes: &mut Vec<u8>) {
     }));
 }
 
-impl Quantised {
+impl QuantisedBins {
     /// A whole video, such as that of a running reconstruction.
     pub fn of(values: &[f32]) -> Self {
         let range = widened(range_of(values));
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn what_is_not_finite_stays_apart() {
-        let found = Quantised::of(&[0.0, f32::NAN, 4.0, f32::INFINITY]);
+        let found = QuantisedBins::of(&[0.0, f32::NAN, 4.0, f32::INFINITY]);
         assert_eq!(found.range, (0.0, 4.0));
         assert_eq!(found.bytes, [0, 0, 255, 255, 254, 255, 255, 255]);
         let (numbers, range) = quantise8(&video());

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The server listens on 127.0.0.1, answers only requests whose `Host` is this machine, serves only
-//! the files of a result that are named in [`opened`], and sends a policy that lets the page fetch
+//! the files of a result that are named in [`result_files`], and sends a policy that lets the page fetch
 //! from nowhere else. Videos travel as 16-bit numbers with their scale, some bins at a time, so that
 //! a picture is seen long before the video is there.
 
@@ -17,18 +17,18 @@ mod guard;
 #[cfg(feature = "server")]
 mod live;
 pub mod offline;
-#[cfg(feature = "server")]
-pub mod opened;
 mod page;
+#[cfg(feature = "server")]
+pub mod result_files;
 #[cfg(feature = "server")]
 mod server;
 
-pub use array::{Array, Quantised, quantise8, range_of_video};
+pub use array::{Array, QuantisedBins, quantise8, range_of_video};
 #[cfg(feature = "server")]
 pub use live::{Live, LiveStart, Point, RunStatus};
 pub use offline::Offline;
-#[cfg(feature = "server")]
-pub use opened::Opened;
 pub use page::{Bundle, HOW_TO_GET_THE_PAGE, bundle};
+#[cfg(feature = "server")]
+pub use result_files::ResultFiles;
 #[cfg(feature = "server")]
 pub use server::Server;

@@ -3,7 +3,7 @@
 //! The solver's observer writes, the server's threads read. A video is made ready to be sent only
 //! when a page has asked since the last one, so a run that nobody watches costs nothing.
 
-use crate::array::Quantised;
+use crate::array::QuantisedBins;
 use axum::body::Bytes;
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -55,10 +55,10 @@ pub struct Live {
     start: LiveStart,
     stop: Arc<AtomicBool>,
     wanted: AtomicBool,
-    now: Mutex<Now>,
+    state: Mutex<LiveState>,
 }
 
-struct Now {
+struct LiveState {
     status: RunStatus,
     label: String,
     course: Vec<Point>,
@@ -76,7 +76,7 @@ impl Live {
             start,
             stop,
             wanted: AtomicBool::new(false),
-            now: Mutex::new(Now {
+            state: Mutex::new(LiveState {
                 status: RunStatus::Running,
                 label: String::new(),
                 course: Vec::new(),
@@ -90,14 +90,14 @@ impl Live {
 
     /// Adds a point of the course, to be called in every iteration; iteration 1 begins a new one.
     pub fn point(&self, label: &str, point: Point) {
-        let mut now = self.now();
+        let mut state = self.lock_state();
         if point.iteration == 1 {
-            now.course.clear();
+            state.course.clear();
         }
-        now.label.clear();
-        now.label.push_str(label);
-        now.latest = Some(point);
-        now.course.push(point);
+        state.label.clear();
+        state.label.push_str(label);
+        state.latest = Some(point);
+        state.course.push(point);
     }
 
     /// Whether a page waits for a video.
@@ -112,28 +112,28 @@ impl Live {
     pub fn show(&self, video: &[f32]) {
         let voxels: usize = self.start.shape.iter().product();
         assert_eq!(video.len(), voxels, "the shape that was announced");
-        let Quantised { bytes, range } = Quantised::of(video);
+        let QuantisedBins { bytes, range } = QuantisedBins::of(video);
         self.wanted.store(false, Ordering::Relaxed);
-        let mut now = self.now();
-        now.video = Some((bytes.into(), range));
-        now.snapshot += 1;
+        let mut state = self.lock_state();
+        state.video = Some((bytes.into(), range));
+        state.snapshot += 1;
     }
 
     /// From now on the run is at `status`.
     pub fn set_status(&self, status: RunStatus) {
-        self.now().status = status;
+        self.lock_state().status = status;
     }
 
     /// The run has failed.
     pub fn fail(&self, error: &str) {
-        let mut now = self.now();
-        now.status = RunStatus::Failed;
-        now.error = Some(error.into());
+        let mut state = self.lock_state();
+        state.status = RunStatus::Failed;
+        state.error = Some(error.into());
     }
 
     /// How far the run is.
     pub fn status(&self) -> RunStatus {
-        self.now().status
+        self.lock_state().status
     }
 
     /// Asks the run to stop and keep the best so far.
@@ -144,32 +144,32 @@ impl Live {
     /// Everything but the video; a page that asks waits for a video, too.
     pub(crate) fn state(&self) -> Value {
         self.wanted.store(true, Ordering::Relaxed);
-        let now = self.now();
+        let state = self.lock_state();
         let stopping = self.stop.load(Ordering::Relaxed);
-        let status = match now.status {
+        let status = match state.status {
             RunStatus::Running if stopping => "stopping",
             RunStatus::Running => "running",
             RunStatus::Writing => "writing",
             RunStatus::Done => "done",
             RunStatus::Failed => "failed",
         };
-        let course = now.course.iter();
+        let course = state.course.iter();
         let course = course.map(|p| (p.iteration, p.seconds, p.residual_over_sigma, p.psnr_db));
         json!({
             "stage": status,
-            "label": now.label,
-            "iteration": now.latest.map(|p| p.iteration),
-            "max_iterations": now.latest.map(|p| p.max_iterations),
-            "seconds": now.latest.map(|p| p.seconds),
+            "label": state.label,
+            "iteration": state.latest.map(|p| p.iteration),
+            "max_iterations": state.latest.map(|p| p.max_iterations),
+            "seconds": state.latest.map(|p| p.seconds),
             "course": course.collect::<Vec<_>>(),
-            "snapshot": now.snapshot,
-            "error": now.error,
+            "snapshot": state.snapshot,
+            "error": state.error,
         })
     }
 
     /// The video that was shown last, and its range.
     pub(crate) fn video(&self) -> Option<(Bytes, (f32, f32))> {
-        self.now().video.clone()
+        self.lock_state().video.clone()
     }
 
     /// As that of a result, before there is one.
@@ -183,7 +183,7 @@ impl Live {
     }
 
     // What is behind the lock is whole after every statement.
-    fn now(&self) -> MutexGuard<'_, Now> {
-        self.now.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock_state(&self) -> MutexGuard<'_, LiveState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -2,8 +2,8 @@
 
 use crate::guard::guard;
 use crate::live::Live;
-use crate::opened::Opened;
 use crate::page;
+use crate::result_files::ResultFiles;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, StatusCode, header};
@@ -25,8 +25,8 @@ const MOST_BYTES: usize = 64 << 20;
 /// Answers that are being made at once; each holds its bins in memory.
 const MAX_CONCURRENT_ANSWERS: usize = 4;
 
-struct Shared {
-    results: RwLock<Arc<Vec<Opened>>>,
+struct ServerState {
+    results: RwLock<Arc<Vec<ResultFiles>>>,
     live: Option<Arc<Live>>,
     turns: Semaphore,
 }
@@ -34,7 +34,7 @@ struct Shared {
 /// A server that runs on a thread of its own until the program ends.
 pub struct Server {
     address: SocketAddr,
-    shared: Arc<Shared>,
+    shared: Arc<ServerState>,
 }
 
 impl Server {
@@ -43,7 +43,11 @@ impl Server {
     ///
     /// # Errors
     /// No port that is free.
-    pub fn start(port: Option<u16>, results: Vec<Opened>, live: Option<Arc<Live>>) -> Result<Self> {
+    pub fn start(
+        port: Option<u16>,
+        results: Vec<ResultFiles>,
+        live: Option<Arc<Live>>,
+    ) -> Result<Self> {
         let failed = |reason: std::io::Error| {
             let subject = port.map_or("the viewer's server".into(), |p| format!("--port {p}"));
             Error::work(subject, reason, "Choose another port with --port.")
@@ -62,7 +66,7 @@ impl Server {
         };
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ServerState {
             results: RwLock::new(Arc::new(results)),
             live,
             turns: Semaphore::new(MAX_CONCURRENT_ANSWERS),
@@ -91,14 +95,14 @@ impl Server {
     }
 
     /// From now on these results are shown.
-    pub fn show(&self, results: Vec<Opened>) {
+    pub fn show(&self, results: Vec<ResultFiles>) {
         let mut shown = self.shared.results.write();
         *shown.as_deref_mut().expect("no reader panics") = Arc::new(results);
     }
 }
 
-impl Shared {
-    fn results(&self) -> Arc<Vec<Opened>> {
+impl ServerState {
+    fn results(&self) -> Arc<Vec<ResultFiles>> {
         let results = self.results.read();
         Arc::clone(&results.unwrap_or_else(PoisonError::into_inner))
     }
@@ -109,14 +113,16 @@ impl Shared {
         if results.iter().all(|result| result.is_current()) {
             return Ok(());
         }
-        let renewed = results.iter().map(|result| Opened::open(result.path()));
+        let renewed = results
+            .iter()
+            .map(|result| ResultFiles::open(result.path()));
         let renewed = Arc::new(renewed.collect::<Result<Vec<_>>>()?);
         *self.results.write().unwrap_or_else(PoisonError::into_inner) = renewed;
         Ok(())
     }
 }
 
-fn routes(shared: Arc<Shared>) -> Router {
+fn routes(shared: Arc<ServerState>) -> Router {
     Router::new()
         .route("/", get(index))
         .route("/{file}", get(of_page))
@@ -135,7 +141,7 @@ const RANGE: HeaderName = HeaderName::from_static("x-range");
 const SHAPE: HeaderName = HeaderName::from_static("x-shape");
 
 /// Where a result was written anew, its parts would not fit those that a page has.
-fn written_again(result: &Opened) -> Response {
+fn written_again(result: &ResultFiles) -> Response {
     let words = format!(
         "{} was written again, or is being written: reload the page when it is whole.\n",
         result.meta()["name"].as_str().unwrap_or("The result")
@@ -173,7 +179,7 @@ async fn of_page(Path(name): Path<String>) -> Response {
     }
 }
 
-async fn view(State(shared): State<Arc<Shared>>) -> Response {
+async fn view(State(shared): State<Arc<ServerState>>) -> Response {
     if let Err(error) = shared.renew() {
         return (StatusCode::CONFLICT, format!("{error}\n")).into_response();
     }
@@ -194,7 +200,7 @@ struct Range {
 
 /// Bins `from..to` as 16-bit numbers, with their scale in `X-Range`.
 async fn bins(
-    State(shared): State<Arc<Shared>>,
+    State(shared): State<Arc<ServerState>>,
     Path((at, name)): Path<(usize, String)>,
     Query(Range { from, to }): Query<Range>,
 ) -> Response {
@@ -232,7 +238,7 @@ async fn bins(
 
 /// A picture as float32, with its size in `X-Shape`.
 async fn image(
-    State(shared): State<Arc<Shared>>,
+    State(shared): State<Arc<ServerState>>,
     Path((at, name)): Path<(usize, String)>,
 ) -> Response {
     let results = shared.results();
@@ -256,7 +262,7 @@ async fn image(
 
 /// Runs blocking work when it is its turn.
 async fn work(
-    shared: &Shared,
+    shared: &ServerState,
     job: impl FnOnce() -> Result<Response> + Send + 'static,
 ) -> Response {
     let _turn = shared.turns.acquire().await;
@@ -268,7 +274,7 @@ async fn work(
 }
 
 async fn file(
-    State(shared): State<Arc<Shared>>,
+    State(shared): State<Arc<ServerState>>,
     Path((at, name)): Path<(usize, String)>,
 ) -> Response {
     let results = shared.results();
@@ -293,21 +299,21 @@ async fn file(
     (headers, body).into_response()
 }
 
-async fn live(State(shared): State<Arc<Shared>>) -> Response {
+async fn live(State(shared): State<Arc<ServerState>>) -> Response {
     match &shared.live {
         Some(live) => Json(live.state()).into_response(),
         None => not_found(),
     }
 }
 
-async fn live_bins(State(shared): State<Arc<Shared>>) -> Response {
+async fn live_bins(State(shared): State<Arc<ServerState>>) -> Response {
     match shared.live.as_ref().and_then(|live| live.video()) {
         Some((bytes, (low, high))) => binary(bytes, [(RANGE, format!("{low} {high}"))]),
         None => not_found(),
     }
 }
 
-async fn stop(State(shared): State<Arc<Shared>>) -> Response {
+async fn stop(State(shared): State<Arc<ServerState>>) -> Response {
     match &shared.live {
         Some(live) => {
             live.ask_to_stop();

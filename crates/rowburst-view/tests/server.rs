@@ -2,7 +2,7 @@
 
 use rowburst::{Shape, Video};
 use rowburst_io::{OutputFolder, write_npy_video};
-use rowburst_view::{Live, LiveStart, Opened, Point, RunStatus, Server};
+use rowburst_view::{Live, LiveStart, Point, ResultFiles, RunStatus, Server};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -25,7 +25,7 @@ fn folder() -> tempfile::TempDir {
 }
 
 fn served(base: &Path) -> Server {
-    let opened = Opened::open(&base.join("result")).unwrap();
+    let opened = ResultFiles::open(&base.join("result")).unwrap();
     Server::start(Some(0), vec![opened], None).unwrap()
 }
 
@@ -166,7 +166,7 @@ fn two_browsers_at_once() {
 #[test]
 fn a_folder_that_is_no_whole_result_says_why() {
     let base = folder();
-    let error = |path: &Path| Opened::open(path).err().unwrap().to_string();
+    let error = |path: &Path| ResultFiles::open(path).err().unwrap().to_string();
     let result = base.path().join("result");
     assert!(error(base.path()).contains("no result.json"));
     assert!(error(&base.path().join("nothing")).contains("nothing"));
@@ -180,7 +180,7 @@ fn a_folder_that_is_no_whole_result_says_why() {
     );
     assert!(error(&base.path().join("outside.txt")).contains("outside.txt"));
     // A video of its own is one.
-    assert!(Opened::open(&result.join("video.npy")).is_ok());
+    assert!(ResultFiles::open(&result.join("video.npy")).is_ok());
 }
 
 #[test]
@@ -239,7 +239,9 @@ fn a_running_reconstruction_is_watched_and_stopped() {
     assert_eq!(state()["stage"], "stopping");
 
     let base = folder();
-    server.show(vec![Opened::open(&base.path().join("result")).unwrap()]);
+    server.show(vec![
+        ResultFiles::open(&base.path().join("result")).unwrap(),
+    ]);
     live.set_status(RunStatus::Done);
     assert_eq!(state()["stage"], "done");
     let (_, view) = get(&server, "/api/view");

@@ -46,7 +46,7 @@ pub enum Noise {
 
 /// A frame as the sensor records it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Recorded {
+pub struct SimulatedFrame {
     /// The frame, bias included.
     pub frame: Image,
     /// Rms noise in units of the frame, that of rounding included, as the model has
@@ -82,7 +82,7 @@ impl Noise {
     /// A noiseless frame with a value that is not finite or is negative, or without
     /// light; an `snr` or `peak_electrons` that is not a number above zero; a bias at
     /// or above 90 % of the range.
-    pub fn apply(&self, noiseless: &Image, sensor: &Sensor, seed: u64) -> Result<Recorded> {
+    pub fn apply(&self, noiseless: &Image, sensor: &Sensor, seed: u64) -> Result<SimulatedFrame> {
         let peak = check_light(noiseless)?;
         let mut rng = Pcg64::seed_from_u64(seed);
         match *self {
@@ -117,7 +117,7 @@ fn camera(
     peak_electrons: f64,
     sensor: &Sensor,
     rng: &mut Pcg64,
-) -> Result<Recorded> {
+) -> Result<SimulatedFrame> {
     let gain = sensor.gain_electrons_per_count.unwrap_or(1.0);
     let read = sensor.read_noise_electrons.unwrap_or(0.0);
     let bias = sensor.bias_counts.unwrap_or(0.0);
@@ -157,7 +157,7 @@ fn record(
     scale: f64,
     sigma: f64,
     mut value: impl FnMut(f64) -> (f64, bool),
-) -> Recorded {
+) -> SimulatedFrame {
     let mut frame = noiseless.clone();
     let mut saturated = 0;
     for pixel in frame.data_mut() {
@@ -165,7 +165,7 @@ fn record(
         *pixel = recorded as f32;
         saturated += usize::from(full);
     }
-    Recorded {
+    SimulatedFrame {
         frame,
         sigma,
         scale,

@@ -3,7 +3,7 @@
 
 use rand::{RngExt, SeedableRng};
 use rowburst::camera::CameraParams;
-use rowburst::linop::{LinearOperator, Weighted, laws};
+use rowburst::linop::{LinearOperator, WeightedOperator, laws};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter};
 
 #[test]
@@ -42,7 +42,7 @@ fn every_camera_obeys_them() {
                 let operator = RollingShutter::new(&camera, &psf);
                 laws::check(&operator, 1);
                 let weights = (0..operator.range_len()).map(|i| (i % 3) as f32).collect();
-                laws::check(&Weighted::new(operator, Some(weights)), 2);
+                laws::check(&WeightedOperator::new(operator, Some(weights)), 2);
             }
         }
     }

@@ -12,7 +12,7 @@ use rowburst::solve::fista::{self, FistaParams};
 use rowburst::solve::gpsr_bb::{self, Descent, GpsrParams};
 use rowburst::solve::primal_dual::{self, PrimalDualParams};
 use rowburst::solve::{
-    Certificate, Certified, Certifier, DataTerm, GramSolver, Limits, Objective, StopReason,
+    Certificate, CertifiedSolution, Certifier, DataTerm, GramSolver, Limits, Objective, StopReason,
 };
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Support};
 use std::ops::ControlFlow;
@@ -207,7 +207,7 @@ impl Solver {
         start: Option<&[f32]>,
         limits: Limits,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> Certified {
+    ) -> CertifiedSolution {
         match self {
             Self::Gpsr(descent) => {
                 let params = GpsrParams {

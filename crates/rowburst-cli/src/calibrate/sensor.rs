@@ -55,17 +55,17 @@ pub fn run(args: &SensorArgs) -> Result<()> {
         check_kept(experiment, &args.output)?;
     }
     eprintln!("{} darks, {} flats", darks.len(), flats.len());
-    let found = calibrate(&darks, &flats)?;
-    for warning in &found.warnings {
+    let calibration = calibrate(&darks, &flats)?;
+    for warning in &calibration.warnings {
         eprintln!("warning: {warning}");
     }
-    let summary = summary(&found, &darks, &flats);
+    let summary = summary(&calibration, &darks, &flats);
     let folder = OutputFolder::create(&args.output)?;
-    write(args, &folder, &found, experiment, &summary)?;
+    write(args, &folder, &calibration, experiment, &summary)?;
     if args.json {
         say(format_args!("{summary:#}"));
     } else {
-        print_summary(&found, &folder);
+        print_summary(&calibration, &folder);
     }
     Ok(())
 }
@@ -163,12 +163,12 @@ fn check_kept(experiment: &Experiment, output: &Path) -> Result<()> {
 }
 
 /// `sensor.json`.
-fn summary(found: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
-    let faults = &found.faults;
+fn summary(calibration: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
+    let faults = &calibration.faults;
     let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
     let (rows, columns) = darks.size();
-    let gain = found.gain_electrons_per_count;
-    let levels: Vec<Value> = found
+    let gain = calibration.gain_electrons_per_count;
+    let levels: Vec<Value> = calibration
         .levels
         .iter()
         .map(|level| {
@@ -185,16 +185,16 @@ fn summary(found: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
         "columns": columns,
         "darks": darks.len(),
         "flats": flats.len(),
-        "flat_pairs": found.pairs,
+        "flat_pairs": calibration.pairs,
         "flat_levels": levels,
-        "bias_counts": found.bias_counts,
+        "bias_counts": calibration.bias_counts,
         "dark_signal_counts": Value::Null,
-        "read_noise_electrons": found.read_noise_electrons,
-        "read_noise_rms_electrons": found.read_noise_rms_electrons,
+        "read_noise_electrons": calibration.read_noise_electrons,
+        "read_noise_rms_electrons": calibration.read_noise_rms_electrons,
         "gain_electrons_per_count": gain,
-        "gain_relative_error": found.gain_error,
-        "full_well_counts": found.full_well.map(|full| full.counts),
-        "full_well_sign": found.full_well.map(|full| match full.sign {
+        "gain_relative_error": calibration.gain_error,
+        "full_well_counts": calibration.full_well.map(|full| full.counts),
+        "full_well_sign": calibration.full_well.map(|full| match full.sign {
             FullSign::Clipped => "readings pile up",
             FullSign::Turnover => "variance falls",
         }),
@@ -202,14 +202,14 @@ fn summary(found: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
         "hot_pixels": count(&faults.hot),
         "dead_pixels": count(&faults.dead),
         "unstable_pixels": count(&faults.unstable),
-        "response_non_uniformity": found.non_uniformity,
-        "flat_relative_error": found.flat_error,
-        "banding_counts": found.banding.row_counts,
-        "banding_electrons": found.banding.row_counts * gain,
-        "banding_is_real": found.banding.is_real,
-        "fixed_row_pattern_counts": found.banding.fixed_counts,
-        "remarks": found.remarks(),
-        "warnings": found.warnings,
+        "response_non_uniformity": calibration.non_uniformity,
+        "flat_relative_error": calibration.flat_error,
+        "banding_counts": calibration.banding.row_counts,
+        "banding_electrons": calibration.banding.row_counts * gain,
+        "banding_is_real": calibration.banding.is_real,
+        "fixed_row_pattern_counts": calibration.banding.fixed_counts,
+        "remarks": calibration.remarks(),
+        "warnings": calibration.warnings,
     })
 }
 
@@ -217,31 +217,31 @@ fn summary(found: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
 fn write(
     args: &SensorArgs,
     folder: &OutputFolder,
-    found: &SensorCalibration,
+    calibration: &SensorCalibration,
     experiment: Option<Experiment>,
     summary: &Value,
 ) -> Result<()> {
     folder.remove("sensor.json")?;
     let maps = [
-        ("dark.npy", &found.dark),
-        ("flat.npy", &found.flat),
-        ("response.npy", &found.response),
-        ("read_noise.npy", &found.read_noise),
+        ("dark.npy", &calibration.dark),
+        ("flat.npy", &calibration.flat),
+        ("response.npy", &calibration.response),
+        ("read_noise.npy", &calibration.read_noise),
     ];
     for (name, map) in maps {
         folder.write(name, |w| write_npy_image(w, map))?;
     }
-    let (rows, columns) = (found.dark.rows(), found.dark.columns());
+    let (rows, columns) = (calibration.dark.rows(), calibration.dark.columns());
     let mask: Vec<u8> = (0..rows * columns)
-        .map(|i| if found.faults.is_bad(i) { 255 } else { 0 })
+        .map(|i| if calibration.faults.is_bad(i) { 255 } else { 0 })
         .collect();
     folder.write("bad_pixels.png", |w| write_png8(w, rows, columns, &mask))?;
-    folder.write_bytes("sensor.toml", keys(found).as_bytes())?;
+    folder.write_bytes("sensor.toml", keys(calibration).as_bytes())?;
     if let Some(experiment) = experiment {
-        let text = calibrated(experiment, found, folder.path()).to_toml(folder.path());
+        let text = calibrated(experiment, calibration, folder.path()).to_toml(folder.path());
         folder.write_bytes("experiment.toml", text.as_bytes())?;
     }
-    let report = report::render(found, args)?;
+    let report = report::render(calibration, args)?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
     }
@@ -250,14 +250,18 @@ fn write(
 }
 
 /// `experiment` with what was `found` about the sensor; the files lie in `folder`.
-fn calibrated(experiment: Experiment, found: &SensorCalibration, folder: &Path) -> Experiment {
+fn calibrated(
+    experiment: Experiment,
+    calibration: &SensorCalibration,
+    folder: &Path,
+) -> Experiment {
     let mut params = experiment.params;
     params.sensor = Sensor {
-        bias_counts: Some(found.bias_counts.max(0.0)),
-        gain_electrons_per_count: Some(found.gain_electrons_per_count),
-        read_noise_electrons: Some(found.read_noise_electrons),
+        bias_counts: Some(calibration.bias_counts.max(0.0)),
+        gain_electrons_per_count: Some(calibration.gain_electrons_per_count),
+        read_noise_electrons: Some(calibration.read_noise_electrons),
         // What these flats do not reach an earlier calibration may have known.
-        full_well_counts: found
+        full_well_counts: calibration
             .full_well
             .map(|full| full.counts)
             .or(params.sensor.full_well_counts),
@@ -276,30 +280,30 @@ fn calibrated(experiment: Experiment, found: &SensorCalibration, folder: &Path) 
 }
 
 /// `sensor.toml`: the keys to be copied into an experiment file.
-fn keys(found: &SensorCalibration) -> String {
+fn keys(calibration: &SensorCalibration) -> String {
     let mut text = String::from("# For an experiment file in this folder.\n[camera]\n");
-    text += &format!("bias_counts = {:?}\n", found.bias_counts.max(0.0));
+    text += &format!("bias_counts = {:?}\n", calibration.bias_counts.max(0.0));
     text += &format!(
         "gain_electrons_per_count = {:?}\nread_noise_electrons = {:?}\n",
-        found.gain_electrons_per_count, found.read_noise_electrons
+        calibration.gain_electrons_per_count, calibration.read_noise_electrons
     );
-    if let Some(full) = found.full_well {
+    if let Some(full) = calibration.full_well {
         text += &format!("full_well_counts = {:?}\n", full.counts);
     }
     text + "\n[calibration]\ndark = \"dark.npy\"\nflat = \"flat.npy\"\nbad_pixels = \"bad_pixels.png\"\n"
 }
 
-fn print_summary(found: &SensorCalibration, folder: &OutputFolder) {
-    let faults = &found.faults;
+fn print_summary(calibration: &SensorCalibration, folder: &OutputFolder) {
+    let faults = &calibration.faults;
     let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
     say(format_args!(
         "gain {} electrons per count (±{:.1} %), read noise {} electrons, bias {} counts",
-        short(found.gain_electrons_per_count),
-        100.0 * found.gain_error,
-        short(found.read_noise_electrons),
-        short(found.bias_counts)
+        short(calibration.gain_electrons_per_count),
+        100.0 * calibration.gain_error,
+        short(calibration.read_noise_electrons),
+        short(calibration.bias_counts)
     ));
-    match found.full_well {
+    match calibration.full_well {
         Some(full) => say(format_args!("full well {} counts", short(full.counts))),
         None => say("full well not reached by these flats"),
     }

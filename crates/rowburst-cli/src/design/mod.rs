@@ -29,7 +29,7 @@ pub fn run(args: &DesignArgs) -> Result<()> {
         .as_deref()
         .map(|path| psf_of(path, &plan.camera))
         .transpose()?;
-    let found = assess(&plan.camera, &plan.optics, &plan.light, given.as_ref())
+    let assessment = assess(&plan.camera, &plan.optics, &plan.light, given.as_ref())
         .map_err(|e| args.naming_option(e))?;
     let folder = match &args.output {
         Some(path) => Some(OutputFolder::create(path)?),
@@ -37,18 +37,23 @@ pub fn run(args: &DesignArgs) -> Result<()> {
     };
     let map = match args.quick {
         true => None,
-        false => Some(map_of(&plan, &found, given.as_ref())?),
+        false => Some(map_of(&plan, &assessment, given.as_ref())?),
     };
-    let outcome = Outcome::new(&plan, &found, map.as_ref(), started.elapsed().as_secs_f64());
+    let outcome = Outcome::new(
+        &plan,
+        &assessment,
+        map.as_ref(),
+        started.elapsed().as_secs_f64(),
+    );
     if let Some(folder) = &folder {
         // One that cannot be simulated is only not shown.
         let psf = match given {
             Some(psf) => Some(psf),
-            None => simulated(&plan, &plan.camera, found.envelope_fwhm_px).ok(),
+            None => simulated(&plan, &plan.camera, assessment.envelope_fwhm_px).ok(),
         };
         let page = page::Page {
             plan: &plan,
-            found: &found,
+            assessment: &assessment,
             map: map.as_ref(),
             psf: psf.as_ref(),
             outcome: &outcome,
@@ -83,16 +88,16 @@ fn simulated(plan: &Plan, camera: &Camera, fwhm_px: f64) -> Result<Psf> {
 
 /// The success map, with the given PSF, or with speckle of the grain and, where the trial
 /// camera is smaller, an envelope in proportion.
-fn map_of(plan: &Plan, found: &Assessment, given: Option<&Psf>) -> Result<SuccessMap> {
+fn map_of(plan: &Plan, assessment: &Assessment, given: Option<&Psf>) -> Result<SuccessMap> {
     let camera = trial_camera(&plan.camera)?;
     let part = camera.rows() as f64 / plan.camera.rows() as f64;
     let psf = match given {
         Some(psf) => psf.clone(),
-        None => simulated(plan, &camera, part * found.envelope_fwhm_px)?,
+        None => simulated(plan, &camera, part * assessment.envelope_fwhm_px)?,
     };
-    let grain_px = found
+    let grain_px = assessment
         .measured_grain_px
-        .unwrap_or_else(|| found.grains.fwhm_px());
+        .unwrap_or_else(|| assessment.grains.fwhm_px());
     let mut params = SparsityParams::for_camera(&camera, grain_px, plan.seed);
     if !plan.trial_snrs.is_empty() {
         params.snrs = plan.trial_snrs.clone();

@@ -104,49 +104,54 @@ impl Map {
 }
 
 impl Outcome {
-    pub fn new(plan: &Plan, found: &Assessment, map: Option<&SuccessMap>, seconds: f64) -> Self {
-        let snr = found.signal.snr;
+    pub fn new(
+        plan: &Plan,
+        assessment: &Assessment,
+        map: Option<&SuccessMap>,
+        seconds: f64,
+    ) -> Self {
+        let snr = assessment.signal.snr;
         let constant = match map {
             Some(map) => map.constant_at(snr),
             None => Some(usual_constant(snr)),
         };
         let pixels = constant.map_or(0.0, |c| {
-            recoverable(found.measurements_per_bin, c, found.field_pixels)
+            recoverable(assessment.measurements_per_bin, c, assessment.field_pixels)
         });
         let aperture = plan.optics.aperture;
         Self {
             version: env!("CARGO_PKG_VERSION"),
-            grain_px: found.grains.grain_px,
-            grain_fwhm_px: found.grains.fwhm_px(),
-            measured_grain_px: found.measured_grain_px,
-            grain_sampled: found.grains.is_sampled(),
-            speckle_contrast: found.grains.contrast(),
+            grain_px: assessment.grains.grain_px,
+            grain_fwhm_px: assessment.grains.fwhm_px(),
+            measured_grain_px: assessment.measured_grain_px,
+            grain_sampled: assessment.grains.is_sampled(),
+            speckle_contrast: assessment.grains.contrast(),
             image_na: aperture.na(),
             image_distance_mm: aperture.image_distance_mm(),
             diffuser_deg: plan.optics.diffuser_fwhm_deg,
-            smallest_diffuser_deg: found.smallest_diffuser_deg,
-            envelope_fwhm_px: found.envelope_fwhm_px,
-            reach_needed_px: found.spread.needed_px,
-            reach: found.spread.reach,
-            reach_met: found.spread.reach >= rowburst::design::REACH,
-            light_lost_mean: found.spread.lost_mean,
-            light_lost_worst: found.spread.lost_worst,
-            frame_rate_hz: found.frame_rate_hz,
-            frames: found.frames,
-            camera_frame_rate_hz: found.camera_frame_rate_hz,
-            frame_rate_gain: found.frame_rate_hz / found.camera_frame_rate_hz,
-            electrons_mean: found.signal.mean,
-            electrons_peak: found.signal.peak,
-            noise_electrons: found.signal.noise,
-            saturates: !fits_full_well(&plan.camera, &found.signal, &plan.light),
+            smallest_diffuser_deg: assessment.smallest_diffuser_deg,
+            envelope_fwhm_px: assessment.envelope_fwhm_px,
+            reach_needed_px: assessment.spread.needed_px,
+            reach: assessment.spread.reach,
+            reach_met: assessment.spread.reach >= rowburst::design::REACH,
+            light_lost_mean: assessment.spread.lost_mean,
+            light_lost_worst: assessment.spread.lost_worst,
+            frame_rate_hz: assessment.frame_rate_hz,
+            frames: assessment.frames,
+            camera_frame_rate_hz: assessment.camera_frame_rate_hz,
+            frame_rate_gain: assessment.frame_rate_hz / assessment.camera_frame_rate_hz,
+            electrons_mean: assessment.signal.mean,
+            electrons_peak: assessment.signal.peak,
+            noise_electrons: assessment.signal.noise,
+            saturates: !fits_full_well(&plan.camera, &assessment.signal, &plan.light),
             snr_per_pixel: snr,
-            spectral_bandwidth_nm: found.bandwidth_nm,
-            diffraction_bandwidth_nm: found.diffraction_bandwidth_nm,
-            path_bandwidth_nm: found.path_bandwidth_nm,
+            spectral_bandwidth_nm: assessment.bandwidth_nm,
+            diffraction_bandwidth_nm: assessment.diffraction_bandwidth_nm,
+            path_bandwidth_nm: assessment.path_bandwidth_nm,
             source_bandwidth_nm: plan.light.source_bandwidth_nm,
-            contrast_kept: found.contrast_kept,
-            measurements_per_bin: found.measurements_per_bin,
-            field_pixels: found.field_pixels,
+            contrast_kept: assessment.contrast_kept,
+            measurements_per_bin: assessment.measurements_per_bin,
+            field_pixels: assessment.field_pixels,
             bright_pixels: plan.light.bright_pixels,
             recoverable_pixels_per_bin: pixels,
             recoverable_is_lower_bound: map.is_some_and(|m| m.is_lower_bound_at(snr)),
@@ -155,7 +160,7 @@ impl Outcome {
             success_map: map.map(Map::new),
             seed: plan.seed,
             seconds,
-            warnings: verdicts(found, &plan.camera, &plan.optics, &plan.light, pixels),
+            warnings: verdicts(assessment, &plan.camera, &plan.optics, &plan.light, pixels),
         }
     }
 

@@ -11,7 +11,7 @@ use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 /// What the page is made of.
 pub struct Page<'a> {
     pub plan: &'a Plan,
-    pub found: &'a Assessment,
+    pub assessment: &'a Assessment,
     pub map: Option<&'a SuccessMap>,
     pub psf: Option<&'a Psf>,
     pub outcome: &'a Outcome,
@@ -38,7 +38,7 @@ impl Page<'_> {
             ],
             None => vec![Vec::new(), Vec::new()],
         };
-        let reach = &self.found.spread.rows;
+        let reach = &self.assessment.spread.rows;
         let camera = &self.plan.camera;
         let places = |count: usize, of: usize| -> Vec<f64> {
             (0..count).map(|i| (i * of / count) as f64).collect()
@@ -120,7 +120,7 @@ impl Page<'_> {
 
     fn half_drawing(&self, map: &SuccessMap) -> Drawing<'_> {
         let points = map.params.snrs.iter().copied().zip(map.k50.iter().copied());
-        let snr = self.found.signal.snr;
+        let snr = self.assessment.signal.snr;
         let expected = map.k50_at(snr);
         Drawing {
             name: "recoverable",
@@ -164,7 +164,7 @@ impl Page<'_> {
             let photons = light.photons * 10f64.powf(f64::from(i) / 10.0);
             let at = signal(
                 &self.plan.camera,
-                &self.found.spread,
+                &self.assessment.spread,
                 &LightParams { photons, ..light },
             );
             (photons, at.snr)
@@ -182,7 +182,7 @@ impl Page<'_> {
                     },
                     Curve {
                         name: "this design".into(),
-                        points: vec![(light.photons, self.found.signal.snr)],
+                        points: vec![(light.photons, self.assessment.signal.snr)],
                         ink: Ink::Dots,
                     },
                 ],
@@ -193,8 +193,8 @@ impl Page<'_> {
     }
 
     fn colour_drawing(&self) -> Drawing<'_> {
-        let dispersion = &self.found.dispersion;
-        let end = 3.0 * self.found.bandwidth_nm;
+        let dispersion = &self.assessment.dispersion;
+        let end = 3.0 * self.assessment.bandwidth_nm;
         let curve = |of: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
             (0..=60)
                 .map(|i| f64::from(i) / 60.0 * end)
@@ -229,7 +229,7 @@ impl Page<'_> {
             },
             caption: format!(
                 "The correlation falls to one half at {:.1} nm: diffraction moves a grain at radius R by RΔλ/λ, and the path through the diffuser takes another phase.",
-                self.found.bandwidth_nm
+                self.assessment.bandwidth_nm
             ),
             alt: "Curves of correlation and contrast over wavelength.".into(),
         }

@@ -1,6 +1,6 @@
 //! The course of the solver.
 
-use super::{Drawn, Section};
+use super::{CaptionedFigure, Section};
 use crate::Iteration;
 use crate::chart::{Axis, Chart, Labels};
 use crate::figure::{Anchor, Figure, Rect};
@@ -11,7 +11,7 @@ type Quantity = (&'static str, fn(&Iteration) -> f64);
 
 /// Draws residual, change and PSNR (or objective) against iterations; nothing for fewer
 /// than two of them.
-pub(super) fn draw(iterations: &[Iteration]) -> Option<Drawn> {
+pub(super) fn draw(iterations: &[Iteration]) -> Option<CaptionedFigure> {
     let (first, last) = (iterations.first()?, iterations.last()?);
     if iterations.len() < 2 {
         return None;
@@ -65,7 +65,7 @@ pub(super) fn draw(iterations: &[Iteration]) -> Option<Drawn> {
     if has_psnr {
         caption += &format!(" Final objective: {}.", number(last.objective, 4));
     }
-    Some(Drawn {
+    Some(CaptionedFigure {
         name: "convergence",
         section: Section::Fit,
         figure,

@@ -2,7 +2,7 @@
 
 use rowburst::{Shape, TimeGrid, Video};
 
-use super::{Drawn, Section, Videos};
+use super::{CaptionedFigure, Section, Videos};
 use crate::ReportInput;
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
@@ -18,7 +18,7 @@ const HEAD: f64 = 40.0;
 const DIFFERENCE: f32 = 0.25;
 
 /// Draws the contact sheet.
-pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Drawn {
+pub(super) fn draw(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
     let bins = videos.video.shape().bins;
     match videos.truth {
         Some(truth) => compared(input, videos, truth, &spread(bins, 6)),
@@ -67,7 +67,12 @@ fn per_line(shape: Shape, most: usize) -> usize {
 }
 
 /// Truth, reconstruction and difference, one below the other.
-fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize]) -> Drawn {
+fn compared(
+    input: &ReportInput,
+    videos: &Videos,
+    truth: &Video,
+    bins: &[usize],
+) -> CaptionedFigure {
     let shape = videos.video.shape();
     let across = per_line(shape, 6);
     let (left, gap) = (24.0, 6.0);
@@ -115,7 +120,7 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
             }
         }
     }
-    Drawn {
+    CaptionedFigure {
         name: "frames",
         section: Section::Video,
         figure,
@@ -134,7 +139,7 @@ fn compared(input: &ReportInput, videos: &Videos, truth: &Video, bins: &[usize])
 }
 
 /// The reconstruction alone.
-fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
+fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigure {
     let shape = videos.video.shape();
     let across = per_line(shape, 4);
     let gap = 8.0;
@@ -157,7 +162,7 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> Drawn {
             colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "");
         }
     }
-    Drawn {
+    CaptionedFigure {
         name: "frames",
         section: Section::Video,
         figure,

@@ -2,7 +2,7 @@
 
 use rowburst::Image;
 
-use super::{Drawn, Section, Videos};
+use super::{CaptionedFigure, Section, Videos};
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::panel::{colour_bar, put, scale_bar};
@@ -11,10 +11,10 @@ use crate::stats::{display_high, display_low};
 use crate::{Direct, DirectOrigin, ReportInput};
 
 /// The captured frame.
-pub(super) fn frame(input: &ReportInput) -> Drawn {
+pub(super) fn frame(input: &ReportInput) -> CaptionedFigure {
     let image = input.frame;
     let size = format!("{} × {}", image.rows(), image.columns());
-    Drawn {
+    CaptionedFigure {
         name: "frame",
         section: Section::Measurement,
         figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
@@ -33,10 +33,10 @@ pub(super) fn frame(input: &ReportInput) -> Drawn {
 }
 
 /// The point spread function.
-pub(super) fn psf(input: &ReportInput) -> Drawn {
+pub(super) fn psf(input: &ReportInput) -> CaptionedFigure {
     let image = input.psf;
     let size = format!("{} × {}", image.rows(), image.columns());
-    Drawn {
+    CaptionedFigure {
         name: "psf",
         section: Section::Measurement,
         figure: picture(
@@ -55,7 +55,7 @@ pub(super) fn psf(input: &ReportInput) -> Drawn {
 }
 
 /// The scene as the camera sees it without the diffuser.
-pub(super) fn direct(input: &ReportInput, direct: Direct) -> Drawn {
+pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     let image = direct.image;
     // One of another size has pixels of which nothing is known.
     let is_of_sensor =
@@ -75,7 +75,7 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> Drawn {
              meanwhile is lost."
         }
     };
-    Drawn {
+    CaptionedFigure {
         name: "direct",
         section: Section::Measurement,
         figure: picture(image, Map::Grey, "recorded signal", pitch_um),
@@ -85,7 +85,7 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> Drawn {
 }
 
 /// A reconstruction of a single bin, beside its truth.
-pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
+pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
     let shape = videos.video.shape();
     let mut figure = Figure::new(800.0, 0.0);
     let panels: Vec<_> = [
@@ -112,7 +112,7 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> Drawn {
     colour_bar(&mut figure, last, Map::Light, range, "brightness");
     scale_bar(&mut figure, last, shape.columns, input.pixel_pitch_um);
     figure.set_height(last.bottom().max(120.0) + 22.0);
-    Drawn {
+    CaptionedFigure {
         name: "reconstruction",
         section: Section::Video,
         figure,

@@ -27,7 +27,7 @@ pub(crate) enum Section {
 }
 
 /// A figure with its words.
-pub(crate) struct Drawn {
+pub(crate) struct CaptionedFigure {
     /// File name without extension, and id in the page.
     pub name: &'static str,
     pub section: Section,
@@ -50,7 +50,7 @@ struct Videos<'a> {
 
 /// All figures, in the order of the page; each is drawn when it is asked for, so that
 /// only one is held at a time.
-pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = Drawn> + 'a {
+pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = CaptionedFigure> + 'a {
     let projection = Projection::of(input.video);
     let truth = input.truth.map(Projection::of);
     let high = display_high(&truth.as_ref().unwrap_or(&projection).max);

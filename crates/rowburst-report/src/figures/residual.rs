@@ -1,6 +1,6 @@
 //! The residual: its map, and its histogram against the unit Gaussian.
 
-use super::{Drawn, Section};
+use super::{CaptionedFigure, Section};
 use crate::ReportInput;
 use crate::chart::{Axis, Chart, Labels};
 use crate::colour::Map;
@@ -15,7 +15,7 @@ const HALF_MAP: f32 = 4.0;
 const HALF_HISTOGRAM: f64 = 5.0;
 
 /// Draws the map and the histogram.
-pub(super) fn draw(input: &ReportInput) -> Drawn {
+pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     let image = input.residual;
     let mut figure = Figure::new(800.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
@@ -51,7 +51,7 @@ pub(super) fn draw(input: &ReportInput) -> Drawn {
     if m.non_finite > 0 {
         caption += &format!(" {} pixels that are not finite are grey.", m.non_finite);
     }
-    Drawn {
+    CaptionedFigure {
         name: "residual",
         section: Section::Fit,
         figure,

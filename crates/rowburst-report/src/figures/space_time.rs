@@ -9,7 +9,7 @@
 
 use rowburst::Video;
 
-use super::{Drawn, Section, Videos};
+use super::{CaptionedFigure, Section, Videos};
 use crate::ReportInput;
 use crate::chart::Axis;
 use crate::colour::{Map, srgb, time_hue};
@@ -36,8 +36,8 @@ const BOX: &str = r##"style="stroke:#8b95a3;stroke-opacity:0.45;stroke-width:0.8
 const WORDS: &str = "#cfd6df";
 
 /// Draws the body and the slice, or nothing where the video is dark.
-pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
-    let bright = Bright::of(videos.video, DARKEST * videos.high, MOST);
+pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigure> {
+    let bright = BrightVoxels::of(videos.video, DARKEST * videos.high, MOST);
     if bright.of == 0 {
         return None;
     }
@@ -62,7 +62,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
         true => format!("All {of}"),
         false => format!("{shown} of {of}, drawn by lot from the"),
     };
-    Some(Drawn {
+    Some(CaptionedFigure {
         name: "space-time",
         section: Section::Video,
         figure,
@@ -80,14 +80,14 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
 }
 
 /// Bright voxels, not more than can be drawn.
-struct Bright {
+struct BrightVoxels {
     /// Pixel and brightness over the threshold's white point, bin after bin.
     bins: Vec<Vec<(usize, f32)>>,
     /// How many there are.
     of: usize,
 }
 
-impl Bright {
+impl BrightVoxels {
     /// The voxels from `darkest` on, or about `most` of them drawn by lot: the brightest
     /// alone would leave out what is faint, every n-th would draw stripes.
     fn of(video: &Video, darkest: f32, most: usize) -> Self {
@@ -161,7 +161,13 @@ impl View {
     }
 }
 
-fn body(figure: &mut Figure, place: Rect, input: &ReportInput, videos: &Videos, bright: &Bright) {
+fn body(
+    figure: &mut Figure,
+    place: Rect,
+    input: &ReportInput,
+    videos: &Videos,
+    bright: &BrightVoxels,
+) {
     let shape = videos.video.shape();
     // Room for the numbers, left and below.
     let available = Rect::new(
@@ -364,12 +370,12 @@ mod tests {
         video.data_mut().fill(1.0);
         video.data_mut()[3] = 0.1;
         video.data_mut()[4] = f32::NAN;
-        let bright = Bright::of(&video, 0.5, 4000);
+        let bright = BrightVoxels::of(&video, 0.5, 4000);
         assert_eq!(bright.of, 19_998);
         assert!((3800..4200).contains(&bright.shown()), "{}", bright.shown());
         assert!(bright.bins.iter().all(|b| (300..500).contains(&b.len())));
-        assert_eq!(Bright::of(&video, 0.5, 20_000).shown(), 19_998);
-        assert_eq!(Bright::of(&video, 2.0, 20_000).of, 0);
+        assert_eq!(BrightVoxels::of(&video, 0.5, 20_000).shown(), 19_998);
+        assert_eq!(BrightVoxels::of(&video, 2.0, 20_000).of, 0);
     }
 
     #[test]

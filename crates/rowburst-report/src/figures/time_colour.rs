@@ -2,7 +2,7 @@
 
 use rowburst::Image;
 
-use super::{Drawn, Section, Videos};
+use super::{CaptionedFigure, Section, Videos};
 use crate::ReportInput;
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
@@ -13,7 +13,11 @@ use crate::projection::{Projection, legend};
 use crate::stats::{display_high, display_low};
 
 /// Draws the projection of the reconstruction, beside that of the truth.
-pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projection>) -> Drawn {
+pub(super) fn draw(
+    input: &ReportInput,
+    videos: &Videos,
+    truth: Option<Projection>,
+) -> CaptionedFigure {
     let shape = videos.video.shape();
     let mut figure = Figure::new(800.0, 0.0);
     let mut panels: Vec<Panel> = [
@@ -69,7 +73,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos, truth: Option<Projectio
         figure.text(x, bar.bottom() + 16.0, Anchor::Middle, "muted", &text);
     }
     figure.set_height(bar.bottom() + 24.0);
-    Drawn {
+    CaptionedFigure {
         name: "time-colour",
         section: Section::Video,
         figure,

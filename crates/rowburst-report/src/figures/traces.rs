@@ -3,14 +3,14 @@
 use rowburst::Video;
 use rowburst::traces::Region;
 
-use super::{Drawn, Section, Videos};
+use super::{CaptionedFigure, Section, Videos};
 use crate::chart::{Axis, Chart, Labels};
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, frequency, frequency_with_error};
 use crate::panel::{put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
-use crate::{PlacedTrace, ReportInput};
+use crate::{AnnotatedTrace, ReportInput};
 
 /// Colours of the places, told apart by colour-blind readers too, on white and on black; as many
 /// traces are drawn.
@@ -21,7 +21,7 @@ const COLOURS: [&str; 8] = [
 const HALF_95: f64 = 1.96;
 
 /// Draws the traces, or nothing where there are none.
-pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
+pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigure> {
     let shape = videos.video.shape();
     let traces = &input.traces[..input.traces.len().min(COLOURS.len())];
     if traces.is_empty() {
@@ -42,8 +42,8 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
     let strip = if traces.len() > 3 { 62.0 } else { 96.0 };
     let mut bottom: f64 = 0.0;
     let range = common_range(traces, truths.as_deref());
-    for (i, placed) in traces.iter().enumerate() {
-        let trace = &placed.trace;
+    for (i, annotated) in traces.iter().enumerate() {
+        let trace = &annotated.trace;
         let chart = Chart {
             place: Rect::new(330.0, 20.0 + i as f64 * (strip + 22.0), 460.0, strip),
             x: Axis::linear(
@@ -76,7 +76,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
         let fill = format!(r#"style="fill:{colour};fill-opacity:0.28;stroke:none""#);
         chart.band(&mut figure, &band, &fill);
         let thin = r#"style="stroke-width:0.8;stroke-opacity:0.75""#;
-        for diode in &placed.photodiodes {
+        for diode in &annotated.photodiodes {
             let inside = diode.points.iter().map(|&(t, v)| (t / unit.us, v));
             let inside: Vec<(f64, f64)> = inside
                 .filter(|(t, _)| (0.0..=shape.bins as f64 * step_us / unit.us).contains(t))
@@ -96,7 +96,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
         let text = format!("{} · {}", i + 1, place_of(&trace.region));
         figure.text(32.0, y, Anchor::Start, "", &text);
         let mut label = format!("{}", i + 1);
-        if let Some(found) = &placed.frequency {
+        if let Some(found) = &annotated.frequency {
             let text = frequency_with_error(found.hertz, found.error_hz);
             label += &format!(" · {text}");
         }
@@ -106,7 +106,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<Drawn> {
     figure.text_upwards(284.0, (20.0 + bottom) / 2.0, "", "brightness");
     let legend = place.bottom() + 40.0 + 20.0 * traces.len() as f64;
     figure.set_height((bottom + 42.0).max(legend));
-    Some(Drawn {
+    Some(CaptionedFigure {
         name: "traces",
         section: Section::Video,
         figure,
@@ -129,7 +129,7 @@ fn place_of(region: &Region) -> String {
 }
 
 /// The range of brightness that all traces are drawn in; wide errors do not stretch it without end.
-fn common_range(traces: &[PlacedTrace], truths: Option<&[Vec<f64>]>) -> (f64, f64) {
+fn common_range(traces: &[AnnotatedTrace], truths: Option<&[Vec<f64>]>) -> (f64, f64) {
     let values = traces.iter().flat_map(|t| &t.trace.debiased);
     let all = values.chain(truths.into_iter().flatten().flatten());
     let (mut low, mut high) = all
@@ -138,12 +138,12 @@ fn common_range(traces: &[PlacedTrace], truths: Option<&[Vec<f64>]>) -> (f64, f6
             (low.min(v), high.max(v))
         });
     let (least, most) = (-0.35 * high, 1.35 * high);
-    for placed in traces {
-        let pairs = placed
+    for annotated in traces {
+        let pairs = annotated
             .trace
             .debiased
             .iter()
-            .zip(&placed.trace.standard_error);
+            .zip(&annotated.trace.standard_error);
         for (v, e) in pairs.filter(|(v, e)| v.is_finite() && e.is_finite()) {
             low = low.min((v - HALF_95 * e).max(least));
             high = high.max((v + HALF_95 * e).min(most));
@@ -153,7 +153,7 @@ fn common_range(traces: &[PlacedTrace], truths: Option<&[Vec<f64>]>) -> (f64, f6
     (if low < 0.0 { low - margin } else { 0.0 }, high + margin)
 }
 
-fn caption(has_truth: bool, traces: &[PlacedTrace], rate_hz: f64) -> String {
+fn caption(has_truth: bool, traces: &[AnnotatedTrace], rate_hz: f64) -> String {
     let has_errors = traces
         .iter()
         .any(|t| t.trace.mean_standard_error().is_some());
@@ -172,8 +172,8 @@ fn caption(has_truth: bool, traces: &[PlacedTrace], rate_hz: f64) -> String {
     };
     if traces.iter().any(|t| !t.photodiodes.is_empty()) {
         text += "; thin lines are photodiodes, shifted and scaled to fit: ";
-        let diodes = traces.iter().enumerate().flat_map(|(i, placed)| {
-            let one = move |d: &crate::LaidOver| {
+        let diodes = traces.iter().enumerate().flat_map(|(i, annotated)| {
+            let one = move |d: &crate::AlignedSignal| {
                 format!(
                     "{} over {} (correlation {:.3})",
                     d.name,
@@ -181,7 +181,7 @@ fn caption(has_truth: bool, traces: &[PlacedTrace], rate_hz: f64) -> String {
                     d.correlation
                 )
             };
-            placed.photodiodes.iter().map(one)
+            annotated.photodiodes.iter().map(one)
         });
         text += &diodes.collect::<Vec<_>>().join(", ");
     }
@@ -221,7 +221,12 @@ fn caption(has_truth: bool, traces: &[PlacedTrace], rate_hz: f64) -> String {
 }
 
 /// The largest values over time, with the spots marked.
-fn map(figure: &mut Figure, input: &ReportInput, videos: &Videos, traces: &[PlacedTrace]) -> Rect {
+fn map(
+    figure: &mut Figure,
+    input: &ReportInput,
+    videos: &Videos,
+    traces: &[AnnotatedTrace],
+) -> Rect {
     let projection = &videos.projection;
     let (rows, columns) = (projection.rows, projection.columns);
     let plane = Plane::reduced(rows, columns, &projection.max, LONGEST_SIDE / 2);
@@ -232,8 +237,8 @@ fn map(figure: &mut Figure, input: &ReportInput, videos: &Videos, traces: &[Plac
         plane.coloured(Map::Grey, 0.0, videos.high),
     );
     scale_bar(figure, place, columns, input.pixel_pitch_um);
-    for (i, placed) in traces.iter().enumerate() {
-        let region = placed.trace.region;
+    for (i, annotated) in traces.iter().enumerate() {
+        let region = annotated.trace.region;
         let middle = |first: usize, count: usize| first as f64 + 0.5 * count as f64;
         let x = place.x + middle(region.x, region.columns) / columns as f64 * place.width;
         let y = place.y + middle(region.y, region.rows) / rows as f64 * place.height;

@@ -68,14 +68,14 @@ pub(super) enum Scratch<T> {
 
 /// The light of a field, and the rows of the sensor that read it: `values[i, x]` is row `rows[i]` of the convolved
 /// light.
-pub(super) struct Reading<'a, T> {
+pub(super) struct ForwardJob<'a, T> {
     pub light: &'a [T],
     pub rows: &'a [usize],
     pub values: &'a mut [T],
 }
 
 /// The adjoint: what `values` of some rows send back to a field. Rows of it that are dark in `mask` are not wanted.
-pub(super) struct Spreading<'a, T> {
+pub(super) struct AdjointJob<'a, T> {
     pub values: &'a [T],
     pub rows: &'a [usize],
     pub mask: Option<&'a [u8]>,
@@ -112,7 +112,7 @@ impl<T: Scalar> Engine<T> {
     }
 
     /// Writes the values of all `fields`.
-    pub fn read(&self, fields: &mut [Reading<T>], scratch: &mut Scratch<T>) {
+    pub fn read(&self, fields: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         match (self, scratch) {
             (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.read(fields, s),
             (Self::Planar(engine), Scratch::Planar(s, _)) => {
@@ -128,7 +128,7 @@ impl<T: Scalar> Engine<T> {
     /// whole rows from pixel `start` on, until all that is wanted was written.
     pub fn spread(
         &self,
-        fields: &[Spreading<T>],
+        fields: &[AdjointJob<T>],
         scratch: &mut Scratch<T>,
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {

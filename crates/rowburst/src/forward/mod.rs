@@ -21,7 +21,7 @@ mod tests;
 
 use crate::linop::{LinearOperator, Scalar, WritePart, write_parts};
 use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
-use engine::{Engine, Geometry, Reading, Spreading};
+use engine::{AdjointJob, Engine, ForwardJob, Geometry};
 use planar::Planar;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -180,7 +180,7 @@ impl<T: Scalar> RollingShutter<T> {
     }
 
     /// Writes the values of all `fields`.
-    fn read(&self, fields: &mut [Reading<T>], scratch: &mut Scratch<T>) {
+    fn read(&self, fields: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         if let [
             Layer {
                 share: None,
@@ -202,7 +202,7 @@ impl<T: Scalar> RollingShutter<T> {
                         shared.for_each(|((s, &v), &a)| *s = v * T::from(a));
                     }
                 }
-                let part = Reading {
+                let part = ForwardJob {
                     light: &scratch.light,
                     rows: field.rows,
                     values: &mut scratch.values,
@@ -216,7 +216,7 @@ impl<T: Scalar> RollingShutter<T> {
     /// The adjoint of [`Self::read`]; see [`Engine::spread`].
     fn spread(
         &self,
-        fields: &[Spreading<T>],
+        fields: &[AdjointJob<T>],
         scratch: &mut Scratch<T>,
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
@@ -293,8 +293,8 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
                     .map(|instant| vec![T::zero(); rows(instant).len() * columns])
                     .collect();
                 let fields = group.iter().zip(&lights).zip(&mut values);
-                let mut fields: Vec<Reading<T>> = fields
-                    .map(|((instant, light), values)| Reading {
+                let mut fields: Vec<ForwardJob<T>> = fields
+                    .map(|((instant, light), values)| ForwardJob {
                         light,
                         rows: rows(instant),
                         values,
@@ -345,9 +345,9 @@ impl<T: Scalar> RollingShutter<T> {
                     .clone()
                     .map(|i| lines_of(frame, &self.places_of[i], self.geometry.columns))
                     .collect();
-                let fields: Vec<Spreading<T>> = instants
+                let fields: Vec<AdjointJob<T>> = instants
                     .zip(&values)
-                    .map(|(i, values)| Spreading {
+                    .map(|(i, values)| AdjointJob {
                         values,
                         rows: &self.rows_of[i],
                         mask: mask(i),

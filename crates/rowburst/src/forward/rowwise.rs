@@ -14,7 +14,7 @@
 //! forward and adjoint: `Re F⁻¹` keeps of `Z Q = V_y P_d + V_{y+1} P_{d−1} + i (V_{y+1} P_d − V_y P_{d−1})`
 //! what is the spectrum of a real line. One complex transform for two rows, and nothing is ever taken apart.
 
-use super::engine::{Geometry, Reading, Spreading, transforms};
+use super::engine::{AdjointJob, ForwardJob, Geometry, transforms};
 use crate::Psf;
 use crate::linop::Scalar;
 use crate::vecmath::{add_conjugate_products, add_products, simd};
@@ -110,7 +110,7 @@ impl<T: Scalar> Rowwise<T> {
         size_of_val(self.psf.as_slice())
     }
 
-    pub fn read(&self, fields: &mut [Reading<T>], scratch: &mut Scratch<T>) {
+    pub fn read(&self, fields: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
         let lines = fields.iter().map(|field| field.rows.len()).sum::<usize>();
         scratch.sums.clear();
@@ -168,7 +168,7 @@ impl<T: Scalar> Rowwise<T> {
     /// light of a field, from `start` on.
     pub fn spread(
         &self,
-        fields: &[Spreading<T>],
+        fields: &[AdjointJob<T>],
         scratch: &mut Scratch<T>,
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {

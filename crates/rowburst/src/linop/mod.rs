@@ -18,7 +18,7 @@ pub use cosine::Cosine;
 pub use differences::{Axis, Differences};
 pub use norm::operator_norm;
 pub use wavelet::Wavelet;
-pub use weighted::Weighted;
+pub use weighted::WeightedOperator;
 
 use crate::vecmath::Lanes;
 use rayon::prelude::*;

@@ -44,7 +44,7 @@ pub fn operator_norm(operator: &dyn LinearOperator) -> f64 {
 mod tests {
     use super::*;
     use crate::Shape;
-    use crate::linop::{Axis, Differences, Weighted};
+    use crate::linop::{Axis, Differences, WeightedOperator};
 
     /// `diag(1, −3, 2)` above a row of zeros.
     struct Diagonal;
@@ -67,10 +67,10 @@ mod tests {
     #[test]
     fn of_a_diagonal_its_largest_element() {
         assert!((operator_norm(&Diagonal) - 3.0).abs() < 1e-4);
-        let scaled = Weighted::new(Diagonal, Some(vec![1e-6; 4]));
+        let scaled = WeightedOperator::new(Diagonal, Some(vec![1e-6; 4]));
         assert!((operator_norm(&scaled) - 3e-6).abs() < 1e-10);
         assert_eq!(
-            operator_norm(&Weighted::new(Diagonal, Some(vec![0.0; 4]))),
+            operator_norm(&WeightedOperator::new(Diagonal, Some(vec![0.0; 4]))),
             0.0
         );
     }

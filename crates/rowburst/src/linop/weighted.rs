@@ -6,12 +6,12 @@ use std::borrow::Cow;
 /// `W A`: element `i` of the output of `operator` times `weights[i]`.
 ///
 /// Adjoint: `Aᵀ W`. Cost: that of `operator`.
-pub struct Weighted<O> {
+pub struct WeightedOperator<O> {
     operator: O,
     weights: Option<Vec<f32>>,
 }
 
-impl<O: LinearOperator> Weighted<O> {
+impl<O: LinearOperator> WeightedOperator<O> {
     /// `W A`; without weights `A` itself.
     ///
     /// # Panics
@@ -46,7 +46,7 @@ impl<O: LinearOperator> Weighted<O> {
     }
 }
 
-impl<O: LinearOperator> LinearOperator for Weighted<O> {
+impl<O: LinearOperator> LinearOperator for WeightedOperator<O> {
     fn domain_len(&self) -> usize {
         self.operator.domain_len()
     }

@@ -45,7 +45,7 @@ pub struct Composite {
     shape: Shape,
     variation: Variation,
     group: f64,
-    terms: Vec<Weighted>,
+    terms: Vec<WeightedTerm>,
     fewest: usize,
     most: usize,
     /// `q` of the last call, and the point where the terms have been subtracted; empty without any.
@@ -55,7 +55,7 @@ pub struct Composite {
     steps_taken: usize,
 }
 
-struct Weighted {
+struct WeightedTerm {
     weight: f64,
     term: Box<dyn DualTerm>,
 }
@@ -81,7 +81,7 @@ impl Composite {
     #[must_use]
     pub fn with(mut self, weight: f64, term: impl DualTerm + 'static) -> Self {
         let term = Box::new(term);
-        self.terms.push(Weighted { weight, term });
+        self.terms.push(WeightedTerm { weight, term });
         self
     }
 
@@ -128,7 +128,7 @@ impl Composite {
     /// One step of every dual from `z(p)`; returns the gap there.
     fn step_duals(&mut self, q: &[f32], z: &[f32], norms: f64) -> f64 {
         let mut value = self.variation.value(z) + self.group_norm(z);
-        for Weighted { weight, term } in &mut self.terms {
+        for WeightedTerm { weight, term } in &mut self.terms {
             let step = STEP / (term.norm_squared().sqrt() * norms);
             let radius = self.scale * *weight;
             value += *weight * term.step(z, step as f32, radius as f32);

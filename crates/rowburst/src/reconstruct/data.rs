@@ -4,7 +4,7 @@ use super::held_out::HeldOut;
 use super::model::Model;
 use crate::camera::CameraParams;
 use crate::linop::{
-    Background, LinearOperator, Scalar, Weighted, WithBackground, WritePart, sum_of_bins,
+    Background, LinearOperator, Scalar, WeightedOperator, WithBackground, WritePart, sum_of_bins,
     write_parts,
 };
 use crate::measurement::{Measurement, NoiseLaw};
@@ -30,8 +30,8 @@ const MIN_RHO_SINGLE: f64 = 1e-5;
 pub(super) struct FrameData {
     model: Model,
     /// `W A`, and the same of both parts of a video.
-    operator: Arc<Weighted<Arc<RollingShutter>>>,
-    with_background: WithBackground<Arc<Weighted<Arc<RollingShutter>>>>,
+    operator: Arc<WeightedOperator<Arc<RollingShutter>>>,
+    with_background: WithBackground<Arc<WeightedOperator<Arc<RollingShutter>>>>,
     background: Background,
     /// What convolves the whole field at once, where the second part stands still.
     planes: Option<RollingShutter>,
@@ -121,7 +121,7 @@ impl FrameData {
         let shutter = model.shutter();
         let frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
-        let operator = Arc::new(Weighted::new(Arc::clone(shutter), weights.clone()));
+        let operator = Arc::new(WeightedOperator::new(Arc::clone(shutter), weights.clone()));
         let background = Background::None;
         let all = GramOf {
             model,
@@ -284,7 +284,10 @@ impl FrameData {
             let weights = weights.get_or_insert_with(|| vec![1.0; self.frame.len()]);
             held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
         }
-        self.operator = Arc::new(Weighted::new(Arc::clone(self.model.shutter()), weights));
+        self.operator = Arc::new(WeightedOperator::new(
+            Arc::clone(self.model.shutter()),
+            weights,
+        ));
         self.with_background =
             WithBackground::new(Arc::clone(&self.operator), self.shape(), self.background);
         self.weigh_frame();
@@ -507,7 +510,7 @@ impl DataTerm for FrameData {
 }
 
 /// `W A E`: a picture that all bins show.
-struct Border<'a>(&'a Weighted<Arc<RollingShutter>>);
+struct Border<'a>(&'a WeightedOperator<Arc<RollingShutter>>);
 
 impl LinearOperator for Border<'_> {
     fn domain_len(&self) -> usize {
@@ -537,7 +540,7 @@ type ActiveVoxels<'a> = (Option<&'a Support>, Background);
 #[derive(Clone, Copy)]
 struct GramOf<'a> {
     model: &'a Model,
-    operator: &'a Arc<Weighted<Arc<RollingShutter>>>,
+    operator: &'a Arc<WeightedOperator<Arc<RollingShutter>>>,
     active: ActiveVoxels<'a>,
 }
 

@@ -11,11 +11,11 @@ mod prior;
 mod sequence;
 mod sigma;
 
-use choose::Tried;
+use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
 pub use chunked::Chunked;
 pub use data_step::DataStep;
-pub use fit::{Fit, FitStatistics, Verdict, Without};
+pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
 pub use prior::{FurtherWeights, Prior};
 pub use sequence::Sequence;
@@ -227,8 +227,8 @@ impl Problem {
     }
 
     /// Judges what was found.
-    fn conclude(&self, found: Found, history: &[f64]) -> Result<Reconstruction> {
-        let Found {
+    fn conclude(&self, found: RunResult, history: &[f64]) -> Result<Reconstruction> {
+        let RunResult {
             prior,
             freedom,
             choice,
@@ -310,7 +310,7 @@ impl Problem {
         mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Option<Choice>, StopReason> {
-        let stopped = |found: Box<Found>| found.solution.stop_reason;
+        let stopped = |found: Box<RunResult>| found.solution.stop_reason;
         let rule = self.rule(observer).map_err(stopped)?;
         let chosen = self.choice(rule, observer).map_err(stopped)?;
         Ok(chosen.map(|(choice, _)| choice))
@@ -320,7 +320,7 @@ impl Problem {
     fn rule(
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> std::result::Result<TauRule, Box<Found>> {
+    ) -> std::result::Result<TauRule, Box<RunResult>> {
         let standard = self.options.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
@@ -338,7 +338,7 @@ impl Problem {
         &mut self,
         rule: TauRule,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> std::result::Result<Option<(Choice, Option<Tried>)>, Box<Found>> {
+    ) -> std::result::Result<Option<(Choice, Option<BestTrial>)>, Box<RunResult>> {
         // The candidates differ in how they treat time.
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
@@ -352,12 +352,12 @@ impl Problem {
     fn find(
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> std::result::Result<Found, Box<Found>> {
+    ) -> std::result::Result<RunResult, Box<RunResult>> {
         let rule = self.rule(observer)?;
-        let (choice, tried) = match self.options.prior {
+        let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
             None => match self.choice(rule, observer)? {
-                Some((choice, tried)) => (Some(choice), tried),
+                Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),
             },
         };
@@ -392,16 +392,16 @@ impl Problem {
             .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
         let solution = run.solution(&self.data, &*prox, stop_reason);
         // Stopped soon after its start: the trial of this prior was nearer.
-        if let (StopReason::Interrupted | StopReason::TimeBudget, Some(tried)) =
-            (stop_reason, tried)
-            && tried.misfit() < crate::vecmath::norm(&solution.residual)
+        if let (StopReason::Interrupted | StopReason::TimeBudget, Some(best_trial)) =
+            (stop_reason, best_trial)
+            && best_trial.misfit() < crate::vecmath::norm(&solution.residual)
         {
-            let found = tried.stopped(&self.data, stop_reason);
-            return Ok(Found { choice, ..*found });
+            let found = best_trial.stopped(&self.data, stop_reason);
+            return Ok(RunResult { choice, ..*found });
         }
-        Ok(Found {
+        Ok(RunResult {
             choice,
-            ..Found::new(prior, &*prox, shape, solution)
+            ..RunResult::new(prior, &*prox, shape, solution)
         })
     }
 }
@@ -423,7 +423,7 @@ fn show(
 }
 
 /// What a run ends with.
-struct Found {
+struct RunResult {
     prior: Prior,
     /// Degrees of freedom of the video.
     freedom: f64,
@@ -431,7 +431,7 @@ struct Found {
     solution: Solution,
 }
 
-impl Found {
+impl RunResult {
     fn new(prior: Prior, prox: &dyn Prox, shape: Shape, solution: Solution) -> Self {
         let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
         Self {

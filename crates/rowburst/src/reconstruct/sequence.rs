@@ -8,7 +8,9 @@
 //! it begins from nothing.
 
 use super::sigma::Bands;
-use super::{Found, Model, Options, Prior, Problem, Reconstruction, SigmaSource, Tau, noise_of};
+use super::{
+    Model, Options, Prior, Problem, Reconstruction, RunResult, SigmaSource, Tau, noise_of,
+};
 use crate::Result;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
@@ -134,7 +136,7 @@ impl PreviousFrame {
     fn conclude(&mut self, reason: StopReason, history: &[f64]) -> Result<Reconstruction> {
         let (problem, prox) = (&self.problem, &*self.prox);
         let solution = self.run.snapshot(&problem.data, prox, reason);
-        let found = Found::new(problem.prior(), prox, problem.data.shape(), solution);
+        let found = RunResult::new(problem.prior(), prox, problem.data.shape(), solution);
         problem.conclude(found, history)
     }
 

@@ -15,7 +15,7 @@
 
 use super::admm::Progress;
 use super::run::{Iterate, Watch, begin, relative_change};
-use super::{Certified, Limits, Objective, StopReason};
+use super::{CertifiedSolution, Limits, Objective, StopReason};
 use crate::linop::{LinearOperator, operator_norm};
 use crate::vecmath::{distance_squared, dot};
 use std::ops::ControlFlow;
@@ -58,7 +58,7 @@ pub fn solve(
     start: Option<&[f32]>,
     params: &FistaParams,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> Certified {
+) -> CertifiedSolution {
     let operator = objective.operator();
     let norm = (MARGIN * operator_norm(operator)).max(f64::MIN_POSITIVE.sqrt());
     let step = 1.0 / norm.powi(2);

@@ -11,7 +11,7 @@
 
 use super::admm::Progress;
 use super::run::{Iterate, Watch, begin, relative_change};
-use super::{Certified, Limits, Objective, StopReason};
+use super::{CertifiedSolution, Limits, Objective, StopReason};
 use crate::linop::operator_norm;
 use crate::vecmath::{dot, norm_squared};
 use crate::{Error, Result};
@@ -57,7 +57,7 @@ pub fn solve(
     start: Option<&[f32]>,
     params: &GpsrParams,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> Result<Certified> {
+) -> Result<CertifiedSolution> {
     let weights = objective.weights();
     if weights.space > 0.0 || weights.time > 0.0 {
         return Err(Error::input(

@@ -13,7 +13,7 @@ mod run;
 
 pub use certificate::{Certificate, Certifier};
 pub use objective::Objective;
-pub use run::{Certified, Limits};
+pub use run::{CertifiedSolution, Limits};
 
 use crate::Support;
 use crate::linop::{LinearOperator, WritePart};

@@ -18,7 +18,7 @@ use super::admm::Progress;
 use super::certificate::{Certifier, residual};
 use super::fista::MARGIN;
 use super::run::{Iterate, Watch, begin, relative_change};
-use super::{Certified, Limits, Objective, StopReason};
+use super::{CertifiedSolution, Limits, Objective, StopReason};
 use crate::linop::{LinearOperator, operator_norm};
 use std::ops::ControlFlow;
 
@@ -52,7 +52,7 @@ pub fn solve(
     start: Option<&[f32]>,
     params: &PrimalDualParams,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> Certified {
+) -> CertifiedSolution {
     let (operator, k) = (objective.operator(), objective.differences());
     let power = (MARGIN * operator_norm(operator))
         .powi(2)

@@ -27,7 +27,7 @@ impl Default for Limits {
 
 /// What a reference solver found.
 #[derive(Debug, Clone)]
-pub struct Certified {
+pub struct CertifiedSolution {
     /// The video, `[t, y, x]`.
     pub video: Vec<f32>,
     /// `b − A v`.
@@ -130,10 +130,10 @@ impl<'a, 'o> Watch<'a, 'o> {
     }
 
     /// The result; `A v` is computed afresh.
-    pub fn finish(self, video: Vec<f32>, stop_reason: StopReason) -> Certified {
+    pub fn finish(self, video: Vec<f32>, stop_reason: StopReason) -> CertifiedSolution {
         let mut light = vec![0.0; self.objective.operator().range_len()];
         self.objective.operator().apply(&video, &mut light);
-        Certified {
+        CertifiedSolution {
             residual: residual(self.objective, &light),
             certificate: Certificate {
                 primal: self.objective.value_with(&video, &light),

@@ -34,12 +34,12 @@ pub struct Frequency {
     /// Whether it cannot be told from half the frame rate: the error then reaches below only.
     pub is_half_rate: bool,
     /// Harmonics that were fitted along.
-    pub harmonics: Vec<Folded>,
+    pub harmonics: Vec<AliasedHarmonic>,
 }
 
 /// A harmonic as it appears in a trace.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Folded {
+pub struct AliasedHarmonic {
     /// Its number; 1 is the frequency itself.
     pub order: usize,
     /// Where it appears, in hertz, at most half the frame rate.
@@ -80,8 +80,8 @@ pub fn frequency_of(trace: &[f64], errors: &[f64], rate_hz: f64) -> Option<Frequ
     let mut orders = vec![1];
     let mut cycles = data.refine(tone.hertz / rate_hz, &orders);
     for order in 2..=HIGHEST {
-        let place = folded(order as f64 * cycles);
-        let mut others = orders.iter().map(|&h| folded(h as f64 * cycles));
+        let place = alias(order as f64 * cycles);
+        let mut others = orders.iter().map(|&h| alias(h as f64 * cycles));
         let is_apart = others.all(|other| (other - place).abs() * n >= APART);
         if !is_apart || place * n < APART || (0.5 - place) * n < APART {
             continue;
@@ -115,9 +115,9 @@ pub fn frequency_of(trace: &[f64], errors: &[f64], rate_hz: f64) -> Option<Frequ
         });
     }
     let (amplitude, amplitude_error) = best.amplitude_of(1);
-    let harmonic = |&order: &usize| Folded {
+    let harmonic = |&order: &usize| AliasedHarmonic {
         order,
-        hertz: folded(order as f64 * cycles) * rate_hz,
+        hertz: alias(order as f64 * cycles) * rate_hz,
         amplitude: best.amplitude_of(order).0,
     };
     Some(Frequency {
@@ -132,7 +132,7 @@ pub fn frequency_of(trace: &[f64], errors: &[f64], rate_hz: f64) -> Option<Frequ
 }
 
 /// Where a frequency of `cycles` a bin appears, from 0 to ½.
-fn folded(cycles: f64) -> f64 {
+fn alias(cycles: f64) -> f64 {
     let part = cycles.fract();
     part.min(1.0 - part)
 }

@@ -16,9 +16,9 @@ mod region;
 mod spot;
 mod tone;
 
-pub use frequency::{Folded, Frequency, frequency_of};
-pub use photodiode::{Aligned, Photodiode};
-pub use refit::{Debiased, Evidence, Refit};
+pub use frequency::{AliasedHarmonic, Frequency, frequency_of};
+pub use photodiode::{Alignment, Photodiode};
+pub use refit::{DebiasedVideo, Evidence, Refit};
 pub use region::{Region, Trace};
 pub use spot::{Spot, brightest_regions, brightest_spots};
 pub use tone::{Tone, strongest_tone};

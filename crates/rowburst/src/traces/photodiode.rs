@@ -18,7 +18,7 @@ pub struct Photodiode {
 
 /// A photodiode's signal laid over a trace.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Aligned {
+pub struct Alignment {
     /// The trace that it fits best.
     pub trace: usize,
     /// Correlation with it, −1…1.
@@ -115,7 +115,7 @@ impl Photodiode {
 
     /// Lays the signal over that of `traces` that it fits best; `None` where it covers less than
     /// half of the bins at every shift, or no trace changes.
-    pub fn align(&self, traces: &[Trace], time: &TimeGrid) -> Option<Aligned> {
+    pub fn align(&self, traces: &[Trace], time: &TimeGrid) -> Option<Alignment> {
         let step = time.bin_duration_us();
         let (first, last) = (self.times_us[0], self.times_us[self.times_us.len() - 1]);
         let length = step * time.bins() as f64;
@@ -157,7 +157,7 @@ impl Photodiode {
             .min_by(|&a, &b| fits[a].0.abs().total_cmp(&fits[b].0.abs()))?;
         let shift_us = self.refined(fits[peak].0, step / STEPS_PER_BIN, time, &traces[trace]);
         let fit = Fit::of(&self.binned(time, shift_us), &traces[trace].debiased)?;
-        Some(Aligned {
+        Some(Alignment {
             trace,
             correlation: fit.correlation,
             shift_us,

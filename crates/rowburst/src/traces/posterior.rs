@@ -20,13 +20,13 @@ pub(super) struct Information {
 }
 
 /// `Lᵀ Aᵀ A L` and `Lᵀ Aᵀ b` of a prior; its amplitude is still open.
-pub(super) struct Whitened {
+pub(super) struct WhitenedSystem {
     root: Mat<f64>,
     gram: Mat<f64>,
     projected: Mat<f64>,
 }
 
-impl Whitened {
+impl WhitenedSystem {
     /// `None` where `K` is not positive definite.
     pub fn new(information: &Information, covariance: &Mat<f64>) -> Option<Self> {
         let root = covariance.llt(Side::Lower).ok()?.L().to_owned();
@@ -136,7 +136,7 @@ mod tests {
             gram: a.transpose() * &a,
             projected: a.transpose() * &b,
         };
-        let whitened = Whitened::new(&information, &k).unwrap();
+        let whitened = WhitenedSystem::new(&information, &k).unwrap();
         let (posterior, evidence) = whitened.estimate(1.3).unwrap();
         let k = k * faer::Scale(1.69);
         let m = &a * &k * a.transpose() + Mat::<f64>::identity(5, 5);
@@ -169,7 +169,7 @@ mod tests {
             projected: Mat::zeros(2, 1),
         };
         let k = Mat::from_fn(2, 2, |i, j| if i == j { 4.0 } else { 1.0 });
-        let (posterior, _) = Whitened::new(&information, &k)
+        let (posterior, _) = WhitenedSystem::new(&information, &k)
             .unwrap()
             .estimate(0.5)
             .unwrap();

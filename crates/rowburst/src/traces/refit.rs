@@ -33,7 +33,7 @@
 //! Bins must be independent: exposures longer than a row couple them, and are refused.
 
 use super::kernel::{Voxel, covariance, scales};
-use super::posterior::{Information, Posterior, Whitened};
+use super::posterior::{Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
 use crate::shape::InstantWeights;
 use crate::solve::admm::brightness;
@@ -70,7 +70,7 @@ pub struct Refit<'a> {
 
 /// A video of refitted voxels.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Debiased {
+pub struct DebiasedVideo {
     /// `max(E v_S, 0)`, and 0 outside `S`.
     pub video: Video,
     /// Light of the refit over light of the reconstruction.
@@ -206,7 +206,7 @@ impl<'a> Refit<'a> {
     }
 
     /// The video with its lit voxels as the refit has them.
-    pub fn video(&self) -> Debiased {
+    pub fn video(&self) -> DebiasedVideo {
         let old = self.evidence.video;
         let shape = old.shape();
         let mut video = old.clone();
@@ -244,7 +244,7 @@ impl<'a> Refit<'a> {
                 });
             if before > 0.0 { after / before } else { 1.0 }
         };
-        Debiased {
+        DebiasedVideo {
             light: ratio(f64::NEG_INFINITY),
             bright_light: ratio(0.5 * self.brightness),
             video,
@@ -346,7 +346,7 @@ impl<'a> Refit<'a> {
     }
 
     fn estimate(&self, system: &System) -> Option<Posterior> {
-        let whitened = system.whitened(&system.information(), self.length_px)?;
+        let whitened = system.whiten(&system.information(), self.length_px)?;
         Some(whitened.estimate(self.amplitude)?.0)
     }
 
@@ -417,7 +417,7 @@ impl<'a> Refit<'a> {
             gram: dark.matrix.transpose() * &dark.matrix - half.transpose() * &half,
             projected: dark.matrix.transpose() * rest,
         };
-        let whitened = dark.whitened(&information, self.length_px)?;
+        let whitened = dark.whiten(&information, self.length_px)?;
         let (found, _) = whitened.estimate(self.amplitude)?;
         let (weights, _) = mean_weights(&dark.voxels, region, bin);
         let values = weights.iter().enumerate();
@@ -452,9 +452,9 @@ impl<'a> Refit<'a> {
             return;
         }
         let informations: Vec<Information> = samples.par_iter().map(System::information).collect();
-        let whitened = |length: f64| -> Option<Vec<Whitened>> {
+        let whitened = |length: f64| -> Option<Vec<WhitenedSystem>> {
             let pairs = samples.par_iter().zip(&informations);
-            pairs.map(|(s, info)| s.whitened(info, length)).collect()
+            pairs.map(|(s, info)| s.whiten(info, length)).collect()
         };
         let mut amplitude = self.amplitude;
         let mut tried = [None; LENGTHS_PX.len()];
@@ -529,8 +529,8 @@ impl System {
         }
     }
 
-    fn whitened(&self, information: &Information, length_px: f64) -> Option<Whitened> {
-        Whitened::new(information, &covariance(&self.voxels, length_px))
+    fn whiten(&self, information: &Information, length_px: f64) -> Option<WhitenedSystem> {
+        WhitenedSystem::new(information, &covariance(&self.voxels, length_px))
     }
 }
 
@@ -571,7 +571,7 @@ fn mean_square_nearby(voxels: &[Voxel], values: &Mat<f64>, region: &Region, bin:
 }
 
 /// The amplitude at which the data are most likely, and how unlikely they then are.
-fn best_amplitude(whitened: &[Whitened], start: f64) -> (f64, f64) {
+fn best_amplitude(whitened: &[WhitenedSystem], start: f64) -> (f64, f64) {
     let value = |ln_a: f64| -> f64 {
         let parts: Option<Vec<f64>> = whitened
             .par_iter()

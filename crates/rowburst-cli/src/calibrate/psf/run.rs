@@ -7,9 +7,9 @@ use super::report::{Pages, render};
 use crate::calibrate::experiment_of;
 use crate::outcome::say;
 use rowburst::calibrate::psf::{
-    Light, MemoryEffect, MergeParams, Placed, Shot, ballistic_core, centroid, chosen,
-    memory_effect, merge, noise_of, patch_set, patches_needed, placed, row_reach, span_px,
-    statistics, without_noise,
+    Light, MemoryEffect, MergeParams, PositionedCapture, Shot, ballistic_core, centred_psfs,
+    centroid, memory_effect, merge, noise_of, patch_set, patches_needed, row_reach, select_patches,
+    span_px, statistics, suppress_noise,
 };
 use rowburst::{Error, Image, PatchSet, Result};
 use rowburst_io::{Experiment, OutputFolder, read_image, write_npy_image, write_patch_set};
@@ -42,11 +42,14 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         None => (None, Vec::new()),
         Some(positions) => {
             let rough = statistics(&lights[lights.len() / 2].image).grain_px;
-            let shots = lights.iter().zip(positions).map(|(light, at)| Placed {
-                light: light.image.clone(),
-                at_mm: *at,
-            });
-            let shots: Vec<Placed> = shots.collect();
+            let shots = lights
+                .iter()
+                .zip(positions)
+                .map(|(light, at)| PositionedCapture {
+                    light: light.image.clone(),
+                    at_mm: *at,
+                });
+            let shots: Vec<PositionedCapture> = shots.collect();
             let effect = memory_effect(&shots, rough)?;
             (Some(effect), shots)
         }
@@ -57,11 +60,11 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     let core = ballistic_core(&light.image, speckle.grain_px);
     let middle = centroid(&speckle.envelope);
     let cleaned = |light: &Image| {
-        without_noise(light, speckle.grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
+        suppress_noise(light, speckle.grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
     };
     let (rows, columns) = (light.image.rows(), light.image.columns());
     let zero = ((rows / 2) as f64, (columns / 2) as f64);
-    let psf = placed(
+    let psf = centred_psfs(
         &[&cleaned(&light.image)],
         &[(zero.0 - middle.0, zero.1 - middle.1)],
     )?
@@ -92,7 +95,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         (Some(effect), Some(positions)) => {
             let kept: Vec<usize> = match args.all_patches {
                 true => (0..positions.len()).collect(),
-                false => chosen(positions, effect, field),
+                false => select_patches(positions, effect, field),
             };
             let cleaned: Vec<Image> = placed_lights.iter().map(|p| cleaned(&p.light)).collect();
             Some(patch_set(&cleaned, positions, effect, &kept, middle)?)

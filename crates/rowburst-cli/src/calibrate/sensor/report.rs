@@ -7,16 +7,16 @@ use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
 use rowburst_run::short;
 
 /// The page and its pictures.
-pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
+pub fn render(calibration: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
     let reproduce = command_line(args);
-    let spot = spot_px(found);
-    let faults = fault_map(found, spot);
+    let spot = spot_px(calibration);
+    let faults = fault_map(calibration, spot);
     let kept = |image: &Image| -> Vec<f64> {
         let pixels = image.data().iter().enumerate();
-        let good = pixels.filter(|(i, _)| !found.faults.is_bad(*i));
+        let good = pixels.filter(|(i, _)| !calibration.faults.is_bad(*i));
         good.map(|(_, &p)| f64::from(p)).collect()
     };
-    let (dark, read) = (kept(&found.dark), kept(&found.read_noise));
+    let (dark, read) = (kept(&calibration.dark), kept(&calibration.read_noise));
     let drawing = |name, plot, caption: &str, alt: &str| Drawing {
         name,
         plot,
@@ -28,18 +28,18 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
         quantity,
         range: Some(middle(values)),
     };
-    let response = kept(&found.response);
+    let response = kept(&calibration.response);
     // Means of whole counts over n frames are multiples of 1/n.
-    let step = found
+    let step = calibration
         .whole_counts
-        .then(|| 1.0 / found.dark_drift.len() as f64);
+        .then(|| 1.0 / calibration.dark_drift.len() as f64);
     let sections = vec![
         (
             "Noise",
             vec![
                 drawing(
                     "photon-transfer",
-                    photon_transfer(found),
+                    photon_transfer(calibration),
                     "Variance of a pixel, from differences of two flats of one level, over the light: each ring is a level and a range of the field's brightness. The slope of the line is 1/gain; rings on it mean shot noise and nothing else. Those left out are saturated, or above 70 % of saturation.",
                     "Rings of variance against light, and the fitted line.",
                 ),
@@ -57,7 +57,7 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
                 ),
                 drawing(
                     "row-means",
-                    rows(found),
+                    rows(calibration),
                     "Mean of each row of the first dark above the mean dark. The dashed lines are twice what pixel noise gives: rows that wander far outside have noise of their own (banding).",
                     "Row means of one dark frame over the rows.",
                 ),
@@ -68,19 +68,19 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
             vec![
                 drawing(
                     "dark-map",
-                    map(&found.dark, "dark (counts)", &dark),
+                    map(&calibration.dark, "dark (counts)", &dark),
                     "Mean dark. Columns, corners and glow are taken away by it. Black and white are the middle 99 %.",
                     "Map of the dark level.",
                 ),
                 drawing(
                     "response-map",
-                    map(&found.response, "response", &response),
+                    map(&calibration.response, "response", &response),
                     "Response to the flats' light, mean 1. What is uneven in the light itself shows here as well, and would be taken for the sensor's.",
                     "Map of the response.",
                 ),
                 drawing(
                     "read-noise-map",
-                    map(&found.read_noise, "read noise (electrons)", &read),
+                    map(&calibration.read_noise, "read noise (electrons)", &read),
                     "Read noise of each pixel: even grain is best.",
                     "Map of the read noise.",
                 ),
@@ -93,7 +93,7 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
                     },
                     &format!(
                         "{} pixels that get no weight, counted in spots of {spot}×{spot}. Single pixels scattered at random are what sensors have; whole rows, columns or corners point to the frames.",
-                        found.faults.count()
+                        calibration.faults.count()
                     ),
                     "Map of the bad pixels.",
                 ),
@@ -104,17 +104,21 @@ pub fn render(found: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
         title: "Rowburst: sensor",
         summary: format!(
             "{}×{} pixels, from {} darks and {} flats at {} levels of light.",
-            found.dark.rows(),
-            found.dark.columns(),
-            found.dark_drift.len(),
-            found.levels.iter().map(|l| l.frames.len()).sum::<usize>(),
-            found.levels.len()
+            calibration.dark.rows(),
+            calibration.dark.columns(),
+            calibration.dark_drift.len(),
+            calibration
+                .levels
+                .iter()
+                .map(|l| l.frames.len())
+                .sum::<usize>(),
+            calibration.levels.len()
         ),
-        warnings: found.warnings.clone(),
+        warnings: calibration.warnings.clone(),
         notes: Vec::new(),
-        headline: headline(found),
+        headline: headline(calibration),
         sections,
-        tables: tables(found),
+        tables: tables(calibration),
         files: files(args),
         reproduce: Some(&reproduce),
     }
@@ -125,25 +129,25 @@ fn pair(name: &str, value: String) -> (String, String) {
     (name.into(), value)
 }
 
-fn headline(found: &SensorCalibration) -> Vec<(String, String)> {
-    let gain = short(found.gain_electrons_per_count);
-    let full = found.full_well.map_or("not reached".into(), |full| {
+fn headline(calibration: &SensorCalibration) -> Vec<(String, String)> {
+    let gain = short(calibration.gain_electrons_per_count);
+    let full = calibration.full_well.map_or("not reached".into(), |full| {
         format!("{} counts", short(full.counts))
     });
     vec![
         pair("gain", format!("{gain} electrons per count")),
         pair(
             "read noise",
-            format!("{} electrons", short(found.read_noise_electrons)),
+            format!("{} electrons", short(calibration.read_noise_electrons)),
         ),
-        pair("bias", format!("{} counts", short(found.bias_counts))),
+        pair("bias", format!("{} counts", short(calibration.bias_counts))),
         pair("full well", full),
-        pair("bad pixels", found.faults.count().to_string()),
+        pair("bad pixels", calibration.faults.count().to_string()),
     ]
 }
 
-fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
-    let gain = found.gain_electrons_per_count;
+fn tables(calibration: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
+    let gain = calibration.gain_electrons_per_count;
     let electrons = |counts: f64| {
         format!(
             "{} counts, {} electrons",
@@ -153,19 +157,25 @@ fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
     };
     let percent = |part: f64| format!("{:.2} %", 100.0 * part);
     let count = |flags: &[bool]| flags.iter().filter(|f| **f).count().to_string();
-    let banding = &found.banding;
+    let banding = &calibration.banding;
     let numbers = vec![
-        pair("gain, standard error", percent(found.gain_error)),
+        pair("gain, standard error", percent(calibration.gain_error)),
         pair(
             "read noise, median",
-            format!("{} electrons", short(found.read_noise_electrons)),
+            format!("{} electrons", short(calibration.read_noise_electrons)),
         ),
         pair(
             "read noise, rms",
-            format!("{} electrons", short(found.read_noise_rms_electrons)),
+            format!("{} electrons", short(calibration.read_noise_rms_electrons)),
         ),
-        pair("response, pixel to pixel", percent(found.non_uniformity)),
-        pair("error of a pixel of the flat", percent(found.flat_error)),
+        pair(
+            "response, pixel to pixel",
+            percent(calibration.non_uniformity),
+        ),
+        pair(
+            "error of a pixel of the flat",
+            percent(calibration.flat_error),
+        ),
         pair("banding: a row's own noise", electrons(banding.row_counts)),
         pair(
             "what pixel noise gives a row's mean",
@@ -181,17 +191,17 @@ fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
         ),
     ];
     let faults = vec![
-        pair("hot: dark level stands out", count(&found.faults.hot)),
+        pair("hot: dark level stands out", count(&calibration.faults.hot)),
         pair(
             "dead: response far from its neighbours'",
-            count(&found.faults.dead),
+            count(&calibration.faults.dead),
         ),
         pair(
             "unstable: noise out of proportion",
-            count(&found.faults.unstable),
+            count(&calibration.faults.unstable),
         ),
     ];
-    let levels = found.levels.iter().map(|level| {
+    let levels = calibration.levels.iter().map(|level| {
         pair(
             &format!("{} counts of light", short(level.light)),
             format!(
@@ -201,7 +211,7 @@ fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
             ),
         )
     });
-    let remarks = found.remarks().into_iter().filter_map(|remark| {
+    let remarks = calibration.remarks().into_iter().filter_map(|remark| {
         let (name, text) = remark.split_once(": ")?;
         Some(pair(name, text.into()))
     });
@@ -213,22 +223,24 @@ fn tables(found: &SensorCalibration) -> Vec<(String, Vec<(String, String)>)> {
     ]
 }
 
-fn photon_transfer(found: &SensorCalibration) -> Plot<'static> {
+fn photon_transfer(calibration: &SensorCalibration) -> Plot<'static> {
     let points = |used: bool| -> Vec<(f64, f64)> {
-        let matching = found.transfer.iter().filter(|p| p.used == used);
+        let matching = calibration.transfer.iter().filter(|p| p.used == used);
         matching.map(|p| (p.light, p.variance)).collect()
     };
     let (used, left) = (points(true), points(false));
     let all = || used.iter().chain(&left);
     let far = all().map(|p| p.0).fold(0.0, f64::max);
-    let high = all().map(|p| p.1).fold(found.line.at(far), f64::max);
+    let high = all().map(|p| p.1).fold(calibration.line.at(far), f64::max);
     let line = (0..=100).map(|i| far * f64::from(i) / 100.0);
     let mut curves = vec![Curve {
         name: format!(
             "fit: {} electrons per count",
-            short(found.gain_electrons_per_count)
+            short(calibration.gain_electrons_per_count)
         ),
-        points: line.map(|light| (light, found.line.at(light))).collect(),
+        points: line
+            .map(|light| (light, calibration.line.at(light)))
+            .collect(),
         ink: Ink::Line,
     }];
     curves.push(Curve {
@@ -299,8 +311,8 @@ fn histogram(values: &[f64], quantity: &'static str, step: Option<f64>) -> Plot<
     }
 }
 
-fn rows(found: &SensorCalibration) -> Plot<'static> {
-    let banding = &found.banding;
+fn rows(calibration: &SensorCalibration) -> Plot<'static> {
+    let banding = &calibration.banding;
     let last = banding.first.len().max(2) as f64 - 1.0;
     let level = |name: &str, value: f64| Curve {
         name: name.into(),
@@ -335,16 +347,20 @@ fn rows(found: &SensorCalibration) -> Plot<'static> {
 const SPOTS: usize = 130;
 
 /// Side of a spot of that picture, in pixels.
-fn spot_px(found: &SensorCalibration) -> usize {
-    found.dark.rows().max(found.dark.columns()).div_ceil(SPOTS)
+fn spot_px(calibration: &SensorCalibration) -> usize {
+    calibration
+        .dark
+        .rows()
+        .max(calibration.dark.columns())
+        .div_ceil(SPOTS)
 }
 
 /// Bad pixels counted in spots of `spot` × `spot`.
-fn fault_map(found: &SensorCalibration, spot: usize) -> Image {
-    let (rows, columns) = (found.dark.rows(), found.dark.columns());
+fn fault_map(calibration: &SensorCalibration, spot: usize) -> Image {
+    let (rows, columns) = (calibration.dark.rows(), calibration.dark.columns());
     let mut map = Image::zeros(rows.div_ceil(spot), columns.div_ceil(spot));
     let wide = map.columns();
-    for i in (0..rows * columns).filter(|&i| found.faults.is_bad(i)) {
+    for i in (0..rows * columns).filter(|&i| calibration.faults.is_bad(i)) {
         map.data_mut()[(i / columns / spot) * wide + i % columns / spot] += 1.0;
     }
     map

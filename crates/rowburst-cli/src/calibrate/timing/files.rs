@@ -2,7 +2,7 @@
 
 use super::TimingArgs;
 use crate::calibrate::experiment_of;
-use rowburst::calibrate::timing::{After, Light, Signal, Timing};
+use rowburst::calibrate::timing::{Extension, Light, Signal, Timing};
 use rowburst::{Error, Image, Result, Shutter};
 use rowburst_io::{Calibration, Experiment, OutputFolder, read_colour_image, write_npy_i64};
 use std::path::Path;
@@ -56,9 +56,9 @@ impl Plan {
         let (mut binning, mut expected) = (1, None);
         if let Some(camera) = &camera {
             let rows = frames[0].rows();
-            let wanted = camera.sensor().binning;
-            if rows == camera.rows() * wanted {
-                binning = wanted;
+            let camera_binning = camera.sensor().binning;
+            if rows == camera.rows() * camera_binning {
+                binning = camera_binning;
             } else if rows != camera.rows() {
                 warnings.push(format!(
                     "the frames have {rows} rows, the experiment {}: the row time is taken to be that of both",
@@ -131,13 +131,13 @@ impl Plan {
 fn light(args: &TimingArgs) -> Result<Light> {
     match (&args.signal, args.frequency_hz) {
         (Some(path), _) => {
-            let after = if args.repeat {
-                After::Repeats
+            let extension = if args.repeat {
+                Extension::Repeats
             } else {
-                After::Holds
+                Extension::Holds
             };
             let points = read_points(path)?;
-            let signal = Signal::new(&points, after).map_err(|e| e.within(path.display()))?;
+            let signal = Signal::new(&points, extension).map_err(|e| e.within(path.display()))?;
             Ok(Light::Known(signal))
         }
         (None, Some(frequency_hz)) => Ok(Light::Periodic {

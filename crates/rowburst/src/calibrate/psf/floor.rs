@@ -109,9 +109,9 @@ fn rough_grain(image: &Image) -> f64 {
         .clamp(1.0, 30.0)
 }
 
-/// What [`without_noise`] left.
+/// What [`suppress_noise`] left.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Cleaned {
+pub struct DenoisedLight {
     /// The light, non-negative.
     pub image: Image,
     /// Part of the pixels that were set to zero as unlit.
@@ -124,7 +124,7 @@ pub struct Cleaned {
 /// raise the contrast. So only pixels around which no light is found are emptied: those
 /// where the mean over two grains is below `k` times the noise of such a mean.
 /// Elsewhere only negative values become zero.
-pub fn without_noise(light: &Image, grain: f64, sigma: f64, k: f64) -> Cleaned {
+pub fn suppress_noise(light: &Image, grain: f64, sigma: f64, k: f64) -> DenoisedLight {
     let scale = (2.0 * grain).max(2.0);
     let mean = smoothed(light, scale);
     let independent = 4.0 * std::f64::consts::PI * scale * scale;
@@ -141,7 +141,7 @@ pub fn without_noise(light: &Image, grain: f64, sigma: f64, k: f64) -> Cleaned {
     for y in 0..light.rows() {
         empty += (0..light.columns()).filter(|&x| unlit(y, x)).count();
     }
-    Cleaned {
+    DenoisedLight {
         unlit_part: empty as f64 / light.data().len() as f64,
         image,
     }

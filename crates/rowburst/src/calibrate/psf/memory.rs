@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 /// A capture at a known place of the source.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Placed {
+pub struct PositionedCapture {
     /// The light, above its floor.
     pub light: Image,
     /// Place of the source in millimetres `(y, x)`.
@@ -63,7 +63,7 @@ const TRUSTED: f64 = 0.35;
 /// # Errors
 /// Fewer than three captures, two at one place, and captures of which none but the
 /// reference shows its pattern, so that no shift can be measured.
-pub fn memory_effect(captures: &[Placed], grain: f64) -> Result<MemoryEffect> {
+pub fn memory_effect(captures: &[PositionedCapture], grain: f64) -> Result<MemoryEffect> {
     let places: Vec<(f64, f64)> = captures.iter().map(|c| c.at_mm).collect();
     check(&places)?;
     let reference = middle(&places);

@@ -256,10 +256,10 @@ fn saturation(image: &Image, known: Option<f64>) -> Option<f64> {
 }
 
 /// Captures that are kept, and names and correlations of those left out.
-type Sorted = (Vec<usize>, Vec<(String, f64)>);
+type AgreeingCaptures = (Vec<usize>, Vec<(String, f64)>);
 
 /// Which captures show the pattern of the others, and those that do not.
-fn agreeing(shots: &[Shot], rates: &[Rate]) -> Result<Sorted> {
+fn agreeing(shots: &[Shot], rates: &[Rate]) -> Result<AgreeingCaptures> {
     let all: Vec<usize> = (0..rates.len()).collect();
     if all.len() == 1 {
         return Ok((all, Vec::new()));

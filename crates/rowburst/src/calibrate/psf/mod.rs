@@ -2,7 +2,7 @@
 //! optics.
 //!
 //! ```text
-//! captures ──merge──▶ Light ──without_noise──▶ light ≥ 0 ──placed──▶ Psf
+//! captures ──merge──▶ Light ──suppress_noise──▶ light ≥ 0 ──placed──▶ Psf
 //!                                       │
 //!                                       ├─ statistics: contrast, grain, histogram
 //!                                       ├─ ballistic_core: light that was not scattered
@@ -22,9 +22,9 @@ mod reach;
 mod statistics;
 
 pub use ballistic::{Core, ballistic_core};
-pub use floor::{Cleaned, Floor, noise_of, without_noise};
-pub use memory::{MemoryEffect, Placed, memory_effect};
+pub use floor::{DenoisedLight, Floor, noise_of, suppress_noise};
+pub use memory::{MemoryEffect, PositionedCapture, memory_effect};
 pub use merge::{Light, MergeParams, Shot, merge};
-pub use place::{centroid, chosen, patch_set, patches_needed, placed, span_px};
+pub use place::{centred_psfs, centroid, patch_set, patches_needed, select_patches, span_px};
 pub use reach::{LEAST_REACH, Reach, row_reach};
 pub use statistics::{BIN, Speckle, statistics};

@@ -37,7 +37,7 @@ const MAX_LOST_FRACTION: f64 = 1e-3;
 ///
 /// # Errors
 /// A picture without light.
-pub fn placed(lights: &[&Image], moves: &[(f64, f64)]) -> Result<Vec<Psf>> {
+pub fn centred_psfs(lights: &[&Image], moves: &[(f64, f64)]) -> Result<Vec<Psf>> {
     let mut padding = (0usize, 0usize);
     for (light, m) in lights.iter().zip(moves) {
         let (y, x) = lost(light, *m);
@@ -91,7 +91,7 @@ fn lost(light: &Image, (dy, dx): (f64, f64)) -> (f64, f64) {
 ///
 /// Of places whose geometric image lies farther outside a `field` of `(rows, columns)`
 /// pixels than the spacing none is taken: the field's edge has nearer ones.
-pub fn chosen(
+pub fn select_patches(
     places: &[(f64, f64)],
     effect: &MemoryEffect,
     field: Option<(usize, usize)>,
@@ -126,8 +126,8 @@ fn covering(places: &[(f64, f64)], reference: usize, spacing_mm: f64) -> Vec<usi
     };
     let (rows, columns) = (lines(|p| p.0), lines(|p| p.1));
     if rows.len() * columns.len() == places.len() {
-        let keep_y = thinned(&rows, places[reference].0, spacing_mm);
-        let keep_x = thinned(&columns, places[reference].1, spacing_mm);
+        let keep_y = thin_lines(&rows, places[reference].0, spacing_mm);
+        let keep_x = thin_lines(&columns, places[reference].1, spacing_mm);
         let on = |lines: &[f64], v: f64| lines.iter().any(|l| (l - v).abs() < 1e-6);
         return (0..places.len())
             .filter(|&i| on(&keep_y, places[i].0) && on(&keep_x, places[i].1))
@@ -152,7 +152,7 @@ fn covering(places: &[(f64, f64)], reference: usize, spacing_mm: f64) -> Vec<usi
 }
 
 /// Sorted `lines` from `start` outwards in steps of at most `spacing`, with both ends.
-fn thinned(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
+fn thin_lines(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
     let mut kept = vec![start];
     for sign in [1.0, -1.0] {
         let mut distances: Vec<f64> = lines.iter().map(|l| sign * (l - start)).collect();
@@ -222,7 +222,7 @@ pub fn patch_set(
         })
         .collect();
     let kept: Vec<&Image> = kept.iter().map(|&i| &lights[i]).collect();
-    PatchSet::new(placed(&kept, &moves)?, offsets)
+    PatchSet::new(centred_psfs(&kept, &moves)?, offsets)
 }
 
 #[cfg(test)]
@@ -232,13 +232,13 @@ mod tests {
     #[test]
     fn lines_are_no_closer_than_they_need_be() {
         let lines: Vec<f64> = (-20..=20).map(|i| 0.05 * f64::from(i)).collect();
-        let mut kept = thinned(&lines, 0.0, 0.19);
+        let mut kept = thin_lines(&lines, 0.0, 0.19);
         kept.sort_by(f64::total_cmp);
         // Steps of 0.15, and the ends.
         assert_eq!(kept.len(), 15);
         assert!((kept[0] + 1.0).abs() < 1e-9 && (kept[14] - 1.0).abs() < 1e-9);
         assert!(kept.windows(2).all(|w| w[1] - w[0] < 0.19));
         // Lines farther apart than the spacing are all needed.
-        assert_eq!(thinned(&[-3.0, 0.0, 3.0], 0.0, 1.0).len(), 3);
+        assert_eq!(thin_lines(&[-3.0, 0.0, 3.0], 0.0, 1.0).len(), 3);
     }
 }

@@ -60,7 +60,7 @@ pub fn statistics(light: &Image) -> Speckle {
     // changes the grain by some per cent, the third by less than one.
     for _ in 0..3 {
         let envelope = local_mean(light, grain);
-        let normalised = Normalised::new(light, &envelope);
+        let normalised = NormalisedSpeckle::new(light, &envelope);
         let auto = Autocovariance::of(&normalised);
         grain = (auto.width_y * auto.width_x)
             .sqrt()
@@ -99,13 +99,13 @@ fn high(envelope: &Image) -> f32 {
 }
 
 /// Intensity over local mean in the lit region.
-struct Normalised {
+struct NormalisedSpeckle {
     values: Image,
     lit: Image,
     mean: f64,
 }
 
-impl Normalised {
+impl NormalisedSpeckle {
     fn new(light: &Image, envelope: &Image) -> Self {
         let least = LIT as f32 * high(envelope);
         let lit = Image::from_fn(light.rows(), light.columns(), |y, x| {
@@ -171,7 +171,7 @@ struct Autocovariance {
 
 impl Autocovariance {
     /// Over pairs of lit pixels only: without padding's triangle, without wrap-around.
-    fn of(normalised: &Normalised) -> Self {
+    fn of(normalised: &NormalisedSpeckle) -> Self {
         let (rows, columns) = (normalised.values.rows(), normalised.values.columns());
         let mut centred = normalised.values.clone();
         for (v, &lit) in centred.data_mut().iter_mut().zip(normalised.lit.data()) {

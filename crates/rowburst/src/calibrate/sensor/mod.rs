@@ -29,7 +29,7 @@ use pixels::ROUNDING_VARIANCE;
 use rows::Banding;
 use stack::Moments;
 pub use stack::Stack;
-use transfer::{Lit, TransferLine, TransferPoint};
+use transfer::{FlatSeries, TransferLine, TransferPoint};
 
 /// A calibrated sensor; maps are `[y, x]` on the grid of the frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -163,14 +163,14 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     }
 
     let banding = rows::banding(darks, &dark, &usable);
-    let lit = Lit {
+    let series = FlatSeries {
         flats,
         levels: &levels,
         dark: &dark.mean,
         response: &light,
         usable: &usable,
     };
-    let (transfer, line, full_well) = transfer_curve(lit, &banding, end, bias)?;
+    let (transfer, line, full_well) = transfer_curve(series, &banding, end, bias)?;
     let gain = 1.0 / line.slope;
     let in_light = pixels::unstable_in_light(flats, &trusted, &dark.mean, &line);
     let unstable: Vec<bool> = noisy.iter().zip(&in_light).map(|(a, b)| a | b).collect();
@@ -218,14 +218,14 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
 /// Points, line and saturation: which points the line goes through depends on where the
 /// counts end, which is `end` if readings pile up there.
 fn transfer_curve(
-    lit: Lit,
+    series: FlatSeries,
     banding: &Banding,
     end: Option<f64>,
     bias: f64,
 ) -> Result<(Vec<TransferPoint>, TransferLine, Option<FullWell>)> {
-    let Lit { flats, levels, .. } = lit;
+    let FlatSeries { flats, levels, .. } = series;
     let dark_variance = banding.pixel_counts.powi(2);
-    let mut points = transfer::curve(lit, (dark_variance, banding.pixel_dof));
+    let mut points = transfer::curve(series, (dark_variance, banding.pixel_dof));
     if points.len() == 1 {
         return Err(Error::input(
             "--flats",

@@ -62,7 +62,7 @@ const FIT_RANGE: f64 = 0.7;
 
 /// Flats, and what is known of their pixels.
 #[derive(Debug, Clone, Copy)]
-pub struct Lit<'a> {
+pub struct FlatSeries<'a> {
     /// The flats.
     pub flats: &'a Stack,
     /// Their levels.
@@ -78,7 +78,7 @@ pub struct Lit<'a> {
 /// Points of all levels with at least two frames, the point of the darks first:
 /// `dark_variance` is the variance of a dark pixel without row noise, from `dark_samples`
 /// degrees of freedom.
-pub fn curve(lit: Lit, (dark_variance, dark_samples): (f64, f64)) -> Vec<TransferPoint> {
+pub fn curve(series: FlatSeries, (dark_variance, dark_samples): (f64, f64)) -> Vec<TransferPoint> {
     let mut points = vec![TransferPoint {
         light: 0.0,
         variance: dark_variance,
@@ -86,11 +86,17 @@ pub fn curve(lit: Lit, (dark_variance, dark_samples): (f64, f64)) -> Vec<Transfe
         level: None,
         used: true,
     }];
-    let (bin_of, bins) = brightness_bins(lit.response, lit.usable);
-    for (index, level) in lit.levels.iter().enumerate() {
+    let (bin_of, bins) = brightness_bins(series.response, series.usable);
+    for (index, level) in series.levels.iter().enumerate() {
         let mut sums = vec![Sum::default(); bins];
         for pair in level.frames.chunks_exact(2) {
-            add_pair(lit, (pair[0], pair[1]), dark_variance, &bin_of, &mut sums);
+            add_pair(
+                series,
+                (pair[0], pair[1]),
+                dark_variance,
+                &bin_of,
+                &mut sums,
+            );
         }
         let filled = sums.iter().filter(|s| s.samples > 0.0);
         points.extend(filled.map(|sum| TransferPoint {
@@ -125,7 +131,7 @@ fn brightness_bins(response: &[f64], usable: &[bool]) -> (Vec<Option<u8>>, usize
 
 /// Adds the scaled differences of frames `a` and `b` to the sums of their bins.
 fn add_pair(
-    Lit { flats, dark, .. }: Lit,
+    FlatSeries { flats, dark, .. }: FlatSeries,
     (a, b): (usize, usize),
     dark_variance: f64,
     bin_of: &[Option<u8>],

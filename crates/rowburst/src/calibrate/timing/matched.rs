@@ -5,7 +5,7 @@
 //! then least squares over `τ, t₀` and the exposure together.
 
 use super::fit::{Basis, Optimum, dot, linear, minimise, polynomials};
-use super::signal::{After, Signal};
+use super::signal::{Extension, Signal};
 use rayon::prelude::*;
 use rustfft::{Fft, FftPlanner, num_complex::Complex64};
 use std::collections::HashMap;
@@ -182,9 +182,9 @@ fn correlate(
     let (first, last) = signal.span_us();
     let longest = folded.iter().map(|f| f.0.len()).max().unwrap_or(1);
     let rounds = ((last - first) / tau).ceil() as usize;
-    let (begin, moments) = match signal.after() {
-        After::Repeats => (first, rounds.max(1)),
-        After::Holds => (
+    let (begin, moments) = match signal.extension() {
+        Extension::Repeats => (first, rounds.max(1)),
+        Extension::Holds => (
             first - longest as f64 * tau,
             rounds + longest + (exposure / tau).ceil() as usize,
         ),
@@ -335,8 +335,12 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
         }
         model.push(seen.iter().zip(&fit.residual).map(|(y, e)| y - e).collect());
     }
-    let (exposure, exposure_error) = match tied(frames, k, signal, &found, unit) {
-        Some(tied) if tied.variance < TIED_HOLDS * found.rss / freedom.max(1.0) => tied.exposure,
+    let (exposure, exposure_error) = match fit_shared_profile(frames, k, signal, &found, unit) {
+        Some(tied)
+            if tied.variance < SHARED_PROFILE_MAX_VARIANCE_RATIO * found.rss / freedom.max(1.0) =>
+        {
+            tied.exposure
+        }
         _ => (exposure, exposure * errors[1]),
     };
     Some(MatchedFit {
@@ -356,10 +360,10 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
 }
 
 /// A fit with one profile for steady light and lamp may leave this much more variance.
-const TIED_HOLDS: f64 = 1.15;
-const TIED_DEGREE: usize = 4;
+const SHARED_PROFILE_MAX_VARIANCE_RATIO: f64 = 1.15;
+const SHARED_PROFILE_DEGREE: usize = 4;
 
-struct Tied {
+struct SharedProfileFit {
     exposure: (f64, f64),
     variance: f64,
 }
@@ -367,16 +371,16 @@ struct Tied {
 /// The fit again with steady light and lamp of one profile, `g(r)·(o + m)`: true of a lamp
 /// alone in the dark, and the exposure, which dims fast parts of the course as a profile of
 /// the lamp might, comes out several times more exact.
-fn tied(
+fn fit_shared_profile(
     frames: &[Vec<f64>],
     k: &[usize],
     signal: &Signal,
     found: &Optimum,
     unit: f64,
-) -> Option<Tied> {
+) -> Option<SharedProfileFit> {
     let instants = k.iter().max().map_or(1, |last| last + 1) as f64;
     let middle = 0.5 * (instants - 1.0);
-    let profile = polynomials(k.len(), TIED_DEGREE);
+    let profile = polynomials(k.len(), SHARED_PROFILE_DEGREE);
     let count = frames.len();
     let (first, last) = signal.span_us();
     let whole = signal.exposed(last, last - first);
@@ -408,7 +412,7 @@ fn tied(
     let (errors, _) = best.errors(freedom, k.len());
     let exposure = unit * best.theta[1].exp();
     let error = exposure * errors[1];
-    error.is_finite().then_some(Tied {
+    error.is_finite().then_some(SharedProfileFit {
         exposure: (exposure, error),
         variance: best.rss / freedom.max(1.0),
     })

@@ -20,7 +20,7 @@ mod search;
 mod signal;
 mod square;
 
-pub use signal::{After, Signal};
+pub use signal::{Extension, Signal};
 
 use crate::{Error, Image, Result, Shutter};
 use orders::{advice, candidate, left};

@@ -11,12 +11,12 @@ pub struct Signal {
     values: Vec<f64>,
     /// `∫` of the light from the first time to each point.
     integral: Vec<f64>,
-    after: After,
+    extension: Extension,
 }
 
 /// What the light does before the first and after the last point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum After {
+pub enum Extension {
     /// It keeps the first and the last value.
     Holds,
     /// It starts anew: the last time of one round is the first of the next.
@@ -29,7 +29,7 @@ impl Signal {
     /// # Errors
     /// Fewer than three points, values that are not finite, times that go back, or a
     /// light that does not change.
-    pub fn new(points: &[(f64, f64)], after: After) -> Result<Self> {
+    pub fn new(points: &[(f64, f64)], extension: Extension) -> Result<Self> {
         let wrong = |found: String, rule: &str, remedy: &str| {
             Err(Error::input("signal", found, rule, remedy))
         };
@@ -80,7 +80,7 @@ impl Signal {
             times_us: points.iter().map(|p| p.0).collect(),
             values: points.iter().map(|p| p.1).collect(),
             integral,
-            after,
+            extension,
         })
     }
 
@@ -90,8 +90,8 @@ impl Signal {
     }
 
     /// What it does beyond its points.
-    pub fn after(&self) -> After {
-        self.after
+    pub fn extension(&self) -> Extension {
+        self.extension
     }
 
     /// Mean light over the `exposure_us` that ends at `end_us` (Eq. 2).
@@ -103,15 +103,15 @@ impl Signal {
     fn until(&self, t: f64) -> f64 {
         let (first, last) = self.span_us();
         let n = self.times_us.len();
-        match self.after {
-            After::Repeats => {
+        match self.extension {
+            Extension::Repeats => {
                 let rounds = ((t - first) / (last - first)).floor();
                 let inside = t - rounds * (last - first);
                 rounds * self.integral[n - 1] + self.inside(inside)
             }
-            After::Holds if t <= first => (t - first) * self.values[0],
-            After::Holds if t >= last => self.integral[n - 1] + (t - last) * self.values[n - 1],
-            After::Holds => self.inside(t),
+            Extension::Holds if t <= first => (t - first) * self.values[0],
+            Extension::Holds if t >= last => self.integral[n - 1] + (t - last) * self.values[n - 1],
+            Extension::Holds => self.inside(t),
         }
     }
 
@@ -145,28 +145,28 @@ mod tests {
     #[test]
     fn an_exposure_is_the_mean_of_many_moments() {
         let points = [(0.0, 1.0), (4.0, 3.0), (4.0, 0.0), (10.0, 6.0)];
-        let value = |t: f64, after| match after {
-            After::Holds if t < 0.0 => 1.0,
-            After::Holds if t >= 10.0 => 6.0,
+        let value = |t: f64, extension| match extension {
+            Extension::Holds if t < 0.0 => 1.0,
+            Extension::Holds if t >= 10.0 => 6.0,
             _ => {
                 let t = t.rem_euclid(10.0);
                 if t < 4.0 { 1.0 + 0.5 * t } else { t - 4.0 }
             }
         };
-        for after in [After::Holds, After::Repeats] {
-            let signal = Signal::new(&points, after).unwrap();
+        for extension in [Extension::Holds, Extension::Repeats] {
+            let signal = Signal::new(&points, extension).unwrap();
             for end in [-13.0, -2.0, 0.5, 3.0, 5.5, 9.9, 12.0, 31.0] {
                 for exposure in [0.3, 2.5, 17.0] {
                     let steps = 20_000;
                     let mean: f64 = (0..steps)
                         .map(|i| {
                             let part = (f64::from(i) + 0.5) / f64::from(steps);
-                            value(end - part * exposure, after)
+                            value(end - part * exposure, extension)
                         })
                         .sum::<f64>()
                         / f64::from(steps);
                     let got = signal.exposed(end, exposure);
-                    assert!((got - mean).abs() < 2e-3, "{after:?} {end} {exposure}");
+                    assert!((got - mean).abs() < 2e-3, "{extension:?} {end} {exposure}");
                 }
             }
         }
@@ -179,7 +179,9 @@ mod tests {
     #[test]
     fn bad_signals_say_what_is_wrong() {
         let refused = |points: &[(f64, f64)], word: &str| {
-            let error = Signal::new(points, After::Holds).unwrap_err().to_string();
+            let error = Signal::new(points, Extension::Holds)
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(word), "{error}");
         };
         refused(&[(0.0, 1.0), (1.0, 0.0)], "2 points");

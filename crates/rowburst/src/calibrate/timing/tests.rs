@@ -184,7 +184,7 @@ fn chirp() -> (Signal, impl Fn(f64) -> f64) {
     let points: Vec<(f64, f64)> = (0..=2400)
         .map(|i| (f64::from(i) * 5.0, value(f64::from(i) * 5.0)))
         .collect();
-    (Signal::new(&points, After::Holds).unwrap(), value)
+    (Signal::new(&points, Extension::Holds).unwrap(), value)
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn an_unequal_double_pulse_tells_the_direction() {
         (2800.0, 0.0),
         (4000.0, 0.0),
     ];
-    let light = Light::Known(Signal::new(&points, After::Holds).unwrap());
+    let light = Light::Known(Signal::new(&points, Extension::Holds).unwrap());
     let value = |t: f64| {
         if (0.0..900.0).contains(&t) || (2500.0..2800.0).contains(&t) {
             1.0

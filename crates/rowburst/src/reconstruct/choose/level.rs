@@ -7,7 +7,7 @@
 //! convex problem. Then that level and its neighbours are tried with the whole prior.
 
 use super::super::data::FrameData;
-use super::super::{Found, Prior, show};
+use super::super::{Prior, RunResult, show};
 use super::trial::Trial;
 use super::{Observer, rms};
 use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
@@ -33,7 +33,7 @@ pub(in crate::reconstruct) fn noise_level(
     prior: Prior,
     most: Option<usize>,
     observer: &mut Observer,
-) -> Result<f64, Box<Found>> {
+) -> Result<f64, Box<RunResult>> {
     let shape = data.shape();
     let whole = prior;
     let prior = Prior {
@@ -65,7 +65,7 @@ pub(in crate::reconstruct) fn noise_level(
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.solution(data, &*prox, reason);
-            return Err(Box::new(Found::new(prior, &*prox, shape, solution)));
+            return Err(Box::new(RunResult::new(prior, &*prox, shape, solution)));
         }
         let errors = data.errors_held_out(run.video());
         let (error, standard_error) = (rms(&errors), (0.5 / errors.len() as f64).sqrt());
@@ -83,13 +83,13 @@ pub(in crate::reconstruct) fn noise_level(
     }
     drop((run, prox));
     let level = highest.unwrap_or(sigma);
-    let mut tried: Vec<(f64, f64)> = Vec::new();
+    let mut level_errors: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / FALL, level, level * FALL] {
         data.start(whole.background(), Some(held_out.clone()));
         let trial = Trial::new(data, whole, rule(sigma), 1.0, most);
         let (candidate, ..) = trial.run(data, &[], 0.0, observer)?;
-        tried.push((sigma, candidate.error));
+        level_errors.push((sigma, candidate.error));
     }
-    let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1));
+    let best = level_errors.iter().min_by(|a, b| a.1.total_cmp(&b.1));
     Ok(best.map_or(level, |(sigma, _)| *sigma))
 }

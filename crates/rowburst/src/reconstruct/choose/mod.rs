@@ -17,7 +17,7 @@ pub(super) use level::noise_level;
 pub(super) use trial::TOLERANCE;
 
 use super::data::FrameData;
-use super::{Found, Prior};
+use super::{Prior, RunResult};
 use crate::solve::StopReason;
 use crate::solve::admm::{Progress, Solution, TauRule};
 use crate::vecmath::norm;
@@ -152,22 +152,27 @@ pub(super) fn can_choose(data: &FrameData) -> bool {
 }
 
 /// What the best trial has found, without the pixels that were held out.
-pub(super) struct Tried {
+pub(super) struct BestTrial {
     prior: Prior,
     solution: Solution,
 }
 
-impl Tried {
+impl BestTrial {
     /// Rms of `W(b − A v)`, but for a factor that all runs on a frame share.
     pub fn misfit(&self) -> f64 {
         norm(&self.solution.residual)
     }
 
     /// The same as the end of a run that was stopped, for `data` that it was found with.
-    pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<Found> {
+    pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
         self.solution.stop_reason = reason;
         let prox = self.prior.prox(data.shape());
-        Box::new(Found::new(self.prior, &*prox, data.shape(), self.solution))
+        Box::new(RunResult::new(
+            self.prior,
+            &*prox,
+            data.shape(),
+            self.solution,
+        ))
     }
 }
 
@@ -179,15 +184,15 @@ pub(super) fn choose_prior(
     sigma: f64,
     most: Option<usize>,
     observer: &mut Observer,
-) -> Result<(Choice, Option<Tried>), Box<Found>> {
+) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
     let held_out = data.held_out();
     let mut choice = Choice {
         candidates: Vec::new(),
         held_out: held_out.pixels().len(),
     };
     let mut best: Vec<f64> = Vec::new();
-    let mut tried: Option<Tried> = None;
-    let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<Found>> {
+    let mut best_trial: Option<BestTrial> = None;
+    let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
         data.start(prior.background(), Some(held_out.clone()));
         let trial = Trial::new(data, prior, rule, sigma, most);
@@ -196,17 +201,17 @@ pub(super) fn choose_prior(
         let (candidate, errors, found) = match trial.run(data, &best, worth, observer) {
             Ok(ended) => ended,
             Err(stopped) => {
-                let Some(tried) = tried.take() else {
+                let Some(best_trial) = best_trial.take() else {
                     return Err(stopped);
                 };
-                data.start(tried.prior.background(), Some(held_out.clone()));
-                return Err(tried.stopped(data, stopped.solution.stop_reason));
+                data.start(best_trial.prior.background(), Some(held_out.clone()));
+                return Err(best_trial.stopped(data, stopped.solution.stop_reason));
             }
         };
         choice.candidates.push(candidate);
         if choice.best() == candidate {
             best = errors;
-            tried = Some(Tried {
+            best_trial = Some(BestTrial {
                 prior,
                 solution: found.solution,
             });
@@ -221,7 +226,7 @@ pub(super) fn choose_prior(
             run(&mut choice, name)?;
         }
     }
-    Ok((choice, tried))
+    Ok((choice, best_trial))
 }
 
 fn rms(values: &[f64]) -> f64 {

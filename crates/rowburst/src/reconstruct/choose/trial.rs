@@ -1,7 +1,7 @@
 //! The run of a candidate on the pixels that are not held out.
 
 use super::super::data::FrameData;
-use super::super::{Found, Prior, show};
+use super::super::{Prior, RunResult, show};
 use super::{Candidate, Observer, margin, rms};
 use crate::prox::Prox;
 use crate::solve::StopReason;
@@ -26,7 +26,7 @@ const TUNING_ITERATIONS: usize = 30;
 
 /// A strength of a candidate, the held-out error there and the part of the voxels that may be lit.
 #[derive(Clone, Copy)]
-struct Tuned {
+struct TauTrial {
     tau_factor: f64,
     error: f64,
     support: f64,
@@ -73,7 +73,7 @@ impl Trial {
         best: &[f64],
         worth: f64,
         observer: &mut Observer,
-    ) -> Result<(Candidate, Vec<f64>, Box<Found>), Box<Found>> {
+    ) -> Result<(Candidate, Vec<f64>, Box<RunResult>), Box<RunResult>> {
         let mut errors = Vec::new();
         let given_up = loop {
             // In pieces: an observer cannot ask the data for the held-out error.
@@ -93,7 +93,7 @@ impl Trial {
                 break !ended;
             }
         };
-        let mut found = Tuned {
+        let mut found = TauTrial {
             tau_factor: 1.0,
             error: errors[errors.len() - 1],
             support: self.run.support(),
@@ -121,9 +121,9 @@ impl Trial {
     fn tune(
         &mut self,
         data: &mut FrameData,
-        mut best: Tuned,
+        mut best: TauTrial,
         observer: &mut Observer,
-    ) -> Result<Tuned, StopReason> {
+    ) -> Result<TauTrial, StopReason> {
         let tau = self.run.tau();
         let margin = margin(data.pixels_held_out());
         for direction in [1.0 / TAU_STEP, TAU_STEP] {
@@ -135,7 +135,7 @@ impl Trial {
                 if error >= (1.0 - margin) * best.error || error.is_nan() {
                     break;
                 }
-                best = Tuned {
+                best = TauTrial {
                     tau_factor: factor,
                     error,
                     support: self.run.support(),
@@ -177,8 +177,13 @@ impl Trial {
     }
 
     /// What a run that was stopped has found.
-    fn into_result(self, data: &FrameData, reason: StopReason) -> Box<Found> {
+    fn into_result(self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
         let solution = self.run.solution(data, &*self.prox, reason);
-        Box::new(Found::new(self.prior, &*self.prox, data.shape(), solution))
+        Box::new(RunResult::new(
+            self.prior,
+            &*self.prox,
+            data.shape(),
+            solution,
+        ))
     }
 }

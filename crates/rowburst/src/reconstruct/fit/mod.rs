@@ -110,7 +110,7 @@ pub struct FitStatistics {
     pub worst_column: (usize, f64),
     /// `χ²` without the misfit instants, without the misfit columns, and without lone
     /// pixels beyond ±5.
-    pub chi_squared_without: Without,
+    pub chi_squared_without: TrimmedChiSquared,
     /// Lone pixels beyond ±5.
     pub lone_pixels: usize,
     /// Residual at the end over that at four fifths of the iterations; below 1 where it
@@ -125,7 +125,7 @@ pub struct FitStatistics {
 
 /// `χ²` of what is left when the worst is taken away.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Without {
+pub struct TrimmedChiSquared {
     /// Without [`FitStatistics::misfit_instants`].
     pub instants: f64,
     /// Without [`FitStatistics::misfit_columns`].

@@ -1,6 +1,6 @@
 //! The numbers of a residual.
 
-use super::{Evidence, FitStatistics, Without};
+use super::{Evidence, FitStatistics, TrimmedChiSquared};
 use crate::solve::admm::MOST_FREEDOM;
 use crate::{Camera, Video};
 
@@ -87,7 +87,7 @@ pub(super) fn of(evidence: &Evidence) -> FitStatistics {
         worst_instant: of_instants.worst(),
         misfit_columns: (of_columns.misfits.len(), columns),
         worst_column: of_columns.worst(),
-        chi_squared_without: Without {
+        chi_squared_without: TrimmedChiSquared {
             instants: chi(of_instants.rest.0, of_instants.rest.1),
             columns: chi(of_columns.rest.0, of_columns.rest.1),
             pixels: chi(without_lone, pixels.len() - lone.len()),

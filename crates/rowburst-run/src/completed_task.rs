@@ -8,7 +8,7 @@ use crate::outcome::{
 };
 use crate::player::{MakePlayer, PlayerPage};
 use crate::task::Task;
-use crate::traces::{self, DebiasNumbers, Traces, Wanted};
+use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
 use crate::view_files::{self, TRUTH, ViewFiles};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
@@ -16,7 +16,7 @@ use rowburst::simulate::direct_frame;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Image, Result};
 use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
-use rowburst_report::{Direct, DirectOrigin, Iteration, Judgement, Player, Report, ReportInput};
+use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
 
 /// Files of a result, and what they are.
@@ -49,11 +49,11 @@ const BACKGROUND_FILE: (&str, &str) = (
 );
 
 /// A solved task.
-pub struct Solved {
+pub struct CompletedTask {
     /// What was to be done.
     pub task: Task,
     /// What was found; where it was debiased with that video.
-    pub found: Reconstruction,
+    pub reconstruction: Reconstruction,
     /// What debiasing did.
     pub debias: Option<DebiasNumbers>,
     /// Operator, Gram factors, noise level.
@@ -88,15 +88,15 @@ pub struct ReportMeta<'a> {
     pub files: Vec<(String, String)>,
 }
 
-impl Solved {
+impl CompletedTask {
     /// Finds the traces that are wanted and those of the brightest spots; with `debias` the
-    /// refitted video, too, for [`Solved::take_debiased`].
-    pub fn traces(&self, wanted: Wanted, debias: bool) -> Traces {
+    /// refitted video, too, for [`CompletedTask::take_debiased`].
+    pub fn traces(&self, request: TraceRequest, debias: bool) -> Traces {
         let task = &self.task;
         traces::find(
-            wanted,
+            request,
             debias,
-            &self.found,
+            &self.reconstruction,
             &task.measurement,
             &task.camera,
             &task.psfs,
@@ -108,7 +108,7 @@ impl Solved {
         let Some(debiased) = traces.debiased.take() else {
             return;
         };
-        let before = std::mem::replace(&mut self.found.video, debiased.video);
+        let before = std::mem::replace(&mut self.reconstruction.video, debiased.video);
         let truth = self.task.truth.as_ref();
         self.debias = Some(DebiasNumbers {
             light_ratio: debiased.light,
@@ -121,18 +121,18 @@ impl Solved {
 
     /// Everything that `result.json` says.
     pub fn outcome(&self, traces: &Traces) -> Outcome {
-        let found = &self.found;
+        let reconstruction = &self.reconstruction;
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
-        let shape = found.video.shape();
+        let shape = reconstruction.video.shape();
         Outcome {
             version: env!("CARGO_PKG_VERSION"),
-            prior: found.prior.to_string(),
+            prior: reconstruction.prior.to_string(),
             prior_choice: self.choice(),
-            tau: found.tau,
-            tau_rule: match (options.tau, found.sigma_source) {
+            tau: reconstruction.tau,
+            tau_rule: match (options.tau, reconstruction.sigma_source) {
                 (Tau::Given(_), _) => "given",
                 (_, SigmaSource::HeldOut) => "held-out pixels",
-                _ if found
+                _ if reconstruction
                     .choice
                     .as_ref()
                     .is_some_and(|c| c.best().tau_factor != 1.0) =>
@@ -141,15 +141,15 @@ impl Solved {
                 }
                 _ => "discrepancy principle",
             },
-            noise_sigma: found.sigma,
-            noise_sigma_source: found.sigma_source.name(),
-            residual_over_sigma: found.residual_over_sigma,
-            objective: found.certificate.primal,
-            objective_excess: Some(found.certificate.excess()).filter(|e| e.is_finite()),
-            certificate: found.certificate.to_string(),
-            support_fraction: found.support,
-            iterations: found.iterations,
-            stop_reason: found.stop_reason.name(),
+            noise_sigma: reconstruction.sigma,
+            noise_sigma_source: reconstruction.sigma_source.name(),
+            residual_over_sigma: reconstruction.residual_over_sigma,
+            objective: reconstruction.certificate.primal,
+            objective_excess: Some(reconstruction.certificate.excess()).filter(|e| e.is_finite()),
+            certificate: reconstruction.certificate.to_string(),
+            support_fraction: reconstruction.support,
+            iterations: reconstruction.iterations,
+            stop_reason: reconstruction.stop_reason.name(),
             seconds: self.seconds,
             setup_seconds: self.setup_seconds,
             peak_memory_bytes: None,
@@ -163,11 +163,11 @@ impl Solved {
             threads: rayon::current_num_threads(),
             simd: instruction_set(),
             seed: self.task.seed,
-            psnr_db: truth.map(|t| psnr_db(found.video.data(), t.data())),
-            ssim: truth.map(|t| ssim(&found.video, t)),
-            fit: found.fit.verdict.name(),
-            fit_reason: found.fit.reason.clone(),
-            fit_statistics: FitNumbers::from(&found.fit.statistics),
+            psnr_db: truth.map(|t| psnr_db(reconstruction.video.data(), t.data())),
+            ssim: truth.map(|t| ssim(&reconstruction.video, t)),
+            fit: reconstruction.fit.verdict.name(),
+            fit_reason: reconstruction.fit.reason.clone(),
+            fit_statistics: FitNumbers::from(&reconstruction.fit.statistics),
             traces: traces.outcome(truth),
             trace_errors: traces.numbers.clone(),
             debias: self.debias.clone(),
@@ -183,7 +183,7 @@ impl Solved {
     /// How the prior came about.
     fn choice(&self) -> PriorChoice {
         let prior = self.task.options.prior;
-        match &self.found.choice {
+        match &self.reconstruction.choice {
             Some(choice) => PriorChoice {
                 reason: choice.reason(),
                 held_out_pixels: Some(choice.held_out),
@@ -206,16 +206,16 @@ impl Solved {
 
     /// What the user should know before trusting the video.
     fn warnings(&self, traces: &Traces) -> Vec<String> {
-        let found = &self.found;
+        let reconstruction = &self.reconstruction;
         let mut warnings = self.task.from_metadata.warnings.clone();
-        if found.fit.verdict != Verdict::Good {
+        if reconstruction.fit.verdict != Verdict::Good {
             warnings.push(format!(
                 "the fit is {}: {}",
-                found.fit.verdict.name(),
-                found.fit.reason
+                reconstruction.fit.verdict.name(),
+                reconstruction.fit.reason
             ));
         }
-        if found.video.max() <= 0.0 {
+        if reconstruction.video.max() <= 0.0 {
             warnings.push("the video is dark: noise of this level explains the whole frame; check --noise-sigma".into());
         }
         let missing = self.task.measurement.saturated();
@@ -240,14 +240,14 @@ impl Solved {
         result_meta: ResultMeta,
     ) -> Result<Outcome> {
         let mut outcome = self.outcome(traces);
-        let video = &self.found.video;
+        let video = &self.reconstruction.video;
         let camera = &self.task.camera;
         // That of an earlier run would vouch for files that are no longer its own.
         folder.remove("result.json")?;
         folder.write("video.npy", |w| write_npy_video(w, video))?;
         folder.remove("video.mp4")?;
         folder.remove("background.npy")?;
-        if let Some(background) = &self.found.background {
+        if let Some(background) = &self.reconstruction.background {
             folder.write("background.npy", |w| write_npy_video(w, background))?;
         }
         let scale = TiffScale {
@@ -274,7 +274,12 @@ impl Solved {
             reproduce: result_meta.reproduce,
             files: FILES
                 .iter()
-                .chain(self.found.background.as_ref().map(|_| &BACKGROUND_FILE))
+                .chain(
+                    self.reconstruction
+                        .background
+                        .as_ref()
+                        .map(|_| &BACKGROUND_FILE),
+                )
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
@@ -305,7 +310,7 @@ impl Solved {
         let mut outcome = self.outcome(traces);
         outcome.peak_memory_bytes = peak_memory_bytes();
         let time = self.task.camera.time();
-        let mp4 = encoded(&self.found.video, time, Film::Stamped)?;
+        let mp4 = encoded(&self.reconstruction.video, time, Film::Stamped)?;
         let (title, command) = (report_meta.title, report_meta.reproduce);
         let page = self.with_view(traces, &outcome, title, command, |files| {
             let truth = files.truth.map(|_| TRUTH);
@@ -349,13 +354,13 @@ impl Solved {
         act(&ViewFiles {
             title,
             camera: &task.camera,
-            video: &self.found.video,
+            video: &self.reconstruction.video,
             truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
             frame: task.measurement.image(),
             psf: task.psfs.central().image(),
-            residual: &self.found.residual,
+            residual: &self.reconstruction.residual,
             direct: direct.as_ref().map(|(image, _)| image.as_ref()),
-            traces: &traces.placed(),
+            traces: &traces.annotated(),
             course: &self.curve,
             headline: &headline(outcome),
             settings: &settings(task, outcome),
@@ -388,24 +393,24 @@ impl Solved {
     ) -> Result<Report> {
         let task = &self.task;
         let direct = self.direct();
-        let placed = traces.placed();
+        let annotated = traces.annotated();
         rowburst_report::render(&ReportInput {
             title: report_meta.title,
             frame: task.measurement.image(),
             psf: task.psfs.central().image(),
-            video: &self.found.video,
+            video: &self.reconstruction.video,
             truth: task.truth.as_ref(),
             direct: direct.as_ref().map(|(image, origin)| Direct {
                 image,
                 origin: *origin,
             }),
-            residual: &self.found.residual,
-            traces: &placed,
+            residual: &self.reconstruction.residual,
+            traces: &annotated,
             instants: task.camera.instants(),
             time: task.camera.time(),
             convergence: &self.curve,
             headline: headline(outcome),
-            fit: Some(Judgement {
+            fit: Some(FitVerdict {
                 verdict: outcome.fit,
                 reason: &outcome.fit_reason,
             }),

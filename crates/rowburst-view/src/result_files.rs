@@ -38,7 +38,7 @@ pub const TRUTHS: [&str; 2] = ["view-truth.npy", "truth.npy"];
 const MOST_TEXT: u64 = 64 << 20;
 
 /// A result, ready to be served.
-pub struct Opened {
+pub struct ResultFiles {
     /// The folder or the video.
     path: PathBuf,
     is_folder: bool,
@@ -61,7 +61,7 @@ impl Identity {
     }
 }
 
-impl Opened {
+impl ResultFiles {
     /// Opens a folder that `rowburst reconstruct` or `demo` has written, or a video file.
     ///
     /// # Errors
