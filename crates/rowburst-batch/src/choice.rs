@@ -5,7 +5,7 @@
 //! work on it, and after every kill.
 
 use crate::identity::hash_image;
-use crate::plan::Plan;
+use crate::inputs::BatchInputs;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Prior, Problem};
 use rowburst::solve::StopReason;
@@ -42,8 +42,8 @@ pub(crate) struct RecordingSurvey {
 
 impl RecordingSurvey {
     /// Looks at frames spread over the recording, and at all of them if none of those is good.
-    pub fn read(plan: &Plan) -> Result<Self> {
-        let count = plan.frames.count();
+    pub fn read(inputs: &BatchInputs) -> Result<Self> {
+        let count = inputs.frames.count();
         let spread = PROBES.min(count);
         let last = (spread - 1).max(1);
         let picked: Vec<usize> = (0..spread).map(|i| i * (count - 1) / last).collect();
@@ -56,7 +56,7 @@ impl RecordingSurvey {
             if probes.len() >= spread && best.is_some() {
                 break;
             }
-            let content = match good(plan, frame) {
+            let content = match good(inputs, frame) {
                 Ok((capture, measurement)) => {
                     numbers.get_or_insert_with(|| numbers_of(capture.level));
                     let light = norm(measurement.image().data());
@@ -84,10 +84,10 @@ impl RecordingSurvey {
             // The frames are not to blame.
             Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => Err(error),
             _ => Err(Error::work(
-                plan.frames.path().display().to_string(),
+                inputs.frames.path().display().to_string(),
                 format!(
                     "none of its {count} frames can be used; {}: {error}",
-                    plan.frames.name(frame)
+                    inputs.frames.name(frame)
                 ),
                 "Nothing was written.",
             )),
@@ -110,10 +110,10 @@ pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
     begun.iter().all(same)
 }
 
-fn good(plan: &Plan, frame: usize) -> Result<(Capture, Measurement)> {
+fn good(inputs: &BatchInputs, frame: usize) -> Result<(Capture, Measurement)> {
     or_panic(|| {
-        let capture = plan.frames.read(frame)?;
-        let measurement = plan.measurement(&capture)?;
+        let capture = inputs.frames.read(frame)?;
+        let measurement = inputs.measurement(&capture)?;
         Ok((capture, measurement))
     })
 }
@@ -166,9 +166,13 @@ impl ChosenPrior {
     }
 
     /// Chooses on `frame`; `None` where it was stopped.
-    pub(crate) fn choose(plan: &Plan, frame: usize, stop: &AtomicBool) -> Result<Option<Self>> {
-        let (_, measurement) = good(plan, frame)?;
-        let problem = Problem::of(&plan.model, &measurement, plan.options)?;
+    pub(crate) fn choose(
+        inputs: &BatchInputs,
+        frame: usize,
+        stop: &AtomicBool,
+    ) -> Result<Option<Self>> {
+        let (_, measurement) = good(inputs, frame)?;
+        let problem = Problem::of(&inputs.model, &measurement, inputs.options)?;
         let chosen = problem.choose(&mut |_| match stop.load(Ordering::Relaxed) {
             true => ControlFlow::Break(StopReason::Interrupted),
             false => ControlFlow::Continue(()),

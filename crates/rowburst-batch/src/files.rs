@@ -2,7 +2,7 @@
 
 use crate::choice::CORRECTIONS;
 use crate::clock::Clock;
-use crate::plan::Plan;
+use crate::inputs::BatchInputs;
 use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
@@ -14,7 +14,7 @@ use rowburst_zarr::{is_zarr, open_zarr_recording};
 use std::path::Path;
 
 /// The files of a batch, and what is asked for beside them.
-pub struct Files<'a> {
+pub struct BatchFiles<'a> {
     /// The experiment file.
     pub experiment: &'a Path,
     /// The recording.
@@ -40,7 +40,7 @@ pub struct Files<'a> {
 /// A plan with the files that it is from.
 pub struct LoadedBatch {
     /// What is to be done.
-    pub plan: Plan,
+    pub inputs: BatchInputs,
     /// Where its corrections lie.
     pub calibration: Calibration,
     /// What is to be said of the PSF.
@@ -53,7 +53,7 @@ pub struct LoadedBatch {
 ///
 /// # Errors
 /// Files that are missing or damaged, and choices that are none.
-pub fn plan_files(files: &Files) -> Result<LoadedBatch> {
+pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
     let metadata = match is_zarr(files.frames) {
         true => Metadata::default(),
         false => read_metadata(files.frames),
@@ -89,7 +89,7 @@ pub fn plan_files(files: &Files) -> Result<LoadedBatch> {
     let corrections = read_corrections(&calibration, None)?;
     let (psfs, note) = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
     check_memory(files.experiment, &camera)?;
-    let plan = Plan {
+    let inputs = BatchInputs {
         model: Model::new(&camera, psfs).keeping_gram(),
         corrections,
         options,
@@ -99,7 +99,7 @@ pub fn plan_files(files: &Files) -> Result<LoadedBatch> {
         version: files.version.into(),
     };
     Ok(LoadedBatch {
-        plan,
+        inputs,
         calibration,
         note,
         from_metadata: experiment.from_metadata,

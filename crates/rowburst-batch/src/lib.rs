@@ -1,7 +1,7 @@
 //! A recording of many frames to one archive of videos, as a job that can be taken up again.
 //!
 //! ```text
-//! Plan (model, corrections, recipe, frames) ─▶ Batch::open ─▶ Batch::run ─▶ write_table, stitch
+//! BatchInputs (model, corrections, options, frames) ─▶ Batch::open ─▶ Batch::run ─▶ write_table, stitch
 //! ```
 //!
 //! **What is on disk** (`OUT.zarr/rowburst`): `job.json`, what the job was begun with; `prior.json`,
@@ -21,7 +21,7 @@ mod choice;
 mod clock;
 mod files;
 mod identity;
-mod plan;
+mod inputs;
 mod run;
 mod state;
 mod stitch;
@@ -30,7 +30,7 @@ mod table;
 pub use allocation::ThreadAllocation;
 pub use choice::{CORRECTIONS, ChosenPrior};
 pub use clock::Clock;
-pub use files::{Files, LoadedBatch, naming_correction, plan_files};
-pub use plan::Plan;
+pub use files::{BatchFiles, LoadedBatch, load_batch, naming_correction};
+pub use inputs::BatchInputs;
 pub use run::{Batch, Event, RetryPolicy};
 pub use table::{FrameRow, Status};

@@ -4,7 +4,7 @@ use crate::allocation::ThreadAllocation;
 use crate::choice::{ChosenPrior, RecordingSurvey, is_same_recording, numbers_of, or_panic};
 use crate::clock::Clock;
 use crate::identity::check_same;
-use crate::plan::Plan;
+use crate::inputs::BatchInputs;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
 use rowburst::measurement::Measurement;
@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 /// A recording on its way into an archive.
 pub struct Batch {
-    pub(crate) plan: Plan,
+    pub(crate) inputs: BatchInputs,
     pub(crate) archive: VideoArchive,
     pub(crate) scratch: Arc<Scratch>,
     pub(crate) clock: Option<Clock>,
@@ -54,21 +54,21 @@ impl Batch {
     /// # Errors
     /// A recording without a single good frame, a folder that holds anything but this job, a
     /// frame period that cannot be, failed writes. Nothing is changed then.
-    pub fn open(plan: Plan, out: &Path) -> Result<Self> {
-        let survey = RecordingSurvey::read(&plan)?;
-        let camera = plan.model.camera();
-        let told = plan.frame_period_us;
+    pub fn open(inputs: BatchInputs, out: &Path) -> Result<Self> {
+        let survey = RecordingSurvey::read(&inputs)?;
+        let camera = inputs.model.camera();
+        let told = inputs.frame_period_us;
         let clock_of = |period| Clock::new(camera, period);
         let mut clock = told.map(clock_of).transpose()?;
         let state = State::create(out)?;
         let lock = state.lock()?;
-        let identity = plan.identity();
+        let identity = inputs.identity();
         let begun = state.job()?;
         if let Some(begun) = &begun {
             check_same(out, &begun.identity, &identity)?;
             if !is_same_recording(&begun.probes, &survey.probes) {
                 return Err(Error::input(
-                    plan.frames.path().display().to_string(),
+                    inputs.frames.path().display().to_string(),
                     format!(
                         "other frames than those that {} was begun with",
                         out.display()
@@ -89,7 +89,7 @@ impl Batch {
         {
             state.write_clock(&scratch, &ClockFile { frame_period_us })?;
         }
-        let params = archive_params(&plan, clock);
+        let params = archive_params(&inputs, clock);
         let archive = VideoArchive::create(out, params, &scratch)?;
         let job = match begun {
             Some(job) => job,
@@ -107,7 +107,7 @@ impl Batch {
         };
         drop(lock);
         Ok(Self {
-            plan,
+            inputs,
             archive,
             scratch,
             clock,
@@ -117,8 +117,8 @@ impl Batch {
     }
 
     /// What it is to do.
-    pub fn plan(&self) -> &Plan {
-        &self.plan
+    pub fn inputs(&self) -> &BatchInputs {
+        &self.inputs
     }
 
     /// The recording's clock, where it is known.
@@ -131,7 +131,7 @@ impl Batch {
     /// # Errors
     /// A line that cannot be read.
     pub fn rows(&self) -> Result<Vec<FrameRow>> {
-        self.state.rows(self.plan.frames.count())
+        self.state.rows(self.inputs.frames.count())
     }
 
     /// The frames of `range` that are not through; those that failed as well if `retry`.
@@ -139,7 +139,7 @@ impl Batch {
     /// # Errors
     /// A line that cannot be read.
     pub fn left(&self, range: Range<usize>, retry: RetryPolicy) -> Result<Vec<usize>> {
-        let mut through = vec![false; self.plan.frames.count()];
+        let mut through = vec![false; self.inputs.frames.count()];
         for row in self.rows()? {
             through[row.frame] = row.status == Status::Done || retry == RetryPolicy::SkipFailed;
         }
@@ -164,7 +164,7 @@ impl Batch {
     /// # Errors
     /// Those of a reconstruction, and failed writes.
     pub fn prior(&self, stop: &AtomicBool, observer: Observer) -> Result<Option<ChosenPrior>> {
-        if let Some(prior) = self.plan.options.prior {
+        if let Some(prior) = self.inputs.options.prior {
             return Ok(Some(ChosenPrior::given(prior)));
         }
         // Processes that come later wait for the first one's choice.
@@ -174,7 +174,7 @@ impl Batch {
         }
         let frame = self.job.brightest;
         observer(Event::Choosing { frame });
-        let chosen = ChosenPrior::choose(&self.plan, frame, stop)?;
+        let chosen = ChosenPrior::choose(&self.inputs, frame, stop)?;
         if let Some(chosen) = &chosen {
             self.state.write_prior(&self.scratch, chosen)?;
         }
@@ -200,14 +200,14 @@ impl Batch {
         let frame_options = FrameOptions {
             options: Options {
                 prior: Some(prior.prior.parse::<Prior>()?),
-                ..self.plan.options
+                ..self.inputs.options
             },
             tau_factor: prior.tau_factor,
         };
-        let live = self.plan.budget.map(|budget| Live {
+        let live = self.inputs.budget.map(|budget| Live {
             budget,
             sequence: Mutex::new(Sequence::new(
-                self.plan.model.clone(),
+                self.inputs.model.clone(),
                 frame_options.options,
             )),
         });
@@ -271,7 +271,7 @@ impl Batch {
     ) -> Option<(FrameRow, Option<Video>)> {
         let started = Instant::now();
         let made = or_panic(|| self.reconstruct(frame, frame_options, live, is_over));
-        let name = self.plan.frames.name(frame);
+        let name = self.inputs.frames.name(frame);
         let seconds = started.elapsed().as_secs_f64();
         match made {
             Ok((_, found)) if found.stop_reason == StopReason::Interrupted => None,
@@ -294,22 +294,22 @@ impl Batch {
         live: Option<&Live>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Result<(Measurement, Reconstruction)> {
-        let capture = self.plan.frames.read(frame)?;
+        let capture = self.inputs.frames.read(frame)?;
         let numbers = numbers_of(capture.level);
         if numbers != self.job.numbers {
             return Err(Error::input(
-                self.plan.frames.name(frame),
+                self.inputs.frames.name(frame),
                 numbers,
                 format!("the frames of this recording are {}", self.job.numbers),
                 "Save all frames with the same settings.",
             ));
         }
-        let measurement = self.plan.measurement(&capture)?;
+        let measurement = self.inputs.measurement(&capture)?;
         if let Some(live) = live {
             let found = live.next(&measurement, is_over)?;
             return Ok((measurement, found));
         }
-        let problem = Problem::of(&self.plan.model, &measurement, frame_options.options)?;
+        let problem = Problem::of(&self.inputs.model, &measurement, frame_options.options)?;
         let found =
             problem
                 .with_tau_factor(frame_options.tau_factor)
@@ -327,7 +327,7 @@ impl Batch {
     /// Failed reads and writes.
     pub fn write_table(&self) -> Result<PathBuf> {
         let _lock = self.state.lock()?;
-        let csv = csv_of(&self.rows()?, &*self.plan.frames, self.clock)?;
+        let csv = csv_of(&self.rows()?, &*self.inputs.frames, self.clock)?;
         let path = self.state.table();
         self.scratch.put(&path, &csv)?;
         Ok(path)
@@ -377,17 +377,17 @@ struct FrameOptions {
     tau_factor: f64,
 }
 
-fn archive_params(plan: &Plan, clock: Option<Clock>) -> ArchiveParams {
-    let camera = plan.model.camera();
+fn archive_params(inputs: &BatchInputs, clock: Option<Clock>) -> ArchiveParams {
+    let camera = inputs.model.camera();
     ArchiveParams {
-        frames: plan.frames.count(),
+        frames: inputs.frames.count(),
         video: camera.video_shape(),
         bin_us: camera.time().bin_duration_us(),
         pixel_pitch_um: camera.sensor().pixel_pitch_um,
         frame_period_us: clock.map(|clock| clock.frame_period_us),
-        frame_start_us: clock.map(|clock| clock.starts_us(&*plan.frames)),
+        frame_start_us: clock.map(|clock| clock.starts_us(&*inputs.frames)),
         attributes: json!({
-            "version": plan.version,
+            "version": inputs.version,
             "values": "light in counts per bin; frames that failed are NaN",
             "table": "rowburst/frames.csv",
             "frame_period_us": clock.map(|clock| clock.frame_period_us),

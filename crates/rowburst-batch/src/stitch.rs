@@ -27,7 +27,7 @@ impl Batch {
         observer: &(dyn Fn(Event) + Sync),
     ) -> Result<Option<PathBuf>> {
         let clock = self.clock_to_stitch()?;
-        let frames = &self.plan.frames;
+        let frames = &self.inputs.frames;
         let rows = self.rows()?;
         let missing = frames.count() - rows.len();
         let out = self.archive.path();

@@ -4,7 +4,7 @@ use rowburst::camera::CameraParams;
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options, Problem};
 use rowburst::{Camera, Image, Psf, Result, Sensor, Shutter};
-use rowburst_batch::{Batch, Event, Plan, RetryPolicy, Status, ThreadAllocation};
+use rowburst_batch::{Batch, BatchInputs, Event, RetryPolicy, Status, ThreadAllocation};
 use rowburst_io::{Capture, Frames, Level};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -61,8 +61,8 @@ fn psf() -> Psf {
     Psf::new(Image::from_fn(23, 39, value)).unwrap()
 }
 
-fn plan(camera: &Camera, prior: &str) -> Plan {
-    Plan {
+fn inputs(camera: &Camera, prior: &str) -> BatchInputs {
+    BatchInputs {
         model: Model::new(camera, psf()).keeping_gram(),
         corrections: Corrections::default(),
         budget: None,
@@ -99,12 +99,12 @@ fn each_frame_is_as_if_alone() {
     for (shutter, sensor, prior) in cases {
         let camera = camera(shutter, sensor);
         let folder = tempfile::tempdir().unwrap();
-        let batch = Batch::open(plan(&camera, prior), &folder.path().join("o.zarr")).unwrap();
+        let batch = Batch::open(inputs(&camera, prior), &folder.path().join("o.zarr")).unwrap();
         let stop = AtomicBool::new(false);
         let left = batch.left(0..4, RetryPolicy::SkipFailed).unwrap();
         assert_eq!(left, [0, 1, 2, 3]);
         let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
-        let allocation = ThreadAllocation::new(2, 4, &batch.plan().model, None);
+        let allocation = ThreadAllocation::new(2, 4, &batch.inputs().model, None);
         let seen = Mutex::new(Vec::new());
         let observer = |event: Event| {
             if let Event::Through(row) = event {
@@ -130,8 +130,8 @@ fn each_frame_is_as_if_alone() {
                 assert!(video.data().iter().all(|v| v.is_nan()));
                 continue;
             }
-            let measurement = batch.plan().measurement(&capture(row.frame)).unwrap();
-            let alone = Problem::new(&measurement, &camera, psf(), batch.plan().options).unwrap();
+            let measurement = batch.inputs().measurement(&capture(row.frame)).unwrap();
+            let alone = Problem::new(&measurement, &camera, psf(), batch.inputs().options).unwrap();
             let alone = alone.solve(&mut |_| ControlFlow::Continue(())).unwrap();
             assert_eq!(alone.video, video, "{prior}, frame {}", row.frame);
             assert_eq!(row.tau, Some(alone.tau));
@@ -144,10 +144,10 @@ fn what_was_stopped_is_left() {
     let camera = camera(Shutter::DualInsideOut, Sensor::default());
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("o.zarr");
-    let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();
+    let batch = Batch::open(inputs(&camera, "tv"), &out).unwrap();
     let stop = AtomicBool::new(false);
     let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
-    let allocation = ThreadAllocation::new(1, 4, &batch.plan().model, None);
+    let allocation = ThreadAllocation::new(1, 4, &batch.inputs().model, None);
     let after_one = |_: Event| stop.store(true, std::sync::atomic::Ordering::Relaxed);
     batch
         .run(&[3, 1, 0], &chosen, allocation, &stop, &after_one)
@@ -157,7 +157,7 @@ fn what_was_stopped_is_left() {
         [0, 1, 2]
     );
     drop(batch);
-    let batch = Batch::open(plan(&camera, "tv"), &out).unwrap();
+    let batch = Batch::open(inputs(&camera, "tv"), &out).unwrap();
     assert_eq!(batch.left(0..2, RetryPolicy::SkipFailed).unwrap(), [0, 1]);
     let error = batch.stitch(&stop, &|_| ()).unwrap_err().to_string();
     assert!(error.contains("no frame period"), "{error}");

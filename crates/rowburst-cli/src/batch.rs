@@ -8,8 +8,8 @@ use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
 use rowburst_batch::{
-    Batch, Event, Files, FrameRow, Plan, RetryPolicy, Status, ThreadAllocation, naming_correction,
-    plan_files,
+    Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
+    load_batch, naming_correction,
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{prior_of, tau_of};
@@ -82,7 +82,7 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
 /// goes on.
 fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
-    let plans = points.iter().map(|point| {
+    let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
         point_args.sweep.clear();
         point_args.output = sweep::place(&args.output, point, ".zarr");
@@ -103,10 +103,10 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
         Ok((sweep::words(point), point_args))
     });
     // A value that is none is found before the first run, which may take hours.
-    let plans: Vec<(String, BatchArgs)> = plans.collect::<Result<_>>()?;
+    let runs: Vec<(String, BatchArgs)> = runs.collect::<Result<_>>()?;
     let folder = rowburst_io::OutputFolder::create(&args.output)?;
     let mut rows: Vec<sweep::Row> = Vec::new();
-    for (point, point_args) in plans {
+    for (point, point_args) in runs {
         eprintln!("{point}");
         let (summary, lines) = one(&point_args, stop)?;
         let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
@@ -147,10 +147,10 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 /// One batch, through; the lines of its frames.
 fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> {
     let began = Instant::now();
-    let (plan, calibration, from_metadata) = plan_of(args)?;
-    let batch = Batch::open(plan, &args.output)
+    let (inputs, calibration, from_metadata) = load_input(args)?;
+    let batch = Batch::open(inputs, &args.output)
         .map_err(|e| naming_correction(e, &args.frames, &calibration))?;
-    let frames = &batch.plan().frames;
+    let frames = &batch.inputs().frames;
     let range = range_of(args.frames_range.as_deref(), frames.count())?;
     if args.stitch {
         batch.clock_to_stitch()?;
@@ -179,7 +179,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
         .at_once
         .map(usize::from)
         .or(args.time_budget_s.map(|_| 1));
-    let allocation = ThreadAllocation::new(threads, left.len(), &batch.plan().model, most);
+    let allocation = ThreadAllocation::new(threads, left.len(), &batch.inputs().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
     let started = Instant::now();
     bar.reset_eta();
@@ -239,8 +239,8 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
 }
 
 /// The plan, and the files that it is from.
-fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, FromMetadata)> {
-    let loaded = plan_files(&Files {
+fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadata)> {
+    let loaded = load_batch(&BatchFiles {
         experiment: &args.experiment,
         frames: &args.frames,
         calibration: calibration_from_args(&args.calibration),
@@ -258,7 +258,7 @@ fn plan_of(args: &BatchArgs) -> Result<(Plan, Calibration, FromMetadata)> {
     if let Some(from_metadata) = loaded.from_metadata.summary_line() {
         eprintln!("{from_metadata}");
     }
-    Ok((loaded.plan, loaded.calibration, loaded.from_metadata))
+    Ok((loaded.inputs, loaded.calibration, loaded.from_metadata))
 }
 
 /// `A:B` of `count` frames.
@@ -300,7 +300,10 @@ fn bar(left: usize, of: usize) -> ProgressBar {
 fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
     match event {
         Event::Choosing { frame } => {
-            let words = format!("choosing the prior on {}", batch.plan().frames.name(frame));
+            let words = format!(
+                "choosing the prior on {}",
+                batch.inputs().frames.name(frame)
+            );
             match bar.is_hidden() {
                 true => eprintln!("{words}"),
                 false => bar.set_message(words),

@@ -1,7 +1,7 @@
 //! `rowburst demo`: the paper's simulation, from scene to report.
 
 use crate::args::{CalibrationArgs, DemoArgs, DemoScene, OpticsArgs, ReconstructArgs};
-use crate::simulate::Plan;
+use crate::simulate::SimulationInputs;
 use crate::{reconstruct, simulate};
 use rowburst::camera::CameraParams;
 use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
@@ -35,7 +35,7 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         DemoScene::Moving => "a digit moving by up to 0.8 px every 9.6 µs",
     };
     eprintln!("simulating {figure}, seen through a diffuser by a dual rolling shutter");
-    simulate::write(&Plan {
+    simulate::write(&SimulationInputs {
         experiment: Experiment::new(paper_camera()),
         scene: args.scene.name(),
         background: None,

@@ -70,7 +70,7 @@ struct WholeArtifacts {
 /// A run for each point of the sweep; one that fails does not stop the others.
 fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
-    let plans = points.iter().map(|point| {
+    let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
         point_args.sweep.clear();
         point_args.output = sweep::place(&args.output, point, "");
@@ -85,10 +85,10 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         Ok((sweep::words(point), point_args))
     });
     // A value that is none is found before the first run.
-    let plans: Vec<(String, ReconstructArgs)> = plans.collect::<Result<_>>()?;
+    let runs: Vec<(String, ReconstructArgs)> = runs.collect::<Result<_>>()?;
     let mut rows: Vec<sweep::Row> = Vec::new();
     let mut first_error = None;
-    for (point, point_args) in plans {
+    for (point, point_args) in runs {
         let began = Instant::now();
         eprintln!("{point}");
         let artifacts = read_experiment(&point_args)

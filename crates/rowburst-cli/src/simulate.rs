@@ -20,7 +20,7 @@ use serde_json::json;
 use std::path::Path;
 
 /// What is to be simulated.
-pub struct Plan<'a> {
+pub struct SimulationInputs<'a> {
     pub experiment: Experiment,
     pub scene: &'a str,
     /// Brightness of a static background over that of the scene.
@@ -41,7 +41,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         (None, Some(electrons)) => NoiseChoice::SceneElectrons(electrons),
         (None, None) => NoiseChoice::Snr(args.snr),
     };
-    write(&Plan {
+    write(&SimulationInputs {
         experiment: Experiment::read(&args.experiment)?,
         scene: &args.scene,
         background: args.background,
@@ -62,13 +62,13 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
 }
 
 /// Simulates and writes everything that `reconstruct` needs.
-pub fn write(plan: &Plan) -> Result<()> {
-    let folder = OutputFolder::create(plan.output)?;
-    let camera = plan.experiment.camera()?;
-    check_noise(plan.noise, &camera)
-        .map_err(|e| naming_camera(e, &plan.experiment.path.display().to_string()))?;
-    check_memory(&plan.experiment.path, &camera)?;
-    let psfs = psfs_of(plan, &camera)?;
+pub fn write(inputs: &SimulationInputs) -> Result<()> {
+    let folder = OutputFolder::create(inputs.output)?;
+    let camera = inputs.experiment.camera()?;
+    check_noise(inputs.noise, &camera)
+        .map_err(|e| naming_camera(e, &inputs.experiment.path.display().to_string()))?;
+    check_memory(&inputs.experiment.path, &camera)?;
+    let psfs = psfs_of(inputs, &camera)?;
     let SimulatedCapture {
         recorded,
         noise,
@@ -79,16 +79,16 @@ pub fn write(plan: &Plan) -> Result<()> {
     } = simulate(&Simulation {
         camera: &camera,
         psfs: &psfs,
-        scene: scene_of(plan.scene)?,
-        background: plan.background,
-        noise: plan.noise,
-        seed: plan.seed,
-        digit_px: plan.digit_px,
+        scene: scene_of(inputs.scene)?,
+        background: inputs.background,
+        noise: inputs.noise,
+        seed: inputs.seed,
+        digit_px: inputs.digit_px,
     })
     .map_err(|e| match e {
         // What the frame's light makes impossible is the scene's.
         Error::Input { ref subject, .. } if subject.starts_with("--") => e,
-        e => e.within(plan.scene),
+        e => e.within(inputs.scene),
     })?;
     for led in &leds {
         eprintln!(
@@ -113,21 +113,21 @@ pub fn write(plan: &Plan) -> Result<()> {
     }
     folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
     folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
-    if plan.scene == "leds" {
-        write_photodiodes(plan, &folder, &camera)?;
+    if inputs.scene == "leds" {
+        write_photodiodes(inputs, &folder, &camera)?;
     }
     let notes = json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "scene": plan.scene,
-        "background": plan.background.map(|times| json!({
+        "scene": inputs.scene,
+        "background": inputs.background.map(|times| json!({
             "brightest_over_scene": times,
             "light_over_scene": light,
         })),
         "leds": leds.iter().map(|led| json!({
             "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
         })).collect::<Vec<_>>(),
-        "seed": plan.seed,
-        "noise": match plan.noise {
+        "seed": inputs.seed,
+        "noise": match inputs.noise {
             NoiseChoice::Snr(snr) => json!({ "model": "gaussian", "snr": snr.is_finite().then_some(snr) }),
             NoiseChoice::PeakElectrons(_) | NoiseChoice::SceneElectrons(_) => json!({
                 "model": "shot and read noise",
@@ -135,7 +135,7 @@ pub fn write(plan: &Plan) -> Result<()> {
                     Noise::Camera { peak_electrons } => Some(peak_electrons),
                     Noise::None | Noise::Gaussian { .. } => None,
                 },
-                "scene_electrons": match plan.noise {
+                "scene_electrons": match inputs.noise {
                     NoiseChoice::SceneElectrons(n) => Some(n),
                     NoiseChoice::Snr(_) | NoiseChoice::PeakElectrons(_) => None,
                 },
@@ -144,22 +144,22 @@ pub fn write(plan: &Plan) -> Result<()> {
         "noise_sigma": recorded.sigma,
         "counts_per_unit_of_scene": recorded.scale,
         "saturated_pixels": recorded.saturated,
-        "psf": match &plan.psf.map(Path::to_path_buf).or(plan.experiment.calibration.psf.clone()) {
+        "psf": match &inputs.psf.map(Path::to_path_buf).or(inputs.experiment.calibration.psf.clone()) {
             Some(path) => json!(path.display().to_string()),
             None => json!({
-                "wavelength_nm": plan.optics.wavelength_nm,
-                "pupil_mm": plan.optics.na.is_none().then_some(plan.optics.pupil_mm),
-                "na": plan.optics.na,
-                "focal_length_mm": plan.optics.focal_length_mm,
-                "magnification": plan.optics.magnification,
-                "diffuser_fwhm_deg": plan.optics.diffuser_deg,
-                "diffuser_phase_rad": plan.diffuser_phase,
+                "wavelength_nm": inputs.optics.wavelength_nm,
+                "pupil_mm": inputs.optics.na.is_none().then_some(inputs.optics.pupil_mm),
+                "na": inputs.optics.na,
+                "focal_length_mm": inputs.optics.focal_length_mm,
+                "magnification": inputs.optics.magnification,
+                "diffuser_fwhm_deg": inputs.optics.diffuser_deg,
+                "diffuser_phase_rad": inputs.diffuser_phase,
                 "pixel_pitch_um": pixel_pitch_um(&camera),
             }),
         },
     });
     folder.write_bytes("simulation.json", format!("{notes:#}\n").as_bytes())?;
-    let experiment = written_experiment(plan, &folder, psf_file);
+    let experiment = written_experiment(inputs, &folder, psf_file);
     if let (Some(order), rowburst::Shutter::Custom(k)) = (&experiment.row_order, camera.shutter()) {
         let name = order
             .file_name()
@@ -176,7 +176,7 @@ pub fn write(plan: &Plan) -> Result<()> {
         camera.rows(),
         camera.columns(),
         short(recorded.sigma),
-        match plan.noise {
+        match inputs.noise {
             NoiseChoice::Snr(snr) => format!("SNR {snr}"),
             NoiseChoice::PeakElectrons(n) => format!("{n} electrons in the brightest pixel"),
             NoiseChoice::SceneElectrons(n) =>
@@ -196,9 +196,13 @@ pub fn photodiode_file(number: usize) -> String {
 }
 
 /// Writes what a fast photodiode before each LED records: 1 where it is lit, 0 where not.
-fn write_photodiodes(plan: &Plan, folder: &OutputFolder, camera: &Camera) -> Result<()> {
+fn write_photodiodes(
+    inputs: &SimulationInputs,
+    folder: &OutputFolder,
+    camera: &Camera,
+) -> Result<()> {
     let (shape, bin_us) = (camera.video_shape(), camera.time().bin_duration_us());
-    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), plan.seed)?;
+    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), inputs.seed)?;
     let step_us = bin_us / SAMPLES_PER_BIN as f64;
     let heading = ["time_us".to_string(), "value".to_string()];
     for (i, led) in leds.iter().enumerate() {
@@ -214,8 +218,12 @@ fn write_photodiodes(plan: &Plan, folder: &OutputFolder, camera: &Camera) -> Res
 
 /// The experiment as it is after the simulation: the frame is on the working grid, and
 /// the PSF lies beside it.
-fn written_experiment(plan: &Plan, folder: &OutputFolder, psf_file: &str) -> Experiment {
-    let mut experiment = plan.experiment.clone();
+fn written_experiment(
+    inputs: &SimulationInputs,
+    folder: &OutputFolder,
+    psf_file: &str,
+) -> Experiment {
+    let mut experiment = inputs.experiment.clone();
     experiment.params.sensor.binning = 1;
     experiment.calibration = rowburst_io::Calibration {
         psf: Some(folder.path().join(psf_file)),
@@ -237,9 +245,9 @@ fn write_psfs(folder: &OutputFolder, psfs: &PatchSet) -> Result<&'static str> {
     Ok("psf-patches.toml")
 }
 
-fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
-    if let Some(path) = plan.psf.or(plan.experiment.calibration.psf.as_deref()) {
-        if plan.optics != OpticsArgs::demo() || plan.diffuser_phase != 4.0 {
+fn psfs_of(inputs: &SimulationInputs, camera: &Camera) -> Result<PatchSet> {
+    if let Some(path) = inputs.psf.or(inputs.experiment.calibration.psf.as_deref()) {
+        if inputs.optics != OpticsArgs::demo() || inputs.diffuser_phase != 4.0 {
             eprintln!(
                 "note: the options of the speckle PSF have no effect: the PSF is {}",
                 path.display()
@@ -247,8 +255,8 @@ fn psfs_of(plan: &Plan, camera: &Camera) -> Result<PatchSet> {
         }
         return read_psfs(path, camera, None);
     }
-    let optics = plan.optics.optics(pixel_pitch_um(camera));
-    let psf = speckle_for(camera, &optics, plan.diffuser_phase, plan.seed)?;
+    let optics = inputs.optics.optics(pixel_pitch_um(camera));
+    let psf = speckle_for(camera, &optics, inputs.diffuser_phase, inputs.seed)?;
     eprintln!(
         "speckle PSF: grain {:.2} px, envelope {:.0} px",
         optics.grain_px(),

@@ -5,8 +5,8 @@ use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
 use rowburst_batch::{
-    Batch, Event, Files, FrameRow, RetryPolicy, Status, ThreadAllocation, naming_correction,
-    plan_files,
+    Batch, BatchFiles, Event, FrameRow, RetryPolicy, Status, ThreadAllocation, load_batch,
+    naming_correction,
 };
 use rowburst_io::Calibration;
 use std::path::PathBuf;
@@ -65,7 +65,7 @@ impl PyBatch {
         max_iterations: Option<usize>,
         frame_period_us: Option<f64>,
     ) -> PyResult<Self> {
-        let files = Files {
+        let files = BatchFiles {
             experiment: &experiment,
             frames: &frames,
             calibration: Calibration {
@@ -83,8 +83,8 @@ impl PyBatch {
             version: env!("CARGO_PKG_VERSION"),
         };
         let open = || -> Result<Batch> {
-            let loaded = plan_files(&files)?;
-            Batch::open(loaded.plan, &out)
+            let loaded = load_batch(&files)?;
+            Batch::open(loaded.inputs, &out)
                 .map_err(|e| naming_correction(e, &frames, &loaded.calibration))
         };
         let batch = py.detach(open).map_err(raised)?;
@@ -94,7 +94,7 @@ impl PyBatch {
     /// Number of frames in the recording.
     #[getter]
     fn count(&self) -> usize {
-        self.batch.plan().frames.count()
+        self.batch.inputs().frames.count()
     }
 
     /// The frames of `first..end` that are not through.
@@ -144,7 +144,7 @@ impl PyBatch {
                 return Ok(());
             };
             let allocation =
-                ThreadAllocation::new(threads, frames.len(), &self.batch.plan().model, None);
+                ThreadAllocation::new(threads, frames.len(), &self.batch.inputs().model, None);
             self.batch.run(&frames, &prior, allocation, stop, &|event| {
                 if let Event::Through(row) = event
                     && let Ok(mut lines) = lines.lock()

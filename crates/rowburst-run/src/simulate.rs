@@ -68,15 +68,15 @@ pub struct SimulatedCapture {
 ///
 /// # Errors
 /// A scene that the field is too small for, a background or noise that cannot be.
-pub fn simulate(plan: &Simulation) -> Result<SimulatedCapture> {
-    let camera = plan.camera;
-    check_noise(plan.noise, camera)?;
+pub fn simulate(simulation: &Simulation) -> Result<SimulatedCapture> {
+    let camera = simulation.camera;
+    check_noise(simulation.noise, camera)?;
     let RenderedScene {
         video: scene,
         background,
         leds,
-    } = scene_of(plan, camera)?;
-    let operator = RollingShutter::new(camera, plan.psfs);
+    } = scene_of(simulation, camera)?;
+    let operator = RollingShutter::new(camera, simulation.psfs);
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(scene.data(), &mut frame);
     // Scene and PSF are never negative: what is below zero is rounding of the transforms.
@@ -85,7 +85,7 @@ pub fn simulate(plan: &Simulation) -> Result<SimulatedCapture> {
         .filter(|b| **b < 0.0)
         .for_each(|b| *b = 0.0);
     let noiseless = Image::new(camera.rows(), camera.columns(), frame)?;
-    let noise = match plan.noise {
+    let noise = match simulation.noise {
         NoiseChoice::Snr(snr) if snr.is_infinite() => Noise::None,
         NoiseChoice::Snr(snr) => Noise::Gaussian { snr },
         NoiseChoice::PeakElectrons(peak_electrons) => Noise::Camera { peak_electrons },
@@ -93,7 +93,7 @@ pub fn simulate(plan: &Simulation) -> Result<SimulatedCapture> {
             peak_electrons: peak_electrons(camera, &scene, &noiseless, electrons)?,
         },
     };
-    let recorded = noise.apply(&noiseless, camera.sensor(), plan.seed)?;
+    let recorded = noise.apply(&noiseless, camera.sensor(), simulation.seed)?;
     let direct = direct_frame(camera, &scene);
     let in_counts = |values: &mut [f32]| {
         for v in values {
@@ -274,21 +274,25 @@ struct RenderedScene {
     leds: Vec<Led>,
 }
 
-fn scene_of(plan: &Simulation, camera: &Camera) -> Result<RenderedScene> {
+fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     let shape = camera.video_shape();
-    let of_font = |error: Error| error.within(format!("--digit-px {}", plan.digit_px));
-    let moving = |digits| scene::moving_digit(shape, plan.digit_px, digits, plan.seed);
+    let of_font = |error: Error| error.within(format!("--digit-px {}", simulation.digit_px));
+    let moving = |digits| scene::moving_digit(shape, simulation.digit_px, digits, simulation.seed);
     let mut leds = Vec::new();
-    let mut video = match &plan.scene {
+    let mut video = match &simulation.scene {
         Scene::Named("digits") => {
-            scene::digits(shape, plan.digit_px, plan.seed).map_err(of_font)?
+            scene::digits(shape, simulation.digit_px, simulation.seed).map_err(of_font)?
         }
         Scene::Named("moving") => moving(1).map_err(of_font)?,
         Scene::Named("two-moving") => moving(2).map_err(of_font)?,
         Scene::Named("leds") => {
             let bin_duration_us = camera.time().bin_duration_us();
-            let (video, found) =
-                scene::leds(shape, bin_duration_us, pixel_pitch_um(camera), plan.seed)?;
+            let (video, found) = scene::leds(
+                shape,
+                bin_duration_us,
+                pixel_pitch_um(camera),
+                simulation.seed,
+            )?;
             leds = found;
             video
         }
@@ -302,10 +306,10 @@ fn scene_of(plan: &Simulation, camera: &Camera) -> Result<RenderedScene> {
         }
         Scene::Video(video) => scene::fit(video, shape)?,
     };
-    let background = match plan.background {
+    let background = match simulation.background {
         None => None,
         Some(times) => {
-            let picture = scene::background(shape, plan.seed).map_err(naming_background)?;
+            let picture = scene::background(shape, simulation.seed).map_err(naming_background)?;
             let added = scene::add_background(&mut video, &picture, times);
             Some(added.map_err(naming_background)?)
         }

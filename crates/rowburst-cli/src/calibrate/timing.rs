@@ -5,7 +5,7 @@ mod sheet;
 
 use crate::outcome::say;
 use clap::{Args, ValueHint};
-use files::Plan;
+use files::TimingInputs;
 use rowburst::calibrate::timing::{Light, Timing, TimingParams, calibrate};
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
@@ -105,32 +105,32 @@ pub fn run(args: &TimingArgs) -> Result<()> {
         .as_deref()
         .map(OutputFolder::create)
         .transpose()?;
-    let plan = Plan::read(args)?;
+    let inputs = TimingInputs::read(args)?;
     let params = TimingParams {
-        dark: plan.dark.clone(),
-        flat: plan.flat.clone(),
-        saturation_counts: plan.saturation_counts,
-        expected_row_time_us: plan.expected_row_time_us,
+        dark: inputs.dark.clone(),
+        flat: inputs.flat.clone(),
+        saturation_counts: inputs.saturation_counts,
+        expected_row_time_us: inputs.expected_row_time_us,
         ..TimingParams::default()
     };
     let mut timing =
-        calibrate(&plan.frames, &plan.light, &params).map_err(|e| naming(e, args, &plan))?;
-    timing.warnings.extend(plan.warnings.iter().cloned());
+        calibrate(&inputs.frames, &inputs.light, &params).map_err(|e| naming(e, args, &inputs))?;
+    timing.warnings.extend(inputs.warnings.iter().cloned());
     let written = match &folder {
-        Some(folder) => plan.experiment_with(&timing, folder),
+        Some(folder) => inputs.experiment_with(&timing, folder),
         None => None,
     };
     if let Some((_, notes)) = &written {
         timing.warnings.extend(notes.iter().cloned());
     }
-    let summary = summary(&timing, &plan);
+    let summary = summary(&timing, &inputs);
     let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
     if let Some(folder) = &folder {
         // That of an earlier run would vouch for files that are no longer its own.
         folder.remove("timing.json")?;
         sheet::write(folder, args, &timing, written.is_some())?;
         if let Some((experiment, _)) = &written {
-            plan.write_experiment(folder, experiment)?;
+            inputs.write_experiment(folder, experiment)?;
         }
         folder.write_bytes("timing.json", format!("{json}\n").as_bytes())?;
     }
@@ -146,7 +146,7 @@ pub fn run(args: &TimingArgs) -> Result<()> {
 }
 
 /// Names the file or the option in an error of the library.
-fn naming(mut error: Error, args: &TimingArgs, plan: &Plan) -> Error {
+fn naming(mut error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
     if let Error::Input { subject, .. } = &mut error {
         let number = subject
             .strip_prefix("frame ")
@@ -177,14 +177,14 @@ fn naming(mut error: Error, args: &TimingArgs, plan: &Plan) -> Error {
                     text.trim_start_matches("frequency_hz").replace(" = ", " ")
                 );
             }
-            _ => return naming_file(error, &args.frames[0], &plan.calibration),
+            _ => return naming_file(error, &args.frames[0], &inputs.calibration),
         }
     }
     error
 }
 
-fn summary(timing: &Timing, plan: &Plan) -> Summary {
-    let periodic = matches!(plan.light, Light::Periodic { .. });
+fn summary(timing: &Timing, inputs: &TimingInputs) -> Summary {
+    let periodic = matches!(inputs.light, Light::Periodic { .. });
     let phases = timing.phases.clone();
     Summary {
         version: env!("CARGO_PKG_VERSION"),
@@ -211,9 +211,9 @@ fn summary(timing: &Timing, plan: &Plan) -> Summary {
                 left: c.left,
             })
             .collect(),
-        frames: plan.frames.len(),
-        rows: plan.frames[0].rows(),
-        columns: plan.frames[0].columns(),
+        frames: inputs.frames.len(),
+        rows: inputs.frames[0].rows(),
+        columns: inputs.frames[0].columns(),
         warnings: timing.warnings.clone(),
         advice: timing.advice.clone(),
     }

@@ -9,7 +9,7 @@ pub use options::DesignArgs;
 use crate::inputs::read_psfs;
 use crate::outcome::say;
 use indicatif::{ProgressBar, ProgressStyle};
-use options::Plan;
+use options::DesignInputs;
 use outcome::{Outcome, print_summary};
 use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
 use rowburst::design::{Assessment, assess};
@@ -23,24 +23,29 @@ use std::time::Instant;
 
 pub fn run(args: &DesignArgs) -> Result<()> {
     let started = Instant::now();
-    let plan = args.plan()?;
-    let given = plan
+    let inputs = args.inputs()?;
+    let given = inputs
         .psf
         .as_deref()
-        .map(|path| psf_of(path, &plan.camera))
+        .map(|path| psf_of(path, &inputs.camera))
         .transpose()?;
-    let assessment = assess(&plan.camera, &plan.optics, &plan.light, given.as_ref())
-        .map_err(|e| args.naming_option(e))?;
+    let assessment = assess(
+        &inputs.camera,
+        &inputs.optics,
+        &inputs.light,
+        given.as_ref(),
+    )
+    .map_err(|e| args.naming_option(e))?;
     let folder = match &args.output {
         Some(path) => Some(OutputFolder::create(path)?),
         None => None,
     };
     let map = match args.quick {
         true => None,
-        false => Some(map_of(&plan, &assessment, given.as_ref())?),
+        false => Some(map_of(&inputs, &assessment, given.as_ref())?),
     };
     let outcome = Outcome::new(
-        &plan,
+        &inputs,
         &assessment,
         map.as_ref(),
         started.elapsed().as_secs_f64(),
@@ -49,10 +54,10 @@ pub fn run(args: &DesignArgs) -> Result<()> {
         // One that cannot be simulated is only not shown.
         let psf = match given {
             Some(psf) => Some(psf),
-            None => simulated(&plan, &plan.camera, assessment.envelope_fwhm_px).ok(),
+            None => simulated(&inputs, &inputs.camera, assessment.envelope_fwhm_px).ok(),
         };
         let page = page::Page {
-            plan: &plan,
+            inputs: &inputs,
             assessment: &assessment,
             map: map.as_ref(),
             psf: psf.as_ref(),
@@ -75,32 +80,36 @@ fn psf_of(path: &Path, camera: &Camera) -> Result<Psf> {
 }
 
 /// A speckle PSF of all displacements that `camera` needs, its envelope `fwhm_px` wide.
-fn simulated(plan: &Plan, camera: &Camera, fwhm_px: f64) -> Result<Psf> {
+fn simulated(inputs: &DesignInputs, camera: &Camera, fwhm_px: f64) -> Result<Psf> {
     let (field_rows, field_columns) = camera.field();
-    let optics = plan.optics.with_envelope(fwhm_px);
+    let optics = inputs.optics.with_envelope(fwhm_px);
     speckle_psf(
         &optics,
         (camera.rows() + field_rows - 1) | 1,
         (camera.columns() + field_columns - 1) | 1,
-        plan.seed,
+        inputs.seed,
     )
 }
 
 /// The success map, with the given PSF, or with speckle of the grain and, where the trial
 /// camera is smaller, an envelope in proportion.
-fn map_of(plan: &Plan, assessment: &Assessment, given: Option<&Psf>) -> Result<SuccessMap> {
-    let camera = trial_camera(&plan.camera)?;
-    let part = camera.rows() as f64 / plan.camera.rows() as f64;
+fn map_of(
+    inputs: &DesignInputs,
+    assessment: &Assessment,
+    given: Option<&Psf>,
+) -> Result<SuccessMap> {
+    let camera = trial_camera(&inputs.camera)?;
+    let part = camera.rows() as f64 / inputs.camera.rows() as f64;
     let psf = match given {
         Some(psf) => psf.clone(),
-        None => simulated(plan, &camera, part * assessment.envelope_fwhm_px)?,
+        None => simulated(inputs, &camera, part * assessment.envelope_fwhm_px)?,
     };
     let grain_px = assessment
         .measured_grain_px
         .unwrap_or_else(|| assessment.grains.fwhm_px());
-    let mut params = SparsityParams::for_camera(&camera, grain_px, plan.seed);
-    if !plan.trial_snrs.is_empty() {
-        params.snrs = plan.trial_snrs.clone();
+    let mut params = SparsityParams::for_camera(&camera, grain_px, inputs.seed);
+    if !inputs.trial_snrs.is_empty() {
+        params.snrs = inputs.trial_snrs.clone();
     }
     let bar = if std::io::stderr().is_terminal() {
         ProgressBar::new(1000)

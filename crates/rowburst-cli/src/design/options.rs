@@ -118,7 +118,7 @@ pub struct LightArgs {
 }
 
 /// What is to be assessed.
-pub struct Plan {
+pub struct DesignInputs {
     pub camera: Camera,
     pub optics: SpeckleOptics,
     pub light: LightParams,
@@ -133,7 +133,7 @@ const MAX_SIDE: usize = 32_768;
 
 impl DesignArgs {
     /// Options over experiment over the paper's camera.
-    pub fn plan(&self) -> Result<Plan> {
+    pub fn inputs(&self) -> Result<DesignInputs> {
         let experiment = match &self.experiment {
             Some(path) => Some(Experiment::read(path)?),
             None => None,
@@ -185,7 +185,7 @@ impl DesignArgs {
             .optics
             .optics(pitch.unwrap_or(SpeckleOptics::demo().pixel_pitch_um));
         optics.check().map_err(|e| self.naming_option(e))?;
-        Ok(Plan {
+        Ok(DesignInputs {
             camera,
             optics,
             light,

@@ -1,6 +1,6 @@
 //! `design.json` and the summary: the numbers of a design.
 
-use super::options::Plan;
+use super::options::DesignInputs;
 use crate::outcome::say;
 use rowburst::design::sparsity::{SuccessMap, recoverable, usual_constant};
 use rowburst::design::{Assessment, fits_full_well, verdicts};
@@ -105,7 +105,7 @@ impl Map {
 
 impl Outcome {
     pub fn new(
-        plan: &Plan,
+        inputs: &DesignInputs,
         assessment: &Assessment,
         map: Option<&SuccessMap>,
         seconds: f64,
@@ -118,7 +118,7 @@ impl Outcome {
         let pixels = constant.map_or(0.0, |c| {
             recoverable(assessment.measurements_per_bin, c, assessment.field_pixels)
         });
-        let aperture = plan.optics.aperture;
+        let aperture = inputs.optics.aperture;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             grain_px: assessment.grains.grain_px,
@@ -128,7 +128,7 @@ impl Outcome {
             speckle_contrast: assessment.grains.contrast(),
             image_na: aperture.na(),
             image_distance_mm: aperture.image_distance_mm(),
-            diffuser_deg: plan.optics.diffuser_fwhm_deg,
+            diffuser_deg: inputs.optics.diffuser_fwhm_deg,
             smallest_diffuser_deg: assessment.smallest_diffuser_deg,
             envelope_fwhm_px: assessment.envelope_fwhm_px,
             reach_needed_px: assessment.spread.needed_px,
@@ -143,24 +143,30 @@ impl Outcome {
             electrons_mean: assessment.signal.mean,
             electrons_peak: assessment.signal.peak,
             noise_electrons: assessment.signal.noise,
-            saturates: !fits_full_well(&plan.camera, &assessment.signal, &plan.light),
+            saturates: !fits_full_well(&inputs.camera, &assessment.signal, &inputs.light),
             snr_per_pixel: snr,
             spectral_bandwidth_nm: assessment.bandwidth_nm,
             diffraction_bandwidth_nm: assessment.diffraction_bandwidth_nm,
             path_bandwidth_nm: assessment.path_bandwidth_nm,
-            source_bandwidth_nm: plan.light.source_bandwidth_nm,
+            source_bandwidth_nm: inputs.light.source_bandwidth_nm,
             contrast_kept: assessment.contrast_kept,
             measurements_per_bin: assessment.measurements_per_bin,
             field_pixels: assessment.field_pixels,
-            bright_pixels: plan.light.bright_pixels,
+            bright_pixels: inputs.light.bright_pixels,
             recoverable_pixels_per_bin: pixels,
             recoverable_is_lower_bound: map.is_some_and(|m| m.is_lower_bound_at(snr)),
             sparsity_constant: constant,
             sparsity_source: if map.is_some() { "trials" } else { "rule" },
             success_map: map.map(Map::new),
-            seed: plan.seed,
+            seed: inputs.seed,
             seconds,
-            warnings: verdicts(assessment, &plan.camera, &plan.optics, &plan.light, pixels),
+            warnings: verdicts(
+                assessment,
+                &inputs.camera,
+                &inputs.optics,
+                &inputs.light,
+                pixels,
+            ),
         }
     }
 

@@ -1,6 +1,6 @@
 //! The page of a design, its pictures and `design.json`.
 
-use super::options::Plan;
+use super::options::DesignInputs;
 use super::outcome::Outcome;
 use rowburst::design::sparsity::SuccessMap;
 use rowburst::design::{Assessment, LightParams, signal};
@@ -10,7 +10,7 @@ use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
 /// What the page is made of.
 pub struct Page<'a> {
-    pub plan: &'a Plan,
+    pub inputs: &'a DesignInputs,
     pub assessment: &'a Assessment,
     pub map: Option<&'a SuccessMap>,
     pub psf: Option<&'a Psf>,
@@ -39,7 +39,7 @@ impl Page<'_> {
             None => vec![Vec::new(), Vec::new()],
         };
         let reach = &self.assessment.spread.rows;
-        let camera = &self.plan.camera;
+        let camera = &self.inputs.camera;
         let places = |count: usize, of: usize| -> Vec<f64> {
             (0..count).map(|i| (i * of / count) as f64).collect()
         };
@@ -71,7 +71,7 @@ impl Page<'_> {
                     quantity: "part of the light",
                     range: None,
                 },
-                caption: match &self.plan.psf {
+                caption: match &self.inputs.psf {
                     Some(path) => format!("The PSF of {}.", path.display()),
                     None => format!(
                         "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Light that falls outside of it is not shown.",
@@ -95,7 +95,7 @@ impl Page<'_> {
                 camera.rows(),
                 camera.columns(),
                 camera.shutter().name(),
-                self.plan.optics.diffuser_fwhm_deg,
+                self.inputs.optics.diffuser_fwhm_deg,
                 outcome.frames,
                 outcome.frame_rate_hz
             ),
@@ -158,12 +158,12 @@ impl Page<'_> {
     }
 
     fn snr_drawing(&self) -> Drawing<'_> {
-        let light = self.plan.light;
+        let light = self.inputs.light;
         // Two decades to either side.
         let points = (-20..=20).map(|i| {
             let photons = light.photons * 10f64.powf(f64::from(i) / 10.0);
             let at = signal(
-                &self.plan.camera,
+                &self.inputs.camera,
                 &self.assessment.spread,
                 &LightParams { photons, ..light },
             );
@@ -236,32 +236,35 @@ impl Page<'_> {
     }
 
     fn given(&self) -> Vec<(String, String)> {
-        let (plan, params) = (self.plan, self.plan.camera.params());
-        let field = plan.camera.field();
+        let (inputs, params) = (self.inputs, self.inputs.camera.params());
+        let field = inputs.camera.field();
         let pair = |name: &str, value: String| (name.to_string(), value);
         vec![
-            pair("wavelength_nm", plan.optics.wavelength_nm.to_string()),
-            pair("image-side NA", format!("{:.4}", plan.optics.aperture.na())),
+            pair("wavelength_nm", inputs.optics.wavelength_nm.to_string()),
+            pair(
+                "image-side NA",
+                format!("{:.4}", inputs.optics.aperture.na()),
+            ),
             pair(
                 "image distance",
-                format!("{:.1} mm", plan.optics.aperture.image_distance_mm()),
+                format!("{:.1} mm", inputs.optics.aperture.image_distance_mm()),
             ),
-            pair("diffuser_deg", plan.optics.diffuser_fwhm_deg.to_string()),
-            pair("pixel_pitch_um", plan.optics.pixel_pitch_um.to_string()),
+            pair("diffuser_deg", inputs.optics.diffuser_fwhm_deg.to_string()),
+            pair("pixel_pitch_um", inputs.optics.pixel_pitch_um.to_string()),
             pair("row_time_us", params.row_time_us.to_string()),
             pair("exposure_us", params.exposure_us.to_string()),
             pair("field", format!("{} × {}", field.0, field.1)),
-            pair("photons", format!("{:e}", plan.light.photons)),
-            pair("bright_pixels", plan.light.bright_pixels.to_string()),
+            pair("photons", format!("{:e}", inputs.light.photons)),
+            pair("bright_pixels", inputs.light.bright_pixels.to_string()),
             pair(
                 "quantum_efficiency",
-                plan.light.quantum_efficiency.to_string(),
+                inputs.light.quantum_efficiency.to_string(),
             ),
             pair(
                 "read_noise_electrons",
-                plan.light.read_noise_electrons.to_string(),
+                inputs.light.read_noise_electrons.to_string(),
             ),
-            pair("seed", plan.seed.to_string()),
+            pair("seed", inputs.seed.to_string()),
         ]
     }
 }

@@ -25,7 +25,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         .as_deref()
         .map(|path| experiment_of(path, &args.captures))
         .transpose()?;
-    let plan = Plan::new(args, experiment.as_ref())?;
+    let settings = CaptureSettings::new(args, experiment.as_ref())?;
     let files = captures::read(args)?;
     let positions = args
         .positions_mm
@@ -35,7 +35,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     let groups = groups(files, positions.is_some());
     let lights = groups
         .iter()
-        .map(|group| plan.light(group))
+        .map(|group| settings.light(group))
         .collect::<Result<Vec<Light>>>()?;
 
     let (effect, placed_lights) = match &positions {
@@ -123,7 +123,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         version: env!("CARGO_PKG_VERSION"),
         rows: psf.image().rows(),
         columns: psf.image().columns(),
-        binning: plan.binning,
+        binning: settings.binning,
         captures: lights.iter().map(|l| l.used).sum(),
         left_out: lights
             .iter()
@@ -171,14 +171,14 @@ pub fn run(args: &PsfArgs) -> Result<()> {
 }
 
 /// What holds for every capture.
-struct Plan {
+struct CaptureSettings {
     dark: Option<Image>,
     exposures_ms: Vec<f64>,
     saturation_counts: Option<f64>,
     binning: usize,
 }
 
-impl Plan {
+impl CaptureSettings {
     fn new(args: &PsfArgs, experiment: Option<&Experiment>) -> Result<Self> {
         let dark = args
             .dark

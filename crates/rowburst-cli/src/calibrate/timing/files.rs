@@ -8,7 +8,7 @@ use rowburst_io::{Calibration, Experiment, OutputFolder, read_colour_image, writ
 use std::path::Path;
 
 /// What the command line asks for, read.
-pub struct Plan {
+pub struct TimingInputs {
     pub frames: Vec<Image>,
     pub light: Light,
     pub dark: Option<Image>,
@@ -23,7 +23,7 @@ pub struct Plan {
     binning: usize,
 }
 
-impl Plan {
+impl TimingInputs {
     pub fn read(args: &TimingArgs) -> Result<Self> {
         let light = light(args)?;
         let experiment = args

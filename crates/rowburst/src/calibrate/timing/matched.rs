@@ -96,10 +96,10 @@ fn coarse(
             lengths.map(move |l| (tau, l * tau)).collect::<Vec<_>>()
         })
         .collect();
-    let plans = Plans::default();
+    let ffts = FftCache::default();
     let found: Vec<Vec<Start>> = tried
         .par_iter()
-        .map(|&(tau, exposure)| correlate(&plans, &folded, signal, (tau, exposure), total))
+        .map(|&(tau, exposure)| correlate(&ffts, &folded, signal, (tau, exposure), total))
         .collect();
     (0..orders.len())
         .map(|o| {
@@ -150,30 +150,30 @@ fn smoothness(signal: &Signal, tau: f64, instants: usize) -> f64 {
 
 /// Transforms of each length, planned once: a plan costs as much as several transforms.
 #[derive(Default)]
-struct Plans(Mutex<HashMap<usize, Plan>>);
+struct FftCache(Mutex<HashMap<usize, FftPair>>);
 
 /// Forward and inverse.
-type Plan = [Arc<dyn Fft<f64>>; 2];
+type FftPair = [Arc<dyn Fft<f64>>; 2];
 
-impl Plans {
+impl FftCache {
     /// Forward and inverse, of `length`.
-    fn of(&self, length: usize) -> Plan {
-        let mut plans = self.0.lock().expect("no thread panics while planning");
-        let plan = || {
+    fn of(&self, length: usize) -> FftPair {
+        let mut ffts = self.0.lock().expect("no thread panics while planning");
+        let make = || {
             let mut planner = FftPlanner::new();
             [
                 planner.plan_fft_forward(length),
                 planner.plan_fft_inverse(length),
             ]
         };
-        plans.entry(length).or_insert_with(plan).clone()
+        ffts.entry(length).or_insert_with(make).clone()
     }
 }
 
 /// The best moment for each of the folded orders, by correlation at all moments that are
 /// whole row times apart.
 fn correlate(
-    plans: &Plans,
+    ffts: &FftCache,
     folded: &[(Vec<f64>, Vec<f64>)],
     signal: &Signal,
     (tau, exposure): (f64, f64),
@@ -193,7 +193,7 @@ fn correlate(
     let course: Vec<f64> = (0..moments + longest)
         .map(|i| signal.exposed(begin + i as f64 * tau, exposure))
         .collect();
-    let [forward, inverse] = plans.of(length);
+    let [forward, inverse] = ffts.of(length);
     let spectrum = |values: &[f64]| {
         let mut padded: Vec<Complex64> = values.iter().map(|&v| Complex64::new(v, 0.0)).collect();
         padded.resize(length, Complex64::default());
@@ -423,5 +423,12 @@ fn moment_of(rows: &[f64], k: &[usize], signal: &Signal, tau: f64, exposure: f64
     let trend = linear(&polynomials(rows.len(), 1), rows).residual;
     let folded = [fold(&trend, k)];
     let total = dot(&trend, &trend);
-    correlate(&Plans::default(), &folded, signal, (tau, exposure), total)[0].offset_us
+    correlate(
+        &FftCache::default(),
+        &folded,
+        signal,
+        (tau, exposure),
+        total,
+    )[0]
+    .offset_us
 }

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Experiment, recording and recipe: values, wherever they come from.
-pub struct Plan {
+pub struct BatchInputs {
     /// Camera and PSF.
     pub model: Model,
     /// Dark, flat and bad pixels. The level of saturation is that of each frame's file.
@@ -27,7 +27,7 @@ pub struct Plan {
     pub version: String,
 }
 
-impl Plan {
+impl BatchInputs {
     /// The measurement that a frame is.
     ///
     /// # Errors
