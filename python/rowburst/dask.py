@@ -190,7 +190,7 @@ def _main() -> int:
         return 1
     scheduler, as_json = args.pop("scheduler"), args.pop("json")
 
-    def said(done: int, of: int) -> None:
+    def print_progress(done: int, of: int) -> None:
         if sys.stderr.isatty():
             print(f"\r{done} of {of} frames", end="" if done < of else "\n", file=sys.stderr, flush=True)
 
@@ -199,7 +199,7 @@ def _main() -> int:
             if not client.nthreads():
                 print(f"{scheduler} has no worker yet: waiting up to {args['workers_timeout_s']:g} s", file=sys.stderr)
             summary = reconstruct(
-                args.pop("frames"), args.pop("output"), args.pop("experiment"), client, progress=said, **args
+                args.pop("frames"), args.pop("output"), args.pop("experiment"), client, progress=print_progress, **args
             )
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

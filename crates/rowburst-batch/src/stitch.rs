@@ -10,7 +10,7 @@ use crate::run::{Batch, Event};
 use crate::table::Status;
 use rayon::prelude::*;
 use rowburst::{Error, Result};
-use rowburst_io::cannot_write;
+use rowburst_io::write_error;
 use rowburst_zarr::{StitchParams, StitchedVideo};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -70,7 +70,7 @@ impl Batch {
         };
         removed
             .and_then(|()| std::fs::rename(&hidden, &path))
-            .map_err(|e| cannot_write(&e).within(path.display()))?;
+            .map_err(|e| write_error(&e).within(path.display()))?;
         Ok(Some(path))
     }
 

@@ -2,7 +2,7 @@
 
 use crate::args::BatchArgs;
 use crate::inputs::calibration_from_args;
-use crate::outcome::say;
+use crate::output::print_line;
 use crate::progress::stop_on_ctrl_c;
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -22,7 +22,7 @@ use std::time::Instant;
 
 /// What a run of `batch` ends with.
 #[derive(Debug, Serialize)]
-struct Summary {
+struct BatchSummary {
     version: &'static str,
     archive: String,
     table: String,
@@ -71,7 +71,7 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
     }
     let (summary, _) = one(args, &stop)?;
     if args.json {
-        say(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
+        print_line(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
     } else {
         print_summary(&summary);
     }
@@ -126,10 +126,10 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     }
     let table = sweep::write(folder.path(), &rows)?;
     if args.json {
-        say(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
+        print_line(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
     } else {
-        sweep::lines(&rows).into_iter().for_each(say);
-        say(format!(
+        sweep::lines(&rows).into_iter().for_each(print_line);
+        print_line(format!(
             "table, with medians over the frames: {}",
             table.display()
         ));
@@ -145,7 +145,7 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// One batch, through; the lines of its frames.
-fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> {
+fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRow>)> {
     let began = Instant::now();
     let (inputs, calibration, from_metadata) = load_input(args)?;
     let batch = Batch::open(inputs, &args.output)
@@ -209,7 +209,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(Summary, Vec<FrameRow>)> 
     let of = |status| rows.iter().filter(move |row| row.status == status);
     let ours = rows.iter().filter(|row| left.contains(&row.frame));
     let failed_ours = ours.clone().filter(|row| row.status == Status::Failed);
-    let summary = Summary {
+    let summary = BatchSummary {
         version: env!("CARGO_PKG_VERSION"),
         archive: args.output.display().to_string(),
         table: table.display().to_string(),
@@ -394,13 +394,13 @@ fn warnings(rows: &[FrameRow], mut warnings: Vec<String>) -> Vec<String> {
     warnings
 }
 
-fn print_summary(summary: &Summary) {
-    say(format!(
+fn print_summary(summary: &BatchSummary) {
+    print_line(format!(
         "{}: {} of {} frames have their video",
         summary.archive, summary.done, summary.frames
     ));
     if let Some(rate) = summary.frames_per_second {
-        say(format!(
+        print_line(format!(
             "this run: {} frames in {} s, {} a second ({} at once, {} thread(s) each)",
             summary.frames_this_run,
             short(summary.seconds),
@@ -409,19 +409,19 @@ fn print_summary(summary: &Summary) {
             summary.threads_per_frame
         ));
     }
-    say(format!(
+    print_line(format!(
         "prior: {} ({})",
         summary.prior, summary.prior_reason
     ));
     if let (Some(period), Some(dead)) = (summary.frame_period_us, summary.dead_us) {
-        say(format!(
+        print_line(format!(
             "a frame every {period} µs, {} µs of them dead time",
             short(dead)
         ));
     }
-    say(format!("table: {}", summary.table));
+    print_line(format!("table: {}", summary.table));
     if let Some(stitched) = &summary.stitched {
-        say(format!("one time axis: {stitched}"));
+        print_line(format!("one time axis: {stitched}"));
     }
     for warning in &summary.warnings {
         eprintln!("warning: {warning}");

@@ -1,12 +1,12 @@
 //! `rowburst reconstruct --bins` and `--part-bins`: a range of bins, and a video part by part.
 
 use crate::args::ReconstructArgs;
-use crate::outcome::say;
+use crate::output::print_line;
 use crate::progress::ChunkBar;
 use rowburst::reconstruct::Verdict;
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
-use rowburst_run::{ChunkedTask, PartsOutcome, run_chunked, short, thousands};
+use rowburst_run::{ChunkedSummary, ChunkedTask, run_chunked, short, thousands};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -32,45 +32,45 @@ pub fn run(
     task: &ChunkedTask,
     folder: &OutputFolder,
     stop: Arc<AtomicBool>,
-) -> Result<PartsOutcome> {
+) -> Result<ChunkedSummary> {
     let mut bar = ChunkBar::new(stop);
-    let outcome = run_chunked(task, folder, &mut |part, bins, progress| {
+    let summary = run_chunked(task, folder, &mut |part, bins, progress| {
         bar.show(part, bins, progress)
     });
     bar.finish();
-    outcome
+    summary
 }
 
 /// Says what was found.
-pub fn print_summary(outcome: &PartsOutcome, args: &ReconstructArgs) -> Result<()> {
+pub fn print_summary(summary: &ChunkedSummary, args: &ReconstructArgs) -> Result<()> {
     if args.json {
-        say(serde_json::to_string_pretty(outcome).expect("plain numbers and text"));
+        print_line(serde_json::to_string_pretty(summary).expect("plain numbers and text"));
         return Ok(());
     }
-    say(format_args!(
+    print_line(format_args!(
         "{} frames of {}×{} at {} fps from one frame, in {} parts and {:.1} s ({} s a bin)",
-        outcome.frames,
-        outcome.rows,
-        outcome.columns,
-        thousands(outcome.frame_rate_hz),
-        outcome.parts.len(),
-        outcome.seconds,
-        short(outcome.seconds_per_bin),
+        summary.frames,
+        summary.rows,
+        summary.columns,
+        thousands(summary.frame_rate_hz),
+        summary.parts.len(),
+        summary.seconds,
+        short(summary.seconds_per_bin),
     ));
-    say(format_args!(
+    print_line(format_args!(
         "residual/σ {:.3}, σ {} ({}), prior {}",
-        outcome.residual_over_sigma,
-        short(outcome.noise_sigma),
-        outcome.noise_sigma_source,
-        outcome.prior,
+        summary.residual_over_sigma,
+        short(summary.noise_sigma),
+        summary.noise_sigma_source,
+        summary.prior,
     ));
-    if outcome.fit == Verdict::Good.name() {
-        say(format_args!("the fit is good: {}", outcome.fit_reason));
+    if summary.fit == Verdict::Good.name() {
+        print_line(format_args!("the fit is good: {}", summary.fit_reason));
     }
-    for warning in &outcome.warnings {
-        say(format_args!("warning: {warning}"));
+    for warning in &summary.warnings {
+        print_line(format_args!("warning: {warning}"));
     }
-    say(format_args!(
+    print_line(format_args!(
         "open {}",
         args.output.join("report.html").display()
     ));

@@ -3,7 +3,7 @@
 
 use crate::args::ReconstructArgs;
 use crate::inputs::{calibration_of, read_psfs};
-use crate::outcome::say;
+use crate::output::print_line;
 use crate::progress::Bar;
 use crate::reconstruct::{command_line, film_of};
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
@@ -16,7 +16,8 @@ use rowburst_io::{
 use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    MetadataNumbers, Outcome, ResultMeta, Task, TraceRequest, player_of, solve, thousands,
+    MetadataNumbers, ReconstructionSummary, ResultMeta, Task, TraceRequest, player_of, solve,
+    thousands,
 };
 use serde::Serialize;
 use std::sync::Arc;
@@ -25,7 +26,7 @@ use std::time::{Duration, Instant};
 
 /// `result.json` of the folder above the planes.
 #[derive(Serialize)]
-struct ColourOutcome {
+struct ColourSummary {
     version: &'static str,
     bayer: &'static str,
     frames: usize,
@@ -33,13 +34,13 @@ struct ColourOutcome {
     columns: usize,
     frame_rate_hz: f64,
     metadata: MetadataNumbers,
-    planes: Vec<Plane>,
+    planes: Vec<PlaneSummary>,
     warnings: Vec<String>,
 }
 
 /// A plane, whose own result.json says more.
 #[derive(Serialize)]
-struct Plane {
+struct PlaneSummary {
     name: String,
     folder: String,
     /// From the start of the sensor's first instant to that of the plane's.
@@ -81,16 +82,16 @@ pub fn run(
     // Green has half of the pixels: the prior is chosen on it, for all.
     let mut sites = mosaic.sites();
     sites.sort_by_key(|site| (site.colour != Colour::Green, site.row));
-    let mut planes: Vec<(Site, Plane, Video)> = Vec::new();
+    let mut planes: Vec<(Site, PlaneSummary, Video)> = Vec::new();
     let mut bin_us = 0.0;
     for site in sites {
         eprintln!("{}", site.name());
         let plane = plane_camera(&shared.camera, site);
         let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
-        let (outcome, video) = shared.solve(args, &plane, site, options, began, stop)?;
-        options.prior = options.prior.or(outcome.prior.parse().ok());
+        let (summary, video) = shared.solve(args, &plane, site, options, began, stop)?;
+        options.prior = options.prior.or(summary.prior.parse().ok());
         bin_us = plane.camera.time().bin_duration_us();
-        let listed = Plane::of(&outcome, site, plane.start_us, args);
+        let listed = PlaneSummary::of(&summary, site, plane.start_us, args);
         planes.push((site, listed, video));
     }
     let mut warnings = experiment.from_metadata.warnings.clone();
@@ -129,7 +130,7 @@ pub fn run(
     folder.write("colour.tif", |w| {
         write_tiff_colour(w, shape, &colours, scale)
     })?;
-    let outcome = ColourOutcome {
+    let summary = ColourSummary {
         version: env!("CARGO_PKG_VERSION"),
         bayer: mosaic.name(),
         frames: shape.bins,
@@ -140,11 +141,11 @@ pub fn run(
         planes: planes.into_iter().map(|(_, plane, _)| plane).collect(),
         warnings,
     };
-    let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
+    let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
     folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
     match args.json {
-        true => say(json),
-        false => print_summary(&outcome, args),
+        true => print_line(json),
+        false => print_summary(&summary, args),
     }
     Ok(())
 }
@@ -228,7 +229,7 @@ impl SharedInputs {
         options: Options,
         began: Instant,
         stop: &Arc<AtomicBool>,
-    ) -> Result<(Outcome, Video)> {
+    ) -> Result<(ReconstructionSummary, Video)> {
         let of = |image: &Option<Image>| image.as_ref().map(|image| plane_image(image, site));
         let corrections = Corrections {
             dark: of(&self.corrections.dark),
@@ -268,28 +269,33 @@ impl SharedInputs {
             player: player_of(folder.path()),
             film: film_of(args),
         };
-        let outcome = completed.write(&traces, &folder, result_meta)?;
-        Ok((outcome, completed.reconstruction.video))
+        let summary = completed.write(&traces, &folder, result_meta)?;
+        Ok((summary, completed.reconstruction.video))
     }
 }
 
-impl Plane {
-    fn of(outcome: &Outcome, site: Site, start_us: f64, args: &ReconstructArgs) -> Self {
+impl PlaneSummary {
+    fn of(
+        summary: &ReconstructionSummary,
+        site: Site,
+        start_us: f64,
+        args: &ReconstructArgs,
+    ) -> Self {
         Self {
             name: site.name(),
             folder: args.output.join(site.name()).display().to_string(),
             start_us,
-            prior: outcome.prior.clone(),
-            tau: outcome.tau,
-            residual_over_sigma: outcome.residual_over_sigma,
-            fit: outcome.fit,
-            seconds: outcome.setup_seconds + outcome.seconds,
+            prior: summary.prior.clone(),
+            tau: summary.tau,
+            residual_over_sigma: summary.residual_over_sigma,
+            fit: summary.fit,
+            seconds: summary.setup_seconds + summary.seconds,
         }
     }
 }
 
 /// Colours that are not of one time.
-fn offset_warning(planes: &[(Site, Plane, Video)]) -> Option<String> {
+fn offset_warning(planes: &[(Site, PlaneSummary, Video)]) -> Option<String> {
     let starts = planes.iter().map(|(_, plane, _)| plane.start_us);
     let first = starts.clone().fold(f64::INFINITY, f64::min);
     let last = starts.fold(f64::NEG_INFINITY, f64::max);
@@ -301,25 +307,25 @@ fn offset_warning(planes: &[(Site, Plane, Video)]) -> Option<String> {
     })
 }
 
-fn print_summary(outcome: &ColourOutcome, args: &ReconstructArgs) {
-    say(format_args!(
+fn print_summary(summary: &ColourSummary, args: &ReconstructArgs) {
+    print_line(format_args!(
         "{} frames of {}×{} in colour at {} fps from one raw {} frame",
-        outcome.frames,
-        outcome.rows,
-        outcome.columns,
-        thousands(outcome.frame_rate_hz),
-        outcome.bayer
+        summary.frames,
+        summary.rows,
+        summary.columns,
+        thousands(summary.frame_rate_hz),
+        summary.bayer
     ));
-    for plane in &outcome.planes {
-        say(format_args!(
+    for plane in &summary.planes {
+        print_line(format_args!(
             "{}: prior {}, residual/σ {:.3}, the fit is {}, {:.2} s",
             plane.name, plane.prior, plane.residual_over_sigma, plane.fit, plane.seconds
         ));
     }
-    for warning in &outcome.warnings {
-        say(format_args!("warning: {warning}"));
+    for warning in &summary.warnings {
+        print_line(format_args!("warning: {warning}"));
     }
-    say(format_args!(
+    print_line(format_args!(
         "video: {}",
         args.output.join("colour.tif").display()
     ));

@@ -1,7 +1,7 @@
 //! `rowburst figure`: a figure for a paper from a result folder.
 
 use crate::args::{FigureArgs, FigureLayout};
-use crate::outcome::say;
+use crate::output::print_line;
 use rowburst::traces::{Region, Trace, frequency_of};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 use rowburst_io::{OutputFolder, read_image, read_video};
@@ -141,7 +141,7 @@ pub fn run(args: &FigureArgs) -> Result<()> {
             &composed.png
         },
     )?;
-    say(args.output.display());
+    print_line(args.output.display());
     Ok(())
 }
 

@@ -16,7 +16,7 @@ mod demo;
 mod design;
 mod figure;
 mod inputs;
-mod outcome;
+mod output;
 mod progress;
 mod reconstruct;
 mod simulate;

@@ -4,7 +4,7 @@ use crate::args::ReconstructArgs;
 use crate::chunked;
 use crate::colour;
 use crate::inputs::{calibration_of, read_psfs};
-use crate::outcome::say;
+use crate::output::print_line;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
 use rowburst::measurement::correct;
@@ -16,8 +16,8 @@ use rowburst_run::inputs::{
 };
 use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
 use rowburst_run::{
-    ChunkedTask, Film, Outcome, PartsOutcome, ResultMeta, Task, TraceRequest, Traces, player_of,
-    short, solve, thousands,
+    ChunkedSummary, ChunkedTask, Film, ReconstructionSummary, ResultMeta, Task, TraceRequest,
+    Traces, player_of, short, solve, thousands,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,14 +36,14 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     }
     let artifacts = match one(args, experiment, began, stop)? {
         Artifacts::Whole(artifacts) => artifacts,
-        Artifacts::Chunked(outcome) => return chunked::print_summary(&outcome, args),
+        Artifacts::Chunked(summary) => return chunked::print_summary(&summary, args),
     };
     if args.json {
         let json =
-            serde_json::to_string_pretty(&artifacts.outcome).expect("plain numbers and text");
-        say(json);
+            serde_json::to_string_pretty(&artifacts.summary).expect("plain numbers and text");
+        print_line(json);
     } else {
-        print_summary(&artifacts.outcome, args, &artifacts.traces);
+        print_summary(&artifacts.summary, args, &artifacts.traces);
     }
     #[cfg(feature = "view")]
     if let Some(page) = artifacts.page {
@@ -55,12 +55,12 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
 /// What a run has made.
 enum Artifacts {
     Whole(Box<WholeArtifacts>),
-    Chunked(Box<PartsOutcome>),
+    Chunked(Box<ChunkedSummary>),
 }
 
 /// A reconstruction that is written.
 struct WholeArtifacts {
-    outcome: Outcome,
+    summary: ReconstructionSummary,
     traces: Traces,
     /// The page that watched it.
     #[cfg(feature = "view")]
@@ -94,19 +94,19 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         let artifacts = read_experiment(&point_args)
             .and_then(refuse_colour)
             .and_then(|experiment| one(&point_args, experiment, began, Arc::clone(stop)));
-        let outcome = match &artifacts {
-            Ok(Artifacts::Whole(artifacts)) => Some(&artifacts.outcome),
+        let summary = match &artifacts {
+            Ok(Artifacts::Whole(artifacts)) => Some(&artifacts.summary),
             _ => None,
         };
         rows.push(sweep::Row {
             point,
             output: point_args.output.display().to_string(),
-            prior: outcome.map(|o| o.prior.clone()),
-            tau: outcome.map(|o| o.tau),
-            residual_over_sigma: outcome.map(|o| o.residual_over_sigma),
-            psnr_db: outcome.and_then(|o| o.psnr_db),
-            ssim: outcome.and_then(|o| o.ssim),
-            fit: outcome.map(|o| o.fit.to_string()),
+            prior: summary.map(|o| o.prior.clone()),
+            tau: summary.map(|o| o.tau),
+            residual_over_sigma: summary.map(|o| o.residual_over_sigma),
+            psnr_db: summary.and_then(|o| o.psnr_db),
+            ssim: summary.and_then(|o| o.ssim),
+            fit: summary.map(|o| o.fit.to_string()),
             seconds: began.elapsed().as_secs_f64(),
             error: artifacts.as_ref().err().map(ToString::to_string),
         });
@@ -119,10 +119,10 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     }
     let table = sweep::write(&args.output, &rows)?;
     if args.json {
-        say(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
+        print_line(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
     } else {
-        sweep::lines(&rows).into_iter().for_each(say);
-        say(format_args!("table: {}", table.display()));
+        sweep::lines(&rows).into_iter().for_each(print_line);
+        print_line(format_args!("table: {}", table.display()));
     }
     match first_error {
         Some(error) if rows.iter().all(|row| row.error.is_some()) => Err(error),
@@ -196,7 +196,7 @@ fn one(
             from_metadata: &experiment.from_metadata,
         };
         return chunked::run(&task, &folder, stop)
-            .map(|outcome| Artifacts::Chunked(Box::new(outcome)));
+            .map(|summary| Artifacts::Chunked(Box::new(summary)));
     }
     memory?;
     let truth = args
@@ -246,9 +246,9 @@ fn one(
         player: player_of(folder.path()),
         film: film_of(args),
     };
-    let outcome = completed.write(&traces, &folder, result_meta)?;
+    let summary = completed.write(&traces, &folder, result_meta)?;
     Ok(Artifacts::Whole(Box::new(WholeArtifacts {
-        outcome,
+        summary,
         traces,
         #[cfg(feature = "view")]
         page,
@@ -301,55 +301,55 @@ pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     shell_words::join(words)
 }
 
-fn print_summary(outcome: &Outcome, args: &ReconstructArgs, traces: &Traces) {
-    say(format_args!(
+fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces: &Traces) {
+    print_line(format_args!(
         "{} frames of {}×{} at {} fps from one frame, in {:.2} s (set-up {:.2} s, {} iterations, {})",
-        outcome.frames,
-        outcome.rows,
-        outcome.columns,
-        thousands(outcome.frame_rate_hz),
-        outcome.setup_seconds + outcome.seconds,
-        outcome.setup_seconds,
-        outcome.iterations,
-        outcome.stop_reason,
+        summary.frames,
+        summary.rows,
+        summary.columns,
+        thousands(summary.frame_rate_hz),
+        summary.setup_seconds + summary.seconds,
+        summary.setup_seconds,
+        summary.iterations,
+        summary.stop_reason,
     ));
-    if let (Some(psnr), Some(ssim)) = (outcome.psnr_db, outcome.ssim) {
-        say(format_args!(
+    if let (Some(psnr), Some(ssim)) = (summary.psnr_db, summary.ssim) {
+        print_line(format_args!(
             "PSNR {psnr:.2} dB, SSIM {ssim:.4} against the truth"
         ));
     }
-    say(format_args!(
+    print_line(format_args!(
         "residual/σ {:.3}, τ {} ({}), σ {} ({}), prior {}",
-        outcome.residual_over_sigma,
-        short(outcome.tau),
-        outcome.tau_rule,
-        short(outcome.noise_sigma),
-        outcome.noise_sigma_source,
-        outcome.prior,
+        summary.residual_over_sigma,
+        short(summary.tau),
+        summary.tau_rule,
+        short(summary.noise_sigma),
+        summary.noise_sigma_source,
+        summary.prior,
     ));
-    if outcome.prior_choice.held_out_pixels.is_some() {
-        say(format_args!("prior: {}", outcome.prior_choice.reason));
+    if summary.prior_choice.held_out_pixels.is_some() {
+        print_line(format_args!("prior: {}", summary.prior_choice.reason));
     }
-    say(&outcome.certificate);
-    if outcome.fit == Verdict::Good.name() {
-        say(format_args!("the fit is good: {}", outcome.fit_reason));
+    print_line(&summary.certificate);
+    if summary.fit == Verdict::Good.name() {
+        print_line(format_args!("the fit is good: {}", summary.fit_reason));
     }
-    if let Some(debias) = &outcome.debias {
+    if let Some(debias) = &summary.debias {
         let before = debias
             .psnr_db_before
             .map_or(String::new(), |db| format!(", PSNR before {db:.2} dB"));
-        say(format_args!(
+        print_line(format_args!(
             "debiased: light × {:.4}, bright parts × {:.4}{before}",
             debias.light_ratio, debias.bright_light_ratio
         ));
     }
-    for line in traces.summary() {
-        say(line);
+    for line in traces.summary_lines() {
+        print_line(line);
     }
-    for warning in &outcome.warnings {
-        say(format_args!("warning: {warning}"));
+    for warning in &summary.warnings {
+        print_line(format_args!("warning: {warning}"));
     }
-    say(format_args!(
+    print_line(format_args!(
         "open {}",
         args.output.join("report.html").display()
     ));

@@ -2,7 +2,7 @@
 
 use crate::args::{OpticsArgs, SimulateArgs};
 use crate::inputs::read_psfs;
-use crate::outcome::say;
+use crate::output::print_line;
 use rowburst::noise::Noise;
 use rowburst::simulate::scene;
 use rowburst::{Camera, Error, PatchSet, Result};
@@ -54,7 +54,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         output: &args.output,
     })?;
     let folder = args.output.display();
-    say(format_args!("{folder}/frame.npy\n{folder}/experiment.toml"));
+    print_line(format_args!("{folder}/frame.npy\n{folder}/experiment.toml"));
     eprintln!(
         "next: rowburst reconstruct {folder}/experiment.toml --frame {folder}/frame.npy --truth {folder}/truth.npy -o RESULT"
     );

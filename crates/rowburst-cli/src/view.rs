@@ -1,7 +1,7 @@
 //! `rowburst view`, and the page of a reconstruction that is running.
 
 use crate::args::{BrowserArgs, ReconstructArgs, ViewArgs};
-use crate::outcome::say;
+use crate::output::print_line;
 use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Result};
@@ -19,7 +19,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     let results = results.collect::<Result<Vec<_>>>()?;
     check_page()?;
     let server = Server::start(args.browser.port, results, None)?;
-    say(server.url());
+    print_line(server.url());
     open(&server, &args.browser);
     eprintln!("Ctrl-C ends it");
     loop {

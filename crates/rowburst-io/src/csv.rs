@@ -25,7 +25,7 @@ const MOST_BYTES: u64 = 512 << 20;
 /// times that do not increase.
 pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
     let size = std::fs::metadata(path)
-        .map_err(|e| fault::reading(path, &e))?
+        .map_err(|e| fault::read_error(path, &e))?
         .len();
     if size > MOST_BYTES {
         return Err(Error::input(
@@ -35,7 +35,7 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
             "Cut it to the time of the frame, or record fewer samples.",
         ));
     }
-    let bytes = std::fs::read(path).map_err(|e| fault::reading(path, &e))?;
+    let bytes = std::fs::read(path).map_err(|e| fault::read_error(path, &e))?;
     let text = String::from_utf8(bytes).map_err(|_| {
         Error::input(
             path.display().to_string(),
@@ -111,7 +111,7 @@ pub fn write_csv(
     heading: &[String],
     rows: impl IntoIterator<Item = Vec<f64>>,
 ) -> Result<()> {
-    let mut line = |text: String| writeln!(w, "{text}").map_err(|e| fault::writing(&e));
+    let mut line = |text: String| writeln!(w, "{text}").map_err(|e| fault::write_error(&e));
     line(heading.join(","))?;
     for row in rows {
         let cell = |v: &f64| match v.is_finite() {

@@ -131,7 +131,7 @@ impl Experiment {
                 format!("Name the file in it, such as {}.", source.display()),
             ));
         }
-        let bytes = std::fs::read(path).map_err(|e| fault::reading(path, &e))?;
+        let bytes = std::fs::read(path).map_err(|e| fault::read_error(path, &e))?;
         let text = String::from_utf8(bytes).map_err(|error| {
             rowburst::Error::input(
                 path.display().to_string(),

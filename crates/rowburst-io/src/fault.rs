@@ -5,7 +5,7 @@ use std::io::{self, ErrorKind};
 use std::path::Path;
 
 /// The error of a file that cannot be opened or read.
-pub fn reading(path: &Path, error: &io::Error) -> Error {
+pub fn read_error(path: &Path, error: &io::Error) -> Error {
     let subject = path.display().to_string();
     match error.kind() {
         ErrorKind::NotFound | ErrorKind::NotADirectory => Error::input(
@@ -26,7 +26,7 @@ pub fn reading(path: &Path, error: &io::Error) -> Error {
 
 /// The error of a write: what failed and how to go on. The caller adds the file with
 /// [`Error::within`].
-pub fn writing(error: &io::Error) -> Error {
+pub fn write_error(error: &io::Error) -> Error {
     let remedy = match error.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
             "Free space on this disk or choose another folder with -o."
@@ -42,7 +42,7 @@ mod tests {
 
     #[test]
     fn a_full_disk_is_work_that_says_how_to_go_on() {
-        let error = writing(&io::Error::from(ErrorKind::StorageFull)).within("out/video.npy");
+        let error = write_error(&io::Error::from(ErrorKind::StorageFull)).within("out/video.npy");
         assert!(matches!(error, Error::Work { .. }));
         let message = error.to_string();
         assert!(message.contains("out/video.npy"), "{message}");

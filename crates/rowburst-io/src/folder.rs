@@ -66,7 +66,7 @@ impl OutputFolder {
         let path = self.path.join(name);
         match fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
-                Err(fault::writing(&error).within(path.display()))
+                Err(fault::write_error(&error).within(path.display()))
             }
             _ => Ok(()),
         }
@@ -84,7 +84,7 @@ impl OutputFolder {
         write: impl FnOnce(&mut BufWriter<File>) -> Result<()>,
     ) -> Result<()> {
         let path = self.path.join(name);
-        let fault = |error: io::Error| fault::writing(&error).within(path.display());
+        let fault = |error: io::Error| fault::write_error(&error).within(path.display());
         let (file, hidden) = temporary(&self.path, name).map_err(fault)?.into_parts();
         let mut writer = BufWriter::new(file);
         write(&mut writer).map_err(|e| e.within(path.display()))?;
@@ -100,7 +100,9 @@ impl OutputFolder {
     /// # Errors
     /// Failed writes.
     pub fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        self.write(name, |w| w.write_all(bytes).map_err(|e| fault::writing(&e)))
+        self.write(name, |w| {
+            w.write_all(bytes).map_err(|e| fault::write_error(&e))
+        })
     }
 }
 
@@ -130,7 +132,7 @@ mod tests {
         let base = tempfile::tempdir().unwrap();
         let folder = OutputFolder::create(&base.path().join("a/b")).unwrap();
         let file = folder.path().join("note.txt");
-        let old = |w: &mut BufWriter<File>| w.write_all(b"old").map_err(|e| fault::writing(&e));
+        let old = |w: &mut BufWriter<File>| w.write_all(b"old").map_err(|e| fault::write_error(&e));
         folder.write("note.txt", old).unwrap();
         assert_eq!(fs::read(&file).unwrap(), b"old");
 
@@ -177,7 +179,7 @@ mod tests {
             let mut full = BufWriter::new(File::create("/dev/full").unwrap());
             full.write_all(b"x")
                 .and_then(|()| full.flush())
-                .map_err(|e| fault::writing(&e))
+                .map_err(|e| fault::write_error(&e))
         };
         let base = tempfile::tempdir().unwrap();
         let folder = OutputFolder::create(base.path()).unwrap();

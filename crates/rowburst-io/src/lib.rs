@@ -43,7 +43,7 @@ mod tiff;
 
 pub use csv::{read_photodiode, write_csv};
 pub use experiment::{Calibration, Experiment, FromMetadata, Reconstruction, Recording};
-pub use fault::writing as cannot_write;
+pub use fault::write_error;
 pub use folder::OutputFolder;
 pub use metadata::{Metadata, read_metadata};
 #[cfg(feature = "mp4")]

@@ -94,7 +94,7 @@ fn failed(reason: impl Display) -> Error {
 
 fn muxer_fault(error: MuxerError) -> Error {
     match error {
-        MuxerError::Io(error) => fault::writing(&error),
+        MuxerError::Io(error) => fault::write_error(&error),
         error => failed(error),
     }
 }

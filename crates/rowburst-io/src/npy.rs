@@ -391,7 +391,7 @@ fn write<T: Copy, const N: usize>(
         w.write_all(&header_of(dtype, shape))?;
         data.iter().try_for_each(|&v| w.write_all(&bytes(v)))
     };
-    write().map_err(|e| fault::writing(&e))
+    write().map_err(|e| fault::write_error(&e))
 }
 
 #[cfg(test)]

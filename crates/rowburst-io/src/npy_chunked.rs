@@ -51,7 +51,7 @@ impl ChunkedVideoFile {
             Ok((file, is_resumed))
         };
         let (file, is_resumed) =
-            open().map_err(|e| fault::writing(&e).within(partial_path.display()))?;
+            open().map_err(|e| fault::write_error(&e).within(partial_path.display()))?;
         Ok(Self {
             path: path.into(),
             partial_path,
@@ -90,7 +90,7 @@ impl ChunkedVideoFile {
             }
             self.file.sync_data()
         };
-        write().map_err(|e| fault::writing(&e).within(self.partial_path.display()))
+        write().map_err(|e| fault::write_error(&e).within(self.partial_path.display()))
     }
 
     /// Reads a bin.
@@ -103,7 +103,7 @@ impl ChunkedVideoFile {
         let start = (self.header + bin * bytes.len()) as u64;
         let read = self.file.seek(SeekFrom::Start(start));
         read.and_then(|_| self.file.read_exact(&mut bytes))
-            .map_err(|e| fault::reading(&self.partial_path, &e))?;
+            .map_err(|e| fault::read_error(&self.partial_path, &e))?;
         let (values, _) = bytes.as_chunks::<4>();
         Ok(values.iter().map(|v| f32::from_le_bytes(*v)).collect())
     }
@@ -115,7 +115,7 @@ impl ChunkedVideoFile {
     pub fn finish(self) -> Result<()> {
         let done = self.file.sync_all();
         done.and_then(|()| std::fs::rename(&self.partial_path, &self.path))
-            .map_err(|e| fault::writing(&e).within(self.path.display()))
+            .map_err(|e| fault::write_error(&e).within(self.path.display()))
     }
 }
 

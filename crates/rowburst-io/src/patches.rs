@@ -24,7 +24,7 @@ pub fn is_patch_set(path: &Path) -> bool {
 /// A file that is missing or not a patch set, a stack that cannot be read, PSFs and
 /// offsets that do not belong together.
 pub fn read_patch_set(path: &Path) -> Result<PatchSet> {
-    let text = std::fs::read_to_string(path).map_err(|e| fault::reading(path, &e))?;
+    let text = std::fs::read_to_string(path).map_err(|e| fault::read_error(path, &e))?;
     let bad = |found: String| {
         Error::input(
             path.display().to_string(),

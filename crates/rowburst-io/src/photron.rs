@@ -56,7 +56,7 @@ impl Stack {
         let header = read_header(source, &header_path)?;
         let open =
             || -> std::io::Result<_> { Ok((raw_path.metadata()?.len(), File::open(&raw_path)?)) };
-        let (bytes, file) = open().map_err(|e| fault::reading(&raw_path, &e))?;
+        let (bytes, file) = open().map_err(|e| fault::read_error(&raw_path, &e))?;
         Ok(Self {
             header,
             file: BufReader::new(file),
@@ -173,11 +173,11 @@ fn both(source: &Source) -> Result<(std::path::PathBuf, std::path::PathBuf)> {
 }
 
 fn read_header(source: &Source, path: &Path) -> Result<Header> {
-    let metadata = path.metadata().map_err(|e| fault::reading(path, &e))?;
+    let metadata = path.metadata().map_err(|e| fault::read_error(path, &e))?;
     if metadata.len() > MOST_HEADER {
         return Err(source.unreadable("a header longer than 16 MiB"));
     }
-    let bytes = std::fs::read(path).map_err(|e| fault::reading(path, &e))?;
+    let bytes = std::fs::read(path).map_err(|e| fault::read_error(path, &e))?;
     let text = String::from_utf8_lossy(&bytes);
     let is_xml = path
         .extension()

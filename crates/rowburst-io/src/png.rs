@@ -90,7 +90,7 @@ fn write(
         writer.finish()
     };
     write().map_err(|error| match error {
-        EncodingError::IoError(error) => fault::writing(&error),
+        EncodingError::IoError(error) => fault::write_error(&error),
         error => Error::work("writing PNG", error, "Write it as .npy instead."),
     })
 }

@@ -66,7 +66,7 @@ impl<'a> Source<'a> {
     pub fn open(path: &'a Path, colour: Colour) -> Result<(Self, BufReader<File>)> {
         let file = Place::of(path).file;
         let open = || -> std::io::Result<_> { Ok((file.metadata()?, File::open(&file)?)) };
-        let (metadata, file) = open().map_err(|e| fault::reading(path, &e))?;
+        let (metadata, file) = open().map_err(|e| fault::read_error(path, &e))?;
         let bytes = metadata.len();
         let source = Self {
             path,
@@ -247,7 +247,7 @@ pub(crate) fn open(path: &Path, colour: Colour) -> Result<(Source<'_>, BufReader
     let mut start = Vec::new();
     let sniffed = file.by_ref().take(4).read_to_end(&mut start);
     let back = file.rewind();
-    sniffed.and(back).map_err(|e| fault::reading(path, &e))?;
+    sniffed.and(back).map_err(|e| fault::read_error(path, &e))?;
     // A .mat file of version 7.3 may do without MATLAB's header.
     let is_same =
         |content| content == format || (content, format) == (Format::Hdf5, Format::Matlab);

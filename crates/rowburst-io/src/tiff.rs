@@ -360,7 +360,7 @@ fn write<'a>(
         TiffEncoder::new_big(w).and_then(|encoder| write_pages(encoder, page, pages))
     };
     written.map_err(|error| match error {
-        TiffError::IoError(error) => fault::writing(&error),
+        TiffError::IoError(error) => fault::write_error(&error),
         error => Error::work("writing TIFF", error, "Write it as .npy instead."),
     })
 }

@@ -1,6 +1,6 @@
 //! numpy arrays ⇄ values.
 
-use crate::error::raised;
+use crate::error::to_py_err;
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods,
 };
@@ -31,7 +31,7 @@ fn floats<'py, T: Element>(
         },
         "f" => Level::Float,
         _ => {
-            return Err(raised(Error::input(
+            return Err(to_py_err(Error::input(
                 name,
                 format!("an array of {dtype}"),
                 "arrays hold integers or floating-point numbers",
@@ -46,7 +46,7 @@ fn floats<'py, T: Element>(
             2 => "two axes, [y, x],",
             _ => "three axes, [t, y, x],",
         };
-        return Err(raised(Error::input(
+        return Err(to_py_err(Error::input(
             name,
             format!("an array of shape {shape:?}"),
             format!("it has {axes} and is not empty"),
@@ -77,13 +77,13 @@ fn path_of(value: &Bound<'_, PyAny>) -> Option<PathBuf> {
 /// A frame, a PSF or a mask; the name of a file is read.
 pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
     if let Some(path) = path_of(value) {
-        return read_image(&path).map_err(raised);
+        return read_image(&path).map_err(to_py_err);
     }
     let (array, level) = floats::<f32>(value, name, 2)?;
     let array = array.cast::<PyArray2<f32>>()?;
     let (rows, columns) = (array.shape()[0], array.shape()[1]);
     let data = array.readonly().as_slice()?.to_vec();
-    let image = Image::new(rows, columns, data).map_err(|e| raised(e.within(name)))?;
+    let image = Image::new(rows, columns, data).map_err(|e| to_py_err(e.within(name)))?;
     Ok(Capture { image, level })
 }
 
@@ -92,7 +92,7 @@ pub fn finite_image(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Image> {
     let image = capture(value, name)?.image;
     match image.first_non_finite() {
         None => Ok(image),
-        Some((y, x)) => Err(raised(Error::input(
+        Some((y, x)) => Err(to_py_err(Error::input(
             name,
             format!("{} at row {y}, column {x}", image.at(y, x)),
             "every pixel is a finite number",
@@ -104,14 +104,14 @@ pub fn finite_image(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Image> {
 /// A video; the name of a file is read.
 pub fn video(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Video> {
     if let Some(path) = path_of(value) {
-        return read_video(&path).map_err(raised);
+        return read_video(&path).map_err(to_py_err);
     }
     let (array, _) = floats::<f32>(value, name, 3)?;
     let array = array.cast::<PyArray3<f32>>()?;
     let shape = array.shape();
     let shape = Shape::new(shape[0], shape[1], shape[2]);
     let data = array.readonly().as_slice()?.to_vec();
-    Video::new(shape, data).map_err(|e| raised(e.within(name)))
+    Video::new(shape, data).map_err(|e| to_py_err(e.within(name)))
 }
 
 /// A vector of `length` numbers of `T`, borrowed where it is one already.
@@ -123,7 +123,7 @@ pub fn vector<'py, T: Element>(
     let (array, _) = floats::<T>(value, name, 1)?;
     let array = array.cast_into::<PyArray1<T>>()?;
     if array.len() != length {
-        return Err(raised(Error::input(
+        return Err(to_py_err(Error::input(
             name,
             format!("{} values", array.len()),
             format!("the operator takes {length}"),

@@ -1,6 +1,6 @@
 //! `rowburst._rowburst._Batch`: a recording on its way into an archive.
 
-use crate::error::raised;
+use crate::error::to_py_err;
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
@@ -87,7 +87,7 @@ impl PyBatch {
             Batch::open(loaded.inputs, &out)
                 .map_err(|e| naming_correction(e, &frames, &loaded.calibration))
         };
-        let batch = py.detach(open).map_err(raised)?;
+        let batch = py.detach(open).map_err(to_py_err)?;
         Ok(Self { batch })
     }
 
@@ -112,13 +112,13 @@ impl PyBatch {
         };
         let end = end.min(self.count());
         py.detach(|| self.batch.left(first..end, retry))
-            .map_err(raised)
+            .map_err(to_py_err)
     }
 
     /// The prior of all frames and how it came about; chosen now where it is not yet.
     fn prior(&self, py: Python<'_>) -> PyResult<(String, String)> {
         let prior = interruptibly(py, |stop| self.batch.prior(stop, &|_| ()))?;
-        let prior = prior.map_err(raised)?;
+        let prior = prior.map_err(to_py_err)?;
         let prior = prior.expect("nobody stopped it, or an exception was raised");
         Ok((prior.prior, prior.reason))
     }
@@ -135,7 +135,7 @@ impl PyBatch {
         if let Some(bad) = frames.iter().find(|&&frame| frame >= count) {
             let rule = format!("the recording has the frames 0 to {}", count - 1);
             let error = rowburst::Error::input("frames", bad, rule, "Count them from 0.");
-            return Err(raised(error));
+            return Err(to_py_err(error));
         }
         let threads = threads.unwrap_or_else(rayon::current_num_threads);
         let lines = Mutex::new(Vec::new());
@@ -153,19 +153,19 @@ impl PyBatch {
                 }
             })
         })?;
-        ran.map_err(raised)?;
+        ran.map_err(to_py_err)?;
         Ok(lines.into_inner().unwrap_or_default())
     }
 
     /// Lines of all frames that are through, whoever made them.
     fn rows(&self, py: Python<'_>) -> PyResult<Vec<Line>> {
-        let rows = py.detach(|| self.batch.rows()).map_err(raised)?;
+        let rows = py.detach(|| self.batch.rows()).map_err(to_py_err)?;
         Ok(rows.iter().map(line).collect())
     }
 
     /// Writes the table of all frames that are through; its path.
     fn write_table(&self, py: Python<'_>) -> PyResult<PathBuf> {
-        py.detach(|| self.batch.write_table()).map_err(raised)
+        py.detach(|| self.batch.write_table()).map_err(to_py_err)
     }
 
     /// The video of a frame as the archive has it; NaN where it has none.
@@ -173,9 +173,9 @@ impl PyBatch {
         if frame >= self.count() {
             let rule = format!("the recording has {} frames", self.count());
             let error = rowburst::Error::input("frame", frame, rule, "Count them from 0.");
-            return Err(raised(error));
+            return Err(to_py_err(error));
         }
-        let video = py.detach(|| self.batch.video(frame)).map_err(raised)?;
+        let video = py.detach(|| self.batch.video(frame)).map_err(to_py_err)?;
         crate::array::from_video(py, video)
     }
 }
@@ -188,23 +188,23 @@ fn interruptibly<T: Send>(
     /// Between two looks for Ctrl-C.
     const LOOK: Duration = Duration::from_millis(20);
     let stop = AtomicBool::new(false);
-    let mut broken = None;
+    let mut interruption = None;
     let done = py.detach(|| {
         std::thread::scope(|scope| {
             let worker = scope.spawn(|| work(&stop));
             while !worker.is_finished() {
                 std::thread::park_timeout(LOOK);
-                if broken.is_none()
+                if interruption.is_none()
                     && let Err(error) = Python::attach(|py| py.check_signals())
                 {
-                    broken = Some(error);
+                    interruption = Some(error);
                     stop.store(true, Ordering::Relaxed);
                 }
             }
             worker.join()
         })
     });
-    match (broken, done) {
+    match (interruption, done) {
         (Some(error), _) => Err(error),
         (None, Ok(done)) => Ok(done),
         (None, Err(panic)) => std::panic::resume_unwind(panic),

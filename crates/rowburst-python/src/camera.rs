@@ -1,6 +1,6 @@
 //! `rowburst.Camera`.
 
-use crate::error::raised;
+use crate::error::to_py_err;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use rowburst::camera::CameraParams;
@@ -39,13 +39,13 @@ impl PyCamera {
         read_noise_electrons: Option<f64>,
         full_well_counts: Option<f64>,
     ) -> PyResult<Self> {
-        let shutter = shutter_of(shutter, row_order).map_err(raised)?;
+        let shutter = shutter_of(shutter, row_order).map_err(to_py_err)?;
         let row_time_us = match shutter {
             Shutter::Global => row_time_us.unwrap_or(exposure_us),
             _ => row_time_us.ok_or_else(|| {
                 let rule = "a rolling shutter has a time from row to row";
                 let remedy = "Read it from the camera's data sheet or software.";
-                raised(Error::input("row_time_us", "nothing", rule, remedy))
+                to_py_err(Error::input("row_time_us", "nothing", rule, remedy))
             })?,
         };
         let params = CameraParams {
@@ -66,7 +66,7 @@ impl PyCamera {
                 full_well_counts,
             },
         };
-        let camera = Camera::new(params).map_err(raised)?;
+        let camera = Camera::new(params).map_err(to_py_err)?;
         Ok(Self { camera })
     }
 
@@ -75,7 +75,7 @@ impl PyCamera {
     fn from_file(path: PathBuf) -> PyResult<Self> {
         let camera = Experiment::read(&path).and_then(|e| e.camera());
         Ok(Self {
-            camera: camera.map_err(raised)?,
+            camera: camera.map_err(to_py_err)?,
         })
     }
 
@@ -192,7 +192,7 @@ impl PyCamera {
                 weights[row * bins + run.first_bin + i] = w as f32;
             }
         }
-        let image = rowburst::Image::new(rows, bins, weights).map_err(raised)?;
+        let image = rowburst::Image::new(rows, bins, weights).map_err(to_py_err)?;
         crate::array::from_image(py, image)
     }
 

@@ -18,8 +18,8 @@ pyo3::create_exception!(
 );
 
 /// `error` as an exception, with the words of the command line turned into Python's.
-pub fn raised(error: Error) -> PyErr {
-    let message = in_python(&error.to_string());
+pub fn to_py_err(error: Error) -> PyErr {
+    let message = to_python_names(&error.to_string());
     match error {
         Error::Input { .. } => InputError::new_err(message),
         Error::Work { .. } => WorkError::new_err(message),
@@ -27,7 +27,7 @@ pub fn raised(error: Error) -> PyErr {
 }
 
 /// `--noise-sigma` is `noise_sigma` here.
-fn in_python(text: &str) -> String {
+fn to_python_names(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
     while let Some(at) = rest.find("--") {

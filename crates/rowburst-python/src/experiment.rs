@@ -2,7 +2,7 @@
 
 use crate::array::from_image;
 use crate::camera::PyCamera;
-use crate::error::raised;
+use crate::error::to_py_err;
 use crate::psf::PyPsf;
 use numpy::PyArray2;
 use pyo3::prelude::*;
@@ -54,7 +54,7 @@ impl PyExperiment {
                 experiment,
             })
         };
-        read().map_err(raised)
+        read().map_err(to_py_err)
     }
 
     #[getter]

@@ -58,12 +58,12 @@ mod _rowburst {
         if threads == 0 {
             let rule = "there is at least one";
             let error = rowburst::Error::input("threads", 0, rule, "Give the number of cores.");
-            return Err(crate::error::raised(error));
+            return Err(crate::error::to_py_err(error));
         }
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         pool.build_global().map_err(|error| {
             let remedy = "Call set_threads before anything else.";
-            crate::error::raised(rowburst::Error::work("threads", error, remedy))
+            crate::error::to_py_err(rowburst::Error::work("threads", error, remedy))
         })
     }
 
@@ -74,7 +74,7 @@ mod _rowburst {
         path: std::path::PathBuf,
     ) -> PyResult<Bound<'_, numpy::PyArray3<f32>>> {
         let video = py.detach(|| rowburst_io::read_video(&path));
-        crate::array::from_video(py, video.map_err(crate::error::raised)?)
+        crate::array::from_video(py, video.map_err(crate::error::to_py_err)?)
     }
 
     /// Threads that are used.

@@ -2,7 +2,7 @@
 
 use crate::array::vector;
 use crate::camera::PyCamera;
-use crate::error::raised;
+use crate::error::to_py_err;
 use crate::psf::psfs_of;
 use crate::task::measured;
 use numpy::{Element, PyArray1};
@@ -166,12 +166,12 @@ impl PyDataTerm {
                 rule,
                 "Take smaller steps.",
             );
-            return Err(raised(error));
+            return Err(to_py_err(error));
         }
         py.detach(|| {
             let mut step = self.step.lock().unwrap_or_else(PoisonError::into_inner);
             work(&mut step, x)
         })
-        .map_err(raised)
+        .map_err(to_py_err)
     }
 }

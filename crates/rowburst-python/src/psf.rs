@@ -2,7 +2,7 @@
 
 use crate::array::{capture, from_image};
 use crate::camera::PyCamera;
-use crate::error::raised;
+use crate::error::to_py_err;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use rowburst::{Camera, Image, PatchSet};
@@ -22,7 +22,7 @@ impl PyPsf {
     /// Non-negative values, which are scaled to sum to 1.
     #[new]
     fn new(values: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let psf = rowburst::Psf::new(capture(values, "PSF")?.image).map_err(raised)?;
+        let psf = rowburst::Psf::new(capture(values, "PSF")?.image).map_err(to_py_err)?;
         Ok(Self { psfs: psf.into() })
     }
 
@@ -31,18 +31,18 @@ impl PyPsf {
     fn patches(values: Vec<Bound<'_, PyAny>>, offsets_px: Vec<(f64, f64)>) -> PyResult<Self> {
         let psfs = values.iter().map(|v| {
             let image = capture(v, "PSF")?.image;
-            rowburst::Psf::new(image).map_err(raised)
+            rowburst::Psf::new(image).map_err(to_py_err)
         });
         let psfs = PatchSet::new(psfs.collect::<PyResult<_>>()?, offsets_px);
         Ok(Self {
-            psfs: psfs.map_err(raised)?,
+            psfs: psfs.map_err(to_py_err)?,
         })
     }
 
     /// An image, or the patch set of `rowburst calibrate psf`, as the command line reads it.
     #[staticmethod]
     fn from_file(path: PathBuf, camera: &PyCamera) -> PyResult<Self> {
-        let (psfs, _) = read_psfs(&path, &camera.camera, None).map_err(raised)?;
+        let (psfs, _) = read_psfs(&path, &camera.camera, None).map_err(to_py_err)?;
         Ok(Self { psfs })
     }
 
@@ -104,7 +104,7 @@ pub fn psfs_of(
     if let Ok(psf) = value.cast::<PyPsf>() {
         return Ok(psf.get().psfs.clone());
     }
-    let (psf, _) = psf_from(capture(value, "PSF")?, camera, dark).map_err(raised)?;
+    let (psf, _) = psf_from(capture(value, "PSF")?, camera, dark).map_err(to_py_err)?;
     Ok(psf.into())
 }
 
@@ -137,6 +137,6 @@ pub fn speckle_psf(
     let optics = optics.optics(pixel_pitch_um(camera));
     let psf = py.detach(|| speckle_for(camera, &optics, diffuser_phase, seed));
     Ok(PyPsf {
-        psfs: psf.map_err(raised)?.into(),
+        psfs: psf.map_err(to_py_err)?.into(),
     })
 }

@@ -1,7 +1,7 @@
 //! `rowburst.Result` and what a progress callback is given.
 
 use crate::array::{from_image, from_video};
-use crate::error::raised;
+use crate::error::to_py_err;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
@@ -96,7 +96,7 @@ impl PyReconstruction {
             let copy = match lent {
                 Some(array) => {
                     let data = array.bind(py).readonly().as_slice()?.to_vec();
-                    Some(Video::new(self.shape, data).map_err(raised)?)
+                    Some(Video::new(self.shape, data).map_err(to_py_err)?)
                 }
                 None => None,
             };
@@ -161,8 +161,8 @@ impl PyReconstruction {
     fn _json(&self, py: Python<'_>) -> PyResult<String> {
         self.with(py, |completed, traces| {
             let traces = traces.get_or_insert_with(|| spots(completed));
-            let outcome = completed.outcome(traces);
-            serde_json::to_string(&outcome).expect("plain numbers and text")
+            let summary = completed.summary(traces);
+            serde_json::to_string(&summary).expect("plain numbers and text")
         })
     }
 
@@ -229,7 +229,7 @@ impl PyReconstruction {
         regions: Vec<String>,
         photodiodes: Vec<PathBuf>,
     ) -> PyResult<(Vec<Bound<'py, PyDict>>, String)> {
-        let request = TraceRequest::read(&regions, &photodiodes, self.shape).map_err(raised)?;
+        let request = TraceRequest::read(&regions, &photodiodes, self.shape).map_err(to_py_err)?;
         let is_plain = regions.is_empty() && photodiodes.is_empty();
         let (traces, numbers) = self.with(py, |completed, kept| {
             let requested;
@@ -239,7 +239,7 @@ impl PyReconstruction {
                 requested = completed.traces(request, false);
                 &requested
             };
-            let numbers = selected.outcome(completed.task.truth.as_ref());
+            let numbers = selected.trace_numbers(completed.task.truth.as_ref());
             let numbers = serde_json::json!({ "traces": numbers, "errors": selected.numbers });
             (selected.traces.clone(), numbers.to_string())
         })?;
@@ -269,7 +269,7 @@ impl PyReconstruction {
                 .report(traces, report_meta, player_of(Path::new(&title)))
                 .map(|report| report.html)
         })?;
-        page.map_err(raised)
+        page.map_err(to_py_err)
     }
 
     /// Writes all files of `rowburst reconstruct` into a folder.
@@ -287,7 +287,7 @@ impl PyReconstruction {
                 completed.write(traces, &folder, result_meta).map(|_| ())
             }
         })?;
-        saved.map_err(raised)
+        saved.map_err(to_py_err)
     }
 }
 

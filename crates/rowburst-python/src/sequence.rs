@@ -2,7 +2,7 @@
 
 use crate::array::from_video;
 use crate::camera::PyCamera;
-use crate::error::raised;
+use crate::error::to_py_err;
 use crate::psf::psfs_of;
 use crate::task::{measured, prior_from, tau_from};
 use numpy::PyArray3;
@@ -59,7 +59,7 @@ impl PySequence {
             max_iterations: None,
         };
         let psfs = psfs_of(psf, &camera.camera, None)?;
-        check_memory("the video".as_ref(), &camera.camera).map_err(raised)?;
+        check_memory("the video".as_ref(), &camera.camera).map_err(to_py_err)?;
         let model = py.detach(|| Model::new(&camera.camera, psfs).keeping_gram());
         Ok(Self {
             camera: PyCamera {
@@ -78,14 +78,14 @@ impl PySequence {
         time_budget_s: Option<f64>,
     ) -> PyResult<PyLook> {
         let began = Instant::now();
-        let budget = time_budget(time_budget_s).map_err(raised)?;
+        let budget = time_budget(time_budget_s).map_err(to_py_err)?;
         let measurement = measured(frame, &self.camera.camera, Corrections::default())?;
-        let mut broken: Option<PyErr> = None;
+        let mut interruption: Option<PyErr> = None;
         let found = py.detach(|| {
             let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
             sequence.next(&measurement, &mut |_| {
                 if let Err(error) = Python::attach(|py| py.check_signals()) {
-                    broken = Some(error);
+                    interruption = Some(error);
                     return ControlFlow::Break(StopReason::Interrupted);
                 }
                 match budget.is_some_and(|budget| began.elapsed() > budget) {
@@ -94,10 +94,10 @@ impl PySequence {
                 }
             })
         });
-        if let Some(error) = broken {
+        if let Some(error) = interruption {
             return Err(error);
         }
-        let (found, went_on) = found.map_err(raised)?;
+        let (found, went_on) = found.map_err(to_py_err)?;
         Ok(PyLook {
             residual_over_sigma: found.residual_over_sigma,
             iterations: found.iterations,

@@ -2,7 +2,7 @@
 
 use crate::array::{from_image, from_video, video};
 use crate::camera::PyCamera;
-use crate::error::raised;
+use crate::error::to_py_err;
 use crate::psf::{PyPsf, psfs_of};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -89,7 +89,7 @@ pub fn simulate(
     digit_px: usize,
 ) -> PyResult<PySimulation> {
     let camera = camera.camera.clone();
-    check_memory("the video".as_ref(), &camera).map_err(raised)?;
+    check_memory("the video".as_ref(), &camera).map_err(to_py_err)?;
     let name: String;
     let scene = match scene {
         None => Scene::Named("digits"),
@@ -126,6 +126,6 @@ pub fn simulate(
         })?;
         Ok((psfs, made))
     });
-    let (psfs, made) = made.map_err(raised)?;
+    let (psfs, made) = made.map_err(to_py_err)?;
     Ok(PySimulation { camera, psfs, made })
 }

@@ -2,7 +2,7 @@
 
 use crate::array::{capture, finite_image, video};
 use crate::camera::PyCamera;
-use crate::error::raised;
+use crate::error::to_py_err;
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
 use pyo3::prelude::*;
@@ -51,12 +51,12 @@ pub fn reconstruct(
             Some(0) => {
                 let rule = "a run has at least one iteration";
                 let error = Error::input("max_iterations", 0, rule, "Leave it out.");
-                return Err(raised(error));
+                return Err(to_py_err(error));
             }
             most => most,
         },
     };
-    let budget = time_budget(time_budget_s).map_err(raised)?;
+    let budget = time_budget(time_budget_s).map_err(to_py_err)?;
     let corrections = Corrections {
         dark: dark.map(|v| finite_image(v, "dark")).transpose()?,
         flat: flat.map(|v| finite_image(v, "flat")).transpose()?,
@@ -67,11 +67,11 @@ pub fn reconstruct(
     };
     let psfs = psfs_of(psf, &camera, corrections.dark.as_ref())?;
     let measurement = measured(frame, &camera, corrections)?;
-    check_memory("the video".as_ref(), &camera).map_err(raised)?;
+    check_memory("the video".as_ref(), &camera).map_err(to_py_err)?;
     let truth = match truth {
         Some(value) => {
             let video = video(value, "truth")?;
-            Some(checked_truth(video, "truth", &camera).map_err(raised)?)
+            Some(checked_truth(video, "truth", &camera).map_err(to_py_err)?)
         }
         None => None,
     };
@@ -89,7 +89,7 @@ pub fn reconstruct(
         from_metadata: FromMetadata::default(),
     };
     // Raised by the callback, or Ctrl-C: the run is given up.
-    let mut broken: Option<PyErr> = None;
+    let mut interruption: Option<PyErr> = None;
     let completed = py.detach(|| {
         solve(task, began, &mut |iteration, metrics| {
             let asked = Python::attach(|py| {
@@ -110,15 +110,15 @@ pub fn reconstruct(
                 Ok(true) => ControlFlow::Continue(()),
                 Ok(false) => ControlFlow::Break(StopReason::Interrupted),
                 Err(error) => {
-                    broken = Some(error);
+                    interruption = Some(error);
                     ControlFlow::Break(StopReason::Interrupted)
                 }
             }
         })
     });
-    match broken {
+    match interruption {
         Some(error) => Err(error),
-        None => Ok(PyReconstruction::new(completed.map_err(raised)?)),
+        None => Ok(PyReconstruction::new(completed.map_err(to_py_err)?)),
     }
 }
 
@@ -133,7 +133,7 @@ pub fn measured(
         saturation_counts: raw.level.end(),
         ..corrections
     };
-    correct(&raw.image, camera, &corrections).map_err(|e| raised(within_frame(e)))
+    correct(&raw.image, camera, &corrections).map_err(|e| to_py_err(within_frame(e)))
 }
 
 /// Names the frame in an error of the corrections that is none of theirs.
@@ -149,7 +149,7 @@ fn within_frame(error: Error) -> Error {
 }
 
 pub fn prior_from(name: &str) -> PyResult<Option<Prior>> {
-    prior_of(name).map_err(raised)
+    prior_of(name).map_err(to_py_err)
 }
 
 /// `None` and text as on the command line, or a number.
@@ -158,7 +158,7 @@ pub fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
         None => Ok(Tau::Auto),
         Some(value) => match value.extract::<f64>() {
             Ok(number) => Ok(Tau::Given(number)),
-            Err(_) => tau_of(&value.str()?.to_string()).map_err(raised),
+            Err(_) => tau_of(&value.str()?.to_string()).map_err(to_py_err),
         },
     }
 }

@@ -21,16 +21,16 @@ mod page;
 mod panel;
 mod pixels;
 mod projection;
+mod render_text;
 mod sheet;
 mod stats;
-mod words;
 
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
 pub use layout::{ComposedFigure, Layout, compose};
+pub use render_text::render_text;
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
-pub use words::words;
 
 /// What a report is made of. Everything is borrowed; nothing is changed or copied whole.
 #[derive(Debug, Clone)]

@@ -7,7 +7,7 @@
 
 use crate::film::{Film, encoded};
 use crate::numbers::thousands;
-use crate::outcome::{MetadataNumbers, peak_memory_bytes, short};
+use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
@@ -60,7 +60,7 @@ pub struct ChunkNumbers {
 
 /// Everything that `result.json` says of a video that was found in parts.
 #[derive(Debug, Clone, Serialize)]
-pub struct PartsOutcome {
+pub struct ChunkedSummary {
     pub version: &'static str,
     pub prior: String,
     pub tau_rule: &'static str,
@@ -82,7 +82,7 @@ pub struct PartsOutcome {
     pub seconds_per_bin: f64,
     pub peak_memory_bytes: Option<u64>,
     pub threads: usize,
-    /// See [`crate::Outcome::simd`].
+    /// See [`crate::ReconstructionSummary::simd`].
     pub simd: &'static str,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
@@ -112,7 +112,7 @@ pub fn run_chunked(
     task: &ChunkedTask,
     folder: &OutputFolder,
     observer: &mut Observer,
-) -> Result<PartsOutcome> {
+) -> Result<ChunkedSummary> {
     let chunked = &task.chunked;
     let shape = chunked.camera().video_shape();
     let ranges = chunked.ranges(task.bins_per_chunk);
@@ -175,18 +175,18 @@ pub fn run_chunked(
     if let Some(mp4) = encoded(&statistics.film, &time, task.film)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
-    let mut outcome = outcome(task, state.parts);
-    let sheet = sheet(task, &outcome, &statistics);
+    let mut summary = summarise(task, state.parts);
+    let sheet = sheet(task, &summary, &statistics);
     let report = sheet.render()?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
     }
     folder.write_bytes("report.html", report.html.as_bytes())?;
-    outcome.peak_memory_bytes = peak_memory_bytes();
-    let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
+    summary.peak_memory_bytes = peak_memory_bytes();
+    let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
     folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
     folder.remove(STATE_FILE)?;
-    Ok(outcome)
+    Ok(summary)
 }
 
 /// A number that another frame, PSF, camera, recipe or division would not have.
@@ -260,7 +260,7 @@ impl VideoStatistics {
     }
 }
 
-fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
+fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
     let camera = task.chunked.camera();
     let shape = camera.video_shape();
     let (sigma, source) = task.chunked.sigma();
@@ -293,7 +293,7 @@ fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
     if saturated > 0 {
         warnings.push(format!("{saturated} saturated pixels were left out"));
     }
-    PartsOutcome {
+    ChunkedSummary {
         version: env!("CARGO_PKG_VERSION"),
         prior: task.chunked.prior().to_string(),
         tau_rule: match task.tau {
@@ -326,7 +326,7 @@ fn outcome(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> PartsOutcome {
 
 fn sheet<'a>(
     task: &'a ChunkedTask,
-    outcome: &PartsOutcome,
+    summary: &ChunkedSummary,
     statistics: &'a VideoStatistics,
 ) -> Sheet<'a> {
     let camera = task.chunked.camera();
@@ -365,37 +365,37 @@ fn sheet<'a>(
         alt: caption.into(),
     };
     let light = (0..statistics.light.len()).map(|bin| (time(bin), statistics.light[bin]));
-    let residual = outcome.parts.iter().flat_map(|p| {
+    let residual = summary.parts.iter().flat_map(|p| {
         [
             (time(p.first_bin), p.residual_over_sigma),
             (time(p.end_bin - 1), p.residual_over_sigma),
         ]
     });
     let pair = |name: &str, value: String| (name.to_string(), value);
-    let bins_per_chunk = outcome.parts.first().map_or(0, |p| p.end_bin - p.first_bin);
+    let bins_per_chunk = summary.parts.first().map_or(0, |p| p.end_bin - p.first_bin);
     Sheet {
         title: task.title,
         summary: format!(
             "{} frames of {}×{} at {} fps from one frame, found in {} parts.",
-            outcome.frames,
-            outcome.rows,
-            outcome.columns,
-            thousands(outcome.frame_rate_hz),
-            outcome.parts.len()
+            summary.frames,
+            summary.rows,
+            summary.columns,
+            thousands(summary.frame_rate_hz),
+            summary.parts.len()
         ),
-        warnings: outcome.warnings.clone(),
+        warnings: summary.warnings.clone(),
         notes: vec![format!(
             "Each part of {bins_per_chunk} bins is a problem of its own, of the rows that see it. The prior has no term over time."
         )],
         headline: vec![
-            pair("Fit", outcome.fit.into()),
-            pair("Residual/σ", format!("{:.2}", outcome.residual_over_sigma)),
+            pair("Fit", summary.fit.into()),
+            pair("Residual/σ", format!("{:.2}", summary.residual_over_sigma)),
             pair(
                 "Frame rate",
-                format!("{} fps", thousands(outcome.frame_rate_hz)),
+                format!("{} fps", thousands(summary.frame_rate_hz)),
             ),
-            pair("Frames", outcome.frames.to_string()),
-            pair("Time", format!("{:.1} s", outcome.seconds)),
+            pair("Frames", summary.frames.to_string()),
+            pair("Time", format!("{:.1} s", summary.seconds)),
         ],
         sections: vec![
             (
@@ -440,26 +440,26 @@ fn sheet<'a>(
                     "objective",
                     "½‖W(b − Av)‖² + τ R(v), v ≥ 0, in each part".into(),
                 ),
-                pair("prior R", outcome.prior.clone()),
-                pair("τ", outcome.tau_rule.into()),
+                pair("prior R", summary.prior.clone()),
+                pair("τ", summary.tau_rule.into()),
                 pair(
                     "σ",
                     format!(
                         "{} counts ({})",
-                        short(outcome.noise_sigma),
-                        outcome.noise_sigma_source
+                        short(summary.noise_sigma),
+                        summary.noise_sigma_source
                     ),
                 ),
-                pair("fit", format!("{}: {}", outcome.fit, outcome.fit_reason)),
+                pair("fit", format!("{}: {}", summary.fit, summary.fit_reason)),
                 pair("shutter", camera.shutter().name().into()),
-                pair("seconds per bin", short(outcome.seconds_per_bin)),
+                pair("seconds per bin", short(summary.seconds_per_bin)),
                 pair(
                     "peak memory",
-                    outcome
+                    summary
                         .peak_memory_bytes
                         .map_or("unknown".into(), |b| format!("{} MB", b / 1_000_000)),
                 ),
-                pair("rowburst", outcome.version.into()),
+                pair("rowburst", summary.version.into()),
             ],
         )],
         files: [

@@ -2,11 +2,11 @@
 
 use crate::film::{Film, encoded};
 use crate::numbers::{headline, settings};
-use crate::outcome::{
-    FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
+use crate::player::{MakePlayer, PlayerPage};
+use crate::summary::{
+    FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
     peak_memory_bytes,
 };
-use crate::player::{MakePlayer, PlayerPage};
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
 use crate::view_files::{self, TRUTH, ViewFiles};
@@ -120,11 +120,11 @@ impl CompletedTask {
     }
 
     /// Everything that `result.json` says.
-    pub fn outcome(&self, traces: &Traces) -> Outcome {
+    pub fn summary(&self, traces: &Traces) -> ReconstructionSummary {
         let reconstruction = &self.reconstruction;
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
         let shape = reconstruction.video.shape();
-        Outcome {
+        ReconstructionSummary {
             version: env!("CARGO_PKG_VERSION"),
             prior: reconstruction.prior.to_string(),
             prior_choice: self.choice(),
@@ -168,7 +168,7 @@ impl CompletedTask {
             fit: reconstruction.fit.verdict.name(),
             fit_reason: reconstruction.fit.reason.clone(),
             fit_statistics: FitNumbers::from(&reconstruction.fit.statistics),
-            traces: traces.outcome(truth),
+            traces: traces.trace_numbers(truth),
             trace_errors: traces.numbers.clone(),
             debias: self.debias.clone(),
             history: self
@@ -238,8 +238,8 @@ impl CompletedTask {
         traces: &Traces,
         folder: &OutputFolder,
         result_meta: ResultMeta,
-    ) -> Result<Outcome> {
-        let mut outcome = self.outcome(traces);
+    ) -> Result<ReconstructionSummary> {
+        let mut summary = self.summary(traces);
         let video = &self.reconstruction.video;
         let camera = &self.task.camera;
         // That of an earlier run would vouch for files that are no longer its own.
@@ -268,7 +268,7 @@ impl CompletedTask {
             folder.write_bytes("video.mp4", mp4)?;
         }
 
-        outcome.peak_memory_bytes = peak_memory_bytes();
+        summary.peak_memory_bytes = peak_memory_bytes();
         let report_meta = ReportMeta {
             title: result_meta.title,
             reproduce: result_meta.reproduce,
@@ -283,18 +283,18 @@ impl CompletedTask {
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
-        let page = self.write_view(traces, &outcome, folder, &result_meta)?;
+        let page = self.write_view(traces, &summary, folder, &result_meta)?;
         let report =
-            self.report_of(traces, &outcome, report_meta, mp4.as_deref(), page.as_ref())?;
+            self.report_of(traces, &summary, report_meta, mp4.as_deref(), page.as_ref())?;
         for picture in &report.pictures {
             folder.write_bytes(&picture.name, &picture.png)?;
         }
         folder.write_bytes("report.html", report.html.as_bytes())?;
         drop(report);
-        outcome.peak_memory_bytes = peak_memory_bytes();
-        let json = serde_json::to_string_pretty(&outcome).expect("plain numbers and text");
+        summary.peak_memory_bytes = peak_memory_bytes();
+        let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
         folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
-        Ok(outcome)
+        Ok(summary)
     }
 
     /// The report alone, with its film or its player in it.
@@ -307,29 +307,29 @@ impl CompletedTask {
         report_meta: ReportMeta,
         player: Option<MakePlayer>,
     ) -> Result<Report> {
-        let mut outcome = self.outcome(traces);
-        outcome.peak_memory_bytes = peak_memory_bytes();
+        let mut summary = self.summary(traces);
+        summary.peak_memory_bytes = peak_memory_bytes();
         let time = self.task.camera.time();
         let mp4 = encoded(&self.reconstruction.video, time, Film::Stamped)?;
         let (title, command) = (report_meta.title, report_meta.reproduce);
-        let page = self.with_view(traces, &outcome, title, command, |files| {
+        let page = self.with_view(traces, &summary, title, command, |files| {
             let truth = files.truth.map(|_| TRUTH);
             player.and_then(|make| make(files, &view_files::describe(files, truth)))
         });
-        self.report_of(traces, &outcome, report_meta, mp4.as_deref(), page.as_ref())
+        self.report_of(traces, &summary, report_meta, mp4.as_deref(), page.as_ref())
     }
 
     /// Writes what the viewer shows beside the video; the page for one file, where there is one.
     fn write_view(
         &self,
         traces: &Traces,
-        outcome: &Outcome,
+        summary: &ReconstructionSummary,
         folder: &OutputFolder,
         result_meta: &ResultMeta,
     ) -> Result<Option<PlayerPage>> {
         self.with_view(
             traces,
-            outcome,
+            summary,
             result_meta.title,
             result_meta.reproduce,
             |files| {
@@ -344,7 +344,7 @@ impl CompletedTask {
     fn with_view<T>(
         &self,
         traces: &Traces,
-        outcome: &Outcome,
+        summary: &ReconstructionSummary,
         title: &str,
         command: Option<&str>,
         act: impl FnOnce(&ViewFiles) -> T,
@@ -362,10 +362,10 @@ impl CompletedTask {
             direct: direct.as_ref().map(|(image, _)| image.as_ref()),
             traces: &traces.annotated(),
             course: &self.curve,
-            headline: &headline(outcome),
-            settings: &settings(task, outcome),
-            fit: (outcome.fit, &outcome.fit_reason),
-            warnings: &outcome.warnings,
+            headline: &headline(summary),
+            settings: &settings(task, summary),
+            fit: (summary.fit, &summary.fit_reason),
+            warnings: &summary.warnings,
             command: command.unwrap_or_default(),
         })
     }
@@ -386,7 +386,7 @@ impl CompletedTask {
     fn report_of(
         &self,
         traces: &Traces,
-        outcome: &Outcome,
+        summary: &ReconstructionSummary,
         report_meta: ReportMeta,
         mp4: Option<&[u8]>,
         page: Option<&PlayerPage>,
@@ -409,12 +409,12 @@ impl CompletedTask {
             instants: task.camera.instants(),
             time: task.camera.time(),
             convergence: &self.curve,
-            headline: headline(outcome),
+            headline: headline(summary),
             fit: Some(FitVerdict {
-                verdict: outcome.fit,
-                reason: &outcome.fit_reason,
+                verdict: summary.fit,
+                reason: &summary.fit_reason,
             }),
-            settings: settings(task, outcome),
+            settings: settings(task, summary),
             pixel_pitch_um: task.camera.sensor().pixel_pitch_um,
             mp4,
             player: page.map(|page| Player {

@@ -16,7 +16,7 @@ pub enum Film {
 pub(crate) fn encoded(video: &Video, time: &TimeGrid, film: Film) -> Result<Option<Vec<u8>>> {
     let mut mp4 = Vec::new();
     let stamp = |bin: usize, width: usize, height: usize| {
-        rowburst_report::words(&bin_time(time, bin), width, height)
+        rowburst_report::render_text(&bin_time(time, bin), width, height)
     };
     let strip: Option<&rowburst_io::Strip> = match film {
         Film::Stamped => Some(&stamp),

@@ -15,23 +15,23 @@ mod film;
 pub mod inputs;
 mod numbers;
 pub mod options;
-mod outcome;
 mod player;
 pub mod simulate;
+mod summary;
 mod task;
 mod traces;
 mod view_files;
 mod watch;
 
-pub use chunked::{ChunkNumbers, ChunkedTask, PartsOutcome, run_chunked};
+pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
 pub use film::Film;
 pub use numbers::thousands;
-pub use outcome::{
-    FitNumbers, HistoryPoint, MetadataNumbers, Outcome, PriorCandidate, PriorChoice,
+pub use player::{MakePlayer, PlayerPage, player_of};
+pub use summary::{
+    FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
     peak_memory_bytes, short,
 };
-pub use player::{MakePlayer, PlayerPage, player_of};
 pub use task::{IterationMetrics, Task, solve};
 pub use traces::{
     DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,

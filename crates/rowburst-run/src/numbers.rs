@@ -1,10 +1,13 @@
 //! The numbers of a run as a reader meets them: the few big ones, and the table of all settings.
 
-use crate::outcome::{Outcome, short};
+use crate::summary::{ReconstructionSummary, short};
 use crate::task::Task;
 
 /// Groups of name and value: camera, reconstruction, run.
-pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
+pub(crate) fn settings(
+    task: &Task,
+    summary: &ReconstructionSummary,
+) -> Vec<(String, Vec<(String, String)>)> {
     let camera = &task.camera;
     let sensor = camera.sensor();
     let pair = |name: &str, value: String| (name.to_string(), value);
@@ -42,59 +45,59 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
     let psf = task.psfs.central().image();
     let of_solver = vec![
             pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
-            pair("prior R", outcome.prior.clone()),
-            pair("its choice", outcome.prior_choice.reason.clone()),
+            pair("prior R", summary.prior.clone()),
+            pair("its choice", summary.prior_choice.reason.clone()),
             pair(
                 "τ",
-                format!("{} ({})", short(outcome.tau), outcome.tau_rule),
+                format!("{} ({})", short(summary.tau), summary.tau_rule),
             ),
             pair(
                 "σ",
                 format!(
                     "{} counts ({})",
-                    short(outcome.noise_sigma),
-                    outcome.noise_sigma_source
+                    short(summary.noise_sigma),
+                    summary.noise_sigma_source
                 ),
             ),
-            pair("residual/σ", format!("{:.4}", outcome.residual_over_sigma)),
-            pair("fit", format!("{}: {}", outcome.fit, outcome.fit_reason)),
+            pair("residual/σ", format!("{:.4}", summary.residual_over_sigma)),
+            pair("fit", format!("{}: {}", summary.fit, summary.fit_reason)),
             pair(
                 "χ² per degree of freedom",
                 format!(
                     "{} ± {}",
-                    short(outcome.fit_statistics.chi_squared),
-                    short(outcome.fit_statistics.chi_squared_error)
+                    short(summary.fit_statistics.chi_squared),
+                    short(summary.fit_statistics.chi_squared_error)
                 ),
             ),
             pair(
                 "noise over σ, outside the optics' band",
-                outcome
+                summary
                     .fit_statistics
                     .noise_floor
                     .map_or("not measurable".into(), |v| format!("{v:.2}")),
             ),
             pair(
                 "residual/σ inside it",
-                outcome
+                summary
                     .fit_statistics
                     .passed_level
                     .map_or("not measurable".into(), |v| format!("{v:.2}")),
             ),
             pair(
                 "free values per measurement",
-                format!("{:.2}", outcome.fit_statistics.freedom),
+                format!("{:.2}", summary.fit_statistics.freedom),
             ),
             pair(
                 "objective at the end",
-                format!("{}; {}", short(outcome.objective), outcome.certificate),
+                format!("{}; {}", short(summary.objective), summary.certificate),
             ),
             pair(
                 "voxels allowed to be lit",
-                format!("{:.2} %", 100.0 * outcome.support_fraction),
+                format!("{:.2} %", 100.0 * summary.support_fraction),
             ),
             pair(
                 "standard errors of traces",
-                match (&outcome.trace_errors, &outcome.trace_errors.missing_because) {
+                match (&summary.trace_errors, &summary.trace_errors.missing_because) {
                     (_, Some(why)) => format!("not known: {why}"),
                     (errors, None) => format!(
                         "light changes over {:.1} px by {:.2} of its brightness, χ² {:.2}, found in {:.2} s",
@@ -107,8 +110,8 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
             ),
             pair(
                 "debiased",
-                outcome.debias.as_ref().map_or("no".into(), |d| {
-                    let psnr = d.psnr_db_before.zip(outcome.psnr_db);
+                summary.debias.as_ref().map_or("no".into(), |d| {
+                    let psnr = d.psnr_db_before.zip(summary.psnr_db);
                     let psnr = psnr.map_or(String::new(), |(a, b)| format!(", PSNR {a:.1} to {b:.1} dB"));
                     format!(
                         "yes: light × {:.4}, bright parts × {:.4}{psnr}; residual and fit are those before",
@@ -116,8 +119,8 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
                     )
                 }),
             ),
-            pair("iterations", outcome.iterations.to_string()),
-            pair("stopped", outcome.stop_reason.into()),
+            pair("iterations", summary.iterations.to_string()),
+            pair("stopped", summary.stop_reason.into()),
             pair(
                 "PSF",
                 match task.psfs.psfs().len() {
@@ -127,31 +130,31 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
             ),
             pair(
                 "bad and saturated pixels",
-                format!("{} and {}", outcome.bad_pixels, outcome.saturated_pixels),
+                format!("{} and {}", summary.bad_pixels, summary.saturated_pixels),
             ),
         ];
     let of_run = vec![
-        pair("rowburst", outcome.version.into()),
-        pair("threads", outcome.threads.to_string()),
+        pair("rowburst", summary.version.into()),
+        pair("threads", summary.threads.to_string()),
         pair(
             "set-up and solving",
             format!(
                 "{:.2} s and {:.2} s",
-                outcome.setup_seconds, outcome.seconds
+                summary.setup_seconds, summary.seconds
             ),
         ),
         pair(
             "peak memory",
-            outcome
+            summary
                 .peak_memory_bytes
                 .map_or("unknown".into(), |b| format!("{} MB", b / 1_000_000)),
         ),
         pair(
             "warnings",
-            if outcome.warnings.is_empty() {
+            if summary.warnings.is_empty() {
                 "none".into()
             } else {
-                outcome.warnings.join("; ")
+                summary.warnings.join("; ")
             },
         ),
     ];
@@ -163,28 +166,28 @@ pub(crate) fn settings(task: &Task, outcome: &Outcome) -> Vec<(String, Vec<(Stri
 }
 
 /// The few big numbers.
-pub(crate) fn headline(outcome: &Outcome) -> Vec<(String, String)> {
+pub(crate) fn headline(summary: &ReconstructionSummary) -> Vec<(String, String)> {
     let mut lines = Vec::new();
-    if let Some(psnr) = outcome.psnr_db {
+    if let Some(psnr) = summary.psnr_db {
         lines.push(("PSNR".to_string(), format!("{psnr:.1} dB")));
     }
-    if let Some(ssim) = outcome.ssim {
+    if let Some(ssim) = summary.ssim {
         lines.push(("SSIM".to_string(), format!("{ssim:.4}")));
     }
     lines.extend([
-        ("Fit".to_string(), outcome.fit.to_string()),
+        ("Fit".to_string(), summary.fit.to_string()),
         (
             "Residual/σ".to_string(),
-            format!("{:.2}", outcome.residual_over_sigma),
+            format!("{:.2}", summary.residual_over_sigma),
         ),
         (
             "Frame rate".to_string(),
-            format!("{} fps", thousands(outcome.frame_rate_hz)),
+            format!("{} fps", thousands(summary.frame_rate_hz)),
         ),
-        ("Frames".to_string(), outcome.frames.to_string()),
+        ("Frames".to_string(), summary.frames.to_string()),
         (
             "Time".to_string(),
-            format!("{:.2} s", outcome.setup_seconds + outcome.seconds),
+            format!("{:.2} s", summary.setup_seconds + summary.seconds),
         ),
     ]);
     lines

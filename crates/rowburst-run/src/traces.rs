@@ -2,7 +2,7 @@
 //! Keys are those of the file; the README says what they mean.
 #![allow(missing_docs)]
 
-use crate::outcome::short;
+use crate::summary::short;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::Reconstruction;
 use rowburst::traces::{
@@ -289,7 +289,7 @@ impl Traces {
     }
 
     /// For `result.json`.
-    pub fn outcome(&self, truth: Option<&Video>) -> Vec<TraceNumbers> {
+    pub fn trace_numbers(&self, truth: Option<&Video>) -> Vec<TraceNumbers> {
         let numbers = |i: usize| {
             let trace = &self.traces[i];
             let frequency = self.frequencies[i].as_ref();
@@ -368,7 +368,7 @@ impl Traces {
     }
 
     /// Lines for a person.
-    pub fn summary(&self) -> Vec<String> {
+    pub fn summary_lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for (trace, frequency) in self.traces.iter().zip(&self.frequencies) {
             let Some(f) = frequency else { continue };

@@ -3,7 +3,7 @@
 use crate::Scratch;
 use crate::store::AtomicStore;
 use rowburst::{Error, Result};
-use rowburst_io::cannot_write;
+use rowburst_io::write_error;
 use serde_json::{Value, json};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -125,7 +125,7 @@ fn write_metadata(
 pub(crate) fn storage_fault(path: &Path, error: &StorageError) -> Error {
     let place = path.display();
     match error {
-        StorageError::IOError(error) => cannot_write(error).within(place),
+        StorageError::IOError(error) => write_error(error).within(place),
         error => Error::work(place.to_string(), error, "Check the disk, then try again."),
     }
 }

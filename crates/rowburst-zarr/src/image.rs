@@ -5,7 +5,7 @@ use crate::archive::bins_of_chunk;
 use crate::array::{ArrayParams, FloatArray};
 use crate::ome::{Axis, write_group};
 use rowburst::{Result, Video};
-use rowburst_io::cannot_write;
+use rowburst_io::write_error;
 use serde_json::json;
 use std::fs;
 use std::path::Path;
@@ -23,7 +23,7 @@ pub fn write_video(
     bin_us: f64,
     pixel_pitch_um: Option<f64>,
 ) -> Result<()> {
-    let fault = |e: std::io::Error| cannot_write(&e).within(path.display());
+    let fault = |e: std::io::Error| write_error(&e).within(path.display());
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let place = path.with_file_name(format!(".{name}.part"));
     let scratch = Arc::new(Scratch::open(&place)?);

@@ -1,7 +1,7 @@
 //! Files that are whole or not there, whatever ends the process.
 
 use rowburst::Result;
-use rowburst_io::cannot_write;
+use rowburst_io::write_error;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ impl Lock {
             Err(error) if has_no_locks(&error) => Ok(None),
             Err(error) => Err(error),
         });
-        let file = locked.map_err(|e| cannot_write(&e).within(path.display()))?;
+        let file = locked.map_err(|e| write_error(&e).within(path.display()))?;
         Ok(Self { file })
     }
 
@@ -69,7 +69,7 @@ impl Scratch {
             tempfile::Builder::new().prefix("p").tempdir_in(place)
         });
         let folder = made
-            .map_err(|e| cannot_write(&e).within(place.display()))?
+            .map_err(|e| write_error(&e).within(place.display()))?
             .keep();
         let lock = Lock::wait(&folder.join(IN_USE))?;
         Ok(Self {
@@ -90,7 +90,7 @@ impl Scratch {
     /// Failed writes, naming `target`.
     pub fn put(&self, target: &Path, bytes: &[u8]) -> Result<()> {
         self.try_put(target, bytes)
-            .map_err(|e| cannot_write(&e).within(target.display()))
+            .map_err(|e| write_error(&e).within(target.display()))
     }
 
     /// [`Scratch::put`] with the error as it is.

@@ -3,7 +3,7 @@
 mod report;
 
 use crate::calibrate::experiment_of;
-use crate::outcome::say;
+use crate::output::print_line;
 use clap::Args;
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack, calibrate};
 use rowburst::{Error, Image, Result, Sensor};
@@ -63,7 +63,7 @@ pub fn run(args: &SensorArgs) -> Result<()> {
     let folder = OutputFolder::create(&args.output)?;
     write(args, &folder, &calibration, experiment, &summary)?;
     if args.json {
-        say(format_args!("{summary:#}"));
+        print_line(format_args!("{summary:#}"));
     } else {
         print_summary(&calibration, &folder);
     }
@@ -296,7 +296,7 @@ fn keys(calibration: &SensorCalibration) -> String {
 fn print_summary(calibration: &SensorCalibration, folder: &OutputFolder) {
     let faults = &calibration.faults;
     let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
-    say(format_args!(
+    print_line(format_args!(
         "gain {} electrons per count (±{:.1} %), read noise {} electrons, bias {} counts",
         short(calibration.gain_electrons_per_count),
         100.0 * calibration.gain_error,
@@ -304,15 +304,15 @@ fn print_summary(calibration: &SensorCalibration, folder: &OutputFolder) {
         short(calibration.bias_counts)
     ));
     match calibration.full_well {
-        Some(full) => say(format_args!("full well {} counts", short(full.counts))),
-        None => say("full well not reached by these flats"),
+        Some(full) => print_line(format_args!("full well {} counts", short(full.counts))),
+        None => print_line("full well not reached by these flats"),
     }
-    say(format_args!(
+    print_line(format_args!(
         "{} bad pixels: {} hot, {} dead, {} unstable",
         faults.count(),
         count(&faults.hot),
         count(&faults.dead),
         count(&faults.unstable)
     ));
-    say(format_args!("{}/report.html", folder.path().display()));
+    print_line(format_args!("{}/report.html", folder.path().display()));
 }

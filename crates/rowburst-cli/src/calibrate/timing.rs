@@ -3,7 +3,7 @@
 mod files;
 mod sheet;
 
-use crate::outcome::say;
+use crate::output::print_line;
 use clap::{Args, ValueHint};
 use files::TimingInputs;
 use rowburst::calibrate::timing::{Light, Timing, TimingParams, calibrate};
@@ -63,7 +63,7 @@ pub struct TimingArgs {
 
 /// Everything that `timing.json` says.
 #[derive(Debug, Serialize)]
-struct Summary {
+struct TimingSummary {
     version: &'static str,
     row_time_us: f64,
     row_time_us_error: f64,
@@ -138,7 +138,7 @@ pub fn run(args: &TimingArgs) -> Result<()> {
         eprintln!("warning: {warning}");
     }
     if args.json {
-        say(json);
+        print_line(json);
     } else {
         print(&timing, args);
     }
@@ -183,10 +183,10 @@ fn naming(mut error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
     error
 }
 
-fn summary(timing: &Timing, inputs: &TimingInputs) -> Summary {
+fn summary(timing: &Timing, inputs: &TimingInputs) -> TimingSummary {
     let periodic = matches!(inputs.light, Light::Periodic { .. });
     let phases = timing.phases.clone();
-    Summary {
+    TimingSummary {
         version: env!("CARGO_PKG_VERSION"),
         row_time_us: timing.row_time_us,
         row_time_us_error: timing.row_time_us_error,
@@ -245,16 +245,16 @@ fn exposure(timing: &Timing) -> String {
 }
 
 fn print(timing: &Timing, args: &TimingArgs) {
-    say(format!("row time  {}", row_time(timing)));
-    say(format!("shutter   {}", names(timing)));
+    print_line(format!("row time  {}", row_time(timing)));
+    print_line(format!("shutter   {}", names(timing)));
     if let Some(advice) = &timing.advice {
-        say(format!("          {advice}"));
+        print_line(format!("          {advice}"));
     }
-    say(format!("exposure  {}", exposure(timing)));
-    say(format!("          {}", timing.exposure_basis));
-    say(format!("readout   {} ms", short(timing.readout_ms)));
+    print_line(format!("exposure  {}", exposure(timing)));
+    print_line(format!("          {}", timing.exposure_basis));
+    print_line(format!("readout   {} ms", short(timing.readout_ms)));
     if let Some(output) = &args.output {
-        say(format!(
+        print_line(format!(
             "written   {}",
             output.join("report.html").display()
         ));

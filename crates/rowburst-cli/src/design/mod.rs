@@ -1,16 +1,15 @@
 //! `rowburst design`: what a camera, a lens and a diffuser can do before they are bought.
 
 mod options;
-mod outcome;
 mod page;
+mod summary;
 
 pub use options::DesignArgs;
 
 use crate::inputs::read_psfs;
-use crate::outcome::say;
+use crate::output::print_line;
 use indicatif::{ProgressBar, ProgressStyle};
 use options::DesignInputs;
-use outcome::{Outcome, print_summary};
 use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
 use rowburst::design::{Assessment, assess};
 use rowburst::simulate::speckle_psf;
@@ -20,6 +19,7 @@ use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
+use summary::{DesignSummary, print_summary};
 
 pub fn run(args: &DesignArgs) -> Result<()> {
     let started = Instant::now();
@@ -44,7 +44,7 @@ pub fn run(args: &DesignArgs) -> Result<()> {
         true => None,
         false => Some(map_of(&inputs, &assessment, given.as_ref())?),
     };
-    let outcome = Outcome::new(
+    let summary = DesignSummary::new(
         &inputs,
         &assessment,
         map.as_ref(),
@@ -61,15 +61,15 @@ pub fn run(args: &DesignArgs) -> Result<()> {
             assessment: &assessment,
             map: map.as_ref(),
             psf: psf.as_ref(),
-            outcome: &outcome,
+            summary: &summary,
             reproduce: &args.command_line(),
         };
         page.write(folder)?;
     }
     if args.json {
-        say(outcome.json());
+        print_line(summary.json());
     } else {
-        print_summary(&outcome, args.output.as_deref());
+        print_summary(&summary, args.output.as_deref());
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! The page of a design, its pictures and `design.json`.
 
 use super::options::DesignInputs;
-use super::outcome::Outcome;
+use super::summary::DesignSummary;
 use rowburst::design::sparsity::SuccessMap;
 use rowburst::design::{Assessment, LightParams, signal};
 use rowburst::{Image, Psf, Result};
@@ -14,7 +14,7 @@ pub struct Page<'a> {
     pub assessment: &'a Assessment,
     pub map: Option<&'a SuccessMap>,
     pub psf: Option<&'a Psf>,
-    pub outcome: &'a Outcome,
+    pub summary: &'a DesignSummary,
     pub reproduce: &'a str,
 }
 
@@ -29,7 +29,7 @@ impl Page<'_> {
         for name in OPTIONAL {
             folder.remove(name)?;
         }
-        let outcome = self.outcome;
+        let summary = self.summary;
         let rates = self.map.map(rates_by_snr);
         let steps: Vec<Vec<f64>> = match self.map {
             Some(map) => vec![
@@ -75,7 +75,7 @@ impl Page<'_> {
                     Some(path) => format!("The PSF of {}.", path.display()),
                     None => format!(
                         "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Light that falls outside of it is not shown.",
-                        outcome.grain_fwhm_px, outcome.envelope_fwhm_px
+                        summary.grain_fwhm_px, summary.envelope_fwhm_px
                     ),
                 },
                 alt: "The point-spread function.".into(),
@@ -86,7 +86,7 @@ impl Page<'_> {
             "Light and colour",
             vec![self.snr_drawing(), self.colour_drawing()],
         ));
-        let mut tables = outcome.sections();
+        let mut tables = summary.sections();
         tables.push(("Given".into(), self.given()));
         let report = Sheet {
             title: "Rowburst: design",
@@ -96,12 +96,12 @@ impl Page<'_> {
                 camera.columns(),
                 camera.shutter().name(),
                 self.inputs.optics.diffuser_fwhm_deg,
-                outcome.frames,
-                outcome.frame_rate_hz
+                summary.frames,
+                summary.frame_rate_hz
             ),
-            warnings: outcome.warnings.clone(),
+            warnings: summary.warnings.clone(),
             notes: Vec::new(),
-            headline: headline(outcome),
+            headline: headline(summary),
             sections,
             tables,
             files: vec![
@@ -115,7 +115,7 @@ impl Page<'_> {
             folder.write_bytes(&picture.name, &picture.png)?;
         }
         folder.write_bytes("report.html", report.html.as_bytes())?;
-        folder.write_bytes("design.json", format!("{}\n", outcome.json()).as_bytes())
+        folder.write_bytes("design.json", format!("{}\n", summary.json()).as_bytes())
     }
 
     fn half_drawing(&self, map: &SuccessMap) -> Drawing<'_> {
@@ -269,19 +269,19 @@ impl Page<'_> {
     }
 }
 
-fn headline(outcome: &Outcome) -> Vec<(String, String)> {
+fn headline(summary: &DesignSummary) -> Vec<(String, String)> {
     [
-        ("Frame rate", format!("{:.0} fps", outcome.frame_rate_hz)),
-        ("Frames", outcome.frames.to_string()),
-        ("Grain", format!("{:.2} px", outcome.grain_px)),
+        ("Frame rate", format!("{:.0} fps", summary.frame_rate_hz)),
+        ("Frames", summary.frames.to_string()),
+        ("Grain", format!("{:.2} px", summary.grain_px)),
         (
             "Smallest diffuser",
-            format!("{:.2}°", outcome.smallest_diffuser_deg),
+            format!("{:.2}°", summary.smallest_diffuser_deg),
         ),
-        ("SNR", format!("{:.0}", outcome.snr_per_pixel)),
+        ("SNR", format!("{:.0}", summary.snr_per_pixel)),
         (
             "Recoverable",
-            format!("{:.0} pixels a bin", outcome.recoverable_pixels_per_bin),
+            format!("{:.0} pixels a bin", summary.recoverable_pixels_per_bin),
         ),
     ]
     .map(|(name, value)| (name.to_string(), value))

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 pub(crate) fn images_in(path: &Path) -> Result<Vec<String>> {
     let mut names = Vec::new();
     let mut formats: Vec<(Format, String)> = Vec::new();
-    let entries = std::fs::read_dir(path).map_err(|e| fault::reading(path, &e))?;
+    let entries = std::fs::read_dir(path).map_err(|e| fault::read_error(path, &e))?;
     for entry in entries {
-        let entry = entry.map_err(|e| fault::reading(path, &e))?;
+        let entry = entry.map_err(|e| fault::read_error(path, &e))?;
         let name = entry.file_name().to_string_lossy().into_owned();
         let Some(format) = Format::of_name(Path::new(&name)) else {
             continue;

@@ -1,7 +1,7 @@
 //! The page of a PSF: what its numbers look like.
 
 use super::PsfArgs;
-use super::outcome::Outcome;
+use super::summary::PsfSummary;
 use rowburst::calibrate::psf::{BIN, MemoryEffect, Reach, Speckle};
 use rowburst::{Image, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
@@ -15,11 +15,11 @@ pub struct Pages<'a> {
     pub reach: &'a Reach,
     /// The memory effect and the places `(y, x)` in millimetres.
     pub effect: Option<(&'a MemoryEffect, &'a [(f64, f64)])>,
-    pub outcome: &'a Outcome,
+    pub summary: &'a PsfSummary,
 }
 
 pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
-    let outcome = pages.outcome;
+    let summary = pages.summary;
     let highest = pages.psf.max();
     let relative = Image::from_fn(pages.psf.rows(), pages.psf.columns(), |y, x| {
         pages.psf.at(y, x) / highest
@@ -65,13 +65,13 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
         title: "Rowburst: PSF",
         summary: format!(
             "{} captures, {} × {} pixels of the working grid",
-            outcome.captures, outcome.rows, outcome.columns
+            summary.captures, summary.rows, summary.columns
         ),
-        warnings: outcome.warnings.clone(),
-        notes: outcome.remarks.clone(),
-        headline: headline(outcome),
+        warnings: summary.warnings.clone(),
+        notes: summary.remarks.clone(),
+        headline: headline(summary),
         sections,
-        tables: tables(outcome),
+        tables: tables(summary),
         files,
         reproduce: Some(&command),
     }
@@ -82,17 +82,17 @@ fn pair(name: &str, value: impl Into<String>) -> (String, String) {
     (name.into(), value.into())
 }
 
-fn headline(outcome: &Outcome) -> Vec<(String, String)> {
+fn headline(summary: &PsfSummary) -> Vec<(String, String)> {
     let mut all = vec![
-        pair("contrast", format!("{:.3}", outcome.contrast)),
-        pair("grain", format!("{:.2} px", outcome.grain_px)),
+        pair("contrast", format!("{:.3}", summary.contrast)),
+        pair("grain", format!("{:.2} px", summary.grain_px)),
         pair(
             "ballistic light",
-            format!("{:.2} %", 100.0 * outcome.ballistic_fraction),
+            format!("{:.2} %", 100.0 * summary.ballistic_fraction),
         ),
-        pair("reach at the far edge", short(outcome.row_reach.worst)),
+        pair("reach at the far edge", short(summary.row_reach.worst)),
     ];
-    if let Some(memory) = &outcome.memory {
+    if let Some(memory) = &summary.memory {
         all.push(pair(
             "shift",
             format!("{:.1} px/mm", memory.shift_px_per_mm),
@@ -106,38 +106,38 @@ fn headline(outcome: &Outcome) -> Vec<(String, String)> {
     all
 }
 
-fn tables(outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
+fn tables(summary: &PsfSummary) -> Vec<(String, Vec<(String, String)>)> {
     let mut speckle = vec![
         pair(
             "grain along rows (y)",
-            format!("{:.2} px", outcome.grain_y_px),
+            format!("{:.2} px", summary.grain_y_px),
         ),
         pair(
             "grain along columns (x)",
-            format!("{:.2} px", outcome.grain_x_px),
+            format!("{:.2} px", summary.grain_x_px),
         ),
         pair(
             "distance to the negative exponential",
-            format!("{:.3}", outcome.exponential_distance),
+            format!("{:.3}", summary.exponential_distance),
         ),
         pair(
             "noise in the variance",
-            format!("{:.1} %", 100.0 * outcome.noise_part),
+            format!("{:.1} %", 100.0 * summary.noise_part),
         ),
         pair(
             "lit part of the capture",
-            format!("{:.1} %", 100.0 * outcome.lit_fraction),
+            format!("{:.1} %", 100.0 * summary.lit_fraction),
         ),
         pair(
             "saturated pixels",
-            format!("{:.2} %", 100.0 * outcome.saturated_fraction),
+            format!("{:.2} %", 100.0 * summary.saturated_fraction),
         ),
-        pair("binning", outcome.binning.to_string()),
+        pair("binning", summary.binning.to_string()),
     ];
-    if let Some(floor) = outcome.floor_counts {
+    if let Some(floor) = summary.floor_counts {
         speckle.push(pair("floor", format!("{floor:.2} counts")));
     }
-    let reach = &outcome.row_reach;
+    let reach = &summary.row_reach;
     let mut tables = vec![
         ("Speckle".to_string(), speckle),
         (
@@ -150,7 +150,7 @@ fn tables(outcome: &Outcome) -> Vec<(String, Vec<(String, String)>)> {
             ],
         ),
     ];
-    if let Some(memory) = &outcome.memory {
+    if let Some(memory) = &summary.memory {
         tables.push((
             "Memory effect".to_string(),
             vec![
@@ -261,7 +261,7 @@ fn grain(speckle: &Speckle) -> Drawing<'static> {
 }
 
 fn reach<'a>(pages: &'a Pages, sensor_rows: &'a [f64]) -> Drawing<'a> {
-    let outcome = &pages.outcome.row_reach;
+    let summary = &pages.summary.row_reach;
     Drawing {
         name: "reach",
         plot: Plot::Grid {
@@ -276,13 +276,13 @@ fn reach<'a>(pages: &'a Pages, sensor_rows: &'a [f64]) -> Drawing<'a> {
         },
         caption: format!(
             "Light of each part of the field on each sensor row, relative to its mean over the rows. Good: no black corner. Light of the bottom must reach the top row and the other way round: there it is {}{}, {} are needed.",
-            short(outcome.worst),
-            if outcome.extrapolated {
+            short(summary.worst),
+            if summary.extrapolated {
                 " (continued beyond the capture by a Gaussian)"
             } else {
                 ""
             },
-            short(outcome.least)
+            short(summary.least)
         ),
         alt: "A map that is brightest along the diagonal".into(),
     }

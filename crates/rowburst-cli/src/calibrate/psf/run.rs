@@ -2,10 +2,10 @@
 
 use super::PsfArgs;
 use super::captures::{self, File};
-use super::outcome::{Memory, Outcome, RowReach, remarks, warnings};
 use super::report::{Pages, render};
+use super::summary::{MemorySummary, PsfSummary, RowReach, remarks, warnings};
 use crate::calibrate::experiment_of;
-use crate::outcome::say;
+use crate::output::print_line;
 use rowburst::calibrate::psf::{
     Light, MemoryEffect, MergeParams, PositionedCapture, Shot, ballistic_core, centred_psfs,
     centroid, memory_effect, merge, noise_of, patch_set, patches_needed, row_reach, select_patches,
@@ -109,7 +109,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
             let extent =
                 field.map_or_else(|| span_px(positions, effect), |f| (f.0 as f64, f.1 as f64));
             let count = patches.as_ref().map_or(0, |p| p.psfs().len());
-            Memory::new(effect, count, patches_needed(effect, extent))
+            MemorySummary::new(effect, count, patches_needed(effect, extent))
         });
     let mut warned = warnings(
         light,
@@ -119,7 +119,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         args.expected_grain_px,
     );
     warned.extend(saturated_captures(&lights, reference, &groups));
-    let outcome = Outcome {
+    let summary = PsfSummary {
         version: env!("CARGO_PKG_VERSION"),
         rows: psf.image().rows(),
         columns: psf.image().columns(),
@@ -147,10 +147,10 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         memory,
         warnings: warned,
     };
-    for warning in &outcome.warnings {
+    for warning in &summary.warnings {
         eprintln!("warning: {warning}");
     }
-    for remark in &outcome.remarks {
+    for remark in &summary.remarks {
         eprintln!("note: {remark}");
     }
     let pages = Pages {
@@ -159,13 +159,13 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         speckle: &speckle,
         reach: &reach,
         effect: effect.as_ref().zip(positions.as_deref()),
-        outcome: &outcome,
+        summary: &summary,
     };
     write(&folder, &pages, experiment, patches.as_ref())?;
     if args.json {
-        say(serde_json::to_string_pretty(&outcome).expect("plain numbers and text"));
+        print_line(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
     } else {
-        print_summary(&outcome, effect.as_ref(), args);
+        print_summary(&summary, effect.as_ref(), args);
     }
     Ok(())
 }
@@ -306,7 +306,7 @@ fn write(
         if pages.args.dark.is_some() {
             experiment.calibration.dark.clone_from(&pages.args.dark);
         }
-        experiment.params.sensor.binning = pages.outcome.binning;
+        experiment.params.sensor.binning = pages.summary.binning;
         if let Some(field) = pages.args.field {
             experiment.params.field = Some(field);
         }
@@ -319,48 +319,48 @@ fn write(
         folder.write_bytes(&picture.name, &picture.png)?;
     }
     folder.write_bytes("report.html", report.html.as_bytes())?;
-    let json = serde_json::to_string_pretty(pages.outcome).expect("plain numbers and text");
+    let json = serde_json::to_string_pretty(pages.summary).expect("plain numbers and text");
     folder.write_bytes("psf.json", format!("{json}\n").as_bytes())
 }
 
-fn print_summary(outcome: &Outcome, effect: Option<&MemoryEffect>, args: &PsfArgs) {
-    say(format!("contrast     {:.3}", outcome.contrast));
-    say(format!(
+fn print_summary(summary: &PsfSummary, effect: Option<&MemoryEffect>, args: &PsfArgs) {
+    print_line(format!("contrast     {:.3}", summary.contrast));
+    print_line(format!(
         "grain        {:.2} px (rows {:.2}, columns {:.2})",
-        outcome.grain_px, outcome.grain_y_px, outcome.grain_x_px
+        summary.grain_px, summary.grain_y_px, summary.grain_x_px
     ));
-    say(format!(
+    print_line(format!(
         "ballistic    {:.2} %",
-        100.0 * outcome.ballistic_fraction
+        100.0 * summary.ballistic_fraction
     ));
-    say(format!(
+    print_line(format!(
         "saturated    {:.2} %",
-        100.0 * outcome.saturated_fraction
+        100.0 * summary.saturated_fraction
     ));
-    say(format!(
+    print_line(format!(
         "row reach    {} of the mean at the far edge ({})",
-        short(outcome.row_reach.worst),
-        if outcome.row_reach.enough {
+        short(summary.row_reach.worst),
+        if summary.row_reach.enough {
             "enough"
         } else {
             "too little"
         }
     ));
-    if let (Some(memory), Some(effect)) = (&outcome.memory, effect) {
-        say(format!(
+    if let (Some(memory), Some(effect)) = (&summary.memory, effect) {
+        print_line(format!(
             "shift        {:.2} px/mm (residual {:.2} px)",
             memory.shift_px_per_mm, memory.shift_residual_px
         ));
         let range = effect
             .range_mm
             .map_or("beyond the places".into(), |r| format!("{r:.3} mm"));
-        say(format!("isoplanatic  {range}"));
-        say(format!(
+        print_line(format!("isoplanatic  {range}"));
+        print_line(format!(
             "patches      {} written, {} × {} needed",
             memory.patches, memory.patches_needed.0, memory.patches_needed.1
         ));
     }
-    say(format!(
+    print_line(format!(
         "report       {}",
         args.output.join("report.html").display()
     ));

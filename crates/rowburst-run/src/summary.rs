@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// Everything that `result.json` says.
 #[derive(Debug, Clone, Serialize)]
-pub struct Outcome {
+pub struct ReconstructionSummary {
     pub version: &'static str,
     pub prior: String,
     pub prior_choice: PriorChoice,

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 /// Everything that `psf.json` says.
 #[derive(Debug, Clone, Serialize)]
-pub struct Outcome {
+pub struct PsfSummary {
     pub version: &'static str,
     /// Rows and columns of the PSF, working grid.
     pub rows: usize,
@@ -31,7 +31,7 @@ pub struct Outcome {
     pub middle_px: (f64, f64),
     pub row_reach: RowReach,
     #[serde(flatten)]
-    pub memory: Option<Memory>,
+    pub memory: Option<MemorySummary>,
     pub warnings: Vec<String>,
     pub remarks: Vec<String>,
 }
@@ -50,7 +50,7 @@ pub struct RowReach {
 
 /// What captures at several places tell.
 #[derive(Debug, Clone, Serialize)]
-pub struct Memory {
+pub struct MemorySummary {
     pub shift_px_per_mm: f64,
     /// Rows: shift along x and y; columns: a millimetre along x and y.
     pub shift_matrix_px_per_mm: [[f64; 2]; 2],
@@ -80,7 +80,7 @@ impl RowReach {
     }
 }
 
-impl Memory {
+impl MemorySummary {
     pub fn new(effect: &MemoryEffect, patches: usize, patches_needed: (usize, usize)) -> Self {
         let m = effect.px_per_mm;
         Self {

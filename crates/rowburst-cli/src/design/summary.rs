@@ -1,7 +1,7 @@
 //! `design.json` and the summary: the numbers of a design.
 
 use super::options::DesignInputs;
-use crate::outcome::say;
+use crate::output::print_line;
 use rowburst::design::sparsity::{SuccessMap, recoverable, usual_constant};
 use rowburst::design::{Assessment, fits_full_well, verdicts};
 use rowburst_run::short;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Everything that `design.json` says.
 #[derive(Debug, Clone, Serialize)]
-pub struct Outcome {
+pub struct DesignSummary {
     pub version: &'static str,
     pub grain_px: f64,
     pub grain_fwhm_px: f64,
@@ -55,7 +55,7 @@ pub struct Outcome {
     pub sparsity_constant: Option<f64>,
     /// "trials", or "rule" where the trials were left out.
     pub sparsity_source: &'static str,
-    pub success_map: Option<Map>,
+    pub success_map: Option<SuccessMapSummary>,
     pub seed: u64,
     pub seconds: f64,
     pub warnings: Vec<String>,
@@ -63,7 +63,7 @@ pub struct Outcome {
 
 /// The success map as numbers.
 #[derive(Debug, Clone, Serialize)]
-pub struct Map {
+pub struct SuccessMapSummary {
     pub rows: usize,
     pub columns: usize,
     pub measurements_per_bin: f64,
@@ -79,7 +79,7 @@ pub struct Map {
     pub sparsity_constants: Vec<Option<f64>>,
 }
 
-impl Map {
+impl SuccessMapSummary {
     fn new(map: &SuccessMap) -> Self {
         Self {
             rows: map.sensor.0,
@@ -103,7 +103,7 @@ impl Map {
     }
 }
 
-impl Outcome {
+impl DesignSummary {
     pub fn new(
         inputs: &DesignInputs,
         assessment: &Assessment,
@@ -157,7 +157,7 @@ impl Outcome {
             recoverable_is_lower_bound: map.is_some_and(|m| m.is_lower_bound_at(snr)),
             sparsity_constant: constant,
             sparsity_source: if map.is_some() { "trials" } else { "rule" },
-            success_map: map.map(Map::new),
+            success_map: map.map(SuccessMapSummary::new),
             seed: inputs.seed,
             seconds,
             warnings: verdicts(
@@ -338,21 +338,21 @@ fn short_angle(degrees: f64) -> String {
 }
 
 /// The sections, the shortcomings and where to look.
-pub fn print_summary(outcome: &Outcome, folder: Option<&Path>) {
-    for (heading, lines) in outcome.sections() {
-        say(heading);
+pub fn print_summary(summary: &DesignSummary, folder: Option<&Path>) {
+    for (heading, lines) in summary.sections() {
+        print_line(heading);
         for (name, value) in lines {
-            say(format_args!("  {name:<31} {value}"));
+            print_line(format_args!("  {name:<31} {value}"));
         }
     }
-    for warning in &outcome.warnings {
-        say(format_args!("warning: {warning}"));
+    for warning in &summary.warnings {
+        print_line(format_args!("warning: {warning}"));
     }
-    if outcome.warnings.is_empty() {
-        say("nothing falls short");
+    if summary.warnings.is_empty() {
+        print_line("nothing falls short");
     }
     if let Some(folder) = folder {
-        say(format_args!(
+        print_line(format_args!(
             "open {}",
             folder.join("report.html").display()
         ));

@@ -11,7 +11,7 @@ use rowburst::Result;
 ///
 /// # Errors
 /// A size of zero.
-pub fn words(text: &str, width: usize, height: usize) -> Result<Vec<u8>> {
+pub fn render_text(text: &str, width: usize, height: usize) -> Result<Vec<u8>> {
     let size = 0.62 * height as f64;
     let text = text.render().into_string();
     let svg = format!(
@@ -41,7 +41,7 @@ mod tests {
 
     #[test]
     fn words_fill_the_height_and_differ() {
-        let [a, b] = ["4.8 µs", "14.4 µs"].map(|text| words(text, 200, 22).unwrap());
+        let [a, b] = ["4.8 µs", "14.4 µs"].map(|text| render_text(text, 200, 22).unwrap());
         assert_eq!((a.len(), b.len()), (4400, 4400));
         let is_inked = |y: usize| a[200 * y..200 * (y + 1)].iter().any(|&v| v > 127);
         let rows: Vec<usize> = (0..22).filter(|&y| is_inked(y)).collect();
@@ -50,6 +50,6 @@ mod tests {
         assert!(light(&b) > light(&a), "a digit more");
         // The right half is free.
         assert!((0..22).all(|y| a[200 * y + 100..200 * (y + 1)].iter().all(|&v| v == 0)));
-        assert!(words("1", 0, 9).is_err());
+        assert!(render_text("1", 0, 9).is_err());
     }
 }
