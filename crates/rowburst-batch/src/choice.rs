@@ -172,7 +172,7 @@ impl ChosenPrior {
         stop: &AtomicBool,
     ) -> Result<Option<Self>> {
         let (_, measurement) = good(inputs, frame)?;
-        let problem = Problem::of(&inputs.model, &measurement, inputs.options)?;
+        let problem = Problem::with_model(&inputs.model, &measurement, inputs.options)?;
         let chosen = problem.choose(&mut |_| match stop.load(Ordering::Relaxed) {
             true => ControlFlow::Break(StopReason::Interrupted),
             false => ControlFlow::Continue(()),

@@ -90,7 +90,7 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
     let (psfs, note) = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
     check_memory(files.experiment, &camera)?;
     let inputs = BatchInputs {
-        model: Model::new(&camera, psfs).keeping_gram(),
+        model: Model::new(&camera, psfs).with_cached_gram(),
         corrections,
         options,
         budget,

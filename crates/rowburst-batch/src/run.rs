@@ -309,7 +309,7 @@ impl Batch {
             let found = live.next(&measurement, is_over)?;
             return Ok((measurement, found));
         }
-        let problem = Problem::of(&self.inputs.model, &measurement, frame_options.options)?;
+        let problem = Problem::with_model(&self.inputs.model, &measurement, frame_options.options)?;
         let found =
             problem
                 .with_tau_factor(frame_options.tau_factor)

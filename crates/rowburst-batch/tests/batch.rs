@@ -63,7 +63,7 @@ fn psf() -> Psf {
 
 fn inputs(camera: &Camera, prior: &str) -> BatchInputs {
     BatchInputs {
-        model: Model::new(camera, psf()).keeping_gram(),
+        model: Model::new(camera, psf()).with_cached_gram(),
         corrections: Corrections::default(),
         budget: None,
         options: Options {

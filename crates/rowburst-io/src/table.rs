@@ -1,6 +1,6 @@
 //! A TOML table that is read key by key, with errors that name the line.
 
-use rowburst::camera::MOST_PIXELS;
+use rowburst::camera::MAX_SENSOR_SIDE;
 use rowburst::{Error, Result};
 use std::path::Path;
 use toml::Spanned;
@@ -109,10 +109,10 @@ impl<'a> Table<'a> {
     /// The length of a side of a sensor or a field, in pixels.
     pub fn side(&self, key: &str) -> Result<Option<usize>> {
         match self.count(key)? {
-            Some(side) if side > MOST_PIXELS => Err(self.error(
+            Some(side) if side > MAX_SENSOR_SIDE => Err(self.error(
                 key,
                 side,
-                &format!("a side has at most {MOST_PIXELS} pixels"),
+                &format!("a side has at most {MAX_SENSOR_SIDE} pixels"),
                 "Give the size of the frame in pixels.",
             )),
             side => Ok(side),

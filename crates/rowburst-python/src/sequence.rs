@@ -60,7 +60,7 @@ impl PySequence {
         };
         let psfs = psfs_of(psf, &camera.camera, None)?;
         check_memory("the video".as_ref(), &camera.camera).map_err(to_py_err)?;
-        let model = py.detach(|| Model::new(&camera.camera, psfs).keeping_gram());
+        let model = py.detach(|| Model::new(&camera.camera, psfs).with_cached_gram());
         Ok(Self {
             camera: PyCamera {
                 camera: camera.camera.clone(),
@@ -112,7 +112,7 @@ impl PySequence {
     fn forget(&self, py: Python<'_>) {
         py.detach(|| {
             let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
-            sequence.forget();
+            sequence.reset();
         });
     }
 }

@@ -69,7 +69,7 @@ fn main() {
     let psf = speckle_psf(&SpeckleOptics::demo(), side, side, 1).expect("valid optics");
     let verbose = std::env::args().any(|a| a == "--verbose");
     let began = Instant::now();
-    let model = Model::new(&camera, &psf).keeping_gram();
+    let model = Model::new(&camera, &psf).with_cached_gram();
     println!(
         "Model: {:.0} ms, once.\n",
         1e3 * began.elapsed().as_secs_f64()
@@ -102,7 +102,7 @@ fn main() {
             let mut sequence = Sequence::new(model.clone(), options);
             let next = |sequence: &mut Sequence, k: usize| {
                 let began = Instant::now();
-                let (found, went_on) = sequence
+                let (found, is_warm_started) = sequence
                     .next(&measured[k], &mut |_| {
                         if began.elapsed().as_secs_f64() > budget {
                             return ControlFlow::Break(StopReason::TimeBudget);
@@ -112,23 +112,23 @@ fn main() {
                     .expect("a video");
                 let taken = began.elapsed().as_secs_f64();
                 let db = psnr_db(found.video.data(), truths[k].data());
-                (db, found.iterations, went_on, taken)
+                (db, found.iterations, is_warm_started, taken)
             };
             let alone: Vec<f64> = [0, 7, 14]
                 .map(|k| {
-                    sequence.forget();
+                    sequence.reset();
                     next(&mut sequence, k).0
                 })
                 .to_vec();
-            sequence.forget();
+            sequence.reset();
             let runs: Vec<_> = (0..FRAMES).map(|k| next(&mut sequence, k)).collect();
             let later: Vec<f64> = runs[1..].iter().map(|r| r.0).collect();
             let least = later.iter().copied().fold(f64::INFINITY, f64::min);
             let iterations = median(runs[1..].iter().map(|r| r.1 as f64).collect());
             let longest = runs.iter().map(|r| r.3).fold(0.0, f64::max);
-            let went_on = runs.iter().filter(|r| r.2).count();
+            let warm_started = runs.iter().filter(|r| r.2).count();
             println!(
-                "| {name} | {budget} | {:.1} | {:.1}, {:.1}, {least:.1} | {iterations} | {went_on} | {longest:.2} |",
+                "| {name} | {budget} | {:.1} | {:.1}, {:.1}, {least:.1} | {iterations} | {warm_started} | {longest:.2} |",
                 median(alone),
                 runs[0].0,
                 median(later),

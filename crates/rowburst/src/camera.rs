@@ -89,7 +89,7 @@ impl Sensor {
 
 /// Longest side of a sensor or a field: twice that of the largest sensors, and short
 /// enough that a table of its pixels can be made.
-pub const MOST_PIXELS: usize = 65_536;
+pub const MAX_SENSOR_SIDE: usize = 65_536;
 
 impl Camera {
     /// Checks `params` and works out the time grid.
@@ -99,10 +99,10 @@ impl Camera {
     pub fn new(params: CameraParams) -> Result<Self> {
         for (key, value) in [("rows", params.rows), ("columns", params.columns)] {
             require(
-                (1..=MOST_PIXELS).contains(&value),
+                (1..=MAX_SENSOR_SIDE).contains(&value),
                 key,
                 value,
-                format!("a sensor has at least one and at most {MOST_PIXELS}"),
+                format!("a sensor has at least one and at most {MAX_SENSOR_SIDE}"),
                 "Give the size of the frame in pixels.",
             )?;
         }
@@ -139,10 +139,10 @@ impl Camera {
         }
         if let Some((rows, columns)) = params.field {
             require(
-                rows.max(columns) <= MOST_PIXELS,
+                rows.max(columns) <= MAX_SENSOR_SIDE,
                 "[field]",
                 format!("{rows}×{columns}"),
-                format!("a side has at most {MOST_PIXELS} pixels"),
+                format!("a side has at most {MAX_SENSOR_SIDE} pixels"),
                 "Give the size of the field in pixels of the working grid.",
             )?;
         }

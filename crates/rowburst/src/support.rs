@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn missed_light_is_added() {
+    fn correlated_voxels_are_added() {
         let shape = Shape::new(2, 9, 9);
         let mut correlation = vec![0.1f32; shape.voxels()];
         correlation[81 + 40] = 1.0;

@@ -124,7 +124,7 @@ const ROOT: [(&str, &str); 14] = [
 ];
 
 #[test]
-fn imports_only_go_down() {
+fn imports_only_go_to_lower_layers() {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut faults = Vec::new();
     for path in files(&source) {

@@ -192,7 +192,7 @@ fn group_finds_points_that_blink_at_fixed_places() {
 }
 
 #[test]
-fn a_background_is_taken_apart() {
+fn a_background_is_separated() {
     let still = |shape| before_a_background(shape, 0.0);
     beats_tv(still, "tv+0.5*tdiff+0.3*l1+background", 6.0, 24.0);
     let flickering = |shape| before_a_background(shape, 0.6);

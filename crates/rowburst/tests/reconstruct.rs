@@ -103,7 +103,7 @@ fn every_kind_of_camera_gives_a_good_video() {
 
 /// Blocks of more than a thousand measurements, whose factors are the dear part; the second with products in f32.
 #[test]
-fn a_wide_sensor_gives_a_good_video() {
+fn a_large_sensor_gives_a_good_video() {
     for columns in [520, 1030] {
         let case = wide(columns);
         let options = Options {

@@ -25,7 +25,7 @@ fn model() -> Model {
         sensor: Sensor::default(),
     });
     let psf = speckle_psf(&SpeckleOptics::demo(), 2 * SIDE - 1, 2 * SIDE - 1, 1);
-    Model::new(&camera.unwrap(), psf.unwrap()).keeping_gram()
+    Model::new(&camera.unwrap(), psf.unwrap()).with_cached_gram()
 }
 
 fn measured(model: &Model, truth: &Video, seed: u64) -> Measurement {
@@ -70,14 +70,14 @@ fn after(
 /// The first frame is that of a run by itself, to the bit; what follows takes fewer iterations to
 /// the same quality, also where the scene has moved.
 #[test]
-fn a_frame_goes_on_from_the_last_one() {
+fn a_frame_is_warm_started_from_the_previous_one() {
     let model = model();
     let truth = digits(model.camera().video_shape());
     let mut sequence = Sequence::new(model.clone(), options());
     let first = measured(&model, &truth, 1);
-    let (whole, went_on) = sequence.next(&first, &mut after(1000)).unwrap();
-    assert!(!went_on);
-    let alone = Problem::of(&model, &first, options()).unwrap();
+    let (whole, is_warm_started) = sequence.next(&first, &mut after(1000)).unwrap();
+    assert!(!is_warm_started);
+    let alone = Problem::with_model(&model, &first, options()).unwrap();
     let alone = alone.solve(&mut after(1000)).unwrap();
     assert_eq!(whole.video, alone.video);
     assert_eq!(whole.tau.to_bits(), alone.tau.to_bits());
@@ -95,10 +95,10 @@ fn a_frame_goes_on_from_the_last_one() {
             truth = moved(&truth);
         }
         let frame = measured(&model, &truth, seed);
-        let (found, went_on) = sequence.next(&frame, &mut after(20)).unwrap();
-        assert!(went_on);
+        let (found, is_warm_started) = sequence.next(&frame, &mut after(20)).unwrap();
+        assert!(is_warm_started);
         let db = |iterations| {
-            let problem = Problem::of(&model, &frame, options()).unwrap();
+            let problem = Problem::with_model(&model, &frame, options()).unwrap();
             let found = problem.solve(&mut after(iterations)).unwrap();
             psnr_db(found.video.data(), truth.data())
         };
@@ -112,7 +112,7 @@ fn a_frame_goes_on_from_the_last_one() {
 
 /// Frames that are stopped after a few iterations together come as far as one run.
 #[test]
-fn short_looks_add_up() {
+fn short_runs_add_up() {
     let model = model();
     let truth = digits(model.camera().video_shape());
     let mut sequence = Sequence::new(model.clone(), options());
@@ -147,8 +147,8 @@ fn check_another_scene(model: &Model, shape: Shape, options: Options) {
     let first = measured(model, &digits(shape), 1);
     sequence.next(&first, &mut after(60)).unwrap();
     let frame = measured(model, &leds, 2);
-    let (found, went_on) = sequence.next(&frame, &mut after(60)).unwrap();
-    assert!(!went_on);
-    let alone = Problem::of(model, &frame, options).unwrap();
+    let (found, is_warm_started) = sequence.next(&frame, &mut after(60)).unwrap();
+    assert!(!is_warm_started);
+    let alone = Problem::with_model(model, &frame, options).unwrap();
     assert_eq!(found.video, alone.solve(&mut after(60)).unwrap().video);
 }

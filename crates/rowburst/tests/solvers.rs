@@ -163,14 +163,14 @@ impl DataTerm for Data {
     fn measured(&self) -> &[f32] {
         &self.measured
     }
-    fn informative(&self) -> usize {
+    fn measurement_count(&self) -> usize {
         self.measured.len()
     }
     fn scale(&self) -> f64 {
         self.scale
     }
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        self.gram.solve_along(r, rho, y, gram_y);
+        self.gram.solve_with_product(r, rho, y, gram_y);
         true
     }
     fn misfit_of_bins(&self, _: &[f32]) -> Vec<f64> {

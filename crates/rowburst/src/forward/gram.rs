@@ -241,17 +241,18 @@ impl RollingShutter {
     }
 
     /// The columns of `A` that lead from the lit voxels of `support` to the rows of instant `i`: `B` with `B Bᵀ`
-    /// the block of [`Self::add_gram_block`]. `None` where a bin is open, or there are more than `most`.
+    /// the block of [`Self::add_gram_block`]. `None` where a bin is open, or there are more than `max_columns`.
     pub fn active_columns<T: Scalar>(
         &self,
         instant: usize,
         support: &Support,
-        most: usize,
+        max_columns: usize,
     ) -> Option<Mat<T>> {
         let run = &self.time.instants()[instant];
         let bins = run.first_bin..run.first_bin + run.weights.len();
         let active: Option<Vec<Vec<usize>>> = bins.map(|bin| support.pixels_of(bin)).collect();
-        let active = active.filter(|active| active.iter().map(Vec::len).sum::<usize>() <= most)?;
+        let active =
+            active.filter(|active| active.iter().map(Vec::len).sum::<usize>() <= max_columns)?;
         let all: Vec<usize> = active.concat();
         let mut columns = self.columns_of(instant, &all);
         let weights = active.iter().zip(&run.weights);
@@ -391,7 +392,7 @@ pub(super) mod tests {
 
     /// The two kinds of products, of a sensor that is read two rows at a time.
     #[test]
-    fn products_in_f32_stay_far_below_the_least_rho() {
+    fn products_in_f32_stay_far_below_min_rho() {
         let camera = row_by_row(8, 200, Shutter::DualInsideOut);
         let mut rng = rand_pcg::Pcg64::seed_from_u64(2);
         let values = (0..15 * 399)

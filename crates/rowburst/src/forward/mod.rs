@@ -167,12 +167,12 @@ impl<T: Scalar> RollingShutter<T> {
     fn batch_size(&self) -> usize {
         /// Bytes of a cache that a thread has for itself.
         const CACHE: usize = 1 << 20;
-        const MOST: usize = 8;
+        const MAX_BATCH: usize = 8;
         match self.layers.as_slice() {
             [layer] if layer.engine.bytes() > CACHE => {
                 // All threads have as many groups.
                 let (instants, threads) = (self.rows_of.len(), rayon::current_num_threads());
-                let rounds = instants.div_ceil(threads * MOST);
+                let rounds = instants.div_ceil(threads * MAX_BATCH);
                 instants.div_ceil(threads * rounds)
             }
             _ => 1,

@@ -136,7 +136,7 @@ fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
 /// Instants that go through rows together, in groups of all sizes: spectra of more than a cache, an odd number of
 /// rows, a short last group. The bits do not depend on the threads.
 #[test]
-fn instants_together_give_the_bits_of_instants_alone() {
+fn batched_instants_give_the_bits_of_single_ones() {
     let camera = row_by_row(17, 2100, Shutter::TopDown);
     let mut rng = rand_pcg::Pcg64::seed_from_u64(16);
     let operator = RollingShutter::new(&camera, random_psf(33, 301, &mut rng));
@@ -220,7 +220,7 @@ fn blocks_of_patches_agree_with_operator_calls() {
 
 /// The whole readout is made of its parts: operator, adjoint, blocks, measurement.
 #[test]
-fn a_part_of_the_readout_sees_what_the_whole_sees() {
+fn a_subset_of_the_readout_equals_the_whole() {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(5);
     for shutter in [Shutter::DualInsideOut, Shutter::BottomUp] {
         for (field, bins_per_row) in [(None, 1), (Some((12, 13)), 2)] {
@@ -291,7 +291,7 @@ fn a_part_of_the_readout_sees_what_the_whole_sees() {
 }
 
 #[test]
-fn parts_that_rows_reach_beyond_are_refused() {
+fn subsets_that_split_an_exposure_are_refused() {
     let camera = |exposure_us| {
         Camera::new(CameraParams {
             rows: 10,

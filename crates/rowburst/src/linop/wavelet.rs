@@ -5,7 +5,7 @@ use crate::vecmath::simd;
 
 /// Most levels. The coarsest wavelet of three levels is 22 pixels wide, as large as the
 /// things that a scene holds.
-const MOST_LEVELS: usize = 3;
+const MAX_LEVELS: usize = 3;
 
 /// The detail coefficients of the orthogonal Daubechies wavelet of four taps (two
 /// vanishing moments) for all shifts of the bin at once: the stationary transform
@@ -36,7 +36,7 @@ impl Wavelet {
         Self {
             rows,
             columns,
-            levels: halvings.min(MOST_LEVELS),
+            levels: halvings.min(MAX_LEVELS),
         }
     }
 

@@ -34,8 +34,8 @@ const ACCURACY: f64 = 1.0;
 /// leaves undone the next one does: at most 2, 4 or 12 steps a call gave a moving digit
 /// the same 29.8 dB in the same 200 iterations of `tv3d`, and soft blobs the same 22.6 dB of
 /// `wavelet` with 2 and 12; the bound on the error is pessimistic, and 12 steps took twice the time.
-const FEWEST_STEPS: usize = 2;
-const MOST_STEPS: usize = 4;
+const MIN_STEPS: usize = 2;
+const MAX_STEPS: usize = 4;
 
 /// Length of a dual step over the largest that is safe by half; up to 2 converges.
 const STEP: f64 = 1.9;
@@ -46,8 +46,8 @@ pub struct Composite {
     variation: Variation,
     group: f64,
     terms: Vec<WeightedTerm>,
-    fewest: usize,
-    most: usize,
+    min_steps: usize,
+    max_steps: usize,
     /// `q` of the last call, and the point where the terms have been subtracted; empty without any.
     last: Vec<f32>,
     point: Vec<f32>,
@@ -68,8 +68,8 @@ impl Composite {
             variation: Variation::new(shape, variation),
             group,
             terms: Vec::new(),
-            fewest: FEWEST_STEPS,
-            most: MOST_STEPS,
+            min_steps: MIN_STEPS,
+            max_steps: MAX_STEPS,
             last: Vec::new(),
             point: Vec::new(),
             scale: 0.0,
@@ -88,7 +88,7 @@ impl Composite {
     /// The same with `steps` dual steps a call, for a prox that stands alone.
     #[must_use]
     pub fn with_steps(mut self, steps: usize) -> Self {
-        (self.fewest, self.most) = (steps, steps);
+        (self.min_steps, self.max_steps) = (steps, steps);
         self
     }
 
@@ -172,10 +172,10 @@ impl Prox for Composite {
         };
         self.last.clear();
         self.last.extend_from_slice(q);
-        for step in 1..=self.most {
+        for step in 1..=self.max_steps {
             let gap = self.step_duals(q, z, norms);
             // Before the fewest steps are done, and while it is coarser than the outer error.
-            if step > self.fewest && (2.0 * gap).sqrt() <= ACCURACY * moved {
+            if step > self.min_steps && (2.0 * gap).sqrt() <= ACCURACY * moved {
                 break;
             }
             self.primal(q, z);

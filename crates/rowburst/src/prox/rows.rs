@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_hold_the_lit_rows_and_what_reaches_them() {
+    fn runs_hold_active_and_adjacent_rows() {
         let shape = Shape::new(3, 8, 9);
         let mut video = vec![0.0f32; shape.voxels()];
         video[72 + 4 * 9 + 4] = 1.0;

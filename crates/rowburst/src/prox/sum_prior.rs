@@ -73,7 +73,7 @@ mod tests {
 
     /// ℓ1 with weights 1 and 3: each part is shrunk by its own.
     #[test]
-    fn each_part_has_its_prior() {
+    fn each_component_has_its_prior() {
         let l1 = |shape| -> Box<dyn Prox> {
             let weights = VariationWeights {
                 space: 0.0,

@@ -352,7 +352,7 @@ fn accuracy_follows_the_outer_movement() {
 }
 
 #[test]
-fn outside_the_support_it_is_dark() {
+fn it_is_zero_outside_the_support() {
     let shape = Shape::new(3, 6, 6);
     let q: Vec<f32> = random(shape.voxels(), 9).iter().map(|v| v + 0.5).collect();
     let mut bright = vec![0.0; q.len()];

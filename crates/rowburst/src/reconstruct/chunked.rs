@@ -51,7 +51,7 @@ impl Chunked {
         options: Options,
     ) -> Result<Self> {
         let prior = options.prior.unwrap_or(Prior::SEPARABLE);
-        prior.check_separable()?;
+        prior.check_separable_in_time()?;
         let time = camera.time();
         if !time.is_disjoint() || time.bins() == 1 {
             return Err(Error::input(
@@ -134,7 +134,7 @@ impl Chunked {
     /// The video of some bins.
     ///
     /// # Errors
-    /// Those of [`Camera::subset`], [`Problem::of`] and [`Problem::solve`].
+    /// Those of [`Camera::subset`], [`Problem::with_model`] and [`Problem::solve`].
     pub fn solve(
         &self,
         bins: Range<usize>,
@@ -155,6 +155,6 @@ impl Chunked {
             ..self.options
         };
         let model = Model::new(&part, self.psfs.clone());
-        Problem::of(&model, &measurement, options)?.solve(observer)
+        Problem::with_model(&model, &measurement, options)?.solve(observer)
     }
 }

@@ -8,7 +8,7 @@
 //! Exact where no bin is seen by two instants, since `A Aᵀ` is block-diagonal then; see
 //! ARCHITECTURE.md. Else by conjugate gradients, taken up again until they are as good as f32.
 
-use super::data::FrameData;
+use super::frame_data::FrameData;
 use super::model::Model;
 use crate::measurement::Measurement;
 use crate::solve::DataTerm;
@@ -18,7 +18,7 @@ use crate::{Error, Result};
 /// What may be left of the right-hand side; f32 holds no more.
 const TOLERANCE: f64 = 1e-6;
 /// Most calls of the solver for one step; blocks need one.
-const MOST_CALLS: usize = 40;
+const MAX_CALLS: usize = 40;
 
 /// `½‖W(b − A v)‖²` with its gradient and its proximal step.
 pub struct DataStep {
@@ -29,7 +29,7 @@ impl DataStep {
     /// The data term of `measurement`. Cost: the set-up of a reconstruction.
     pub fn new(model: &Model, measurement: &Measurement) -> Self {
         Self {
-            data: FrameData::in_double(model, measurement),
+            data: FrameData::with_f64_blocks(model, measurement),
         }
     }
 
@@ -104,7 +104,7 @@ impl DataStep {
             vec![0.0f32; rest.len()],
             vec![0.0f32; rest.len()],
         );
-        for _ in 0..MOST_CALLS {
+        for _ in 0..MAX_CALLS {
             let before = norm(&rest);
             self.data.solve_gram(&rest, rho, &mut part, &mut gram);
             for i in 0..rest.len() {

@@ -11,7 +11,7 @@ use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
 /// Part of the pixels of each instant.
-const PART: f64 = 0.05;
+const HELD_OUT_FRACTION: f64 = 0.05;
 
 /// The draw is always the same: so is the result.
 const SEED: u64 = 0x0526_d017;
@@ -33,7 +33,7 @@ impl HeldOut {
             usable.retain(|&i| weights.is_none_or(|w| w[i] > 0.0));
             let count = match usable.len() {
                 0..10 => 0,
-                n => ((PART * n as f64).round() as usize).max(1),
+                n => ((HELD_OUT_FRACTION * n as f64).round() as usize).max(1),
             };
             usable.shuffle(&mut rng);
             pixels.extend_from_slice(&usable[..count]);

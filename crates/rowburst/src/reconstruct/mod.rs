@@ -2,9 +2,9 @@
 
 mod choose;
 mod chunked;
-mod data;
 mod data_step;
 mod fit;
+mod frame_data;
 mod held_out;
 mod model;
 mod prior;
@@ -27,7 +27,7 @@ use crate::prox::Prox;
 use crate::solve::admm::{self, Admm, Progress, Solution, TauRule};
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
-use data::FrameData;
+use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
 
@@ -139,14 +139,14 @@ impl Problem {
     /// `psf` is one for the whole field (`&Psf`) or one for each part of it (`&PatchSet`).
     ///
     /// # Errors
-    /// Those of [`Problem::of`].
+    /// Those of [`Problem::with_model`].
     pub fn new(
         measurement: &Measurement,
         camera: &Camera,
         psf: impl Into<PatchSet>,
         options: Options,
     ) -> Result<Self> {
-        Self::of(&Model::new(camera, psf), measurement, options)
+        Self::with_model(&Model::new(camera, psf), measurement, options)
     }
 
     /// Sets up the reconstruction of one of many frames that share `model`.
@@ -154,7 +154,7 @@ impl Problem {
     /// # Errors
     /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a
     /// prior over time for a video of one bin.
-    pub fn of(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
+    pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
         let tau = match options.tau {
             Tau::Given(tau) => Some(tau),
@@ -223,11 +223,11 @@ impl Problem {
             history.push(progress.residual_rms);
             observer(progress)
         });
-        self.conclude(found.unwrap_or_else(|partial| *partial), &history)
+        self.build_reconstruction(found.unwrap_or_else(|partial| *partial), &history)
     }
 
     /// Judges what was found.
-    fn conclude(&self, found: RunResult, history: &[f64]) -> Result<Reconstruction> {
+    fn build_reconstruction(&self, found: RunResult, history: &[f64]) -> Result<Reconstruction> {
         let RunResult {
             prior,
             freedom,
@@ -242,8 +242,8 @@ impl Problem {
             ));
         }
         let shape = self.data.shape();
-        let informative = self.data.informative() as f64;
-        let residual_rms = crate::vecmath::norm(&solution.residual) / informative.sqrt();
+        let measurement_count = self.data.measurement_count() as f64;
+        let residual_rms = crate::vecmath::norm(&solution.residual) / measurement_count.sqrt();
         let residual: Vec<f32> = solution
             .residual
             .iter()
@@ -267,7 +267,7 @@ impl Problem {
         let measured: Vec<f32> = scaled
             .map(|b| (f64::from(*b) / self.sigma) as f32)
             .collect();
-        let fit = fit::judge(&fit::Evidence {
+        let fit = fit::judge(&fit::FitInput {
             residual: &residual,
             measured: &measured,
             weights: self.data.weights(),
@@ -324,8 +324,8 @@ impl Problem {
         let standard = self.options.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
-            let most = self.options.max_iterations;
-            self.sigma = choose::noise_level(&mut self.data, standard, most, observer)?;
+            let max_iterations = self.options.max_iterations;
+            self.sigma = choose::noise_level(&mut self.data, standard, max_iterations, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
         }
         Ok(match self.options.tau {
@@ -343,8 +343,8 @@ impl Problem {
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
-        let most = self.options.max_iterations;
-        choose::choose_prior(&mut self.data, rule, self.sigma, most, observer).map(Some)
+        let max_iterations = self.options.max_iterations;
+        choose::choose_prior(&mut self.data, rule, self.sigma, max_iterations, observer).map(Some)
     }
 
     /// The choices that are left to the program, then the run; what there is so far where the

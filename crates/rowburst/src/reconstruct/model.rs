@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Gram blocks larger than this, or in total than that, are not built.
-const LARGEST_BLOCK: usize = 4096;
-const MOST_BYTES: usize = 4 << 30;
+const MAX_BLOCK_SIZE: usize = 4096;
+const MAX_GRAM_BYTES: usize = 4 << 30;
 
 /// Camera and PSF with what is computed from them alone: the operator `A` with the spectra of
 /// the PSF and, where they are kept, the blocks of `A Aᵀ`.
@@ -49,7 +49,7 @@ impl Model {
     /// numbers as without. Cost: the set-up of one frame, and 8 bytes for each element
     /// (20 MB for 108×108×54). Where blocks are too large nothing is kept.
     #[must_use]
-    pub fn keeping_gram(mut self) -> Self {
+    pub fn with_cached_gram(mut self) -> Self {
         if self.gram.is_none() && self.gram_bytes().is_some() {
             let (_, columns) = self.shutter.frame_shape();
             let rows = self.shutter.rows_of_instants().par_iter().enumerate();
@@ -99,12 +99,12 @@ impl Model {
         let bytes: usize = sizes()
             .map(|size| element_bytes(columns) * size * size)
             .sum();
-        let is_small = sizes().all(|size| size <= LARGEST_BLOCK) && bytes <= MOST_BYTES;
+        let is_small = sizes().all(|size| size <= MAX_BLOCK_SIZE) && bytes <= MAX_GRAM_BYTES;
         is_small.then_some(bytes)
     }
 
     /// The block of `A Aᵀ` of an instant, where it was kept.
-    pub(super) fn kept_block(&self, instant: usize) -> Option<&Mat<f64>> {
+    pub(super) fn cached_block(&self, instant: usize) -> Option<&Mat<f64>> {
         self.gram.as_ref()?.get(instant)
     }
 }

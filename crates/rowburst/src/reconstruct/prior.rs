@@ -296,7 +296,7 @@ impl Prior {
     ///
     /// # Errors
     /// A term over time.
-    pub fn check_separable(&self) -> Result<()> {
+    pub fn check_separable_in_time(&self) -> Result<()> {
         match OF_TIME.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(

@@ -21,7 +21,7 @@ use std::ops::ControlFlow;
 
 /// Part of the variance of a frame that the last video may leave unexplained; beyond, it is of
 /// another scene.
-const MOST_UNEXPLAINED: f64 = 0.5;
+const MAX_UNEXPLAINED: f64 = 0.5;
 
 /// Reconstructs frames of the same camera, each from the end of the last one.
 ///
@@ -42,7 +42,7 @@ struct PreviousFrame {
 }
 
 impl Sequence {
-    /// A sequence without frames yet. With [`Model::keeping_gram`] a frame that starts from nothing
+    /// A sequence without frames yet. With [`Model::with_cached_gram`] a frame that starts from nothing
     /// is set up sooner.
     pub fn new(model: Model, options: Options) -> Self {
         let options = Options {
@@ -57,7 +57,7 @@ impl Sequence {
     }
 
     /// Forgets what it has seen: the next frame starts from nothing.
-    pub fn forget(&mut self) {
+    pub fn reset(&mut self) {
         self.previous = None;
     }
 
@@ -65,18 +65,18 @@ impl Sequence {
     /// iteration and may stop it: what a time budget needs.
     ///
     /// # Errors
-    /// Those of [`Problem::of`] and [`Problem::solve`]; the next frame then starts from nothing.
+    /// Those of [`Problem::with_model`] and [`Problem::solve`]; the next frame then starts from nothing.
     pub fn next(
         &mut self,
         measurement: &Measurement,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<(Reconstruction, bool)> {
-        let went_on = self
+        let advanced = self
             .previous
             .take()
             .and_then(|previous| previous.advance(measurement));
-        let goes_on = went_on.is_some();
-        let mut current = match went_on {
+        let is_warm_started = advanced.is_some();
+        let mut current = match advanced {
             Some(previous) => previous,
             None => match self.first(measurement, observer)? {
                 Ok(first) => *first,
@@ -85,9 +85,9 @@ impl Sequence {
         };
         let mut history = Vec::new();
         let reason = current.run(&mut history, observer);
-        let found = current.conclude(reason, &history)?;
+        let found = current.build_reconstruction(reason, &history)?;
         self.previous = Some(current);
-        Ok((found, goes_on))
+        Ok((found, is_warm_started))
     }
 
     /// A run from nothing; what there is where the observer stopped the search for the noise level.
@@ -96,10 +96,10 @@ impl Sequence {
         measurement: &Measurement,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<std::result::Result<Box<PreviousFrame>, Box<Reconstruction>>> {
-        let mut problem = Problem::of(&self.model, measurement, self.options)?;
+        let mut problem = Problem::with_model(&self.model, measurement, self.options)?;
         let rule = match problem.rule(observer) {
             Ok(rule) => rule,
-            Err(partial) => return Ok(Err(Box::new(problem.conclude(*partial, &[])?))),
+            Err(partial) => return Ok(Err(Box::new(problem.build_reconstruction(*partial, &[])?))),
         };
         let (shape, prior) = (problem.data.shape(), problem.prior());
         problem.data.start(prior.background(), None);
@@ -126,18 +126,23 @@ impl PreviousFrame {
     ) -> StopReason {
         let shape = self.problem.data.shape();
         let background = self.problem.prior().background();
-        let (data, most) = (&mut self.problem.data, self.run.max_iterations());
-        self.run.run(data, &mut *self.prox, most, &mut |progress| {
-            history.push(progress.residual_rms);
-            super::show(background, shape, progress, observer)
-        })
+        let (data, max_iterations) = (&mut self.problem.data, self.run.max_iterations());
+        self.run
+            .run(data, &mut *self.prox, max_iterations, &mut |progress| {
+                history.push(progress.residual_rms);
+                super::show(background, shape, progress, observer)
+            })
     }
 
-    fn conclude(&mut self, reason: StopReason, history: &[f64]) -> Result<Reconstruction> {
+    fn build_reconstruction(
+        &mut self,
+        reason: StopReason,
+        history: &[f64],
+    ) -> Result<Reconstruction> {
         let (problem, prox) = (&self.problem, &*self.prox);
         let solution = self.run.snapshot(&problem.data, prox, reason);
         let found = RunResult::new(problem.prior(), prox, problem.data.shape(), solution);
-        problem.conclude(found, history)
+        problem.build_reconstruction(found, history)
     }
 
     /// The same with the data of the next frame; `None` where that is of another scene.
@@ -160,7 +165,7 @@ impl PreviousFrame {
             self.run.set_tau_rule(rule, &problem.data);
         }
         // A run that was stopped early has no video yet that could explain anything.
-        if !self.run.is_warming_up() && !explains(problem, self.run.video()) {
+        if !self.run.is_warming_up() && !explains_most_variance(problem, self.run.video()) {
             return None;
         }
         self.run.warm_start(&problem.data);
@@ -169,12 +174,12 @@ impl PreviousFrame {
 }
 
 /// Whether `video` explains most of what varies in the frame.
-fn explains(problem: &Problem, video: &[f32]) -> bool {
+fn explains_most_variance(problem: &Problem, video: &[f32]) -> bool {
     let data = &problem.data;
     let measured = data.measured();
     let mut seen = vec![0.0; measured.len()];
     data.operator().apply(video, &mut seen);
     let mean = measured.iter().map(|b| f64::from(*b)).sum::<f64>() / measured.len() as f64;
     let varies = distance_squared(measured, &vec![mean as f32; measured.len()]);
-    distance_squared(measured, &seen) <= MOST_UNEXPLAINED * varies
+    distance_squared(measured, &seen) <= MAX_UNEXPLAINED * varies
 }

@@ -27,15 +27,15 @@ pub trait BlockSource<T>: Sync {
     /// Writes what lies on and above the diagonal of block `i` over zeros.
     fn fill(&self, i: usize, block: MatMut<T>);
 
-    /// `B` of block `i`, where it is known and has at most `most` columns.
-    fn columns(&self, i: usize, most: usize) -> Option<Mat<T>> {
-        let _ = (i, most);
+    /// `B` of block `i`, where it is known and has at most `max_columns` columns.
+    fn columns(&self, i: usize, max_columns: usize) -> Option<Mat<T>> {
+        let _ = (i, max_columns);
         None
     }
 
     /// Whether block `i` is that of everything lit, which is the same each time until it is
-    /// [renewed](Blocks::renew).
-    fn is_whole(&self, i: usize) -> bool {
+    /// [renewed](Blocks::rebuild_all).
+    fn is_unrestricted(&self, i: usize) -> bool {
         let _ = i;
         false
     }
@@ -58,7 +58,7 @@ struct Block<T> {
     indices: Vec<usize>,
     /// `G` itself, and whether it is that of everything lit: this stays, in case it is wanted again.
     gram: PackedCholesky<T>,
-    is_whole: bool,
+    is_unrestricted: bool,
     /// The columns that the block is given by, if it is, and `BᵀB`.
     low_rank: Option<(Mat<T>, PackedCholesky<T>)>,
     previous: Option<PreviousSolve>,
@@ -91,7 +91,7 @@ const TILE: usize = 8;
 type FactorTile<T> = [[T; TILE]; TILE];
 
 /// Most columns for each row of a block that is given by them: then their square takes less time.
-const MOST_COLUMNS: f64 = 0.5;
+const MAX_COLUMN_RATIO: f64 = 0.5;
 
 impl<T: Scalar> Blocks<T> {
     /// Blocks over the elements `indices` each of the whole vector.
@@ -99,7 +99,7 @@ impl<T: Scalar> Blocks<T> {
         let empty = |indices: Vec<usize>| Block {
             indices,
             gram: PackedCholesky::new(),
-            is_whole: false,
+            is_unrestricted: false,
             low_rank: None,
             previous: None,
         };
@@ -107,7 +107,7 @@ impl<T: Scalar> Blocks<T> {
             blocks: indices.into_iter().map(empty).collect(),
             is_ill_conditioned: false,
         };
-        blocks.refill(|_| true, source);
+        blocks.rebuild_changed(|_| true, source);
         blocks
     }
 
@@ -147,18 +147,20 @@ impl<T: Scalar> Blocks<T> {
     }
 
     /// The next step is the first one.
-    pub fn forget(&mut self) {
+    pub fn reset(&mut self) {
         self.blocks.iter_mut().for_each(|b| b.previous = None);
     }
 
     /// Writes all blocks anew, those of everything lit among them.
-    pub fn renew(&mut self, source: impl BlockSource<T>) {
-        self.blocks.iter_mut().for_each(|b| b.is_whole = false);
-        self.refill(|_| true, source);
+    pub fn rebuild_all(&mut self, source: impl BlockSource<T>) {
+        self.blocks
+            .iter_mut()
+            .for_each(|b| b.is_unrestricted = false);
+        self.rebuild_changed(|_| true, source);
     }
 
     /// Writes the blocks that `has_changed` anew, in the memory of the old ones.
-    pub fn refill(
+    pub fn rebuild_changed(
         &mut self,
         has_changed: impl Fn(usize) -> bool + Sync,
         source: impl BlockSource<T>,
@@ -199,17 +201,17 @@ impl<T: Scalar> GramSolver for Blocks<T> {
 impl<T: Scalar> Block<T> {
     fn fill(&mut self, i: usize, source: &impl BlockSource<T>) {
         let rows = self.indices.len();
-        let most = (MOST_COLUMNS * rows as f64) as usize;
-        let columns = source.columns(i, most);
-        if columns.is_some() && !self.is_whole {
+        let max_columns = (MAX_COLUMN_RATIO * rows as f64) as usize;
+        let columns = source.columns(i, max_columns);
+        if columns.is_some() && !self.is_unrestricted {
             self.gram = PackedCholesky::new();
         }
         let Some(columns) = columns else {
             self.low_rank = None;
-            let is_whole = source.is_whole(i);
-            if !(is_whole && self.is_whole) {
+            let is_unrestricted = source.is_unrestricted(i);
+            if !(is_unrestricted && self.is_unrestricted) {
                 self.gram.fill(rows, |gram| source.fill(i, gram));
-                self.is_whole = is_whole;
+                self.is_unrestricted = is_unrestricted;
             }
             return;
         };
@@ -357,7 +359,7 @@ impl<T: Scalar> PackedCholesky<T> {
         if self.rho != Some(rho) {
             self.factorise(rho, scratch);
         }
-        self.fetch();
+        self.prefetch();
         values.resize(self.stride(), T::zero());
         solve_packed(&self.memory, &self.tiles, values);
         values.truncate(self.size);
@@ -365,7 +367,7 @@ impl<T: Scalar> PackedCholesky<T> {
 
     /// Reads a number of each cache line of the factor: the processor waits for many at once then, and the solution, which
     /// goes from one column to the next, for none.
-    fn fetch(&self) {
+    fn prefetch(&self) {
         const LINE: usize = 64;
         let (stride, every) = (self.stride(), LINE / size_of::<T>());
         let mut sums = [T::zero(); 8];
@@ -403,12 +405,12 @@ fn inverse_tile<T: Scalar>(
     first: usize,
 ) -> FactorTile<T> {
     let element = |i: usize, j: usize| packed[(first + j) * stride + first + i];
-    let most = TILE.min(size - first);
+    let rows = TILE.min(size - first);
     let mut inverse = [[T::zero(); TILE]; TILE];
     for (j, column) in inverse.iter_mut().enumerate() {
         column[j] = T::one();
-        if j < most {
-            for i in j..most {
+        if j < rows {
+            for i in j..rows {
                 let known = (j..i).map(|k| element(i, k) * column[k]);
                 let sum = known.fold(column[i], |sum, part| sum - part);
                 column[i] = sum / element(i, i);
@@ -567,7 +569,7 @@ mod tests {
         let r = [1.0f32, -0.5, 0.25, 2.0, 0.1, 0.7];
         for rho in [0.1, 0.01, 0.3] {
             let (mut y, mut gram_y) = ([0.0f32; 6], [0.0f32; 6]);
-            blocks.solve_along(&r, rho, &mut y, &mut gram_y);
+            blocks.solve_with_product(&r, rho, &mut y, &mut gram_y);
             for (offset, factor) in [(0, 1.0), (1, 2.0)] {
                 for i in 0..3 {
                     let product: f64 = (0..3)
@@ -591,10 +593,10 @@ mod tests {
             }
         }
 
-        fn columns(&self, _: usize, most: usize) -> Option<Mat<T>> {
+        fn columns(&self, _: usize, max_columns: usize) -> Option<Mat<T>> {
             let columns = self.0.ncols();
             let of = |i: usize, j: usize| T::nearest(self.0[(i, j)]);
-            (columns <= most).then(|| Mat::from_fn(ROWS, columns, of))
+            (columns <= max_columns).then(|| Mat::from_fn(ROWS, columns, of))
         }
     }
 
@@ -612,7 +614,7 @@ mod tests {
         let mut worst = (0.0f64, 0.0f64);
         for columns in [22, 13, 0, 3, 14, 11, 1] {
             let b = of(columns);
-            blocks.refill(|_| true, ByColumns(b.clone()));
+            blocks.rebuild_changed(|_| true, ByColumns(b.clone()));
             assert_eq!(blocks.blocks[0].low_rank.is_some(), columns <= ROWS / 2);
             for &rho in rhos {
                 let mut y = [f32::NAN; ROWS];
@@ -636,7 +638,7 @@ mod tests {
 
     /// The diagonal of `G` is about 20.
     #[test]
-    fn few_columns_give_what_the_whole_block_gives() {
+    fn low_rank_blocks_equal_full_blocks() {
         let (left, _) = worst::<f32>(&[1.0, 0.1, 0.02]);
         assert!(left < 1e-2, "{left}");
         let (_, error) = worst::<f64>(&[1.0, 1e-2, 1e-4, 1e-5]);
@@ -645,7 +647,7 @@ mod tests {
 
     /// A matrix of ones and far too small a `ρ`.
     #[test]
-    fn lost_digits_show() {
+    fn ill_conditioning_is_reported() {
         let ones = |_: usize, mut block: MatMut<f32>| block.fill(1.0);
         let mut blocks = Blocks::new(vec![(0..ROWS).collect()], ones);
         let mut y = [0.0; ROWS];

@@ -16,7 +16,7 @@ use crate::vecmath::{dot, norm};
 
 /// Most iterations of one call, and from one look at the error to the next.
 const ITERATIONS: usize = 60;
-const LOOK_EVERY: usize = 3;
+const CHECK_INTERVAL: usize = 3;
 
 /// The error at which a call stops, over `ρ‖y‖`, as in [`super::conjugate_gradient`].
 const TOLERANCE: f64 = 0.1;
@@ -65,7 +65,7 @@ impl Bordered {
         let mut left = vec![0.0f32; m];
         let mut is_good = false;
         for k in 0..=ITERATIONS {
-            if k.is_multiple_of(LOOK_EVERY) {
+            if k.is_multiple_of(CHECK_INTERVAL) {
                 border.apply(&g, &mut left);
                 is_good = norm(&left) <= TOLERANCE * rho * norm(y);
                 if is_good || k == ITERATIONS || slope <= 0.0 {
@@ -101,7 +101,7 @@ impl Bordered {
     }
 
     /// Starts from nothing.
-    pub fn forget(&mut self) {
+    pub fn reset(&mut self) {
         self.delta.fill(0.0);
     }
 }

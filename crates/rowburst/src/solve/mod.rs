@@ -49,14 +49,14 @@ pub trait GramSolver: Send {
     fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]);
 
     /// The same, and `gram_y` with `A P Aᵀ y`.
-    fn solve_along(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+    fn solve_with_product(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
         self.solve(r, rho, y);
-        without(r, rho, y, gram_y);
+        gram_product(r, rho, y, gram_y);
     }
 }
 
 /// `gram_y = r − ρy`.
-pub(crate) fn without(r: &[f32], rho: f64, y: &[f32], gram_y: &mut [f32]) {
+pub(crate) fn gram_product(r: &[f32], rho: f64, y: &[f32], gram_y: &mut [f32]) {
     for ((g, &r), &y) in gram_y.iter_mut().zip(r).zip(y) {
         *g = (f64::from(r) - rho * f64::from(y)) as f32;
     }
@@ -71,7 +71,7 @@ pub trait DataTerm: Send {
     fn measured(&self) -> &[f32];
 
     /// Number of measurements that carry information.
-    fn informative(&self) -> usize;
+    fn measurement_count(&self) -> usize;
 
     /// Typical size of a diagonal element of `A Aᵀ`.
     fn scale(&self) -> f64;
@@ -81,7 +81,7 @@ pub trait DataTerm: Send {
         0.0
     }
 
-    /// See [`GramSolver::solve_along`]. Returns whether `y` is as good as it was asked to be.
+    /// See [`GramSolver::solve_with_product`]. Returns whether `y` is as good as it was asked to be.
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool;
 
     /// Root mean square of `residual` over the measurements that see each bin.
@@ -114,7 +114,7 @@ pub trait DataTerm: Send {
     }
 
     /// Whether another `ρ` costs far more than an iteration: factors of thousands of measurements.
-    fn is_wide(&self) -> bool {
+    fn has_large_blocks(&self) -> bool {
         false
     }
 

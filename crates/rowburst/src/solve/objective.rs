@@ -163,7 +163,7 @@ impl<'a> Objective<'a> {
 
     /// Root mean square of `b − A v` over the measurements that carry information.
     pub(super) fn residual_rms(&self, light: &[f32]) -> f64 {
-        (distance_squared(self.measured(), light) / self.data.informative() as f64).sqrt()
+        (distance_squared(self.measured(), light) / self.data.measurement_count() as f64).sqrt()
     }
 
     fn spatial(&self) -> usize {

@@ -525,13 +525,13 @@ impl Work for TimeSteps<'_> {
 }
 
 /// The radius of the ball, from where rounding does not lead out, squared.
-const MOST: f32 = (FULL - 1.0) * (FULL - 1.0);
+const MAX_NORM_SQUARED: f32 = (FULL - 1.0) * (FULL - 1.0);
 
 #[inline(always)]
 fn is_inside<const P: usize>(y: &[f32; P], x: &[f32; P]) -> bool {
     let mut outside = 0;
     for (y, x) in y.iter().zip(x) {
-        outside |= u32::from(y * y + x * x > MOST);
+        outside |= u32::from(y * y + x * x > MAX_NORM_SQUARED);
     }
     outside == 0
 }
@@ -541,7 +541,7 @@ fn is_inside<const P: usize>(y: &[f32; P], x: &[f32; P]) -> bool {
 fn project<const P: usize>(mut y: [f32; P], mut x: [f32; P]) -> ([f32; P], [f32; P]) {
     for (y, x) in y.iter_mut().zip(&mut x) {
         let size = *y * *y + *x * *x;
-        let shrink = if size > MOST {
+        let shrink = if size > MAX_NORM_SQUARED {
             (FULL - 1.0) * inverse_root(size)
         } else {
             1.0

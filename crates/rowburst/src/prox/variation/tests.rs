@@ -100,7 +100,7 @@ fn level_by_level(prior: &mut Variation, q: &[f32], scale: f64, z: &mut [f32], s
 
 /// However many threads share the bins, call after call, with and without a support.
 #[test]
-fn the_wave_gives_the_bits_of_level_by_level() {
+fn the_wavefront_gives_the_bits_of_level_by_level() {
     let weights = WEIGHTS.iter().take(3);
     for (weights, steps) in weights.flat_map(|w| [(w, 1), (w, 2), (w, 5)]) {
         for threads in [1, 2, 4] {
@@ -193,7 +193,7 @@ fn l1_alone_is_the_non_negative_soft_threshold() {
 
 /// What passes over dark rows against what does not: a point so far below zero that it stays dark.
 #[test]
-fn rows_that_are_passed_over_change_nothing() {
+fn skipped_rows_change_nothing() {
     let shape = Shape::new(4, 13, 9);
     let mut bright = vec![0.0f32; shape.voxels()];
     // Neighbouring runs with one dark row between them, at both edges, and in the next bin.

@@ -6,7 +6,7 @@
 //! lowest error is taken (Breiman et al. 1984). Without the support, so that the path is that of a
 //! convex problem. Then that level and its neighbours are tried with the whole prior.
 
-use super::super::data::FrameData;
+use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, show};
 use super::trial::Trial;
 use super::{Observer, rms};
@@ -16,22 +16,22 @@ use crate::vecmath::norm;
 
 /// Highest noise level of the path over the rms of the frame, the factor from one to the next,
 /// and the lowest.
-const HIGHEST: f64 = 0.25;
-const FALL: f64 = std::f64::consts::FRAC_1_SQRT_2;
-const LOWEST: f64 = 1e-5;
+const MAX_SIGMA_RATIO: f64 = 0.25;
+const SIGMA_STEP: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const MIN_SIGMA_RATIO: f64 = 1e-5;
 
 /// Iterations of the first level, and of the others.
-const FIRST_LEVEL: usize = 60;
-const LEVEL: usize = 25;
+const FIRST_LEVEL_ITERATIONS: usize = 60;
+const LEVEL_ITERATIONS: usize = 25;
 
 /// The path has passed its lowest error where it is above it by so many standard errors.
-const RISEN: f64 = 2.0;
+const RISE_IN_STANDARD_ERRORS: f64 = 2.0;
 
 /// The noise level at which the discrepancy principle predicts held-out pixels best, in counts.
 pub(in crate::reconstruct) fn noise_level(
     data: &mut FrameData,
     prior: Prior,
-    most: Option<usize>,
+    max_iterations: Option<usize>,
     observer: &mut Observer,
 ) -> Result<f64, Box<RunResult>> {
     let shape = data.shape();
@@ -42,20 +42,25 @@ pub(in crate::reconstruct) fn noise_level(
     };
     let held_out = data.held_out();
     data.start(prior.background(), Some(held_out.clone()));
-    let rms_of_frame = norm(data.measured()) / (data.informative() as f64).sqrt();
-    let mut sigma = HIGHEST * rms_of_frame;
+    let rms_of_frame = norm(data.measured()) / (data.measurement_count() as f64).sqrt();
+    let mut sigma = MAX_SIGMA_RATIO * rms_of_frame;
     let rule = |sigma| TauRule::Discrepancy { sigma };
     // The certificate has no say: the next level is another problem.
     let params = AdmmParams {
         tolerance: 0.0,
-        ..prior.admm_params(shape, rule(sigma), most)
+        ..prior.admm_params(shape, rule(sigma), max_iterations)
     };
     let mut prox = prior.prox(shape);
     let mut run = Admm::new(data, shape, params);
     let mut path: Vec<(f64, f64)> = Vec::new();
     let mut highest = None;
-    while sigma >= LOWEST * rms_of_frame {
-        let until = run.iterations() + if path.is_empty() { FIRST_LEVEL } else { LEVEL };
+    while sigma >= MIN_SIGMA_RATIO * rms_of_frame {
+        let until = run.iterations()
+            + if path.is_empty() {
+                FIRST_LEVEL_ITERATIONS
+            } else {
+                LEVEL_ITERATIONS
+            };
         let reason = run.run(data, &mut *prox, until, &mut |progress| {
             let progress = Progress {
                 label: "finding the noise level",
@@ -67,7 +72,7 @@ pub(in crate::reconstruct) fn noise_level(
             let solution = run.solution(data, &*prox, reason);
             return Err(Box::new(RunResult::new(prior, &*prox, shape, solution)));
         }
-        let errors = data.errors_held_out(run.video());
+        let errors = data.held_out_residuals(run.video());
         let (error, standard_error) = (rms(&errors), (0.5 / errors.len() as f64).sqrt());
         path.push((sigma, error));
         let lowest = path.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
@@ -75,18 +80,18 @@ pub(in crate::reconstruct) fn noise_level(
             .iter()
             .find(|p| p.1 <= lowest * (1.0 + standard_error))
             .map(|p| p.0);
-        if error > lowest * (1.0 + RISEN * standard_error) {
+        if error > lowest * (1.0 + RISE_IN_STANDARD_ERRORS * standard_error) {
             break;
         }
-        sigma *= FALL;
+        sigma *= SIGMA_STEP;
         run.set_tau_rule(rule(sigma), data);
     }
     drop((run, prox));
     let level = highest.unwrap_or(sigma);
     let mut level_errors: Vec<(f64, f64)> = Vec::new();
-    for sigma in [level / FALL, level, level * FALL] {
+    for sigma in [level / SIGMA_STEP, level, level * SIGMA_STEP] {
         data.start(whole.background(), Some(held_out.clone()));
-        let trial = Trial::new(data, whole, rule(sigma), 1.0, most);
+        let trial = Trial::new(data, whole, rule(sigma), 1.0, max_iterations);
         let (candidate, ..) = trial.run(data, &[], 0.0, observer)?;
         level_errors.push((sigma, candidate.error));
     }

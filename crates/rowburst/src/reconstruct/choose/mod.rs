@@ -16,7 +16,7 @@ mod trial;
 pub(super) use level::noise_level;
 pub(super) use trial::TOLERANCE;
 
-use super::data::FrameData;
+use super::frame_data::FrameData;
 use super::{Prior, RunResult};
 use crate::solve::StopReason;
 use crate::solve::admm::{Progress, Solution, TauRule};
@@ -41,22 +41,22 @@ pub const CANDIDATES: [&str; 3] = [
 /// often that of a background. 12 px digits and a moving one before a background three times as
 /// bright: 33.5 and 32.0 dB, without it 16.6 and 15.0 dB.
 pub const DENSE_CANDIDATES: [&str; 1] = ["tv+0.5*tdiff+0.3*l1+background+support"];
-const DENSE: f64 = 1.0 / 3.0;
+const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 
 /// Candidates whose held-out error is above that of the best so far by this are not tried with
 /// another `τ`: none that was then chosen gained as much by it.
-const WORTH_TUNING: f64 = 1.06;
+const MAX_TUNING_ERROR_RATIO: f64 = 1.06;
 
 /// Part by which an error must be smaller than that of the prior or the `τ` before it, times the
 /// root of the number of pixels held out; less is chance. Of 600 pixels it is half a per cent: of a moving
 /// digit (seed 2) `group+support` predicted them better than `tv+0.5*tdiff+support` by 0.3 %, and was
 /// 3 dB worse; where it is better (LEDs) it is so by 4 to 7 %. Half or twice the `τ` was no better
 /// for LEDs and larger digits where it gained less than that; for moving digits it gains 0.6 to 3 %.
-const CHANCE: f64 = 0.12;
+const SIGNIFICANCE: f64 = 0.12;
 
-/// See [`CHANCE`].
+/// See [`SIGNIFICANCE`].
 fn margin(held_out: usize) -> f64 {
-    CHANCE / (held_out.max(1) as f64).sqrt()
+    SIGNIFICANCE / (held_out.max(1) as f64).sqrt()
 }
 
 /// What `auto` chose among.
@@ -144,11 +144,11 @@ impl Choice {
 }
 
 /// Fewest pixels held out that a choice may rest on: their mean square scatters by a fifth.
-const FEWEST_PIXELS: usize = 50;
+const MIN_HELD_OUT_PIXELS: usize = 50;
 
 /// Whether the frame has the pixels for a choice.
 pub(super) fn can_choose(data: &FrameData) -> bool {
-    data.held_out().pixels().len() >= FEWEST_PIXELS
+    data.held_out().pixels().len() >= MIN_HELD_OUT_PIXELS
 }
 
 /// What the best trial has found, without the pixels that were held out.
@@ -182,7 +182,7 @@ pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
     sigma: f64,
-    most: Option<usize>,
+    max_iterations: Option<usize>,
     observer: &mut Observer,
 ) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
     let held_out = data.held_out();
@@ -195,10 +195,13 @@ pub(super) fn choose_prior(
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
         data.start(prior.background(), Some(held_out.clone()));
-        let trial = Trial::new(data, prior, rule, sigma, most);
-        let worth = choice.candidates.iter().map(|c| WORTH_TUNING * c.error);
-        let worth = worth.fold(f64::INFINITY, f64::min);
-        let (candidate, errors, found) = match trial.run(data, &best, worth, observer) {
+        let trial = Trial::new(data, prior, rule, sigma, max_iterations);
+        let max_error = choice
+            .candidates
+            .iter()
+            .map(|c| MAX_TUNING_ERROR_RATIO * c.error);
+        let max_error = max_error.fold(f64::INFINITY, f64::min);
+        let (candidate, errors, found) = match trial.run(data, &best, max_error, observer) {
             Ok(ended) => ended,
             Err(stopped) => {
                 let Some(best_trial) = best_trial.take() else {
@@ -221,7 +224,7 @@ pub(super) fn choose_prior(
     for name in CANDIDATES {
         run(&mut choice, name)?;
     }
-    if choice.best().support > DENSE {
+    if choice.best().support > DENSE_SUPPORT {
         for name in DENSE_CANDIDATES {
             run(&mut choice, name)?;
         }

@@ -1,6 +1,6 @@
 //! The run of a candidate on the pixels that are not held out.
 
-use super::super::data::FrameData;
+use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, show};
 use super::{Candidate, Observer, margin, rms};
 use crate::prox::Prox;
@@ -12,11 +12,11 @@ pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
 
 /// Held-out error over that of the best so far after as many iterations at which a candidate
 /// is given up, early and late; LEDs stand at 3 after 100 iterations of a prior that ends best.
-const HOPELESS: f64 = 6.0;
-const BEHIND: f64 = 1.5;
-const EARLY: usize = 100;
-const LATE: usize = 200;
-const LOOK_EVERY: usize = 20;
+const EARLY_ERROR_RATIO: f64 = 6.0;
+const LATE_ERROR_RATIO: f64 = 1.5;
+const FIRST_CHECK: usize = 100;
+const LATE_FROM: usize = 200;
+const CHECK_INTERVAL: usize = 20;
 
 /// Factor from one `τ` to the next that is tried, the farthest from where the discrepancy principle
 /// ended, and the iterations that each is given.
@@ -49,11 +49,11 @@ impl Trial {
         prior: Prior,
         rule: TauRule,
         sigma: f64,
-        most: Option<usize>,
+        max_iterations: Option<usize>,
     ) -> Self {
         let params = AdmmParams {
             tolerance: TOLERANCE,
-            ..prior.admm_params(data.shape(), rule, most)
+            ..prior.admm_params(data.shape(), rule, max_iterations)
         };
         Self {
             prior,
@@ -65,28 +65,28 @@ impl Trial {
     }
 
     /// Runs to the end, or until it is hopelessly worse than `best`, the course of the errors of
-    /// the best so far; then tries other `τ` where the error is at most `worth`. Also returns
+    /// the best so far; then tries other `τ` where the error is at most `max_error`. Also returns
     /// the course of its errors, and what it has found.
     pub fn run(
         mut self,
         data: &mut FrameData,
         best: &[f64],
-        worth: f64,
+        max_error: f64,
         observer: &mut Observer,
     ) -> Result<(Candidate, Vec<f64>, Box<RunResult>), Box<RunResult>> {
         let mut errors = Vec::new();
         let given_up = loop {
             // In pieces: an observer cannot ask the data for the held-out error.
-            let until = (self.run.iterations() + LOOK_EVERY).max(EARLY);
+            let until = (self.run.iterations() + CHECK_INTERVAL).max(FIRST_CHECK);
             let (error, ended) = match self.run_until(data, until, observer) {
                 Ok(seen) => seen,
                 Err(reason) => return Err(self.into_result(data, reason)),
             };
             let then = best.get(errors.len()).or(best.last());
-            let limit = if self.run.iterations() < LATE {
-                HOPELESS
+            let limit = if self.run.iterations() < LATE_FROM {
+                EARLY_ERROR_RATIO
             } else {
-                BEHIND
+                LATE_ERROR_RATIO
             };
             errors.push(error);
             if ended || then.is_some_and(|then| error > limit * then) {
@@ -99,7 +99,7 @@ impl Trial {
             support: self.run.support(),
         };
         let is_free = matches!(self.params.tau, TauRule::Discrepancy { .. });
-        if is_free && !given_up && found.error <= worth {
+        if is_free && !given_up && found.error <= max_error {
             found = match self.tune(data, found, observer) {
                 Ok(found) => found,
                 Err(reason) => return Err(self.into_result(data, reason)),
@@ -125,7 +125,7 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<TauTrial, StopReason> {
         let tau = self.run.tau();
-        let margin = margin(data.pixels_held_out());
+        let margin = margin(data.held_out_count());
         for direction in [1.0 / TAU_STEP, TAU_STEP] {
             let mut factor = direction;
             while (1.0 / MAX_TAU_FACTOR..=MAX_TAU_FACTOR).contains(&factor) {
@@ -169,7 +169,7 @@ impl Trial {
         match reason {
             StopReason::TimeBudget | StopReason::Interrupted => Err(reason),
             reason => {
-                let error = rms(&data.errors_held_out(self.run.video())) / self.sigma;
+                let error = rms(&data.held_out_residuals(self.run.video())) / self.sigma;
                 let ended = reason == StopReason::Converged || until == self.params.max_iterations;
                 Ok((error, ended))
             }

@@ -135,7 +135,7 @@ pub struct TrimmedChiSquared {
 }
 
 /// What a verdict is made from.
-pub(super) struct Evidence<'a> {
+pub(super) struct FitInput<'a> {
     /// `W(b − A v)/σ`, `[y, x]`.
     pub residual: &'a Image,
     /// `W b/σ`, `[y, x]`.
@@ -158,7 +158,7 @@ pub(super) struct Evidence<'a> {
 }
 
 /// Judges a reconstruction.
-pub(super) fn judge(evidence: &Evidence) -> Fit {
+pub(super) fn judge(evidence: &FitInput) -> Fit {
     let statistics = statistics::of(evidence);
     let (verdict, reason) = verdict::of(evidence, &statistics);
     Fit {

@@ -1,7 +1,7 @@
 //! The numbers of a residual.
 
-use super::{Evidence, FitStatistics, TrimmedChiSquared};
-use crate::solve::admm::MOST_FREEDOM;
+use super::{FitInput, FitStatistics, TrimmedChiSquared};
+use crate::solve::admm::MAX_FREEDOM;
 use crate::{Camera, Video};
 
 /// `|r|` of a pixel that stands out: noise passes it in one pixel of 1.7 million.
@@ -18,20 +18,20 @@ fn limit_of_line(n: usize) -> f64 {
 const BLIND: f64 = 1e-4;
 
 /// Fewest bins of which it can be said that they are mirrored.
-const FEWEST_MIRRORED: usize = 16;
+const MIN_MIRRORED_BINS: usize = 16;
 /// Nearest bins that are compared: neighbours are alike in any order.
 const NEAREST: usize = 6;
 /// Largest side of the small pictures that are compared, and pairs for each pair.
 const SMALL: usize = 32;
 const COMPARISONS: usize = 8;
 
-pub(super) fn of(evidence: &Evidence) -> FitStatistics {
+pub(super) fn of(evidence: &FitInput) -> FitStatistics {
     let (rows, columns) = (evidence.residual.rows(), evidence.residual.columns());
     let r = evidence.residual.data();
     let usable = |at: usize| evidence.weights.is_none_or(|w| w[at] > 0.0);
     let pixels: Vec<usize> = (0..r.len()).filter(|&at| usable(at)).collect();
     let m = pixels.len().max(1) as f64;
-    let spent = evidence.freedom.min(MOST_FREEDOM * m);
+    let spent = evidence.freedom.min(MAX_FREEDOM * m);
     // χ² of a part of the pixels: each has its share of the freedom.
     let chi = |sum: f64, count: usize| sum / (count.max(1) as f64 * (1.0 - spent / m));
     let power = |at: usize| f64::from(r[at]).powi(2);
@@ -142,7 +142,7 @@ impl Lines {
     }
 }
 
-fn correlation_with_model(evidence: &Evidence, pixels: &[usize]) -> f64 {
+fn correlation_with_model(evidence: &FitInput, pixels: &[usize]) -> f64 {
     let r = evidence.residual.data();
     let (mut both, mut residual, mut model) = (0.0, 0.0, 0.0);
     for &at in pixels {
@@ -172,7 +172,7 @@ fn tests_timing(camera: &Camera) -> bool {
 fn mirrored(camera: &Camera, video: &Video) -> Option<f64> {
     let one_row_each = camera.instants().len() == camera.time().instants().len();
     let bins = video.shape().bins;
-    if !one_row_each || bins < FEWEST_MIRRORED {
+    if !one_row_each || bins < MIN_MIRRORED_BINS {
         return None;
     }
     let small: Vec<Vec<f64>> = (0..bins).map(|t| small_picture(video, t)).collect();
@@ -198,7 +198,7 @@ fn mirrored(camera: &Camera, video: &Video) -> Option<f64> {
             pairs += 1;
         }
     }
-    (pairs >= FEWEST_MIRRORED / 4).then(|| excess / pairs as f64)
+    (pairs >= MIN_MIRRORED_BINS / 4).then(|| excess / pairs as f64)
 }
 
 /// Bin `t` in blocks, at most [`SMALL`] along a side.

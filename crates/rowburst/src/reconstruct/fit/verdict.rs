@@ -7,17 +7,17 @@
 //! In the other four one or two instants lacked light, and they are called suspicious for
 //! it. Single shutters, with half the measurements for each bin, are mostly suspicious.
 
-use super::{Evidence, FitStatistics, SigmaSource, StopReason, Verdict};
+use super::{FitInput, FitStatistics, SigmaSource, StopReason, Verdict};
 
 /// `χ²` from which a fit is suspicious (and four of its standard deviations), and bad.
 const SUSPICIOUS: f64 = 1.25;
 const DEVIATIONS: f64 = 4.0;
 const BAD: f64 = 4.0;
 /// `χ²` below which noise has been fitted: `df` takes at most 0.3 off.
-const TOO_LOW: f64 = 0.5;
+const OVERFITTED: f64 = 0.5;
 /// Factor by which `σ` may be wrong before the fit is suspicious, and bad.
-const FLOOR: f64 = 1.5;
-const FLOOR_BAD: f64 = 5.0;
+const SIGMA_RATIO_SUSPICIOUS: f64 = 1.5;
+const SIGMA_RATIO_BAD: f64 = 5.0;
 /// `r` in the passed band over that in the blind one.
 const STRUCTURE: f64 = 1.25;
 /// Part of the instants, columns and pixels that counts as a few.
@@ -25,33 +25,33 @@ const FEW_INSTANTS: f64 = 0.25;
 const FEW_COLUMNS: f64 = 0.1;
 const FEW_PIXELS: f64 = 0.02;
 /// Values chosen freely for each measurement: a wrong model would be followed as well.
-const FREEDOM: f64 = 0.8;
+const MAX_TESTABLE_FREEDOM: f64 = 0.8;
 /// Likeness of mirrored bins above that of others; at most 0.02 in the right order, and
 /// at least 0.15 in the wrong one.
 const MIRRORED: f64 = 0.08;
 /// Part of the voxels that the support admits. Of good fits of small videos (48 instants of 40 columns) the widest
 /// took 0.108, with an offset of 10 % the narrowest 0.119.
-const WIDE_SUPPORT: f64 = 0.11;
+const DENSE_SUPPORT: f64 = 0.11;
 /// Iterations before which no video has taken shape: the solver looks for the support from
 /// the 20th on, and follows the brightness for 40.
-const EARLY: usize = 60;
+const MIN_ITERATIONS: usize = 60;
 /// Residual over that at four fifths of the iterations, where it still falls.
-const FALLING: f64 = 0.85;
+const FALLING_RATIO: f64 = 0.85;
 /// Residual over the frame itself beyond which more iterations are not what is missing.
-const FAR: f64 = 0.3;
+const FAR_FROM_FRAME: f64 = 0.3;
 /// Power of the light in the frame over that of the noise, below which it is little but noise.
-const ALL_NOISE: f64 = 0.1;
+const MIN_LIGHT_OVER_NOISE: f64 = 0.1;
 /// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
-const RAN_AWAY: f64 = 1.5;
+const DIVERGED: f64 = 1.5;
 
-pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
+pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     if evidence.video.max() <= 0.0 {
         return (
             Verdict::Bad,
             "the video is dark: noise of this level explains the whole frame".into(),
         );
     }
-    if s.residual_over_frame > RAN_AWAY && evidence.history.len() >= EARLY {
+    if s.residual_over_frame > DIVERGED && evidence.history.len() >= MIN_ITERATIONS {
         return (
             Verdict::Bad,
             format!(
@@ -74,13 +74,13 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
         return misfit(evidence, s, limit);
     }
     let light = light_over_noise(evidence);
-    if light < ALL_NOISE {
+    if light < MIN_LIGHT_OVER_NOISE {
         return suspicious(format!(
             "the frame is little but noise: light has {:.0} % of the noise's power; more light, a longer exposure or a sparser scene is needed",
             100.0 * light.max(0.0)
         ));
     }
-    if s.chi_squared < TOO_LOW {
+    if s.chi_squared < OVERFITTED {
         return suspicious(format!(
             "the residual is only {:.2} of the noise: the fit has followed the noise{}",
             s.chi_squared.sqrt(),
@@ -94,16 +94,16 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
     if let Some(excess) = structure(s) {
         return suspicious(format!(
             "the residual has {excess:.2} times the noise at the scale of the speckle: {}",
-            culprits(evidence, s)
+            possible_causes(evidence, s)
         ));
     }
-    if s.freedom > FREEDOM {
+    if s.freedom > MAX_TESTABLE_FREEDOM {
         return suspicious(format!(
             "the video has {:.1} free values for each measurement: a wrong PSF or shutter would fit as well, so the fit proves nothing; a sparser scene, or a shutter that reads more rows in an instant, can be tested",
             s.freedom
         ));
     }
-    if evidence.support < 1.0 && evidence.support > WIDE_SUPPORT {
+    if evidence.support < 1.0 && evidence.support > DENSE_SUPPORT {
         return suspicious(format!(
             "light is spread over {:.0} % of all voxels: the scene is not sparse, or the frame has an offset that was not taken off (dark frame, bias)",
             100.0 * evidence.support
@@ -120,7 +120,7 @@ pub(super) fn of(evidence: &Evidence, s: &FitStatistics) -> (Verdict, String) {
 }
 
 /// `⟨(W b/σ)²⟩ − 1` over the pixels that hold information.
-fn light_over_noise(evidence: &Evidence) -> f64 {
+fn light_over_noise(evidence: &FitInput) -> f64 {
     let informative = |i: &usize| evidence.weights.is_none_or(|w| w[*i] > 0.0);
     let (mut power, mut count) = (0.0, 0usize);
     for i in (0..evidence.measured.len()).filter(informative) {
@@ -130,15 +130,15 @@ fn light_over_noise(evidence: &Evidence) -> f64 {
     power / count.max(1) as f64 - 1.0
 }
 
-fn noise_level(evidence: &Evidence, s: &FitStatistics) -> Option<(Verdict, String)> {
+fn noise_level(evidence: &FitInput, s: &FitStatistics) -> Option<(Verdict, String)> {
     let floor = s.noise_floor?;
-    let allowed = FLOOR * (1.0 + DEVIATIONS * s.noise_floor_error);
+    let allowed = SIGMA_RATIO_SUSPICIOUS * (1.0 + DEVIATIONS * s.noise_floor_error);
     let high = floor > allowed && s.floor_is_blind;
     let low = floor < 1.0 / allowed;
     if !(high || low) {
         return None;
     }
-    let verdict = if floor.max(1.0 / floor) > FLOOR_BAD {
+    let verdict = if floor.max(1.0 / floor) > SIGMA_RATIO_BAD {
         Verdict::Bad
     } else {
         Verdict::Suspicious
@@ -165,12 +165,12 @@ fn noise_level(evidence: &Evidence, s: &FitStatistics) -> Option<(Verdict, Strin
     ))
 }
 
-fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, String) {
+fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, String) {
     let ratio = digits(s.chi_squared.sqrt());
     let stopped = evidence.stop_reason != StopReason::Converged;
     let iterations = evidence.history.len();
     let suspicious = |reason: String| (Verdict::Suspicious, reason);
-    if stopped && iterations < EARLY {
+    if stopped && iterations < MIN_ITERATIONS {
         let more = match evidence.stop_reason {
             StopReason::TimeBudget => "time",
             _ => "iterations",
@@ -179,13 +179,13 @@ fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, Strin
             "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; give it more {more}, and judge then"
         ));
     }
-    if let Some(reason) = local(s, limit, stopped) {
+    if let Some(reason) = local_misfit(s, limit, stopped) {
         return suspicious(reason);
     }
-    if stopped && s.residual_trend < FALLING && s.residual_over_frame < FAR {
+    if stopped && s.residual_trend < FALLING_RATIO && s.residual_over_frame < FAR_FROM_FRAME {
         return suspicious(format!(
             "stopped early, after {iterations} iterations: the residual is {ratio} times the noise and still falls; give it more iterations, and if it stays, {}",
-            culprits(evidence, s)
+            possible_causes(evidence, s)
         ));
     }
     let verdict = if s.chi_squared > BAD {
@@ -203,13 +203,13 @@ fn misfit(evidence: &Evidence, s: &FitStatistics, limit: f64) -> (Verdict, Strin
         verdict,
         format!(
             "the residual is {ratio} times the noise{place}: {}",
-            culprits(evidence, s)
+            possible_causes(evidence, s)
         ),
     )
 }
 
 /// A misfit that sits in few pixels, columns or instants.
-fn local(s: &FitStatistics, limit: f64, stopped: bool) -> Option<String> {
+fn local_misfit(s: &FitStatistics, limit: f64, stopped: bool) -> Option<String> {
     let few = |(misfits, all): (usize, usize), part: f64| {
         misfits > 0 && misfits as f64 <= (part * all as f64).max(1.0) && all > 3
     };
@@ -254,7 +254,7 @@ fn structure(s: &FitStatistics) -> Option<f64> {
 }
 
 /// What may be wrong with a model that fits nowhere.
-fn culprits(evidence: &Evidence, s: &FitStatistics) -> String {
+fn possible_causes(evidence: &FitInput, s: &FitStatistics) -> String {
     let mut list = Vec::new();
     if evidence.tau_is_given {
         list.push("τ is given, and too large");

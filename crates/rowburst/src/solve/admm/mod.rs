@@ -47,7 +47,7 @@
 mod state;
 mod support_estimator;
 
-pub(crate) use state::{MOST_FREEDOM, brightness};
+pub(crate) use state::{MAX_FREEDOM, brightness};
 
 use super::{Certificate, DataTerm, StopReason};
 use crate::Shape;
@@ -203,7 +203,7 @@ impl Admm {
             // On a thread of the pool: else each parallel loop would wake one and wait for it.
             let change = rayon::scope(|_| {
                 if k > 1 {
-                    state.adapt(data, prior, params);
+                    state.update_parameters(data, prior, params);
                 }
                 let change = state.data_step(data, params);
                 state.prior_step(data, prior);

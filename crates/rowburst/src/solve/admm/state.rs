@@ -13,16 +13,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Corrections of `ρ` that are not worth another factor, and at first, when factors
 /// take as long as two iterations and corrections say little yet: a factor for every 2 % left the pictures of four
 /// scenes within 0.3 dB, and took a quarter of the time.
-const STEADY: (f64, f64) = (0.98, 1.02);
-const OPEN_STEADY: (f64, f64) = (0.8, 1.25);
+const RHO_DEADBAND: (f64, f64) = (0.98, 1.02);
+const OPEN_RHO_DEADBAND: (f64, f64) = (0.8, 1.25);
 /// The same on a wide sensor, where they take as long as ten iterations, and while one of its bins is open.
-const WIDE_STEADY: (f64, f64) = (0.95, 1.05);
-const WIDE_OPEN_STEADY: (f64, f64) = (0.6, 1.6);
+const LARGE_RHO_DEADBAND: (f64, f64) = (0.95, 1.05);
+const LARGE_OPEN_RHO_DEADBAND: (f64, f64) = (0.6, 1.6);
 /// The first such correction, when the misfit has settled, and iterations from one to the next.
-const WIDE_OPEN_FROM: usize = 20;
-const WIDE_OPEN_EVERY: usize = 5;
+const LARGE_OPEN_RHO_FROM: usize = 20;
+const LARGE_OPEN_RHO_INTERVAL: usize = 5;
 /// Iterations in which the brightness that `β` refers to is followed.
-const SETTLE: usize = 40;
+const THRESHOLD_SETTLES: usize = 40;
 /// With so many voxels for each measurement a video takes shape slowly: the
 /// clock stands at [`SupportEstimator::FIRST_UPDATE`] until the brightness of every bin has passed its top, falling by this part in
 /// so many iterations, or up to the iteration `LATEST_FIRST_UPDATE`. Digits on 2048×2048 pixels end at 62 dB so;
@@ -36,30 +36,30 @@ const LATEST_FIRST_UPDATE: usize = 150;
 /// the places, small ones the details. Up to the 12th iteration larger digits take 56 to 85 iterations to 0.5 dB
 /// of their end, up to the 20th 43 to 82; up to the 28th one of four seeds lost 5 dB. 8 up to the 20th iteration is faster still, and loses faint
 /// LEDs in small videos, whose bins then have to be opened.
-const FIRST_THRESHOLD: f64 = 4.0;
-const FULL_DETAIL: usize = 20;
+const CONTINUATION_FACTOR: f64 = 4.0;
+const CONTINUATION_END: usize = 20;
 /// The first data step spreads the light of a sparse scene; it is this much brighter.
-const FIRST_GUESS: f64 = 10.0;
+const INITIAL_BRIGHTNESS_RATIO: f64 = 10.0;
 /// Iterations from one look at the light that the noise depends on to the next, at first;
 /// later, when it moves little, five times as many.
 const WEIGHT_UPDATE_INTERVAL: usize = 20;
 const FREQUENT_UPDATES_UNTIL: usize = 100;
 /// First iteration that counts the degrees of freedom: before, everything is lit.
-const COUNT_AFTER: usize = 15;
+const DEGREES_OF_FREEDOM_AFTER: usize = 15;
 /// Largest part of the measurements that the fit is allowed to spend.
-pub(crate) const MOST_FREEDOM: f64 = 0.3;
+pub(crate) const MAX_FREEDOM: f64 = 0.3;
 /// `ρ` of the first step over the typical size of a diagonal element; on a wide sensor nearer to where it goes.
-const FIRST_RHO: f64 = 0.01;
-const WIDE_FIRST_RHO: f64 = 0.0015;
+const INITIAL_RHO: f64 = 0.01;
+const LARGE_INITIAL_RHO: f64 = 0.0015;
 /// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
 /// bound, and the dual would grow without end. On a wide sensor `ρ` is farther from its end there.
 const MIN_RHO_RATIO: f64 = 0.3;
 const LARGE_MIN_RHO_RATIO: f64 = 0.1;
 /// Data steps in a row that may be solved worse than asked for: the first ones start
 /// from nothing.
-const MOST_POOR_STEPS: usize = 3;
+const MAX_INEXACT_STEPS: usize = 3;
 /// Brightest voxel that the certificate speaks of, over the brightest one found.
-const CEILING: f64 = 2.0;
+const BRIGHTNESS_BOUND: f64 = 2.0;
 /// Iterations that the end of the frame before is worth: the first look at where light may be comes
 /// four iterations later.
 const WARM_START_CREDIT: usize = 26;
@@ -80,7 +80,7 @@ pub(super) struct State {
     /// See [`DataTerm::min_rho`].
     min_rho: f64,
     /// Data steps in a row that were solved worse than asked for.
-    poor_steps: usize,
+    inexact_steps: usize,
     beta: f64,
     /// The brightness of each bin at the last look whether it grows; zero once it has passed its top.
     rising_brightness: Vec<f64>,
@@ -88,7 +88,7 @@ pub(super) struct State {
     relative_threshold: f64,
     /// Bound on `‖b − A v‖`, and `‖b − A x‖` of the last data step.
     bound: f64,
-    x_misfit: f64,
+    x_residual_norm: f64,
     /// Whether `ρ` was left as it was.
     is_steady: bool,
     pub iterations: usize,
@@ -106,9 +106,9 @@ impl State {
             n >= shape.voxels(),
             "the operator takes videos of this shape"
         );
-        let first_rho = match data.is_wide() {
-            true => WIDE_FIRST_RHO,
-            false => FIRST_RHO,
+        let first_rho = match data.has_large_blocks() {
+            true => LARGE_INITIAL_RHO,
+            false => INITIAL_RHO,
         };
         let mut state = Self {
             shape,
@@ -121,13 +121,13 @@ impl State {
             rho: first_rho * data.scale(),
             rho_lower_bound: (1e-7 * data.scale()).max(data.min_rho()),
             min_rho: data.min_rho(),
-            poor_steps: 0,
+            inexact_steps: 0,
             beta: 0.0,
             rising_brightness: vec![f64::MIN_POSITIVE; shape.bins],
             rule: params.tau,
             relative_threshold: params.threshold,
             bound: 0.0,
-            x_misfit: 0.0,
+            x_residual_norm: 0.0,
             is_steady: false,
             iterations: 0,
             warm_start_credit: 0,
@@ -144,7 +144,7 @@ impl State {
         self.is_steady = false;
         match rule {
             TauRule::Discrepancy { sigma } => {
-                self.bound = sigma * (data.informative() as f64).sqrt();
+                self.bound = sigma * (data.measurement_count() as f64).sqrt();
             }
             TauRule::Fixed(tau) if self.beta > 0.0 => self.set_rho_for_tau(tau),
             TauRule::Fixed(_) => {}
@@ -159,7 +159,7 @@ impl State {
             + beyond % SupportEstimator::UPDATE_INTERVAL;
         self.iterations = 0;
         self.paused_iterations = 0;
-        self.poor_steps = 0;
+        self.inexact_steps = 0;
         self.support_estimator.reset();
         self.set_tau_rule(self.rule, data);
         // The weights may be others.
@@ -189,7 +189,7 @@ impl State {
 
     /// Whether `β`, `τ` and the support are what they will be.
     pub fn is_settled(&self, params: &AdmmParams) -> bool {
-        self.schedule_iteration() > SETTLE
+        self.schedule_iteration() > THRESHOLD_SETTLES
             && self.is_steady
             && (!params.support || self.support_estimator.is_settled())
     }
@@ -211,8 +211,8 @@ impl State {
         let rest: Vec<f32> = light.map(|((b, az), aq)| b - az + (aq - az)).collect();
         let mut gram_y = vec![0.0f32; m];
         let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
-        self.poor_steps = if solved { 0 } else { self.poor_steps + 1 };
-        self.x_misfit = distance_squared(&rest, &gram_y).sqrt();
+        self.inexact_steps = if solved { 0 } else { self.inexact_steps + 1 };
+        self.x_residual_norm = distance_squared(&rest, &gram_y).sqrt();
         let z = &self.z;
         let slot = self.shape.columns.min(WRITE_PART);
         // Of the parts that begin in each row: their order does not count.
@@ -252,14 +252,19 @@ impl State {
     /// `z = prox(q)`.
     pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) {
         if self.beta == 0.0 {
-            self.set_threshold(FIRST_GUESS * brightness(&self.q));
+            self.set_threshold(INITIAL_BRIGHTNESS_RATIO * brightness(&self.q));
         }
         prior.prox(&self.q, self.beta, &mut self.z);
         data.operator().apply(&self.z, &mut self.az);
     }
 
     /// Corrects `ρ` or the bound, and now and then `β` and the support.
-    pub fn adapt(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox, params: &AdmmParams) {
+    pub fn update_parameters(
+        &mut self,
+        data: &mut dyn DataTerm,
+        prior: &mut dyn Prox,
+        params: &AdmmParams,
+    ) {
         let is_slow = self.shape.voxels() > UNDERSAMPLED * self.az.len();
         if is_slow
             && self.schedule_iteration() == SupportEstimator::FIRST_UPDATE
@@ -270,37 +275,38 @@ impl State {
         }
         let (k, rho) = (self.schedule_iteration(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
-            if self.poor_steps >= MOST_POOR_STEPS {
+            if self.inexact_steps >= MAX_INEXACT_STEPS {
                 // The smaller ρ, the harder the step: misfit that comes of poor steps would
                 // drive it to nothing.
                 self.rho_lower_bound = self.rho_lower_bound.max(2.0 * self.rho);
                 self.rho = self.rho_lower_bound;
-                self.poor_steps = 0;
+                self.inexact_steps = 0;
             }
             // ‖b − A x‖ grows with ρ, at most in proportion.
-            let correction = (self.bound / self.x_misfit.max(1e-30)).clamp(0.5, 2.0);
-            let is_wide = data.is_wide();
-            let is_open = is_wide && params.support && self.support_estimator.has_open_bin();
-            let (least, most) = match (is_wide, self.is_warming_up() || is_open) {
-                (false, false) => STEADY,
-                (false, true) => OPEN_STEADY,
-                (true, false) => WIDE_STEADY,
-                (true, true) => WIDE_OPEN_STEADY,
+            let correction = (self.bound / self.x_residual_norm.max(1e-30)).clamp(0.5, 2.0);
+            let has_large_blocks = data.has_large_blocks();
+            let is_open =
+                has_large_blocks && params.support && self.support_estimator.has_open_bin();
+            let (least, most) = match (has_large_blocks, self.is_warming_up() || is_open) {
+                (false, false) => RHO_DEADBAND,
+                (false, true) => OPEN_RHO_DEADBAND,
+                (true, false) => LARGE_RHO_DEADBAND,
+                (true, true) => LARGE_OPEN_RHO_DEADBAND,
             };
-            let has_settled = self.warm_start_credit + self.iterations >= WIDE_OPEN_FROM;
-            let is_due =
-                !is_open || (has_settled && self.iterations.is_multiple_of(WIDE_OPEN_EVERY));
+            let has_settled = self.warm_start_credit + self.iterations >= LARGE_OPEN_RHO_FROM;
+            let is_due = !is_open
+                || (has_settled && self.iterations.is_multiple_of(LARGE_OPEN_RHO_INTERVAL));
             if is_due && !(least..most).contains(&correction) {
                 self.rho = (self.rho * correction).clamp(self.rho_lower_bound, 1e7 * data.scale());
             }
-            if k > COUNT_AFTER && k.is_multiple_of(10) {
-                let m = data.informative() as f64;
+            if k > DEGREES_OF_FREEDOM_AFTER && k.is_multiple_of(10) {
+                let m = data.measurement_count() as f64;
                 let tolerance = (0.01 * brightness(self.foreground())) as f32;
                 let freedom = prior.degrees_of_freedom(&self.z, tolerance);
-                self.bound = sigma * (m - freedom.min(MOST_FREEDOM * m)).sqrt();
+                self.bound = sigma * (m - freedom.min(MAX_FREEDOM * m)).sqrt();
             }
         }
-        if k < SETTLE && k.is_multiple_of(5) {
+        if k < THRESHOLD_SETTLES && k.is_multiple_of(5) {
             self.set_threshold(brightness(self.foreground()));
         }
         if params.support && SupportEstimator::is_due(k) {
@@ -344,8 +350,8 @@ impl State {
             self.beta = self.beta.max(f64::MIN_POSITIVE);
             return;
         }
-        let early = 1.0 - self.schedule_iteration() as f64 / FULL_DETAIL as f64;
-        let part = self.relative_threshold * (1.0 + (FIRST_THRESHOLD - 1.0) * early.max(0.0));
+        let early = 1.0 - self.schedule_iteration() as f64 / CONTINUATION_END as f64;
+        let part = self.relative_threshold * (1.0 + (CONTINUATION_FACTOR - 1.0) * early.max(0.0));
         let beta = part * brightness;
         self.beta = beta;
         if let TauRule::Fixed(tau) = self.rule {
@@ -387,7 +393,7 @@ impl State {
             .support_estimator
             .update(&self.z[..voxels], bright, underfit_bins);
         if was_open && self.support_estimator.fraction() < 1.0 {
-            let part = match data.is_wide() {
+            let part = match data.has_large_blocks() {
                 true => LARGE_MIN_RHO_RATIO,
                 false => MIN_RHO_RATIO,
             };
@@ -417,7 +423,7 @@ impl State {
     /// Root mean square that the residual is expected to have.
     fn expected_rms(&self, data: &dyn DataTerm) -> f64 {
         match self.rule {
-            TauRule::Discrepancy { .. } => self.bound / (data.informative() as f64).sqrt(),
+            TauRule::Discrepancy { .. } => self.bound / (data.measurement_count() as f64).sqrt(),
             TauRule::Fixed(_) => self.residual_rms(data),
         }
     }
@@ -438,7 +444,7 @@ impl State {
             .collect::<Vec<_>>()
             .iter()
             .sum();
-        let rise = self.rho * (dot(b, &self.y) - CEILING * f64::from(brightest) * over);
+        let rise = self.rho * (dot(b, &self.y) - BRIGHTNESS_BOUND * f64::from(brightest) * over);
         let size = self.rho * self.rho * norm_squared(&self.y);
         // s·y with s·c is as good a dual point for every 0 ≤ s ≤ 1.
         let s = if size > 0.0 {
@@ -472,7 +478,7 @@ impl State {
     }
 
     pub fn residual_rms(&self, data: &dyn DataTerm) -> f64 {
-        (distance_squared(data.measured(), &self.az) / data.informative() as f64).sqrt()
+        (distance_squared(data.measured(), &self.az) / data.measurement_count() as f64).sqrt()
     }
 
     pub fn objective(&self, data: &dyn DataTerm, prior: &dyn Prox) -> f64 {

@@ -148,9 +148,9 @@ impl SupportEstimator {
                 *level = 0;
             }
         }
-        let is_wide = self.max_active < usize::MAX;
+        let has_large_blocks = self.max_active < usize::MAX;
         for &t in underfit_bins {
-            self.levels[t] = if is_wide {
+            self.levels[t] = if has_large_blocks {
                 OPEN_LEVEL + OPEN_UPDATES
             } else {
                 self.levels[t] + 1
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bin_of_a_wide_sensor_is_opened_for_a_while() {
+    fn a_bin_of_a_large_sensor_is_opened_for_a_while() {
         let shape = Shape::new(2, 9, 9);
         let mut estimator = SupportEstimator::new(shape, 50);
         let mut video = vec![0.0f32; shape.voxels()];

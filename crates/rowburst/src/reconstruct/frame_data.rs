@@ -18,7 +18,7 @@ use faer::{Mat, MatMut, MatRef};
 use std::sync::Arc;
 
 /// Measurements of an instant from which its factor costs more than ten iterations.
-const WIDE: usize = 1024;
+const LARGE_BLOCK: usize = 1024;
 
 /// Smallest `ρ` over the typical size of a diagonal element of `A Aᵀ` where no block limits it.
 const MIN_RHO: f64 = 1e-9;
@@ -39,13 +39,13 @@ pub(super) struct FrameData {
     frame: Vec<f32>,
     measured: Vec<f32>,
     /// The weights of all pixels, those held out among them: of the counts, and of the light.
-    first_weights: Option<Vec<f32>>,
+    initial_weights: Option<Vec<f32>>,
     weights: Option<Vec<f32>>,
     noise: Option<NoiseLaw>,
     held_out: Option<HeldOut>,
-    informative: usize,
+    measurement_count: usize,
     /// The largest `w²`.
-    most_weight: f64,
+    max_squared_weight: f64,
     support: Option<Support>,
     gram: Gram,
     /// Whether blocks are never f32.
@@ -68,13 +68,17 @@ enum Precision {
 
 impl Precision {
     /// Writes those that `has_changed` anew, or all with other weights or another second part.
-    fn refill(&mut self, has_changed: Option<&(dyn Fn(usize) -> bool + Sync)>, source: GramOf) {
+    fn rebuild_changed(
+        &mut self,
+        has_changed: Option<&(dyn Fn(usize) -> bool + Sync)>,
+        source: GramSource,
+    ) {
         match self {
             Self::Single(blocks) => {
-                blocks.forget();
-                refill(blocks, has_changed, source);
+                blocks.reset();
+                rebuild_changed(blocks, has_changed, source);
             }
-            Self::Double(blocks) => refill(blocks, has_changed, source),
+            Self::Double(blocks) => rebuild_changed(blocks, has_changed, source),
         }
     }
 
@@ -89,21 +93,21 @@ impl Precision {
         match self {
             Self::Single(blocks) => blocks.solve_incremental(r, rho, y, gram_y),
             Self::Double(blocks) => {
-                blocks.solve_along(r, rho, y, gram_y);
+                blocks.solve_with_product(r, rho, y, gram_y);
                 !blocks.is_ill_conditioned()
             }
         }
     }
 }
 
-fn refill<T: Scalar>(
+fn rebuild_changed<T: Scalar>(
     blocks: &mut Blocks<T>,
     has_changed: Option<&(dyn Fn(usize) -> bool + Sync)>,
-    source: GramOf,
+    source: GramSource,
 ) {
     match has_changed {
-        Some(has_changed) => blocks.refill(has_changed, source),
-        None => blocks.renew(source),
+        Some(has_changed) => blocks.rebuild_changed(has_changed, source),
+        None => blocks.rebuild_all(source),
     }
 }
 
@@ -113,7 +117,7 @@ impl FrameData {
     }
 
     /// The same with blocks that are never f32.
-    pub fn in_double(model: &Model, measurement: &Measurement) -> Self {
+    pub fn with_f64_blocks(model: &Model, measurement: &Measurement) -> Self {
         Self::in_precision(model, measurement, true)
     }
 
@@ -123,7 +127,7 @@ impl FrameData {
         let weights = measurement.weights().map(<[f32]>::to_vec);
         let operator = Arc::new(WeightedOperator::new(Arc::clone(shutter), weights.clone()));
         let background = Background::None;
-        let all = GramOf {
+        let all = GramSource {
             model,
             operator: &operator,
             active: (None, background),
@@ -136,8 +140,8 @@ impl FrameData {
             WithBackground::new(Arc::clone(&operator), shutter.video_shape(), background);
         let mut data = Self {
             measured: Vec::new(),
-            informative: 0,
-            most_weight: 1.0,
+            measurement_count: 0,
+            max_squared_weight: 1.0,
             is_double,
             noise: measurement.noise().cloned(),
             held_out: None,
@@ -148,11 +152,11 @@ impl FrameData {
             with_background,
             operator,
             frame,
-            first_weights: weights.clone(),
+            initial_weights: weights.clone(),
             weights,
             gram,
         };
-        data.weigh_frame();
+        data.apply_weights_to_frame();
         data
     }
 
@@ -181,10 +185,10 @@ impl FrameData {
     /// Starts afresh, on all voxels of videos with this second part, without the pixels of
     /// `held_out`.
     pub fn start(&mut self, background: Background, held_out: Option<HeldOut>) {
-        let is_as_it_was = self.support.is_none() && self.weights == self.first_weights;
+        let is_as_it_was = self.support.is_none() && self.weights == self.initial_weights;
         let is_fresh = match &mut self.gram {
             Gram::Exact(Precision::Single(blocks)) => {
-                blocks.forget();
+                blocks.reset();
                 true
             }
             Gram::Exact(Precision::Double(_)) => self.is_double,
@@ -194,7 +198,7 @@ impl FrameData {
             return;
         }
         self.held_out = held_out;
-        self.weights.clone_from(&self.first_weights);
+        self.weights.clone_from(&self.initial_weights);
         self.support = None;
         self.background = background;
         let is_still = background == Background::Static;
@@ -218,7 +222,7 @@ impl FrameData {
             Gram::Bordered(..) => true,
             Gram::Iterative(_) => false,
         };
-        self.weights_changed(is_exact);
+        self.apply_weights(is_exact);
     }
 
     /// From now on the data of another frame of the same camera, on the same support. Weights that
@@ -230,16 +234,16 @@ impl FrameData {
             of.as_ref().map(|w| w.iter().map(|w| *w > 0.0).collect())
         };
         let uses_noise_law = self.noise.is_some() && measurement.noise().is_some();
-        if weights == self.first_weights
-            || (uses_noise_law && usable(&weights) == usable(&self.first_weights))
+        if weights == self.initial_weights
+            || (uses_noise_law && usable(&weights) == usable(&self.initial_weights))
         {
-            self.weigh_frame();
+            self.apply_weights_to_frame();
             return;
         }
         self.noise = measurement.noise().cloned();
-        self.first_weights = weights.clone();
+        self.initial_weights = weights.clone();
         self.weights = weights;
-        self.weights_changed(false);
+        self.apply_weights(false);
     }
 
     /// `σ` of a pixel of weight 1 by the law of noise that the weights come from.
@@ -256,12 +260,12 @@ impl FrameData {
     }
 
     /// How many pixels are held out now.
-    pub fn pixels_held_out(&self) -> usize {
+    pub fn held_out_count(&self) -> usize {
         self.held_out.as_ref().map_or(0, |h| h.pixels().len())
     }
 
     /// `W(b − A v)` at the pixels that are held out.
-    pub fn errors_held_out(&self, video: &[f32]) -> Vec<f64> {
+    pub fn held_out_residuals(&self, video: &[f32]) -> Vec<f64> {
         let Some(held_out) = &self.held_out else {
             return Vec::new();
         };
@@ -277,8 +281,8 @@ impl FrameData {
             .collect()
     }
 
-    /// Operator, Gram blocks and preconditioner with new weights; `is_other`: with blocks of another kind.
-    fn weights_changed(&mut self, is_other: bool) {
+    /// Operator, Gram blocks and preconditioner with new weights; `replaces_blocks`: with blocks of another kind.
+    fn apply_weights(&mut self, replaces_blocks: bool) {
         let mut weights = self.weights.clone();
         if let Some(held_out) = &self.held_out {
             let weights = weights.get_or_insert_with(|| vec![1.0; self.frame.len()]);
@@ -290,18 +294,18 @@ impl FrameData {
         ));
         self.with_background =
             WithBackground::new(Arc::clone(&self.operator), self.shape(), self.background);
-        self.weigh_frame();
-        if is_other {
+        self.apply_weights_to_frame();
+        if replaces_blocks {
             return self.replace_blocks(self.is_double);
         }
-        let source = GramOf {
+        let source = GramSource {
             model: &self.model,
             operator: &self.operator,
             active: (self.support.as_ref(), self.background),
         };
         match &mut self.gram {
-            Gram::Exact(blocks) => blocks.refill(None, source),
-            Gram::Bordered(blocks, _) => blocks.renew(source),
+            Gram::Exact(blocks) => blocks.rebuild_changed(None, source),
+            Gram::Bordered(blocks, _) => blocks.rebuild_all(source),
             Gram::Iterative(solver) => {
                 solver.restart(self.support.as_ref(), source.preconditioner());
             }
@@ -313,7 +317,7 @@ impl FrameData {
         // The old ones go first.
         let nothing = |_: usize, _: MatMut<f64>| {};
         self.gram = Gram::Exact(Precision::Double(Blocks::new(Vec::new(), nothing)));
-        let source = GramOf {
+        let source = GramSource {
             model: &self.model,
             operator: &self.operator,
             active: (self.support.as_ref(), self.background),
@@ -325,16 +329,16 @@ impl FrameData {
         };
     }
 
-    fn weigh_frame(&mut self) {
+    fn apply_weights_to_frame(&mut self) {
         self.measured = self.frame.clone();
-        self.informative = self.frame.len();
-        self.most_weight = 1.0;
+        self.measurement_count = self.frame.len();
+        self.max_squared_weight = 1.0;
         if let Some(weights) = self.operator.weights() {
             let pixels = self.measured.iter_mut().zip(weights);
             pixels.for_each(|(b, w)| *b *= w);
-            self.informative = weights.iter().filter(|w| **w > 0.0).count();
-            let most = weights.iter().copied().fold(0.0, f32::max);
-            self.most_weight = f64::from(most).powi(2);
+            self.measurement_count = weights.iter().filter(|w| **w > 0.0).count();
+            let max_weight = weights.iter().copied().fold(0.0, f32::max);
+            self.max_squared_weight = f64::from(max_weight).powi(2);
         }
     }
 }
@@ -351,8 +355,8 @@ impl DataTerm for FrameData {
         &self.measured
     }
 
-    fn informative(&self) -> usize {
-        self.informative
+    fn measurement_count(&self) -> usize {
+        self.measurement_count
     }
 
     fn scale(&self) -> f64 {
@@ -369,7 +373,7 @@ impl DataTerm for FrameData {
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        let least = MIN_RHO_SINGLE * self.most_weight * self.scale();
+        let least = MIN_RHO_SINGLE * self.max_squared_weight * self.scale();
         if matches!(self.gram, Gram::Exact(Precision::Single(..))) && rho < least {
             self.replace_blocks(true);
         }
@@ -423,7 +427,7 @@ impl DataTerm for FrameData {
             .collect()
     }
 
-    fn is_wide(&self) -> bool {
+    fn has_large_blocks(&self) -> bool {
         if matches!(self.gram, Gram::Iterative(_)) {
             return false;
         }
@@ -431,13 +435,13 @@ impl DataTerm for FrameData {
             self.shutter().rows_of_instants(),
             self.shutter().frame_shape(),
         );
-        rows.iter().any(|rows| rows.len() * columns > WIDE)
+        rows.iter().any(|rows| rows.len() * columns > LARGE_BLOCK)
     }
 
     /// The block of so many voxels takes as long as that of all, which leans on the field's shifts:
     /// `m²` products for each voxel, and 4 for each row of the field.
     fn max_active_voxels(&self) -> usize {
-        match self.is_wide() {
+        match self.has_large_blocks() {
             true => 4 * self.shape().rows,
             false => usize::MAX,
         }
@@ -445,7 +449,7 @@ impl DataTerm for FrameData {
 
     fn restrict(&mut self, support: &Support) {
         let before = self.support.replace(support.clone());
-        let source = GramOf {
+        let source = GramSource {
             model: &self.model,
             operator: &self.operator,
             active: (Some(support), self.background),
@@ -459,8 +463,8 @@ impl DataTerm for FrameData {
                 .is_none_or(|b| !support.agrees_with(b, bins))
         };
         match &mut self.gram {
-            Gram::Exact(blocks) => blocks.refill(Some(&has_changed), source),
-            Gram::Bordered(blocks, _) => blocks.refill(has_changed, source),
+            Gram::Exact(blocks) => blocks.rebuild_changed(Some(&has_changed), source),
+            Gram::Bordered(blocks, _) => blocks.rebuild_changed(has_changed, source),
             Gram::Iterative(solver) => solver.restrict(support, source.block_preconditioner()),
         }
     }
@@ -504,7 +508,7 @@ impl DataTerm for FrameData {
         self.shutter()
             .apply(&self.background.sum(self.shape(), video), &mut light);
         self.weights = Some(noise.weights(&light));
-        self.weights_changed(false);
+        self.apply_weights(false);
         true
     }
 }
@@ -538,13 +542,13 @@ type ActiveVoxels<'a> = (Option<&'a Support>, Background);
 
 /// The blocks of `W A P Aᵀ W`.
 #[derive(Clone, Copy)]
-struct GramOf<'a> {
+struct GramSource<'a> {
     model: &'a Model,
     operator: &'a Arc<WeightedOperator<Arc<RollingShutter>>>,
     active: ActiveVoxels<'a>,
 }
 
-impl GramOf<'_> {
+impl GramSource<'_> {
     /// One for each instant.
     fn blocks<T: Scalar>(self) -> Blocks<T> {
         let shutter = self.operator.inner();
@@ -571,7 +575,7 @@ impl GramOf<'_> {
     }
 
     /// Whether the support leaves all bins of an instant open.
-    fn leaves_open(&self, instant: usize) -> bool {
+    fn is_unrestricted_at(&self, instant: usize) -> bool {
         let run = &self.model.shutter().time().instants()[instant];
         let mut bins = run.first_bin..run.first_bin + run.weights.len();
         let (support, _) = self.active;
@@ -595,12 +599,12 @@ impl GramOf<'_> {
     }
 }
 
-impl<T: Scalar> BlockSource<T> for GramOf<'_> {
+impl<T: Scalar> BlockSource<T> for GramSource<'_> {
     fn fill(&self, instant: usize, mut sum: MatMut<T>) {
         let (_, background) = self.active;
         let shutter = self.operator.inner();
-        let is_kept = self.leaves_open(instant) && background != Background::Video;
-        match self.model.kept_block(instant).filter(|_| is_kept) {
+        let is_cached = self.is_unrestricted_at(instant) && background != Background::Video;
+        match self.model.cached_block(instant).filter(|_| is_cached) {
             Some(block) => round(block.as_ref(), sum.rb_mut()),
             None if shutter.sums_need_f64() => {
                 let mut exact = Mat::<f64>::zeros(sum.nrows(), sum.ncols());
@@ -619,17 +623,17 @@ impl<T: Scalar> BlockSource<T> for GramOf<'_> {
         }
     }
 
-    fn is_whole(&self, instant: usize) -> bool {
-        self.leaves_open(instant)
+    fn is_unrestricted(&self, instant: usize) -> bool {
+        self.is_unrestricted_at(instant)
     }
 
-    fn columns(&self, instant: usize, most: usize) -> Option<Mat<T>> {
+    fn columns(&self, instant: usize, max_columns: usize) -> Option<Mat<T>> {
         let (support, background) = self.active;
         if background == Background::Video {
             return None;
         }
         let shutter = self.operator.inner();
-        let mut columns = shutter.active_columns::<T>(instant, support?, most)?;
+        let mut columns = shutter.active_columns::<T>(instant, support?, max_columns)?;
         if let Some(weights) = self.operator.weights() {
             let indices = shutter.indices_of(instant);
             for column in columns.col_iter_mut() {
@@ -731,7 +735,7 @@ mod tests {
         let wrong: Vec<f32> = seen.iter().zip(&gram_y).map(|(a, b)| a - b).collect();
         let (error, size) = (norm(&wrong), norm(&gram_y));
         // The rounding of `y` and of the operator, in f32.
-        let rounding = 4e-6 * data.most_weight * data.scale() * norm(&y);
+        let rounding = 4e-6 * data.max_squared_weight * data.scale() * norm(&y);
         let most = 1e-4 * size + rounding;
         assert!(error < most, "{state}: {error} {most} of {size}");
         let left: Vec<f32> = (0..m)
@@ -752,7 +756,7 @@ mod tests {
 
     /// Blocks that are kept are those that are not, to the bit: of one PSF and of several.
     #[test]
-    fn kept_blocks_change_nothing() {
+    fn cached_blocks_change_nothing() {
         let first = data(Shutter::DualInsideOut);
         let psf = |seed: usize| {
             let value = |y: usize, x: usize| (1 + (7 * y * y + seed * x + 3 * x * y) % 17) as f32;
@@ -771,7 +775,7 @@ mod tests {
                 y
             };
             let alone = solved(&model);
-            assert_eq!(solved(&model.keeping_gram()), alone);
+            assert_eq!(solved(&model.with_cached_gram()), alone);
         }
     }
 
@@ -781,7 +785,7 @@ mod tests {
         for (weight, is_single) in [(1.0, true), (10.0, false)] {
             let mut data = data(Shutter::DualInsideOut);
             data.weights = Some(vec![weight; 240]);
-            data.weights_changed(true);
+            data.apply_weights(true);
             check_one(&mut data, 5e-5, 0, &format!("weights of {weight}"));
             assert_eq!(data.is_single(), is_single, "weights of {weight}");
         }
@@ -813,7 +817,7 @@ mod tests {
         let camera = used.model.camera().clone();
         let frame = Image::from_fn(12, 20, |y, x| (5 + (3 * y + 5 * x) % 11) as f32);
         let measurement = correct(&frame, &camera, &Corrections::default()).unwrap();
-        assert!(!FrameData::in_double(&used.model, &measurement).is_single());
+        assert!(!FrameData::with_f64_blocks(&used.model, &measurement).is_single());
     }
 
     #[test]
@@ -830,7 +834,7 @@ mod tests {
                 check(&mut data, &state);
                 let held_out = data.held_out();
                 data.start(background, Some(held_out.clone()));
-                assert_eq!(data.informative(), 240 - held_out.pixels().len());
+                assert_eq!(data.measurement_count(), 240 - held_out.pixels().len());
                 check(&mut data, &format!("{state}, pixels held out"));
                 let bright: Vec<f32> = (0..shape.voxels()).map(|i| (i % 9) as f32).collect();
                 data.restrict(&Support::above(&bright, shape, &vec![7.5; shape.bins]));
@@ -841,7 +845,7 @@ mod tests {
 
     /// Twice the light has the weights of twice the light, and pixels held out keep weight 0.
     #[test]
-    fn weights_follow_the_light() {
+    fn weights_are_updated_from_the_light() {
         let mut data = data(Shutter::DualInsideOut);
         let held_out = data.held_out();
         data.start(Background::Static, Some(held_out.clone()));
@@ -859,10 +863,10 @@ mod tests {
         }
         check(&mut data, "after following");
         data.start(Background::Static, Some(held_out.clone()));
-        assert_eq!(data.weights(), data.first_weights.as_deref());
+        assert_eq!(data.weights(), data.initial_weights.as_deref());
         check(&mut data, "after starting again");
         assert_eq!(
-            data.errors_held_out(&vec![2.0; n]).len(),
+            data.held_out_residuals(&vec![2.0; n]).len(),
             held_out.pixels().len()
         );
     }
