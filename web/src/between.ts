@@ -3,7 +3,7 @@
 import { h } from "./dom";
 import { number } from "./format";
 import type { Store } from "./store";
-import { breathe, type Volume } from "./volume";
+import { yieldToBrowser, type Volume } from "./volume";
 
 /** Peak signal-to-noise ratio in dB, with `truth` and its maximum for reference; null where they are equal or nothing is lit. */
 export async function psnr(video: Volume, truth: Volume): Promise<number | null> {
@@ -18,7 +18,7 @@ export async function psnr(video: Volume, truth: Volume): Promise<number | null>
       count++;
       if (wanted > peak) peak = wanted;
     }
-    if (t % 8 === 7) await breathe();
+    if (t % 8 === 7) await yieldToBrowser();
   }
   return sum > 0 && peak > 0 ? 10 * Math.log10((peak * peak * count) / sum) : null;
 }

@@ -8,12 +8,12 @@ import type { Store } from "./store";
 const SHADES = 127;
 const [WHITE, BLACK] = [254, 255];
 /** Width of a saved picture at least, in pixels; small videos are enlarged by whole numbers. */
-const LEAST = 480;
+const MIN_WIDTH = 480;
 export const GAP = 8;
 
 /** Size of one pane as it is saved. */
 export function savedSize({ volume }: Pane): { width: number; height: number } {
-  const k = Math.max(1, Math.ceil(LEAST / volume.columns));
+  const k = Math.max(1, Math.ceil(MIN_WIDTH / volume.columns));
   return { width: volume.columns * k, height: volume.rows * k };
 }
 

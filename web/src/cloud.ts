@@ -3,15 +3,15 @@
 import { srgb, timeHue } from "./colour";
 import { css, fit, h } from "./dom";
 import type { Store } from "./store";
-import { breathe } from "./volume";
+import { yieldToBrowser } from "./volume";
 
 /** Points that a computer without a graphics card turns smoothly. */
-const MOST_POINTS = 12_000;
+const MAX_POINTS = 12_000;
 
 export class Cloud {
   readonly element: HTMLElement;
   private readonly canvas: HTMLCanvasElement;
-  private readonly words: HTMLElement;
+  private readonly status: HTMLElement;
   private points: Float32Array = new Float32Array();
   private count = 0;
   /** Turn about the time axis' normal, and tilt. */
@@ -28,7 +28,7 @@ export class Cloud {
       role: "img",
       "aria-label": "Bright points in space and time; drag or use the arrow keys to turn it",
     });
-    this.words = h("span", { class: "muted" });
+    this.status = h("span", { class: "muted" });
     const level = h("input", {
       type: "range",
       id: "cloud-threshold",
@@ -47,7 +47,7 @@ export class Cloud {
       {},
       h("h3", {}, "Space and time"),
       this.canvas,
-      h("div", { class: "row" }, h("label", { class: "choice" }, h("span", {}, "Brighter than"), level), this.words),
+      h("div", { class: "row" }, h("label", { class: "choice" }, h("span", {}, "Brighter than"), level), this.status),
     );
     this.canvas.addEventListener("pointerdown", (event) => this.canvas.setPointerCapture(event.pointerId));
     this.canvas.addEventListener("pointermove", (event) => {
@@ -86,7 +86,7 @@ export class Cloud {
     this.stale = false;
     const value = state.low + this.threshold * (state.high - state.low);
     const wanted = Math.max(1, (value - video.low) / video.step);
-    const least = Math.max(wanted, video.numberAbove(MOST_POINTS) + 1);
+    const least = Math.max(wanted, video.numberAbove(MAX_POINTS) + 1);
     const found: number[] = [];
     for (let t = 0; t < video.bins; t++) {
       if (!video.loaded[t]) continue;
@@ -96,12 +96,12 @@ export class Cloud {
           found.push(t, Math.floor(i / video.columns), i % video.columns, bin[i]);
         }
       }
-      if (t % 16 === 15) await breathe();
+      if (t % 16 === 15) await yieldToBrowser();
     }
     this.points = Float32Array.from(found);
     this.count = found.length / 4;
     const all = least > wanted ? ", the brightest of all that pass" : "";
-    this.words.textContent = `${Math.round(100 * this.threshold)} % of white: ${this.count} points${all}`;
+    this.status.textContent = `${Math.round(100 * this.threshold)} % of white: ${this.count} points${all}`;
     this.busy = false;
     this.draw();
   }

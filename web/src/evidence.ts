@@ -5,7 +5,7 @@ import { css, fit, h } from "./dom";
 import { number } from "./format";
 import { Bitmap } from "./picture";
 import type { Store } from "./store";
-import type { CoursePoint, Meta, Picture } from "./types";
+import type { HistoryPoint, Meta, Picture } from "./types";
 
 export class Evidence {
   readonly element: HTMLElement;
@@ -66,7 +66,7 @@ export class Evidence {
       bitmap.values(p.data, "grey", 0, highest(p.data));
       return (ctx, w, hgt) => ctx.drawImage(bitmap.canvas, 0, 0, w, hgt);
     });
-    if (view.course && view.course.length > 1) this.element.append(course(view.course));
+    if (view.course && view.course.length > 1) this.element.append(convergenceFigure(view.course));
   }
 
   private picture(
@@ -162,7 +162,7 @@ export class Evidence {
 }
 
 /** Residual, and PSNR where the truth is known, over time. */
-export function course(points: CoursePoint[]): HTMLElement {
+export function convergenceFigure(points: HistoryPoint[]): HTMLElement {
   const chart = new Chart({
     label: "Course of the solver",
     x: "time (s)",
@@ -171,11 +171,11 @@ export function course(points: CoursePoint[]): HTMLElement {
     height: 220,
     log: true,
   });
-  drawCourse(chart, points);
+  drawConvergence(chart, points);
   return h("figure", { class: "wide" }, h("figcaption", {}, "Course of the solver; dashed: PSNR, where the truth is known"), chart.element);
 }
 
-export function drawCourse(chart: Chart, points: CoursePoint[]): void {
+export function drawConvergence(chart: Chart, points: HistoryPoint[]): void {
   const x = points.map((p) => p.seconds);
   const curves = [{ label: "residual/σ", colour: css("--accent"), x, y: points.map((p) => p.residual_over_sigma) }];
   const psnr = points.map((p) => p.psnr_db);

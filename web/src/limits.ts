@@ -12,7 +12,7 @@ export class Limits {
   private readonly canvas: HTMLCanvasElement;
   private readonly low: HTMLInputElement;
   private readonly high: HTMLInputElement;
-  private readonly words: HTMLElement;
+  private readonly status: HTMLElement;
   private isOwn = true;
 
   constructor(private readonly store: Store) {
@@ -32,7 +32,7 @@ export class Limits {
       });
     this.low = slider("low", "Darkest value that is seen");
     this.high = slider("high", "Value that is white");
-    this.words = h("span", { class: "muted", id: "limits" });
+    this.status = h("span", { class: "muted", id: "limits" });
     const maps: [MapName, string][] = [
       ["magma", "Magma"],
       ["viridis", "Viridis"],
@@ -59,7 +59,7 @@ export class Limits {
           },
           "Auto",
         ),
-        this.words,
+        this.status,
       ),
     );
     this.auto();
@@ -111,6 +111,6 @@ export class Limits {
     ctx.fillRect(0, height - 1, width, 1);
     this.low.value = String(Math.round(1000 * a));
     this.high.value = String(Math.round(1000 * b));
-    this.words.textContent = `${number(state.low, 3)} to ${number(state.high, 3)} counts`;
+    this.status.textContent = `${number(state.low, 3)} to ${number(state.high, 3)} counts`;
   }
 }

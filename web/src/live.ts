@@ -2,7 +2,7 @@
 
 import { Chart } from "./chart";
 import { announce, h } from "./dom";
-import { drawCourse } from "./evidence";
+import { drawConvergence } from "./evidence";
 import { number } from "./format";
 import { report } from "./source";
 import type { Store } from "./store";
@@ -12,14 +12,14 @@ const EVERY_MS = 300;
 
 export class Live {
   readonly element: HTMLElement;
-  private readonly words: HTMLElement;
+  private readonly status: HTMLElement;
   private readonly bar: HTMLProgressElement;
   private readonly stop: HTMLButtonElement;
   private readonly chart: Chart;
   private snapshot = 0;
 
   constructor(private readonly store: Store) {
-    this.words = h("p", { class: "progress-words", id: "live-words" }, "Setting up …");
+    this.status = h("p", { class: "progress-words", id: "live-words" }, "Setting up …");
     this.bar = h("progress", { "aria-label": "Iterations" });
     this.stop = h(
       "button",
@@ -27,7 +27,7 @@ export class Live {
       "Stop and keep the best so far",
     );
     this.chart = new Chart({ label: "Course of the solver", x: "time (s)", y: "residual/σ", right: "PSNR (dB)", height: 260, log: true });
-    this.element = h("div", { class: "live" }, this.words, this.bar, this.chart.element, this.stop);
+    this.element = h("div", { class: "live" }, this.status, this.bar, this.chart.element, this.stop);
     void this.poll();
   }
 
@@ -53,7 +53,7 @@ export class Live {
       }
     } catch (error) {
       this.stop.disabled = true;
-      this.words.textContent = "The reconstruction has ended.";
+      this.status.textContent = "The reconstruction has ended.";
       report(error);
     }
   }
@@ -62,13 +62,13 @@ export class Live {
     const last = state.course.at(-1);
     const stages = { running: "", stopping: "Stopping … ", writing: "Writing the result … ", done: "", failed: "" };
     const label = state.label ? `${state.label}: ` : "";
-    const words = last
+    const text = last
       ? `${stages[state.stage]}${label}iteration ${last[0]} of at most ${state.max_iterations}, ${number(last[1], 3)} s, residual/σ ${number(last[2], 3)}${last[3] == null ? "" : `, PSNR ${number(last[3], 3)} dB`}`
       : "Setting up …";
-    this.words.textContent = words;
+    this.status.textContent = text;
     if (state.stage !== "running") {
       this.stop.disabled = true;
-      announce(words);
+      announce(text);
     }
     if (last && state.max_iterations) {
       this.bar.max = state.max_iterations;
@@ -77,7 +77,7 @@ export class Live {
     const every = Math.ceil(state.course.length / 400);
     const points = state.course.filter((_, i) => i % every === 0 || i === state.course.length - 1);
     if (points.length > 1) {
-      drawCourse(
+      drawConvergence(
         this.chart,
         points.map(([iteration, seconds, residual_over_sigma, psnr_db]) => ({ iteration, seconds, residual_over_sigma, psnr_db })),
       );

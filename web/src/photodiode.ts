@@ -29,18 +29,18 @@ interface Fit {
 
 /** Microseconds in the unit of the time column. */
 const TIMES: Record<string, number> = { time_us: 1, time_ns: 1e-3, time_ms: 1e3, time_s: 1e6 };
-const MOST_BYTES = 64 << 20;
+const MAX_BYTES = 64 << 20;
 /** Values compared with the traces: more would take seconds. */
-const MOST_WORK = 3e7;
-const LEAST_OVERLAP = 0.5;
+const MAX_OPERATIONS = 3e7;
+const MIN_OVERLAP = 0.5;
 const STEPS_PER_BIN = 16;
 /** Correlations that are closer than this part of 1 − r are alike; the smallest shift is meant. */
-const ALIKE = 0.5;
-const [ALIKE_AT_LEAST, ALIKE_AT_MOST] = [0.002, 0.02];
+const TIE_FRACTION = 0.5;
+const [MIN_TIE, MAX_TIE] = [0.002, 0.02];
 
 /** Reads `time_us,value` (or time_s, time_ms, time_ns) with a line for each sample. */
 export async function readSignal(file: File): Promise<Signal> {
-  if (file.size > MOST_BYTES) throw new Error(`${file.name} has ${file.size >> 20} MB; the page reads up to ${MOST_BYTES >> 20} MB. Cut it to the time of the frame.`);
+  if (file.size > MAX_BYTES) throw new Error(`${file.name} has ${file.size >> 20} MB; the page reads up to ${MAX_BYTES >> 20} MB. Cut it to the time of the frame.`);
   const lines = (await file.text())
     .split(/\r?\n/)
     .map((text, i) => ({ text: text.trim(), number: i + 1 }))
@@ -103,7 +103,7 @@ function fitOf(signal: Float64Array, trace: Float64Array): Fit | null {
     x += signal[t];
     y += trace[t];
   }
-  if (n < 3 || n < LEAST_OVERLAP * trace.length) return null;
+  if (n < 3 || n < MIN_OVERLAP * trace.length) return null;
   [x, y] = [x / n, y / n];
   let [xx, yy, xy] = [0, 0, 0];
   for (let t = 0; t < signal.length; t++) {
@@ -124,10 +124,10 @@ export function align(signal: Signal, traces: Float64Array[], clock: Clock): Ali
   if (step == null || traces.length === 0) return null;
   const [first, last] = [signal.times_us[0], signal.times_us[signal.times_us.length - 1]];
   const length = step * bins;
-  const overlap = LEAST_OVERLAP * Math.min(length, last - first);
+  const overlap = MIN_OVERLAP * Math.min(length, last - first);
   const [low, high] = [overlap - last, length - overlap - first];
   const count = Math.max(0, Math.ceil(((high - low) * STEPS_PER_BIN) / step)) + 1;
-  if (count * bins > MOST_WORK) {
+  if (count * bins > MAX_OPERATIONS) {
     throw new Error(`${signal.name} is ${Math.round((last - first) / length)} times as long as the video; cut it to the time of the frame, or give it to rowburst reconstruct with --photodiode.`);
   }
   // Shift 0 is among them.
@@ -144,7 +144,7 @@ export function align(signal: Signal, traces: Float64Array[], clock: Clock): Ali
     for (let k = 0; k < all.length; k++) if (correlation(i, k) > best) [trace, best] = [i, correlation(i, k)];
   });
   if (best === -Infinity) return null;
-  const enough = best - Math.min(ALIKE_AT_MOST, Math.max(ALIKE_AT_LEAST, ALIKE * (1 - best)));
+  const enough = best - Math.min(MAX_TIE, Math.max(MIN_TIE, TIE_FRACTION * (1 - best)));
   // A maximum as good as the best, and nearest to no shift at all.
   let peak = -1;
   const shiftOf = (k: number) => start + k * fine;
@@ -172,10 +172,10 @@ function refined(value: (shift: number) => number, about: number, reach: number)
 }
 
 /** Most points of a curve; a screen shows no more. */
-const MOST_POINTS = 5000;
+const MAX_POINTS = 5000;
 
 /** The signal's points within the video, on its clock and in the units of the trace. */
-export function laidOver(signal: Signal, { shift_us, gain, offset }: Alignment, end_us: number): [number[], number[]] {
+export function alignedPoints(signal: Signal, { shift_us, gain, offset }: Alignment, end_us: number): [number[], number[]] {
   const [x, y]: [number[], number[]] = [[], []];
   for (let i = 0; i < signal.values.length; i++) {
     const time = signal.times_us[i] + shift_us;
@@ -183,7 +183,7 @@ export function laidOver(signal: Signal, { shift_us, gain, offset }: Alignment, 
     x.push(time);
     y.push(gain * signal.values[i] + offset);
   }
-  const every = Math.max(1, Math.ceil(x.length / MOST_POINTS));
+  const every = Math.max(1, Math.ceil(x.length / MAX_POINTS));
   const kept = (_: number, i: number) => i % every === 0;
   return [x.filter(kept), y.filter(kept)];
 }

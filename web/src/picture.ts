@@ -1,7 +1,7 @@
 // Numbers into pixels.
 
 import { MISSING, pack, srgb, table, timeHue, type MapName } from "./colour";
-import { breathe, type Volume } from "./volume";
+import { yieldToBrowser, type Volume } from "./volume";
 
 /** A picture of a video's own size, to be drawn at any other. */
 export class Bitmap {
@@ -97,7 +97,7 @@ export async function project(volume: Volume): Promise<Projection> {
       hue[3 * i + 1] += w * g;
       hue[3 * i + 2] += w * b;
     }
-    if (t % 16 === 15) await breathe();
+    if (t % 16 === 15) await yieldToBrowser();
   }
   for (let i = 0; i < pixels; i++) {
     const s = sum[i] || 1;

@@ -6,11 +6,11 @@ import { announce, download, h } from "./dom";
 import { mp4 } from "./movie";
 import type { PaneGrid } from "./pane-grid";
 import type { Store } from "./store";
-import { breathe } from "./volume";
+import { yieldToBrowser } from "./volume";
 
 export class Save {
   readonly element: HTMLElement;
-  private readonly words: HTMLElement;
+  private readonly status: HTMLElement;
   private readonly clips: HTMLButtonElement[];
 
   constructor(
@@ -23,7 +23,7 @@ export class Save {
       checked: store.state.stamp,
       change: () => store.set({ stamp: stamp.checked }, "look"),
     });
-    this.words = h("span", { class: "muted", role: "status", id: "save-words" });
+    this.status = h("span", { class: "muted", role: "status", id: "save-words" });
     const clip = (id: string, text: string, save: () => Promise<string>) =>
       h("button", { type: "button", id, click: () => void this.keep(save) }, text);
     this.clips =
@@ -36,7 +36,7 @@ export class Save {
       h("button", { type: "button", id: "save-png", click: () => void this.png() }, "PNG of the view"),
       ...this.clips,
       h("label", {}, stamp, " with the time"),
-      this.words,
+      this.status,
     );
   }
 
@@ -68,21 +68,21 @@ export class Save {
   /** Saves a clip, one at a time, and says how it went. */
   private async keep(save: () => Promise<string>): Promise<void> {
     if (!this.store.video.isWhole) {
-      this.words.textContent = "The video is still loading.";
+      this.status.textContent = "The video is still loading.";
       return;
     }
     for (const button of this.clips) button.disabled = true;
     try {
-      this.words.textContent = await save();
+      this.status.textContent = await save();
     } catch (error) {
-      this.words.textContent = `The clip could not be made: ${error instanceof Error ? error.message : String(error)}`;
+      this.status.textContent = `The clip could not be made: ${error instanceof Error ? error.message : String(error)}`;
     }
     for (const button of this.clips) button.disabled = false;
-    announce(this.words.textContent);
+    announce(this.status.textContent);
   }
 
   private progress(done: number): void {
-    this.words.textContent = `${done} of ${this.store.clock.bins}`;
+    this.status.textContent = `${done} of ${this.store.clock.bins}`;
   }
 
   async mp4(): Promise<string> {
@@ -103,7 +103,7 @@ export class Save {
       const first = t === 0 ? { palette: clip.palette, repeat: 0 } : {};
       encoder.writeFrame(clip.at(t), clip.width, clip.height, { delay, ...first });
       this.progress(t + 1);
-      await breathe();
+      await yieldToBrowser();
     }
     encoder.finish();
     download(`${store.meta.name}.gif`, new Blob([encoder.bytes()], { type: "image/gif" }));

@@ -3,7 +3,7 @@
 import { Chart, type Curve } from "./chart";
 import { download, h } from "./dom";
 import { hertz, number } from "./format";
-import { align, laidOver, readSignal, type Signal } from "./photodiode";
+import { align, alignedPoints, readSignal, type Signal } from "./photodiode";
 import { spectrum } from "./spectrum";
 import type { Region, Store } from "./store";
 import type { KnownTrace, Rect } from "./types";
@@ -137,7 +137,7 @@ export class Traces {
         if (!found) words = `${signal.name} fits no region: pick one that changes while the signal lasts.`;
         else {
           const { region } = regions[found.trace];
-          const [x, y] = laidOver(signal, found, clock.bins * (clock.step_us ?? 1));
+          const [x, y] = alignedPoints(signal, found, clock.bins * (clock.step_us ?? 1));
           if (this.shown.photodiode) curves.push({ label: signal.name, colour: `${region.colour}90`, x, y, width: 1 });
           words = `${signal.name}: correlation ${found.correlation.toFixed(3)} with ${wordsOf(region)}, shifted by ${number(found.shift_us, 3)} µs`;
         }

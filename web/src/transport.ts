@@ -57,7 +57,7 @@ export class Transport {
           String(state.speed),
           (value) => {
             store.state.speed = Number(value);
-            this.words();
+            this.showTime();
           },
           "speed",
         ),
@@ -65,7 +65,7 @@ export class Transport {
       ),
     );
     if (last === 0) this.element.hidden = true;
-    this.words();
+    this.showTime();
     store.on((what) => {
       if (what === "time") this.show();
       if (what === "data") this.loaded.value = store.video.count;
@@ -80,7 +80,7 @@ export class Transport {
     return h("button", { type: "button", class: "icon", id, title: label, "aria-label": name, click }, text);
   }
 
-  private words(): void {
+  private showTime(): void {
     const { clock, state } = this.store;
     if (clock.step_us == null) return;
     const times = 1e6 / clock.step_us / state.speed;
@@ -90,10 +90,10 @@ export class Transport {
   private show(): void {
     const { clock, state } = this.store;
     this.slider.value = String(state.t);
-    const words = `${clock.label(state.t)}`;
-    this.slider.setAttribute("aria-valuetext", words);
-    this.time.textContent = `${words} · ${state.t + 1} of ${clock.bins}`;
-    if (!state.playing) announce(words);
+    const text = `${clock.label(state.t)}`;
+    this.slider.setAttribute("aria-valuetext", text);
+    this.time.textContent = `${text} · ${state.t + 1} of ${clock.bins}`;
+    if (!state.playing) announce(text);
   }
 
   toggle(): void {

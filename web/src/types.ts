@@ -25,7 +25,7 @@ export interface KnownTrace {
   photodiodes: Photodiode[];
 }
 
-export interface CoursePoint {
+export interface HistoryPoint {
   iteration: number;
   seconds: number;
   residual_over_sigma: number;
@@ -39,7 +39,7 @@ export interface View {
   pixel_pitch_um?: number | null;
   row_bins?: [number, number][];
   traces?: KnownTrace[];
-  course?: CoursePoint[];
+  course?: HistoryPoint[];
   headline?: [string, string][];
   settings?: [string, [string, string][]][];
   fit?: { verdict: string; reason: string };

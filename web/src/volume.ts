@@ -116,8 +116,8 @@ export class Volume {
 
   /** White point: what the brightest voxels reach, but for a few that are alone. */
   whitePoint(): number {
-    const lit = this.count * this.pixels;
-    const n = this.numberAbove(Math.max(1, lit * 2e-5));
+    const total = this.count * this.pixels;
+    const n = this.numberAbove(Math.max(1, total * 2e-5));
     const zero = Math.max(0, Math.round(-this.low / this.step));
     return n > zero ? this.low + n * this.step : this.high;
   }
@@ -136,6 +136,6 @@ export class Volume {
 }
 
 /** Lets the page draw and answer between parts of long work. */
-export function breathe(): Promise<void> {
+export function yieldToBrowser(): Promise<void> {
   return new Promise((resolve) => setTimeout(resolve, 0));
 }

@@ -35,7 +35,7 @@ pub(crate) struct Probe {
 pub(crate) struct RecordingSurvey {
     pub probes: Vec<Probe>,
     /// The kind of numbers of the first good one.
-    pub numbers: String,
+    pub pixel_format: String,
     /// The good one with the most light.
     pub brightest: usize,
 }
@@ -50,15 +50,15 @@ impl RecordingSurvey {
         let rest = (0..count).filter(|frame| !picked.contains(frame));
         let mut probes = Vec::new();
         let mut best: Option<(usize, f64)> = None;
-        let mut numbers = None;
+        let mut pixel_format = None;
         let mut first: Option<(usize, Error)> = None;
         for frame in picked.iter().copied().chain(rest) {
             if probes.len() >= spread && best.is_some() {
                 break;
             }
-            let content = match good(inputs, frame) {
+            let content = match read_measurement(inputs, frame) {
                 Ok((capture, measurement)) => {
-                    numbers.get_or_insert_with(|| numbers_of(capture.level));
+                    pixel_format.get_or_insert_with(|| pixel_format_name(capture.level));
                     let light = norm(measurement.image().data());
                     if best.is_none_or(|(_, most)| light > most) {
                         best = Some((frame, light));
@@ -72,10 +72,10 @@ impl RecordingSurvey {
             };
             probes.push(Probe { frame, content });
         }
-        if let (Some(numbers), Some((brightest, _))) = (numbers, best) {
+        if let (Some(pixel_format), Some((brightest, _))) = (pixel_format, best) {
             return Ok(Self {
                 probes,
-                numbers,
+                pixel_format,
                 brightest,
             });
         }
@@ -110,8 +110,8 @@ pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
     begun.iter().all(same)
 }
 
-fn good(inputs: &BatchInputs, frame: usize) -> Result<(Capture, Measurement)> {
-    or_panic(|| {
+fn read_measurement(inputs: &BatchInputs, frame: usize) -> Result<(Capture, Measurement)> {
+    catch_panic(|| {
         let capture = inputs.frames.read(frame)?;
         let measurement = inputs.measurement(&capture)?;
         Ok((capture, measurement))
@@ -120,7 +120,7 @@ fn good(inputs: &BatchInputs, frame: usize) -> Result<(Capture, Measurement)> {
 
 /// What `work` returns, or its panic as an error: a frame that breaks the program is one frame
 /// lost.
-pub(crate) fn or_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+pub(crate) fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str);
         let text = text.or(panic.downcast_ref::<&str>().copied());
@@ -133,7 +133,7 @@ pub(crate) fn or_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
 }
 
 /// The kind of numbers in words.
-pub(crate) fn numbers_of(level: Level) -> String {
+pub(crate) fn pixel_format_name(level: Level) -> String {
     match level {
         Level::Counts { bits } if bits % 8 == 7 => format!("signed integers of {} bits", bits + 1),
         Level::Counts { bits } => format!("integers of {bits} bits"),
@@ -171,7 +171,7 @@ impl ChosenPrior {
         frame: usize,
         stop: &AtomicBool,
     ) -> Result<Option<Self>> {
-        let (_, measurement) = good(inputs, frame)?;
+        let (_, measurement) = read_measurement(inputs, frame)?;
         let problem = Problem::with_model(&inputs.model, &measurement, inputs.options)?;
         let chosen = problem.choose(&mut |_| match stop.load(Ordering::Relaxed) {
             true => ControlFlow::Break(StopReason::Interrupted),

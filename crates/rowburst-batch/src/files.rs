@@ -69,7 +69,7 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
     }
     let camera = experiment.camera()?;
     let budget = time_budget(files.time_budget_s)?;
-    leave_short_period(&mut experiment, &camera);
+    drop_short_period(&mut experiment, &camera);
     let options = Options {
         // A choice takes a run for each candidate: a budget has no time for it.
         prior: chosen_prior(files.prior, &experiment)?.or(budget.map(|_| Prior::STANDARD)),
@@ -107,7 +107,7 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
 }
 
 /// A frame period of the metadata that is shorter than the readout is none of this shutter's.
-fn leave_short_period(experiment: &mut Experiment, camera: &Camera) {
+fn drop_short_period(experiment: &mut Experiment, camera: &Camera) {
     let key = "frame_period_us";
     let from_metadata = &mut experiment.from_metadata;
     let Some(at) = from_metadata
@@ -130,7 +130,7 @@ fn leave_short_period(experiment: &mut Experiment, camera: &Camera) {
 }
 
 /// Names the file in an error of a dark, a flat or a mask.
-pub fn naming_correction(error: Error, frames: &Path, calibration: &Calibration) -> Error {
+pub fn name_correction_file(error: Error, frames: &Path, calibration: &Calibration) -> Error {
     match &error {
         Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => {
             naming_file(error, frames, calibration)

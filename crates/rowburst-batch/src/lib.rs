@@ -30,7 +30,7 @@ mod table;
 pub use allocation::ThreadAllocation;
 pub use choice::{CORRECTIONS, ChosenPrior};
 pub use clock::Clock;
-pub use files::{BatchFiles, LoadedBatch, load_batch, naming_correction};
+pub use files::{BatchFiles, LoadedBatch, load_batch, name_correction_file};
 pub use inputs::BatchInputs;
 pub use run::{Batch, Event, RetryPolicy};
 pub use table::{FrameRow, Status};

@@ -1,7 +1,9 @@
 //! The job itself.
 
 use crate::allocation::ThreadAllocation;
-use crate::choice::{ChosenPrior, RecordingSurvey, is_same_recording, numbers_of, or_panic};
+use crate::choice::{
+    ChosenPrior, RecordingSurvey, catch_panic, is_same_recording, pixel_format_name,
+};
 use crate::clock::Clock;
 use crate::identity::check_same;
 use crate::inputs::BatchInputs;
@@ -38,7 +40,7 @@ pub enum Event<'a> {
         frame: usize,
     },
     /// A frame is through, and on disk.
-    Through(&'a FrameRow),
+    FrameFinished(&'a FrameRow),
     /// A part of the stitched video is on disk.
     Stitched {
         /// Number of parts.
@@ -96,10 +98,10 @@ impl Batch {
             None => {
                 let RecordingSurvey {
                     probes,
-                    numbers,
+                    pixel_format,
                     brightest,
                 } = survey;
-                let job = JobFile::new(identity, probes, numbers, brightest);
+                let job = JobFile::new(identity, probes, pixel_format, brightest);
                 // Last: a job that has its file has all the others.
                 state.write_job(&scratch, &job)?;
                 job
@@ -138,7 +140,7 @@ impl Batch {
     ///
     /// # Errors
     /// A line that cannot be read.
-    pub fn left(&self, range: Range<usize>, retry: RetryPolicy) -> Result<Vec<usize>> {
+    pub fn pending(&self, range: Range<usize>, retry: RetryPolicy) -> Result<Vec<usize>> {
         let mut through = vec![false; self.inputs.frames.count()];
         for row in self.rows()? {
             through[row.frame] = row.status == Status::Done || retry == RetryPolicy::SkipFailed;
@@ -204,14 +206,14 @@ impl Batch {
             },
             tau_factor: prior.tau_factor,
         };
-        let live = self.inputs.budget.map(|budget| Live {
+        let budgeted = self.inputs.budget.map(|budget| BudgetedSequence {
             budget,
             sequence: Mutex::new(Sequence::new(
                 self.inputs.model.clone(),
                 frame_options.options,
             )),
         });
-        let allocation = match &live {
+        let allocation = match &budgeted {
             None => allocation,
             // One after another, in their order.
             Some(_) => ThreadAllocation {
@@ -219,7 +221,7 @@ impl Batch {
                 threads_per_frame: allocation.concurrent_frames * allocation.threads_per_frame,
             },
         };
-        let live = live.as_ref();
+        let budgeted = budgeted.as_ref();
         let next = AtomicUsize::new(0);
         let failure: Mutex<Option<Error>> = Mutex::new(None);
         let give_up = AtomicBool::new(false);
@@ -241,13 +243,13 @@ impl Batch {
                 };
                 // Threads of its own: a thread that waits must not begin another frame.
                 let Some((row, video)) =
-                    pool.install(|| self.make(frame, frame_options, live, &is_over))
+                    pool.install(|| self.make(frame, frame_options, budgeted, &is_over))
                 else {
                     break;
                 };
                 let stored = video.map_or(Ok(()), |video| self.archive.store(frame, &video));
                 match stored.and_then(|()| self.state.write_row(&self.scratch, &row)) {
-                    Ok(()) => observer(Event::Through(&row)),
+                    Ok(()) => observer(Event::FrameFinished(&row)),
                     Err(error) => fail(error),
                 }
             }
@@ -266,11 +268,11 @@ impl Batch {
         &self,
         frame: usize,
         frame_options: FrameOptions,
-        live: Option<&Live>,
+        budgeted: Option<&BudgetedSequence>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Option<(FrameRow, Option<Video>)> {
         let started = Instant::now();
-        let made = or_panic(|| self.reconstruct(frame, frame_options, live, is_over));
+        let made = catch_panic(|| self.reconstruct(frame, frame_options, budgeted, is_over));
         let name = self.inputs.frames.name(frame);
         let seconds = started.elapsed().as_secs_f64();
         match made {
@@ -291,22 +293,22 @@ impl Batch {
         &self,
         frame: usize,
         frame_options: FrameOptions,
-        live: Option<&Live>,
+        budgeted: Option<&BudgetedSequence>,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Result<(Measurement, Reconstruction)> {
         let capture = self.inputs.frames.read(frame)?;
-        let numbers = numbers_of(capture.level);
-        if numbers != self.job.numbers {
+        let pixel_format = pixel_format_name(capture.level);
+        if pixel_format != self.job.pixel_format {
             return Err(Error::input(
                 self.inputs.frames.name(frame),
-                numbers,
-                format!("the frames of this recording are {}", self.job.numbers),
+                pixel_format,
+                format!("the frames of this recording are {}", self.job.pixel_format),
                 "Save all frames with the same settings.",
             ));
         }
         let measurement = self.inputs.measurement(&capture)?;
-        if let Some(live) = live {
-            let found = live.next(&measurement, is_over)?;
+        if let Some(budgeted) = budgeted {
+            let found = budgeted.next(&measurement, is_over)?;
             return Ok((measurement, found));
         }
         let problem = Problem::with_model(&self.inputs.model, &measurement, frame_options.options)?;
@@ -344,12 +346,12 @@ pub enum RetryPolicy {
 }
 
 /// Frames in a time budget, each from the end of the last one.
-struct Live {
+struct BudgetedSequence {
     budget: Duration,
     sequence: Mutex<Sequence>,
 }
 
-impl Live {
+impl BudgetedSequence {
     fn next(
         &self,
         measurement: &Measurement,

@@ -21,7 +21,8 @@ pub(crate) struct JobFile {
     pub identity: BTreeMap<String, String>,
     pub probes: Vec<Probe>,
     /// The kind of numbers that all frames have.
-    pub numbers: String,
+    #[serde(rename = "numbers")]
+    pub pixel_format: String,
     /// The frame that a prior is chosen on.
     pub brightest: usize,
 }
@@ -30,14 +31,14 @@ impl JobFile {
     pub fn new(
         identity: BTreeMap<String, String>,
         probes: Vec<Probe>,
-        numbers: String,
+        pixel_format: String,
         brightest: usize,
     ) -> Self {
         Self {
             format: FORMAT,
             identity,
             probes,
-            numbers,
+            pixel_format,
             brightest,
         }
     }

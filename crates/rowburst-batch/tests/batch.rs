@@ -101,22 +101,22 @@ fn each_frame_is_as_if_alone() {
         let folder = tempfile::tempdir().unwrap();
         let batch = Batch::open(inputs(&camera, prior), &folder.path().join("o.zarr")).unwrap();
         let stop = AtomicBool::new(false);
-        let left = batch.left(0..4, RetryPolicy::SkipFailed).unwrap();
-        assert_eq!(left, [0, 1, 2, 3]);
+        let pending = batch.pending(0..4, RetryPolicy::SkipFailed).unwrap();
+        assert_eq!(pending, [0, 1, 2, 3]);
         let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
         let allocation = ThreadAllocation::new(2, 4, &batch.inputs().model, None);
         let seen = Mutex::new(Vec::new());
         let observer = |event: Event| {
-            if let Event::Through(row) = event {
+            if let Event::FrameFinished(row) = event {
                 seen.lock().unwrap().push(row.frame);
             }
         };
         batch
-            .run(&left, &chosen, allocation, &stop, &observer)
+            .run(&pending, &chosen, allocation, &stop, &observer)
             .unwrap();
         let mut seen = seen.into_inner().unwrap();
         seen.sort_unstable();
-        assert_eq!(seen, left);
+        assert_eq!(seen, pending);
         let rows = batch.rows().unwrap();
         for row in &rows {
             let video = batch.video(row.frame).unwrap();
@@ -153,12 +153,15 @@ fn what_was_stopped_is_left() {
         .run(&[3, 1, 0], &chosen, allocation, &stop, &after_one)
         .unwrap();
     assert_eq!(
-        batch.left(0..4, RetryPolicy::SkipFailed).unwrap(),
+        batch.pending(0..4, RetryPolicy::SkipFailed).unwrap(),
         [0, 1, 2]
     );
     drop(batch);
     let batch = Batch::open(inputs(&camera, "tv"), &out).unwrap();
-    assert_eq!(batch.left(0..2, RetryPolicy::SkipFailed).unwrap(), [0, 1]);
+    assert_eq!(
+        batch.pending(0..2, RetryPolicy::SkipFailed).unwrap(),
+        [0, 1]
+    );
     let error = batch.stitch(&stop, &|_| ()).unwrap_err().to_string();
     assert!(error.contains("no frame period"), "{error}");
 }

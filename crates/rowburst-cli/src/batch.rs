@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
-    load_batch, naming_correction,
+    load_batch, name_correction_file,
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{prior_of, tau_of};
@@ -149,7 +149,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRo
     let began = Instant::now();
     let (inputs, calibration, from_metadata) = load_input(args)?;
     let batch = Batch::open(inputs, &args.output)
-        .map_err(|e| naming_correction(e, &args.frames, &calibration))?;
+        .map_err(|e| name_correction_file(e, &args.frames, &calibration))?;
     let frames = &batch.inputs().frames;
     let range = range_of(args.frames_range.as_deref(), frames.count())?;
     if args.stitch {
@@ -166,8 +166,8 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRo
         true => RetryPolicy::RetryFailed,
         false => RetryPolicy::SkipFailed,
     };
-    let left = batch.left(range.clone(), retry)?;
-    let bar = bar(left.len(), range.len());
+    let pending = batch.pending(range.clone(), retry)?;
+    let bar = bar(pending.len(), range.len());
     let prior = batch.prior(stop, &|event| show(&bar, &batch, event))?;
     let Some(prior) = prior else {
         bar.finish_and_clear();
@@ -179,11 +179,11 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRo
         .at_once
         .map(usize::from)
         .or(args.time_budget_s.map(|_| 1));
-    let allocation = ThreadAllocation::new(threads, left.len(), &batch.inputs().model, most);
+    let allocation = ThreadAllocation::new(threads, pending.len(), &batch.inputs().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
     let started = Instant::now();
     bar.reset_eta();
-    let ran = batch.run(&left, &prior, allocation, stop, &|event| {
+    let ran = batch.run(&pending, &prior, allocation, stop, &|event| {
         show(&bar, &batch, event);
     });
     let seconds = started.elapsed().as_secs_f64();
@@ -207,7 +207,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRo
     };
 
     let of = |status| rows.iter().filter(move |row| row.status == status);
-    let ours = rows.iter().filter(|row| left.contains(&row.frame));
+    let ours = rows.iter().filter(|row| pending.contains(&row.frame));
     let failed_ours = ours.clone().filter(|row| row.status == Status::Failed);
     let summary = BatchSummary {
         version: env!("CARGO_PKG_VERSION"),
@@ -231,7 +231,7 @@ fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRo
         threads_per_frame: allocation.threads_per_frame,
         setup_seconds,
         seconds,
-        frames_per_second: (!left.is_empty()).then(|| left.len() as f64 / seconds),
+        frames_per_second: (!pending.is_empty()).then(|| pending.len() as f64 / seconds),
         peak_memory_bytes: peak_memory_bytes(),
         warnings: warnings(&rows, [from_metadata.warnings, missing_words].concat()),
     };
@@ -309,7 +309,7 @@ fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
                 false => bar.set_message(words),
             }
         }
-        Event::Through(row) => {
+        Event::FrameFinished(row) => {
             bar.inc(1);
             match (row.status, row.residual_over_sigma) {
                 (Status::Done, Some(level)) => {

@@ -180,7 +180,7 @@ fn one(
         Some(bins) => {
             let part = camera.subset(chunked::bins_of(bins)?)?;
             let rows: Vec<usize> = part.sensor_rows().collect();
-            let measurement = measurement.rows(&rows);
+            let measurement = measurement.select_rows(&rows);
             (part, measurement)
         }
     };

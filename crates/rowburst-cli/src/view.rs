@@ -7,7 +7,7 @@ use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Result};
 use rowburst_run::IterationMetrics;
 use rowburst_view::{
-    HOW_TO_GET_THE_PAGE, Live, LiveStart, Point, ResultFiles, RunStatus, Server, bundle,
+    Live, LiveStart, MISSING_PAGE_HELP, ProgressPoint, ResultFiles, RunStatus, Server, bundle,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ fn check_page() -> Result<()> {
         None => Err(Error::work(
             "the viewer",
             "it has no page",
-            HOW_TO_GET_THE_PAGE,
+            MISSING_PAGE_HELP,
         )),
     }
 }
@@ -93,7 +93,7 @@ pub fn open_live_page(
 impl LivePage {
     /// Shows an iteration.
     pub fn show(&mut self, progress: &Progress, metrics: &IterationMetrics) {
-        let point = Point {
+        let point = ProgressPoint {
             iteration: progress.iteration,
             max_iterations: progress.max_iterations,
             seconds: metrics.seconds,
@@ -101,7 +101,7 @@ impl LivePage {
             psnr_db: metrics.psnr_db,
         };
         self.live.point(progress.label, point);
-        if self.live.is_wanted() && self.last.elapsed() > BETWEEN_PICTURES {
+        if self.live.is_video_requested() && self.last.elapsed() > BETWEEN_PICTURES {
             self.live.show(progress.video);
             self.last = Instant::now();
         }

@@ -361,7 +361,7 @@ fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Option<Shutt
         let path = camera.required("row_order", row_order)?;
         return Ok(Some(Shutter::Custom(read_row_order(path)?)));
     }
-    let shutter = Shutter::named(name).ok_or_else(|| {
+    let shutter = Shutter::from_name(name).ok_or_else(|| {
         camera.error(
             "shutter",
             format!("\"{name}\""),
@@ -384,7 +384,7 @@ fn read_bayer(camera: &Table) -> Result<Option<Bayer>> {
     let Some(name) = camera.text("bayer")? else {
         return Ok(None);
     };
-    let mosaic = Bayer::named(name).ok_or_else(|| {
+    let mosaic = Bayer::from_name(name).ok_or_else(|| {
         camera.error(
             "bayer",
             format!("\"{name}\""),

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use rowburst::Result;
 use rowburst_batch::{
     Batch, BatchFiles, Event, FrameRow, RetryPolicy, Status, ThreadAllocation, load_batch,
-    naming_correction,
+    name_correction_file,
 };
 use rowburst_io::Calibration;
 use std::path::PathBuf;
@@ -85,7 +85,7 @@ impl PyBatch {
         let open = || -> Result<Batch> {
             let loaded = load_batch(&files)?;
             Batch::open(loaded.inputs, &out)
-                .map_err(|e| naming_correction(e, &frames, &loaded.calibration))
+                .map_err(|e| name_correction_file(e, &frames, &loaded.calibration))
         };
         let batch = py.detach(open).map_err(to_py_err)?;
         Ok(Self { batch })
@@ -111,7 +111,7 @@ impl PyBatch {
             false => RetryPolicy::SkipFailed,
         };
         let end = end.min(self.count());
-        py.detach(|| self.batch.left(first..end, retry))
+        py.detach(|| self.batch.pending(first..end, retry))
             .map_err(to_py_err)
     }
 
@@ -146,7 +146,7 @@ impl PyBatch {
             let allocation =
                 ThreadAllocation::new(threads, frames.len(), &self.batch.inputs().model, None);
             self.batch.run(&frames, &prior, allocation, stop, &|event| {
-                if let Event::Through(row) = event
+                if let Event::FrameFinished(row) = event
                     && let Ok(mut lines) = lines.lock()
                 {
                     lines.push(line(row));

@@ -212,7 +212,7 @@ impl PyCamera {
 }
 
 fn shutter_of(name: &str, row_order: Option<Vec<usize>>) -> rowburst::Result<Shutter> {
-    match (name, row_order, Shutter::named(name)) {
+    match (name, row_order, Shutter::from_name(name)) {
         ("custom", Some(order), _) => Ok(Shutter::Custom(order)),
         ("custom", None, _) => Err(Error::input(
             "row_order",

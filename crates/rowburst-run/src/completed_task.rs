@@ -111,8 +111,8 @@ impl CompletedTask {
         let before = std::mem::replace(&mut self.reconstruction.video, debiased.video);
         let truth = self.task.truth.as_ref();
         self.debias = Some(DebiasNumbers {
-            light_ratio: debiased.light,
-            bright_light_ratio: debiased.bright_light,
+            light_ratio: debiased.light_ratio,
+            bright_light_ratio: debiased.bright_light_ratio,
             untouched_bins: debiased.untouched_bins,
             psnr_db_before: truth.map(|t| psnr_db(before.data(), t.data())),
             ssim_before: truth.map(|t| ssim(&before, t)),

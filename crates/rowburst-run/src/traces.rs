@@ -6,7 +6,7 @@ use crate::summary::short;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::Reconstruction;
 use rowburst::traces::{
-    Alignment, Evidence, Frequency, Photodiode, Refit, Region, Trace, brightest_regions,
+    Alignment, Frequency, Photodiode, Refit, RefitInput, Region, Trace, brightest_regions,
     frequency_of,
 };
 use rowburst::{Camera, Error, PatchSet, Result, RollingShutter, Shape, TimeGrid, Video};
@@ -58,7 +58,7 @@ fn region(text: &str, shape: Shape) -> Result<Region> {
     );
     match parts.as_deref() {
         Some(&[y, x]) if y < shape.rows && x < shape.columns => {
-            Ok(Region::about(y, x, SIDE, shape))
+            Ok(Region::centred_at(y, x, SIDE, shape))
         }
         Some(&[_, _]) => Err(wrong(format!("the pixel lies in the field: {field}"))),
         Some(&[y, x, rows, columns]) => {
@@ -197,7 +197,7 @@ pub fn find(
         }
     }
     let operator = RollingShutter::new(camera, psfs);
-    let refit = Refit::new(Evidence {
+    let refit = Refit::new(RefitInput {
         operator: &operator,
         measured: measurement.image().data(),
         weights: reconstruction.weights.as_deref(),

@@ -108,7 +108,7 @@ impl Array {
             let (low, high) = range_of(self.bin(t)?.data());
             range = (range.0.min(low), range.1.max(high));
         }
-        Ok(widened(range))
+        Ok(including_zero(range))
     }
 }
 
@@ -121,7 +121,7 @@ fn range_of(values: &[f32]) -> (f32, f32) {
 }
 
 /// A range of which 0 is a part, so that dark is dark, and that is not empty.
-fn widened((low, high): (f32, f32)) -> (f32, f32) {
+fn including_zero((low, high): (f32, f32)) -> (f32, f32) {
     let (low, high) = (low.min(0.0), high.max(0.0));
     if low < high { (low, high) } else { (0.0, 1.0) }
 }
@@ -141,7 +141,7 @@ fn push16(values: &[f32], (low, high): (f32, f32), bytes: &mut Vec<u8>) {
 impl QuantisedBins {
     /// A whole video, such as that of a running reconstruction.
     pub fn of(values: &[f32]) -> Self {
-        let range = widened(range_of(values));
+        let range = including_zero(range_of(values));
         let mut bytes = Vec::with_capacity(2 * values.len());
         push16(values, range, &mut bytes);
         Self { bytes, range }
@@ -151,7 +151,7 @@ impl QuantisedBins {
 /// A video as 8-bit numbers with its scale, `value = low + number·(high − low)/254`; 255 is no
 /// value: for a page that has to be one small file.
 pub fn quantise8(video: &Video) -> (Vec<u8>, (f32, f32)) {
-    let (low, high) = widened(range_of(video.data()));
+    let (low, high) = including_zero(range_of(video.data()));
     let scale = 254.0 / (high - low);
     let number = |&v: &f32| match v.is_finite() {
         true => ((v - low) * scale).clamp(0.0, 254.0).round() as u8,
@@ -162,7 +162,7 @@ pub fn quantise8(video: &Video) -> (Vec<u8>, (f32, f32)) {
 
 /// The range that [`Array::open`] takes for a video that is in memory.
 pub fn range_of_video(video: &Video) -> (f32, f32) {
-    widened(range_of(video.data()))
+    including_zero(range_of(video.data()))
 }
 
 #[cfg(test)]

@@ -25,9 +25,9 @@ mod server;
 
 pub use array::{Array, QuantisedBins, quantise8, range_of_video};
 #[cfg(feature = "server")]
-pub use live::{Live, LiveStart, Point, RunStatus};
+pub use live::{Live, LiveStart, ProgressPoint, RunStatus};
 pub use offline::Offline;
-pub use page::{Bundle, HOW_TO_GET_THE_PAGE, bundle};
+pub use page::{Bundle, MISSING_PAGE_HELP, bundle};
 #[cfg(feature = "server")]
 pub use result_files::ResultFiles;
 #[cfg(feature = "server")]

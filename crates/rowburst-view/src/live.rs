@@ -24,7 +24,7 @@ pub struct LiveStart {
 
 /// A point of the course.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub struct ProgressPoint {
     /// Of this run.
     pub iteration: usize,
     /// Most that this run may take.
@@ -54,15 +54,15 @@ pub enum RunStatus {
 pub struct Live {
     start: LiveStart,
     stop: Arc<AtomicBool>,
-    wanted: AtomicBool,
+    video_requested: AtomicBool,
     state: Mutex<LiveState>,
 }
 
 struct LiveState {
     status: RunStatus,
     label: String,
-    course: Vec<Point>,
-    latest: Option<Point>,
+    history: Vec<ProgressPoint>,
+    latest: Option<ProgressPoint>,
     snapshot: usize,
     /// 16-bit numbers and their range, shared with the answers that are under way.
     video: Option<(Bytes, (f32, f32))>,
@@ -75,11 +75,11 @@ impl Live {
         Self {
             start,
             stop,
-            wanted: AtomicBool::new(false),
+            video_requested: AtomicBool::new(false),
             state: Mutex::new(LiveState {
                 status: RunStatus::Running,
                 label: String::new(),
-                course: Vec::new(),
+                history: Vec::new(),
                 latest: None,
                 snapshot: 0,
                 video: None,
@@ -89,20 +89,20 @@ impl Live {
     }
 
     /// Adds a point of the course, to be called in every iteration; iteration 1 begins a new one.
-    pub fn point(&self, label: &str, point: Point) {
+    pub fn point(&self, label: &str, point: ProgressPoint) {
         let mut state = self.lock_state();
         if point.iteration == 1 {
-            state.course.clear();
+            state.history.clear();
         }
         state.label.clear();
         state.label.push_str(label);
         state.latest = Some(point);
-        state.course.push(point);
+        state.history.push(point);
     }
 
     /// Whether a page waits for a video.
-    pub fn is_wanted(&self) -> bool {
-        self.wanted.load(Ordering::Relaxed)
+    pub fn is_video_requested(&self) -> bool {
+        self.video_requested.load(Ordering::Relaxed)
     }
 
     /// Shows `video`, `[t, y, x]`.
@@ -113,7 +113,7 @@ impl Live {
         let voxels: usize = self.start.shape.iter().product();
         assert_eq!(video.len(), voxels, "the shape that was announced");
         let QuantisedBins { bytes, range } = QuantisedBins::of(video);
-        self.wanted.store(false, Ordering::Relaxed);
+        self.video_requested.store(false, Ordering::Relaxed);
         let mut state = self.lock_state();
         state.video = Some((bytes.into(), range));
         state.snapshot += 1;
@@ -143,7 +143,7 @@ impl Live {
 
     /// Everything but the video; a page that asks waits for a video, too.
     pub(crate) fn state(&self) -> Value {
-        self.wanted.store(true, Ordering::Relaxed);
+        self.video_requested.store(true, Ordering::Relaxed);
         let state = self.lock_state();
         let stopping = self.stop.load(Ordering::Relaxed);
         let status = match state.status {
@@ -153,15 +153,15 @@ impl Live {
             RunStatus::Done => "done",
             RunStatus::Failed => "failed",
         };
-        let course = state.course.iter();
-        let course = course.map(|p| (p.iteration, p.seconds, p.residual_over_sigma, p.psnr_db));
+        let history = state.history.iter();
+        let history = history.map(|p| (p.iteration, p.seconds, p.residual_over_sigma, p.psnr_db));
         json!({
             "stage": status,
             "label": state.label,
             "iteration": state.latest.map(|p| p.iteration),
             "max_iterations": state.latest.map(|p| p.max_iterations),
             "seconds": state.latest.map(|p| p.seconds),
-            "course": course.collect::<Vec<_>>(),
+            "course": history.collect::<Vec<_>>(),
             "snapshot": state.snapshot,
             "error": state.error,
         })

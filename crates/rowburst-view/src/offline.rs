@@ -13,11 +13,11 @@ use serde_json::{Map, Value, json};
 use std::io::Write;
 
 /// Most bytes of the text: a file of this size can still be sent by mail. The LED demo takes 0.2 MB.
-const MOST_BYTES: usize = 12_000_000;
+const MAX_BYTES: usize = 12_000_000;
 /// Most voxels: the browser unpacks them all, and the packing takes a second for 60 million.
-const MOST_VOXELS: usize = 80_000_000;
+const MAX_VOXELS: usize = 80_000_000;
 /// Pictures of more pixels are left out; the report has them as figures.
-const MOST_PIXELS: usize = 1 << 20;
+const MAX_PIXELS: usize = 1 << 20;
 
 /// What goes into the page.
 pub struct Offline<'a> {
@@ -38,7 +38,7 @@ impl Offline<'_> {
     /// If there is no video.
     pub fn json(&self) -> Option<String> {
         let shape = self.videos[0].1.shape();
-        if shape.voxels() * self.videos.len() > MOST_VOXELS {
+        if shape.voxels() * self.videos.len() > MAX_VOXELS {
             return None;
         }
         let (mut videos, mut ranges) = (Map::new(), Map::new());
@@ -49,7 +49,7 @@ impl Offline<'_> {
             ranges.insert(name.to_string(), json!(range));
         }
         for (name, image) in self.pictures {
-            if image.data().len() > MOST_PIXELS {
+            if image.data().len() > MAX_PIXELS {
                 continue;
             }
             let bytes: Vec<u8> = image.data().iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -71,7 +71,7 @@ impl Offline<'_> {
             "pictures": pictures,
         })
         .to_string();
-        (text.len() <= MOST_BYTES).then_some(text)
+        (text.len() <= MAX_BYTES).then_some(text)
     }
 }
 
@@ -119,7 +119,7 @@ mod tests {
     fn what_is_too_large_is_left_out() {
         let video = Video::zeros(Shape::new(1, 1, 1));
         let frame = Image::new(1025, 1024, vec![0.0; 1025 * 1024]).unwrap();
-        let view = Value::String("x".repeat(MOST_BYTES));
+        let view = Value::String("x".repeat(MAX_BYTES));
         let mut offline = Offline {
             name: "a",
             view: &Value::Null,

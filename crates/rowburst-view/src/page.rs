@@ -17,7 +17,7 @@ pub struct Bundle {
 }
 
 /// What to do where there is no page.
-pub const HOW_TO_GET_THE_PAGE: &str = "This program was built without the viewer's page. \
+pub const MISSING_PAGE_HELP: &str = "This program was built without the viewer's page. \
     Install Node.js 18 or later with npm, run scripts/page in the source folder, then build again \
     with cargo build --release.";
 
@@ -44,8 +44,8 @@ pub(crate) fn file(name: &str) -> Option<(&'static str, Vec<u8>)> {
 
 #[cfg(feature = "server")]
 /// In the place of a page that was not built.
-pub(crate) fn without() -> String {
+pub(crate) fn missing_page() -> String {
     format!(
-        "<!doctype html><html lang=en><meta charset=utf-8><title>Rowburst</title><h1>No page</h1><p>{HOW_TO_GET_THE_PAGE}</p>"
+        "<!doctype html><html lang=en><meta charset=utf-8><title>Rowburst</title><h1>No page</h1><p>{MISSING_PAGE_HELP}</p>"
     )
 }

@@ -35,7 +35,7 @@ pub const IMAGES: [(&str, &str); 4] = [
 pub const TRUTHS: [&str; 2] = ["view-truth.npy", "truth.npy"];
 
 /// A description of more than this is none.
-const MOST_TEXT: u64 = 64 << 20;
+const MAX_JSON_BYTES: u64 = 64 << 20;
 
 /// A result, ready to be served.
 pub struct ResultFiles {
@@ -43,7 +43,7 @@ pub struct ResultFiles {
     path: PathBuf,
     is_folder: bool,
     /// What tells this result from one that is written in its place.
-    identity: Identity,
+    stamp: FileStamp,
     meta: Value,
     /// By name; `video` is always there.
     arrays: Vec<(&'static str, Array)>,
@@ -52,9 +52,9 @@ pub struct ResultFiles {
 
 /// Time and size of the file that is written last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Identity(Option<(SystemTime, u64)>);
+struct FileStamp(Option<(SystemTime, u64)>);
 
-impl Identity {
+impl FileStamp {
     fn of(path: &Path) -> Self {
         let metadata = fs::metadata(path).ok();
         Self(metadata.and_then(|m| Some((m.modified().ok()?, m.len()))))
@@ -82,10 +82,10 @@ impl ResultFiles {
     fn folder(path: &Path) -> Result<Self> {
         let there = |name: &str| path.join(name).is_file();
         if !there("result.json") {
-            return Err(not_whole(path));
+            return Err(incomplete_result(path));
         }
         // Before anything is read: what is written meanwhile is another result.
-        let identity = Identity::of(&path.join("result.json"));
+        let stamp = FileStamp::of(&path.join("result.json"));
         let result = read_json(&path.join("result.json"))?;
         let view = match there("view.json") {
             true => read_json(&path.join("view.json"))?,
@@ -124,24 +124,24 @@ impl ResultFiles {
             "view": view,
             "result": result,
         });
-        Ok(Self::new(path, true, identity, meta, arrays, images))
+        Ok(Self::new(path, true, stamp, meta, arrays, images))
     }
 
     fn video(path: &Path) -> Result<Self> {
-        let identity = Identity::of(path);
+        let stamp = FileStamp::of(path);
         let video = Array::open(path, None)?;
         let meta = json!({
             "name": name_of(path), "images": {}, "files": [],
             "bin_duration_us": null, "view": null, "result": null,
         });
         let arrays = vec![("video", video)];
-        Ok(Self::new(path, false, identity, meta, arrays, Vec::new()))
+        Ok(Self::new(path, false, stamp, meta, arrays, Vec::new()))
     }
 
     fn new(
         path: &Path,
         is_folder: bool,
-        identity: Identity,
+        stamp: FileStamp,
         mut meta: Value,
         arrays: Vec<(&'static str, Array)>,
         images: Vec<(&'static str, PathBuf)>,
@@ -154,7 +154,7 @@ impl ResultFiles {
         Self {
             path: path.to_path_buf(),
             is_folder,
-            identity,
+            stamp,
             meta,
             arrays,
             images,
@@ -177,7 +177,7 @@ impl ResultFiles {
             true => &self.path.join("result.json"),
             false => &self.path,
         };
-        self.identity.0.is_some() && self.identity == Identity::of(last)
+        self.stamp.0.is_some() && self.stamp == FileStamp::of(last)
     }
 
     /// The video `name`.
@@ -219,7 +219,7 @@ fn read_json(path: &Path) -> Result<Value> {
         )
     };
     let bytes = fs::metadata(path).map_err(|e| bad(e.to_string()))?.len();
-    if bytes > MOST_TEXT {
+    if bytes > MAX_JSON_BYTES {
         return Err(bad(format!("a file of {bytes} bytes")));
     }
     let text = fs::read(path).map_err(|e| bad(e.to_string()))?;
@@ -227,7 +227,7 @@ fn read_json(path: &Path) -> Result<Value> {
 }
 
 /// A folder without `result.json`, which is written last.
-fn not_whole(path: &Path) -> Error {
+fn incomplete_result(path: &Path) -> Error {
     let begun = ["video.npy", "view.json", "report.html", "video.tif"];
     let begun = begun.iter().find(|name| path.join(name).is_file());
     let (found, remedy) = match begun {

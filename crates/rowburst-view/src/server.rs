@@ -21,7 +21,7 @@ use tokio::sync::Semaphore;
 const FIRST_PORT: u16 = 8787;
 const PORTS: u16 = 20;
 /// Most bytes of one answer: a page asks for a few bins at a time.
-const MOST_BYTES: usize = 64 << 20;
+const MAX_BYTES: usize = 64 << 20;
 /// Answers that are being made at once; each holds its bins in memory.
 const MAX_CONCURRENT_ANSWERS: usize = 4;
 
@@ -125,7 +125,7 @@ impl ServerState {
 fn routes(shared: Arc<ServerState>) -> Router {
     Router::new()
         .route("/", get(index))
-        .route("/{file}", get(of_page))
+        .route("/{file}", get(page_asset))
         .route("/api/view", get(view))
         .route("/api/result/{at}/bins/{name}", get(bins))
         .route("/api/result/{at}/image/{name}", get(image))
@@ -141,7 +141,7 @@ const RANGE: HeaderName = HeaderName::from_static("x-range");
 const SHAPE: HeaderName = HeaderName::from_static("x-shape");
 
 /// Where a result was written anew, its parts would not fit those that a page has.
-fn written_again(result: &ResultFiles) -> Response {
+fn result_changed(result: &ResultFiles) -> Response {
     let words = format!(
         "{} was written again, or is being written: reload the page when it is whole.\n",
         result.meta()["name"].as_str().unwrap_or("The result")
@@ -168,11 +168,11 @@ fn binary(
 async fn index() -> Response {
     match page::file("index.html") {
         Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
-        None => (StatusCode::NOT_FOUND, Html(page::without())).into_response(),
+        None => (StatusCode::NOT_FOUND, Html(page::missing_page())).into_response(),
     }
 }
 
-async fn of_page(Path(name): Path<String>) -> Response {
+async fn page_asset(Path(name): Path<String>) -> Response {
     match page::file(&name) {
         Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
         None => not_found(),
@@ -209,10 +209,10 @@ async fn bins(
         return not_found();
     };
     if !result.is_current() {
-        return written_again(result);
+        return result_changed(result);
     }
     let count = array.shape()[0];
-    let max_bins = MOST_BYTES / array.bytes_per_bin().max(1);
+    let max_bins = MAX_BYTES / array.bytes_per_bin().max(1);
     if from >= to || to > count || to - from > max_bins.max(1) {
         let words = format!(
             "bins {from} to {to}: there are {count}, and up to {} are sent at once\n",
@@ -227,7 +227,7 @@ async fn bins(
         let found = array.bins(from, to);
         // It may have been replaced while it was read.
         if !results[at].is_current() {
-            return Ok(written_again(&results[at]));
+            return Ok(result_changed(&results[at]));
         }
         let found = found?;
         let (low, high) = found.range;
@@ -250,7 +250,7 @@ async fn image(
     work(&shared, move || {
         let image = rowburst_io::read_image(&path);
         if !results[at].is_current() {
-            return Ok(written_again(&results[at]));
+            return Ok(result_changed(&results[at]));
         }
         let image = image?.image;
         let bytes: Vec<u8> = image.data().iter().flat_map(|v| v.to_le_bytes()).collect();

@@ -2,7 +2,7 @@
 
 use rowburst::{Shape, Video};
 use rowburst_io::{OutputFolder, write_npy_video};
-use rowburst_view::{Live, LiveStart, Point, ResultFiles, RunStatus, Server};
+use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -200,12 +200,12 @@ fn a_running_reconstruction_is_watched_and_stopped() {
         (&view["live"], &view["results"][0]["shape"][2]),
         (&true.into(), &4.into())
     );
-    assert!(!live.is_wanted());
+    assert!(!live.is_video_requested());
     let state =
         || -> serde_json::Value { serde_json::from_slice(&get(&server, "/api/live").1).unwrap() };
     assert_eq!(state()["snapshot"], 0);
-    assert!(live.is_wanted());
-    let point = Point {
+    assert!(live.is_video_requested());
+    let point = ProgressPoint {
         iteration: 1,
         max_iterations: 300,
         seconds: 0.5,
@@ -214,7 +214,7 @@ fn a_running_reconstruction_is_watched_and_stopped() {
     };
     live.point("group", point);
     live.show(&[2.0; 24]);
-    assert!(!live.is_wanted());
+    assert!(!live.is_video_requested());
     let now = state();
     assert_eq!(
         (&now["stage"], &now["snapshot"], &now["label"]),

@@ -65,7 +65,7 @@ impl Bayer {
     pub const NAMES: [&'static str; 4] = ["rggb", "bggr", "grbg", "gbrg"];
 
     /// The mosaic of a name, in small or capital letters.
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Some(match name.to_ascii_lowercase().as_str() {
             "rggb" => Self::Rggb,
             "bggr" => Self::Bggr,
@@ -273,7 +273,7 @@ mod tests {
         assert_eq!(names(Bayer::Rggb), ["red", "green-1", "green-2", "blue"]);
         assert_eq!(names(Bayer::Gbrg), ["green-1", "blue", "red", "green-2"]);
         for name in Bayer::NAMES {
-            assert_eq!(Bayer::named(&name.to_uppercase()).unwrap().name(), name);
+            assert_eq!(Bayer::from_name(&name.to_uppercase()).unwrap().name(), name);
         }
     }
 

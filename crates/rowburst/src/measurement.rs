@@ -5,9 +5,9 @@
 //! their noise, `σ² = (counts·gain + read²) / gain²` counts², and 1/12 more where the
 //! counts are rounded. `bias_counts` stands in for a dark frame that is not there.
 
-mod noise_law;
+mod noise_model;
 
-pub use noise_law::NoiseLaw;
+pub use noise_model::NoiseModel;
 
 use crate::{Camera, Error, Image, Result};
 use std::borrow::Cow;
@@ -17,7 +17,7 @@ use std::borrow::Cow;
 pub struct Measurement {
     image: Image,
     weights: Option<Vec<f32>>,
-    noise: Option<NoiseLaw>,
+    noise: Option<NoiseModel>,
     bad: usize,
     saturated: usize,
 }
@@ -37,7 +37,7 @@ pub struct Corrections {
 }
 
 /// Largest part of the pixels that may be missing.
-const MOST_MISSING: f64 = 0.5;
+const MAX_MISSING_FRACTION: f64 = 0.5;
 
 impl Measurement {
     /// A frame that needs no correction, with even noise.
@@ -62,7 +62,7 @@ impl Measurement {
     /// # Panics
     /// If there is no such row.
     #[must_use]
-    pub fn rows(&self, rows: &[usize]) -> Self {
+    pub fn select_rows(&self, rows: &[usize]) -> Self {
         let columns = self.image.columns();
         let lines = |values: &[f32]| -> Vec<f32> {
             let lines = rows
@@ -74,7 +74,7 @@ impl Measurement {
         let image = Image::new(rows.len(), columns, lines(self.image.data()));
         Self {
             image: image.expect("as many values as pixels"),
-            noise: self.noise.as_ref().map(|law| law.picked(lines)),
+            noise: self.noise.as_ref().map(|model| model.picked(lines)),
             weights,
             bad: self.bad,
             saturated: self.saturated,
@@ -93,11 +93,11 @@ impl Measurement {
 
     /// Noise of a pixel with weight 1 by the calibration, in counts.
     pub fn sigma(&self) -> Option<f64> {
-        self.noise.as_ref().map(NoiseLaw::sigma)
+        self.noise.as_ref().map(NoiseModel::sigma)
     }
 
     /// How the noise follows the light, where gain and read noise are known.
-    pub fn noise(&self) -> Option<&NoiseLaw> {
+    pub fn noise(&self) -> Option<&NoiseModel> {
         self.noise.as_ref()
     }
 
@@ -137,7 +137,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
                 bad += 1;
             }
         }
-        if bad as f64 > MOST_MISSING * pixels as f64 {
+        if bad as f64 > MAX_MISSING_FRACTION * pixels as f64 {
             return Err(Error::input(
                 "bad_pixels",
                 format!("{bad} of {pixels} pixels"),
@@ -156,7 +156,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
             }
         }
     }
-    if (saturated + bad) as f64 > MOST_MISSING * pixels as f64 {
+    if (saturated + bad) as f64 > MAX_MISSING_FRACTION * pixels as f64 {
         let also = if bad > 0 {
             format!(", {bad} bad")
         } else {
@@ -179,22 +179,22 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
     };
     let mut image = raw.clone();
     subtract(&mut image, dark.as_deref());
-    let mut law = noise_law_of(&image, camera, sensor.binning / binning);
+    let mut variances = pixel_variances(&image, camera, sensor.binning / binning);
     if let Some(flat) = &corrections.flat {
         let mut response = fitted("flat", flat)?.into_owned();
         subtract(&mut response, dark.as_deref());
-        divide_by_response(&mut image, law.as_mut(), &response, &usable)?;
+        divide_by_response(&mut image, variances.as_mut(), &response, &usable)?;
     }
-    finish(image, &usable, law, binning, (bad, saturated))
+    finish(image, &usable, variances, binning, (bad, saturated))
 }
 
 /// A correction on the grid of the frame `raw`, of which a pixel is the mean of
-/// `mixed × mixed` raw ones.
+/// `block_side × block_side` raw ones.
 fn on_grid_of<'a>(
     raw: &Image,
     name: &str,
     image: &'a Image,
-    mixed: usize,
+    block_side: usize,
 ) -> Result<Cow<'a, Image>> {
     if let Some((y, x)) = image.first_non_finite() {
         return Err(Error::input(
@@ -209,10 +209,10 @@ fn on_grid_of<'a>(
         return Ok(Cow::Borrowed(image));
     }
     let mut rule = format!("it has the frame's {rows}×{columns} pixels");
-    if mixed > 1 {
-        let unbinned = (rows * mixed, columns * mixed);
+    if block_side > 1 {
+        let unbinned = (rows * block_side, columns * block_side);
         if (image.rows(), image.columns()) == unbinned {
-            return Ok(Cow::Owned(image.binned(mixed)));
+            return Ok(Cow::Owned(image.binned(block_side)));
         }
         rule += &format!(", or {}×{} before binning", unbinned.0, unbinned.1);
     }
@@ -235,23 +235,23 @@ fn subtract(image: &mut Image, dark: Option<&Image>) {
 /// Variance of rounding to whole counts.
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
-/// Slope and floor of each pixel's variance; see [`NoiseLaw`].
-type Law = Vec<(f64, f64)>;
+/// Slope and floor of each pixel's variance; see [`NoiseModel`].
+type PixelVariances = Vec<(f64, f64)>;
 
-/// The law of pixels that are the mean of `mixed × mixed` raw ones.
-fn noise_law_of(image: &Image, camera: &Camera, mixed: usize) -> Option<Law> {
+/// The law of pixels that are the mean of `block_side × block_side` raw ones.
+fn pixel_variances(image: &Image, camera: &Camera, block_side: usize) -> Option<PixelVariances> {
     let sensor = camera.sensor();
     let gain = sensor.gain_electrons_per_count?;
     let read = sensor.read_noise_electrons?;
     let rounding = sensor.bit_depth.map_or(0.0, |_| ROUNDING_VARIANCE);
-    let raw_pixels = (mixed * mixed) as f64;
+    let raw_pixels = (block_side * block_side) as f64;
     let floor = (read * read / (gain * gain) + rounding) / raw_pixels;
     Some(vec![(1.0 / (gain * raw_pixels), floor); image.data().len()])
 }
 
 fn divide_by_response(
     image: &mut Image,
-    law: Option<&mut Law>,
+    variances: Option<&mut PixelVariances>,
     response: &Image,
     usable: &[f32],
 ) -> Result<()> {
@@ -277,8 +277,8 @@ fn divide_by_response(
         .iter_mut()
         .zip(&gain)
         .for_each(|(p, g)| *p = (f64::from(*p) * g) as f32);
-    if let Some(law) = law {
-        for ((slope, floor), g) in law.iter_mut().zip(&gain) {
+    if let Some(variances) = variances {
+        for ((slope, floor), g) in variances.iter_mut().zip(&gain) {
             (*slope, *floor) = (*slope * g, *floor * g * g);
         }
     }
@@ -289,7 +289,7 @@ fn divide_by_response(
 fn finish(
     image: Image,
     usable: &[f32],
-    law: Option<Law>,
+    variances: Option<PixelVariances>,
     binning: usize,
     (bad, saturated): (usize, usize),
 ) -> Result<Measurement> {
@@ -308,9 +308,9 @@ fn finish(
                 if usable[at] > 0.0 {
                     sum += f64::from(image.data()[at]);
                     count += 1.0;
-                    if let Some(law) = &law {
-                        slopes += law[at].0;
-                        floors += law[at].1;
+                    if let Some(variances) = &variances {
+                        slopes += variances[at].0;
+                        floors += variances[at].1;
                     }
                 }
             }
@@ -324,7 +324,7 @@ fn finish(
             }
         }
     }
-    let noise = law.map(|_| NoiseLaw::new(slope, floor, binned.data()));
+    let noise = variances.map(|_| NoiseModel::new(slope, floor, binned.data()));
     let weights = match &noise {
         // The counts stand for the light until a model of it is there.
         Some(noise) => Some(noise.weights(binned.data())),

@@ -120,21 +120,21 @@ impl PatchSet {
 impl PatchSet {
     /// The weight `a_c` of PSF `c` at every pixel of a field, `[c, y, x]`; PSFs that have
     /// no say anywhere in it have an empty map.
-    pub fn shares(&self, field_rows: usize, field_columns: usize) -> Vec<Vec<f32>> {
-        let mut shares = vec![Vec::new(); self.psfs.len()];
+    pub fn weight_maps(&self, field_rows: usize, field_columns: usize) -> Vec<Vec<f32>> {
+        let mut weight_maps = vec![Vec::new(); self.psfs.len()];
         for y in 0..field_rows {
             let dy = y as f64 - (field_rows / 2) as f64;
             for x in 0..field_columns {
                 let dx = x as f64 - (field_columns / 2) as f64;
                 for (c, weight) in self.weights_at(dy, dx) {
-                    if shares[c].is_empty() {
-                        shares[c] = vec![0.0f32; field_rows * field_columns];
+                    if weight_maps[c].is_empty() {
+                        weight_maps[c] = vec![0.0f32; field_rows * field_columns];
                     }
-                    shares[c][y * field_columns + x] = weight as f32;
+                    weight_maps[c][y * field_columns + x] = weight as f32;
                 }
             }
         }
-        shares
+        weight_maps
     }
 }
 

@@ -75,7 +75,7 @@ impl Psf {
 
 /// A stretch of a row of a PSF.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stretch<'a> {
+pub struct RowSlice<'a> {
     /// How many displacements that the PSF does not cover lie before it.
     pub start: usize,
     /// The values from there on to the end of the row; displacements beyond are zero.
@@ -84,18 +84,18 @@ pub struct Stretch<'a> {
 
 impl Psf {
     /// The values at the displacements `(dy, dx)`, `(dy, dx + 1)`, … that it covers.
-    pub fn row_from(&self, dy: isize, dx: isize) -> Stretch<'_> {
+    pub fn row_from(&self, dy: isize, dx: isize) -> RowSlice<'_> {
         let columns = self.image.columns();
         let y = dy + (self.image.rows() / 2) as isize;
         let x = dx + (columns / 2) as isize;
         if !(0..self.image.rows() as isize).contains(&y) || x >= columns as isize {
-            return Stretch {
+            return RowSlice {
                 start: 0,
                 values: &[],
             };
         }
         let row = &self.image.data()[y as usize * columns..(y as usize + 1) * columns];
-        Stretch {
+        RowSlice {
             start: (-x).max(0) as usize,
             values: &row[x.max(0) as usize..],
         }

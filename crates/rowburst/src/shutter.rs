@@ -32,7 +32,7 @@ impl Shutter {
 
     /// The shutter of a name in the experiment file; `None` for `custom`, which has an order of
     /// rows besides, and for names that are none.
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Some(match name {
             "top-down" => Self::TopDown,
             "bottom-up" => Self::BottomUp,

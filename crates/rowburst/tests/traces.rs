@@ -11,7 +11,7 @@ use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
-use rowburst::traces::{Evidence, Refit, Region, brightest_regions, frequency_of};
+use rowburst::traces::{Refit, RefitInput, Region, brightest_regions, frequency_of};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
 
@@ -118,7 +118,7 @@ impl Case {
         let (mut before, mut after) = (0.0, 0.0);
         for seed in 1..=seeds {
             let (measurement, sigma, video) = self.solved(seed);
-            let refit = Refit::new(Evidence {
+            let refit = Refit::new(RefitInput {
                 operator: &operator,
                 measured: measurement.image().data(),
                 weights: None,
@@ -138,7 +138,7 @@ impl Case {
                     .flat_map(|s| {
                         let (y, x) = (s.y + s.rows / 2, s.x + s.columns / 2);
                         [
-                            Region::about(y, x, 1, shape),
+                            Region::centred_at(y, x, 1, shape),
                             *s,
                             whole(&self.truth, t, y, x),
                         ]
@@ -158,7 +158,7 @@ impl Case {
 /// The box of the light of bin `t` within 8 pixels of `(y, x)`, with a margin of a pixel.
 fn whole(truth: &Video, t: usize, y: usize, x: usize) -> Region {
     let shape = truth.shape();
-    let near = Region::about(y, x, 17, shape);
+    let near = Region::centred_at(y, x, 17, shape);
     let bin = truth.bin(t);
     let lit: Vec<(usize, usize)> = near
         .indices(shape.columns)
@@ -176,7 +176,7 @@ fn whole(truth: &Video, t: usize, y: usize, x: usize) -> Region {
         rows,
         columns,
     }
-    .widened(1, shape)
+    .dilated(1, shape)
 }
 
 fn print(scene: &str, counts: &[(&str, Count)], before: f64, after: f64) -> f64 {
@@ -236,14 +236,14 @@ fn leds_have_their_amplitudes_and_frequencies() {
     let case = Case::leds(48);
     let (measurement, sigma, video) = case.solved(1);
     let operator = RollingShutter::new(&case.camera, &case.psf);
-    let evidence = Evidence {
+    let input = RefitInput {
         operator: &operator,
         measured: measurement.image().data(),
         weights: None,
         sigma,
         video: &video,
     };
-    let refit = Refit::new(evidence).unwrap();
+    let refit = Refit::new(input).unwrap();
     let spots = brightest_regions(&video, 3);
     let rate = case.camera.time().frame_rate_hz();
     let mut found = 0;
@@ -285,14 +285,14 @@ fn errors_have_the_units_of_the_video() {
         let times = |values: &[f32]| values.iter().map(|v| by * v).collect::<Vec<f32>>();
         let frame = times(measurement.image().data());
         let video = Video::new(video.shape(), times(video.data())).unwrap();
-        let evidence = Evidence {
+        let input = RefitInput {
             operator: &operator,
             measured: &frame,
             weights: None,
             sigma: f64::from(by) * sigma,
             video: &video,
         };
-        let refit = Refit::new(evidence).unwrap();
+        let refit = Refit::new(input).unwrap();
         refit.traces(&brightest_regions(&video, 2))
     };
     let (small, large) = (errors(1.0), errors(4096.0));
@@ -325,14 +325,14 @@ fn pixels_of_weight_zero_have_no_say() {
         let frame: Vec<f32> = frame
             .map(|(i, b)| if i % 17 == 0 { spoilt } else { *b })
             .collect();
-        let evidence = Evidence {
+        let input = RefitInput {
             operator: &operator,
             measured: &frame,
             weights: Some(&weights),
             sigma,
             video: &video,
         };
-        Refit::new(evidence)
+        Refit::new(input)
             .unwrap()
             .traces(&brightest_regions(&video, 2))
     };
@@ -343,14 +343,14 @@ fn pixels_of_weight_zero_have_no_say() {
 fn exposures_of_several_rows_are_refused() {
     let case = Case::new(24, 20, 24.0, |shape| Video::zeros(shape).lit());
     let operator = RollingShutter::new(&case.camera, &case.psf);
-    let evidence = Evidence {
+    let input = RefitInput {
         operator: &operator,
         measured: case.noiseless.data(),
         weights: None,
         sigma: 1.0,
         video: &case.truth,
     };
-    let error = Refit::new(evidence).err().expect("refused").to_string();
+    let error = Refit::new(input).err().expect("refused").to_string();
     assert!(error.contains("one row time"), "{error}");
 }
 

@@ -6,7 +6,7 @@ mod sheet;
 use crate::output::print_line;
 use clap::{Args, ValueHint};
 use files::TimingInputs;
-use rowburst::calibrate::timing::{Light, Timing, TimingParams, calibrate};
+use rowburst::calibrate::timing::{Lamp, Timing, TimingParams, calibrate};
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
 use rowburst_run::inputs::naming_file;
@@ -184,7 +184,7 @@ fn naming(mut error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
 }
 
 fn summary(timing: &Timing, inputs: &TimingInputs) -> TimingSummary {
-    let periodic = matches!(inputs.light, Light::Periodic { .. });
+    let periodic = matches!(inputs.light, Lamp::Periodic { .. });
     let phases = timing.phases.clone();
     TimingSummary {
         version: env!("CARGO_PKG_VERSION"),
@@ -208,7 +208,7 @@ fn summary(timing: &Timing, inputs: &TimingInputs) -> TimingSummary {
                 row_time_us: c.row_time_us,
                 chi2_per_freedom: c.chi2,
                 chi2_excess: c.excess,
-                left: c.left,
+                left: c.is_consistent,
             })
             .collect(),
         frames: inputs.frames.len(),

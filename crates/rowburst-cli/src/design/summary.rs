@@ -3,7 +3,7 @@
 use super::options::DesignInputs;
 use crate::output::print_line;
 use rowburst::design::sparsity::{SuccessMap, recoverable, usual_constant};
-use rowburst::design::{Assessment, fits_full_well, verdicts};
+use rowburst::design::{Assessment, fits_full_well, shortcomings};
 use rowburst_run::short;
 use serde::Serialize;
 use std::path::Path;
@@ -133,7 +133,7 @@ impl DesignSummary {
             envelope_fwhm_px: assessment.envelope_fwhm_px,
             reach_needed_px: assessment.spread.needed_px,
             reach: assessment.spread.reach,
-            reach_met: assessment.spread.reach >= rowburst::design::REACH,
+            reach_met: assessment.spread.reach >= rowburst::design::MIN_ROW_LIGHT,
             light_lost_mean: assessment.spread.lost_mean,
             light_lost_worst: assessment.spread.lost_worst,
             frame_rate_hz: assessment.frame_rate_hz,
@@ -160,7 +160,7 @@ impl DesignSummary {
             success_map: map.map(SuccessMapSummary::new),
             seed: inputs.seed,
             seconds,
-            warnings: verdicts(
+            warnings: shortcomings(
                 assessment,
                 &inputs.camera,
                 &inputs.optics,

@@ -147,7 +147,7 @@ fn in_fits(path: &Path) -> Metadata {
         exposure_us: exposure_s.and_then(|s| positive(s * 1e6)),
         binning: sides.and_then(|(x, y)| binning_of(&format!("{x}x{y}"))),
         pixel_pitch_um: cards.number("XPIXSZ").and_then(positive),
-        bayer: cards.text("BAYERPAT").and_then(Bayer::named),
+        bayer: cards.text("BAYERPAT").and_then(Bayer::from_name),
         ..Metadata::default()
     }
 }

@@ -6,7 +6,7 @@
 //!
 //! **Reach.** The paper asks that light from the bottom of the field reach the top row.
 //! An envelope is taken to reach to where it has fallen to a tenth of its middle,
-//! [`REACH`]; for a Gaussian whose half maximum lies at `z·tan(θ/2)` that is √(ln 10/ln 2) =
+//! [`MIN_ROW_LIGHT`]; for a Gaussian whose half maximum lies at `z·tan(θ/2)` that is √(ln 10/ln 2) =
 //! 1.82 times as far, so for rows `L` apart the smallest angle is
 //! `2·atan(L·pitch/(1.82 z))`.
 //!
@@ -21,19 +21,19 @@
 //! in the units of the paper, rms of the noiseless frame over the noise. Bright pixels at
 //! places of their own are assumed; those within a grain of each other add up to more.
 
+mod shortcomings;
 pub mod sparsity;
 pub mod speckle;
 pub mod spread;
 #[cfg(test)]
 mod tests;
-mod verdict;
 
 use crate::simulate::SpeckleOptics;
 use crate::{Camera, Error, Psf, Result};
 use speckle::{Dispersion, Grains};
 use spread::Spread;
 
-pub use verdict::verdicts;
+pub use shortcomings::shortcomings;
 
 /// The light and what the sensor makes of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,7 +78,7 @@ impl Default for LightParams {
 /// reached. Digits of 108×108 pixels at SNR 256 and two seeds came back at 47.1 to 48.0 dB
 /// with diffusers from 0.84°, the smallest by this rule, to 2°; at 44.5 and 47.1 dB with
 /// 0.6° (0.011 of the light), at 32.7 and 34.4 dB with 0.4°.
-pub const REACH: f64 = 0.1;
+pub const MIN_ROW_LIGHT: f64 = 0.1;
 
 /// Rms phase of the simulated diffuser in radians, see [`crate::simulate::speckle`].
 const SIMULATED_RMS_PHASE: f64 = 4.0;
@@ -172,7 +172,7 @@ pub struct Assessment {
     /// Pixels of the field.
     pub field_pixels: usize,
     /// Light and noise of a pixel.
-    pub signal: Signal,
+    pub signal: PixelSignal,
     /// The PSF over the wavelength.
     pub dispersion: Dispersion,
     /// Wavelength difference at which two PSFs have a correlation of one half.
@@ -187,7 +187,7 @@ pub struct Assessment {
 
 /// Light and noise of a pixel of the working grid, in electrons.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Signal {
+pub struct PixelSignal {
     /// Mean of the frame.
     pub mean: f64,
     /// Root mean square of the noiseless frame.
@@ -235,7 +235,7 @@ pub fn assess(
         None => Spread::gaussian(camera, envelope, grains.contrast() * contrast_kept),
     };
     let needed_mm = spread.needed_px as f64 * optics.pixel_pitch_um * 1e-3;
-    let tenth_over_half = (REACH.ln() / 0.5f64.ln()).sqrt();
+    let tenth_over_half = (MIN_ROW_LIGHT.ln() / 0.5f64.ln()).sqrt();
     let tangent = needed_mm / (tenth_over_half * optics.aperture.image_distance_mm());
     let smallest = 2.0 * tangent.atan();
     let params = camera.params();
@@ -265,7 +265,7 @@ pub fn assess(
 }
 
 /// Light and noise of a pixel; see the module's "Signal".
-pub fn signal(camera: &Camera, spread: &Spread, light: &LightParams) -> Signal {
+pub fn signal(camera: &Camera, spread: &Spread, light: &LightParams) -> PixelSignal {
     let params = camera.params();
     let bins_in_exposure = match camera.shutter() {
         crate::Shutter::Global => 1.0,
@@ -280,7 +280,7 @@ pub fn signal(camera: &Camera, spread: &Spread, light: &LightParams) -> Signal {
     let raw_pixels = params.sensor.binning.pow(2) as f64;
     let rounding = light.electrons_per_count.map_or(0.0, |g| g * g / 12.0);
     let noise = (mean + raw_pixels * (light.read_noise_electrons.powi(2) + rounding)).sqrt();
-    Signal {
+    PixelSignal {
         mean,
         rms,
         peak: mean + 4.0 * (rms * rms - mean * mean).max(0.0).sqrt(),
@@ -290,7 +290,7 @@ pub fn signal(camera: &Camera, spread: &Spread, light: &LightParams) -> Signal {
 }
 
 /// Whether the frame's brightest pixels stay below the full well.
-pub fn fits_full_well(camera: &Camera, signal: &Signal, light: &LightParams) -> bool {
+pub fn fits_full_well(camera: &Camera, signal: &PixelSignal, light: &LightParams) -> bool {
     let raw_pixels = camera.sensor().binning.pow(2) as f64;
     light
         .full_well_electrons
@@ -298,7 +298,7 @@ pub fn fits_full_well(camera: &Camera, signal: &Signal, light: &LightParams) -> 
 }
 
 /// Longest distance at which the grains of a PSF are compared, in pixels.
-const LONGEST_LAG: usize = 96;
+const MAX_LAG: usize = 96;
 
 /// Full width at half maximum of the autocovariance of a PSF, the mean of both axes.
 ///
@@ -311,7 +311,7 @@ pub fn measured_grain_px(psf: &Psf) -> f64 {
     let (y, x) = (half(rows), half(columns));
     let width = |across: bool| -> f64 {
         let side = if across { columns } else { rows };
-        let longest = LONGEST_LAG.min(side / 4).max(1);
+        let longest = MAX_LAG.min(side / 4).max(1);
         let difference = |lag: usize| -> f64 {
             let (mut sum, mut count) = (0.0, 0.0);
             for i in y.0..y.1 {

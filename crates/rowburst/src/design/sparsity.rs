@@ -48,7 +48,7 @@ impl SparsityParams {
     /// measurements survive 16.7 pixels instead of 17.3.
     pub fn for_camera(camera: &Camera, grain_px: f64, seed: u64) -> Self {
         let m = measurements_per_bin(camera);
-        let largest = (camera.video_shape().pixels() / CROWDED).max(1) as f64;
+        let largest = (camera.video_shape().pixels() / MIN_PIXELS_PER_SOURCE).max(1) as f64;
         let most = (m / 5.0).max(4.0).min(largest);
         let least = (m / 54.0).max(2.0).min(most);
         let steps = 10;
@@ -89,15 +89,15 @@ pub struct SuccessMap {
 }
 
 /// Field pixels for each lit one in a trial, at least: more could not all be apart.
-const CROWDED: usize = 16;
+const MIN_PIXELS_PER_SOURCE: usize = 16;
 /// Largest side of the sensor that is simulated: a reconstruction takes about a second.
-const LARGEST_SIDE: usize = 108;
+const MAX_SIDE: usize = 108;
 /// The same where an exposure couples the bins, which is dearer.
-const LARGEST_SIDE_COUPLED: usize = 48;
+const MAX_SIDE_COUPLED: usize = 48;
 /// From this rate on, smaller `k` are not tried, and below the other no larger ones: the
 /// rate falls with `k`. Untried ones get the rate of the nearest that was.
-const CERTAIN: f64 = 0.98;
-const HOPELESS: f64 = 0.04;
+const CERTAIN_RATE: f64 = 0.98;
+const HOPELESS_RATE: f64 = 0.04;
 /// Trials that an SNR takes, for the progress: mostly 4 or 5 of 10.
 const USUAL_TRIALS: f64 = 5.0;
 
@@ -110,9 +110,9 @@ const USUAL_TRIALS: f64 = 5.0;
 pub fn trial_camera(camera: &Camera) -> Result<Camera> {
     let params = camera.params();
     let largest = if camera.time().is_disjoint() && !matches!(params.shutter, Shutter::Global) {
-        LARGEST_SIDE
+        MAX_SIDE
     } else {
-        LARGEST_SIDE_COUPLED
+        MAX_SIDE_COUPLED
     };
     let (rows, columns) = (params.rows.min(largest), params.columns.min(largest));
     let shutter = match &params.shutter {
@@ -220,7 +220,11 @@ pub fn success_map(
     observer: &mut dyn FnMut(f64) -> ControlFlow<()>,
 ) -> Result<SuccessMap> {
     let pixels = camera.video_shape().pixels();
-    if let Some(k) = params.ks.iter().find(|&&k| k == 0 || CROWDED * k > pixels) {
+    if let Some(k) = params
+        .ks
+        .iter()
+        .find(|&&k| k == 0 || MIN_PIXELS_PER_SOURCE * k > pixels)
+    {
         return Err(Error::input(
             "non-zero pixels per bin",
             k,
@@ -254,12 +258,12 @@ pub fn success_map(
         };
         let first = rate_of(start, &mut row)?;
         let (mut rate, mut i) = (first, start);
-        while rate < CERTAIN && i > 0 {
+        while rate < CERTAIN_RATE && i > 0 {
             i -= 1;
             rate = rate_of(i, &mut row)?;
         }
         (rate, i) = (first, start);
-        while rate > HOPELESS && i < last {
+        while rate > HOPELESS_RATE && i < last {
             i += 1;
             rate = rate_of(i, &mut row)?;
         }

@@ -37,7 +37,7 @@ pub struct Spread {
 }
 
 /// Rows of the map from source to sensor.
-const LARGEST_MAP: usize = 256;
+const MAX_MAP_ROWS: usize = 256;
 
 /// Field and sensor along one axis.
 struct Axis {
@@ -95,7 +95,7 @@ impl Axis {
 
     /// `g` over source and sensor, thinned out where there are many.
     fn map(&self, g: impl Fn(isize) -> f64) -> Image {
-        let sides = [self.field, self.sensor].map(|n| n.min(LARGEST_MAP));
+        let sides = [self.field, self.sensor].map(|n| n.min(MAX_MAP_ROWS));
         Image::from_fn(sides[0], sides[1], |i, j| {
             let (from, to) = (i * self.field / sides[0], j * self.sensor / sides[1]);
             g(self.displacement(from, to)) as f32

@@ -116,14 +116,14 @@ fn the_smallest_angle_just_meets_the_criterion() {
                 .sum();
             (formula, simulated / 12.0)
         };
-        near(reach(1.0).0, REACH, 1e-3, "at the smallest angle");
+        near(reach(1.0).0, MIN_ROW_LIGHT, 1e-3, "at the smallest angle");
         let (formula, simulated) = reach(1.05);
         println!("1.05: {formula:.3} {simulated:.3}");
-        assert!(formula > REACH && simulated > REACH);
+        assert!(formula > MIN_ROW_LIGHT && simulated > MIN_ROW_LIGHT);
         assert!((simulated - formula).abs() < 0.03);
         let (formula, simulated) = reach(0.8);
         println!("0.8: {formula:.3} {simulated:.3}");
-        assert!(formula < REACH && simulated < REACH);
+        assert!(formula < MIN_ROW_LIGHT && simulated < MIN_ROW_LIGHT);
         assert!((simulated - formula).abs() < 0.03);
     }
 }

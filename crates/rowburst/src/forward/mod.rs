@@ -463,8 +463,8 @@ fn layers_of<T: Scalar>(
             share: None,
         }];
     }
-    let shares = set.shares(geometry.field_rows, geometry.field_columns);
-    let layers = set.psfs().iter().zip(shares);
+    let weight_maps = set.weight_maps(geometry.field_rows, geometry.field_columns);
+    let layers = set.psfs().iter().zip(weight_maps);
     layers
         .filter(|(_, share)| !share.is_empty())
         .map(|(psf, share)| Layer {

@@ -260,7 +260,7 @@ fn a_subset_of_the_readout_equals_the_whole() {
                 assert_eq!(again.first_bin(), part.first_bin());
                 let operator = RollingShutter::new(&part, &psf);
                 let rows: Vec<usize> = part.sensor_rows().collect();
-                let seen = measurement.rows(&rows);
+                let seen = measurement.select_rows(&rows);
                 let own = bins.start * shape.pixels()..bins.end * shape.pixels();
                 let mut values = vec![0.0; operator.range_len()];
                 operator.apply(&video[own.clone()], &mut values);

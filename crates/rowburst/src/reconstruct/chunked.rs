@@ -149,7 +149,7 @@ impl Chunked {
                 .expect("a row of the whole")
         };
         let rows: Vec<usize> = part.sensor_rows().map(place).collect();
-        let measurement = self.measurement.rows(&rows);
+        let measurement = self.measurement.select_rows(&rows);
         let options = Options {
             noise_sigma: Some(self.sigma),
             ..self.options

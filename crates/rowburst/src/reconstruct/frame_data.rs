@@ -7,7 +7,7 @@ use crate::linop::{
     Background, LinearOperator, Scalar, WeightedOperator, WithBackground, WritePart, sum_of_bins,
     write_parts,
 };
-use crate::measurement::{Measurement, NoiseLaw};
+use crate::measurement::{Measurement, NoiseModel};
 use crate::solve::blocks::{BlockSource, Blocks};
 use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
@@ -41,7 +41,7 @@ pub(super) struct FrameData {
     /// The weights of all pixels, those held out among them: of the counts, and of the light.
     initial_weights: Option<Vec<f32>>,
     weights: Option<Vec<f32>>,
-    noise: Option<NoiseLaw>,
+    noise: Option<NoiseModel>,
     held_out: Option<HeldOut>,
     measurement_count: usize,
     /// The largest `w²`.
@@ -248,7 +248,7 @@ impl FrameData {
 
     /// `σ` of a pixel of weight 1 by the law of noise that the weights come from.
     pub fn calibrated_sigma(&self) -> Option<f64> {
-        self.noise.as_ref().map(NoiseLaw::sigma)
+        self.noise.as_ref().map(NoiseModel::sigma)
     }
 
     /// The video that both parts make.

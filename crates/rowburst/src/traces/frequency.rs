@@ -49,13 +49,13 @@ pub struct AliasedHarmonic {
 }
 
 /// Highest harmonic that is looked for.
-const HIGHEST: usize = 9;
+const MAX_HARMONIC: usize = 9;
 /// What a harmonic must take from `χ²/ν`: three standard deviations of each of its two values.
-const LEAST_GAIN: f64 = 18.0;
+const MIN_CHI2_GAIN: f64 = 18.0;
 /// Least distance of frequencies that are fitted along, in cycles a trace.
 const APART: f64 = 1.5;
 /// What `χ²` must gain for a frequency just below half the frame rate to be told from it.
-const TOLD_APART: f64 = 4.0;
+const MIN_CHI2_TO_NYQUIST: f64 = 4.0;
 
 /// The frequency of `trace`, with `errors` of width 1σ (all the same where one is not a number
 /// above zero), sampled at `rate_hz`; `None` where no sine stands out.
@@ -66,30 +66,30 @@ pub fn frequency_of(trace: &[f64], errors: &[f64], rate_hz: f64) -> Option<Frequ
     assert_eq!(trace.len(), errors.len(), "an error for each value");
     let single: Vec<f32> = trace.iter().map(|&v| v as f32).collect();
     let tone = strongest_tone(&single, rate_hz)?;
-    let known = errors.iter().all(|e| e.is_finite() && *e > 0.0);
+    let has_errors = errors.iter().all(|e| e.is_finite() && *e > 0.0);
     let weights: Vec<f64> = errors
         .iter()
-        .map(|e| if known { 1.0 / e } else { 1.0 })
+        .map(|e| if has_errors { 1.0 / e } else { 1.0 })
         .collect();
     let data = Data {
         values: trace.iter().zip(&weights).map(|(v, w)| v * w).collect(),
         weights,
-        known,
+        has_errors,
     };
     let n = trace.len() as f64;
     let mut orders = vec![1];
     let mut cycles = data.refine(tone.hertz / rate_hz, &orders);
-    for order in 2..=HIGHEST {
-        let place = alias(order as f64 * cycles);
+    for order in 2..=MAX_HARMONIC {
+        let alias_frequency = alias(order as f64 * cycles);
         let mut others = orders.iter().map(|&h| alias(h as f64 * cycles));
-        let is_apart = others.all(|other| (other - place).abs() * n >= APART);
-        if !is_apart || place * n < APART || (0.5 - place) * n < APART {
+        let is_apart = others.all(|other| (other - alias_frequency).abs() * n >= APART);
+        if !is_apart || alias_frequency * n < APART || (0.5 - alias_frequency) * n < APART {
             continue;
         }
         let without = data.fit(cycles, &orders);
         orders.push(order);
         let with = data.fit(cycles, &orders);
-        if without.misfit - with.misfit < LEAST_GAIN * data.scale(&with) {
+        if without.misfit - with.misfit < MIN_CHI2_GAIN * data.scale(&with) {
             orders.pop();
         }
     }
@@ -100,7 +100,7 @@ pub fn frequency_of(trace: &[f64], errors: &[f64], rate_hz: f64) -> Option<Frequ
     let best = data.fit(cycles, &orders);
     let near_half = (0.5 - cycles) * n < 1.0 && orders == [1];
     let scale = data.scale(&best);
-    if near_half && half.misfit - best.misfit < TOLD_APART * scale {
+    if near_half && half.misfit - best.misfit < MIN_CHI2_TO_NYQUIST * scale {
         let step = 0.002 / n;
         let limit = best.misfit + scale * (1.0 + (half.misfit - best.misfit) / scale);
         let reach = (1..500).find(|&k| data.fit(0.5 - k as f64 * step, &[1]).misfit > limit);
@@ -141,7 +141,7 @@ fn alias(cycles: f64) -> f64 {
 struct Data {
     values: Vec<f64>,
     weights: Vec<f64>,
-    known: bool,
+    has_errors: bool,
 }
 
 /// The linear fit at a frequency.
@@ -168,7 +168,11 @@ impl Data {
     fn scale(&self, fit: &Fit) -> f64 {
         let free = self.values.len().saturating_sub(fit.parameters).max(1);
         let scale = fit.misfit / free as f64;
-        if self.known { scale.max(1.0) } else { scale }
+        if self.has_errors {
+            scale.max(1.0)
+        } else {
+            scale
+        }
     }
 
     /// The frequency of the least misfit within one cycle a trace about `start`.

@@ -14,7 +14,7 @@ use faer::Mat;
 /// Blur of `u`: the rms of its Gaussian in pixels.
 const BLUR_PX: f64 = 0.7;
 /// Lowest `u` over `B`: a voxel that the video has dark may still be lit a little.
-const FLOOR: f64 = 0.01;
+const VARIANCE_FLOOR: f64 = 0.01;
 /// Variance added to the diagonal, over `a²`: rounding must not make `K` indefinite.
 const JITTER: f64 = 1e-6;
 
@@ -40,7 +40,7 @@ pub(super) fn scales(bin: &[f32], columns: usize, brightness: f64) -> Vec<f64> {
     let power: Vec<f64> = bin.iter().map(|&v| f64::from(v.max(0.0)).powi(2)).collect();
     let power = blur(&power, 1, &|i| (i % columns, columns));
     let power = blur(&power, columns, &|i| (i / columns, rows));
-    let scale = |p: &f64| brightness * (p.sqrt() / brightness + FLOOR).sqrt();
+    let scale = |p: &f64| brightness * (p.sqrt() / brightness + VARIANCE_FLOOR).sqrt();
     power.iter().map(scale).collect()
 }
 
@@ -93,7 +93,7 @@ mod tests {
         let mut bin = vec![0.0f32; 9 * 11];
         bin[4 * 11 + 5] = 2.0;
         let scales = scales(&bin, 11, 2.0);
-        let floor = 2.0 * FLOOR.sqrt();
+        let floor = 2.0 * VARIANCE_FLOOR.sqrt();
         assert!((scales[0] - floor).abs() < 1e-12);
         let largest = scales.iter().copied().fold(0.0, f64::max);
         assert_eq!(scales[4 * 11 + 5], largest);
@@ -101,7 +101,7 @@ mod tests {
         // The power is spread, not lost.
         let power: f64 = scales
             .iter()
-            .map(|s| (((s / 2.0).powi(2) - FLOOR) * 2.0).powi(2))
+            .map(|s| (((s / 2.0).powi(2) - VARIANCE_FLOOR) * 2.0).powi(2))
             .sum();
         assert!((power - 4.0).abs() < 1e-9, "{power}");
     }

@@ -32,15 +32,15 @@ pub struct Alignment {
 }
 
 /// Least part of the bins that the signal must cover.
-const LEAST_OVERLAP: f64 = 0.5;
+const MIN_OVERLAP: f64 = 0.5;
 /// Steps of the shift in a bin.
 const STEPS_PER_BIN: f64 = 16.0;
 /// Correlations that are closer than this part of `1 − r` are alike: a periodic signal fits at many
 /// shifts, and the smallest is meant.
-const ALIKE: f64 = 0.5;
+const TIE_FRACTION: f64 = 0.5;
 /// The least and the most that two alike correlations may differ.
-const ALIKE_AT_LEAST: f64 = 0.002;
-const ALIKE_AT_MOST: f64 = 0.02;
+const MIN_TIE: f64 = 0.002;
+const MAX_TIE: f64 = 0.02;
 
 impl Photodiode {
     /// A signal through `(time_us, value)`.
@@ -119,7 +119,7 @@ impl Photodiode {
         let step = time.bin_duration_us();
         let (first, last) = (self.times_us[0], self.times_us[self.times_us.len() - 1]);
         let length = step * time.bins() as f64;
-        let overlap = LEAST_OVERLAP * length.min(last - first);
+        let overlap = MIN_OVERLAP * length.min(last - first);
         let (low, high) = (overlap - last, length - overlap - first);
         let count = ((high - low) * STEPS_PER_BIN / step).ceil().max(0.0) as usize + 1;
         // Shift 0 is among them.
@@ -143,7 +143,7 @@ impl Photodiode {
         if !best.is_finite() {
             return None;
         }
-        let enough = best - (ALIKE * (1.0 - best)).clamp(ALIKE_AT_LEAST, ALIKE_AT_MOST);
+        let enough = best - (TIE_FRACTION * (1.0 - best)).clamp(MIN_TIE, MAX_TIE);
         let correlation = |k: usize| fits[k].1[trace].map_or(f64::NEG_INFINITY, |f| f.correlation);
         // A maximum as good as the best, and nearest to no shift at all.
         let is_peak = |&k: &usize| {
@@ -206,7 +206,7 @@ impl Fit {
             .zip(trace)
             .filter_map(|(s, t)| s.map(|s| (s, *t)))
             .collect();
-        if pairs.len() < 3 || (pairs.len() as f64) < LEAST_OVERLAP * trace.len() as f64 {
+        if pairs.len() < 3 || (pairs.len() as f64) < MIN_OVERLAP * trace.len() as f64 {
             return None;
         }
         let n = pairs.len() as f64;

@@ -52,7 +52,7 @@ impl WhitenedSystem {
     }
 
     /// The second of [`Self::estimate`] alone.
-    pub fn unlikeliness(&self, amplitude: f64) -> Option<f64> {
+    pub fn negative_log_evidence(&self, amplitude: f64) -> Option<f64> {
         self.factorise(amplitude).map(|(_, _, evidence)| evidence)
     }
 
@@ -109,7 +109,7 @@ impl Posterior {
     }
 
     /// Values that the data have chosen: `tr(I − P⁻¹)`.
-    pub fn freedom(&self) -> f64 {
+    pub fn effective_dof(&self) -> f64 {
         let size = self.factor.nrows();
         let mut inverse = Mat::<f64>::identity(size, size);
         solve_lower_triangular_in_place(self.factor.as_ref(), inverse.as_mut(), Par::Seq);
@@ -158,8 +158,8 @@ mod tests {
         let bb = (b.transpose() * &b)[(0, 0)];
         assert!((evidence - (determinant + 0.5 * (bmb - bb))).abs() < 1e-12);
         let hat = (&a * &k * a.transpose()) * m.solve(Mat::<f64>::identity(5, 5));
-        let freedom: f64 = (0..5).map(|i| hat[(i, i)]).sum();
-        assert!((posterior.freedom() - freedom).abs() < 1e-12);
+        let effective_dof: f64 = (0..5).map(|i| hat[(i, i)]).sum();
+        assert!((posterior.effective_dof() - effective_dof).abs() < 1e-12);
     }
 
     #[test]

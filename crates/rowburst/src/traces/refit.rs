@@ -43,7 +43,7 @@ use rayon::prelude::*;
 
 /// What an estimate is made from.
 #[derive(Clone, Copy)]
-pub struct Evidence<'a> {
+pub struct RefitInput<'a> {
     /// `A`.
     pub operator: &'a RollingShutter,
     /// `b`, in counts.
@@ -58,7 +58,7 @@ pub struct Evidence<'a> {
 
 /// An estimate of the lit voxels, bin by bin.
 pub struct Refit<'a> {
-    evidence: Evidence<'a>,
+    input: RefitInput<'a>,
     brightness: f64,
     /// `a`.
     amplitude: f64,
@@ -74,9 +74,9 @@ pub struct DebiasedVideo {
     /// `max(E v_S, 0)`, and 0 outside `S`.
     pub video: Video,
     /// Light of the refit over light of the reconstruction.
-    pub light: f64,
+    pub light_ratio: f64,
     /// The same of the voxels above half of the brightness.
-    pub bright_light: f64,
+    pub bright_light_ratio: f64,
     /// Bins with too many lit voxels, which were left as they were.
     pub untouched_bins: usize,
 }
@@ -84,10 +84,10 @@ pub struct DebiasedVideo {
 /// Threshold of `S` over the brightness of the video.
 const THRESHOLD: f64 = 0.01;
 /// Most voxels of an instant: a factorisation grows with the cube of their number.
-const MOST_VOXELS: usize = 400;
+const MAX_VOXELS: usize = 400;
 /// Most instants that `a` and `ℓ` are found from: a dozen determines both to some per cent, and
 /// the cost is theirs.
-const MOST_SAMPLES: usize = 12;
+const MAX_SAMPLES: usize = 12;
 /// Lengths that are tried, in pixels; between them a parabola decides.
 const LENGTHS_PX: [f64; 12] = [
     0.5, 0.6, 0.75, 0.9, 1.1, 1.3, 1.55, 1.85, 2.2, 2.6, 3.1, 3.7,
@@ -117,12 +117,12 @@ impl<'a> Refit<'a> {
     ///
     /// # Panics
     /// If a length does not match, or `σ` is not above zero.
-    pub fn new(evidence: Evidence<'a>) -> Result<Self> {
-        let operator = evidence.operator;
+    pub fn new(input: RefitInput<'a>) -> Result<Self> {
+        let operator = input.operator;
         let pixels = operator.frame_shape().0 * operator.frame_shape().1;
-        assert_eq!(evidence.measured.len(), pixels, "length of the frame");
-        assert_eq!(evidence.video.shape(), operator.video_shape(), "the video");
-        assert!(evidence.sigma > 0.0, "σ is above zero");
+        assert_eq!(input.measured.len(), pixels, "length of the frame");
+        assert_eq!(input.video.shape(), operator.video_shape(), "the video");
+        assert!(input.sigma > 0.0, "σ is above zero");
         if !operator.time().is_disjoint() {
             return Err(Error::input(
                 "standard errors of traces",
@@ -132,8 +132,8 @@ impl<'a> Refit<'a> {
             ));
         }
         let mut refit = Self {
-            brightness: brightness(evidence.video.data()),
-            evidence,
+            brightness: brightness(input.video.data()),
+            input,
             amplitude: 0.5,
             length_px: LENGTHS_PX[FIRST_LENGTH],
             chi_squared: 1.0,
@@ -141,7 +141,7 @@ impl<'a> Refit<'a> {
         };
         if refit.brightness > 0.0 {
             let samples = refit.samples();
-            refit.find_roughness(&samples);
+            refit.fit_hyperparameters(&samples);
             refit.test(&samples);
         }
         Ok(refit)
@@ -172,10 +172,10 @@ impl<'a> Refit<'a> {
     /// # Panics
     /// If a region does not lie in the field.
     pub fn traces(&self, regions: &[Region]) -> Vec<Trace> {
-        let start = |region: &Region| Trace::without_errors(*region, self.evidence.video);
+        let start = |region: &Region| Trace::without_errors(*region, self.input.video);
         let mut traces: Vec<Trace> = regions.iter().map(start).collect();
-        let instants = 0..self.evidence.operator.time().instants().len();
-        let found: Vec<Vec<Mean>> = instants
+        let instants = 0..self.input.operator.time().instants().len();
+        let found: Vec<Vec<RegionMean>> = instants
             .into_par_iter()
             .map(|i| self.means(i, regions))
             .collect();
@@ -192,7 +192,7 @@ impl<'a> Refit<'a> {
     /// # Panics
     /// If a region does not lie in the field, or there is no such bin.
     pub fn traces_of_bin(&self, t: usize, regions: &[Region]) -> Vec<Option<(f64, f64)>> {
-        let instants = self.evidence.operator.time().instants();
+        let instants = self.input.operator.time().instants();
         let sees =
             |run: &InstantWeights| (run.first_bin..run.first_bin + run.weights.len()).contains(&t);
         let mut found = vec![None; regions.len()];
@@ -207,10 +207,10 @@ impl<'a> Refit<'a> {
 
     /// The video with its lit voxels as the refit has them.
     pub fn video(&self) -> DebiasedVideo {
-        let old = self.evidence.video;
+        let old = self.input.video;
         let shape = old.shape();
         let mut video = old.clone();
-        let instants = self.evidence.operator.time().instants();
+        let instants = self.input.operator.time().instants();
         let found: Vec<Option<Vec<(usize, f32)>>> = (0..instants.len())
             .into_par_iter()
             .map(|i| {
@@ -245,21 +245,21 @@ impl<'a> Refit<'a> {
             if before > 0.0 { after / before } else { 1.0 }
         };
         DebiasedVideo {
-            light: ratio(f64::NEG_INFINITY),
-            bright_light: ratio(0.5 * self.brightness),
+            light_ratio: ratio(f64::NEG_INFINITY),
+            bright_light_ratio: ratio(0.5 * self.brightness),
             video,
             untouched_bins,
         }
     }
 
     fn shape(&self) -> Shape {
-        self.evidence.video.shape()
+        self.input.video.shape()
     }
 
     /// The lit voxels of bin `t`, 1 in a mask; `None` where they are too many.
     fn active_mask(&self, t: usize) -> Option<Vec<u8>> {
         let shape = Shape::new(1, self.shape().rows, self.shape().columns);
-        let bin = self.evidence.video.bin(t);
+        let bin = self.input.video.bin(t);
         let threshold = THRESHOLD * self.brightness;
         if threshold <= 0.0 {
             return Some(vec![0; shape.pixels()]);
@@ -267,33 +267,33 @@ impl<'a> Refit<'a> {
         // A bin that is lit all over comes back whole.
         let support = Support::above(bin, shape, &[threshold]);
         let count = support.mask().iter().filter(|&&active| active == 1).count();
-        (count <= MOST_VOXELS).then(|| support.mask().to_vec())
+        (count <= MAX_VOXELS).then(|| support.mask().to_vec())
     }
 
     /// The system of instant `i` with the `regions` that touch lit voxels; `None` where too
     /// many voxels are lit.
     fn system(&self, i: usize, regions: &[Region]) -> Option<System> {
-        let run = &self.evidence.operator.time().instants()[i];
+        let run = &self.input.operator.time().instants()[i];
         let mut voxels = Vec::new();
         for t in run.first_bin..run.first_bin + run.weights.len() {
             let mut mask = self.active_mask(t)?;
             for region in self.active_regions(&mask, regions) {
-                let wide = regions[region].widened(1, self.shape());
+                let wide = regions[region].dilated(1, self.shape());
                 wide.indices(self.shape().columns)
                     .for_each(|at| mask[at] = 1);
             }
             self.add_voxels(t, |at| mask[at] == 1, &mut voxels);
         }
-        (voxels.len() <= MOST_VOXELS).then(|| self.system_of(i, voxels))
+        (voxels.len() <= MAX_VOXELS).then(|| self.system_of(i, voxels))
     }
 
     /// Indices of the `regions` that a lit voxel lies in or beside, and whose surroundings are
     /// small enough to be estimated.
     fn active_regions(&self, mask: &[u8], regions: &[Region]) -> Vec<usize> {
         let touches = |region: &Region| {
-            let wide = region.widened(1, self.shape());
+            let wide = region.dilated(1, self.shape());
             let mut near = wide.indices(self.shape().columns);
-            wide.pixels() <= MOST_VOXELS / 2 && near.any(|at| mask[at] == 1)
+            wide.pixels() <= MAX_VOXELS / 2 && near.any(|at| mask[at] == 1)
         };
         (0..regions.len())
             .filter(|&k| touches(&regions[k]))
@@ -302,7 +302,7 @@ impl<'a> Refit<'a> {
 
     fn add_voxels(&self, bin: usize, is_in: impl Fn(usize) -> bool, voxels: &mut Vec<Voxel>) {
         let columns = self.shape().columns;
-        let scales = scales(self.evidence.video.bin(bin), columns, self.brightness);
+        let scales = scales(self.input.video.bin(bin), columns, self.brightness);
         let of = |(at, &scale): (usize, &f64)| Voxel {
             bin,
             y: at / columns,
@@ -314,13 +314,13 @@ impl<'a> Refit<'a> {
     }
 
     fn system_of(&self, i: usize, voxels: Vec<Voxel>) -> System {
-        let Evidence {
+        let RefitInput {
             operator,
             measured,
             weights,
             sigma,
             ..
-        } = self.evidence;
+        } = self.input;
         let columns = self.shape().columns;
         let run = &operator.time().instants()[i];
         let pixels: Vec<usize> = voxels.iter().map(|p| p.y * columns + p.x).collect();
@@ -351,16 +351,16 @@ impl<'a> Refit<'a> {
     }
 
     /// The means over `regions` in the bins of instant `i`.
-    fn means(&self, i: usize, regions: &[Region]) -> Vec<Mean> {
+    fn means(&self, i: usize, regions: &[Region]) -> Vec<RegionMean> {
         let Some(system) = self.system(i, regions) else {
             return Vec::new();
         };
         let Some(posterior) = self.estimate(&system) else {
             return Vec::new();
         };
-        let run = &self.evidence.operator.time().instants()[i];
+        let run = &self.input.operator.time().instants()[i];
         let columns = self.shape().columns;
-        let of_video = |p: &Voxel| f64::from(self.evidence.video.bin(p.bin)[p.y * columns + p.x]);
+        let of_video = |p: &Voxel| f64::from(self.input.video.bin(p.bin)[p.y * columns + p.x]);
         let video = Mat::from_fn(system.voxels.len(), 1, |k, _| of_video(&system.voxels[k]));
         let pulled = system.matrix.transpose() * (&system.matrix * &video);
         let pulled = posterior.covariance_with(pulled.col_as_slice(0)) - &video;
@@ -368,7 +368,7 @@ impl<'a> Refit<'a> {
         for bin in run.first_bin..run.first_bin + run.weights.len() {
             for (k, region) in regions.iter().enumerate() {
                 let (weights, inside) = mean_weights(&system.voxels, region, bin);
-                let (value, variance) = if inside || region.pixels() > MOST_VOXELS / 2 {
+                let (value, variance) = if inside || region.pixels() > MAX_VOXELS / 2 {
                     let values = weights.iter().enumerate();
                     let mean = values.map(|(k, c)| c * posterior.mean()[(k, 0)]).sum();
                     // The estimate is wᵀAᵀb with w = cov(v) c.
@@ -384,7 +384,7 @@ impl<'a> Refit<'a> {
                         None => continue,
                     }
                 };
-                means.push(Mean {
+                means.push(RegionMean {
                     region: k,
                     bin,
                     value,
@@ -406,9 +406,9 @@ impl<'a> Refit<'a> {
         posterior: &Posterior,
     ) -> Option<(f64, f64)> {
         let columns = self.shape().columns;
-        let wide = region.widened(1, self.shape());
+        let wide = region.dilated(1, self.shape());
         let mut voxels = Vec::new();
-        let is_in = |at: usize| wide.has(at / columns, at % columns);
+        let is_in = |at: usize| wide.contains(at / columns, at % columns);
         self.add_voxels(bin, is_in, &mut voxels);
         let dark = self.system_of(i, voxels);
         let half = posterior.half(&(active.matrix.transpose() * &dark.matrix));
@@ -427,15 +427,15 @@ impl<'a> Refit<'a> {
 
     /// Instants, evenly spaced in time, that hold light.
     fn samples(&self) -> Vec<System> {
-        let instants = self.evidence.operator.time().instants();
+        let instants = self.input.operator.time().instants();
         let is_active = |i: &usize| {
             let run = &instants[*i];
             let half = (0.5 * self.brightness) as f32;
             let mut bins = run.first_bin..run.first_bin + run.weights.len();
-            bins.any(|t| self.evidence.video.bin(t).iter().any(|&v| v > half))
+            bins.any(|t| self.input.video.bin(t).iter().any(|&v| v > half))
         };
         let active: Vec<usize> = (0..instants.len()).filter(is_active).collect();
-        let step = active.len().div_ceil(MOST_SAMPLES).max(1);
+        let step = active.len().div_ceil(MAX_SAMPLES).max(1);
         let chosen: Vec<usize> = active.into_iter().step_by(step).collect();
         let systems = chosen.into_par_iter().map(|i| self.system(i, &[]));
         let systems: Vec<Option<System>> = systems.collect();
@@ -447,7 +447,7 @@ impl<'a> Refit<'a> {
     }
 
     /// Sets `a` and `ℓ` to what makes the frame most likely.
-    fn find_roughness(&mut self, samples: &[System]) {
+    fn fit_hyperparameters(&mut self, samples: &[System]) {
         if samples.is_empty() {
             return;
         }
@@ -498,7 +498,7 @@ impl<'a> Refit<'a> {
             .map(|system| {
                 let posterior = self.estimate(system)?;
                 let rest = &system.measured - &system.matrix * posterior.mean();
-                let free = system.informative as f64 - posterior.freedom();
+                let free = system.informative as f64 - posterior.effective_dof();
                 Some((rest.squared_norm_l2(), free))
             })
             .collect();
@@ -514,7 +514,7 @@ impl<'a> Refit<'a> {
 }
 
 /// The mean over a region in a bin.
-struct Mean {
+struct RegionMean {
     region: usize,
     bin: usize,
     value: f64,
@@ -537,7 +537,7 @@ impl System {
 /// `c` with `cᵀv` the mean over `region` in `bin`, and whether the region has a voxel in `voxels`.
 fn mean_weights(voxels: &[Voxel], region: &Region, bin: usize) -> (Vec<f64>, bool) {
     let weight = 1.0 / region.pixels() as f64;
-    let is_in = |p: &Voxel| p.bin == bin && region.has(p.y, p.x);
+    let is_in = |p: &Voxel| p.bin == bin && region.contains(p.y, p.x);
     let weights: Vec<f64> = voxels
         .iter()
         .map(|p| if is_in(p) { weight } else { 0.0 })
@@ -559,7 +559,7 @@ fn mean_square_nearby(voxels: &[Voxel], values: &Mat<f64>, region: &Region, bin:
             let moved = |voxel: usize, shift: usize| (voxel + shift).checked_sub(NEARBY);
             let (y, x) = (moved(voxel.y, at / side), moved(voxel.x, at % side));
             if let (Some(y), Some(x)) = (y, x)
-                && region.has(y, x)
+                && region.contains(y, x)
             {
                 *sum += values[(k, 0)];
             }
@@ -575,7 +575,7 @@ fn best_amplitude(whitened: &[WhitenedSystem], start: f64) -> (f64, f64) {
     let value = |ln_a: f64| -> f64 {
         let parts: Option<Vec<f64>> = whitened
             .par_iter()
-            .map(|w| w.unlikeliness(ln_a.exp()))
+            .map(|w| w.negative_log_evidence(ln_a.exp()))
             .collect();
         parts.map_or(f64::INFINITY, |parts| parts.iter().sum())
     };

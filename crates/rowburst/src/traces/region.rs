@@ -20,7 +20,7 @@ impl Region {
     ///
     /// # Panics
     /// If `(y, x)` is not in the field, or `side` is zero.
-    pub fn about(y: usize, x: usize, side: usize, shape: Shape) -> Self {
+    pub fn centred_at(y: usize, x: usize, side: usize, shape: Shape) -> Self {
         assert!(
             y < shape.rows && x < shape.columns && side > 0,
             "a pixel of {shape}"
@@ -66,13 +66,13 @@ impl Region {
     }
 
     /// Whether the pixel `(y, x)` is in it.
-    pub fn has(&self, y: usize, x: usize) -> bool {
+    pub fn contains(&self, y: usize, x: usize) -> bool {
         (self.y..self.y + self.rows).contains(&y) && (self.x..self.x + self.columns).contains(&x)
     }
 
     /// The region with a margin of `by` pixels, without what lies outside the field.
     #[must_use]
-    pub fn widened(&self, by: usize, shape: Shape) -> Self {
+    pub fn dilated(&self, by: usize, shape: Shape) -> Self {
         let (y, x) = (self.y.saturating_sub(by), self.x.saturating_sub(by));
         Self {
             y,
@@ -148,16 +148,16 @@ mod tests {
 
     #[test]
     fn squares_are_cut_at_the_edge() {
-        let region = Region::about(0, 5, 3, SHAPE);
+        let region = Region::centred_at(0, 5, 3, SHAPE);
         assert_eq!(
             (region.y, region.x, region.rows, region.columns),
             (0, 4, 2, 2)
         );
-        assert_eq!(Region::about(2, 2, 3, SHAPE).pixels(), 9);
-        assert_eq!(Region::about(2, 2, 1, SHAPE).pixels(), 1);
+        assert_eq!(Region::centred_at(2, 2, 3, SHAPE).pixels(), 9);
+        assert_eq!(Region::centred_at(2, 2, 1, SHAPE).pixels(), 1);
         assert_eq!(region.indices(6).collect::<Vec<_>>(), [4, 5, 10, 11]);
-        assert_eq!(region.widened(1, SHAPE).pixels(), 9);
-        assert!(region.has(1, 4) && !region.has(2, 4));
+        assert_eq!(region.dilated(1, SHAPE).pixels(), 9);
+        assert!(region.contains(1, 4) && !region.contains(2, 4));
     }
 
     #[test]

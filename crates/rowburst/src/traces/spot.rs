@@ -23,7 +23,7 @@ pub fn brightest_regions(video: &Video, count: usize) -> Vec<Region> {
     let spots = brightest_spots(&largest, shape.columns, count, separation);
     spots
         .iter()
-        .map(|spot| Region::about(spot.y, spot.x, 3, shape))
+        .map(|spot| Region::centred_at(spot.y, spot.x, 3, shape))
         .collect()
 }
 

@@ -15,11 +15,11 @@ pub struct Tone {
 }
 
 /// A tone must explain this share of the variance (a square wave's fundamental has 0.81),
-const LEAST_SHARE: f64 = 0.3;
+const MIN_EXPLAINED: f64 = 0.3;
 /// and more than the strongest of `n/2` frequencies has in white noise, about `2 ln(n)/n`,
-const SHARE_TIMES_LENGTH: f64 = 20.0;
+const MIN_EXPLAINED_TIMES_LENGTH: f64 = 20.0;
 /// and show two periods within the trace: less is a passage, not a tone.
-const LEAST_PERIODS: f64 = 2.0;
+const MIN_PERIODS: f64 = 2.0;
 
 /// The strongest frequency of a trace sampled at `rate_hz`, if it stands out clearly.
 ///
@@ -66,8 +66,8 @@ pub fn strongest_tone(trace: &[f32], rate_hz: f64) -> Option<Tone> {
         hertz: best * rate_hz,
         share: share(best).clamp(0.0, 1.0),
     };
-    let needed = LEAST_SHARE.max(SHARE_TIMES_LENGTH / n as f64);
-    (tone.share >= needed && best * n as f64 >= LEAST_PERIODS).then_some(tone)
+    let needed = MIN_EXPLAINED.max(MIN_EXPLAINED_TIMES_LENGTH / n as f64);
+    (tone.share >= needed && best * n as f64 >= MIN_PERIODS).then_some(tone)
 }
 
 /// Sum of squares that the least-squares fit `a + b cos + c sin` takes from a trace of zero mean.

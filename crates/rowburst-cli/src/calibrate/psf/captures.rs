@@ -1,7 +1,7 @@
 //! The captures that the command line names, and where their source was.
 
 use super::PsfArgs;
-use rowburst::calibrate::psf::Shot;
+use rowburst::calibrate::psf::NamedCapture;
 use rowburst::{Error, Result};
 use rowburst_io::{IMAGE_ENDINGS, is_image, read_image, read_stack};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 pub struct File {
     pub path: PathBuf,
     /// Its pages.
-    pub shots: Vec<Shot>,
+    pub shots: Vec<NamedCapture>,
     /// Counts at which its kind of file ends, if it holds integers.
     pub container_end: Option<f64>,
 }
@@ -28,7 +28,7 @@ impl File {
             _ => format!("{} page {page}", path.display()),
         };
         let shots = pages.into_iter().enumerate();
-        let shots = shots.map(|(i, image)| Shot {
+        let shots = shots.map(|(i, image)| NamedCapture {
             name: name(i + 1),
             image,
         });

@@ -2,7 +2,7 @@
 
 use super::PsfArgs;
 use super::summary::PsfSummary;
-use rowburst::calibrate::psf::{BIN, MemoryEffect, Reach, Speckle};
+use rowburst::calibrate::psf::{HISTOGRAM_BIN_WIDTH, MemoryEffect, Reach, SpeckleStatistics};
 use rowburst::{Image, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
 use rowburst_run::short;
@@ -11,7 +11,7 @@ use rowburst_run::short;
 pub struct Pages<'a> {
     pub args: &'a PsfArgs,
     pub psf: &'a Image,
-    pub speckle: &'a Speckle,
+    pub speckle: &'a SpeckleStatistics,
     pub reach: &'a Reach,
     /// The memory effect and the places `(y, x)` in millimetres.
     pub effect: Option<(&'a MemoryEffect, &'a [(f64, f64)])>,
@@ -187,15 +187,15 @@ fn psf_map(relative: &Image) -> Drawing<'_> {
     }
 }
 
-fn histogram(speckle: &Speckle) -> Drawing<'static> {
+fn histogram(speckle: &SpeckleStatistics) -> Drawing<'static> {
     let bins: Vec<(f64, f64)> = speckle
         .histogram
         .iter()
         .enumerate()
         .filter(|(_, density)| **density > 1e-5)
-        .map(|(i, &density)| ((i as f64 + 0.5) * BIN, density))
+        .map(|(i, &density)| ((i as f64 + 0.5) * HISTOGRAM_BIN_WIDTH, density))
         .collect();
-    let end = speckle.histogram.len() as f64 * BIN;
+    let end = speckle.histogram.len() as f64 * HISTOGRAM_BIN_WIDTH;
     let expected = (0..=80).map(|i| f64::from(i) / 80.0 * end);
     let curves = vec![
         Curve {
@@ -224,7 +224,7 @@ fn histogram(speckle: &Speckle) -> Drawing<'static> {
     }
 }
 
-fn grain(speckle: &Speckle) -> Drawing<'static> {
+fn grain(speckle: &SpeckleStatistics) -> Drawing<'static> {
     let end = ((4.0 * speckle.grain_px).ceil() as usize).clamp(6, speckle.autocovariance_y.len());
     let curve = |name: &str, values: &[f64]| Curve {
         name: name.into(),

@@ -7,9 +7,9 @@ use super::summary::{MemorySummary, PsfSummary, RowReach, remarks, warnings};
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use rowburst::calibrate::psf::{
-    Light, MemoryEffect, MergeParams, PositionedCapture, Shot, ballistic_core, centred_psfs,
-    centroid, memory_effect, merge, noise_of, patch_set, patches_needed, row_reach, select_patches,
-    span_px, statistics, suppress_noise,
+    MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, ballistic_core,
+    centred_psfs, centroid, memory_effect, merge, noise_of, patch_set, patches_needed, row_reach,
+    select_patches, span_px, statistics, suppress_noise,
 };
 use rowburst::{Error, Image, PatchSet, Result};
 use rowburst_io::{Experiment, OutputFolder, read_image, write_npy_image, write_patch_set};
@@ -36,7 +36,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     let lights = groups
         .iter()
         .map(|group| settings.light(group))
-        .collect::<Result<Vec<Light>>>()?;
+        .collect::<Result<Vec<PointSourceImage>>>()?;
 
     let (effect, placed_lights) = match &positions {
         None => (None, Vec::new()),
@@ -87,7 +87,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         sensor_rows,
         field_rows,
         speckle.grain_px,
-        (speckle.lit_edge_part > 0.02).then_some(covered),
+        (speckle.lit_edge_fraction > 0.02).then_some(covered),
     );
     let row_reach = RowReach::new(&reach, sensor_rows, field_rows);
 
@@ -136,11 +136,11 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         grain_x_px: speckle.grain_x_px,
         ballistic_fraction: core.map_or(0.0, |c| c.fraction),
         ballistic_at_px: core.map(|c| c.at_px),
-        saturated_fraction: light.saturated_part,
+        saturated_fraction: light.saturated_fraction,
         exponential_distance: speckle.exponential_distance,
-        noise_part: speckle.noise_part,
-        lit_fraction: speckle.lit_part,
-        floor_counts: light.floor.map(|f| f.counts),
+        noise_part: speckle.noise_fraction,
+        lit_fraction: speckle.lit_fraction,
+        floor_counts: light.black_level.map(|f| f.counts),
         middle_px: middle,
         remarks: remarks(light, &speckle, &row_reach, effect.as_ref()),
         row_reach,
@@ -212,7 +212,7 @@ impl CaptureSettings {
     }
 
     /// The light of one place, on the working grid.
-    fn light(&self, group: &Group) -> Result<Light> {
+    fn light(&self, group: &Group) -> Result<PointSourceImage> {
         let mut light = merge(
             &group.shots,
             &MergeParams {
@@ -244,7 +244,7 @@ impl CaptureSettings {
 
 /// Captures of one place.
 struct Group {
-    shots: Vec<Shot>,
+    shots: Vec<NamedCapture>,
     container_end: Option<f64>,
 }
 
@@ -269,10 +269,14 @@ fn groups(files: Vec<File>, by_file: bool) -> Vec<Group> {
 }
 
 /// Captures besides the reference that are saturated.
-fn saturated_captures(lights: &[Light], reference: usize, groups: &[Group]) -> Option<String> {
+fn saturated_captures(
+    lights: &[PointSourceImage],
+    reference: usize,
+    groups: &[Group],
+) -> Option<String> {
     let others = lights.iter().zip(groups).enumerate();
     let mut names = others
-        .filter(|(i, (light, _))| *i != reference && light.saturated_part > 1e-3)
+        .filter(|(i, (light, _))| *i != reference && light.saturated_fraction > 1e-3)
         .map(|(_, (_, group))| group.shots[0].name.as_str());
     let first = names.next()?;
     Some(format!(

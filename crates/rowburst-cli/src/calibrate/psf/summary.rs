@@ -1,6 +1,8 @@
 //! `psf.json`: the numbers of a PSF and of the memory effect, and what to make of them.
 
-use rowburst::calibrate::psf::{Core, LEAST_REACH, Light, MemoryEffect, Reach, Speckle};
+use rowburst::calibrate::psf::{
+    Core, MIN_REACH, MemoryEffect, PointSourceImage, Reach, SpeckleStatistics,
+};
 use serde::Serialize;
 
 /// Everything that `psf.json` says.
@@ -71,8 +73,8 @@ impl RowReach {
     pub fn new(reach: &Reach, sensor_rows: usize, field_rows: usize) -> Self {
         Self {
             worst: reach.worst,
-            least: LEAST_REACH,
-            enough: reach.worst >= LEAST_REACH,
+            least: MIN_REACH,
+            enough: reach.worst >= MIN_REACH,
             extrapolated: reach.extrapolated,
             sensor_rows,
             field_rows,
@@ -107,8 +109,8 @@ const MOST_BALLISTIC: f64 = 0.01;
 
 /// What the user must know before using the PSF.
 pub fn warnings(
-    light: &Light,
-    speckle: &Speckle,
+    light: &PointSourceImage,
+    speckle: &SpeckleStatistics,
     core: Option<&Core>,
     reach: &RowReach,
     expected_grain_px: Option<f64>,
@@ -123,10 +125,10 @@ pub fn warnings(
             100.0 * core.fraction, 2.0 * core.radius_px, core.at_px.0, core.at_px.1
         ));
     }
-    if light.saturated_part > MOST_SATURATED {
+    if light.saturated_fraction > MOST_SATURATED {
         warnings.push(format!(
             "{:.2} % of the pixels are saturated: bright grains are cut off, and contrast and PSF are too low there; shorten the exposure, or add shorter ones with --exposures-ms",
-            100.0 * light.saturated_part
+            100.0 * light.saturated_fraction
         ));
     }
     if speckle.contrast < LEAST_CONTRAST {
@@ -135,8 +137,9 @@ pub fn warnings(
             speckle.contrast
         ));
     }
-    let pattern =
-        (speckle.lit_part * (speckle.envelope.rows() * speckle.envelope.columns()) as f64).sqrt();
+    let pattern = (speckle.lit_fraction
+        * (speckle.envelope.rows() * speckle.envelope.columns()) as f64)
+        .sqrt();
     if speckle.grain_px > pattern / 8.0 {
         warnings.push(format!(
             "the grain of {:.1} px is a large part of the pattern of {pattern:.0} px: the source is extended, or this is no speckle; take a smaller pinhole, or open the aperture",
@@ -163,24 +166,24 @@ pub fn warnings(
 
 /// What the numbers rest on.
 pub fn remarks(
-    light: &Light,
-    speckle: &Speckle,
+    light: &PointSourceImage,
+    speckle: &SpeckleStatistics,
     reach: &RowReach,
     effect: Option<&MemoryEffect>,
 ) -> Vec<String> {
     let mut remarks = Vec::new();
-    match &light.floor {
-        Some(floor) if floor.unlit => remarks.push(format!(
+    match &light.black_level {
+        Some(black_level) if black_level.is_from_dark_region => remarks.push(format!(
             "no dark frame: the floor of {:.2} counts was read from a region without light",
-            floor.counts
+            black_level.counts
         )),
-        Some(floor) => remarks.push(format!(
+        Some(black_level) => remarks.push(format!(
             "no dark frame: the floor of {:.2} counts is that of the darkest thousandth of the pixels, so the contrast is an upper bound; give --dark",
-            floor.counts
+            black_level.counts
         )),
         None => {}
     }
-    if speckle.lit_edge_part > 0.1 {
+    if speckle.lit_edge_fraction > 0.1 {
         remarks.push(
             "the pattern reaches the edges of the capture: light beyond them is not in the PSF"
                 .into(),

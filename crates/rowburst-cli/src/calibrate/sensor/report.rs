@@ -31,7 +31,7 @@ pub fn render(calibration: &SensorCalibration, args: &SensorArgs) -> Result<Repo
     let response = kept(&calibration.response);
     // Means of whole counts over n frames are multiples of 1/n.
     let step = calibration
-        .whole_counts
+        .has_integer_counts
         .then(|| 1.0 / calibration.dark_drift.len() as f64);
     let sections = vec![
         (

@@ -2,7 +2,7 @@
 
 use super::TimingArgs;
 use crate::calibrate::experiment_of;
-use rowburst::calibrate::timing::{Extension, Light, Signal, Timing};
+use rowburst::calibrate::timing::{Extension, Lamp, Timing, Waveform};
 use rowburst::{Error, Image, Result, Shutter};
 use rowburst_io::{Calibration, Experiment, OutputFolder, read_colour_image, write_npy_i64};
 use std::path::Path;
@@ -10,7 +10,7 @@ use std::path::Path;
 /// What the command line asks for, read.
 pub struct TimingInputs {
     pub frames: Vec<Image>,
-    pub light: Light,
+    pub light: Lamp,
     pub dark: Option<Image>,
     pub flat: Option<Image>,
     pub calibration: Calibration,
@@ -128,7 +128,7 @@ impl TimingInputs {
     }
 }
 
-fn light(args: &TimingArgs) -> Result<Light> {
+fn light(args: &TimingArgs) -> Result<Lamp> {
     match (&args.signal, args.frequency_hz) {
         (Some(path), _) => {
             let extension = if args.repeat {
@@ -137,10 +137,11 @@ fn light(args: &TimingArgs) -> Result<Light> {
                 Extension::Holds
             };
             let points = read_points(path)?;
-            let signal = Signal::new(&points, extension).map_err(|e| e.within(path.display()))?;
-            Ok(Light::Known(signal))
+            let waveform =
+                Waveform::new(&points, extension).map_err(|e| e.within(path.display()))?;
+            Ok(Lamp::Waveform(waveform))
         }
-        (None, Some(frequency_hz)) => Ok(Light::Periodic {
+        (None, Some(frequency_hz)) => Ok(Lamp::Periodic {
             frequency_hz,
             duty: args.duty,
         }),

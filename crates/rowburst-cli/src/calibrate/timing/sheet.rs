@@ -226,7 +226,7 @@ fn tables(timing: &Timing) -> Vec<(String, Vec<(String, String)>)> {
         None => found.push(pair("start on the signal's clock (µs)", numbers.join(", "))),
     }
     let orders = timing.candidates.iter().enumerate().map(|(i, c)| {
-        let verdict = if c.left { "left" } else { "left out" };
+        let verdict = if c.is_consistent { "left" } else { "left out" };
         let text = format!(
             "{verdict}: χ² beyond the best {}, χ² per degree of freedom {}, row time {} µs",
             short(c.excess),

@@ -32,7 +32,7 @@ const FALSE_ALARM: f64 = 1e-4;
 
 /// A core narrower in brightness than this may be the shape of an envelope that a
 /// smooth model does not follow.
-const LEAST_HEIGHT: f64 = 1.5;
+const MIN_HEIGHT: f64 = 1.5;
 
 /// The ballistic core of `light` with speckle of `grain` pixels, if there is one.
 pub fn ballistic_core(light: &Image, grain: f64) -> Option<Core> {
@@ -70,7 +70,7 @@ fn search(light: &Image, envelope: &Image, grain: f64) -> Option<Core> {
         let height = f64::from(mean.data()[at]);
         let evidence = grains * (height - 1.0 - height.max(1e-9).ln());
         let surprise = evidence - (windows.max(1.0) / FALSE_ALARM).ln();
-        if height > LEAST_HEIGHT && surprise > 0.0 && best.is_none_or(|b| surprise > b.0) {
+        if height > MIN_HEIGHT && surprise > 0.0 && best.is_none_or(|b| surprise > b.0) {
             best = Some((surprise, at, height));
         }
     }

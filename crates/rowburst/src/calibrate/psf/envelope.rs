@@ -4,7 +4,7 @@
 //! quadratic in `y` and `x`. Means of speckle over a cell are gamma distributed, with a
 //! spread in proportion to the mean: the likelihood is maximised by iterated least
 //! squares (gamma regression with a logarithmic link), where a cell brighter than
-//! [`MOST`] times the model counts as [`MOST`], so that a bright spot does not lift it.
+//! [`MAX_RATIO`] times the model counts as [`MAX_RATIO`], so that a bright spot does not lift it.
 //! What a quadratic cannot follow (a flat top, a vignette) is a smooth factor on top.
 
 use super::filter::smoothed;
@@ -13,10 +13,10 @@ use crate::vecmath::solve_normal;
 
 /// A cell's ratio to the model above which it counts as this: means over nine grains
 /// of speckle pass it once in a thousand cells.
-const MOST: f64 = 2.5;
+const MAX_RATIO: f64 = 2.5;
 
 /// Floor of the model against its maximum: ratios to less than this are noise.
-const LEAST: f64 = 1e-3;
+const MIN_RELATIVE_ENVELOPE: f64 = 1e-3;
 
 /// Means over square cells, a log-quadratic model of them, and what is left.
 pub(super) struct Envelope {
@@ -73,7 +73,7 @@ impl Envelope {
         for _ in 0..60 {
             let (mut normal, mut slope) = ([[0.0; 6]; 6], [0.0; 6]);
             for (terms, &mean) in cells.iter().zip(&self.means) {
-                let error = (mean / dot(&self.coefficients, terms).exp()).min(MOST) - 1.0;
+                let error = (mean / dot(&self.coefficients, terms).exp()).min(MAX_RATIO) - 1.0;
                 for (i, row) in normal.iter_mut().enumerate() {
                     for j in 0..6 {
                         row[j] += terms[i] * terms[j];
@@ -106,7 +106,7 @@ impl Envelope {
                 .clamp(-80.0, 80.0)
                 .exp() as f32
         });
-        let least = LEAST as f32 * image.max();
+        let least = MIN_RELATIVE_ENVELOPE as f32 * image.max();
         let mut image = image;
         image.data_mut().iter_mut().for_each(|p| *p = p.max(least));
         image
@@ -126,7 +126,7 @@ impl Envelope {
             let (y, x) = (self.middle(i / self.columns), self.middle(i % self.columns));
             if outside(y, x) {
                 let at = f64::from(model.at(y as usize, x as usize));
-                ratio.data_mut()[i] = (self.means[i] / at).min(MOST) as f32;
+                ratio.data_mut()[i] = (self.means[i] / at).min(MAX_RATIO) as f32;
                 kept.data_mut()[i] = 1.0;
             }
         }

@@ -6,12 +6,12 @@
 //! averaged, saturated pixels too: leaving out the ones above the end would darken
 //! the rest.
 
-use super::floor::{Floor, floor_of};
+use super::black_level::{BlackLevel, estimate_black_level};
 use crate::{Error, Image, Result};
 
 /// One capture with the name that errors call it by.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Shot {
+pub struct NamedCapture {
     /// File, or file and page.
     pub name: String,
     /// Raw counts.
@@ -32,14 +32,14 @@ pub struct MergeParams {
 
 /// The light of a point source.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Light {
+pub struct PointSourceImage {
     /// Counts above the floor, negative where noise made them so; per millisecond of
     /// exposure if there are several.
     pub image: Image,
     /// Part of the pixels that are saturated in every capture.
-    pub saturated_part: f64,
+    pub saturated_fraction: f64,
     /// What was taken from the captures without a dark frame: mean of their floors.
-    pub floor: Option<Floor>,
+    pub black_level: Option<BlackLevel>,
     /// Captures that went in.
     pub used: usize,
     /// Captures that show another pattern and were left out, with their correlation.
@@ -54,7 +54,7 @@ const OUTLIER: f64 = 0.8;
 
 /// Part of saturated pixels from which on a PSF is refused: so much of the light lies in
 /// the brightest grains that speckle of which they are cut off is another PSF.
-const MOST_SATURATED: f64 = 0.2;
+const MAX_SATURATED_FRACTION: f64 = 0.2;
 
 /// Merges `shots` of one source at one place.
 ///
@@ -62,9 +62,9 @@ const MOST_SATURATED: f64 = 0.2;
 /// No capture, sizes that differ, pixels that are not finite, captures without light, a
 /// dark frame brighter than a capture, exposures that do not belong to the captures,
 /// captures of different patterns, more than a fifth of the pixels saturated.
-pub fn merge(shots: &[Shot], params: &MergeParams) -> Result<Light> {
+pub fn merge(shots: &[NamedCapture], params: &MergeParams) -> Result<PointSourceImage> {
     check(shots, params)?;
-    let mut floors = Vec::new();
+    let mut black_levels = Vec::new();
     let mut rates = Vec::new();
     for (i, shot) in shots.iter().enumerate() {
         let end = saturation(&shot.image, params.saturation_counts);
@@ -79,10 +79,10 @@ pub fn merge(shots: &[Shot], params: &MergeParams) -> Result<Light> {
             let pairs = image.data_mut().iter_mut().zip(dark.data());
             pairs.for_each(|(p, d)| *p -= d);
         } else {
-            let floor = floor_of(&image);
+            let black_level = estimate_black_level(&image);
             let pixels = image.data_mut().iter_mut();
-            pixels.for_each(|p| *p = (f64::from(*p) - floor.counts) as f32);
-            floors.push(floor);
+            pixels.for_each(|p| *p = (f64::from(*p) - black_level.counts) as f32);
+            black_levels.push(black_level);
         }
         let exposure = params.exposures_ms.get(i).copied().unwrap_or(1.0);
         let sum: f64 = image.data().iter().map(|&p| f64::from(p)).sum();
@@ -99,28 +99,31 @@ pub fn merge(shots: &[Shot], params: &MergeParams) -> Result<Light> {
         .iter()
         .any(|t| *t != params.exposures_ms[0]);
     let (image, saturated) = sum(&rates, &kept, several);
-    let saturated_part = saturated as f64 / image.data().len() as f64;
-    if saturated_part > MOST_SATURATED {
+    let saturated_fraction = saturated as f64 / image.data().len() as f64;
+    if saturated_fraction > MAX_SATURATED_FRACTION {
         return Err(Error::input(
             &shots[kept[0]].name,
-            format!("{:.0} % of the pixels saturated", 100.0 * saturated_part),
-            format!("a PSF has at most {:.0} %", 100.0 * MOST_SATURATED),
+            format!(
+                "{:.0} % of the pixels saturated",
+                100.0 * saturated_fraction
+            ),
+            format!("a PSF has at most {:.0} %", 100.0 * MAX_SATURATED_FRACTION),
             "Shorten the exposure, or add captures of shorter ones with --exposures-ms.",
         ));
     }
-    let floor = (!floors.is_empty()).then(|| {
-        let of = |value: fn(&Floor) -> f64| {
-            kept.iter().map(|&i| value(&floors[i])).sum::<f64>() / kept.len() as f64
+    let black_level = (!black_levels.is_empty()).then(|| {
+        let of = |value: fn(&BlackLevel) -> f64| {
+            kept.iter().map(|&i| value(&black_levels[i])).sum::<f64>() / kept.len() as f64
         };
-        Floor {
+        BlackLevel {
             counts: of(|f| f.counts),
-            unlit: kept.iter().all(|&i| floors[i].unlit),
+            is_from_dark_region: kept.iter().all(|&i| black_levels[i].is_from_dark_region),
         }
     });
-    Ok(Light {
+    Ok(PointSourceImage {
         image,
-        saturated_part,
-        floor,
+        saturated_fraction,
+        black_level,
         used: kept.len(),
         left_out,
     })
@@ -135,7 +138,7 @@ struct Rate {
     scale: f64,
 }
 
-fn check(shots: &[Shot], params: &MergeParams) -> Result<()> {
+fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
     let Some(first) = shots.first() else {
         return Err(Error::input(
             "captures",
@@ -199,7 +202,7 @@ fn check(shots: &[Shot], params: &MergeParams) -> Result<()> {
     Ok(())
 }
 
-fn check_dark(shot: &Shot, dark: &Image) -> Result<()> {
+fn check_dark(shot: &NamedCapture, dark: &Image) -> Result<()> {
     let size = |image: &Image| format!("{}×{} pixels", image.rows(), image.columns());
     if size(dark) != size(&shot.image) {
         return Err(Error::input(
@@ -259,7 +262,7 @@ fn saturation(image: &Image, known: Option<f64>) -> Option<f64> {
 type AgreeingCaptures = (Vec<usize>, Vec<(String, f64)>);
 
 /// Which captures show the pattern of the others, and those that do not.
-fn agreeing(shots: &[Shot], rates: &[Rate]) -> Result<AgreeingCaptures> {
+fn agreeing(shots: &[NamedCapture], rates: &[Rate]) -> Result<AgreeingCaptures> {
     let all: Vec<usize> = (0..rates.len()).collect();
     if all.len() == 1 {
         return Ok((all, Vec::new()));

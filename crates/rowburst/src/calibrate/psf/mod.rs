@@ -2,7 +2,7 @@
 //! optics.
 //!
 //! ```text
-//! captures ──merge──▶ Light ──suppress_noise──▶ light ≥ 0 ──placed──▶ Psf
+//! captures ──merge──▶ PointSourceImage ──suppress_noise──▶ light ≥ 0 ──centred_psfs──▶ Psf
 //!                                       │
 //!                                       ├─ statistics: contrast, grain, histogram
 //!                                       ├─ ballistic_core: light that was not scattered
@@ -11,9 +11,9 @@
 //! ```
 
 mod ballistic;
+mod black_level;
 mod envelope;
 mod filter;
-mod floor;
 mod fourier;
 mod memory;
 mod merge;
@@ -22,9 +22,9 @@ mod reach;
 mod statistics;
 
 pub use ballistic::{Core, ballistic_core};
-pub use floor::{DenoisedLight, Floor, noise_of, suppress_noise};
+pub use black_level::{BlackLevel, DenoisedLight, noise_of, suppress_noise};
 pub use memory::{MemoryEffect, PositionedCapture, memory_effect};
-pub use merge::{Light, MergeParams, Shot, merge};
+pub use merge::{MergeParams, NamedCapture, PointSourceImage, merge};
 pub use place::{centred_psfs, centroid, patch_set, patches_needed, select_patches, span_px};
-pub use reach::{LEAST_REACH, Reach, row_reach};
-pub use statistics::{BIN, Speckle, statistics};
+pub use reach::{MIN_REACH, Reach, row_reach};
+pub use statistics::{HISTOGRAM_BIN_WIDTH, SpeckleStatistics, statistics};

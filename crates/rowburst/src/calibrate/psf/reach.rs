@@ -27,10 +27,10 @@ pub struct Reach {
 
 /// Least [`Reach::worst`] that is enough: a row with a tenth of the mean light still
 /// tells its instant apart from noise where the others have an SNR of some tens.
-pub const LEAST_REACH: f64 = 0.1;
+pub const MIN_REACH: f64 = 0.1;
 
 /// Most source rows of the map.
-const MOST_SOURCES: usize = 96;
+const MAX_SOURCES: usize = 96;
 
 /// Reach of `psf` on a sensor of `rows` rows for a field of `field_rows`, both in pixels
 /// of the PSF; rows are averaged over `2·grain_px + 1`, since a row between two grains is
@@ -45,7 +45,7 @@ pub fn row_reach(
 ) -> Reach {
     let profile = Profile::new(psf, grain_px, measured);
     let offset = (field_rows as f64 - rows as f64) / 2.0;
-    let sources = field_rows.min(MOST_SOURCES);
+    let sources = field_rows.min(MAX_SOURCES);
     let source_rows: Vec<f64> = (0..sources)
         .map(|i| {
             let part = i as f64 / (sources - 1).max(1) as f64;
@@ -85,7 +85,7 @@ struct Profile {
     first: isize,
     shares: Vec<f64>,
     /// `ln P = a + b d + c d²` outside; without it nothing is there.
-    beyond: Option<[f64; 3]>,
+    extrapolation: Option<[f64; 3]>,
 }
 
 impl Profile {
@@ -108,11 +108,11 @@ impl Profile {
                 window.iter().sum::<f64>() / window.len() as f64
             })
             .collect();
-        let beyond = measured.map(|_| log_parabola(from, &shares));
+        let extrapolation = measured.map(|_| log_parabola(from, &shares));
         Self {
             first: from,
             shares,
-            beyond,
+            extrapolation,
         }
     }
 
@@ -125,7 +125,7 @@ impl Profile {
             let i = (d - self.first as f64).round() as usize;
             return self.shares[i.min(self.shares.len() - 1)];
         }
-        self.beyond
+        self.extrapolation
             .map_or(0.0, |[a, b, c]| (a + b * d + c * d * d).exp())
     }
 }

@@ -12,7 +12,7 @@ use crate::Image;
 
 /// What the pattern says about source and diffuser.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Speckle {
+pub struct SpeckleStatistics {
     /// Standard deviation over mean of the intensity divided by its local mean (over 12
     /// grains), in the lit region, without the pixels' own noise.
     pub contrast: f64,
@@ -24,35 +24,35 @@ pub struct Speckle {
     pub grain_x_px: f64,
     /// Part of the variance that is noise of single pixels; 0 where grains of fewer than
     /// four pixels do not let the two be told apart.
-    pub noise_part: f64,
+    pub noise_fraction: f64,
     /// Autocovariance against displacement in pixels along `y`, 1 at zero.
     pub autocovariance_y: Vec<f64>,
     /// The same along `x`.
     pub autocovariance_x: Vec<f64>,
-    /// Density of `I/⟨I⟩` in bins of [`BIN`], from 0.
+    /// Density of `I/⟨I⟩` in bins of [`HISTOGRAM_BIN_WIDTH`], from 0.
     pub histogram: Vec<f64>,
     /// Kolmogorov–Smirnov distance to the negative exponential: the largest difference
     /// of the two cumulative distributions, 0 to 1.
     pub exponential_distance: f64,
     /// Part of the image that is lit: its local mean is above a tenth of the highest.
-    pub lit_part: f64,
+    pub lit_fraction: f64,
     /// Part of the pixels at the image's edges that are lit: what lies beyond was not
     /// recorded.
-    pub lit_edge_part: f64,
+    pub lit_edge_fraction: f64,
     /// The local mean over its largest value, `[y, x]`.
     pub envelope: Image,
 }
 
 /// Width of the histogram's bins in units of the local mean.
-pub const BIN: f64 = 0.2;
+pub const HISTOGRAM_BIN_WIDTH: f64 = 0.2;
 const BINS: usize = 40;
 
 /// Part of the highest local mean above which a pixel counts as lit: below it floor and
 /// noise weigh as much as the speckle.
-const LIT: f64 = 0.1;
+const MIN_RELATIVE_ENVELOPE: f64 = 0.1;
 
 /// Statistics of `light`, non-negative and without its floor.
-pub fn statistics(light: &Image) -> Speckle {
+pub fn statistics(light: &Image) -> SpeckleStatistics {
     let short = light.rows().min(light.columns());
     let mut grain = short as f64 / 50.0;
     let mut result = None;
@@ -74,18 +74,18 @@ pub fn statistics(light: &Image) -> Speckle {
         .iter_mut()
         .for_each(|p| *p = (*p / top).min(1.0));
     let (histogram, distance) = normalised.against_exponential();
-    Speckle {
-        contrast: (auto.variance * (1.0 - auto.noise_part)).sqrt() / normalised.mean,
+    SpeckleStatistics {
+        contrast: (auto.variance * (1.0 - auto.noise_fraction)).sqrt() / normalised.mean,
         grain_px: (auto.width_y * auto.width_x).sqrt(),
         grain_y_px: auto.width_y,
         grain_x_px: auto.width_x,
-        noise_part: auto.noise_part,
+        noise_fraction: auto.noise_fraction,
         autocovariance_y: auto.along_y,
         autocovariance_x: auto.along_x,
         histogram,
         exponential_distance: distance,
-        lit_part: normalised.lit_part(),
-        lit_edge_part: normalised.lit_edge_part(),
+        lit_fraction: normalised.lit_fraction(),
+        lit_edge_fraction: normalised.lit_edge_fraction(),
         envelope,
     }
 }
@@ -107,7 +107,7 @@ struct NormalisedSpeckle {
 
 impl NormalisedSpeckle {
     fn new(light: &Image, envelope: &Image) -> Self {
-        let least = LIT as f32 * high(envelope);
+        let least = MIN_RELATIVE_ENVELOPE as f32 * high(envelope);
         let lit = Image::from_fn(light.rows(), light.columns(), |y, x| {
             if envelope.at(y, x) > least { 1.0 } else { 0.0 }
         });
@@ -127,12 +127,12 @@ impl NormalisedSpeckle {
         }
     }
 
-    fn lit_part(&self) -> f64 {
+    fn lit_fraction(&self) -> f64 {
         let count: f64 = self.lit.data().iter().map(|&l| f64::from(l)).sum();
         count / self.lit.data().len() as f64
     }
 
-    fn lit_edge_part(&self) -> f64 {
+    fn lit_edge_fraction(&self) -> f64 {
         let (rows, columns) = (self.lit.rows(), self.lit.columns());
         let sides = [0, rows - 1].map(|y| self.lit.row(y).to_vec()).concat();
         let ends = (0..rows).flat_map(|y| [self.lit.at(y, 0), self.lit.at(y, columns - 1)]);
@@ -149,8 +149,8 @@ impl NormalisedSpeckle {
         let mut histogram = vec![0.0; BINS];
         let mut distance = 0.0f64;
         for (i, &value) in values.iter().enumerate() {
-            if let Some(bin) = histogram.get_mut((value / BIN) as usize) {
-                *bin += 1.0 / (count * BIN);
+            if let Some(bin) = histogram.get_mut((value / HISTOGRAM_BIN_WIDTH) as usize) {
+                *bin += 1.0 / (count * HISTOGRAM_BIN_WIDTH);
             }
             let expected = 1.0 - (-value.max(0.0)).exp();
             let (below, above) = (i as f64 / count, (i + 1) as f64 / count);
@@ -166,7 +166,7 @@ struct Autocovariance {
     width_y: f64,
     width_x: f64,
     variance: f64,
-    noise_part: f64,
+    noise_fraction: f64,
 }
 
 impl Autocovariance {
@@ -188,8 +188,8 @@ impl Autocovariance {
         let along_y: Vec<f64> = (0..lags).map(|d| at(d, 0)).collect();
         let along_x: Vec<f64> = (0..lags).map(|d| at(0, d)).collect();
         let variance = along_y[0].max(f64::MIN_POSITIVE);
-        let noise_part = noise_part(&along_y).min(noise_part(&along_x));
-        let peak = variance * (1.0 - noise_part);
+        let noise_fraction = noise_fraction(&along_y).min(noise_fraction(&along_x));
+        let peak = variance * (1.0 - noise_fraction);
         let relative = |line: Vec<f64>| -> Vec<f64> {
             let mut line: Vec<f64> = line.iter().map(|v| v / peak).collect();
             line[0] = 1.0;
@@ -202,14 +202,14 @@ impl Autocovariance {
             along_y,
             along_x,
             variance,
-            noise_part,
+            noise_fraction,
         }
     }
 }
 
 /// Noise of single pixels stands on the value at zero alone. Near zero the rest is a
 /// parabola, `c(d) = c₀ − a d²`, so `c₀ = (4c(1) − c(2))/3`.
-fn noise_part(line: &[f64]) -> f64 {
+fn noise_fraction(line: &[f64]) -> f64 {
     let [zero, one, two] = [0, 1, 2].map(|i| line.get(i).copied().unwrap_or(0.0));
     // The parabola holds for grains of four pixels and more.
     if two < 0.5 * zero {

@@ -102,7 +102,7 @@ fn part_at(flats: &Stack, i: usize, end: f64, usable: &[bool]) -> f64 {
 
 impl Level {
     /// Whether so few readings are cut off that mean and variance can be trusted.
-    pub fn is_whole(&self) -> bool {
+    pub fn is_unclipped(&self) -> bool {
         self.clipped <= MAX_CLIPPED_FRACTION
     }
 }

@@ -74,7 +74,7 @@ pub struct SensorCalibration {
     /// By how much each dark lies above their mean, counts.
     pub dark_drift: Vec<f64>,
     /// Whether all counts are whole numbers.
-    pub whole_counts: bool,
+    pub has_integer_counts: bool,
     /// What the user should change or know before trusting it.
     pub warnings: Vec<String>,
 }
@@ -129,13 +129,13 @@ impl Faults {
 pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     flats.check_same_size(darks)?;
     let (rows, columns) = darks.size();
-    let whole_counts = darks.is_whole() && flats.is_whole();
+    let has_integer_counts = darks.has_integer_counts() && flats.has_integer_counts();
     let dark = Moments::of(darks);
-    let hot = pixels::hot(&dark, columns, whole_counts);
+    let hot = pixels::hot(&dark, columns, has_integer_counts);
     let typical = pixels::typical_variance(&dark);
     let noisy = pixels::unstable(
         &dark.variance,
-        |_| typical.max(floor(whole_counts)),
+        |_| typical.max(min_variance(has_integer_counts)),
         dark.dof,
     );
     let mut usable = neither(&hot, &noisy);
@@ -146,7 +146,7 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     let bias = stats::mean(kept(&dark.mean, &usable));
     check_light(&lights, &levels, bias, typical.sqrt())?;
 
-    let trusted = trusted(&levels);
+    let trusted = unclipped_levels(&levels);
     let (light, frames) = pixels::response(flats, &trusted, &dark.mean);
     let rough_gain = rough_gain(flats, &trusted, &light);
     let error = |light: f64| ((typical + light.max(0.0) * rough_gain) / frames).sqrt();
@@ -187,7 +187,7 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     };
     let response = image(&|i| light[i] / mean_light);
     let flat_variance = line.at(mean_light) / (frames * mean_light * mean_light);
-    let electrons = |variance: f64| gain * without_rounding(variance, whole_counts).sqrt();
+    let electrons = |variance: f64| gain * without_rounding(variance, has_integer_counts).sqrt();
     let mut found = SensorCalibration {
         bias_counts: stats::mean(kept(&dark.mean, &usable)),
         flat: image(&|i| dark.mean[i] + light[i]),
@@ -208,7 +208,7 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
         line,
         levels,
         dark_drift: dark.drift.clone(),
-        whole_counts,
+        has_integer_counts,
         warnings: Vec::new(),
     };
     found.warnings = warnings::of(&found, darks, flats, &lights, &usable);
@@ -270,8 +270,8 @@ fn transfer_curve(
 }
 
 /// Levels whose readings are not cut off; where there is none, the one that is least.
-fn trusted(levels: &[Level]) -> Vec<&Level> {
-    let whole: Vec<&Level> = levels.iter().filter(|level| level.is_whole()).collect();
+fn unclipped_levels(levels: &[Level]) -> Vec<&Level> {
+    let whole: Vec<&Level> = levels.iter().filter(|level| level.is_unclipped()).collect();
     if !whole.is_empty() {
         return whole;
     }
@@ -308,8 +308,8 @@ fn kept<'a>(values: &'a [f64], usable: &'a [bool]) -> impl Iterator<Item = f64> 
 }
 
 /// Least variance that counts can have: darks of whole counts may all be equal.
-fn floor(whole_counts: bool) -> f64 {
-    if whole_counts {
+fn min_variance(has_integer_counts: bool) -> f64 {
+    if has_integer_counts {
         ROUNDING_VARIANCE
     } else {
         f64::MIN_POSITIVE
@@ -318,8 +318,8 @@ fn floor(whole_counts: bool) -> f64 {
 
 /// Variance without that of rounding to whole counts, which holds from 0.24 counts² on
 /// (EMVA 1288, section 6.4): below, rounding is no longer noise of its own.
-fn without_rounding(variance: f64, whole_counts: bool) -> f64 {
-    if whole_counts && variance >= 0.24 {
+fn without_rounding(variance: f64, has_integer_counts: bool) -> f64 {
+    if has_integer_counts && variance >= 0.24 {
         variance - ROUNDING_VARIANCE
     } else {
         variance

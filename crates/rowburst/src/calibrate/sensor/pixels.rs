@@ -2,7 +2,7 @@
 
 use super::levels::Level;
 use super::stack::{Moments, Stack};
-use super::stats::{RARE, centre_and_sigma, chi_square_per_dof, mean, median};
+use super::stats::{RARE_Z, centre_and_sigma, chi_square_per_dof, mean, median};
 use super::transfer::TransferLine;
 use crate::Image;
 
@@ -26,19 +26,19 @@ const UNSTABLE: f64 = 3.0;
 pub const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Sides with fewer pixels have no profile of their own.
-const SHORTEST_PROFILE: usize = 16;
+const MIN_PROFILE_LENGTH: usize = 16;
 
 /// Pixels whose dark level stands out from their row and column.
-pub fn hot(dark: &Moments, columns: usize, whole_counts: bool) -> Vec<bool> {
+pub fn hot(dark: &Moments, columns: usize, has_integer_counts: bool) -> Vec<bool> {
     let mut left = dark.mean.clone();
     let rows = left.len() / columns;
-    if columns >= SHORTEST_PROFILE {
+    if columns >= MIN_PROFILE_LENGTH {
         for row in left.chunks_exact_mut(columns) {
             let level = median(&mut row.to_vec());
             row.iter_mut().for_each(|v| *v -= level);
         }
     }
-    if rows >= SHORTEST_PROFILE {
+    if rows >= MIN_PROFILE_LENGTH {
         for x in 0..columns {
             let mut column: Vec<f64> = left.iter().skip(x).step_by(columns).copied().collect();
             let level = median(&mut column);
@@ -50,7 +50,7 @@ pub fn hot(dark: &Moments, columns: usize, whole_counts: bool) -> Vec<bool> {
     let frames = dark.dof + 1.0;
     // Where most pixels have exactly one value the spread is that of their noise at least.
     let noise = (typical_variance(dark) / frames).sqrt();
-    let rounding = if whole_counts {
+    let rounding = if has_integer_counts {
         (ROUNDING_VARIANCE / frames).sqrt()
     } else {
         0.0
@@ -64,8 +64,8 @@ pub fn hot(dark: &Moments, columns: usize, whole_counts: bool) -> Vec<bool> {
 /// Neighbours are pooled until 30 degrees of freedom are together: the variances of
 /// three frames of whole counts have only a few possible values, and their median none between.
 pub fn typical_variance(moments: &Moments) -> f64 {
-    const ENOUGH: f64 = 30.0;
-    let run = (ENOUGH / moments.dof).ceil() as usize;
+    const MIN_POOLED_DOF: f64 = 30.0;
+    let run = (MIN_POOLED_DOF / moments.dof).ceil() as usize;
     let run = run.min(moments.variance.len()).max(1);
     let pooled = moments.variance.chunks_exact(run);
     let mut pooled: Vec<f64> = pooled.map(|v| v.iter().sum::<f64>() / run as f64).collect();
@@ -117,7 +117,7 @@ pub fn unstable(variance: &[f64], expected: impl Fn(usize) -> f64, dof: f64) -> 
         .collect();
     // What all pixels have more than expected, such as a lamp that flickers, is no fault of one.
     let common = median(&mut ratios.clone()) / chi_square_per_dof(dof, 0.0);
-    let bound = chi_square_per_dof(dof, RARE).max(UNSTABLE * UNSTABLE) * common.max(1.0);
+    let bound = chi_square_per_dof(dof, RARE_Z).max(UNSTABLE * UNSTABLE) * common.max(1.0);
     ratios.iter_mut().map(|&mut ratio| ratio > bound).collect()
 }
 

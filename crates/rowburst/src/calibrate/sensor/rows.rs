@@ -5,7 +5,7 @@
 //! along the row, and each row of a rolling shutter is an instant of its own.
 
 use super::stack::{Moments, Stack};
-use super::stats::{RARE, centre_and_sigma, chi_square_per_dof, median};
+use super::stats::{RARE_Z, centre_and_sigma, chi_square_per_dof, median};
 
 /// How the rows of dark frames scatter.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,7 +69,7 @@ pub fn banding(darks: &Stack, dark: &Moments, usable: &[bool]) -> Banding {
         expected_counts: expected.sqrt(),
         pixel_counts: pixel_variance.sqrt(),
         pixel_dof,
-        is_real: row_dof >= 1.0 && found > expected * chi_square_per_dof(row_dof, RARE),
+        is_real: row_dof >= 1.0 && found > expected * chi_square_per_dof(row_dof, RARE_Z),
         fixed_counts: fixed(dark, usable, columns),
         first,
     }

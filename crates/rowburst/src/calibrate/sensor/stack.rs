@@ -91,7 +91,7 @@ impl Stack {
     }
 
     /// Whether all values are whole numbers, as an analogue-to-digital converter gives.
-    pub(super) fn is_whole(&self) -> bool {
+    pub(super) fn has_integer_counts(&self) -> bool {
         self.images()
             .all(|image| image.data().iter().all(|v| v.fract() == 0.0))
     }

@@ -5,7 +5,7 @@ const SIGMA_PER_MAD: f64 = 1.4826;
 
 /// Standard score that a Gaussian exceeds once in 100,000 draws. A pixel meets four such
 /// tests at most, so that false alarms stay far below one in a thousand.
-pub const RARE: f64 = 4.265;
+pub const RARE_Z: f64 = 4.265;
 
 /// The middle value; 0 of none. Reorders `values`.
 pub fn median(values: &mut [f64]) -> f64 {
@@ -65,8 +65,8 @@ mod tests {
     #[test]
     fn chi_square_bounds_are_those_of_the_tables() {
         // χ² at 1e-5: 23.03 with two degrees of freedom, 104.0 (±0.5) with 50.
-        assert!((1.0..1.1).contains(&(2.0 * chi_square_per_dof(2.0, RARE) / 23.03)));
-        assert!((0.98..1.02).contains(&(50.0 * chi_square_per_dof(50.0, RARE) / 103.0)));
+        assert!((1.0..1.1).contains(&(2.0 * chi_square_per_dof(2.0, RARE_Z) / 23.03)));
+        assert!((0.98..1.02).contains(&(50.0 * chi_square_per_dof(50.0, RARE_Z) / 103.0)));
         // The medians, 1.386 and 49.33.
         assert!((2.0 * chi_square_per_dof(2.0, 0.0) / 1.386 - 1.0).abs() < 0.02);
         assert!((50.0 * chi_square_per_dof(50.0, 0.0) / 49.335 - 1.0).abs() < 1e-3);

@@ -46,11 +46,11 @@ pub struct TransferLine {
 const BRIGHTNESS_BINS: usize = 8;
 
 /// Fewest pixels of a bin: a variance of 500 differences is good to 6 %.
-const FEWEST_PIXELS: usize = 500;
+const MIN_PIXELS: usize = 500;
 
 /// Differences beyond this many standard deviations are no shot noise (cosmic rays,
 /// flashing pixels); a Gaussian loses 1e-7 of its variance.
-const WILD: f64 = 6.0;
+const OUTLIER_SIGMAS: f64 = 6.0;
 
 /// Error that a point keeps however many pixels it has: cameras are not linear to
 /// better than a percent.
@@ -121,7 +121,7 @@ struct Sum {
 fn brightness_bins(response: &[f64], usable: &[bool]) -> (Vec<Option<u8>>, usize) {
     let mut order: Vec<usize> = (0..response.len()).filter(|&i| usable[i]).collect();
     order.sort_unstable_by(|&a, &b| response[a].total_cmp(&response[b]));
-    let bins = (order.len() / FEWEST_PIXELS).clamp(1, BRIGHTNESS_BINS);
+    let bins = (order.len() / MIN_PIXELS).clamp(1, BRIGHTNESS_BINS);
     let mut bin_of = vec![None; response.len()];
     for (rank, &pixel) in order.iter().enumerate() {
         bin_of[pixel] = Some((rank * bins / order.len()) as u8);
@@ -175,7 +175,7 @@ fn add_pair(
     for (sum, differences) in sums.iter_mut().zip(&differences) {
         let (_, sigma) = centre_and_sigma(differences.iter().copied());
         let bound = if sigma > 0.0 {
-            WILD * sigma
+            OUTLIER_SIGMAS * sigma
         } else {
             f64::INFINITY
         };
@@ -215,7 +215,7 @@ pub fn turnover(points: &[TransferPoint], levels: usize) -> Option<f64> {
 
 /// Marks the points that the line is to be fitted to: whole levels below `full`.
 pub fn choose(points: &mut [TransferPoint], levels: &[Level], full: Option<f64>) {
-    let whole = |p: &TransferPoint| p.level.is_none_or(|l| levels[l].is_whole());
+    let whole = |p: &TransferPoint| p.level.is_none_or(|l| levels[l].is_unclipped());
     let mut mark = |limit: f64| {
         for p in points.iter_mut() {
             p.used = whole(p) && p.light <= limit;

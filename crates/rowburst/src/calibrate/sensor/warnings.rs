@@ -11,7 +11,7 @@ const ENOUGH_DARKS: usize = 10;
 const FLICKER: f64 = 0.01;
 
 /// Part of the mean by which even light varies over the field at most.
-const EVEN: f64 = 0.3;
+const MAX_UNEVENNESS: f64 = 0.3;
 
 /// Standard error of the gain above which it is not one.
 const GOOD_GAIN: f64 = 0.05;
@@ -27,32 +27,32 @@ pub(super) fn of(
     lights: &[f64],
     usable: &[bool],
 ) -> Vec<String> {
-    let mut says = Vec::new();
-    dark_frames(found, darks, usable, &mut says);
-    light(found, lights, usable, &mut says);
+    let mut warnings = Vec::new();
+    dark_frames(found, darks, usable, &mut warnings);
+    light(found, lights, usable, &mut warnings);
     let bad = found.faults.count() as f64 / usable.len() as f64;
     if bad > MANY_BAD {
-        says.push(format!(
+        warnings.push(format!(
             "{:.1} % of the pixels are bad: check that all frames are raw and taken at one gain, exposure and temperature",
             100.0 * bad
         ));
     }
     if found.gain_error > GOOD_GAIN {
-        says.push(format!(
+        warnings.push(format!(
             "the gain is good to {:.0} % only: record more flats, at several levels up to half of the range",
             100.0 * found.gain_error
         ));
     }
-    says.extend(bend(found));
+    warnings.extend(bend(found));
     if found.flat_error > found.non_uniformity.max(1e-3) {
-        says.push(format!(
+        warnings.push(format!(
             "a pixel of the flat is good to {:.2} %, worse than the {:.2} % by which pixels differ: correcting by it adds noise; record {} flats or more",
             100.0 * found.flat_error,
             100.0 * found.non_uniformity,
             more_flats(found, flats.len())
         ));
     }
-    says
+    warnings
 }
 
 /// Flats that bring the error of the flat to the pixels' own differences.
@@ -61,9 +61,14 @@ fn more_flats(found: &SensorCalibration, now: usize) -> usize {
     (now as f64 * ratio * ratio).ceil() as usize
 }
 
-fn dark_frames(found: &SensorCalibration, darks: &Stack, usable: &[bool], says: &mut Vec<String>) {
+fn dark_frames(
+    found: &SensorCalibration,
+    darks: &Stack,
+    usable: &[bool],
+    warnings: &mut Vec<String>,
+) {
     if darks.len() < ENOUGH_DARKS {
-        says.push(format!(
+        warnings.push(format!(
             "{} darks: their mean adds {:.0} % to the noise of a dark pixel; record {ENOUGH_DARKS} or more",
             darks.len(),
             100.0 * ((1.0 + 1.0 / darks.len() as f64).sqrt() - 1.0)
@@ -77,8 +82,8 @@ fn dark_frames(found: &SensorCalibration, darks: &Stack, usable: &[bool], says: 
             .filter(|(_, u)| **u)
             .map(|(&p, _)| f64::from(u8::from(p <= 0.0))),
     );
-    if found.whole_counts && zero > 0.01 {
-        says.push(format!(
+    if found.has_integer_counts && zero > 0.01 {
+        warnings.push(format!(
             "{:.0} % of the dark readings are 0: noise is cut off there, and read noise and bias come out wrong; raise the camera's black level (offset)",
             100.0 * zero
         ));
@@ -86,14 +91,14 @@ fn dark_frames(found: &SensorCalibration, darks: &Stack, usable: &[bool], says: 
     let noise = found.banding.pixel_counts;
     let drift = found.dark_drift.iter().fold(0.0f64, |m, d| m.max(d.abs()));
     if drift > 0.5 * noise && drift > 0.1 {
-        says.push(format!(
+        warnings.push(format!(
             "the dark level drifts by {drift:.2} counts from frame to frame (noise of a pixel: {noise:.2}): let the camera warm up, and take darks next to the captures"
         ));
     }
     let banding = &found.banding;
     // From here on the rows' own noise outweighs what the pixels give a row's mean.
     if banding.is_real && banding.row_counts > banding.expected_counts {
-        says.push(format!(
+        warnings.push(format!(
             "banding: each row of a frame is off by {:.3} counts ({:.2} electrons) of its own, more than the {:.3} that pixel noise gives a row's mean; a mean of the dark does not take this away: check supply and cooling, or subtract the mean of shaded columns from each row",
             banding.row_counts,
             banding.row_counts * found.gain_electrons_per_count,
@@ -102,7 +107,7 @@ fn dark_frames(found: &SensorCalibration, darks: &Stack, usable: &[bool], says: 
     }
 }
 
-fn light(found: &SensorCalibration, lights: &[f64], usable: &[bool], says: &mut Vec<String>) {
+fn light(found: &SensorCalibration, lights: &[f64], usable: &[bool], warnings: &mut Vec<String>) {
     // Steps from frame to frame as they were taken. A fine series of levels has steps
     // between its levels only, a lamp that flickers between nearly all frames.
     let step = |level: &Level| {
@@ -115,27 +120,27 @@ fn light(found: &SensorCalibration, lights: &[f64], usable: &[bool], says: &mut 
         steps.sort_by(f64::total_cmp);
         steps.get(steps.len() / 3).map(|step| step / level.light)
     };
-    let whole = found.levels.iter().filter(|l| l.is_whole());
+    let whole = found.levels.iter().filter(|l| l.is_unclipped());
     let flicker = stats::median(&mut whole.filter_map(step).collect::<Vec<f64>>());
     if flicker > FLICKER {
-        says.push(format!(
+        warnings.push(format!(
             "flats of one level differ in light by {:.1} %; pairs were scaled to equal light; a steady (direct-current) lamp is better",
             100.0 * flicker
         ));
     }
     let single = found.levels.iter().filter(|l| l.frames.len() < 2).count();
     if single > 0 {
-        says.push(format!(
+        warnings.push(format!(
             "{single} of {} levels have one flat only and give no noise; record two or more at each",
             found.levels.len()
         ));
     }
-    if found.levels.iter().all(|level| !level.is_whole()) {
-        says.push("some pixels are saturated in every flat: flat field and gain are less certain; dim the light for some".into());
+    if found.levels.iter().all(|level| !level.is_unclipped()) {
+        warnings.push("some pixels are saturated in every flat: flat field and gain are less certain; dim the light for some".into());
     }
     let uneven = pixels::unevenness(&found.response, usable);
-    if uneven > EVEN {
-        says.push(format!(
+    if uneven > MAX_UNEVENNESS {
+        warnings.push(format!(
             "the flats' brightness varies by {:.0} % of its mean over the field: what is uneven in the light is taken for the sensor's response; take off the lens and use a diffuse source",
             100.0 * uneven
         ));
@@ -144,14 +149,14 @@ fn light(found: &SensorCalibration, lights: &[f64], usable: &[bool], says: &mut 
 
 /// Whether the curve bends: a gain that differs between its halves.
 fn bend(found: &SensorCalibration) -> Option<String> {
-    const BENT: f64 = 0.1;
+    const MAX_NONLINEARITY: f64 = 0.1;
     let gone = |p: &&super::TransferPoint| p.used && p.level.is_some() && p.samples > 5000.0;
     let worst = found.transfer.iter().filter(gone).map(|p| {
         let expected = found.line.at(p.light);
         (p.variance - expected) / expected
     });
     let worst = worst.fold(0.0f64, |m, v| if v.abs() > m.abs() { v } else { m });
-    (worst.abs() > BENT).then(|| {
+    (worst.abs() > MAX_NONLINEARITY).then(|| {
         format!(
             "the photon transfer curve is no line: a level lies {:+.0} % off; give raw, linear counts (no gamma, no denoising), one gain for all",
             100.0 * worst

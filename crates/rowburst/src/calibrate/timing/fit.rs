@@ -18,7 +18,7 @@ pub(super) struct Linear {
 }
 
 /// A column whose remainder beside the others is below this part of it is superfluous.
-const SUPERFLUOUS: f64 = 1e-7;
+const RANK_TOLERANCE: f64 = 1e-7;
 
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
@@ -44,7 +44,7 @@ pub(super) fn linear(basis: &[Vec<f64>], y: &[f64]) -> Linear {
             add(&mut rest, -mixing[i][j], direction);
         }
         let left = dot(&rest, &rest).sqrt();
-        if left > SUPERFLUOUS * whole && left > 0.0 {
+        if left > RANK_TOLERANCE * whole && left > 0.0 {
             rest.iter_mut().for_each(|v| *v /= left);
             mixing[j][j] = left;
             along[j] = dot(&rest, &residual);
@@ -74,7 +74,7 @@ pub(super) struct Optimum {
     pub jacobian: Vec<Vec<f64>>,
 }
 
-const MOST_STEPS: usize = 60;
+const MAX_STEPS: usize = 60;
 
 /// Minimises `‖residual(θ)‖²` from `theta`; `steps` are small against the width of the
 /// minimum in each parameter.
@@ -88,7 +88,7 @@ pub(super) fn minimise(
     let mut rss = dot(&now, &now);
     let mut damping = 1e-3;
     let mut jacobian = jacobian_at(&at, steps, residual);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let n = at.len();
         let gram: Vec<Vec<f64>> = jacobian
             .iter()
@@ -150,26 +150,26 @@ fn jacobian_at(at: &[f64], steps: &[f64], residual: &dyn Fn(&[f64]) -> Vec<f64>)
 
 /// Residuals this far apart still count as related: where the model does not hold
 /// exactly they are not independent.
-const RELATED: usize = 8;
+const MAX_LAG: usize = 8;
 
 impl Optimum {
     /// Standard error of each parameter, and the factor by which the variance of the
     /// first exceeds that of independent residuals (at least 1).
     ///
-    /// `freedom` is the number of residuals less that of all parameters. `(JᵀJ)⁻¹σ²` is
+    /// `dof` is the number of residuals less that of all parameters. `(JᵀJ)⁻¹σ²` is
     /// the Cramér–Rao bound for the noise that the residual shows; related residuals
     /// raise it (Newey & West, Econometrica 55, 703, 1987). Residuals are related only
     /// within stretches of `run` values.
-    pub fn errors(&self, freedom: f64, run: usize) -> (Vec<f64>, f64) {
+    pub fn errors(&self, dof: f64, run: usize) -> (Vec<f64>, f64) {
         let n = self.theta.len();
-        let variance = self.rss / freedom.max(1.0);
+        let variance = self.rss / dof.max(1.0);
         let gram: Vec<Vec<f64>> = self
             .jacobian
             .iter()
             .map(|a| self.jacobian.iter().map(|b| dot(a, b)).collect())
             .collect();
         let mut errors = Vec::new();
-        let mut related = 1.0f64;
+        let mut variance_inflation = 1.0f64;
         for i in 0..n {
             let mut unit = vec![0.0; n];
             unit[i] = 1.0;
@@ -190,24 +190,24 @@ impl Optimum {
                 .collect();
             let mut sum = 0.0;
             for part in pulled.chunks(run) {
-                for lag in 0..=RELATED.min(part.len() / 4) {
+                for lag in 0..=MAX_LAG.min(part.len() / 4) {
                     let weight = if lag == 0 { 1.0 } else { 2.0 };
-                    let taper = 1.0 - lag as f64 / (RELATED + 1) as f64;
+                    let taper = 1.0 - lag as f64 / (MAX_LAG + 1) as f64;
                     sum += weight * taper * dot(&part[lag..], &part[..part.len() - lag]);
                 }
             }
-            sum *= self.residual.len() as f64 / freedom.max(1.0);
+            sum *= self.residual.len() as f64 / dof.max(1.0);
             let factor = if independent > 0.0 {
                 (sum / independent).max(1.0)
             } else {
                 1.0
             };
             if i == 0 {
-                related = factor;
+                variance_inflation = factor;
             }
             errors.push((independent * factor).sqrt());
         }
-        (errors, related)
+        (errors, variance_inflation)
     }
 }
 

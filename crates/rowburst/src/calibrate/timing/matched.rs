@@ -5,7 +5,7 @@
 //! then least squares over `τ, t₀` and the exposure together.
 
 use super::fit::{Basis, Optimum, dot, linear, minimise, polynomials};
-use super::signal::{Extension, Signal};
+use super::waveform::{Extension, Waveform};
 use rayon::prelude::*;
 use rustfft::{Fft, FftPlanner, num_complex::Complex64};
 use std::collections::HashMap;
@@ -21,9 +21,9 @@ pub(super) struct MatchedFit {
     pub offsets_us: Vec<f64>,
     pub rss: f64,
     /// Values less parameters.
-    pub freedom: f64,
+    pub dof: f64,
     /// By how much related residuals raise a variance.
-    pub related: f64,
+    pub variance_inflation: f64,
     pub model: Vec<Vec<f64>>,
     /// Smallest and largest light that the exposures saw, of frame 1 and in its units.
     pub extremes: (f64, f64),
@@ -47,23 +47,23 @@ struct Start {
 const EXPOSURES: [f64; 2] = [0.04, 0.2];
 /// Starts refined for each readout order.
 const STARTS: usize = 4;
-const MOST_ROW_TIMES: f64 = 6000.0;
+const MAX_ROW_TIMES: f64 = 6000.0;
 
 /// The best fit of each readout order in `orders`.
 pub(super) fn fit_all(
     frames: &[Vec<f64>],
     orders: &[Vec<usize>],
-    signal: &Signal,
+    waveform: &Waveform,
     range_us: (f64, f64),
 ) -> Vec<Option<MatchedFit>> {
-    let starts = coarse(&frames[0], orders, signal, range_us);
+    let starts = coarse(&frames[0], orders, waveform, range_us);
     orders
         .par_iter()
         .zip(starts)
         .map(|(k, starts)| {
             let fits = starts
                 .iter()
-                .filter_map(|start| refine(frames, k, signal, *start));
+                .filter_map(|start| refine(frames, k, waveform, *start));
             fits.min_by(|a, b| a.rss.total_cmp(&b.rss))
         })
         .collect()
@@ -73,7 +73,7 @@ pub(super) fn fit_all(
 fn coarse(
     rows: &[f64],
     orders: &[Vec<usize>],
-    signal: &Signal,
+    waveform: &Waveform,
     (low, high): (f64, f64),
 ) -> Vec<Vec<Start>> {
     let trend = linear(&polynomials(rows.len(), 1), rows).residual;
@@ -84,8 +84,8 @@ fn coarse(
     let mut tau = low;
     while tau <= high {
         row_times.push(tau);
-        let step = smoothness(signal, tau, longest) / longest as f64;
-        tau *= 1.0 + step.clamp((high / low).ln() / MOST_ROW_TIMES, 0.05);
+        let step = smoothness(waveform, tau, longest) / longest as f64;
+        tau *= 1.0 + step.clamp((high / low).ln() / MAX_ROW_TIMES, 0.05);
     }
     let total = dot(&trend, &trend);
     let tried: Vec<(f64, f64)> = row_times
@@ -99,7 +99,7 @@ fn coarse(
     let ffts = FftCache::default();
     let found: Vec<Vec<Start>> = tried
         .par_iter()
-        .map(|&(tau, exposure)| correlate(&ffts, &folded, signal, (tau, exposure), total))
+        .map(|&(tau, exposure)| correlate(&ffts, &folded, waveform, (tau, exposure), total))
         .collect();
     (0..orders.len())
         .map(|o| {
@@ -135,12 +135,12 @@ fn fold(rows: &[f64], k: &[usize]) -> (Vec<f64>, Vec<f64>) {
 }
 
 /// Row times over which the light, seen at steps of `tau`, keeps its value.
-fn smoothness(signal: &Signal, tau: f64, instants: usize) -> f64 {
-    let (first, last) = signal.span_us();
+fn smoothness(waveform: &Waveform, tau: f64, instants: usize) -> f64 {
+    let (first, last) = waveform.span_us();
     let count = (((last - first) / tau) as usize).clamp(8, 8 * instants + 64);
     let step = (last - first) / count as f64;
     let values: Vec<f64> = (0..=count)
-        .map(|i| signal.exposed(first + i as f64 * step, tau))
+        .map(|i| waveform.mean_over_exposure(first + i as f64 * step, tau))
         .collect();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let spread: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
@@ -175,14 +175,14 @@ impl FftCache {
 fn correlate(
     ffts: &FftCache,
     folded: &[(Vec<f64>, Vec<f64>)],
-    signal: &Signal,
+    waveform: &Waveform,
     (tau, exposure): (f64, f64),
     total: f64,
 ) -> Vec<Start> {
-    let (first, last) = signal.span_us();
+    let (first, last) = waveform.span_us();
     let longest = folded.iter().map(|f| f.0.len()).max().unwrap_or(1);
     let rounds = ((last - first) / tau).ceil() as usize;
-    let (begin, moments) = match signal.extension() {
+    let (begin, moments) = match waveform.extension() {
         Extension::Repeats => (first, rounds.max(1)),
         Extension::Holds => (
             first - longest as f64 * tau,
@@ -191,7 +191,7 @@ fn correlate(
     };
     let length = (moments + longest).next_power_of_two();
     let course: Vec<f64> = (0..moments + longest)
-        .map(|i| signal.exposed(begin + i as f64 * tau, exposure))
+        .map(|i| waveform.mean_over_exposure(begin + i as f64 * tau, exposure))
         .collect();
     let [forward, inverse] = ffts.of(length);
     let spectrum = |values: &[f64]| {
@@ -254,7 +254,12 @@ fn correlate(
         .collect()
 }
 
-fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Option<MatchedFit> {
+fn refine(
+    frames: &[Vec<f64>],
+    k: &[usize],
+    waveform: &Waveform,
+    start: Start,
+) -> Option<MatchedFit> {
     if !start.score.is_finite() {
         return None;
     }
@@ -269,7 +274,10 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
         let (tau, exposure) = (unit * theta[0].exp(), unit * theta[1].exp());
         let course: Vec<f64> = k
             .iter()
-            .map(|&k| signal.exposed(unit * theta[2 + f] + (k as f64 - middle) * tau, exposure))
+            .map(|&k| {
+                waveform
+                    .mean_over_exposure(unit * theta[2 + f] + (k as f64 - middle) * tau, exposure)
+            })
             .collect();
         let lit = |p: &Vec<f64>| p.iter().zip(&course).map(|(p, c)| p * c).collect();
         let basis: Basis = lamp.iter().map(lit).chain(steady.iter().cloned()).collect();
@@ -298,7 +306,7 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
         let moment = moment_of(
             &frames[f],
             k,
-            signal,
+            waveform,
             unit * theta[0].exp(),
             unit * theta[1].exp(),
         );
@@ -314,8 +322,8 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
     let count = frames.len();
     let found: Optimum = minimise(&theta, &steps(count), &|t| residual_of(t, 0, count));
     let parameter_count = (lamp.len() + steady.len() + 1) * count + 2;
-    let freedom = (count * rows) as f64 - parameter_count as f64;
-    let (errors, related) = found.errors(freedom, rows);
+    let dof = (count * rows) as f64 - parameter_count as f64;
+    let (errors, variance_inflation) = found.errors(dof, rows);
     let (tau, exposure) = (unit * found.theta[0].exp(), unit * found.theta[1].exp());
     let mut model = Vec::new();
     let mut extremes = (0.0, 0.0);
@@ -326,7 +334,7 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
             return None;
         }
         if f == 0 {
-            let (low, high) = super::signal::range(course.iter().copied());
+            let (low, high) = super::waveform::range(course.iter().copied());
             let steady = fit.weights[lamp.len()] - fit.weights.get(lamp.len() + 2).unwrap_or(&0.0);
             extremes = (
                 steady + fit.weights[0] * low,
@@ -335,9 +343,9 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
         }
         model.push(seen.iter().zip(&fit.residual).map(|(y, e)| y - e).collect());
     }
-    let (exposure, exposure_error) = match fit_shared_profile(frames, k, signal, &found, unit) {
+    let (exposure, exposure_error) = match fit_shared_profile(frames, k, waveform, &found, unit) {
         Some(tied)
-            if tied.variance < SHARED_PROFILE_MAX_VARIANCE_RATIO * found.rss / freedom.max(1.0) =>
+            if tied.variance < SHARED_PROFILE_MAX_VARIANCE_RATIO * found.rss / dof.max(1.0) =>
         {
             tied.exposure
         }
@@ -352,8 +360,8 @@ fn refine(frames: &[Vec<f64>], k: &[usize], signal: &Signal, start: Start) -> Op
             .map(|f| unit * found.theta[2 + f] - middle * tau)
             .collect(),
         rss: found.rss,
-        freedom,
-        related,
+        dof,
+        variance_inflation,
         model,
         extremes,
     })
@@ -374,7 +382,7 @@ struct SharedProfileFit {
 fn fit_shared_profile(
     frames: &[Vec<f64>],
     k: &[usize],
-    signal: &Signal,
+    waveform: &Waveform,
     found: &Optimum,
     unit: f64,
 ) -> Option<SharedProfileFit> {
@@ -382,8 +390,8 @@ fn fit_shared_profile(
     let middle = 0.5 * (instants - 1.0);
     let profile = polynomials(k.len(), SHARED_PROFILE_DEGREE);
     let count = frames.len();
-    let (first, last) = signal.span_us();
-    let whole = signal.exposed(last, last - first);
+    let (first, last) = waveform.span_us();
+    let whole = waveform.mean_over_exposure(last, last - first);
     // θ as before, and at its end the steady light of each frame over the signal's mean.
     let residual = |theta: &[f64]| -> Vec<f64> {
         if theta[1].abs() > 12.0 || theta[0].abs() > 1.0 {
@@ -394,7 +402,7 @@ fn fit_shared_profile(
             let steady = whole * theta[2 + count + f];
             let lit = |&k: &usize| {
                 let moment = unit * theta[2 + f] + (k as f64 - middle) * tau;
-                steady + signal.exposed(moment, exposure)
+                steady + waveform.mean_over_exposure(moment, exposure)
             };
             let lit: Vec<f64> = k.iter().map(lit).collect();
             let column = |p: &Vec<f64>| p.iter().zip(&lit).map(|(p, l)| p * l).collect();
@@ -408,25 +416,25 @@ fn fit_shared_profile(
     let mut steps = vec![1e-4; theta.len()];
     steps[0] = 1e-4 / instants;
     let best = minimise(&theta, &steps, &residual);
-    let freedom = (count * k.len()) as f64 - (count * (profile.len() + 2) + 2) as f64;
-    let (errors, _) = best.errors(freedom, k.len());
+    let dof = (count * k.len()) as f64 - (count * (profile.len() + 2) + 2) as f64;
+    let (errors, _) = best.errors(dof, k.len());
     let exposure = unit * best.theta[1].exp();
     let error = exposure * errors[1];
     error.is_finite().then_some(SharedProfileFit {
         exposure: (exposure, error),
-        variance: best.rss / freedom.max(1.0),
+        variance: best.rss / dof.max(1.0),
     })
 }
 
 /// The moment of a further frame, row time and exposure known.
-fn moment_of(rows: &[f64], k: &[usize], signal: &Signal, tau: f64, exposure: f64) -> f64 {
+fn moment_of(rows: &[f64], k: &[usize], waveform: &Waveform, tau: f64, exposure: f64) -> f64 {
     let trend = linear(&polynomials(rows.len(), 1), rows).residual;
     let folded = [fold(&trend, k)];
     let total = dot(&trend, &trend);
     correlate(
         &FftCache::default(),
         &folded,
-        signal,
+        waveform,
         (tau, exposure),
         total,
     )[0]

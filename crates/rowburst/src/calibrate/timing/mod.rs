@@ -8,30 +8,30 @@
 //! reverse: played backwards it is another light of that frequency. It does tell
 //! one sweep from two, which mirror each other. A light of known course tells all.
 
+mod checks;
 mod fit;
 mod matched;
 mod orders;
 mod pattern;
 mod periodic;
 mod periodogram;
-mod refusals;
 mod rows;
 mod search;
-mod signal;
 mod square;
+mod waveform;
 
-pub use signal::{Extension, Signal};
+pub use waveform::{Extension, Waveform};
 
 use crate::{Error, Image, Result, Shutter};
-use orders::{advice, candidate, left};
+use checks::{check_agreement, check_alias, check_periods, expected_warning, unseen};
+use orders::{advice, candidate, consistent_shutters};
 use periodic::PeriodicFit;
-use refusals::{check_agreement, check_alias, check_periods, expected_warning, unseen};
 use rows::RowSignals;
 use search::{best_of, fundamental, refined, start_of, total_power};
 
 /// The light in the frames.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Light {
+pub enum Lamp {
     /// A light of known frequency, of any course.
     Periodic {
         /// Its frequency in hertz.
@@ -41,7 +41,7 @@ pub enum Light {
         duty: Option<f64>,
     },
     /// A light of known course; when it started is not known.
-    Known(Signal),
+    Waveform(Waveform),
 }
 
 /// What is known beside the frames.
@@ -120,7 +120,7 @@ pub struct Candidate {
     /// χ² beyond the best order's, related residuals allowed for.
     pub excess: f64,
     /// Whether the light leaves it.
-    pub left: bool,
+    pub is_consistent: bool,
 }
 
 /// An order whose χ² exceeds the best one's by this is left out: five standard errors
@@ -128,18 +128,18 @@ pub struct Candidate {
 pub const CLEAR_MARGIN: f64 = 25.0;
 /// Fewest periods in the readout: with fewer the profile of the lamp cannot be told from
 /// the course of the light.
-pub const FEWEST_PERIODS: f64 = 3.0;
+pub const MIN_PERIODS: f64 = 3.0;
 /// Fewest row times a period that are safe from aliases where no row time is expected.
-pub const FEWEST_ROWS_A_PERIOD: f64 = 4.0;
+pub const MIN_ROWS_PER_PERIOD: f64 = 4.0;
 /// A peak this far above its surroundings is no noise: the largest of 4096 values of noise
 /// exceeds it once in 10⁵ frames.
 const CLEAR_PEAK: f64 = 20.0;
 /// A fit that explains less of the rows is none.
-const LEAST_EXPLAINED: f64 = 0.2;
+const MIN_EXPLAINED: f64 = 0.2;
 /// A signal of more row times is many frames long, and would take hours to search.
-const LONGEST_SIGNAL: f64 = 65_536.0;
+const MAX_SIGNAL_ROW_TIMES: f64 = 65_536.0;
 /// A row with more saturated pixels than this has lost the shape of the light.
-const MOST_SATURATED: f64 = 0.01;
+const MAX_SATURATED_FRACTION: f64 = 0.01;
 
 const ORDERS: [Shutter; 4] = [
     Shutter::TopDown,
@@ -153,14 +153,16 @@ const ORDERS: [Shutter; 4] = [
 /// # Errors
 /// No frames, frames of several sizes, values that are not finite; a light that is
 /// not seen, shows fewer than three periods or aliases; frames that disagree.
-pub fn calibrate(frames: &[Image], light: &Light, params: &TimingParams) -> Result<Timing> {
+pub fn calibrate(frames: &[Image], light: &Lamp, params: &TimingParams) -> Result<Timing> {
     check(light, params)?;
     let signals = rows::row_signals(frames, params)?;
     let mut timing = match light {
-        Light::Periodic { frequency_hz, duty } => periodic(&signals, *frequency_hz, *duty, params)?,
-        Light::Known(signal) => known(&signals, signal, params)?,
+        Lamp::Periodic { frequency_hz, duty } => {
+            calibrate_periodic(&signals, *frequency_hz, *duty, params)?
+        }
+        Lamp::Waveform(waveform) => calibrate_waveform(&signals, waveform, params)?,
     };
-    if signals.saturated > MOST_SATURATED {
+    if signals.saturated > MAX_SATURATED_FRACTION {
         timing.warnings.insert(0, format!(
             "up to {:.0} % of the pixels of a row are saturated: the row time stands, but the shape of the stripes and so the exposure does not; dim the light",
             100.0 * signals.saturated
@@ -171,7 +173,7 @@ pub fn calibrate(frames: &[Image], light: &Light, params: &TimingParams) -> Resu
     Ok(timing)
 }
 
-fn check(light: &Light, params: &TimingParams) -> Result<()> {
+fn check(light: &Lamp, params: &TimingParams) -> Result<()> {
     let (low, high) = params.row_times_us;
     let mut numbers = vec![("row_times_us", low), ("row_times_us", high - low)];
     numbers.extend(
@@ -179,7 +181,7 @@ fn check(light: &Light, params: &TimingParams) -> Result<()> {
             .expected_row_time_us
             .map(|t| ("expected_row_time_us", t)),
     );
-    if let Light::Periodic { frequency_hz, duty } = light {
+    if let Lamp::Periodic { frequency_hz, duty } = light {
         numbers.push(("frequency_hz", *frequency_hz));
         if let Some(duty) = duty.filter(|d| !(0.01..=0.99).contains(d)) {
             return Err(Error::input(
@@ -215,7 +217,7 @@ fn count_of(k: &[usize]) -> usize {
     k.iter().max().map_or(1, |last| last + 1)
 }
 
-fn periodic(
+fn calibrate_periodic(
     signals: &RowSignals,
     frequency_hz: f64,
     duty: Option<f64>,
@@ -245,11 +247,11 @@ fn periodic(
     let mut fits = refined(frames, &orders, same_as, &fits);
     let mut best = best_of(&fits);
     let mut cleaned: Option<Vec<Vec<f64>>> = None;
-    if pattern::can_be_told(&fits[best]) {
+    if pattern::is_identifiable(&fits[best]) {
         let (mut all, mut refits): (Vec<_>, Vec<PeriodicFit>) = (Vec::new(), Vec::new());
         for (o, k) in orders.iter().enumerate() {
             if same_as[o] == o {
-                let (rows, fit) = pattern::fit_without(frames, k, &fits[o]);
+                let (rows, fit) = pattern::fit_without_scene(frames, k, &fits[o]);
                 all.push(rows);
                 refits.push(fit);
             } else {
@@ -257,7 +259,7 @@ fn periodic(
                 refits.push(refits[same_as[o]].clone());
             }
         }
-        let variance = |f: &PeriodicFit| f.optimum.rss / f.freedom.max(1.0);
+        let variance = |f: &PeriodicFit| f.optimum.rss / f.dof.max(1.0);
         let cleaner = best_of(&refits);
         // Without a scene to take out it would cost what the frames say of the stripes.
         if variance(&refits[cleaner]) < 0.7 * variance(&fits[best]) {
@@ -268,7 +270,7 @@ fn periodic(
     let frames = cleaned.as_ref().unwrap_or(frames);
     let fit = &fits[best];
     let explained = explained(frames, fit.optimum.rss, fit.profile.len() - 1);
-    if !seen || explained < LEAST_EXPLAINED {
+    if !seen || explained < MIN_EXPLAINED {
         return Err(unseen(explained, frequency_hz, rows));
     }
     let periods = fit.cycles_per_row * count_of(&orders[best]) as f64;
@@ -278,8 +280,8 @@ fn periodic(
         check_alias(fit.cycles_per_row, frequency_hz, None)?;
     }
     let period_us = 1e6 / frequency_hz;
-    let (error, related) = fit.error();
-    let variance = fit.optimum.rss / fit.freedom.max(1.0);
+    let (error, variance_inflation) = fit.error();
+    let variance = fit.optimum.rss / fit.dof.max(1.0);
     let candidates: Vec<Candidate> = fits
         .iter()
         .zip(ORDERS)
@@ -288,9 +290,9 @@ fn periodic(
                 shutter,
                 f.cycles_per_row * period_us,
                 f.optimum.rss,
-                f.freedom,
+                f.dof,
                 fit.optimum.rss,
-                variance * related,
+                variance * variance_inflation,
                 variance,
             )
         })
@@ -321,12 +323,16 @@ fn periodic(
         periodogram: spectrum(frames, &orders[best], fit),
         warnings,
         advice: advice(&candidates, true),
-        shutters: left(&candidates),
+        shutters: consistent_shutters(&candidates),
         candidates,
     })
 }
 
-fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result<Timing> {
+fn calibrate_waveform(
+    signals: &RowSignals,
+    waveform: &Waveform,
+    params: &TimingParams,
+) -> Result<Timing> {
     let frames = &signals.frames;
     let rows = frames[0].len();
     let orders = instants(rows);
@@ -334,19 +340,19 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
         Some(expected) => (expected / 1.3, expected * 1.3),
         None => params.row_times_us,
     };
-    let (first, last) = signal.span_us();
-    if (last - first) / range.0 > LONGEST_SIGNAL {
+    let (first, last) = waveform.span_us();
+    if (last - first) / range.0 > MAX_SIGNAL_ROW_TIMES {
         return Err(Error::input(
             "signal",
             format!("a course of {} ms", (last - first) * 1e-3),
             format!(
-                "it lasts no longer than {LONGEST_SIGNAL} of the shortest row times looked for, {} µs",
+                "it lasts no longer than {MAX_SIGNAL_ROW_TIMES} of the shortest row times looked for, {} µs",
                 range.0
             ),
             "Cut it to the time about the frame, check that its times are in microseconds, or give the expected row time.",
         ));
     }
-    let fits = matched::fit_all(frames, &orders, signal, range);
+    let fits = matched::fit_all(frames, &orders, waveform, range);
     let best = (0..fits.len())
         .filter(|&o| fits[o].is_some())
         .min_by(|&a, &b| {
@@ -355,7 +361,7 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
         });
     let found = best.and_then(|o| Some((o, fits[o].as_ref()?)));
     let explained = found.map_or(0.0, |(_, f)| explained(frames, f.rss, 3));
-    let Some((best, fit)) = found.filter(|_| explained > LEAST_EXPLAINED) else {
+    let Some((best, fit)) = found.filter(|_| explained > MIN_EXPLAINED) else {
         return Err(Error::input(
             "frames",
             format!(
@@ -369,7 +375,7 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
             "Check that the signal is that of the lamp, that it lasts longer than the readout (or repeats), and the expected row time.",
         ));
     };
-    let variance = fit.rss / fit.freedom.max(1.0);
+    let variance = fit.rss / fit.dof.max(1.0);
     let candidates: Vec<Candidate> = fits
         .iter()
         .zip(ORDERS)
@@ -379,9 +385,9 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
                 shutter,
                 f.row_time_us,
                 f.rss,
-                f.freedom,
+                f.dof,
                 fit.rss,
-                variance * fit.related,
+                variance * fit.variance_inflation,
                 variance,
             ))
         })
@@ -393,7 +399,7 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
             range.0, range.1
         ));
     }
-    let shown = fit.exposure_error < LARGEST_ERROR * fit.exposure_us;
+    let shown = fit.exposure_error < MAX_RELATIVE_ERROR * fit.exposure_us;
     let (low, high) = fit.extremes;
     Ok(Timing {
         row_time_us: fit.row_time_us,
@@ -420,19 +426,19 @@ fn known(signals: &RowSignals, signal: &Signal, params: &TimingParams) -> Result
         },
         warnings,
         advice: advice(&candidates, false),
-        shutters: left(&candidates),
+        shutters: consistent_shutters(&candidates),
         candidates,
     })
 }
 
 /// An exposure with a larger standard error than this part of it is not shown by the frame.
-const LARGEST_ERROR: f64 = 0.2;
+const MAX_RELATIVE_ERROR: f64 = 0.2;
 /// The third harmonic of a square wave or a pulse stands this many standard errors above
 /// zero, or the light may as well be a sine, whose depth is not known.
-const SHAPE_SEEN: f64 = 6.0;
+const MIN_HARMONIC_Z: f64 = 6.0;
 /// A trapezoid may leave this much more variance than free harmonics do; a lamp that
 /// rises slowly, or a camera that is not linear, leaves more.
-const TRAPEZOID_HOLDS: f64 = 1.5;
+const TRAPEZOID_MAX_VARIANCE_RATIO: f64 = 1.5;
 
 fn square_exposure(
     frames: &[Vec<f64>],
@@ -441,7 +447,7 @@ fn square_exposure(
     duty: Option<f64>,
     warnings: &mut Vec<String>,
 ) -> (Option<(f64, f64)>, String) {
-    if free.shape_seen() < SHAPE_SEEN {
+    if free.max_harmonic_z() < MIN_HARMONIC_Z {
         return (None, "only the fundamental is seen: a sine of unknown depth does not show the exposure; a square wave or a chirp does".into());
     }
     let Some(square) = square::fit(frames, k, free, duty) else {
@@ -451,9 +457,9 @@ fn square_exposure(
                 .into(),
         );
     };
-    let variance = |rss: f64, freedom: f64| rss / freedom.max(1.0);
-    let misfit = variance(square.rss, square.freedom) / variance(free.optimum.rss, free.freedom);
-    if misfit > TRAPEZOID_HOLDS {
+    let variance = |rss: f64, dof: f64| rss / dof.max(1.0);
+    let misfit = variance(square.rss, square.dof) / variance(free.optimum.rss, free.dof);
+    if misfit > TRAPEZOID_MAX_VARIANCE_RATIO {
         let found = format!(
             "a square wave leaves {misfit:.1} times the variance that free harmonics leave"
         );
@@ -468,7 +474,7 @@ fn square_exposure(
         warnings.push(format!("{found}: the exposure may be off"));
     }
     match square.exposure {
-        Some((exposure, error)) if error < LARGEST_ERROR * exposure => (
+        Some((exposure, error)) if error < MAX_RELATIVE_ERROR * exposure => (
             Some((exposure, error)),
             format!("edges of a square wave that is on for {:.3} of its period, the exposure taken to be shorter than half a period", square.duty),
         ),

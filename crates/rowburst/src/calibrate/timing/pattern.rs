@@ -7,13 +7,13 @@ use super::periodic::{self, PeriodicFit};
 use std::f64::consts::TAU;
 
 /// With two frames a row's brightness would take half of what they say of the stripes.
-pub(super) const FEWEST_FRAMES: usize = 3;
+pub(super) const MIN_FRAMES: usize = 3;
 /// Mean length of the phases' arrows, 1 for equal ones: above this the frames show the same stripes, and scene
 /// and stripes cannot be told apart.
-const SPREAD: f64 = 0.75;
+const MAX_PHASE_CONCENTRATION: f64 = 0.75;
 
 /// Whether the frames of `fit` are many enough and of different phases.
-pub(super) fn can_be_told(fit: &PeriodicFit) -> bool {
+pub(super) fn is_identifiable(fit: &PeriodicFit) -> bool {
     let frames = fit.model.len();
     let (mut x, mut y) = (0.0, 0.0);
     for f in 0..frames {
@@ -21,11 +21,11 @@ pub(super) fn can_be_told(fit: &PeriodicFit) -> bool {
         x += cos;
         y += sin;
     }
-    frames >= FEWEST_FRAMES && f64::hypot(x, y) < SPREAD * frames as f64
+    frames >= MIN_FRAMES && f64::hypot(x, y) < MAX_PHASE_CONCENTRATION * frames as f64
 }
 
 /// Each row over its mean over the frames.
-pub(super) fn over_their_mean(frames: &[Vec<f64>]) -> Vec<Vec<f64>> {
+pub(super) fn divide_by_mean(frames: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let rows = 0..frames[0].len();
     let mean: Vec<f64> = rows
         .map(|r| frames.iter().map(|y| y[r]).sum::<f64>() / frames.len() as f64)
@@ -36,7 +36,7 @@ pub(super) fn over_their_mean(frames: &[Vec<f64>]) -> Vec<Vec<f64>> {
 }
 
 /// The frames without the rows' own brightness, and the fit of them.
-pub(super) fn fit_without(
+pub(super) fn fit_without_scene(
     frames: &[Vec<f64>],
     k: &[usize],
     fit: &PeriodicFit,
@@ -58,7 +58,7 @@ pub(super) fn fit_without(
         found = periodic::fit(&cleaned, k, found.cycles_per_row, harmonics);
     }
     let count = frames.len() as f64;
-    found.freedom -= k.len() as f64;
-    found.loss = count / (count - 1.0);
+    found.dof -= k.len() as f64;
+    found.scene_inflation = count / (count - 1.0);
     (cleaned, found)
 }

@@ -22,16 +22,16 @@ pub(super) struct PeriodicFit {
     /// What the profiles are made of.
     pub profile: Basis,
     /// Values less parameters.
-    pub freedom: f64,
+    pub dof: f64,
     /// By how much parameters that are not in the fit raise variances.
-    pub loss: f64,
+    pub scene_inflation: f64,
 }
 
 /// Highest frequency of a harmonic in cycles per row time: beyond half a cycle it would
 /// pass for a lower one.
-const HIGHEST: f64 = 0.47;
+const MAX_HARMONIC_FREQUENCY: f64 = 0.47;
 /// A square wave seen through an exposure of a hundredth of its period still has them.
-pub(super) const MOST_HARMONICS: usize = 32;
+pub(super) const MAX_HARMONICS: usize = 32;
 
 /// Degree of the profiles: a lamp and a lens vary slowly. With few periods a higher
 /// one would bend along with them.
@@ -42,7 +42,7 @@ pub(super) fn degree(periods: f64) -> usize {
 /// Fits up to so many `harmonics` from the frequency `start`, first with few harmonics: high ones have many minima close together.
 pub(super) fn fit(frames: &[Vec<f64>], k: &[usize], start: f64, harmonics: usize) -> PeriodicFit {
     let instants = k.iter().max().map_or(1, |last| last + 1);
-    let most = ((HIGHEST / start) as usize)
+    let most = ((MAX_HARMONIC_FREQUENCY / start) as usize)
         .min(instants / 6)
         .clamp(1, harmonics);
     let profile = polynomials(k.len(), degree(start * instants as f64));
@@ -54,7 +54,7 @@ pub(super) fn fit(frames: &[Vec<f64>], k: &[usize], start: f64, harmonics: usize
         count = (2 * count).min(most);
         let next = fit_once(frames, k, &profile, &mut gain, best.cycles_per_row, count);
         let values = next.optimum.residual.len() as f64;
-        let further = best.freedom - next.freedom;
+        let further = best.dof - next.dof;
         let gained = values * (best.optimum.rss / next.optimum.rss).ln();
         // Bayes' information criterion; a fit without noise needs no more.
         let enough = gained < further * values.ln() || next.optimum.rss < 1e-18 * values;
@@ -118,8 +118,8 @@ fn round(
         gain: gain.to_vec(),
         steady: Vec::new(),
         profile: profile.clone(),
-        freedom: (frames.len() * k.len()) as f64 - parameter_count as f64 - 1.0,
-        loss: 1.0,
+        dof: (frames.len() * k.len()) as f64 - parameter_count as f64 - 1.0,
+        scene_inflation: 1.0,
     };
     for (y, gain) in frames.iter().zip(gain) {
         let fit = linear(&columns(&waves, gain, profile), y);
@@ -176,15 +176,15 @@ impl PeriodicFit {
     /// variance.
     pub fn error(&self) -> (f64, f64) {
         let run = self.model[0].len();
-        let (errors, related) = self.optimum.errors(self.freedom, run);
-        (errors[0] * self.loss.sqrt(), related)
+        let (errors, variance_inflation) = self.optimum.errors(self.dof, run);
+        (errors[0] * self.scene_inflation.sqrt(), variance_inflation)
     }
 
     /// The course of the light over a period, as `frame` shows it, in the middle row:
     /// its lowest and highest value.
     pub fn extremes(&self, frame: usize) -> (f64, f64) {
         let middle = self.gain[frame].len() / 2;
-        super::signal::range((0..512).map(|i| {
+        super::waveform::range((0..512).map(|i| {
             let angle = TAU * f64::from(i) / 512.0;
             let swing: f64 = self.harmonics[frame]
                 .iter()
@@ -206,9 +206,9 @@ impl PeriodicFit {
     }
 
     /// Largest amplitude of the harmonics from the third on over its standard error.
-    pub fn shape_seen(&self) -> f64 {
+    pub fn max_harmonic_z(&self) -> f64 {
         let rows = self.model[0].len() as f64;
-        let sigma = (self.optimum.rss / self.freedom.max(1.0)).sqrt();
+        let sigma = (self.optimum.rss / self.dof.max(1.0)).sqrt();
         let of = |(frame, harmonics): (usize, &Vec<(f64, f64)>)| {
             let gain = dot(&self.gain[frame], &self.gain[frame]) / rows;
             let error = sigma * (2.0 / (rows * gain)).sqrt();

@@ -14,7 +14,7 @@ pub(super) struct RowSignals {
 }
 
 /// Fewest rows that a fit is made of.
-const FEWEST_ROWS: usize = 16;
+const MIN_ROWS: usize = 16;
 
 /// Takes `dark` away, divides by `flat`, and means over the columns.
 pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<RowSignals> {
@@ -27,11 +27,11 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
         ));
     };
     let (rows, columns) = (first.rows(), first.columns());
-    if rows < FEWEST_ROWS {
+    if rows < MIN_ROWS {
         return Err(Error::input(
             "frame 1",
             format!("{rows} rows"),
-            format!("at least {FEWEST_ROWS} rows are needed"),
+            format!("at least {MIN_ROWS} rows are needed"),
             "Read the whole sensor, not a narrow window.",
         ));
     }

@@ -12,9 +12,9 @@ pub(super) fn best_of(fits: &[PeriodicFit]) -> usize {
 /// The frequency to start from, in cycles per row time, and whether it stands out.
 pub(super) fn start_of(frames: &[Vec<f64>], k: &[usize]) -> (f64, bool) {
     let mut best = total_power(frames, k, 2).peak();
-    if frames.len() >= pattern::FEWEST_FRAMES {
+    if frames.len() >= pattern::MIN_FRAMES {
         // What all frames share would hide weak stripes.
-        let other = total_power(&pattern::over_their_mean(frames), k, 2).peak();
+        let other = total_power(&pattern::divide_by_mean(frames), k, 2).peak();
         if other.1 > best.1 {
             best = other;
         }
@@ -37,7 +37,7 @@ pub(super) fn total_power(
 /// Harmonics by which the orders are first compared.
 const FIRST_HARMONICS: usize = 8;
 /// An order that leaves this many times what the best one leaves is refined no further.
-const HOPELESS: f64 = 4.0;
+const REFINE_LIMIT: f64 = 4.0;
 
 /// The fit at the strongest frequency, or at a half or a third of it where that
 /// explains more: an exposure of about a period can leave a harmonic on top.
@@ -71,14 +71,14 @@ pub(super) fn refined(
     for (o, fit) in fits.iter().enumerate() {
         all.push(if same_as[o] != o {
             all[same_as[o]].clone()
-        } else if fit.optimum.rss > HOPELESS * lowest {
+        } else if fit.optimum.rss > REFINE_LIMIT * lowest {
             fit.clone()
         } else {
             periodic::fit(
                 frames,
                 &orders[o],
                 fit.cycles_per_row,
-                periodic::MOST_HARMONICS,
+                periodic::MAX_HARMONICS,
             )
         });
     }

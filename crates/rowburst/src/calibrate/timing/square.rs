@@ -8,7 +8,7 @@
 
 use super::fit::{Basis, Optimum, linear, minimise};
 use super::periodic::PeriodicFit;
-use super::signal::square_exposed;
+use super::waveform::square_exposed;
 
 /// A trapezoid that fits.
 pub(super) struct SquareFit {
@@ -19,7 +19,7 @@ pub(super) struct SquareFit {
     pub duty: f64,
     pub rss: f64,
     /// Values less parameters.
-    pub freedom: f64,
+    pub dof: f64,
 }
 
 /// A duty this near to a half is one: drivers are no more exact, and longer or shorter
@@ -69,8 +69,8 @@ pub(super) fn fit(
     }
     let best = best?;
     let parameter_count = (1 + 2 * free.profile.len()) * frames.len() + best.theta.len();
-    let freedom = (frames.len() * k.len()) as f64 - parameter_count as f64;
-    let (errors, _) = best.errors(freedom, k.len());
+    let dof = (frames.len() * k.len()) as f64 - parameter_count as f64;
+    let (errors, _) = best.errors(dof, k.len());
     let near_half = |part: f64| (part - 0.5).abs() < NEAR_HALF;
     let exposure = (within(best.theta[1]), errors[1]);
     let shorter = |(part, error): (f64, f64)| (part.min(1.0 - part), error);
@@ -95,7 +95,7 @@ pub(super) fn fit(
         exposure,
         duty,
         rss: best.rss,
-        freedom,
+        dof,
     })
 }
 

@@ -69,12 +69,12 @@ fn square(phase: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-const PLAIN: Light = Light::Periodic {
+const PLAIN: Lamp = Lamp::Periodic {
     frequency_hz: FREQUENCY_HZ,
     duty: None,
 };
 
-fn found(image: Image, light: &Light) -> Timing {
+fn found(image: Image, light: &Lamp) -> Timing {
     calibrate(&[image], light, &TimingParams::default()).unwrap()
 }
 
@@ -173,7 +173,7 @@ fn narrow() -> TimingParams {
 }
 
 /// A chirp from 1 to 5 kHz over 12 ms, dark before and after.
-fn chirp() -> (Signal, impl Fn(f64) -> f64) {
+fn chirp() -> (Waveform, impl Fn(f64) -> f64) {
     let value = |t: f64| {
         if !(0.0..12_000.0).contains(&t) {
             return 0.0;
@@ -184,13 +184,13 @@ fn chirp() -> (Signal, impl Fn(f64) -> f64) {
     let points: Vec<(f64, f64)> = (0..=2400)
         .map(|i| (f64::from(i) * 5.0, value(f64::from(i) * 5.0)))
         .collect();
-    (Signal::new(&points, Extension::Holds).unwrap(), value)
+    (Waveform::new(&points, Extension::Holds).unwrap(), value)
 }
 
 #[test]
 fn a_chirp_tells_all_orders_and_the_exposure() {
-    let (signal, value) = chirp();
-    let light = Light::Known(signal);
+    let (waveform, value) = chirp();
+    let light = Lamp::Waveform(waveform);
     for (shutter, rows) in ORDERS.into_iter().zip([512, 511, 1024, 1023]) {
         let image = noisy(
             &frame(rows, &shutter, 14.3, 90.0, |t| value(t + 2000.0)),
@@ -223,7 +223,7 @@ fn an_unequal_double_pulse_tells_the_direction() {
         (2800.0, 0.0),
         (4000.0, 0.0),
     ];
-    let light = Light::Known(Signal::new(&points, Extension::Holds).unwrap());
+    let light = Lamp::Waveform(Waveform::new(&points, Extension::Holds).unwrap());
     let value = |t: f64| {
         if (0.0..900.0).contains(&t) || (2500.0..2800.0).contains(&t) {
             1.0
@@ -296,7 +296,7 @@ fn a_still_scene_is_taken_out_of_several_frames() {
 #[test]
 fn poor_frames_are_refused_with_a_remedy() {
     let refused = |image: Image, frequency_hz: f64, words: [&str; 2]| {
-        let light = Light::Periodic {
+        let light = Lamp::Periodic {
             frequency_hz,
             duty: None,
         };
@@ -330,7 +330,7 @@ fn poor_frames_are_refused_with_a_remedy() {
         expected_row_time_us: Some(9.6),
         ..TimingParams::default()
     };
-    let light = Light::Periodic {
+    let light = Lamp::Periodic {
         frequency_hz: 90_000.0,
         duty: None,
     };

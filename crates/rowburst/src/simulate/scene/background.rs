@@ -34,7 +34,7 @@ const EDGE: f64 = 0.008;
 const MIN_EDGE_PX: f64 = 0.7;
 
 /// What is fainter is dark: an edge that never ends would leave no dark pixel.
-const FAINTEST: f64 = 0.01;
+const MIN_BRIGHTNESS: f64 = 0.01;
 
 /// Tells the background's random numbers from those of the scene of the same seed, so that
 /// a scene is the same with and without.
@@ -78,7 +78,7 @@ pub fn background(shape: Shape, seed: u64) -> Result<Image> {
             for x in 0..shape.columns {
                 let offset = (y as f64 - centre.0, x as f64 - centre.1);
                 let value = brightness * part.at(offset, edge);
-                if value >= FAINTEST {
+                if value >= MIN_BRIGHTNESS {
                     let pixel = &mut picture.data_mut()[y * shape.columns + x];
                     *pixel = pixel.max(value as f32);
                 }

@@ -8,13 +8,13 @@
 /// Snyder, Hammoud & White 1993): `Aᵀ(b − A v)/(slope·A v + floor)`. Following the light
 /// is Fisher scoring of that likelihood (iteratively reweighted least squares).
 #[derive(Debug, Clone, PartialEq)]
-pub struct NoiseLaw {
+pub struct NoiseModel {
     slope: Vec<f32>,
     floor: Vec<f32>,
     reference: f64,
 }
 
-impl NoiseLaw {
+impl NoiseModel {
     /// The law of pixels with these slopes (counts) and floors (counts²); a floor that is
     /// infinite is that of a pixel without information. The noise that `light` has in the
     /// median is that of weight 1.
@@ -23,23 +23,23 @@ impl NoiseLaw {
     /// If the lengths differ.
     pub fn new(slope: Vec<f32>, floor: Vec<f32>, light: &[f32]) -> Self {
         assert_eq!(slope.len(), floor.len(), "a floor for each slope");
-        let mut law = Self {
+        let mut model = Self {
             slope,
             floor,
             reference: 1.0,
         };
-        let mut known: Vec<f64> = law
+        let mut known: Vec<f64> = model
             .variances(light)
             .filter(|variance| variance.is_finite())
             .collect();
         if !known.is_empty() {
             let middle = known.len() / 2;
-            law.reference = known
+            model.reference = known
                 .select_nth_unstable_by(middle, f64::total_cmp)
                 .1
                 .sqrt();
         }
-        law
+        model
     }
 
     /// The law of some of the pixels, with the same reference.
@@ -84,14 +84,14 @@ mod tests {
     #[test]
     fn variance_is_that_of_electrons() {
         // Half a count for an electron, 3 electrons of read noise.
-        let law = NoiseLaw::new(
+        let model = NoiseModel::new(
             vec![0.5; 3],
             vec![2.25, 2.25, f32::INFINITY],
             &[8.0, 8.0, 8.0],
         );
         // 16 electrons and 9 electrons².
-        assert!((law.sigma() - 0.5 * 25f64.sqrt()).abs() < 1e-6);
-        let weights = law.weights(&[8.0, -1.0, 8.0]);
+        assert!((model.sigma() - 0.5 * 25f64.sqrt()).abs() < 1e-6);
+        let weights = model.weights(&[8.0, -1.0, 8.0]);
         assert!((weights[0] - 1.0).abs() < 1e-6);
         assert!((f64::from(weights[1]) - 2.5 / (0.5 * 10f64.sqrt())).abs() < 1e-6);
         assert_eq!(weights[2], 0.0);

@@ -5,7 +5,7 @@ use crate::{Error, Result};
 /// A light that is known over time: straight lines between points; two points at one
 /// time are a step.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Signal {
+pub struct Waveform {
     /// Times in microseconds, never falling.
     times_us: Vec<f64>,
     values: Vec<f64>,
@@ -23,7 +23,7 @@ pub enum Extension {
     Repeats,
 }
 
-impl Signal {
+impl Waveform {
     /// A light through the points `(time in µs, value)`.
     ///
     /// # Errors
@@ -95,12 +95,12 @@ impl Signal {
     }
 
     /// Mean light over the `exposure_us` that ends at `end_us` (Eq. 2).
-    pub fn exposed(&self, end_us: f64, exposure_us: f64) -> f64 {
-        (self.until(end_us) - self.until(end_us - exposure_us)) / exposure_us
+    pub fn mean_over_exposure(&self, end_us: f64, exposure_us: f64) -> f64 {
+        (self.integral_to(end_us) - self.integral_to(end_us - exposure_us)) / exposure_us
     }
 
     /// `∫` of the light from the first time to `t`.
-    fn until(&self, t: f64) -> f64 {
+    fn integral_to(&self, t: f64) -> f64 {
         let (first, last) = self.span_us();
         let n = self.times_us.len();
         match self.extension {
@@ -154,7 +154,7 @@ mod tests {
             }
         };
         for extension in [Extension::Holds, Extension::Repeats] {
-            let signal = Signal::new(&points, extension).unwrap();
+            let waveform = Waveform::new(&points, extension).unwrap();
             for end in [-13.0, -2.0, 0.5, 3.0, 5.5, 9.9, 12.0, 31.0] {
                 for exposure in [0.3, 2.5, 17.0] {
                     let steps = 20_000;
@@ -165,7 +165,7 @@ mod tests {
                         })
                         .sum::<f64>()
                         / f64::from(steps);
-                    let got = signal.exposed(end, exposure);
+                    let got = waveform.mean_over_exposure(end, exposure);
                     assert!((got - mean).abs() < 2e-3, "{extension:?} {end} {exposure}");
                 }
             }
@@ -179,7 +179,7 @@ mod tests {
     #[test]
     fn bad_signals_say_what_is_wrong() {
         let refused = |points: &[(f64, f64)], word: &str| {
-            let error = Signal::new(points, Extension::Holds)
+            let error = Waveform::new(points, Extension::Holds)
                 .unwrap_err()
                 .to_string();
             assert!(error.contains(word), "{error}");

@@ -6,38 +6,38 @@ use crate::Image;
 
 /// Counts without light, read from a capture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Floor {
+pub struct BlackLevel {
     /// The floor.
     pub counts: f64,
     /// Whether it was read from a region without light; else from the darkest places
     /// between grains, which are dark only in speckle of full contrast.
-    pub unlit: bool,
+    pub is_from_dark_region: bool,
 }
 
 /// Part of the pixels that lie below the floor of a pattern that fills the image: of
 /// fully developed speckle it is darker than a thousandth of its mean.
-const DARKEST: f64 = 1e-3;
+const BLACK_LEVEL_QUANTILE: f64 = 1e-3;
 
 /// Side of the cells that are looked through for an unlit one, against the image.
 const CELLS: usize = 24;
 
 /// The floor of `image`.
-pub(super) fn floor_of(image: &Image) -> Floor {
+pub(super) fn estimate_black_level(image: &Image) -> BlackLevel {
     if let Some(counts) = unlit_level(image) {
-        return Floor {
+        return BlackLevel {
             counts,
-            unlit: true,
+            is_from_dark_region: true,
         };
     }
     // Noise alone would reach below the floor: it is averaged over a twelfth of a grain,
     // which leaves the places between grains dark.
     let calm = smoothed(image, rough_grain(image) / 12.0);
     let mut values = calm.data().to_vec();
-    let at = ((values.len() as f64 * DARKEST) as usize).min(values.len() - 1);
+    let at = ((values.len() as f64 * BLACK_LEVEL_QUANTILE) as usize).min(values.len() - 1);
     let (_, value, _) = values.select_nth_unstable_by(at, f32::total_cmp);
-    Floor {
+    BlackLevel {
         counts: f64::from(*value),
-        unlit: false,
+        is_from_dark_region: false,
     }
 }
 
@@ -66,16 +66,17 @@ fn unlit_level(image: &Image) -> Option<f64> {
         }
     }
     let pixels = (order.len() * side * (side - 1)) as f64;
-    let noise = shared < ALIKE * variance && variance / pixels < CALM * variance_of(image);
+    let noise = shared < MAX_NEIGHBOUR_CORRELATION * variance
+        && variance / pixels < MAX_CELL_VARIANCE_RATIO * variance_of(image);
     noise.then_some(level)
 }
 
 /// Correlation of neighbouring pixels above which a cell is lit: grains of two pixels
 /// have 0.5.
-const ALIKE: f64 = 0.25;
+const MAX_NEIGHBOUR_CORRELATION: f64 = 0.25;
 
 /// Variance of an unlit cell against that of the whole image: fine speckle has alike ones.
-const CALM: f64 = 0.1;
+const MAX_CELL_VARIANCE_RATIO: f64 = 0.1;
 
 fn variance_of(image: &Image) -> f64 {
     let count = image.data().len() as f64;
@@ -115,7 +116,7 @@ pub struct DenoisedLight {
     /// The light, non-negative.
     pub image: Image,
     /// Part of the pixels that were set to zero as unlit.
-    pub unlit_part: f64,
+    pub zeroed_fraction: f64,
 }
 
 /// Sets to zero what noise alone can be.
@@ -129,9 +130,9 @@ pub fn suppress_noise(light: &Image, grain: f64, sigma: f64, k: f64) -> Denoised
     let mean = smoothed(light, scale);
     let independent = 4.0 * std::f64::consts::PI * scale * scale;
     let least = (k * sigma / independent.sqrt()) as f32;
-    let unlit = |y: usize, x: usize| sigma > 0.0 && mean.at(y, x) < least;
+    let is_empty = |y: usize, x: usize| sigma > 0.0 && mean.at(y, x) < least;
     let image = Image::from_fn(light.rows(), light.columns(), |y, x| {
-        if unlit(y, x) {
+        if is_empty(y, x) {
             0.0
         } else {
             light.at(y, x).max(0.0)
@@ -139,10 +140,10 @@ pub fn suppress_noise(light: &Image, grain: f64, sigma: f64, k: f64) -> Denoised
     });
     let mut empty = 0;
     for y in 0..light.rows() {
-        empty += (0..light.columns()).filter(|&x| unlit(y, x)).count();
+        empty += (0..light.columns()).filter(|&x| is_empty(y, x)).count();
     }
     DenoisedLight {
-        unlit_part: empty as f64 / light.data().len() as f64,
+        zeroed_fraction: empty as f64 / light.data().len() as f64,
         image,
     }
 }

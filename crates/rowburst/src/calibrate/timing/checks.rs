@@ -1,6 +1,6 @@
 //! Lights and frames that do not tell the row time, and what to change.
 
-use super::{FEWEST_PERIODS, FEWEST_ROWS_A_PERIOD, TimingParams, count_of, periodogram};
+use super::{MIN_PERIODS, MIN_ROWS_PER_PERIOD, TimingParams, count_of, periodogram};
 use crate::{Error, Result};
 
 pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
@@ -11,25 +11,23 @@ pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
             100.0 * explained.max(0.0)
         ),
         format!(
-            "the rows show the stripes of a light of {frequency_hz} Hz, at least {FEWEST_PERIODS} periods in {rows} rows"
+            "the rows show the stripes of a light of {frequency_hz} Hz, at least {MIN_PERIODS} periods in {rows} rows"
         ),
         "Light the sensor by the lamp alone, shorten the exposure to less than half a period, or choose a frequency that gives 5 to 50 periods in a readout.",
     )
 }
 
 pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
-    if periods >= FEWEST_PERIODS {
+    if periods >= MIN_PERIODS {
         return Ok(());
     }
     Err(Error::input(
         "frames",
         format!("{periods:.2} periods of the light in the readout of a frame"),
-        format!(
-            "at least {FEWEST_PERIODS} are needed to tell the light from the profile of the lamp"
-        ),
+        format!("at least {MIN_PERIODS} are needed to tell the light from the profile of the lamp"),
         format!(
             "Blink at {} Hz or more; about {} Hz gives 20 periods.",
-            rounded(1.1 * FEWEST_PERIODS / periods * frequency_hz),
+            rounded(1.1 * MIN_PERIODS / periods * frequency_hz),
             rounded(20.0 / periods * frequency_hz)
         ),
     ))
@@ -43,7 +41,7 @@ pub(super) fn check_alias(
     let most = if expected.is_some() {
         0.45
     } else {
-        1.0 / FEWEST_ROWS_A_PERIOD
+        1.0 / MIN_ROWS_PER_PERIOD
     };
     if cycles_per_row <= most {
         return Ok(());
@@ -61,7 +59,7 @@ pub(super) fn check_alias(
         found,
         match expected {
             Some(_) => "a period lasts more than two row times, or the light aliases: its stripes look like those of a slower one".to_string(),
-            None => format!("stripes of fewer than {FEWEST_ROWS_A_PERIOD} rows may be an alias of a faster light, which would give another row time"),
+            None => format!("stripes of fewer than {MIN_ROWS_PER_PERIOD} rows may be an alias of a faster light, which would give another row time"),
         },
         format!("Blink more slowly: about {slower} Hz gives 10 rows a period."),
     ))
