@@ -241,7 +241,7 @@ def test_experiments_are_read_with_their_files(tmp_path, camera, psf):
         rb.Experiment(tmp_path / "nowhere.toml")
 
 
-def test_a_live_view_goes_on_from_frame_to_frame():
+def test_a_live_view_warm_starts_each_frame():
     # Of a lens, and with a good fit: where the fit is poor, the count of iterations says little.
     camera = rb.Camera(rows=48, columns=48, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
     capture = rb.simulate(camera, "digits", snr=256, seed=1)

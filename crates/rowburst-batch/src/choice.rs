@@ -11,7 +11,7 @@ use rowburst::reconstruct::{Prior, Problem};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
 use rowburst::{Error, Result};
-use rowburst_io::{Capture, Level};
+use rowburst_io::{Capture, SampleFormat};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -58,7 +58,7 @@ impl RecordingSurvey {
             }
             let content = match read_measurement(inputs, frame) {
                 Ok((capture, measurement)) => {
-                    pixel_format.get_or_insert_with(|| pixel_format_name(capture.level));
+                    pixel_format.get_or_insert_with(|| pixel_format_name(capture.format));
                     let light = norm(measurement.image().data());
                     if best.is_none_or(|(_, most)| light > most) {
                         best = Some((frame, light));
@@ -133,11 +133,13 @@ pub(crate) fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
 }
 
 /// The kind of numbers in words.
-pub(crate) fn pixel_format_name(level: Level) -> String {
-    match level {
-        Level::Counts { bits } if bits % 8 == 7 => format!("signed integers of {} bits", bits + 1),
-        Level::Counts { bits } => format!("integers of {bits} bits"),
-        Level::Float => "floating point".into(),
+pub(crate) fn pixel_format_name(format: SampleFormat) -> String {
+    match format {
+        SampleFormat::Counts { bits } if bits % 8 == 7 => {
+            format!("signed integers of {} bits", bits + 1)
+        }
+        SampleFormat::Counts { bits } => format!("integers of {bits} bits"),
+        SampleFormat::Float => "floating point".into(),
     }
 }
 

@@ -7,9 +7,9 @@ use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::inputs::{
-    calibration_of, check_memory, naming_file, psf_of, read_corrections, read_psfs,
+    check_memory, naming_file, psf_of, read_corrections, read_psfs, resolve_calibration,
 };
-use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
+use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use std::path::Path;
 
@@ -68,18 +68,18 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
         ));
     }
     let camera = experiment.camera()?;
-    let budget = time_budget(files.time_budget_s)?;
+    let budget = parse_time_budget(files.time_budget_s)?;
     drop_short_period(&mut experiment, &camera);
     let options = Options {
         // A choice takes a run for each candidate: a budget has no time for it.
-        prior: chosen_prior(files.prior, &experiment)?.or(budget.map(|_| Prior::STANDARD)),
-        tau: chosen_tau(files.tau, &experiment)?,
+        prior: resolve_prior(files.prior, &experiment)?.or(budget.map(|_| Prior::STANDARD)),
+        tau: resolve_tau(files.tau, &experiment)?,
         noise_sigma: files.noise_sigma,
         max_iterations: files.max_iterations,
     };
     let own_period = files.frame_period_us;
     let frame_period_us = own_period.or(experiment.recording.frame_period_us);
-    let calibration = calibration_of(files.calibration.clone(), &experiment);
+    let calibration = resolve_calibration(files.calibration.clone(), &experiment);
     let psf_path = psf_of(&calibration, &experiment)?;
     let frames = match is_zarr(files.frames) {
         true => open_zarr_recording(files.frames)?,

@@ -34,7 +34,7 @@ impl BatchInputs {
     /// Those of [`correct`].
     pub fn measurement(&self, capture: &Capture) -> Result<Measurement> {
         let corrections = Corrections {
-            saturation_counts: capture.level.end(),
+            saturation_counts: capture.format.saturation_limit(),
             ..self.corrections.clone()
         };
         correct(&capture.image, self.model.camera(), &corrections)

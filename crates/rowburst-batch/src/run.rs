@@ -297,7 +297,7 @@ impl Batch {
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Result<(Measurement, Reconstruction)> {
         let capture = self.inputs.frames.read(frame)?;
-        let pixel_format = pixel_format_name(capture.level);
+        let pixel_format = pixel_format_name(capture.format);
         if pixel_format != self.job.pixel_format {
             return Err(Error::input(
                 self.inputs.frames.name(frame),

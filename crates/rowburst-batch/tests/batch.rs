@@ -5,7 +5,7 @@ use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options, Problem};
 use rowburst::{Camera, Image, Psf, Result, Sensor, Shutter};
 use rowburst_batch::{Batch, BatchInputs, Event, RetryPolicy, Status, ThreadAllocation};
-use rowburst_io::{Capture, Frames, Level};
+use rowburst_io::{Capture, Frames, SampleFormat};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Mutex;
@@ -38,7 +38,7 @@ fn capture(index: usize) -> Capture {
         image: Image::from_fn(12, 20, |y, x| {
             (40 + (3 * y + 5 * x + 7 * index) % 31) as f32
         }),
-        level: Level::Counts { bits: 16 },
+        format: SampleFormat::Counts { bits: 16 },
     }
 }
 

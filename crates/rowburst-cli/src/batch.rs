@@ -12,7 +12,7 @@ use rowburst_batch::{
     load_batch, name_correction_file,
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
-use rowburst_run::options::{prior_of, tau_of};
+use rowburst_run::options::{parse_prior, parse_tau};
 use rowburst_run::{MetadataNumbers, peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
@@ -69,7 +69,7 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
-    let (summary, _) = one(args, &stop)?;
+    let (summary, _) = run_one(args, &stop)?;
     if args.json {
         print_line(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
     } else {
@@ -85,22 +85,22 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
         point_args.sweep.clear();
-        point_args.output = sweep::place(&args.output, point, ".zarr");
+        point_args.output = sweep::point_path(&args.output, point, ".zarr");
         for (key, value) in point {
             match *key {
                 "prior" => {
-                    prior_of(value)?;
+                    parse_prior(value)?;
                     point_args.prior = Some(value.clone());
                 }
                 "tau" => {
-                    tau_of(value)?;
+                    parse_tau(value)?;
                     point_args.tau = Some(value.clone());
                 }
-                "noise-sigma" => point_args.noise_sigma = Some(sweep::number(key, value)?),
-                _ => point_args.max_iterations = Some(sweep::count(key, value)?),
+                "noise-sigma" => point_args.noise_sigma = Some(sweep::parse_number(key, value)?),
+                _ => point_args.max_iterations = Some(sweep::parse_count(key, value)?),
             }
         }
-        Ok((sweep::words(point), point_args))
+        Ok((sweep::label(point), point_args))
     });
     // A value that is none is found before the first run, which may take hours.
     let runs: Vec<(String, BatchArgs)> = runs.collect::<Result<_>>()?;
@@ -108,7 +108,7 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let mut rows: Vec<sweep::Row> = Vec::new();
     for (point, point_args) in runs {
         eprintln!("{point}");
-        let (summary, lines) = one(&point_args, stop)?;
+        let (summary, lines) = run_one(&point_args, stop)?;
         let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
         let good = done.iter().filter(|l| l.fit.as_deref() == Some("good"));
         rows.push(sweep::Row {
@@ -145,13 +145,13 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// One batch, through; the lines of its frames.
-fn one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRow>)> {
+fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRow>)> {
     let began = Instant::now();
     let (inputs, calibration, from_metadata) = load_input(args)?;
     let batch = Batch::open(inputs, &args.output)
         .map_err(|e| name_correction_file(e, &args.frames, &calibration))?;
     let frames = &batch.inputs().frames;
-    let range = range_of(args.frames_range.as_deref(), frames.count())?;
+    let range = parse_frame_range(args.frames_range.as_deref(), frames.count())?;
     if args.stitch {
         batch.clock_to_stitch()?;
     }
@@ -262,7 +262,7 @@ fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadat
 }
 
 /// `A:B` of `count` frames.
-fn range_of(text: Option<&str>, count: usize) -> Result<Range<usize>> {
+fn parse_frame_range(text: Option<&str>, count: usize) -> Result<Range<usize>> {
     let Some(text) = text else {
         return Ok(0..count);
     };

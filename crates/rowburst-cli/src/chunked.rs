@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// A range of bins, `FIRST..END`.
-pub fn bins_of(text: &str) -> Result<Range<usize>> {
+pub fn parse_bins(text: &str) -> Result<Range<usize>> {
     let ends = text
         .split_once("..")
         .map(|(a, b)| (a.trim().parse(), b.trim().parse()));

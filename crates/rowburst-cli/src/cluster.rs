@@ -19,7 +19,7 @@ pub fn run(args: &BatchArgs, scheduler: &str) -> Result<()> {
     // What it says of the result is said again, as without a scheduler.
     let status = Command::new(&python)
         .args(["-m", "rowburst.dask"])
-        .args(words(args, scheduler))
+        .args(dask_arguments(args, scheduler))
         .stdout(Stdio::null())
         .status();
     match status {
@@ -63,14 +63,14 @@ fn check_package(python: &OsString) -> Result<()> {
 }
 
 /// The arguments as `rowburst.dask` has them.
-fn words(args: &BatchArgs, scheduler: &str) -> Vec<OsString> {
-    let mut words: Vec<OsString> = vec![args.experiment.clone().into()];
+fn dask_arguments(args: &BatchArgs, scheduler: &str) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = vec![args.experiment.clone().into()];
     let mut option = |name: &str, value: Option<OsString>| {
         if let Some(value) = value {
             // In one word: a value may begin with a minus.
             let mut word = OsString::from(format!("--{name}="));
             word.push(value);
-            words.push(word);
+            arguments.push(word);
         }
     };
     let path = |path: &Path| Some(path.as_os_str().to_owned());
@@ -92,7 +92,7 @@ fn words(args: &BatchArgs, scheduler: &str) -> Vec<OsString> {
     );
     option("frame-period-us", number(args.frame_period_us));
     if args.retry_failed {
-        words.push("--retry-failed".into());
+        arguments.push("--retry-failed".into());
     }
-    words
+    arguments
 }

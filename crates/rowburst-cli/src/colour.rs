@@ -2,10 +2,10 @@
 //! one video in colour.
 
 use crate::args::ReconstructArgs;
-use crate::inputs::{calibration_of, read_psfs};
+use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::Bar;
-use crate::reconstruct::{command_line, film_of};
+use crate::reconstruct::{command_line, movie_style};
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::{Corrections, correct};
 use rowburst::reconstruct::Options;
@@ -14,7 +14,7 @@ use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
 };
 use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
-use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
+use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
 use rowburst_run::{
     MetadataNumbers, ReconstructionSummary, ResultMeta, Task, TraceRequest, player_of, solve,
     thousands,
@@ -73,8 +73,8 @@ pub fn run(
     let folder = OutputFolder::create(&args.output)?;
     let shared = SharedInputs::read(args, &experiment)?;
     let mut options = Options {
-        prior: chosen_prior(args.prior.as_deref(), &experiment)?,
-        tau: chosen_tau(args.tau.as_deref(), &experiment)?,
+        prior: resolve_prior(args.prior.as_deref(), &experiment)?,
+        tau: resolve_tau(args.tau.as_deref(), &experiment)?,
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
     };
@@ -180,7 +180,7 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
 impl SharedInputs {
     fn read(args: &ReconstructArgs, experiment: &Experiment) -> Result<Self> {
         let camera = experiment.camera()?;
-        let calibration = calibration_of(&args.calibration, experiment);
+        let calibration = resolve_calibration(&args.calibration, experiment);
         let psf_path = psf_of(&calibration, experiment)?.to_path_buf();
         let (raw, container_end) = read_frame(&args.frame)?;
         if (raw.rows(), raw.columns()) != (camera.rows(), camera.columns()) {
@@ -216,7 +216,7 @@ impl SharedInputs {
             psfs,
             corrections,
             calibration,
-            budget: time_budget(args.time_budget_s)?.map(|budget| budget / 4),
+            budget: parse_time_budget(args.time_budget_s)?.map(|budget| budget / 4),
         })
     }
 
@@ -267,7 +267,7 @@ impl SharedInputs {
             title: &title,
             reproduce: Some(&reproduce),
             player: player_of(folder.path()),
-            film: film_of(args),
+            movie: movie_style(args),
         };
         let summary = completed.write(&traces, &folder, result_meta)?;
         Ok((summary, completed.reconstruction.video))

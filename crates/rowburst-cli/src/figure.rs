@@ -13,17 +13,17 @@ use std::path::{Path, PathBuf};
 
 /// What a figure needs of `view.json`.
 #[derive(Deserialize)]
-struct View {
+struct ViewRecord {
     title: String,
     pixel_pitch_um: Option<f64>,
     bin_duration_us: f64,
     truth: Option<String>,
-    shutter: Clock,
+    shutter: ShutterRecord,
     traces: Vec<TraceRecord>,
 }
 
 #[derive(Deserialize)]
-struct Clock {
+struct ShutterRecord {
     instants: Vec<usize>,
     is_global: bool,
     row_time_us: f64,
@@ -33,16 +33,16 @@ struct Clock {
 
 #[derive(Deserialize)]
 struct TraceRecord {
-    region: Place,
+    region: RegionRecord,
     value: Vec<f64>,
     debiased: Vec<Option<f64>>,
     /// Null where it is not known.
     standard_error: Vec<Option<f64>>,
-    photodiodes: Vec<Diode>,
+    photodiodes: Vec<PhotodiodeRecord>,
 }
 
 #[derive(Deserialize)]
-struct Place {
+struct RegionRecord {
     y: usize,
     x: usize,
     rows: usize,
@@ -50,7 +50,7 @@ struct Place {
 }
 
 #[derive(Deserialize)]
-struct Diode {
+struct PhotodiodeRecord {
     name: String,
     correlation: f64,
     points: Vec<(f64, f64)>,
@@ -145,7 +145,7 @@ pub fn run(args: &FigureArgs) -> Result<()> {
     Ok(())
 }
 
-fn read_view(path: &Path) -> Result<View> {
+fn read_view(path: &Path) -> Result<ViewRecord> {
     let bad = |found: String| {
         Error::input(
             path.display().to_string(),
@@ -164,7 +164,7 @@ fn read_truth(folder: &Path, name: &str) -> Result<Video> {
     read_video(&folder.join(name))
 }
 
-impl Clock {
+impl ShutterRecord {
     fn time(&self, bin_duration_us: f64, path: &Path) -> Result<TimeGrid> {
         let instants = self.instants.iter().max().map_or(0, |last| last + 1);
         let positive = |v: f64| v.is_finite() && v > 0.0;

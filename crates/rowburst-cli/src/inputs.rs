@@ -6,8 +6,8 @@ use rowburst_io::{Calibration, Experiment};
 use std::path::Path;
 
 /// The files of the command line, or else of the experiment.
-pub fn calibration_of(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
-    rowburst_run::inputs::calibration_of(calibration_from_args(args), experiment)
+pub fn resolve_calibration(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
+    rowburst_run::inputs::resolve_calibration(calibration_from_args(args), experiment)
 }
 
 /// The files of the command line.

@@ -3,7 +3,7 @@
 use crate::args::ReconstructArgs;
 use crate::chunked;
 use crate::colour;
-use crate::inputs::{calibration_of, read_psfs};
+use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
@@ -14,9 +14,9 @@ use rowburst_io::{Experiment, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
 };
-use rowburst_run::options::{chosen_prior, chosen_tau, time_budget};
+use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
 use rowburst_run::{
-    ChunkedSummary, ChunkedTask, Film, ReconstructionSummary, ResultMeta, Task, TraceRequest,
+    ChunkedSummary, ChunkedTask, MovieStyle, ReconstructionSummary, ResultMeta, Task, TraceRequest,
     Traces, player_of, short, solve, thousands,
 };
 use std::path::PathBuf;
@@ -34,7 +34,7 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     if let Some(mosaic) = experiment.bayer {
         return colour::run(args, experiment, mosaic, began, &stop);
     }
-    let artifacts = match one(args, experiment, began, stop)? {
+    let artifacts = match run_one(args, experiment, began, stop)? {
         Artifacts::Whole(artifacts) => artifacts,
         Artifacts::Chunked(summary) => return chunked::print_summary(&summary, args),
     };
@@ -73,16 +73,16 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
         point_args.sweep.clear();
-        point_args.output = sweep::place(&args.output, point, "");
+        point_args.output = sweep::point_path(&args.output, point, "");
         for (key, value) in point {
             match *key {
                 "prior" => point_args.prior = Some(value.clone()),
                 "tau" => point_args.tau = Some(value.clone()),
-                "noise-sigma" => point_args.noise_sigma = Some(sweep::number(key, value)?),
-                _ => point_args.max_iterations = Some(sweep::count(key, value)?),
+                "noise-sigma" => point_args.noise_sigma = Some(sweep::parse_number(key, value)?),
+                _ => point_args.max_iterations = Some(sweep::parse_count(key, value)?),
             }
         }
-        Ok((sweep::words(point), point_args))
+        Ok((sweep::label(point), point_args))
     });
     // A value that is none is found before the first run.
     let runs: Vec<(String, ReconstructArgs)> = runs.collect::<Result<_>>()?;
@@ -93,7 +93,7 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         eprintln!("{point}");
         let artifacts = read_experiment(&point_args)
             .and_then(refuse_colour)
-            .and_then(|experiment| one(&point_args, experiment, began, Arc::clone(stop)));
+            .and_then(|experiment| run_one(&point_args, experiment, began, Arc::clone(stop)));
         let summary = match &artifacts {
             Ok(Artifacts::Whole(artifacts)) => Some(&artifacts.summary),
             _ => None,
@@ -152,7 +152,7 @@ fn refuse_colour(experiment: Experiment) -> Result<Experiment> {
 }
 
 /// One reconstruction, written.
-fn one(
+fn run_one(
     args: &ReconstructArgs,
     experiment: Experiment,
     began: Instant,
@@ -161,13 +161,13 @@ fn one(
     let folder = OutputFolder::create(&args.output)?;
     let camera = experiment.camera()?;
     let options = Options {
-        prior: chosen_prior(args.prior.as_deref(), &experiment)?,
-        tau: chosen_tau(args.tau.as_deref(), &experiment)?,
+        prior: resolve_prior(args.prior.as_deref(), &experiment)?,
+        tau: resolve_tau(args.tau.as_deref(), &experiment)?,
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
     };
-    let budget = time_budget(args.time_budget_s)?;
-    let calibration = calibration_of(&args.calibration, &experiment);
+    let budget = parse_time_budget(args.time_budget_s)?;
+    let calibration = resolve_calibration(&args.calibration, &experiment);
     let psf_path = psf_of(&calibration, &experiment)?;
     let (raw, container_end) = read_frame(&args.frame)?;
     let corrections = read_corrections(&calibration, container_end)?;
@@ -178,7 +178,7 @@ fn one(
     let (camera, measurement) = match &args.bins {
         None => (camera, measurement),
         Some(bins) => {
-            let part = camera.subset(chunked::bins_of(bins)?)?;
+            let part = camera.subset(chunked::parse_bins(bins)?)?;
             let rows: Vec<usize> = part.sensor_rows().collect();
             let measurement = measurement.select_rows(&rows);
             (part, measurement)
@@ -192,7 +192,7 @@ fn one(
             bins_per_chunk: args.part_bins.filter(|n| *n > 0),
             title: &format!("Rowburst: {}", args.frame.display()),
             reproduce: &command_line(args),
-            film: film_of(args),
+            movie: movie_style(args),
             from_metadata: &experiment.from_metadata,
         };
         return chunked::run(&task, &folder, stop)
@@ -244,7 +244,7 @@ fn one(
         title: &title,
         reproduce: Some(&reproduce),
         player: player_of(folder.path()),
-        film: film_of(args),
+        movie: movie_style(args),
     };
     let summary = completed.write(&traces, &folder, result_meta)?;
     Ok(Artifacts::Whole(Box::new(WholeArtifacts {
@@ -255,10 +255,10 @@ fn one(
     })))
 }
 
-pub(crate) fn film_of(args: &ReconstructArgs) -> Film {
+pub(crate) fn movie_style(args: &ReconstructArgs) -> MovieStyle {
     match args.no_stamp {
-        true => Film::Plain,
-        false => Film::Stamped,
+        true => MovieStyle::Plain,
+        false => MovieStyle::Stamped,
     }
 }
 

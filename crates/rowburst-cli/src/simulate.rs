@@ -101,13 +101,13 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
     folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
     let mut light = None;
     // Those of an earlier run in this folder would not add up to this truth.
-    for name in OF_BACKGROUND {
+    for name in BACKGROUND_FILES {
         folder.remove(name)?;
     }
     if let Some(still) = background {
         let moving = subtract_background(truth, &still);
         light = Some(total(still.data()) * moving.shape().bins as f64 / total(moving.data()));
-        let [of_still, of_moving] = OF_BACKGROUND;
+        let [of_still, of_moving] = BACKGROUND_FILES;
         folder.write(of_still, |w| write_npy_image(w, &still))?;
         folder.write(of_moving, |w| write_npy_video(w, &moving))?;
     }
@@ -279,7 +279,7 @@ fn scene_of(name: &str) -> Result<Scene<'_>> {
 }
 
 /// Files that only a scene with a background has: it, and the rest of the truth.
-const OF_BACKGROUND: [&str; 2] = ["truth-background.npy", "truth-moving.npy"];
+const BACKGROUND_FILES: [&str; 2] = ["truth-background.npy", "truth-moving.npy"];
 
 fn total(values: &[f32]) -> f64 {
     values.iter().map(|&v| f64::from(v)).sum()

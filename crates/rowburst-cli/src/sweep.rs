@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// The options that may be swept.
 const KEYS: [&str; 4] = ["prior", "tau", "noise-sigma", "max-iterations"];
 /// Most runs of a sweep: more are a mistake, or a job for a script.
-const MOST: usize = 1000;
+const MAX_RUNS: usize = 1000;
 
 /// A combination: an option and its value each.
 pub type Point = Vec<(&'static str, String)>;
@@ -63,8 +63,8 @@ pub fn points(texts: &[String]) -> Result<Vec<Point>> {
             .iter()
             .flat_map(|point| values.iter().map(move |value| with(point, value)))
             .collect();
-        if points.len() > MOST {
-            let rule = format!("a sweep has at most {MOST} runs");
+        if points.len() > MAX_RUNS {
+            let rule = format!("a sweep has at most {MAX_RUNS} runs");
             return wrong(format!("{} combinations", points.len()), &rule);
         }
     }
@@ -72,24 +72,24 @@ pub fn points(texts: &[String]) -> Result<Vec<Point>> {
 }
 
 /// A point in words.
-pub fn words(point: &Point) -> String {
+pub fn label(point: &Point) -> String {
     let parts: Vec<String> = point.iter().map(|(k, v)| format!("{k}={v}")).collect();
     parts.join(" ")
 }
 
 /// Where the results of a point go: a folder of `output` that every file system can name.
-pub fn place(output: &Path, point: &Point, end: &str) -> PathBuf {
+pub fn point_path(output: &Path, point: &Point, end: &str) -> PathBuf {
     let safe = |c: char| match c {
         c if c.is_ascii_alphanumeric() || "=.+-".contains(c) => c,
         '*' => 'x',
         _ => '_',
     };
-    let name: String = words(point).chars().map(safe).collect();
+    let name: String = label(point).chars().map(safe).collect();
     output.join(name + end)
 }
 
 /// Reads the value of a swept option as a number.
-pub fn number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
+pub fn parse_number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
     value.parse().map_err(|_| {
         Error::input(
             format!("--sweep {key}"),
@@ -101,8 +101,8 @@ pub fn number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
 }
 
 /// The same for a number of iterations.
-pub fn count(key: &str, value: &str) -> Result<u32> {
-    number::<std::num::NonZeroU32>(key, value).map(std::num::NonZeroU32::get)
+pub fn parse_count(key: &str, value: &str) -> Result<u32> {
+    parse_number::<std::num::NonZeroU32>(key, value).map(std::num::NonZeroU32::get)
 }
 
 /// Writes `sweep.csv` into `output`, and says where.
@@ -112,18 +112,18 @@ pub fn write(output: &Path, rows: &[Row]) -> Result<PathBuf> {
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
     let number = |value: Option<f64>| value.map_or(String::new(), |v| v.to_string());
     for row in rows {
-        let words = |value: &Option<String>| value.as_deref().map_or(String::new(), quoted);
+        let text_cell = |value: &Option<String>| value.as_deref().map_or(String::new(), quoted);
         let cells = [
             quoted(&row.point),
-            words(&row.prior),
+            text_cell(&row.prior),
             number(row.tau),
             number(row.residual_over_sigma),
             number(row.psnr_db),
             number(row.ssim),
-            words(&row.fit),
+            text_cell(&row.fit),
             row.seconds.to_string(),
             quoted(&row.output),
-            words(&row.error),
+            text_cell(&row.error),
         ];
         text += &(cells.join(",") + "\n");
     }
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn points_are_all_combinations() {
         let found = of(&["tau=0.1,auto", "prior=tv,tv+0.5*l1"]).unwrap();
-        let all: Vec<String> = found.iter().map(words).collect();
+        let all: Vec<String> = found.iter().map(label).collect();
         assert_eq!(
             all,
             [
@@ -183,13 +183,13 @@ mod tests {
                 "tau=auto prior=tv+0.5*l1"
             ]
         );
-        let name = place("out".as_ref(), &found[1], ".zarr");
+        let name = point_path("out".as_ref(), &found[1], ".zarr");
         assert_eq!(name, Path::new("out/tau=0.1_prior=tv+0.5xl1.zarr"));
         assert_eq!(of(&["noise_sigma=1"]).unwrap()[0][0].0, "noise-sigma");
     }
 
     #[test]
-    fn what_is_no_sweep_is_refused() {
+    fn invalid_sweeps_are_refused() {
         for (texts, words) in [
             (&["tau"][..], "OPTION=VALUE"),
             (&["seed=1,2"], "prior, tau"),

@@ -51,7 +51,7 @@ fn open(server: &Server, args: &BrowserArgs) {
 }
 
 /// Time between two videos that are shown while it runs.
-const BETWEEN_PICTURES: Duration = Duration::from_millis(250);
+const UPDATE_INTERVAL: Duration = Duration::from_millis(250);
 
 /// The page of a run.
 pub struct LivePage {
@@ -101,7 +101,7 @@ impl LivePage {
             psnr_db: metrics.psnr_db,
         };
         self.live.point(progress.label, point);
-        if self.live.is_video_requested() && self.last.elapsed() > BETWEEN_PICTURES {
+        if self.live.is_video_requested() && self.last.elapsed() > UPDATE_INTERVAL {
             self.live.show(progress.video);
             self.last = Instant::now();
         }

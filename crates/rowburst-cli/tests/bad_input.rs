@@ -358,7 +358,7 @@ fn files() {
             "truncated TIFF",
             |lab| {
                 lab.image("whole.tif", ROWS, COLUMNS, pattern);
-                lab.cut("whole.tif", 0.5, "bad.tif");
+                lab.truncate("whole.tif", 0.5, "bad.tif");
             },
             "reconstruct experiment.toml --frame bad.tif -o out",
             [
@@ -372,7 +372,7 @@ fn files() {
             "TIFF cut in its header",
             |lab| {
                 lab.image("whole.tif", ROWS, COLUMNS, pattern);
-                lab.cut("whole.tif", 0.01, "bad.tif");
+                lab.truncate("whole.tif", 0.01, "bad.tif");
             },
             "reconstruct experiment.toml --frame bad.tif -o out",
             [
@@ -384,7 +384,7 @@ fn files() {
         ),
         case(
             "truncated .npy",
-            |lab| lab.cut("frame.npy", 0.7, "bad.npy"),
+            |lab| lab.truncate("frame.npy", 0.7, "bad.npy"),
             BAD_FRAME,
             [
                 "bad.npy",
@@ -397,7 +397,7 @@ fn files() {
             "truncated .png",
             |lab| {
                 lab.image("whole.png", ROWS, COLUMNS, |y, x| 9e3 * pattern(y, x));
-                lab.cut("whole.png", 0.6, "bad.png");
+                lab.truncate("whole.png", 0.6, "bad.png");
             },
             "reconstruct experiment.toml --frame bad.png -o out",
             [
@@ -1246,7 +1246,7 @@ fn folders_that_cannot_be_written_to() {
 }
 
 #[test]
-fn instructions_that_nobody_knows() {
+fn unknown_simd_paths_are_refused() {
     let lab = Lab::new();
     let mut command = lab.command("reconstruct experiment.toml --frame frame.npy -o out");
     let output = command.env("ROWBURST_SIMD", "avx9").output().unwrap();

@@ -63,7 +63,7 @@ fn quick(more: &[&'static str]) -> Vec<&'static str> {
 /// A preview: one frame after another by the standard prior, and its archive is not gone on with by a job
 /// that has no budget.
 #[test]
-fn a_preview_goes_from_frame_to_frame() {
+fn a_preview_warm_starts_each_frame() {
     let lab = lab_of(4);
     let summary = done(&lab, "preview.zarr", &["--time-budget-s", "0.2"]);
     assert_eq!(
@@ -183,7 +183,7 @@ fn a_recording_has_a_video_and_a_line_for_each_frame() {
 }
 
 #[test]
-fn killed_at_random_it_goes_on_and_ends_the_same() {
+fn killed_at_random_it_resumes_and_ends_the_same() {
     let lab = lab_of(60);
     done(&lab, "whole.zarr", &QUICK);
     let run = |limit: Option<Duration>| -> bool {
@@ -238,7 +238,7 @@ fn killed_at_random_it_goes_on_and_ends_the_same() {
 
 #[cfg(unix)]
 #[test]
-fn an_interrupt_ends_it_with_a_word_and_it_goes_on() {
+fn an_interrupt_is_reported_and_the_job_resumes() {
     let lab = lab_of(300);
     let mut command = command(&lab, "out.zarr", &quick(&[]));
     let child: Child = command
@@ -300,7 +300,7 @@ fn parts_of_a_job_run_side_by_side() {
 fn frames_that_cannot_be_used_are_recorded_and_skipped() {
     let lab = lab_of(8);
     lab.write("rec/f1.npy", "no array");
-    lab.cut("rec/f2.npy", 0.7, "rec/f2.npy");
+    lab.truncate("rec/f2.npy", 0.7, "rec/f2.npy");
     lab.image("rec/f4.npy", ROWS + 1, COLUMNS, |_, _| 100.0);
     lab.image("rec/f5.npy", ROWS, COLUMNS, |y, x| {
         if y == x { f32::NAN } else { 100.0 }
@@ -436,7 +436,7 @@ fn a_file_that_cannot_be_written_stops_it_and_nothing_is_corrupt() {
 /// The same on a real disk that is full in mid-run, where this test may mount one.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_in_mid_run_leaves_a_job_that_goes_on() {
+fn a_full_disk_leaves_a_job_that_resumes() {
     struct Disk(PathBuf);
     impl Drop for Disk {
         fn drop(&mut self) {

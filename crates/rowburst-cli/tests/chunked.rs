@@ -26,7 +26,7 @@ const FRAME: &str = "reconstruct sim/experiment.toml --frame sim/frame.npy";
 
 /// With `τ` given, the parts together are the video of the whole.
 #[test]
-fn parts_are_the_whole() {
+fn chunks_equal_the_whole_solve() {
     let lab = simulated();
     let how = "--prior tv+l1 --tau 1e-6 --noise-sigma 1e-4 --max-iterations 3000";
     lab.done(&format!("{FRAME} {how} -o whole"));
@@ -52,7 +52,7 @@ fn parts_are_the_whole() {
 
 /// A range of bins is the part of these bins, whichever way.
 #[test]
-fn a_range_of_bins_is_a_part() {
+fn a_bin_range_equals_its_chunk() {
     let lab = simulated();
     let how = "--prior tv+support --noise-sigma 1e-4";
     lab.done(&format!("{FRAME} {how} --part-bins 4 -o parts"));
@@ -70,7 +70,7 @@ fn a_range_of_bins_is_a_part() {
 
 /// Killed, the same command goes on, and ends with what it would have ended with.
 #[test]
-fn a_killed_run_goes_on() {
+fn a_killed_run_resumes() {
     let lab = simulated();
     let how = "--prior tv+support --part-bins 1";
     lab.done(&format!("{FRAME} {how} -o calm"));
@@ -95,7 +95,7 @@ fn a_killed_run_goes_on() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn invalid_combinations_are_refused() {
     let lab = simulated();
     lab.write(
         "long.toml",

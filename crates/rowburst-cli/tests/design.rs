@@ -38,7 +38,7 @@ fn the_defaults_are_the_paper() {
 }
 
 #[test]
-fn what_falls_short_has_a_remedy() {
+fn unmet_requirements_have_a_remedy() {
     let lab = Lab::empty();
     for (arguments, words) in [
         (

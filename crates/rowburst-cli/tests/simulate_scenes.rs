@@ -193,7 +193,7 @@ fn leds_are_noted() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn invalid_scenes_are_refused() {
     let dark = lab(SENSOR);
     dark.video("dark.npy", [24, 48, 40], |_| 0.0);
     refused(
@@ -278,7 +278,7 @@ fn a_direct_frame_is_shown() {
         "reconstruct experiment.toml --frame frame.npy --direct lost.png -o out",
         &["lost.png"],
     );
-    lab.cut("direct.png", 0.5, "half.png");
+    lab.truncate("direct.png", 0.5, "half.png");
     refused(
         &lab,
         "reconstruct experiment.toml --frame frame.npy --direct half.png -o out",

@@ -34,7 +34,7 @@ fn points_are_compared_in_one_table() {
 }
 
 #[test]
-fn a_value_that_is_none_is_in_the_table_and_an_option_that_is_none_is_refused() {
+fn failed_values_are_in_the_table_and_unknown_options_are_refused() {
     let lab = Lab::new();
     let said = lab.done(
         "reconstruct experiment.toml --frame frame.npy --sweep prior=tv,tvv --max-iterations 5 -o out",

@@ -61,7 +61,7 @@ fn figures_are_svg_with_text_or_png() {
 
 #[cfg(feature = "view")]
 #[test]
-fn folders_that_are_no_result_are_refused() {
+fn folders_without_a_result_are_refused() {
     let lab = small();
     std::fs::remove_file(lab.path("out/result.json")).unwrap();
     for (line, word) in [

@@ -1,11 +1,11 @@
 //! Which of the arrays of a file is meant: the one that was named, or the only one there is.
 
-use crate::source::{Place, Source};
+use crate::source::{ArrayPath, Source};
 use rowburst::Result;
 
 /// An array that could be a frame or a stack.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Candidate {
+pub(crate) struct ArrayInfo {
     pub name: String,
     pub shape: Vec<usize>,
     /// Kind of its numbers, in words.
@@ -14,7 +14,7 @@ pub(crate) struct Candidate {
     pub is_numeric: bool,
 }
 
-impl Candidate {
+impl ArrayInfo {
     /// Two or three axes, and more than a line: scalars and vectors are settings, no frames.
     fn is_image(&self) -> bool {
         let long = self.shape.iter().filter(|&&side| side > 1).count();
@@ -23,15 +23,15 @@ impl Candidate {
 }
 
 /// The index of the array that `source` names, or of the only image among `all`.
-pub(crate) fn choose(source: &Source, all: &[Candidate]) -> Result<usize> {
-    let place = Place::of(source.path);
-    let remedy = |name: &str| format!("Name it: {}:{name}", place.file.display());
-    if let Some(inside) = &place.inside {
+pub(crate) fn choose(source: &Source, all: &[ArrayInfo]) -> Result<usize> {
+    let array_path = ArrayPath::of(source.path);
+    let remedy = |name: &str| format!("Name it: {}:{name}", array_path.file.display());
+    if let Some(array) = &array_path.array {
         let plain = |name: &str| name.trim_start_matches('/').to_string();
-        let found = all.iter().position(|c| plain(&c.name) == plain(inside));
+        let found = all.iter().position(|c| plain(&c.name) == plain(array));
         let Some(found) = found else {
             return Err(source.error(
-                format!("no array \"{inside}\""),
+                format!("no array \"{array}\""),
                 format!("the file has {}", list(all)),
                 remedy(all.first().map_or("NAME", |c| &c.name)),
             ));
@@ -66,8 +66,8 @@ pub(crate) fn choose(source: &Source, all: &[Candidate]) -> Result<usize> {
 }
 
 /// Names, shapes and kinds; the first twelve.
-fn list(all: &[Candidate]) -> String {
-    let words = |c: &Candidate| format!("{} ({:?}, {})", c.name, c.shape, c.kind);
+fn list(all: &[ArrayInfo]) -> String {
+    let words = |c: &ArrayInfo| format!("{} ({:?}, {})", c.name, c.shape, c.kind);
     let mut text = all
         .iter()
         .take(12)

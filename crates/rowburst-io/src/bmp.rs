@@ -1,6 +1,6 @@
 //! Windows bitmaps: 8 bits with a palette of greys, or 24 and 32 bits of grey colours.
 
-use crate::read::{Level, Pages};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use image::codecs::bmp::BmpDecoder;
 use image::{ColorType, ImageDecoder};
@@ -29,13 +29,13 @@ pub(crate) fn read(source: &Source, file: impl BufRead + Seek) -> Result<Pages> 
         rows,
         columns,
         data,
-        level: Level::Counts { bits: 8 },
+        format: SampleFormat::Counts { bits: 8 },
     })
 }
 
 #[cfg(test)]
 mod tests {
-    use crate::read::{Level, read_image};
+    use crate::read::{SampleFormat, read_image};
     use std::path::Path;
 
     /// 24-bit pixels (blue, green, red), the bottom row first, rows padded to 4 bytes.
@@ -58,7 +58,7 @@ mod tests {
         std::fs::write(&path, bitmap(1, 2, &pixels)).unwrap();
         let read = read_image(&path).unwrap();
         assert_eq!(read.image.data(), [8., 3.]);
-        assert_eq!(read.level, Level::Counts { bits: 8 });
+        assert_eq!(read.format, SampleFormat::Counts { bits: 8 });
 
         std::fs::write(&path, bitmap(1, 2, &[3, 3, 4, 0, 8, 8, 8, 0])).unwrap();
         assert!(

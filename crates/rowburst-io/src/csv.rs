@@ -14,7 +14,7 @@ const TIMES: [(&str, f64); 4] = [
     ("time_s", 1e6),
 ];
 /// Largest file that is read: a second at 10 MHz.
-const MOST_BYTES: u64 = 512 << 20;
+const MAX_BYTES: u64 = 512 << 20;
 
 /// Reads a photodiode's signal: a heading `time_us,value` (or `time_s`, `time_ms`, `time_ns`),
 /// then a line for each sample. Empty lines and those that begin with `#` are passed over; commas,
@@ -27,11 +27,11 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
     let size = std::fs::metadata(path)
         .map_err(|e| fault::read_error(path, &e))?
         .len();
-    if size > MOST_BYTES {
+    if size > MAX_BYTES {
         return Err(Error::input(
             path.display().to_string(),
             format!("{} MB", size >> 20),
-            format!("a signal has at most {} MB", MOST_BYTES >> 20),
+            format!("a signal has at most {} MB", MAX_BYTES >> 20),
             "Cut it to the time of the frame, or record fewer samples.",
         ));
     }

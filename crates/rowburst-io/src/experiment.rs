@@ -7,7 +7,7 @@ pub use from_metadata::FromMetadata;
 use crate::fault;
 use crate::metadata::Metadata;
 use crate::npy;
-use crate::read::Level;
+use crate::read::SampleFormat;
 use crate::source::{Colour, Source};
 use crate::table::{Table, nearest};
 use from_metadata::Filling;
@@ -400,7 +400,7 @@ fn read_row_order(path: &Path) -> Result<Vec<usize>> {
     let array = npy::read_array(&source, file)?;
     let bad = array.data.iter().find(|&&k| k < 0.0);
     let found = match bad {
-        None if matches!(array.level, Level::Counts { .. }) => {
+        None if matches!(array.format, SampleFormat::Counts { .. }) => {
             return Ok(array.data.iter().map(|&k| k as usize).collect());
         }
         None => "numbers in floating point".to_string(),

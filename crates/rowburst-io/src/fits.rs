@@ -5,8 +5,8 @@
 //! file is the frame's top row, as astropy has it, but for `ROWORDER = 'BOTTOM-UP'`. Source: FITS
 //! Standard 4.0. Compressed images are not read.
 
-use crate::arrays::{Candidate, choose};
-use crate::read::{Level, Pages};
+use crate::arrays::{ArrayInfo, choose};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::Result;
 use std::io::{Read, Seek, SeekFrom};
@@ -14,8 +14,8 @@ use std::io::{Read, Seek, SeekFrom};
 const BLOCK: u64 = 2880;
 const CARD: usize = 80;
 /// Blocks of a header, and units of a file, beyond which it is damaged.
-const MOST_BLOCKS: usize = 1000;
-const MOST_UNITS: usize = 1000;
+const MAX_HEADER_BLOCKS: usize = 1000;
+const MAX_UNITS: usize = 1000;
 
 /// Keywords of a unit and their values, without quotes.
 #[derive(Debug, Clone, Default)]
@@ -54,14 +54,14 @@ pub(crate) struct Stack<R> {
     count: usize,
     rows: usize,
     columns: usize,
-    level: Level,
+    format: SampleFormat,
 }
 
 impl<R: Read + Seek> Stack<R> {
     /// Finds the unit: named by `EXTNAME` or its index, or the only image.
     pub fn open(source: &Source, mut file: R) -> Result<Self> {
         let mut units = units(source, &mut file)?;
-        let all: Vec<Candidate> = units
+        let all: Vec<ArrayInfo> = units
             .iter()
             .enumerate()
             .map(|(i, u)| candidate(i, u))
@@ -72,14 +72,14 @@ impl<R: Read + Seek> Stack<R> {
             [columns, rows, count] => (columns, rows, count),
             _ => unreachable!("the choice has two or three axes"),
         };
-        let level = level_of(&unit);
+        let format = format_of(&unit);
         Ok(Self {
             file,
             unit,
             count,
             rows,
             columns,
-            level,
+            format,
         })
     }
 
@@ -135,25 +135,25 @@ impl<R: Read + Seek + Send> crate::stack::Stack for Stack<R> {
             rows: self.rows,
             columns: self.columns,
             data,
-            level: self.level,
+            format: self.format,
         })
     }
 }
 
 /// Integers that BZERO alone shifts keep their bits; all else is floating point.
-fn level_of(unit: &Unit) -> Level {
+fn format_of(unit: &Unit) -> SampleFormat {
     let scale = unit.cards.number("BSCALE").unwrap_or(1.0);
     let zero = unit.cards.number("BZERO").unwrap_or(0.0);
-    let counts = |bits| Level::Counts { bits };
+    let counts = |bits| SampleFormat::Counts { bits };
     match (unit.bitpix, zero) {
-        _ if scale != 1.0 => Level::Float,
+        _ if scale != 1.0 => SampleFormat::Float,
         (8, 0.0) => counts(8),
         (8, -128.0) => counts(7),
         (bits @ (16 | 32 | 64), 0.0) => counts(bits as u32 - 1),
         (bits @ (16 | 32 | 64), zero) if zero == f64::from(bits as u32 - 1).exp2() => {
             counts(bits as u32)
         }
-        _ => Level::Float,
+        _ => SampleFormat::Float,
     }
 }
 
@@ -193,11 +193,11 @@ fn decode(unit: &Unit, bytes: &[u8], data: &mut Vec<f32>) {
     }
 }
 
-fn candidate(index: usize, unit: &Unit) -> Candidate {
+fn candidate(index: usize, unit: &Unit) -> ArrayInfo {
     let is_compressed = unit.cards.text("ZIMAGE") == Some("T");
     let kind = unit.cards.text("XTENSION").unwrap_or("IMAGE");
     let name = unit.cards.text("EXTNAME").unwrap_or_default();
-    Candidate {
+    ArrayInfo {
         name: match name {
             "" => index.to_string(),
             name => name.into(),
@@ -218,7 +218,7 @@ fn candidate(index: usize, unit: &Unit) -> Candidate {
 fn units(source: &Source, file: &mut (impl Read + Seek)) -> Result<Vec<Unit>> {
     let mut found = Vec::new();
     let mut at = 0;
-    while at + BLOCK <= source.bytes && found.len() < MOST_UNITS {
+    while at + BLOCK <= source.bytes && found.len() < MAX_UNITS {
         let seek = file.seek(SeekFrom::Start(at));
         seek.map_err(|e| source.unreadable(e))?;
         let Some((cards, blocks)) = header(source, file)? else {
@@ -269,7 +269,7 @@ fn units(source: &Source, file: &mut (impl Read + Seek)) -> Result<Vec<Unit>> {
 fn header(source: &Source, file: &mut impl Read) -> Result<Option<(Cards, usize)>> {
     let mut cards = Cards::default();
     let mut block = [0; BLOCK as usize];
-    for blocks in 1..=MOST_BLOCKS {
+    for blocks in 1..=MAX_HEADER_BLOCKS {
         file.read_exact(&mut block)
             .map_err(|e| source.unreadable(e))?;
         if blocks == 1 && !block.starts_with(b"SIMPLE  =") && !block.starts_with(b"XTENSION=") {
@@ -301,7 +301,7 @@ fn value_of(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use crate::metadata::read_metadata;
-    use crate::read::{Level, read_image, read_stack};
+    use crate::read::{SampleFormat, read_image, read_stack};
 
     fn block(cards: &[&str]) -> Vec<u8> {
         let mut bytes: Vec<u8> = cards
@@ -379,15 +379,16 @@ mod tests {
             unit(&cards.iter().map(String::as_str).collect::<Vec<_>>(), data)
         };
         let named = |name: &str| read_image(&folder.path().join(format!("a.fit:{name}")));
-        let counts = |bits| Level::Counts { bits };
-        let check = |bitpix: &str, more: &[&str], data: &[u8], level: Level, expected: [f32; 2]| {
-            let bytes = [primary.clone(), image(bitpix, more, data)].concat();
-            std::fs::write(&path, bytes).unwrap();
-            let read = named("1").unwrap();
-            assert_eq!(read.level, level);
-            let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-            assert_eq!(bits(read.image.data()), bits(&expected), "{bitpix}");
-        };
+        let counts = |bits| SampleFormat::Counts { bits };
+        let check =
+            |bitpix: &str, more: &[&str], data: &[u8], format: SampleFormat, expected: [f32; 2]| {
+                let bytes = [primary.clone(), image(bitpix, more, data)].concat();
+                std::fs::write(&path, bytes).unwrap();
+                let read = named("1").unwrap();
+                assert_eq!(read.format, format);
+                let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+                assert_eq!(bits(read.image.data()), bits(&expected), "{bitpix}");
+            };
         check("8", &[], &[7, 255], counts(8), [7., 255.]);
         let blank = ["BLANK   = -1"];
         check(
@@ -413,14 +414,14 @@ mod tests {
             "-32",
             &["BSCALE  = 2.0D0"],
             &floats,
-            Level::Float,
+            SampleFormat::Float,
             [3., -4.],
         );
         let doubles: Vec<u8> = [1.5f64, 1e30]
             .iter()
             .flat_map(|v| v.to_be_bytes())
             .collect();
-        check("-64", &[], &doubles, Level::Float, [1.5, 1e30]);
+        check("-64", &[], &doubles, SampleFormat::Float, [1.5, 1e30]);
 
         let science = image("8", &["EXTNAME = 'SCI'"], &[1, 2]);
         let mask = image("8", &["EXTNAME = 'MASK'"], &[0, 1]);

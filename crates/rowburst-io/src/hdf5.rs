@@ -3,22 +3,22 @@
 //! MATLAB's first axis is the fastest, so its `(rows, columns, frames)` is HDF5's
 //! `[frame, column, row]`: frames lie one after the other, each transposed.
 
-use crate::arrays::{Candidate, choose};
-use crate::read::{Level, Pages};
-use crate::source::{Place, Source};
+use crate::arrays::{ArrayInfo, choose};
+use crate::read::{Pages, SampleFormat};
+use crate::source::{ArrayPath, Source};
 use crate::stack::Axes;
 use hdf5_pure::{DType, Dataset, File, Group};
 use rowburst::Result;
 
 /// Groups in groups that are searched, and datasets that are looked at.
-const MOST_DEPTH: usize = 16;
-const MOST_DATASETS: usize = 10_000;
+const MAX_DEPTH: usize = 16;
+const MAX_DATASETS: usize = 10_000;
 
 /// A dataset that is read frame by frame.
 pub(crate) struct Stack {
     dataset: Dataset,
     kind: DType,
-    level: Level,
+    format: SampleFormat,
     axes: Axes,
     count: usize,
     is_single: bool,
@@ -30,14 +30,14 @@ impl Stack {
     /// Finds the dataset.
     pub fn open(source: &Source, axes: Axes) -> Result<Self> {
         let fault = |e: hdf5_pure::Error| source.unreadable(e);
-        let file = File::open_streaming(Place::of(source.path).file).map_err(fault)?;
+        let file = File::open_streaming(ArrayPath::of(source.path).file).map_err(fault)?;
         let mut found = Vec::new();
         search(&file.root(), "", 0, &mut found).map_err(fault)?;
         let chosen = choose(source, &found)?;
-        let Candidate { name, shape, .. } = &found[chosen];
+        let ArrayInfo { name, shape, .. } = &found[chosen];
         let dataset = file.dataset(name).map_err(fault)?;
         let kind = dataset.dtype().map_err(fault)?;
-        let Some(level) = level_of(&kind) else {
+        let Some(format) = format_of(&kind) else {
             return Err(source.unsupported(format!("{kind} in HDF5")));
         };
         let (count, first, second) = match shape[..] {
@@ -55,7 +55,7 @@ impl Stack {
             is_single: shape.len() == 2,
             dataset,
             kind,
-            level,
+            format,
             axes,
             count,
             rows,
@@ -113,7 +113,7 @@ impl crate::stack::Stack for Stack {
             rows,
             columns,
             data,
-            level: self.level,
+            format: self.format,
         })
     }
 }
@@ -124,10 +124,10 @@ pub(crate) fn transposed(data: &[f32], rows: usize, columns: usize) -> Vec<f32> 
     pixels.collect()
 }
 
-fn level_of(kind: &DType) -> Option<Level> {
-    let counts = |bits| Some(Level::Counts { bits });
+fn format_of(kind: &DType) -> Option<SampleFormat> {
+    let counts = |bits| Some(SampleFormat::Counts { bits });
     match kind {
-        DType::F32 | DType::F64 => Some(Level::Float),
+        DType::F32 | DType::F64 => Some(SampleFormat::Float),
         DType::U8 => counts(8),
         DType::I8 => counts(7),
         DType::U16 => counts(16),
@@ -146,21 +146,21 @@ fn search(
     group: &Group,
     path: &str,
     depth: usize,
-    found: &mut Vec<Candidate>,
+    found: &mut Vec<ArrayInfo>,
 ) -> std::result::Result<(), hdf5_pure::Error> {
     let mut names = group.datasets()?;
     names.sort();
     for name in names {
-        if found.len() >= MOST_DATASETS {
+        if found.len() >= MAX_DATASETS {
             return Ok(());
         }
         let dataset = group.dataset(&name)?;
         let kind = dataset.dtype();
         let shape = dataset.shape()?;
-        found.push(Candidate {
+        found.push(ArrayInfo {
             name: format!("{path}/{name}"),
             shape: shape.iter().map(|&n| n as usize).collect(),
-            is_numeric: kind.as_ref().is_ok_and(|k| level_of(k).is_some()),
+            is_numeric: kind.as_ref().is_ok_and(|k| format_of(k).is_some()),
             kind: kind.map_or("unknown".into(), |k| k.to_string()),
         });
     }
@@ -169,7 +169,7 @@ fn search(
     for name in groups {
         // What MATLAB's cells and objects point to.
         let is_internal = name.starts_with('#');
-        if depth < MOST_DEPTH && !is_internal {
+        if depth < MAX_DEPTH && !is_internal {
             let inner = group.group(&name)?;
             search(&inner, &format!("{path}/{name}"), depth + 1, found)?;
         }
@@ -179,7 +179,7 @@ fn search(
 
 #[cfg(test)]
 mod tests {
-    use crate::read::{Level, read_image, read_stack};
+    use crate::read::{SampleFormat, read_image, read_stack};
     use crate::recording::open_recording;
     use hdf5_pure::FileBuilder;
     use std::path::{Path, PathBuf};
@@ -217,8 +217,8 @@ mod tests {
         assert_eq!((frames.count(), frames.name(1)), (2, "[1]".to_string()));
         let frame = frames.read(1).unwrap();
         assert_eq!(
-            (&frame.image, frame.level),
-            (&stack[1], Level::Counts { bits: 16 })
+            (&frame.image, frame.format),
+            (&stack[1], SampleFormat::Counts { bits: 16 })
         );
 
         let path = saved(folder.path(), "b.h5", |file| {
@@ -244,7 +244,7 @@ mod tests {
         for name in ["/run/frame", "run/frame"] {
             let read = named(name).unwrap();
             assert_eq!(read.image.data(), [-1., 2., 3., 4., 5., 6.]);
-            assert_eq!(read.level.end(), Some(32767.0));
+            assert_eq!(read.format.saturation_limit(), Some(32767.0));
         }
         let message = named("/run/frames").unwrap_err().to_string();
         assert!(message.contains("no array \"/run/frames\""), "{message}");

@@ -47,12 +47,12 @@ pub use fault::write_error;
 pub use folder::OutputFolder;
 pub use metadata::{Metadata, read_metadata};
 #[cfg(feature = "mp4")]
-pub use mp4::{Strip, write_mp4};
+pub use mp4::{StampRenderer, write_mp4};
 pub use npy::{write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
 pub use npy_chunked::ChunkedVideoFile;
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
-pub use read::{Capture, Level, read_colour_image, read_image, read_stack, read_video};
+pub use read::{Capture, SampleFormat, read_colour_image, read_image, read_stack, read_video};
 pub use recording::{Frames, gaps, open_recording};
 pub use source::{ENDINGS as IMAGE_ENDINGS, is_image};
 pub use tiff::{TiffScale, write_tiff_colour, write_tiff_image, write_tiff_video};

@@ -7,8 +7,8 @@
 //!
 //! Read here because the crate at hand does not read scipy's files.
 
-use crate::arrays::{Candidate, choose};
-use crate::read::{Level, Pages};
+use crate::arrays::{ArrayInfo, choose};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use flate2::bufread::ZlibDecoder;
 use rowburst::Result;
@@ -18,9 +18,9 @@ const HEADER_BYTES: u64 = 128;
 const MI_MATRIX: u32 = 14;
 const MI_COMPRESSED: u32 = 15;
 /// A file has at most so many variables; more is damage.
-const MOST_VARIABLES: usize = 10_000;
+const MAX_VARIABLES: usize = 10_000;
 /// Longest name or list of dimensions.
-const MOST_HEADER: u64 = 4096;
+const MAX_HEADER_BYTES: u64 = 4096;
 
 /// What a `.mat` file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +49,7 @@ pub(crate) struct Variable {
     rows: usize,
     columns: usize,
     count: usize,
-    level: Level,
+    format: SampleFormat,
     /// In the file's order.
     data: Vec<f32>,
 }
@@ -62,7 +62,7 @@ impl Variable {
         let mut found = Vec::new();
         let mut offsets = Vec::new();
         let mut at = HEADER_BYTES;
-        while at + 8 <= source.bytes && offsets.len() < MOST_VARIABLES {
+        while at + 8 <= source.bytes && offsets.len() < MAX_VARIABLES {
             file.seek(SeekFrom::Start(at)).map_err(fault)?;
             let tag = Tag::read(&mut file, order).map_err(fault)?;
             let end = at + 8 + u64::from(tag.bytes);
@@ -105,7 +105,7 @@ impl Variable {
             [rows, columns, count] => (rows, columns, count),
             _ => unreachable!("the choice has two or three axes"),
         };
-        let level = matrix.level().unwrap_or(Level::Float);
+        let format = matrix.format().unwrap_or(SampleFormat::Float);
         let mut data = source.reserve_pixels(count, rows, columns)?;
         let total = rows * columns * count;
         let tag = Tag::read(file, order).map_err(fault)?;
@@ -133,7 +133,7 @@ impl Variable {
             rows,
             columns,
             count,
-            level,
+            format,
             data,
         })
     }
@@ -153,7 +153,7 @@ impl crate::stack::Stack for Variable {
             rows,
             columns,
             data: pixels.collect(),
-            level: self.level,
+            format: self.format,
         })
     }
 }
@@ -218,7 +218,7 @@ impl Tag {
         if let Some(inline) = self.inline {
             return Ok(inline[..self.bytes as usize].to_vec());
         }
-        if length > MOST_HEADER {
+        if length > MAX_HEADER_BYTES {
             return Err(IoError::new(ErrorKind::InvalidData, "a damaged header"));
         }
         let mut data = vec![0; length.next_multiple_of(8) as usize];
@@ -280,12 +280,12 @@ impl Matrix {
         })
     }
 
-    fn level(&self) -> Option<Level> {
-        let counts = |bits| Some(Level::Counts { bits });
+    fn format(&self) -> Option<SampleFormat> {
+        let counts = |bits| Some(SampleFormat::Counts { bits });
         match self.class {
             _ if self.is_complex => None,
             9 if self.is_logical => counts(1),
-            6 | 7 => Some(Level::Float),
+            6 | 7 => Some(SampleFormat::Float),
             8 => counts(7),
             9 => counts(8),
             10 => counts(15),
@@ -309,12 +309,12 @@ impl Matrix {
         }
     }
 
-    fn candidate(&self) -> Candidate {
-        Candidate {
+    fn candidate(&self) -> ArrayInfo {
+        ArrayInfo {
             name: self.name.clone(),
             shape: self.shape.clone(),
             kind: self.kind().into(),
-            is_numeric: self.level().is_some(),
+            is_numeric: self.format().is_some(),
         }
     }
 }
@@ -431,10 +431,10 @@ mod tests {
             std::fs::write(&path, file(&all)).unwrap();
             let read = read_image(&path).unwrap();
             assert_eq!(read.image.data(), [0., 2., 4., 1., 3., 5.]);
-            assert_eq!(read.level, Level::Float);
+            assert_eq!(read.format, SampleFormat::Float);
             let named = read_image(&folder.path().join("a.mat:int")).unwrap();
             assert_eq!(
-                (named.image.data(), named.level.end()),
+                (named.image.data(), named.format.saturation_limit()),
                 (&[-1., 2.][..], Some(32767.0))
             );
             let message = read_image(&folder.path().join("a.mat:note")).unwrap_err();

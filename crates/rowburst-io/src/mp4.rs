@@ -21,36 +21,36 @@ const SHORT_SIDE: usize = 432;
 /// No side exceeds this: the encoder ends at 3840 × 2160, either way round.
 const LONG_SIDE: usize = 2160;
 /// The encoder's smallest side.
-const LEAST_SIDE: usize = 16;
+const MIN_SIDE: usize = 16;
 /// The fraction of voxels that lie below the brightest luma: a few hot voxels must
 /// not darken the rest.
 const WHITE_FRACTION: f64 = 0.999;
 
 /// Height of the strip below the pictures, over their width, and at least, in pixels.
-const STRIP: f64 = 0.05;
-const LEAST_STRIP: usize = 20;
+const STAMP_HEIGHT_RATIO: f64 = 0.05;
+const MIN_STAMP_HEIGHT: usize = 20;
 /// Narrower pictures have no room for words.
-const LEAST_WIDTH_OF_WORDS: usize = 96;
+const MIN_STAMP_WIDTH: usize = 96;
 
 /// What stands in a strip below each picture: from the bin, and the strip's width and height in
 /// pixels, to the ink of each pixel, 0 to 255, row after row.
-pub type Strip<'a> = dyn Fn(usize, usize, usize) -> Result<Vec<u8>> + 'a;
+pub type StampRenderer<'a> = dyn Fn(usize, usize, usize) -> Result<Vec<u8>> + 'a;
 
 /// Writes a video `[t, y, x]` as H.264 in MP4 at 15 pictures per second.
 ///
 /// Zero is black and the 99.9th percentile white (the maximum, where that percentile
 /// is zero), in between linear. Pixels are repeated so that the shorter side has
-/// about 432 of them; videos beyond 2160 pixels are thinned. A `strip` stands below the
+/// about 432 of them; videos beyond 2160 pixels are thinned. A `stamp` stands below the
 /// pictures, so that it hides nothing; pictures narrower than 96 pixels have none.
 ///
 /// # Errors
-/// A failed write or encoding, and those of `strip`.
+/// A failed write or encoding, and those of `stamp`.
 ///
 /// # Panics
-/// If `strip` returns another number of pixels.
-pub fn write_mp4(w: &mut impl Write, video: &Video, strip: Option<&Strip>) -> Result<()> {
+/// If `stamp` returns another number of pixels.
+pub fn write_mp4(w: &mut impl Write, video: &Video, stamp: Option<&StampRenderer>) -> Result<()> {
     let scaler = Scaler::new(video);
-    let mut picture = Picture::new(&scaler, strip.is_some());
+    let mut picture = Picture::new(&scaler, stamp.is_some());
     let config = EncoderConfig::new()
         .profile(Profile::Baseline)
         .vui(VuiConfig::bt709())
@@ -73,8 +73,8 @@ pub fn write_mp4(w: &mut impl Write, video: &Video, strip: Option<&Strip>) -> Re
     let mut bytes = Vec::new();
     for t in 0..video.shape().bins {
         scaler.draw(video, t, &mut picture);
-        if let Some(strip) = strip {
-            picture.write_below(|width, height| strip(t, width, height))?;
+        if let Some(stamp) = stamp {
+            picture.write_below(|width, height| stamp(t, width, height))?;
         }
         let encoded = encoder.encode(&picture).map_err(failed)?;
         bytes.clear();
@@ -175,26 +175,26 @@ struct Picture {
     width: usize,
     height: usize,
     /// Rows at the bottom that are for words.
-    strip: usize,
+    stamp_height: usize,
     luma: Vec<u8>,
     chroma: Vec<u8>,
 }
 
 impl Picture {
-    fn new(scaler: &Scaler, has_words: bool) -> Self {
-        let side = |taken: usize| (taken * scaler.repeat).max(LEAST_SIDE).next_multiple_of(2);
+    fn new(scaler: &Scaler, has_stamp: bool) -> Self {
+        let side = |taken: usize| (taken * scaler.repeat).max(MIN_SIDE).next_multiple_of(2);
         let (height, width) = (side(scaler.taken.0), side(scaler.taken.1));
-        let strip = match has_words && width >= LEAST_WIDTH_OF_WORDS {
-            true => ((width as f64 * STRIP) as usize)
-                .max(LEAST_STRIP)
+        let stamp_height = match has_stamp && width >= MIN_STAMP_WIDTH {
+            true => ((width as f64 * STAMP_HEIGHT_RATIO) as usize)
+                .max(MIN_STAMP_HEIGHT)
                 .next_multiple_of(2),
             false => 0,
         };
-        let height = height + strip;
+        let height = height + stamp_height;
         Self {
             width,
             height,
-            strip,
+            stamp_height,
             luma: vec![16; width * height],
             chroma: vec![128; width * height / 4],
         }
@@ -203,11 +203,11 @@ impl Picture {
 
 impl Picture {
     fn write_below(&mut self, ink: impl FnOnce(usize, usize) -> Result<Vec<u8>>) -> Result<()> {
-        if self.strip == 0 {
+        if self.stamp_height == 0 {
             return Ok(());
         }
-        let ink = ink(self.width, self.strip)?;
-        let from = self.luma.len() - self.width * self.strip;
+        let ink = ink(self.width, self.stamp_height)?;
+        let from = self.luma.len() - self.width * self.stamp_height;
         let luma = &mut self.luma[from..];
         assert_eq!(ink.len(), luma.len(), "the ink of each pixel");
         for (luma, ink) in luma.iter_mut().zip(ink) {
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn white_is_the_999th_thousandth() {
+    fn white_is_the_99_9th_percentile() {
         let mut data: Vec<f32> = (0..10_000).map(|v| v as f32).collect();
         data[5] = f32::NAN;
         data[6] = -3.0;
@@ -285,11 +285,11 @@ mod tests {
     }
 
     #[test]
-    fn words_stand_below_the_pictures() {
+    fn the_stamp_is_below_the_frame() {
         let video = Video::zeros(Shape::new(1, 108, 108));
         let mut picture = Picture::new(&Scaler::new(&video), true);
         assert_eq!(
-            (picture.width, picture.height, picture.strip),
+            (picture.width, picture.height, picture.stamp_height),
             (432, 454, 22)
         );
         picture
@@ -298,10 +298,10 @@ mod tests {
         let (above, below) = picture.luma.split_at(432 * 432);
         assert!(above.iter().all(|&v| v == 16) && below.iter().all(|&v| v == 235));
         let narrow = Video::zeros(Shape::new(1, 4000, 4));
-        assert_eq!(Picture::new(&Scaler::new(&narrow), true).strip, 0);
+        assert_eq!(Picture::new(&Scaler::new(&narrow), true).stamp_height, 0);
         let mut bytes = Vec::new();
-        let strip = |_, width, height| Ok(vec![9; width * height]);
-        write_mp4(&mut bytes, &video, Some(&strip)).unwrap();
+        let stamp = |_, width, height| Ok(vec![9; width * height]);
+        write_mp4(&mut bytes, &video, Some(&stamp)).unwrap();
         assert!(bytes.len() > 100);
     }
 }

@@ -4,7 +4,7 @@
 //! damaged header claims. Format: `numpy.lib.format`, versions 1 to 3.
 
 use crate::fault;
-use crate::read::{Level, Pages};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::{Image, Result, Shape, Video};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -13,7 +13,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 pub(crate) struct Array {
     pub shape: Vec<usize>,
     pub data: Vec<f32>,
-    pub level: Level,
+    pub format: SampleFormat,
 }
 
 /// Reads an image `[y, x]` or a stack `[t, y, x]`.
@@ -35,7 +35,7 @@ pub(crate) fn read(source: &Source, file: impl Read) -> Result<Pages> {
         rows,
         columns,
         data: array.data,
-        level: array.level,
+        format: array.format,
     })
 }
 
@@ -73,7 +73,7 @@ pub(crate) fn read_array(source: &Source, mut file: impl Read) -> Result<Array> 
     Ok(Array {
         shape: header.shape,
         data,
-        level: header.level,
+        format: header.format,
     })
 }
 
@@ -155,7 +155,7 @@ impl Stack {
             rows: self.rows,
             columns: self.columns,
             data,
-            level: self.header.level,
+            format: self.header.format,
         })
     }
 }
@@ -206,7 +206,7 @@ fn c_order(shape: &[usize], data: &[f32]) -> Vec<f32> {
 struct Header {
     shape: Vec<usize>,
     fortran_order: bool,
-    level: Level,
+    format: SampleFormat,
     /// Bytes of one number.
     size: usize,
     /// Appends the numbers of a run of bytes.
@@ -253,12 +253,12 @@ impl Header {
             .ok_or_else(bad)?;
         let lengths = shape.0.split(',').map(str::trim).filter(|d| !d.is_empty());
         let shape: Option<Vec<usize>> = lengths.map(|d| d.parse().ok()).collect();
-        let (size, level, decode) =
+        let (size, format, decode) =
             decoder(dtype).ok_or_else(|| source.unsupported(format!("NumPy {dtype}")))?;
         Ok(Self {
             shape: shape.ok_or_else(bad)?,
             fortran_order: order.starts_with("True"),
-            level,
+            format,
             size,
             decode,
             bytes: bytes + length,
@@ -278,9 +278,9 @@ fn after<'a>(text: &'a str, key: &str) -> Option<&'a str> {
 }
 
 /// Bytes of one number, its kind, and how to read a run of them.
-fn decoder(dtype: &str) -> Option<(usize, Level, Decode)> {
+fn decoder(dtype: &str) -> Option<(usize, SampleFormat, Decode)> {
     macro_rules! decode {
-        ($t:ty, $level:expr) => {{
+        ($t:ty, $format:expr) => {{
             let little: Decode = |bytes, data| {
                 let numbers = bytes.as_chunks::<{ size_of::<$t>() }>().0;
                 data.extend(numbers.iter().map(|&n| <$t>::from_le_bytes(n) as f32));
@@ -290,13 +290,13 @@ fn decoder(dtype: &str) -> Option<(usize, Level, Decode)> {
                 data.extend(numbers.iter().map(|&n| <$t>::from_be_bytes(n) as f32));
             };
             let decode = if dtype.starts_with('>') { big } else { little };
-            Some((size_of::<$t>(), $level, decode))
+            Some((size_of::<$t>(), $format, decode))
         }};
     }
-    let counts = |bits| Level::Counts { bits };
+    let counts = |bits| SampleFormat::Counts { bits };
     match dtype.strip_prefix(['<', '>', '|', '='])? {
-        "f4" => decode!(f32, Level::Float),
-        "f8" => decode!(f64, Level::Float),
+        "f4" => decode!(f32, SampleFormat::Float),
+        "f8" => decode!(f64, SampleFormat::Float),
         "b1" => decode!(u8, counts(1)),
         "u1" => decode!(u8, counts(8)),
         "i1" => decode!(i8, counts(7)),
@@ -396,7 +396,7 @@ fn write<T: Copy, const N: usize>(
 
 #[cfg(test)]
 mod tests {
-    use crate::read::{Level, read_image, read_stack, read_video};
+    use crate::read::{SampleFormat, read_image, read_stack, read_video};
     use rowburst::{Image, Shape, Video};
     use std::path::{Path, PathBuf};
 
@@ -422,9 +422,9 @@ mod tests {
     #[test]
     fn every_kind_of_number_is_read() {
         let folder = tempfile::tempdir().unwrap();
-        let counts = |bits| Level::Counts { bits };
+        let counts = |bits| SampleFormat::Counts { bits };
         macro_rules! case {
-            ($t:ty, $name:expr, $level:expr) => {
+            ($t:ty, $name:expr, $format:expr) => {
                 let values: Vec<$t> = [0, 1, 2, 3, 100, 127].map(|v: u8| v as $t).to_vec();
                 let little: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
                 let big: Vec<u8> = values.iter().flat_map(|v| v.to_be_bytes()).collect();
@@ -434,13 +434,13 @@ mod tests {
                         let read = read_image(&file(folder.path(), version, &text, &data)).unwrap();
                         assert_eq!(read.image.data(), [0., 1., 2., 3., 100., 127.]);
                         assert_eq!((read.image.rows(), read.image.columns()), (2, 3));
-                        assert_eq!(read.level, $level);
+                        assert_eq!(read.format, $format);
                     }
                 }
             };
         }
-        case!(f32, "f4", Level::Float);
-        case!(f64, "f8", Level::Float);
+        case!(f32, "f4", SampleFormat::Float);
+        case!(f64, "f8", SampleFormat::Float);
         case!(u8, "u1", counts(8));
         case!(i8, "i1", counts(7));
         case!(u16, "u2", counts(16));

@@ -126,7 +126,7 @@ mod tests {
     use rowburst::Video;
 
     #[test]
-    fn parts_make_the_file_of_the_whole() {
+    fn chunks_make_the_same_file() {
         let folder = tempfile::tempdir().unwrap();
         let shape = Shape::new(5, 3, 4);
         let values: Vec<f32> = (0..60).map(|i| i as f32 * 0.5 - 3.0).collect();

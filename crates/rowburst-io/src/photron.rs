@@ -5,7 +5,7 @@
 //! the maker; as pyMRAW reads them, and as a FASTCAM Nova S16 wrote them.
 
 use crate::fault;
-use crate::read::{Level, Pages};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::Result;
 use roxmltree::Document;
@@ -14,7 +14,7 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// A header is some ten kilobytes.
-const MOST_HEADER: u64 = 1 << 24;
+const MAX_HEADER_BYTES: u64 = 1 << 24;
 
 /// What a header says.
 #[derive(Debug, Clone, PartialEq)]
@@ -125,7 +125,7 @@ impl crate::stack::Stack for Stack {
             rows,
             columns,
             data,
-            level: Level::Counts { bits: depth },
+            format: SampleFormat::Counts { bits: depth },
         })
     }
 }
@@ -174,7 +174,7 @@ fn both(source: &Source) -> Result<(std::path::PathBuf, std::path::PathBuf)> {
 
 fn read_header(source: &Source, path: &Path) -> Result<Header> {
     let metadata = path.metadata().map_err(|e| fault::read_error(path, &e))?;
-    if metadata.len() > MOST_HEADER {
+    if metadata.len() > MAX_HEADER_BYTES {
         return Err(source.unreadable("a header longer than 16 MiB"));
     }
     let bytes = std::fs::read(path).map_err(|e| fault::read_error(path, &e))?;
@@ -317,7 +317,7 @@ fn checked(source: &Source, values: &Values) -> Result<Header> {
 #[cfg(test)]
 mod tests {
     use crate::metadata::read_metadata;
-    use crate::read::{Level, read_stack};
+    use crate::read::{SampleFormat, read_stack};
     use crate::recording::open_recording;
     use std::path::Path;
 
@@ -382,7 +382,10 @@ mod tests {
             }
             let frames = open_recording(folder.path()).unwrap();
             assert_eq!(frames.count(), 2);
-            assert_eq!(frames.read(1).unwrap().level, Level::Counts { bits: depth });
+            assert_eq!(
+                frames.read(1).unwrap().format,
+                SampleFormat::Counts { bits: depth }
+            );
         }
         let found = read_metadata(&folder.path().join("a.mraw"));
         assert_eq!(

@@ -1,7 +1,7 @@
 //! PNG: grey images of 8 and 16 bits.
 
 use crate::fault;
-use crate::read::{Level, Pages};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
 use rowburst::{Error, Result};
@@ -18,30 +18,30 @@ pub(crate) fn read(source: &Source, file: impl BufRead + Seek) -> Result<Pages> 
     let mut data = source.reserve_pixels(1, rows, columns)?;
     let mut reader = decoder.read_info().map_err(fault)?;
     let (colour, depth) = reader.output_color_type();
-    let mut row_after_row = || -> Result<Level> {
-        let mut level = Level::Counts { bits: 8 };
+    let mut row_after_row = || -> Result<SampleFormat> {
+        let mut format = SampleFormat::Counts { bits: 8 };
         let channels = colour.samples();
         let length = reader.output_buffer_size();
         let length = length.ok_or_else(|| source.unreadable("more pixels than memory"))?;
         let mut bytes = vec![0; length];
         reader.next_frame(&mut bytes).map_err(fault)?;
         if depth == BitDepth::Sixteen {
-            level = Level::Counts { bits: 16 };
+            format = SampleFormat::Counts { bits: 16 };
             let samples = bytes.as_chunks().0.iter();
             let samples = samples.map(|&s| f32::from(u16::from_be_bytes(s)));
             source.push_grey(&mut data, samples, channels)?;
         } else {
             source.push_grey(&mut data, bytes.into_iter().map(f32::from), channels)?;
         }
-        Ok(level)
+        Ok(format)
     };
-    let level = row_after_row()?;
+    let format = row_after_row()?;
     Ok(Pages {
         count: 1,
         rows,
         columns,
         data,
-        level,
+        format,
     })
 }
 
@@ -110,8 +110,8 @@ mod tests {
         let read = read_image(&path).unwrap();
         assert_eq!(read.image.data(), [0., 1., 2., 3., 4., 255.]);
         assert_eq!(
-            (read.image.rows(), read.level),
-            (2, Level::Counts { bits: 8 })
+            (read.image.rows(), read.format),
+            (2, SampleFormat::Counts { bits: 8 })
         );
 
         let mut bytes = Vec::new();
@@ -120,8 +120,8 @@ mod tests {
         let read = read_image(&path).unwrap();
         assert_eq!(read.image.data(), [0., 258., 65535.]);
         assert_eq!(
-            (read.image.rows(), read.level),
-            (3, Level::Counts { bits: 16 })
+            (read.image.rows(), read.format),
+            (3, SampleFormat::Counts { bits: 16 })
         );
     }
 

@@ -12,12 +12,12 @@ pub struct Capture {
     /// The pixels. Integers beyond 2²⁴ are rounded to the nearest f32.
     pub image: Image,
     /// What kind of numbers the file holds.
-    pub level: Level,
+    pub format: SampleFormat,
 }
 
 /// What kind of numbers a file holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Level {
+pub enum SampleFormat {
     /// Integers: counts of a sensor.
     Counts {
         /// Bits that the largest count of the container takes, not those of the converter:
@@ -28,10 +28,10 @@ pub enum Level {
     Float,
 }
 
-impl Level {
+impl SampleFormat {
     /// The largest count that the container holds, where a sensor may reach it: of integers
     /// of up to 16 bits.
-    pub fn end(self) -> Option<f64> {
+    pub fn saturation_limit(self) -> Option<f64> {
         match self {
             Self::Counts { bits } if bits <= 16 => Some(f64::from(bits).exp2() - 1.0),
             Self::Counts { .. } | Self::Float => None,
@@ -108,7 +108,7 @@ pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
     let image = Image::new(pages.rows, pages.columns, pages.data);
     Ok(Capture {
         image: image.map_err(|e| e.within(path.display()))?,
-        level: pages.level,
+        format: pages.format,
     })
 }
 
@@ -119,7 +119,7 @@ pub(crate) struct Pages {
     pub rows: usize,
     pub columns: usize,
     pub data: Vec<f32>,
-    pub level: Level,
+    pub format: SampleFormat,
 }
 
 fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {

@@ -26,18 +26,18 @@ pub(crate) struct Source<'a> {
 
 /// A file, and the array in it that is meant.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct ArrayPath {
     pub file: PathBuf,
     /// What follows the colon in `FILE.h5:/path` or `FILE.mat:name`.
-    pub inside: Option<String>,
+    pub array: Option<String>,
 }
 
-impl Place {
+impl ArrayPath {
     /// Takes `path` apart; a file of exactly that name is one without a colon.
     pub fn of(path: &Path) -> Self {
         let whole = || Self {
             file: path.into(),
-            inside: None,
+            array: None,
         };
         let Some(text) = path.to_str() else {
             return whole();
@@ -50,7 +50,7 @@ impl Place {
         match found {
             Some(at) => Self {
                 file: text[..at].into(),
-                inside: Some(text[at + 1..].into()),
+                array: Some(text[at + 1..].into()),
             },
             None => whole(),
         }
@@ -64,7 +64,7 @@ const PIXELS_PER_BYTE: u64 = 32_768;
 impl<'a> Source<'a> {
     /// Opens `path`, which must be a file with something in it.
     pub fn open(path: &'a Path, colour: Colour) -> Result<(Self, BufReader<File>)> {
-        let file = Place::of(path).file;
+        let file = ArrayPath::of(path).file;
         let open = || -> std::io::Result<_> { Ok((file.metadata()?, File::open(&file)?)) };
         let (metadata, file) = open().map_err(|e| fault::read_error(path, &e))?;
         let bytes = metadata.len();
@@ -234,7 +234,7 @@ pub fn is_image(path: &Path) -> bool {
 /// Opens `path`, whose content must be what its ending says.
 pub(crate) fn open(path: &Path, colour: Colour) -> Result<(Source<'_>, BufReader<File>, Format)> {
     let (source, mut file) = Source::open(path, colour)?;
-    let Some(format) = Format::of_name(&Place::of(path).file) else {
+    let Some(format) = Format::of_name(&ArrayPath::of(path).file) else {
         let ending = path.extension().map_or("no ending".into(), |e| {
             format!("the ending .{}", e.to_string_lossy())
         });

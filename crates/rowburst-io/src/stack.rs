@@ -39,8 +39,8 @@ pub(crate) fn open_stack(
     Ok(match format {
         Format::Npy => Box::new(npy::OpenStack::new(source, file)?),
         Format::Tiff => Box::new(tiff::Stack::open(source, file)?),
-        Format::Png => Box::new(One(png::read(source, file)?)),
-        Format::Bmp => Box::new(One(bmp::read(source, file)?)),
+        Format::Png => Box::new(SingleImage(png::read(source, file)?)),
+        Format::Bmp => Box::new(SingleImage(bmp::read(source, file)?)),
         Format::Hdf5 => open_hdf5(source, Axes::Plain)?,
         Format::Matlab => match mat::version(source, &mut file)? {
             mat::Version::Five => Box::new(mat::Variable::open(source, file)?),
@@ -72,7 +72,7 @@ pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages>
     let mut all = stack.page(source, 0)?;
     for at in 1..count {
         let page = stack.page(source, at)?;
-        if (page.rows, page.columns, page.level) != (all.rows, all.columns, all.level) {
+        if (page.rows, page.columns, page.format) != (all.rows, all.columns, all.format) {
             return Err(source.error(
                 format!(
                     "{} of {}×{} pixels after frames of {}×{}, or of another kind",
@@ -103,9 +103,9 @@ pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages>
 }
 
 /// A file of one image.
-struct One(Pages);
+struct SingleImage(Pages);
 
-impl Stack for One {
+impl Stack for SingleImage {
     fn count(&self) -> usize {
         1
     }

@@ -1,7 +1,7 @@
 //! TIFF: single images, and stacks that ImageJ and Fiji open as a time series.
 
 use crate::fault;
-use crate::read::{Level, Pages};
+use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::{Error, Image, Result, Shape, Video};
 use std::fs::File;
@@ -30,16 +30,16 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
     check_count(source, count, promised)?;
     let (rows, columns, _) = first;
     let mut data = source.reserve_pixels(count, rows, columns)?;
-    let mut level = Level::Float;
+    let mut format = SampleFormat::Float;
     for page in 0..count {
-        level = read_page(source, &mut pages, page, &mut data)?;
+        format = read_page(source, &mut pages, page, &mut data)?;
     }
     Ok(Pages {
         count,
         rows,
         columns,
         data,
-        level,
+        format,
     })
 }
 
@@ -112,13 +112,13 @@ impl crate::stack::Stack for Stack {
         seek.map_err(|e| fault_of(source, e))?;
         let (rows, columns, _) = kind(source, &mut self.pages)?;
         let mut data = source.reserve_pixels(1, rows, columns)?;
-        let level = read_page(source, &mut self.pages, page, &mut data)?;
+        let format = read_page(source, &mut self.pages, page, &mut data)?;
         Ok(Pages {
             count: 1,
             rows,
             columns,
             data,
-            level,
+            format,
         })
     }
 }
@@ -191,7 +191,7 @@ fn read_page<R: Read + Seek>(
     pages: &mut Decoder<R>,
     page: usize,
     data: &mut Vec<f32>,
-) -> Result<Level> {
+) -> Result<SampleFormat> {
     let seek = pages.seek_to_image(page);
     seek.map_err(|e| fault_of(source, e))?;
     let (rows, columns, kind) = kind(source, pages)?;
@@ -204,11 +204,11 @@ fn read_page<R: Read + Seek>(
     };
     let before = data.len();
     let samples = pages.read_image().map_err(|e| fault_of(source, e))?;
-    let level = push(source, data, samples, channels)?;
+    let format = push(source, data, samples, channels)?;
     if data.len() - before != rows * columns {
         return Err(source.unsupported("of colour planes one after the other"));
     }
-    Ok(level)
+    Ok(format)
 }
 
 fn push(
@@ -216,14 +216,14 @@ fn push(
     data: &mut Vec<f32>,
     samples: DecodingResult,
     channels: usize,
-) -> Result<Level> {
+) -> Result<SampleFormat> {
     macro_rules! push {
-        ($samples:expr, $level:expr) => {{
+        ($samples:expr, $format:expr) => {{
             source.push_grey(data, $samples.into_iter().map(|v| v as f32), channels)?;
-            Ok($level)
+            Ok($format)
         }};
     }
-    let counts = |bits| Level::Counts { bits };
+    let counts = |bits| SampleFormat::Counts { bits };
     match samples {
         DecodingResult::U8(s) => push!(s, counts(8)),
         DecodingResult::I8(s) => push!(s, counts(7)),
@@ -233,8 +233,8 @@ fn push(
         DecodingResult::I32(s) => push!(s, counts(31)),
         DecodingResult::U64(s) => push!(s, counts(64)),
         DecodingResult::I64(s) => push!(s, counts(63)),
-        DecodingResult::F32(s) => push!(s, Level::Float),
-        DecodingResult::F64(s) => push!(s, Level::Float),
+        DecodingResult::F32(s) => push!(s, SampleFormat::Float),
+        DecodingResult::F64(s) => push!(s, SampleFormat::Float),
         DecodingResult::F16(_) => Err(source.unsupported("16-bit floating point")),
     }
 }
@@ -441,22 +441,22 @@ mod tests {
 
     #[test]
     fn every_kind_of_pixel_is_read() {
-        let counts = |bits| Level::Counts { bits };
+        let counts = |bits| SampleFormat::Counts { bits };
         macro_rules! case {
-            ($kind:ty, $level:expr) => {
+            ($kind:ty, $format:expr) => {
                 let (_folder, path) =
                     tif!($kind, (3, 2), &[0, 1, 2, 3, 100, 127].map(|v: u8| v as _));
                 let read = read_image(&path).unwrap();
                 assert_eq!(read.image.data(), [0., 1., 2., 3., 100., 127.]);
-                assert_eq!((read.image.rows(), read.level), (2, $level));
+                assert_eq!((read.image.rows(), read.format), (2, $format));
             };
         }
         case!(colortype::Gray8, counts(8));
         case!(colortype::Gray16, counts(16));
         case!(colortype::GrayI16, counts(15));
         case!(colortype::Gray32, counts(32));
-        case!(colortype::Gray32Float, Level::Float);
-        case!(colortype::Gray64Float, Level::Float);
+        case!(colortype::Gray32Float, SampleFormat::Float);
+        case!(colortype::Gray64Float, SampleFormat::Float);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use rowburst::{Error, Image, Shape, Video};
-use rowburst_io::{Capture, Level, read_image, read_video};
+use rowburst_io::{Capture, SampleFormat, read_image, read_video};
 use std::path::PathBuf;
 
 /// Anything that numpy takes for an array, in C order and in numbers of `T`, with the kind of its own.
@@ -16,20 +16,20 @@ fn floats<'py, T: Element>(
     value: &Bound<'py, PyAny>,
     name: &str,
     dimensions: usize,
-) -> PyResult<(Bound<'py, PyAny>, Level)> {
+) -> PyResult<(Bound<'py, PyAny>, SampleFormat)> {
     let py = value.py();
     let numpy = py.import(intern!(py, "numpy"))?;
     let array = numpy.call_method1(intern!(py, "asarray"), (value,))?;
     let dtype = array.getattr(intern!(py, "dtype"))?;
     let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
     let bytes: u32 = dtype.getattr(intern!(py, "itemsize"))?.extract()?;
-    let level = match kind.as_str() {
-        "b" => Level::Counts { bits: 1 },
-        "u" => Level::Counts { bits: 8 * bytes },
-        "i" => Level::Counts {
+    let format = match kind.as_str() {
+        "b" => SampleFormat::Counts { bits: 1 },
+        "u" => SampleFormat::Counts { bits: 8 * bytes },
+        "i" => SampleFormat::Counts {
             bits: 8 * bytes - 1,
         },
-        "f" => Level::Float,
+        "f" => SampleFormat::Float,
         _ => {
             return Err(to_py_err(Error::input(
                 name,
@@ -63,7 +63,7 @@ fn floats<'py, T: Element>(
     state.call_method0("__enter__")?;
     let converted = numpy.call_method("asarray", (&array,), Some(&options));
     state.call_method1("__exit__", (py.None(), py.None(), py.None()))?;
-    Ok((converted?, level))
+    Ok((converted?, format))
 }
 
 /// The path that `value` is, if it is text or an `os.PathLike`.
@@ -79,12 +79,12 @@ pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
     if let Some(path) = path_of(value) {
         return read_image(&path).map_err(to_py_err);
     }
-    let (array, level) = floats::<f32>(value, name, 2)?;
+    let (array, format) = floats::<f32>(value, name, 2)?;
     let array = array.cast::<PyArray2<f32>>()?;
     let (rows, columns) = (array.shape()[0], array.shape()[1]);
     let data = array.readonly().as_slice()?.to_vec();
     let image = Image::new(rows, columns, data).map_err(|e| to_py_err(e.within(name)))?;
-    Ok(Capture { image, level })
+    Ok(Capture { image, format })
 }
 
 /// An image whose pixels are finite.

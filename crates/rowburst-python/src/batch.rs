@@ -21,7 +21,7 @@ pub struct PyBatch {
 }
 
 /// A frame that is through.
-type Line = (
+type FrameRowTuple = (
     usize,
     String,
     bool,
@@ -31,7 +31,7 @@ type Line = (
     String,
 );
 
-fn line(row: &FrameRow) -> Line {
+fn to_tuple(row: &FrameRow) -> FrameRowTuple {
     (
         row.frame,
         row.name.clone(),
@@ -130,7 +130,7 @@ impl PyBatch {
         py: Python<'_>,
         frames: Vec<usize>,
         threads: Option<usize>,
-    ) -> PyResult<Vec<Line>> {
+    ) -> PyResult<Vec<FrameRowTuple>> {
         let count = self.count();
         if let Some(bad) = frames.iter().find(|&&frame| frame >= count) {
             let rule = format!("the recording has the frames 0 to {}", count - 1);
@@ -138,7 +138,7 @@ impl PyBatch {
             return Err(to_py_err(error));
         }
         let threads = threads.unwrap_or_else(rayon::current_num_threads);
-        let lines = Mutex::new(Vec::new());
+        let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |stop| -> Result<()> {
             let Some(prior) = self.batch.prior(stop, &|_| ())? else {
                 return Ok(());
@@ -147,20 +147,20 @@ impl PyBatch {
                 ThreadAllocation::new(threads, frames.len(), &self.batch.inputs().model, None);
             self.batch.run(&frames, &prior, allocation, stop, &|event| {
                 if let Event::FrameFinished(row) = event
-                    && let Ok(mut lines) = lines.lock()
+                    && let Ok(mut rows) = rows.lock()
                 {
-                    lines.push(line(row));
+                    rows.push(to_tuple(row));
                 }
             })
         })?;
         ran.map_err(to_py_err)?;
-        Ok(lines.into_inner().unwrap_or_default())
+        Ok(rows.into_inner().unwrap_or_default())
     }
 
     /// Lines of all frames that are through, whoever made them.
-    fn rows(&self, py: Python<'_>) -> PyResult<Vec<Line>> {
+    fn rows(&self, py: Python<'_>) -> PyResult<Vec<FrameRowTuple>> {
         let rows = py.detach(|| self.batch.rows()).map_err(to_py_err)?;
-        Ok(rows.iter().map(line).collect())
+        Ok(rows.iter().map(to_tuple).collect())
     }
 
     /// Writes the table of all frames that are through; its path.
@@ -186,14 +186,14 @@ fn interruptibly<T: Send>(
     work: impl FnOnce(&AtomicBool) -> T + Send,
 ) -> PyResult<T> {
     /// Between two looks for Ctrl-C.
-    const LOOK: Duration = Duration::from_millis(20);
+    const POLL_INTERVAL: Duration = Duration::from_millis(20);
     let stop = AtomicBool::new(false);
     let mut interruption = None;
     let done = py.detach(|| {
         std::thread::scope(|scope| {
             let worker = scope.spawn(|| work(&stop));
             while !worker.is_finished() {
-                std::thread::park_timeout(LOOK);
+                std::thread::park_timeout(POLL_INTERVAL);
                 if interruption.is_none()
                     && let Err(error) = Python::attach(|py| py.check_signals())
                 {

@@ -9,7 +9,9 @@ use pyo3::types::PyDict;
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
-use rowburst_run::{CompletedTask, Film, ReportMeta, ResultMeta, TraceRequest, Traces, player_of};
+use rowburst_run::{
+    CompletedTask, MovieStyle, ReportMeta, ResultMeta, TraceRequest, Traces, player_of,
+};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -282,7 +284,7 @@ impl PyReconstruction {
                     title: &title,
                     reproduce: None,
                     player: player_of(folder.path()),
-                    film: Film::Stamped,
+                    movie: MovieStyle::Stamped,
                 };
                 completed.write(traces, &folder, result_meta).map(|_| ())
             }

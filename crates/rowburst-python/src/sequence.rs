@@ -11,7 +11,7 @@ use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options, Sequence};
 use rowburst::solve::StopReason;
 use rowburst_run::inputs::check_memory;
-use rowburst_run::options::time_budget;
+use rowburst_run::options::parse_time_budget;
 use std::ops::ControlFlow;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -78,7 +78,7 @@ impl PySequence {
         time_budget_s: Option<f64>,
     ) -> PyResult<PyLook> {
         let began = Instant::now();
-        let budget = time_budget(time_budget_s).map_err(to_py_err)?;
+        let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
         let measurement = measured(frame, &self.camera.camera, Corrections::default())?;
         let mut interruption: Option<PyErr> = None;
         let found = py.detach(|| {

@@ -12,7 +12,7 @@ use rowburst::solve::StopReason;
 use rowburst::{Camera, Error};
 use rowburst_io::FromMetadata;
 use rowburst_run::inputs::{check_memory, checked_truth};
-use rowburst_run::options::{prior_of, tau_of, time_budget};
+use rowburst_run::options::{parse_prior, parse_tau, parse_time_budget};
 use rowburst_run::{Task, solve};
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -56,7 +56,7 @@ pub fn reconstruct(
             most => most,
         },
     };
-    let budget = time_budget(time_budget_s).map_err(to_py_err)?;
+    let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
     let corrections = Corrections {
         dark: dark.map(|v| finite_image(v, "dark")).transpose()?,
         flat: flat.map(|v| finite_image(v, "flat")).transpose()?,
@@ -130,7 +130,7 @@ pub fn measured(
 ) -> PyResult<Measurement> {
     let raw = capture(frame, "frame")?;
     let corrections = Corrections {
-        saturation_counts: raw.level.end(),
+        saturation_counts: raw.format.saturation_limit(),
         ..corrections
     };
     correct(&raw.image, camera, &corrections).map_err(|e| to_py_err(within_frame(e)))
@@ -149,7 +149,7 @@ fn within_frame(error: Error) -> Error {
 }
 
 pub fn prior_from(name: &str) -> PyResult<Option<Prior>> {
-    prior_of(name).map_err(to_py_err)
+    parse_prior(name).map_err(to_py_err)
 }
 
 /// `None` and text as on the command line, or a number.
@@ -158,7 +158,7 @@ pub fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
         None => Ok(Tau::Auto),
         Some(value) => match value.extract::<f64>() {
             Ok(number) => Ok(Tau::Given(number)),
-            Err(_) => tau_of(&value.str()?.to_string()).map_err(to_py_err),
+            Err(_) => parse_tau(&value.str()?.to_string()).map_err(to_py_err),
         },
     }
 }

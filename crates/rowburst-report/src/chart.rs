@@ -236,13 +236,13 @@ impl Chart {
 }
 
 fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    const STRETCHES: usize = 700;
-    if points.len() <= 2 * STRETCHES {
+    const MAX_SEGMENTS: usize = 700;
+    if points.len() <= 2 * MAX_SEGMENTS {
         return points.to_vec();
     }
     let by_y = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
     points
-        .chunks(points.len().div_ceil(STRETCHES))
+        .chunks(points.len().div_ceil(MAX_SEGMENTS))
         .flat_map(|stretch| {
             let mut ends: Vec<(f64, f64)> =
                 stretch.iter().min_by(by_y).copied().into_iter().collect();

@@ -45,7 +45,7 @@ impl Map {
 pub(crate) fn time_hue(fraction: f64) -> [f32; 3] {
     const FIRST_DEGREES: f64 = 272.0;
     const LAST_DEGREES: f64 = 22.0;
-    const MOST_CHROMA: f64 = 0.19;
+    const MAX_CHROMA: f64 = 0.19;
     let f = fraction.clamp(0.0, 1.0);
     let hue = (FIRST_DEGREES + f * (LAST_DEGREES - FIRST_DEGREES)).to_radians();
     // Blue and red are vivid only when darker than green and yellow.
@@ -55,7 +55,7 @@ pub(crate) fn time_hue(fraction: f64) -> [f32; 3] {
         let rgb = linear_rgb(lightness, chroma, hue);
         rgb.iter().all(|c| (0.0..=1.0).contains(c))
     };
-    let (mut inside, mut outside) = (0.0, MOST_CHROMA);
+    let (mut inside, mut outside) = (0.0, MAX_CHROMA);
     for _ in 0..12 {
         let middle = 0.5 * (inside + outside);
         if is_in_gamut(middle) {

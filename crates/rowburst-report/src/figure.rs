@@ -51,7 +51,7 @@ impl Rect {
 const NARROW: f64 = 500.0;
 
 /// A figure of given size. What is drawn takes its colour from a class: the style
-/// sheet of the page, or `PAPER` in the PNG.
+/// sheet of the page, or `RASTER_CSS` in the PNG.
 #[derive(Debug)]
 pub(crate) struct Figure {
     width: f64,
@@ -63,7 +63,7 @@ pub(crate) struct Figure {
 }
 
 /// Classes of the SVG in the PNG: ink on white. The page's style sheet has the same classes.
-const PAPER: &str = "text{font-family:'DejaVu Sans';font-size:12px;fill:#1d2330}.mark text{fill:inherit}\
+const RASTER_CSS: &str = "text{font-family:'DejaVu Sans';font-size:12px;fill:#1d2330}.mark text{fill:inherit}\
 .muted{fill:#5b6472}.strong{font-weight:bold}\
 .axis{stroke:#6b7482;stroke-width:1;fill:none}.grid{stroke:#e3e6eb;stroke-width:1;fill:none}\
 .line{stroke:#1f6fb2;stroke-width:1.6;fill:none}.reference{stroke:#5b6472;stroke-width:1.2;fill:none}\
@@ -253,7 +253,7 @@ impl Figure {
     pub(crate) fn file(&self) -> Result<String> {
         let (width, height) = (self.width, self.height);
         let mut svg = format!(
-            r##"<?xml version="1.0" encoding="UTF-8"?><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"><style>{PAPER}.pixels{{image-rendering:pixelated}}</style><rect width="100%" height="100%" fill="#fff"/>"##
+            r##"<?xml version="1.0" encoding="UTF-8"?><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"><style>{RASTER_CSS}.pixels{{image-rendering:pixelated}}</style><rect width="100%" height="100%" fill="#fff"/>"##
         );
         self.write_rasters(&mut svg)?;
         svg.push_str(&self.body);
@@ -286,7 +286,7 @@ impl Figure {
             blit(&mut canvas, self.scale, place, pixels);
         }
         let svg = format!(
-            r#"<svg xmlns="http://www.w3.org/2000/svg" width="{}" height="{}"><style>{PAPER}</style>{}</svg>"#,
+            r#"<svg xmlns="http://www.w3.org/2000/svg" width="{}" height="{}"><style>{RASTER_CSS}</style>{}</svg>"#,
             self.width, self.height, self.body
         );
         let options = usvg::Options {

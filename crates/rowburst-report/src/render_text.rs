@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_fill_the_height_and_differ() {
+    fn rendered_text_fills_the_height() {
         let [a, b] = ["4.8 µs", "14.4 µs"].map(|text| render_text(text, 200, 22).unwrap());
         assert_eq!((a.len(), b.len()), (4400, 4400));
         let is_inked = |y: usize| a[200 * y..200 * (y + 1)].iter().any(|&v| v > 127);

@@ -5,7 +5,7 @@
 
 #![allow(missing_docs)]
 
-use crate::film::{Film, encoded};
+use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::thousands;
 use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
@@ -21,8 +21,8 @@ use std::ops::{ControlFlow, Range};
 use std::time::Instant;
 
 /// Longest side and most bins of `video.mp4`.
-const FILM_SIDE: usize = 256;
-const FILM_BINS: usize = 512;
+const PREVIEW_MAX_SIDE: usize = 256;
+const PREVIEW_MAX_BINS: usize = 512;
 
 /// What is to be done, and how it is called.
 pub struct ChunkedTask<'a> {
@@ -37,7 +37,7 @@ pub struct ChunkedTask<'a> {
     /// What makes the same result again.
     pub reproduce: &'a str,
     /// What `video.mp4` shows.
-    pub film: Film,
+    pub movie: MovieStyle,
     /// What of the camera came from the frame's metadata.
     pub from_metadata: &'a FromMetadata,
 }
@@ -117,7 +117,7 @@ pub fn run_chunked(
     let shape = chunked.camera().video_shape();
     let ranges = chunked.ranges(task.bins_per_chunk);
     let mut file = ChunkedVideoFile::open(&folder.path().join("video.npy"), shape)?;
-    let job = job_of(task, &ranges);
+    let job = job_hash(task, &ranges);
     let begun = std::fs::read(folder.path().join(STATE_FILE)).ok();
     let begun = begun.and_then(|bytes| serde_json::from_slice::<ResumeState>(&bytes).ok());
     let mut state = match begun {
@@ -167,12 +167,12 @@ pub fn run_chunked(
     folder.remove("video.mp4")?;
     let bin_us = chunked.camera().time().bin_duration_us();
     let time = TimeGrid::rolling(
-        statistics.film.shape().bins,
+        statistics.preview.shape().bins,
         bin_us * statistics.bins_each as f64,
         1.0,
         1,
     );
-    if let Some(mp4) = encoded(&statistics.film, &time, task.film)? {
+    if let Some(mp4) = encode_movie(&statistics.preview, &time, task.movie)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
     let mut summary = summarise(task, state.parts);
@@ -190,7 +190,7 @@ pub fn run_chunked(
 }
 
 /// A number that another frame, PSF, camera, recipe or division would not have.
-fn job_of(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
+fn job_hash(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
     let mut hasher = DefaultHasher::new();
     let image = |image: &Image, hasher: &mut DefaultHasher| {
         image.data().iter().for_each(|v| v.to_bits().hash(hasher));
@@ -220,20 +220,20 @@ struct VideoStatistics {
     /// All light of each bin.
     light: Vec<f64>,
     /// Means over pixels and bins.
-    film: Video,
+    preview: Video,
     bins_each: usize,
 }
 
 impl VideoStatistics {
     fn read(file: &mut ChunkedVideoFile, shape: Shape) -> Result<Self> {
-        let side = shape.rows.max(shape.columns).div_ceil(FILM_SIDE);
-        let bins_each = shape.bins.div_ceil(FILM_BINS);
+        let side = shape.rows.max(shape.columns).div_ceil(PREVIEW_MAX_SIDE);
+        let bins_each = shape.bins.div_ceil(PREVIEW_MAX_BINS);
         let small = Shape::new(
             shape.bins.div_ceil(bins_each),
             shape.rows.div_ceil(side),
             shape.columns.div_ceil(side),
         );
-        let mut film = vec![0.0f32; small.voxels()];
+        let mut preview = vec![0.0f32; small.voxels()];
         let mut brightest = vec![0.0f32; shape.pixels()];
         let mut light = Vec::with_capacity(shape.bins);
         for bin in 0..shape.bins {
@@ -243,7 +243,7 @@ impl VideoStatistics {
                 .iter_mut()
                 .zip(&values)
                 .for_each(|(b, v)| *b = b.max(*v));
-            let picture = &mut film[bin / bins_each * small.pixels()..][..small.pixels()];
+            let picture = &mut preview[bin / bins_each * small.pixels()..][..small.pixels()];
             for (y, row) in values.chunks_exact(shape.columns).enumerate() {
                 let line = &mut picture[y / side * small.columns..][..small.columns];
                 for (x, v) in row.iter().enumerate() {
@@ -254,7 +254,7 @@ impl VideoStatistics {
         Ok(Self {
             brightest: Image::new(shape.rows, shape.columns, brightest)?,
             light,
-            film: Video::new(small, film)?,
+            preview: Video::new(small, preview)?,
             bins_each,
         })
     }

@@ -1,6 +1,6 @@
 //! A finished reconstruction: its numbers, its report and its folder of results.
 
-use crate::film::{Film, encoded};
+use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage};
 use crate::summary::{
@@ -61,7 +61,7 @@ pub struct CompletedTask {
     /// The solver alone.
     pub seconds: f64,
     /// Seconds from the start of the program to that of the solver.
-    pub(crate) started_after: f64,
+    pub(crate) start_offset_s: f64,
     /// The course of the run.
     pub curve: Vec<Iteration>,
 }
@@ -75,7 +75,7 @@ pub struct ResultMeta<'a> {
     /// Makes the viewer's page for the report.
     pub player: Option<MakePlayer>,
     /// What `video.mp4` shows.
-    pub film: Film,
+    pub movie: MovieStyle,
 }
 
 /// What a report says of where it comes from.
@@ -174,7 +174,7 @@ impl CompletedTask {
             history: self
                 .curve
                 .iter()
-                .map(|point| HistoryPoint::new(point, self.started_after))
+                .map(|point| HistoryPoint::new(point, self.start_offset_s))
                 .collect(),
             warnings: self.warnings(traces),
         }
@@ -263,7 +263,7 @@ impl CompletedTask {
             camera.sensor().pixel_pitch_um,
         )?;
         traces.write(folder, camera.time())?;
-        let mp4 = encoded(video, camera.time(), result_meta.film)?;
+        let mp4 = encode_movie(video, camera.time(), result_meta.movie)?;
         if let Some(mp4) = &mp4 {
             folder.write_bytes("video.mp4", mp4)?;
         }
@@ -310,7 +310,7 @@ impl CompletedTask {
         let mut summary = self.summary(traces);
         summary.peak_memory_bytes = peak_memory_bytes();
         let time = self.task.camera.time();
-        let mp4 = encoded(&self.reconstruction.video, time, Film::Stamped)?;
+        let mp4 = encode_movie(&self.reconstruction.video, time, MovieStyle::Stamped)?;
         let (title, command) = (report_meta.title, report_meta.reproduce);
         let page = self.with_view(traces, &summary, title, command, |files| {
             let truth = files.truth.map(|_| TRUTH);

@@ -3,12 +3,13 @@
 use rowburst::measurement::Corrections;
 use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, Video};
 use rowburst_io::{
-    Calibration, Capture, Experiment, Level, is_patch_set, read_image, read_patch_set, read_video,
+    Calibration, Capture, Experiment, SampleFormat, is_patch_set, read_image, read_patch_set,
+    read_video,
 };
 use std::path::Path;
 
 /// The files that are given, or else those of the experiment.
-pub fn calibration_of(given: Calibration, experiment: &Experiment) -> Calibration {
+pub fn resolve_calibration(given: Calibration, experiment: &Experiment) -> Calibration {
     let from_file = experiment.calibration.clone();
     Calibration {
         psf: given.psf.or(from_file.psf),
@@ -32,8 +33,8 @@ pub fn psf_of<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Resu
 
 /// A recorded frame, and the counts at which its file ends if they are integers.
 pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {
-    let Capture { image, level } = read_image(path)?;
-    Ok((image, level.end()))
+    let Capture { image, format } = read_image(path)?;
+    Ok((image, format.saturation_limit()))
 }
 
 /// Dark, flat and bad pixels of `calibration`.
@@ -90,7 +91,7 @@ pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
         .rows
         .checked_mul(shape.columns)
         .and_then(|pixels| pixels.checked_mul(shape.bins));
-    let needed = voxels.and_then(|n| n.checked_mul(COPIES));
+    let needed = voxels.and_then(|n| n.checked_mul(VIDEO_COPIES));
     // Never less than 64 MiB: after a smaller block is given back, glibc keeps all later
     // blocks of that size for itself, and the peak of memory rises by a fifth.
     let tried = needed.map(|n| n.max(16 << 20));
@@ -99,13 +100,13 @@ pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
     }
     Err(Error::work(
         experiment.display().to_string(),
-        format!("no memory for {COPIES} copies of a video of {shape}"),
+        format!("no memory for {VIDEO_COPIES} copies of a video of {shape}"),
         "Make [field] smaller, bin the frame, or use a machine with more memory.",
     ))
 }
 
 /// Copies of the video, in float32, that a reconstruction holds at its peak.
-const COPIES: usize = 12;
+const VIDEO_COPIES: usize = 12;
 
 /// The PSF of a capture on the working grid of `camera`, and what is to be said of it.
 ///
@@ -121,8 +122,8 @@ pub fn psf_from(
     camera: &Camera,
     dark: Option<&Image>,
 ) -> Result<(Psf, Option<String>)> {
-    let Capture { mut image, level } = capture;
-    if matches!(level, Level::Counts { .. }) {
+    let Capture { mut image, format } = capture;
+    if matches!(format, SampleFormat::Counts { .. }) {
         match dark.filter(|d| (d.rows(), d.columns()) == (image.rows(), image.columns())) {
             Some(dark) => image
                 .data_mut()

@@ -5,14 +5,14 @@
 //! ```
 //!
 //! Reads the files of an experiment into values ([`inputs`]), what is typed into choices
-//! ([`options`]), runs the solver with a clock beside it ([`Watch`]), and turns what it found into
+//! ([`options`]), runs the solver with a clock beside it ([`RunClock`]), and turns what it found into
 //! the numbers of `result.json`, the report and the folder of results. No terminal: what is to be
 //! said goes to the caller, and an observer sees every iteration and may stop it.
 
 mod chunked;
 mod completed_task;
-mod film;
 pub mod inputs;
+mod movie;
 mod numbers;
 pub mod options;
 mod player;
@@ -25,7 +25,7 @@ mod watch;
 
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
-pub use film::Film;
+pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use summary::{
@@ -38,4 +38,4 @@ pub use traces::{
     TraceRequest, Traces, TruthNumbers,
 };
 pub use view_files::ViewFiles;
-pub use watch::Watch;
+pub use watch::RunClock;

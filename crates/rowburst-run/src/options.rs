@@ -9,10 +9,10 @@ use std::time::Duration;
 ///
 /// # Errors
 /// A name that is none.
-pub fn chosen_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
+pub fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
     match (name, &experiment.reconstruction.prior) {
-        (Some(name), _) => prior_of(name),
-        (None, Some(name)) => prior_of(name).map_err(|mut error| {
+        (Some(name), _) => parse_prior(name),
+        (None, Some(name)) => parse_prior(name).map_err(|mut error| {
             if let Error::Input { subject, .. } = &mut error {
                 *subject = format!("{}: [reconstruction] prior", experiment.path.display());
             }
@@ -25,11 +25,11 @@ pub fn chosen_prior(name: Option<&str>, experiment: &Experiment) -> Result<Optio
 /// The rule for `τ` that is asked for, or else that of the experiment.
 ///
 /// # Errors
-/// Those of [`tau_of`].
-pub fn chosen_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
+/// Those of [`parse_tau`].
+pub fn resolve_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
     match text {
         None => Ok(experiment.reconstruction.tau.unwrap_or_default()),
-        Some(text) => tau_of(text),
+        Some(text) => parse_tau(text),
     }
 }
 
@@ -37,7 +37,7 @@ pub fn chosen_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
 ///
 /// # Errors
 /// Anything else.
-pub fn tau_of(text: &str) -> Result<Tau> {
+pub fn parse_tau(text: &str) -> Result<Tau> {
     Ok(match text {
         "auto" => Tau::Auto,
         "held-out" => Tau::HeldOut,
@@ -56,7 +56,7 @@ pub fn tau_of(text: &str) -> Result<Tau> {
 ///
 /// # Errors
 /// A name that is none.
-pub fn prior_of(name: &str) -> Result<Option<Prior>> {
+pub fn parse_prior(name: &str) -> Result<Option<Prior>> {
     match name.trim() {
         "auto" => Ok(None),
         name => name.parse().map(Some),
@@ -67,7 +67,7 @@ pub fn prior_of(name: &str) -> Result<Option<Prior>> {
 ///
 /// # Errors
 /// A number that is not above zero.
-pub fn time_budget(seconds: Option<f64>) -> Result<Option<Duration>> {
+pub fn parse_time_budget(seconds: Option<f64>) -> Result<Option<Duration>> {
     let Some(seconds) = seconds else {
         return Ok(None);
     };

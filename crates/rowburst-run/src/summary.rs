@@ -94,11 +94,11 @@ pub struct HistoryPoint {
 }
 
 impl HistoryPoint {
-    /// `started_after`: seconds from the start of the process to that of the solver's clock.
-    pub fn new(point: &Iteration, started_after: f64) -> Self {
+    /// `start_offset_s`: seconds from the start of the process to that of the solver's clock.
+    pub fn new(point: &Iteration, start_offset_s: f64) -> Self {
         Self {
             iteration: point.iteration,
-            seconds: started_after + point.seconds,
+            seconds: start_offset_s + point.seconds,
             residual_over_sigma: point.residual_over_sigma,
             psnr_db: point.psnr_db,
         }

@@ -1,7 +1,7 @@
 //! What a reconstruction of one frame is to do, and doing it.
 
 use crate::completed_task::CompletedTask;
-use crate::watch::Watch;
+use crate::watch::RunClock;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::solve::StopReason;
@@ -66,16 +66,16 @@ pub fn solve(
     let problem = Problem::new(&task.measurement, &task.camera, &task.psfs, options)?;
     let setup = started.elapsed();
     let left = task.budget.map(|b| b.saturating_sub(setup));
-    let mut watch = Watch::new(problem.sigma(), task.truth.as_ref(), left);
+    let mut watch = RunClock::new(problem.sigma(), task.truth.as_ref(), left);
     let result = problem.solve(&mut |progress| {
         let flow = watch.observe(progress);
-        watch.aside(|metrics| show(progress, metrics))?;
+        watch.untimed(|metrics| show(progress, metrics))?;
         flow
     });
     let seconds = watch.seconds();
     let reconstruction = result?;
     watch.rescale(reconstruction.sigma);
-    let started_after = watch.started_after(began);
+    let start_offset_s = watch.start_offset_s(began);
     let curve = watch.curve;
     Ok(CompletedTask {
         task,
@@ -83,7 +83,7 @@ pub fn solve(
         debias: None,
         setup_seconds: setup.as_secs_f64(),
         seconds,
-        started_after,
+        start_offset_s,
         curve,
     })
 }

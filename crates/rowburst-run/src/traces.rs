@@ -17,9 +17,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Most spots that are found by themselves.
-const SPOTS: usize = 6;
+const MAX_AUTO_REGIONS: usize = 6;
 /// Side of a region that is given by its middle alone.
-const SIDE: usize = 3;
+const DEFAULT_REGION_SIDE: usize = 3;
 
 /// What is asked for.
 #[derive(Default)]
@@ -58,7 +58,7 @@ fn region(text: &str, shape: Shape) -> Result<Region> {
     );
     match parts.as_deref() {
         Some(&[y, x]) if y < shape.rows && x < shape.columns => {
-            Ok(Region::centred_at(y, x, SIDE, shape))
+            Ok(Region::centred_at(y, x, DEFAULT_REGION_SIDE, shape))
         }
         Some(&[_, _]) => Err(wrong(format!("the pixel lies in the field: {field}"))),
         Some(&[y, x, rows, columns]) => {
@@ -190,7 +190,7 @@ pub fn find(
     let time = camera.time();
     let mut regions = request.regions;
     if time.bins() > 1 {
-        for spot in brightest_regions(video, SPOTS) {
+        for spot in brightest_regions(video, MAX_AUTO_REGIONS) {
             if !regions.contains(&spot) {
                 regions.push(spot);
             }

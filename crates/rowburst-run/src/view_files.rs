@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 /// Most points of a photodiode's signal that are kept; a screen shows no more.
-const MOST_POINTS: usize = 5000;
+const MAX_SIGNAL_POINTS: usize = 5000;
 
 /// The file of the true video, where it is copied.
 pub(crate) const TRUTH: &str = "view-truth.npy";
@@ -148,7 +148,7 @@ fn trace(annotated: &AnnotatedTrace) -> Value {
         "photodiodes": diodes.map(|d| json!({
             "name": d.name,
             "correlation": d.correlation,
-            "points": d.points.iter().step_by(d.points.len().div_ceil(MOST_POINTS).max(1)).collect::<Vec<_>>(),
+            "points": d.points.iter().step_by(d.points.len().div_ceil(MAX_SIGNAL_POINTS).max(1)).collect::<Vec<_>>(),
         })).collect::<Vec<_>>(),
     })
 }

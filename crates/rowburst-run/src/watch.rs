@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 
 /// Every iteration up to this one is a point of the convergence curve; most of the quality is
 /// gained in these.
-const RECORD_ALL: usize = 50;
+const DENSE_RECORD_ITERATIONS: usize = 50;
 /// Iterations between two points after these.
-const RECORD_EVERY: usize = 5;
+const RECORD_INTERVAL: usize = 5;
 
 /// Watches a run.
-pub struct Watch<'a> {
+pub struct RunClock<'a> {
     start: Instant,
     budget: Option<Duration>,
     sigma: f64,
@@ -24,13 +24,13 @@ pub struct Watch<'a> {
     /// Iterations of all runs.
     iterations: usize,
     /// Time spent on comparing with the truth and on showing, which is not the solver's.
-    aside: Duration,
+    untimed: Duration,
     metrics: IterationMetrics,
     /// The points of the convergence curve.
     pub curve: Vec<Iteration>,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> RunClock<'a> {
     /// Starts the clock of the solver, which `budget` counts from.
     pub fn new(sigma: f64, truth: Option<&'a Video>, budget: Option<Duration>) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl<'a> Watch<'a> {
             sigma,
             truth,
             iterations: 0,
-            aside: Duration::ZERO,
+            untimed: Duration::ZERO,
             metrics: IterationMetrics {
                 seconds: 0.0,
                 residual_over_sigma: f64::NAN,
@@ -50,20 +50,20 @@ impl<'a> Watch<'a> {
     }
 
     /// Seconds from `began` to the start of the solver's clock.
-    pub fn started_after(&self, began: Instant) -> f64 {
+    pub fn start_offset_s(&self, began: Instant) -> f64 {
         (self.start - began).as_secs_f64()
     }
 
     /// Seconds of the solver so far.
     pub fn seconds(&self) -> f64 {
-        (self.start.elapsed() - self.aside).as_secs_f64()
+        (self.start.elapsed() - self.untimed).as_secs_f64()
     }
 
     /// Does with the last iteration what takes no time of the solver's.
-    pub fn aside<T>(&mut self, what: impl FnOnce(&IterationMetrics) -> T) -> T {
+    pub fn untimed<T>(&mut self, what: impl FnOnce(&IterationMetrics) -> T) -> T {
         let began = Instant::now();
         let done = what(&self.metrics);
-        self.aside += began.elapsed();
+        self.untimed += began.elapsed();
         done
     }
 
@@ -80,7 +80,9 @@ impl<'a> Watch<'a> {
             residual_over_sigma: progress.residual_rms / self.sigma,
             psnr_db: None,
         };
-        if progress.iteration <= RECORD_ALL || progress.iteration.is_multiple_of(RECORD_EVERY) {
+        if progress.iteration <= DENSE_RECORD_ITERATIONS
+            || progress.iteration.is_multiple_of(RECORD_INTERVAL)
+        {
             let compared = Instant::now();
             let truth = self.truth;
             self.metrics.psnr_db = truth.map(|truth| psnr_db(progress.video, truth.data()));
@@ -92,7 +94,7 @@ impl<'a> Watch<'a> {
                 change: progress.change,
                 psnr_db: self.metrics.psnr_db,
             });
-            self.aside += compared.elapsed();
+            self.untimed += compared.elapsed();
         }
         let per_iteration = seconds / self.iterations as f64;
         match self.budget {

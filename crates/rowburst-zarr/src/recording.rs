@@ -1,7 +1,7 @@
 //! A Zarr array `[frame, y, x]` as a recording.
 
 use rowburst::{Error, Image, Result};
-use rowburst_io::{Capture, Frames, Level};
+use rowburst_io::{Capture, Frames, SampleFormat};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -139,7 +139,7 @@ impl Frames for ZarrRecording {
         })?;
         Ok(Capture {
             image: Image::new(self.rows, self.columns, data)?,
-            level: self.kind.level(),
+            format: self.kind.format(),
         })
     }
 }
@@ -178,8 +178,8 @@ impl Kind {
         kinds.find_map(|(known, kind)| (known == *array.data_type()).then_some(kind))
     }
 
-    fn level(self) -> Level {
-        let counts = |bits| Level::Counts { bits };
+    fn format(self) -> SampleFormat {
+        let counts = |bits| SampleFormat::Counts { bits };
         match self {
             Self::U8 => counts(8),
             Self::I8 => counts(7),
@@ -189,7 +189,7 @@ impl Kind {
             Self::I32 => counts(31),
             Self::U64 => counts(64),
             Self::I64 => counts(63),
-            Self::F32 | Self::F64 => Level::Float,
+            Self::F32 | Self::F64 => SampleFormat::Float,
         }
     }
 

@@ -1,7 +1,7 @@
 //! What is written is read again, and what others write is read.
 
 use rowburst::{Shape, Video};
-use rowburst_io::Level;
+use rowburst_io::SampleFormat;
 use rowburst_zarr::{
     ArchiveParams, Scratch, StitchParams, StitchedVideo, VideoArchive, is_zarr, open_zarr_recording,
 };
@@ -133,7 +133,7 @@ fn recordings_of_version_2_are_read_frame_by_frame() {
     assert_eq!(frames.count(), 3);
     for (at, first) in [(2, 500.0), (0, 100.0), (1, 106.0)] {
         let read = frames.read(at).unwrap();
-        assert_eq!(read.level, Level::Counts { bits: 16 });
+        assert_eq!(read.format, SampleFormat::Counts { bits: 16 });
         assert_eq!((read.image.rows(), read.image.columns()), (2, 3));
         assert_eq!(read.image.data()[0], first);
         assert_eq!(read.image.data()[5], first + 5.0);

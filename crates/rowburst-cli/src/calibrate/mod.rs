@@ -13,11 +13,11 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
     #[command(subcommand)]
-    pub what: What,
+    pub verb: CalibrateVerb,
 }
 
 #[derive(Debug, Subcommand)]
-pub enum What {
+pub enum CalibrateVerb {
     /// Bias, noise, gain, full well and bad pixels from dark and flat frames
     Sensor(sensor::SensorArgs),
     /// PSF and its quality from captures of a point source; patches from several places
@@ -43,9 +43,9 @@ fn experiment_of(path: &Path, captures: &[PathBuf]) -> Result<Experiment> {
 }
 
 pub fn run(args: &CalibrateArgs) -> Result<()> {
-    match &args.what {
-        What::Sensor(args) => sensor::run(args),
-        What::Psf(args) => psf::run(args),
-        What::Timing(args) => timing::run(args),
+    match &args.verb {
+        CalibrateVerb::Sensor(args) => sensor::run(args),
+        CalibrateVerb::Psf(args) => psf::run(args),
+        CalibrateVerb::Timing(args) => timing::run(args),
     }
 }

@@ -73,7 +73,7 @@ impl Lab {
     }
 
     /// The first `part` of the bytes of `from`, as `to`.
-    pub fn cut(&self, from: &str, part: f64, to: &str) {
+    pub fn truncate(&self, from: &str, part: f64, to: &str) {
         let bytes = self.read(from);
         self.write(to, &bytes[..(bytes.len() as f64 * part) as usize]);
     }

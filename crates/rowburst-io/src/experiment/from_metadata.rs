@@ -30,7 +30,7 @@ impl FromMetadata {
 }
 
 /// Part by which measured numbers may differ without a word.
-const SAME: f64 = 0.01;
+const RELATIVE_TOLERANCE: f64 = 0.01;
 
 /// Fills an experiment from metadata.
 pub(super) struct Filling<'a> {
@@ -59,7 +59,7 @@ impl<'a> Filling<'a> {
         in_file: Option<f64>,
         in_metadata: Option<f64>,
     ) -> Option<f64> {
-        let is_same = |a: f64, b: f64| (a - b).abs() <= SAME * b.abs();
+        let is_same = |a: f64, b: f64| (a - b).abs() <= RELATIVE_TOLERANCE * b.abs();
         self.value(
             key,
             in_file,

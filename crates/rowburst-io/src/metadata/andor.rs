@@ -6,7 +6,7 @@ use crate::tiff::Tags;
 use std::path::Path;
 
 /// A text of Solis is a page long.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 
 /// `AndorExposureTime` (4876) and `AndorKineticCycleTime` (4878), in seconds.
 pub(super) fn of_tags(tags: &Tags, source: &str) -> Metadata {
@@ -29,7 +29,7 @@ pub(super) fn beside(path: &Path) -> Metadata {
     let stem = stem_of(path);
     let files = [format!("{stem}.txt"), format!("{stem}_info.txt")];
     let mut files = files.map(|name| folder.join(name)).into_iter();
-    let is_short = |file: &Path| file.metadata().is_ok_and(|m| m.len() <= MOST_BYTES);
+    let is_short = |file: &Path| file.metadata().is_ok_and(|m| m.len() <= MAX_BYTES);
     let Some(file) = files.find(|file| file.is_file() && is_short(file)) else {
         return Metadata::default();
     };

@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 use std::path::Path;
 
 /// Longest `metadata.txt` that is read: some 5 kB an image, so that of 50,000 images.
-const MOST_BYTES: u64 = 1 << 28;
+const MAX_BYTES: u64 = 1 << 28;
 
 /// The record in the tag of an image.
 pub(super) fn of_tag(json: &str, source: &str) -> Metadata {
@@ -35,7 +35,7 @@ pub(super) fn beside(path: &Path) -> Metadata {
         return Metadata::default();
     };
     let name = name_of(&file);
-    if file.metadata().map_or(0, |m| m.len()) > MOST_BYTES {
+    if file.metadata().map_or(0, |m| m.len()) > MAX_BYTES {
         return Metadata::note(format!("{name} is longer than 256 MiB; it is not used"));
     }
     let text = match std::fs::read(&file) {

@@ -8,7 +8,7 @@ mod micro_manager;
 mod ome;
 
 use crate::recording::images_in;
-use crate::source::{Colour, Format, Place, Source};
+use crate::source::{ArrayPath, Colour, Format, Source};
 use crate::{fits, photron, tiff};
 use rowburst::Shutter;
 use rowburst::bayer::Bayer;
@@ -90,13 +90,13 @@ impl Metadata {
 /// What the file of a frame or a stack, the files beside it, or the first file of a folder say.
 /// What stands in the file itself comes before what stands beside it.
 pub fn read_metadata(path: &Path) -> Metadata {
-    let place = Place::of(path);
-    let file = match place.file.is_dir() {
-        true => match images_in(&place.file).map(|names| names.into_iter().next()) {
-            Ok(Some(name)) => place.file.join(name),
+    let array_path = ArrayPath::of(path);
+    let file = match array_path.file.is_dir() {
+        true => match images_in(&array_path.file).map(|names| names.into_iter().next()) {
+            Ok(Some(name)) => array_path.file.join(name),
             _ => return Metadata::default(),
         },
-        false => place.file,
+        false => array_path.file,
     };
     let mut found = match Format::of_name(&file) {
         Some(Format::Tiff) => in_tiff(&file),

@@ -70,11 +70,11 @@ pub(super) fn parse(xml: &str, source: &str) -> Metadata {
 }
 
 /// Names without their namespace, which changes with the version of the schema.
-trait Named {
+trait TagNameExt {
     fn has_tag_name_of(&self, name: &str) -> bool;
 }
 
-impl Named for Node<'_, '_> {
+impl TagNameExt for Node<'_, '_> {
     fn has_tag_name_of(&self, name: &str) -> bool {
         self.is_element() && self.tag_name().name() == name
     }

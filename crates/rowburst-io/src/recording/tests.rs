@@ -1,5 +1,5 @@
 use super::*;
-use crate::{Level, write_npy_image, write_npy_video, write_tiff_video};
+use crate::{SampleFormat, write_npy_image, write_npy_video, write_tiff_video};
 use rowburst::{Image, Shape, Video};
 
 fn order(names: &[&str]) -> Vec<String> {
@@ -63,7 +63,7 @@ fn a_folder_is_read_frame_by_frame() {
     assert_eq!(frames.count(), 4);
     assert_eq!(frames.name(2), "f12.npy");
     assert_eq!(frames.read(2).unwrap().image.data(), [12.0]);
-    assert_eq!(frames.read(0).unwrap().level, Level::Float);
+    assert_eq!(frames.read(0).unwrap().format, SampleFormat::Float);
     let numbers: Vec<u64> = (0..4).map(|i| frames.number(i)).collect();
     assert_eq!(numbers, [0, 1, 9, 17]);
     assert_eq!(gaps(&*frames), [(1, 2, 8), (2, 10, 16)]);

@@ -11,22 +11,22 @@ use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::moments;
 
 /// Half the range of the map, and of the histogram.
-const HALF_MAP: f32 = 4.0;
-const HALF_HISTOGRAM: f64 = 5.0;
+const MAP_LIMIT_SIGMAS: f32 = 4.0;
+const HISTOGRAM_LIMIT_SIGMAS: f64 = 5.0;
 
 /// Draws the map and the histogram.
 pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     let image = input.residual;
     let mut figure = Figure::new(800.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
-    let pixels = plane.coloured(Map::Signed, -HALF_MAP, HALF_MAP);
+    let pixels = plane.coloured(Map::Signed, -MAP_LIMIT_SIGMAS, MAP_LIMIT_SIGMAS);
     let place = put(&mut figure, Rect::new(0.0, 4.0, 340.0, 420.0), pixels);
     figure.rect(place, "axis", "");
     colour_bar(
         &mut figure,
         place,
         Map::Signed,
-        (-HALF_MAP, HALF_MAP),
+        (-MAP_LIMIT_SIGMAS, MAP_LIMIT_SIGMAS),
         "(b − A v)/σ",
     );
     scale_bar(&mut figure, place, image.columns(), input.pixel_pitch_um);
@@ -63,15 +63,15 @@ pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     }
 }
 
-/// Counts of the finite values in equal bins over ±[`HALF_HISTOGRAM`], as densities.
+/// Counts of the finite values in equal bins over ±[`HISTOGRAM_LIMIT_SIGMAS`], as densities.
 fn densities(values: &[f32]) -> Vec<f64> {
     let finite = values.iter().filter(|v| v.is_finite());
     let total = finite.clone().count().max(1) as f64;
     let bins = if total < 1000.0 { 20 } else { 50 };
-    let width = 2.0 * HALF_HISTOGRAM / bins as f64;
+    let width = 2.0 * HISTOGRAM_LIMIT_SIGMAS / bins as f64;
     let mut counts = vec![0.0; bins];
     for &value in finite {
-        let at = (f64::from(value) + HALF_HISTOGRAM) / width;
+        let at = (f64::from(value) + HISTOGRAM_LIMIT_SIGMAS) / width;
         if at >= 0.0 && at < bins as f64 {
             counts[at as usize] += 1.0 / (total * width);
         }
@@ -85,19 +85,23 @@ fn histogram(figure: &mut Figure, place: Rect, values: &[f32]) {
     let top = densities.iter().copied().fold(gaussian(0.0), f64::max);
     let chart = Chart {
         place,
-        x: Axis::linear(-HALF_HISTOGRAM, HALF_HISTOGRAM, "(b − A v)/σ"),
+        x: Axis::linear(
+            -HISTOGRAM_LIMIT_SIGMAS,
+            HISTOGRAM_LIMIT_SIGMAS,
+            "(b − A v)/σ",
+        ),
         y: Axis::linear(0.0, 1.08 * top, "density"),
     };
     chart.frame(figure, Labels::Both);
-    let width = 2.0 * HALF_HISTOGRAM / densities.len() as f64;
+    let width = 2.0 * HISTOGRAM_LIMIT_SIGMAS / densities.len() as f64;
     for (i, &density) in densities.iter().enumerate().filter(|(_, d)| **d > 0.0) {
-        let left = -HALF_HISTOGRAM + i as f64 * width;
+        let left = -HISTOGRAM_LIMIT_SIGMAS + i as f64 * width;
         let ((x, y), (right, bottom)) = (chart.at(left, density), chart.at(left + width, 0.0));
         let bar = Rect::new(x + 0.4, y, right - x - 0.8, bottom - y);
         figure.rect(bar, "bars", "");
     }
     let curve: Vec<(f64, f64)> = (-100..=100)
-        .map(|i| f64::from(i) * HALF_HISTOGRAM / 100.0)
+        .map(|i| f64::from(i) * HISTOGRAM_LIMIT_SIGMAS / 100.0)
         .map(|x| (x, gaussian(x)))
         .collect();
     chart.curve(figure, &curve, "line", "");

@@ -19,7 +19,7 @@ use crate::panel::colour_bar;
 use crate::pixels::{LONGEST_SIDE, Plane};
 
 /// Most voxels that are drawn: some 60 kB of SVG.
-const MOST: usize = 4000;
+const MAX_DRAWN_VOXELS: usize = 4000;
 /// Darkest voxel that is drawn, as a share of the white point.
 const DARKEST: f32 = 0.25;
 /// Angles of the view, `β` and `ε`.
@@ -33,11 +33,11 @@ const OPACITIES: [f64; 3] = [0.4, 0.7, 1.0];
 /// The colours of time need a dark ground, in the light theme too.
 const GROUND: &str = r##"fill="#0e1117""##;
 const BOX: &str = r##"style="stroke:#8b95a3;stroke-opacity:0.45;stroke-width:0.8;fill:none""##;
-const WORDS: &str = "#cfd6df";
+const TEXT_COLOUR: &str = "#cfd6df";
 
 /// Draws the body and the slice, or nothing where the video is dark.
 pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigure> {
-    let bright = BrightVoxels::of(videos.video, DARKEST * videos.high, MOST);
+    let bright = BrightVoxels::of(videos.video, DARKEST * videos.high, MAX_DRAWN_VOXELS);
     if bright.of == 0 {
         return None;
     }
@@ -94,7 +94,7 @@ impl BrightVoxels {
         let is_bright = |v: &f32| v.is_finite() && *v >= darkest;
         let of = video.data().iter().filter(|v| is_bright(v)).count();
         let part = (most as f64 / of.max(1) as f64).min(1.0);
-        let is_drawn = |i: usize| part >= 1.0 || lot(i as u64) < part;
+        let is_drawn = |i: usize| part >= 1.0 || uniform_hash(i as u64) < part;
         let pixels = video.shape().pixels();
         let bins = (0..video.shape().bins).map(|t| {
             let voxels = video.bin(t).iter().copied().enumerate();
@@ -114,7 +114,7 @@ impl BrightVoxels {
 }
 
 /// A number from 0 to 1 for each voxel, the same in every run (the finaliser of SplitMix64).
-fn lot(voxel: u64) -> f64 {
+fn uniform_hash(voxel: u64) -> f64 {
     let mut bits = voxel.wrapping_add(0x9e37_79b9_7f4a_7c15);
     bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -238,27 +238,45 @@ fn axes(figure: &mut Figure, view: &View, input: &ReportInput, video: &Video) {
     let ticks = |axis: &Axis, count| axis.ticks(count).into_iter();
     for (value, text) in ticks(&time, 4) {
         let (at_x, at_y) = view.at(time.fraction(value), 1.0, 1.0);
-        figure.label(at_x + 5.0, at_y + 13.0, Anchor::Start, WORDS, &text);
+        figure.label(at_x + 5.0, at_y + 13.0, Anchor::Start, TEXT_COLOUR, &text);
     }
     let (at_x, at_y) = view.at(0.62, 1.0, 1.0);
-    figure.label(at_x + 22.0, at_y + 32.0, Anchor::Start, WORDS, time.label());
+    figure.label(
+        at_x + 22.0,
+        at_y + 32.0,
+        Anchor::Start,
+        TEXT_COLOUR,
+        time.label(),
+    );
     // A narrow side has no room for numbers.
     if shape.columns > shape.rows / 3 {
         for (value, text) in ticks(&x, 3).skip(1) {
             let (at_x, at_y) = view.at(0.0, 1.0, x.fraction(value));
-            figure.label(at_x - 6.0, at_y + 11.0, Anchor::End, WORDS, &text);
+            figure.label(at_x - 6.0, at_y + 11.0, Anchor::End, TEXT_COLOUR, &text);
         }
     }
     let (at_x, at_y) = view.at(0.0, 1.0, 0.45);
-    figure.label(at_x - 30.0, at_y + 26.0, Anchor::End, WORDS, x.label());
+    figure.label(
+        at_x - 30.0,
+        at_y + 26.0,
+        Anchor::End,
+        TEXT_COLOUR,
+        x.label(),
+    );
     if shape.rows > shape.columns / 3 {
         for (value, text) in ticks(&y, 4) {
             let (at_x, at_y) = view.at(0.0, y.fraction(value), 0.0);
-            figure.label(at_x - 6.0, at_y + 4.0, Anchor::End, WORDS, &text);
+            figure.label(at_x - 6.0, at_y + 4.0, Anchor::End, TEXT_COLOUR, &text);
         }
     }
     let (at_x, at_y) = view.at(0.0, 0.0, 0.0);
-    figure.label(at_x - 6.0, at_y - 14.0, Anchor::Middle, WORDS, y.label());
+    figure.label(
+        at_x - 6.0,
+        at_y - 14.0,
+        Anchor::Middle,
+        TEXT_COLOUR,
+        y.label(),
+    );
 }
 
 /// The axes of time, x and y.
@@ -365,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn many_voxels_are_drawn_by_lot_in_every_bin() {
+    fn dense_videos_are_subsampled_in_every_bin() {
         let mut video = Video::zeros(Shape::new(10, 40, 50));
         video.data_mut().fill(1.0);
         video.data_mut()[3] = 0.1;

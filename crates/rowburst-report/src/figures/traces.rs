@@ -18,7 +18,7 @@ const COLOURS: [&str; 8] = [
     "#2a85c9", "#e0662f", "#1a9b74", "#c563ae", "#c2940b", "#7577d6", "#5f8a1f", "#c0504d",
 ];
 /// Half of a 95 % interval over its standard error.
-const HALF_95: f64 = 1.96;
+const Z_95: f64 = 1.96;
 
 /// Draws the traces, or nothing where there are none.
 pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigure> {
@@ -70,7 +70,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         let pairs = trace.debiased.iter().zip(&trace.standard_error);
         let band: Vec<(f64, f64, f64)> = pairs
             .enumerate()
-            .map(|(t, (v, e))| (time(t), v - HALF_95 * e, v + HALF_95 * e))
+            .map(|(t, (v, e))| (time(t), v - Z_95 * e, v + Z_95 * e))
             .collect();
         let colour = COLOURS[i];
         let fill = format!(r#"style="fill:{colour};fill-opacity:0.28;stroke:none""#);
@@ -145,8 +145,8 @@ fn common_range(traces: &[AnnotatedTrace], truths: Option<&[Vec<f64>]>) -> (f64,
             .iter()
             .zip(&annotated.trace.standard_error);
         for (v, e) in pairs.filter(|(v, e)| v.is_finite() && e.is_finite()) {
-            low = low.min((v - HALF_95 * e).max(least));
-            high = high.max((v + HALF_95 * e).min(most));
+            low = low.min((v - Z_95 * e).max(least));
+            high = high.max((v + Z_95 * e).min(most));
         }
     }
     let margin = 0.04 * (high - low);

@@ -20,7 +20,7 @@ impl File {
         let pages = read_stack(&path)?;
         let count = pages.len();
         let container_end = match count {
-            1 => read_image(&path)?.level.end(),
+            1 => read_image(&path)?.format.saturation_limit(),
             _ => None,
         };
         let name = |page: usize| match count {

@@ -8,7 +8,7 @@ use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
 use rowburst_run::short;
 
 /// What the page shows.
-pub struct Pages<'a> {
+pub struct PsfReportInput<'a> {
     pub args: &'a PsfArgs,
     pub psf: &'a Image,
     pub speckle: &'a SpeckleStatistics,
@@ -18,31 +18,31 @@ pub struct Pages<'a> {
     pub summary: &'a PsfSummary,
 }
 
-pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
-    let summary = pages.summary;
-    let highest = pages.psf.max();
-    let relative = Image::from_fn(pages.psf.rows(), pages.psf.columns(), |y, x| {
-        pages.psf.at(y, x) / highest
+pub fn render(input: &PsfReportInput, patches: bool) -> Result<Report> {
+    let summary = input.summary;
+    let highest = input.psf.max();
+    let relative = Image::from_fn(input.psf.rows(), input.psf.columns(), |y, x| {
+        input.psf.at(y, x) / highest
     });
-    let sensor_rows: Vec<f64> = (0..pages.reach.map.columns()).map(|r| r as f64).collect();
+    let sensor_rows: Vec<f64> = (0..input.reach.map.columns()).map(|r| r as f64).collect();
     let mut sections = vec![
         (
             "PSF",
             vec![
                 psf_map(&relative),
-                histogram(pages.speckle),
-                grain(pages.speckle),
+                histogram(input.speckle),
+                grain(input.speckle),
             ],
         ),
-        ("Reach", vec![reach(pages, &sensor_rows)]),
+        ("Reach", vec![reach(input, &sensor_rows)]),
     ];
-    if let Some((effect, positions)) = pages.effect {
+    if let Some((effect, positions)) = input.effect {
         sections.push((
             "Memory effect",
             vec![memory(effect), shifts(effect, positions)],
         ));
     }
-    let command = command_line(pages.args);
+    let command = command_line(input.args);
     let mut files = vec![
         ("psf.npy", "the PSF, float32, sums to 1"),
         ("psf.json", "the numbers, for programs"),
@@ -54,7 +54,7 @@ pub fn render(pages: &Pages, patches: bool) -> Result<Report> {
         ));
         files.push(("psf-patches.npy", "its PSFs, float32 [patch, y, x]"));
     }
-    if pages.args.experiment.is_some() {
+    if input.args.experiment.is_some() {
         files.push(("experiment.toml", "the experiment with this PSF"));
     }
     let files = files
@@ -260,19 +260,19 @@ fn grain(speckle: &SpeckleStatistics) -> Drawing<'static> {
     }
 }
 
-fn reach<'a>(pages: &'a Pages, sensor_rows: &'a [f64]) -> Drawing<'a> {
-    let summary = &pages.summary.row_reach;
+fn reach<'a>(input: &'a PsfReportInput, sensor_rows: &'a [f64]) -> Drawing<'a> {
+    let summary = &input.summary.row_reach;
     Drawing {
         name: "reach",
         plot: Plot::Grid {
-            image: &pages.reach.map,
+            image: &input.reach.map,
             quantity: (
                 "light over mean",
                 0.0,
-                pages.reach.map.max().clamp(1.5, 4.0),
+                input.reach.map.max().clamp(1.5, 4.0),
             ),
             x: ("sensor row", sensor_rows),
-            y: ("source at sensor row", &pages.reach.source_rows),
+            y: ("source at sensor row", &input.reach.source_rows),
         },
         caption: format!(
             "Light of each part of the field on each sensor row, relative to its mean over the rows. Good: no black corner. Light of the bottom must reach the top row and the other way round: there it is {}{}, {} are needed.",

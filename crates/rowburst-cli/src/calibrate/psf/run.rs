@@ -2,7 +2,7 @@
 
 use super::PsfArgs;
 use super::captures::{self, File};
-use super::report::{Pages, render};
+use super::report::{PsfReportInput, render};
 use super::summary::{MemorySummary, PsfSummary, RowReach, remarks, warnings};
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
@@ -153,7 +153,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     for remark in &summary.remarks {
         eprintln!("note: {remark}");
     }
-    let pages = Pages {
+    let input = PsfReportInput {
         args,
         psf: psf.image(),
         speckle: &speckle,
@@ -161,7 +161,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         effect: effect.as_ref().zip(positions.as_deref()),
         summary: &summary,
     };
-    write(&folder, &pages, experiment, patches.as_ref())?;
+    write(&folder, &input, experiment, patches.as_ref())?;
     if args.json {
         print_line(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
     } else {
@@ -288,14 +288,14 @@ fn saturated_captures(
 /// Writes all files, `psf.json` last: where it is, the result is whole.
 fn write(
     folder: &OutputFolder,
-    pages: &Pages,
+    input: &PsfReportInput,
     experiment: Option<Experiment>,
     patches: Option<&PatchSet>,
 ) -> Result<()> {
     for stale in ["psf.json", "psf-patches.toml", "psf-patches.npy"] {
         folder.remove(stale)?;
     }
-    folder.write("psf.npy", |w| write_npy_image(w, pages.psf))?;
+    folder.write("psf.npy", |w| write_npy_image(w, input.psf))?;
     if let Some(set) = patches {
         write_patch_set(folder, "psf-patches", set)?;
     }
@@ -307,23 +307,23 @@ fn write(
             "psf.npy"
         };
         experiment.calibration.psf = Some(folder.path().join(file));
-        if pages.args.dark.is_some() {
-            experiment.calibration.dark.clone_from(&pages.args.dark);
+        if input.args.dark.is_some() {
+            experiment.calibration.dark.clone_from(&input.args.dark);
         }
-        experiment.params.sensor.binning = pages.summary.binning;
-        if let Some(field) = pages.args.field {
+        experiment.params.sensor.binning = input.summary.binning;
+        if let Some(field) = input.args.field {
             experiment.params.field = Some(field);
         }
         experiment.camera()?;
         let toml = experiment.to_toml(folder.path());
         folder.write_bytes("experiment.toml", toml.as_bytes())?;
     }
-    let report = render(pages, patches.is_some())?;
+    let report = render(input, patches.is_some())?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
     }
     folder.write_bytes("report.html", report.html.as_bytes())?;
-    let json = serde_json::to_string_pretty(pages.summary).expect("plain numbers and text");
+    let json = serde_json::to_string_pretty(input.summary).expect("plain numbers and text");
     folder.write_bytes("psf.json", format!("{json}\n").as_bytes())
 }
 

@@ -101,11 +101,11 @@ impl MemorySummary {
 }
 
 /// Below this contrast the source is not a point or not of one colour.
-const LEAST_CONTRAST: f64 = 0.6;
+const MIN_CONTRAST: f64 = 0.6;
 /// Part of saturated pixels that is warned of.
-const MOST_SATURATED: f64 = 1e-3;
+const MAX_SATURATED_FRACTION: f64 = 1e-3;
 /// Part of ballistic light that is warned of.
-const MOST_BALLISTIC: f64 = 0.01;
+const MAX_BALLISTIC_FRACTION: f64 = 0.01;
 
 /// What the user must know before using the PSF.
 pub fn warnings(
@@ -119,19 +119,19 @@ pub fn warnings(
     for (name, correlation) in &light.left_out {
         warnings.push(format!("{name} was left out: it shows another pattern than the other captures (correlation {correlation:.2}); check that nothing moved, or leave it out for good"));
     }
-    if let Some(core) = core.filter(|c| c.fraction > MOST_BALLISTIC) {
+    if let Some(core) = core.filter(|c| c.fraction > MAX_BALLISTIC_FRACTION) {
         warnings.push(format!(
             "ballistic light: at least {:.1} % of it lies in a core of {:.0} px around row {:.0}, column {:.0} that the diffuser does not scatter; take a stronger diffuser or two in a row",
             100.0 * core.fraction, 2.0 * core.radius_px, core.at_px.0, core.at_px.1
         ));
     }
-    if light.saturated_fraction > MOST_SATURATED {
+    if light.saturated_fraction > MAX_SATURATED_FRACTION {
         warnings.push(format!(
             "{:.2} % of the pixels are saturated: bright grains are cut off, and contrast and PSF are too low there; shorten the exposure, or add shorter ones with --exposures-ms",
             100.0 * light.saturated_fraction
         ));
     }
-    if speckle.contrast < LEAST_CONTRAST {
+    if speckle.contrast < MIN_CONTRAST {
         warnings.push(format!(
             "the speckle contrast is {:.2} (a point source of one colour gives 0.9 to 1): the source is extended, or the light is broadband; take a smaller pinhole or a spectral filter, and check that nothing vibrates",
             speckle.contrast

@@ -344,7 +344,7 @@ fn rows(calibration: &SensorCalibration) -> Plot<'static> {
 }
 
 /// Longest side of the picture of bad pixels: single ones must stay visible.
-const SPOTS: usize = 130;
+const MAX_MAP_SIDE: usize = 130;
 
 /// Side of a spot of that picture, in pixels.
 fn spot_px(calibration: &SensorCalibration) -> usize {
@@ -352,7 +352,7 @@ fn spot_px(calibration: &SensorCalibration) -> usize {
         .dark
         .rows()
         .max(calibration.dark.columns())
-        .div_ceil(SPOTS)
+        .div_ceil(MAX_MAP_SIDE)
 }
 
 /// Bad pixels counted in spots of `spot` × `spot`.

@@ -44,7 +44,7 @@ impl TimingInputs {
         let (mut frames, mut end) = (Vec::new(), None);
         for path in &args.frames {
             let capture = read_colour_image(path)?;
-            end = capture.level.end().or(end);
+            end = capture.format.saturation_limit().or(end);
             frames.push(capture.image);
         }
         let extra = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {

@@ -4,7 +4,7 @@ use rowburst::{Result, TimeGrid, Video};
 
 /// What `video.mp4` shows beside the video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Film {
+pub enum MovieStyle {
     /// The time of each bin in µs, in a strip below the picture.
     Stamped,
     /// Nothing.
@@ -13,22 +13,26 @@ pub enum Film {
 
 /// The video as MP4; `None` in a build without the feature `mp4`.
 #[cfg(feature = "mp4")]
-pub(crate) fn encoded(video: &Video, time: &TimeGrid, film: Film) -> Result<Option<Vec<u8>>> {
+pub(crate) fn encode_movie(
+    video: &Video,
+    time: &TimeGrid,
+    movie: MovieStyle,
+) -> Result<Option<Vec<u8>>> {
     let mut mp4 = Vec::new();
     let stamp = |bin: usize, width: usize, height: usize| {
         rowburst_report::render_text(&bin_time(time, bin), width, height)
     };
-    let strip: Option<&rowburst_io::Strip> = match film {
-        Film::Stamped => Some(&stamp),
-        Film::Plain => None,
+    let renderer: Option<&rowburst_io::StampRenderer> = match movie {
+        MovieStyle::Stamped => Some(&stamp),
+        MovieStyle::Plain => None,
     };
-    rowburst_io::write_mp4(&mut mp4, video, strip)?;
+    rowburst_io::write_mp4(&mut mp4, video, renderer)?;
     Ok(Some(mp4))
 }
 
 /// The video as MP4; `None` in a build without the feature `mp4`.
 #[cfg(not(feature = "mp4"))]
-pub(crate) fn encoded(_: &Video, _: &TimeGrid, _: Film) -> Result<Option<Vec<u8>>> {
+pub(crate) fn encode_movie(_: &Video, _: &TimeGrid, _: MovieStyle) -> Result<Option<Vec<u8>>> {
     Ok(None)
 }
 
