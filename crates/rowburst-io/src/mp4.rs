@@ -106,7 +106,7 @@ struct Scaler {
     /// and repeated this often along both sides.
     repeat: usize,
     /// Rows and columns that are taken.
-    taken: (usize, usize),
+    sampled: (usize, usize),
     /// Voxel value to luma above black.
     gain: f32,
 }
@@ -116,15 +116,15 @@ impl Scaler {
         let shape = video.shape();
         let long = shape.rows.max(shape.columns);
         let thin = long.div_ceil(LONG_SIDE);
-        let taken = (shape.rows.div_ceil(thin), shape.columns.div_ceil(thin));
-        let (long, short) = (taken.0.max(taken.1), taken.0.min(taken.1));
+        let sampled = (shape.rows.div_ceil(thin), shape.columns.div_ceil(thin));
+        let (long, short) = (sampled.0.max(sampled.1), sampled.0.min(sampled.1));
         let repeat = SHORT_SIDE.div_ceil(short).min(LONG_SIDE / long).max(1);
         let white = white(video.data());
         let gain = if white > 0.0 { 219.0 / white } else { 0.0 };
         Self {
             thin,
             repeat,
-            taken,
+            sampled,
             gain,
         }
     }
@@ -182,8 +182,8 @@ struct Picture {
 
 impl Picture {
     fn new(scaler: &Scaler, has_stamp: bool) -> Self {
-        let side = |taken: usize| (taken * scaler.repeat).max(MIN_SIDE).next_multiple_of(2);
-        let (height, width) = (side(scaler.taken.0), side(scaler.taken.1));
+        let side = |sampled: usize| (sampled * scaler.repeat).max(MIN_SIDE).next_multiple_of(2);
+        let (height, width) = (side(scaler.sampled.0), side(scaler.sampled.1));
         let stamp_height = match has_stamp && width >= MIN_STAMP_WIDTH {
             true => ((width as f64 * STAMP_HEIGHT_RATIO) as usize)
                 .max(MIN_STAMP_HEIGHT)

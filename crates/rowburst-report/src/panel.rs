@@ -22,20 +22,20 @@ pub(crate) fn fit(available: Rect, grid: f64, rows: usize, columns: usize) -> Re
     Rect::new(snap(x), snap(available.y), snap(width), snap(height))
 }
 
-/// Draws a vertical colour bar right of `beside`, from `low` (below) to `high` (above),
+/// Draws a vertical colour bar right of `picture`, from `low` (below) to `high` (above),
 /// and the name of the quantity above it.
 pub(crate) fn colour_bar(
     figure: &mut Figure,
-    beside: Rect,
+    picture: Rect,
     map: Map,
     (low, high): (f32, f32),
     unit: &str,
 ) {
     // The numbers, and the name of the quantity, need room beside low pictures too.
-    let height = beside
+    let height = picture
         .height
         .max(if unit.is_empty() { 80.0 } else { 112.0 });
-    let bar = Rect::new(beside.right() + 10.0, beside.y, 10.0, height);
+    let bar = Rect::new(picture.right() + 10.0, picture.y, 10.0, height);
     let ramp: Vec<f32> = (0..128).rev().map(|i| i as f32).collect();
     let ramp = Plane::reduced(128, 1, &ramp, 128).coloured(map, 0.0, 127.0);
     figure.raster(bar, ramp);

@@ -245,8 +245,8 @@ fn pixel_variances(image: &Image, camera: &Camera, block_side: usize) -> Option<
     let read = sensor.read_noise_electrons?;
     let rounding = sensor.bit_depth.map_or(0.0, |_| ROUNDING_VARIANCE);
     let raw_pixels = (block_side * block_side) as f64;
-    let floor = (read * read / (gain * gain) + rounding) / raw_pixels;
-    Some(vec![(1.0 / (gain * raw_pixels), floor); image.data().len()])
+    let dark_variance = (read * read / (gain * gain) + rounding) / raw_pixels;
+    Some(vec![(1.0 / (gain * raw_pixels), dark_variance); image.data().len()])
 }
 
 fn divide_by_response(
@@ -278,8 +278,8 @@ fn divide_by_response(
         .zip(&gain)
         .for_each(|(p, g)| *p = (f64::from(*p) * g) as f32);
     if let Some(variances) = variances {
-        for ((slope, floor), g) in variances.iter_mut().zip(&gain) {
-            (*slope, *floor) = (*slope * g, *floor * g * g);
+        for ((slope, dark_variance), g) in variances.iter_mut().zip(&gain) {
+            (*slope, *dark_variance) = (*slope * g, *dark_variance * g * g);
         }
     }
     Ok(())
@@ -298,10 +298,10 @@ fn finish(
     let mut binned = Image::zeros(rows, columns);
     let mut counts = vec![0.0f64; rows * columns];
     let mut slope = vec![0.0f32; rows * columns];
-    let mut floor = vec![f32::INFINITY; rows * columns];
+    let mut dark_variance = vec![f32::INFINITY; rows * columns];
     for y in 0..rows {
         for x in 0..columns {
-            let (mut sum, mut count, mut slopes, mut floors) = (0.0, 0.0, 0.0, 0.0);
+            let (mut sum, mut count, mut slopes, mut dark_variances) = (0.0, 0.0, 0.0, 0.0);
             for at in (0..binning * binning)
                 .map(|i| (y * binning + i / binning) * image.columns() + x * binning + i % binning)
             {
@@ -310,7 +310,7 @@ fn finish(
                     count += 1.0;
                     if let Some(variances) = &variances {
                         slopes += variances[at].0;
-                        floors += variances[at].1;
+                        dark_variances += variances[at].1;
                     }
                 }
             }
@@ -320,11 +320,11 @@ fn finish(
                 binned.data_mut()[block] = (sum / count) as f32;
                 // The mean of `count` pixels has the mean of their variances over `count`.
                 slope[block] = (slopes / (count * count)) as f32;
-                floor[block] = (floors / (count * count)) as f32;
+                dark_variance[block] = (dark_variances / (count * count)) as f32;
             }
         }
     }
-    let noise = variances.map(|_| NoiseModel::new(slope, floor, binned.data()));
+    let noise = variances.map(|_| NoiseModel::new(slope, dark_variance, binned.data()));
     let weights = match &noise {
         // The counts stand for the light until a model of it is there.
         Some(noise) => Some(noise.weights(binned.data())),

@@ -88,7 +88,7 @@ impl Case {
     }
 
     /// Frame, σ of the reconstruction and video of a noise seed.
-    fn solved(&self, seed: u64) -> (Measurement, f64, Video) {
+    fn reconstructed(&self, seed: u64) -> (Measurement, f64, Video) {
         let noise = Noise::Gaussian { snr: 256.0 };
         let recorded = noise
             .apply(&self.noiseless, self.camera.sensor(), seed)
@@ -117,7 +117,7 @@ impl Case {
         ];
         let (mut before, mut after) = (0.0, 0.0);
         for seed in 1..=seeds {
-            let (measurement, sigma, video) = self.solved(seed);
+            let (measurement, sigma, video) = self.reconstructed(seed);
             let refit = Refit::new(RefitInput {
                 operator: &operator,
                 measured: measurement.image().data(),
@@ -160,14 +160,14 @@ fn whole(truth: &Video, t: usize, y: usize, x: usize) -> Region {
     let shape = truth.shape();
     let near = Region::centred_at(y, x, 17, shape);
     let bin = truth.bin(t);
-    let lit: Vec<(usize, usize)> = near
+    let active: Vec<(usize, usize)> = near
         .indices(shape.columns)
         .filter(|&i| bin[i] > 0.01)
         .map(|i| (i / shape.columns, i % shape.columns))
         .collect();
     let range = |of: fn(&(usize, usize)) -> usize, at: usize| {
-        let first = lit.iter().map(of).min().unwrap_or(at);
-        (first, lit.iter().map(of).max().unwrap_or(at) + 1 - first)
+        let first = active.iter().map(of).min().unwrap_or(at);
+        (first, active.iter().map(of).max().unwrap_or(at) + 1 - first)
     };
     let ((y, rows), (x, columns)) = (range(|p| p.0, y), range(|p| p.1, x));
     Region {
@@ -234,7 +234,7 @@ fn intervals_hold_the_truth_over_200_seeds() {
 #[test]
 fn leds_have_their_amplitudes_and_frequencies() {
     let case = Case::leds(48);
-    let (measurement, sigma, video) = case.solved(1);
+    let (measurement, sigma, video) = case.reconstructed(1);
     let operator = RollingShutter::new(&case.camera, &case.psf);
     let input = RefitInput {
         operator: &operator,
@@ -279,7 +279,7 @@ fn leds_have_their_amplitudes_and_frequencies() {
 #[test]
 fn errors_have_the_units_of_the_video() {
     let case = Case::digits(32, 6);
-    let (measurement, sigma, video) = case.solved(1);
+    let (measurement, sigma, video) = case.reconstructed(1);
     let operator = RollingShutter::new(&case.camera, &case.psf);
     let errors = |by: f32| {
         let times = |values: &[f32]| values.iter().map(|v| by * v).collect::<Vec<f32>>();
@@ -315,7 +315,7 @@ fn errors_have_the_units_of_the_video() {
 #[test]
 fn pixels_of_weight_zero_have_no_say() {
     let case = Case::digits(32, 6);
-    let (measurement, sigma, video) = case.solved(1);
+    let (measurement, sigma, video) = case.reconstructed(1);
     let operator = RollingShutter::new(&case.camera, &case.psf);
     let weights: Vec<f32> = (0..32 * 32)
         .map(|i| if i % 17 == 0 { 0.0 } else { 1.0 })
@@ -341,7 +341,7 @@ fn pixels_of_weight_zero_have_no_say() {
 
 #[test]
 fn exposures_of_several_rows_are_refused() {
-    let case = Case::new(24, 20, 24.0, |shape| Video::zeros(shape).lit());
+    let case = Case::new(24, 20, 24.0, |shape| Video::zeros(shape).with_one_voxel());
     let operator = RollingShutter::new(&case.camera, &case.psf);
     let input = RefitInput {
         operator: &operator,
@@ -354,13 +354,13 @@ fn exposures_of_several_rows_are_refused() {
     assert!(error.contains("one row time"), "{error}");
 }
 
-trait Lit {
-    fn lit(self) -> Self;
+/// A video with one voxel of 1.
+trait WithOneVoxel {
+    fn with_one_voxel(self) -> Self;
 }
 
-impl Lit for Video {
-    /// One voxel of 1.
-    fn lit(mut self) -> Self {
+impl WithOneVoxel for Video {
+    fn with_one_voxel(mut self) -> Self {
         self.data_mut()[0] = 1.0;
         self
     }

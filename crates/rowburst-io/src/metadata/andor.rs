@@ -24,7 +24,7 @@ pub(super) fn of_tags(tags: &Tags, source: &str) -> Metadata {
 }
 
 /// The text `NAME.txt` or `NAME_info.txt` beside an exported file.
-pub(super) fn beside(path: &Path) -> Metadata {
+pub(super) fn sidecar(path: &Path) -> Metadata {
     let folder = path.parent().unwrap_or(Path::new(""));
     let stem = stem_of(path);
     let files = [format!("{stem}.txt"), format!("{stem}_info.txt")];

@@ -21,7 +21,7 @@ pub(super) fn of_tag(json: &str, source: &str) -> Metadata {
 }
 
 /// The record of the image `path` in `metadata.txt` or `NAME_metadata.txt` beside it.
-pub(super) fn beside(path: &Path) -> Metadata {
+pub(super) fn sidecar(path: &Path) -> Metadata {
     let folder = path.parent().unwrap_or(Path::new(""));
     let names = [
         format!("{}_metadata.txt", stem_of(path)),

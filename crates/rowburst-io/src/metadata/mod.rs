@@ -104,8 +104,8 @@ pub fn read_metadata(path: &Path) -> Metadata {
         Some(Format::Photron) => in_photron(&file),
         _ => Metadata::default(),
     };
-    found.fill(micro_manager::beside(&file));
-    found.fill(andor::beside(&file));
+    found.fill(micro_manager::sidecar(&file));
+    found.fill(andor::sidecar(&file));
     found
 }
 

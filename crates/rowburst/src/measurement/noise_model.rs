@@ -1,16 +1,16 @@
 //! How the noise of a pixel follows its light.
 
 /// Shot, read and rounding noise of every pixel of a measurement:
-/// `variance = slope·light + floor`, light and noise in counts.
+/// `variance = slope·light + dark_variance`, light and noise in counts.
 ///
 /// With the weights of the light that a model expects, `½‖W(b − A v)‖²` has the gradient of
 /// the likelihood of a Poisson count with the floor's variance added to it (shifted Poisson;
-/// Snyder, Hammoud & White 1993): `Aᵀ(b − A v)/(slope·A v + floor)`. Following the light
+/// Snyder, Hammoud & White 1993): `Aᵀ(b − A v)/(slope·A v + dark_variance)`. Following the light
 /// is Fisher scoring of that likelihood (iteratively reweighted least squares).
 #[derive(Debug, Clone, PartialEq)]
 pub struct NoiseModel {
     slope: Vec<f32>,
-    floor: Vec<f32>,
+    dark_variance: Vec<f32>,
     reference: f64,
 }
 
@@ -21,11 +21,11 @@ impl NoiseModel {
     ///
     /// # Panics
     /// If the lengths differ.
-    pub fn new(slope: Vec<f32>, floor: Vec<f32>, light: &[f32]) -> Self {
-        assert_eq!(slope.len(), floor.len(), "a floor for each slope");
+    pub fn new(slope: Vec<f32>, dark_variance: Vec<f32>, light: &[f32]) -> Self {
+        assert_eq!(slope.len(), dark_variance.len(), "a floor for each slope");
         let mut model = Self {
             slope,
-            floor,
+            dark_variance,
             reference: 1.0,
         };
         let mut known: Vec<f64> = model
@@ -46,7 +46,7 @@ impl NoiseModel {
     pub(super) fn picked(&self, pick: impl Fn(&[f32]) -> Vec<f32>) -> Self {
         Self {
             slope: pick(&self.slope),
-            floor: pick(&self.floor),
+            dark_variance: pick(&self.dark_variance),
             reference: self.reference,
         }
     }
@@ -70,9 +70,9 @@ impl NoiseModel {
     /// counts of an electron.
     fn variances<'a>(&'a self, light: &'a [f32]) -> impl Iterator<Item = f64> + 'a {
         assert_eq!(light.len(), self.slope.len(), "light of every pixel");
-        let laws = self.slope.iter().zip(&self.floor);
-        laws.zip(light).map(|((&slope, &floor), &light)| {
-            f64::from(slope) * f64::from(light.max(slope)) + f64::from(floor)
+        let laws = self.slope.iter().zip(&self.dark_variance);
+        laws.zip(light).map(|((&slope, &dark_variance), &light)| {
+            f64::from(slope) * f64::from(light.max(slope)) + f64::from(dark_variance)
         })
     }
 }

@@ -64,12 +64,12 @@ const TRUSTED: f64 = 0.35;
 /// Fewer than three captures, two at one place, and captures of which none but the
 /// reference shows its pattern, so that no shift can be measured.
 pub fn memory_effect(captures: &[PositionedCapture], grain: f64) -> Result<MemoryEffect> {
-    let places: Vec<(f64, f64)> = captures.iter().map(|c| c.at_mm).collect();
-    check(&places)?;
-    let reference = middle(&places);
-    let delta: Vec<(f64, f64)> = places
+    let positions: Vec<(f64, f64)> = captures.iter().map(|c| c.at_mm).collect();
+    check(&positions)?;
+    let reference = middle(&positions);
+    let delta: Vec<(f64, f64)> = positions
         .iter()
-        .map(|p| (p.0 - places[reference].0, p.1 - places[reference].1))
+        .map(|p| (p.0 - positions[reference].0, p.1 - positions[reference].1))
         .collect();
     let flat: Vec<Image> = captures
         .par_iter()
@@ -143,17 +143,17 @@ impl MemoryEffect {
     }
 }
 
-fn check(places: &[(f64, f64)]) -> Result<()> {
-    if places.len() < 3 {
+fn check(positions: &[(f64, f64)]) -> Result<()> {
+    if positions.len() < 3 {
         return Err(Error::input(
             "--positions-mm",
-            format!("{} places", places.len()),
-            "a curve of correlation against distance needs captures at three places or more",
+            format!("{} positions", positions.len()),
+            "a curve of correlation against distance needs captures at three positions or more",
             "Record captures in steps well below the isoplanatic range, or leave --positions-mm out.",
         ));
     }
-    for (i, a) in places.iter().enumerate() {
-        if let Some(j) = places[..i].iter().position(|b| b == a) {
+    for (i, a) in positions.iter().enumerate() {
+        if let Some(j) = positions[..i].iter().position(|b| b == a) {
             return Err(Error::input(
                 "--positions-mm",
                 format!(
@@ -163,8 +163,8 @@ fn check(places: &[(f64, f64)]) -> Result<()> {
                     a.1,
                     a.0
                 ),
-                "each capture has a place of its own",
-                "Check the file, or join captures of one place to one multi-page file.",
+                "each capture has its own position",
+                "Check the file, or join captures of one position into one multi-page file.",
             ));
         }
     }
@@ -172,14 +172,14 @@ fn check(places: &[(f64, f64)]) -> Result<()> {
 }
 
 /// The place nearest to the middle of the box around all.
-fn middle(places: &[(f64, f64)]) -> usize {
+fn middle(positions: &[(f64, f64)]) -> usize {
     let mid = |of: fn(&(f64, f64)) -> f64| {
-        let values = || places.iter().map(of);
+        let values = || positions.iter().map(of);
         0.5 * (values().fold(f64::INFINITY, f64::min) + values().fold(f64::NEG_INFINITY, f64::max))
     };
     let (y, x) = (mid(|p| p.0), mid(|p| p.1));
-    let distance = |i: &usize| (places[*i].0 - y).hypot(places[*i].1 - x);
-    let nearest = (0..places.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let distance = |i: &usize| (positions[*i].0 - y).hypot(positions[*i].1 - x);
+    let nearest = (0..positions.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
     nearest.expect("there are places")
 }
 
@@ -267,8 +267,8 @@ fn fit(
         if used.len() < 2 {
             return Err(Error::input(
                 "captures",
-                "no capture that shows the pattern of the one nearest the middle",
-                format!("the shift per millimetre needs some with a correlation above {TRUSTED}"),
+                "no capture that shows the same pattern as the one nearest the middle",
+                format!("the shift per millimetre needs captures with a correlation above {TRUSTED}"),
                 "Record the source in smaller steps around the middle, and check that --positions-mm names the right captures.",
             ));
         }

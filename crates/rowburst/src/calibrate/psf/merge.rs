@@ -293,7 +293,7 @@ fn agreeing(shots: &[NamedCapture], rates: &[Rate]) -> Result<AgreeingCaptures> 
                 format!(
                     "captures that are averaged show one pattern: a correlation above {SAME_PATTERN}"
                 ),
-                "Fix source, diffuser and camera; if the source was moved on purpose, give the places with --positions-mm.",
+                "Fix source, diffuser and camera; if the source was moved on purpose, give the positions with --positions-mm.",
             ));
         }
         kept = all

@@ -92,19 +92,19 @@ fn lost(light: &Image, (dy, dx): (f64, f64)) -> (f64, f64) {
 /// Of places whose geometric image lies farther outside a `field` of `(rows, columns)`
 /// pixels than the spacing none is taken: the field's edge has nearer ones.
 pub fn select_patches(
-    places: &[(f64, f64)],
+    positions: &[(f64, f64)],
     effect: &MemoryEffect,
     field: Option<(usize, usize)>,
 ) -> Vec<usize> {
     let inside = |&i: &usize| {
-        let (y, x) = offset(places, effect, i);
+        let (y, x) = offset(positions, effect, i);
         let reach = effect.spacing_mm * effect.shift_px_per_mm;
         field.is_none_or(|(rows, columns)| {
             y.abs() <= rows as f64 / 2.0 + reach && x.abs() <= columns as f64 / 2.0 + reach
         })
     };
-    let candidates: Vec<usize> = (0..places.len()).filter(inside).collect();
-    let of_candidates: Vec<(f64, f64)> = candidates.iter().map(|&i| places[i]).collect();
+    let candidates: Vec<usize> = (0..positions.len()).filter(inside).collect();
+    let of_candidates: Vec<(f64, f64)> = candidates.iter().map(|&i| positions[i]).collect();
     let reference = candidates.iter().position(|&i| i == effect.reference);
     let reference = reference.expect("the reference lies in the middle of the field");
     let kept = covering(&of_candidates, reference, effect.spacing_mm);
@@ -112,37 +112,37 @@ pub fn select_patches(
 }
 
 /// Offset of a place's geometric image from the reference's, in pixels.
-fn offset(places: &[(f64, f64)], effect: &MemoryEffect, i: usize) -> (f64, f64) {
-    let (p, reference) = (places[i], places[effect.reference]);
+fn offset(positions: &[(f64, f64)], effect: &MemoryEffect, i: usize) -> (f64, f64) {
+    let (p, reference) = (positions[i], positions[effect.reference]);
     effect.predicted_px((p.0 - reference.0, p.1 - reference.1))
 }
 
-fn covering(places: &[(f64, f64)], reference: usize, spacing_mm: f64) -> Vec<usize> {
+fn covering(positions: &[(f64, f64)], reference: usize, spacing_mm: f64) -> Vec<usize> {
     let lines = |of: fn(&(f64, f64)) -> f64| {
-        let mut values: Vec<f64> = places.iter().map(of).collect();
+        let mut values: Vec<f64> = positions.iter().map(of).collect();
         values.sort_by(f64::total_cmp);
         values.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
         values
     };
     let (rows, columns) = (lines(|p| p.0), lines(|p| p.1));
-    if rows.len() * columns.len() == places.len() {
-        let keep_y = thin_lines(&rows, places[reference].0, spacing_mm);
-        let keep_x = thin_lines(&columns, places[reference].1, spacing_mm);
+    if rows.len() * columns.len() == positions.len() {
+        let keep_y = thin_lines(&rows, positions[reference].0, spacing_mm);
+        let keep_x = thin_lines(&columns, positions[reference].1, spacing_mm);
         let on = |lines: &[f64], v: f64| lines.iter().any(|l| (l - v).abs() < 1e-6);
-        return (0..places.len())
-            .filter(|&i| on(&keep_y, places[i].0) && on(&keep_x, places[i].1))
+        return (0..positions.len())
+            .filter(|&i| on(&keep_y, positions[i].0) && on(&keep_x, positions[i].1))
             .collect();
     }
     let distance = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).hypot(a.1 - b.1);
-    let mut order: Vec<usize> = (0..places.len()).collect();
-    let from_middle = |i: &usize| distance(places[*i], places[reference]);
+    let mut order: Vec<usize> = (0..positions.len()).collect();
+    let from_middle = |i: &usize| distance(positions[*i], positions[reference]);
     order.sort_by(|a, b| from_middle(a).total_cmp(&from_middle(b)));
     let mut kept: Vec<usize> = Vec::new();
     for i in order {
         // Covering circles overlap: three quarters keep neighbours within the spacing.
         if kept
             .iter()
-            .all(|&k| distance(places[i], places[k]) > 0.75 * spacing_mm)
+            .all(|&k| distance(positions[i], positions[k]) > 0.75 * spacing_mm)
         {
             kept.push(i);
         }
@@ -173,10 +173,10 @@ fn thin_lines(lines: &[f64], start: f64, spacing: f64) -> Vec<f64> {
     kept
 }
 
-/// Extent `(rows, columns)` in pixels that the geometric images of `places` span.
-pub fn span_px(places: &[(f64, f64)], effect: &MemoryEffect) -> (f64, f64) {
-    let offsets: Vec<(f64, f64)> = (0..places.len())
-        .map(|i| offset(places, effect, i))
+/// Extent `(rows, columns)` in pixels that the geometric images of `positions` span.
+pub fn span_px(positions: &[(f64, f64)], effect: &MemoryEffect) -> (f64, f64) {
+    let offsets: Vec<(f64, f64)> = (0..positions.len())
+        .map(|i| offset(positions, effect, i))
         .collect();
     let span = |of: fn(&(f64, f64)) -> f64| {
         let values = || offsets.iter().map(of);
@@ -194,7 +194,7 @@ pub fn patches_needed(effect: &MemoryEffect, field: (f64, f64)) -> (usize, usize
     (count(field.0), count(field.1))
 }
 
-/// The patch set of the captures `kept`: lights at `places`, in which the reference's
+/// The patch set of the captures `kept`: lights at `positions`, in which the reference's
 /// zero displacement lies at `middle` (pixels of the capture).
 ///
 /// Each is moved back by the shift of the *linear map*, not by its own: then zero
@@ -205,12 +205,12 @@ pub fn patches_needed(effect: &MemoryEffect, field: (f64, f64)) -> (usize, usize
 /// A picture without light.
 pub fn patch_set(
     lights: &[Image],
-    places: &[(f64, f64)],
+    positions: &[(f64, f64)],
     effect: &MemoryEffect,
     kept: &[usize],
     middle: (f64, f64),
 ) -> Result<PatchSet> {
-    let offsets: Vec<(f64, f64)> = kept.iter().map(|&i| offset(places, effect, i)).collect();
+    let offsets: Vec<(f64, f64)> = kept.iter().map(|&i| offset(positions, effect, i)).collect();
     let moves: Vec<(f64, f64)> = offsets
         .iter()
         .map(|o| {

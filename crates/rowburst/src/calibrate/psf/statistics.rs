@@ -101,49 +101,49 @@ fn high(envelope: &Image) -> f32 {
 /// Intensity over local mean in the lit region.
 struct NormalisedSpeckle {
     values: Image,
-    lit: Image,
+    illuminated: Image,
     mean: f64,
 }
 
 impl NormalisedSpeckle {
     fn new(light: &Image, envelope: &Image) -> Self {
         let least = MIN_RELATIVE_ENVELOPE as f32 * high(envelope);
-        let lit = Image::from_fn(light.rows(), light.columns(), |y, x| {
+        let illuminated = Image::from_fn(light.rows(), light.columns(), |y, x| {
             if envelope.at(y, x) > least { 1.0 } else { 0.0 }
         });
         let values = Image::from_fn(light.rows(), light.columns(), |y, x| {
-            if lit.at(y, x) > 0.0 {
+            if illuminated.at(y, x) > 0.0 {
                 light.at(y, x) / envelope.at(y, x)
             } else {
                 0.0
             }
         });
-        let count: f64 = lit.data().iter().map(|&l| f64::from(l)).sum();
+        let count: f64 = illuminated.data().iter().map(|&l| f64::from(l)).sum();
         let sum: f64 = values.data().iter().map(|&v| f64::from(v)).sum();
         Self {
             mean: sum / count.max(1.0),
             values,
-            lit,
+            illuminated,
         }
     }
 
     fn lit_fraction(&self) -> f64 {
-        let count: f64 = self.lit.data().iter().map(|&l| f64::from(l)).sum();
-        count / self.lit.data().len() as f64
+        let count: f64 = self.illuminated.data().iter().map(|&l| f64::from(l)).sum();
+        count / self.illuminated.data().len() as f64
     }
 
     fn lit_edge_fraction(&self) -> f64 {
-        let (rows, columns) = (self.lit.rows(), self.lit.columns());
-        let sides = [0, rows - 1].map(|y| self.lit.row(y).to_vec()).concat();
-        let ends = (0..rows).flat_map(|y| [self.lit.at(y, 0), self.lit.at(y, columns - 1)]);
-        let lit: f64 = sides.into_iter().chain(ends).map(f64::from).sum();
-        lit / (2 * (rows + columns)) as f64
+        let (rows, columns) = (self.illuminated.rows(), self.illuminated.columns());
+        let sides = [0, rows - 1].map(|y| self.illuminated.row(y).to_vec()).concat();
+        let ends = (0..rows).flat_map(|y| [self.illuminated.at(y, 0), self.illuminated.at(y, columns - 1)]);
+        let illuminated: f64 = sides.into_iter().chain(ends).map(f64::from).sum();
+        illuminated / (2 * (rows + columns)) as f64
     }
 
     fn against_exponential(&self) -> (Vec<f64>, f64) {
-        let pairs = self.values.data().iter().zip(self.lit.data());
-        let lit = pairs.filter(|(_, l)| **l > 0.0);
-        let mut values: Vec<f64> = lit.map(|(v, _)| f64::from(*v) / self.mean).collect();
+        let pairs = self.values.data().iter().zip(self.illuminated.data());
+        let illuminated = pairs.filter(|(_, l)| **l > 0.0);
+        let mut values: Vec<f64> = illuminated.map(|(v, _)| f64::from(*v) / self.mean).collect();
         values.sort_by(f64::total_cmp);
         let count = values.len().max(1) as f64;
         let mut histogram = vec![0.0; BINS];
@@ -174,13 +174,13 @@ impl Autocovariance {
     fn of(normalised: &NormalisedSpeckle) -> Self {
         let (rows, columns) = (normalised.values.rows(), normalised.values.columns());
         let mut centred = normalised.values.clone();
-        for (v, &lit) in centred.data_mut().iter_mut().zip(normalised.lit.data()) {
-            *v = lit * (f64::from(*v) - normalised.mean) as f32;
+        for (v, &illuminated) in centred.data_mut().iter_mut().zip(normalised.illuminated.data()) {
+            *v = illuminated * (f64::from(*v) - normalised.mean) as f32;
         }
         let lags = (rows.min(columns) / 3).max(1);
         let spectrum = |image: &Image| Spectrum::of(image, rows + lags, columns + lags);
-        let (values, lit) = (spectrum(&centred), spectrum(&normalised.lit));
-        let (values, pairs) = (values.correlate(&values), lit.correlate(&lit));
+        let (values, illuminated) = (spectrum(&centred), spectrum(&normalised.illuminated));
+        let (values, pairs) = (values.correlate(&values), illuminated.correlate(&illuminated));
         let at = |dy: usize, dx: usize| {
             let (dy, dx) = (dy as isize, dx as isize);
             values.at(dy, dx) / pairs.at(dy, dx).max(1.0)

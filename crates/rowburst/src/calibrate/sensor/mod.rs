@@ -229,7 +229,7 @@ fn transfer_curve(
     if points.len() == 1 {
         return Err(Error::input(
             "--flats",
-            format!("{} flats, each of a light of its own", flats.len()),
+            format!("{} flats, no two of equal light", flats.len()),
             "the gain comes from the noise between two flats of equal light (within 5 %)",
             "Record at least two flats at each level.",
         ));
@@ -262,7 +262,7 @@ fn transfer_curve(
                 "a variance of {variance:.3} counts² at {light:.1} counts of light, {:.3} without light",
                 dark_variance
             ),
-            "shot noise grows with the light, in flats that are not saturated",
+            "the variance must grow with the light in flats that are not saturated",
             "Give raw frames (no averaging, denoising or compression), two or more at each level, at about half of the range.",
         )
     })?;

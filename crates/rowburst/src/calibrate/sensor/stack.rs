@@ -25,7 +25,7 @@ impl Stack {
                     frames.len(),
                     if frames.len() == 1 { "" } else { "s" }
                 ),
-                "noise is what differs from frame to frame: at least two are needed",
+                "noise is measured between frames: at least two are needed",
                 "Record 20 or more with nothing changed between them.",
             ));
         }

@@ -364,7 +364,7 @@ fn bad_stacks_are_refused() {
     let copied = changed(&flats, &|i, p| {
         *p = if i % 2 == 0 { 3000.0 } else { 3000.01 }
     });
-    says(calibrate(&darks, &copied), "shot noise grows");
+    says(calibrate(&darks, &copied), "the variance must grow");
     let small = Simulated::new(20, 28, 1).flats(&[3000.0], 2);
     says(calibrate(&darks, &small), "20×28");
 

@@ -39,14 +39,14 @@ pub(super) fn of(
     }
     if found.gain_error > GOOD_GAIN {
         warnings.push(format!(
-            "the gain is good to {:.0} % only: record more flats, at several levels up to half of the range",
+            "the gain is uncertain by {:.0} %: record more flats, at several levels up to half of the range",
             100.0 * found.gain_error
         ));
     }
     warnings.extend(bend(found));
     if found.flat_error > found.non_uniformity.max(1e-3) {
         warnings.push(format!(
-            "a pixel of the flat is good to {:.2} %, worse than the {:.2} % by which pixels differ: correcting by it adds noise; record {} flats or more",
+            "the flat is uncertain by {:.2} % per pixel, more than the {:.2} % by which pixels differ: correcting by it adds noise; record {} flats or more",
             100.0 * found.flat_error,
             100.0 * found.non_uniformity,
             more_flats(found, flats.len())
@@ -99,7 +99,7 @@ fn dark_frames(
     // From here on the rows' own noise outweighs what the pixels give a row's mean.
     if banding.is_real && banding.row_counts > banding.expected_counts {
         warnings.push(format!(
-            "banding: each row of a frame is off by {:.3} counts ({:.2} electrons) of its own, more than the {:.3} that pixel noise gives a row's mean; a mean of the dark does not take this away: check supply and cooling, or subtract the mean of shaded columns from each row",
+            "banding: rows vary by {:.3} counts ({:.2} electrons) rms, more than the {:.3} expected from pixel noise; subtracting the mean dark does not remove this: check supply and cooling, or subtract the mean of shaded columns from each row",
             banding.row_counts,
             banding.row_counts * found.gain_electrons_per_count,
             banding.expected_counts
@@ -141,7 +141,7 @@ fn light(found: &SensorCalibration, lights: &[f64], usable: &[bool], warnings: &
     let uneven = pixels::unevenness(&found.response, usable);
     if uneven > MAX_UNEVENNESS {
         warnings.push(format!(
-            "the flats' brightness varies by {:.0} % of its mean over the field: what is uneven in the light is taken for the sensor's response; take off the lens and use a diffuse source",
+            "the flats' brightness varies by {:.0} % of its mean over the field: uneven light is mistaken for the sensor's response; take off the lens and use a diffuse source",
             100.0 * uneven
         ));
     }
@@ -158,7 +158,7 @@ fn bend(found: &SensorCalibration) -> Option<String> {
     let worst = worst.fold(0.0f64, |m, v| if v.abs() > m.abs() { v } else { m });
     (worst.abs() > MAX_NONLINEARITY).then(|| {
         format!(
-            "the photon transfer curve is no line: a level lies {:+.0} % off; give raw, linear counts (no gamma, no denoising), one gain for all",
+            "the photon transfer curve is not linear: one level deviates by {:+.0} %; give raw, linear counts (no gamma, no denoising), one gain for all",
             100.0 * worst
         )
     })
@@ -194,7 +194,7 @@ impl SensorCalibration {
         vec![
             gain,
             full,
-            "dark signal: not told from the bias, since all darks are taken to have one exposure; take them at the exposure of use".into(),
+            "dark current: not separated from the bias, since all darks are assumed to have one exposure; take them at the exposure of use".into(),
         ]
     }
 }

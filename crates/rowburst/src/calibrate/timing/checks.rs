@@ -7,7 +7,7 @@ pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
     Error::input(
         "frames",
         format!(
-            "no stripes that stand out of noise and scene (a periodic light explains {:.0} % of the rows' variance)",
+            "no stripes above noise and scene (a periodic light explains {:.0} % of the rows' variance)",
             100.0 * explained.max(0.0)
         ),
         format!(
@@ -24,7 +24,7 @@ pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
     Err(Error::input(
         "frames",
         format!("{periods:.2} periods of the light in the readout of a frame"),
-        format!("at least {MIN_PERIODS} are needed to tell the light from the profile of the lamp"),
+        format!("at least {MIN_PERIODS} are needed to separate the modulation from the profile of the lamp"),
         format!(
             "Blink at {} Hz or more; about {} Hz gives 20 periods.",
             rounded(1.1 * MIN_PERIODS / periods * frequency_hz),

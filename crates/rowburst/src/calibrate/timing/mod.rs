@@ -164,7 +164,7 @@ pub fn calibrate(frames: &[Image], light: &Lamp, params: &TimingParams) -> Resul
     };
     if signals.saturated > MAX_SATURATED_FRACTION {
         timing.warnings.insert(0, format!(
-            "up to {:.0} % of the pixels of a row are saturated: the row time stands, but the shape of the stripes and so the exposure does not; dim the light",
+            "up to {:.0} % of the pixels of a row are saturated: the row time is valid, but the shape of the stripes, and with it the exposure, is not; dim the light",
             100.0 * signals.saturated
         ));
         timing.exposure_us = None;
@@ -344,12 +344,12 @@ fn calibrate_waveform(
     if (last - first) / range.0 > MAX_SIGNAL_ROW_TIMES {
         return Err(Error::input(
             "signal",
-            format!("a course of {} ms", (last - first) * 1e-3),
+            format!("a waveform of {} ms", (last - first) * 1e-3),
             format!(
                 "it lasts no longer than {MAX_SIGNAL_ROW_TIMES} of the shortest row times looked for, {} µs",
                 range.0
             ),
-            "Cut it to the time about the frame, check that its times are in microseconds, or give the expected row time.",
+            "Shorten it to the time around the frame, check that its times are in microseconds, or give the expected row time.",
         ));
     }
     let fits = matched::fit_all(frames, &orders, waveform, range);
@@ -365,11 +365,11 @@ fn calibrate_waveform(
         return Err(Error::input(
             "frames",
             format!(
-                "rows of which the signal explains {:.0} %",
+                "a signal that explains {:.0} % of the rows' variance",
                 100.0 * explained.max(0.0)
             ),
             format!(
-                "the rows show the course of the signal at a row time from {:.3} to {:.3} µs",
+                "the rows follow the signal at a row time from {:.3} to {:.3} µs",
                 range.0, range.1
             ),
             "Check that the signal is that of the lamp, that it lasts longer than the readout (or repeats), and the expected row time.",
@@ -395,7 +395,7 @@ fn calibrate_waveform(
     let mut warnings = expected_warning(fit.row_time_us, params);
     if fit.row_time_us < 1.01 * range.0 || fit.row_time_us > range.1 / 1.01 {
         warnings.push(format!(
-            "the row time lies at the end of the range that was searched, {:.3} to {:.3} µs: it may lie beyond",
+            "the row time is at an end of the searched range, {:.3} to {:.3} µs: the true one may be outside",
             range.0, range.1
         ));
     }
@@ -406,7 +406,7 @@ fn calibrate_waveform(
         row_time_us_error: fit.row_time_error,
         exposure_us: shown.then_some((fit.exposure_us, fit.exposure_error)),
         exposure_basis: if shown {
-            "the known course of the light, blurred by the exposure".into()
+            "fit of the known waveform, blurred by the exposure".into()
         } else {
             "the light changes too slowly, or the rows are too noisy, to show the exposure".into()
         },
@@ -448,12 +448,12 @@ fn square_exposure(
     warnings: &mut Vec<String>,
 ) -> (Option<(f64, f64)>, String) {
     if free.max_harmonic_z() < MIN_HARMONIC_Z {
-        return (None, "only the fundamental is seen: a sine of unknown depth does not show the exposure; a square wave or a chirp does".into());
+        return (None, "only the fundamental is visible: a sine of unknown modulation depth does not determine the exposure; use a square wave or a chirp".into());
     }
     let Some(square) = square::fit(frames, k, free, duty) else {
         return (
             None,
-            "no square wave fits: the light may be of another course; give it with a signal file"
+            "no square wave fits: the light may have another waveform; give it as a signal file"
                 .into(),
         );
     };
@@ -467,7 +467,7 @@ fn square_exposure(
             return (
                 None,
                 format!(
-                    "{found}: the light is no square wave, or the camera is not linear; give its duty, or its course with a signal file"
+                    "{found}: the light is no square wave, or the camera is not linear; give its duty cycle, or its waveform as a signal file"
                 ),
             );
         }
@@ -476,10 +476,10 @@ fn square_exposure(
     match square.exposure {
         Some((exposure, error)) if error < MAX_RELATIVE_ERROR * exposure => (
             Some((exposure, error)),
-            format!("edges of a square wave that is on for {:.3} of its period, the exposure taken to be shorter than half a period", square.duty),
+            format!("edges of a square wave with a duty cycle of {:.3}; the exposure is assumed to be shorter than half a period", square.duty),
         ),
         Some(_) => (None, "the edges of the stripes are too sharp for their width to be measured: the exposure is short against the row time or the noise".into()),
-        None => (None, format!("exposure and time of light cannot be told apart: a pulse of {:.3} of the period is not near a half; give its duty", square.duty)),
+        None => (None, format!("exposure and duty cycle cannot be separated: the pulse lasts {:.3} of the period, which is not near one half; give the duty cycle", square.duty)),
     }
 }
 

@@ -35,8 +35,8 @@ pub(super) fn advice(candidates: &[Candidate], periodic: bool) -> Option<String>
     let both = remaining.iter().any(dual) && !remaining.iter().all(dual);
     match (remaining.len(), periodic) {
         (0 | 1, _) => None,
-        (_, true) if both => Some("these stripes mirror each other about the middle row by chance: a frame of another phase tells one sweep from two; a chirp or an unequal double pulse of known course (a signal file) decides the direction too".into()),
-        (_, true) => Some("a light of which only the frequency is known cannot tell a direction from its reverse: a chirp or an unequal double pulse of known course (a signal file) decides".into()),
-        (_, false) => Some("this course of light fits several orders: one that is not symmetric in time decides, such as a chirp or two pulses of unequal length, within the readout of a frame".into()),
+        (_, true) if both => Some("in this frame the stripes are symmetric about the middle row: a frame of another phase separates one sweep from two; a known waveform (signal file) such as a chirp or two unequal pulses also gives the direction".into()),
+        (_, true) => Some("with only the frequency known, a direction and its reverse fit equally well: use a known waveform (signal file), such as a chirp or two unequal pulses".into()),
+        (_, false) => Some("this waveform fits several readout orders: use one that is not symmetric in time, such as a chirp or two pulses of unequal length, within the readout of a frame".into()),
     }
 }

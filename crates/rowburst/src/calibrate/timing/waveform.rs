@@ -37,7 +37,7 @@ impl Waveform {
             return wrong(
                 format!("{} points", points.len()),
                 "a light that changes has at least three",
-                "Give a line time_us,value for every corner of the light's course.",
+                "Give a line time_us,value for every corner of the light's waveform.",
             );
         }
         if let Some(i) = points
@@ -67,8 +67,8 @@ impl Waveform {
         if high <= low || points[points.len() - 1].0 <= points[0].0 {
             return wrong(
                 "a light that does not change".into(),
-                "the light must change for rows to be told apart",
-                "Give the course of a chirp or of an unequal double pulse.",
+                "the light must change, or all rows look the same",
+                "Give the waveform of a chirp or of two pulses of unequal length.",
             );
         }
         let mut integral = vec![0.0];
