@@ -87,7 +87,7 @@ class Bench:
             "design", "--experiment", experiment, "--psf", self.psf(name), "--trial-snr", SNR, "--seed", self.seed, "--json"))
         found = {**design["success_map"], "grain_px": design["measured_grain_px"], "seconds": design["seconds"]}
         kept.write_text(json.dumps(found))
-        say(f"  {name}, {found['measurements_per_bin']:.0f} measurements: half of the bins survive "
+        say(f"  {name}, {found['measurements_per_bin']:.0f} measurements: half of the bins are recovered at "
             f"{found['half_success_pixels'][0]:.1f} pixels, {found['seconds']:.0f} s")
         return found
 
@@ -145,7 +145,7 @@ def draw(maps, psfs, constants, path):
         panel.set_xticks(ticks := [t for t in (2, 5, 10, 20, 50, 100, 200) if panel.get_xlim()[0] <= t <= panel.get_xlim()[1]], ticks)
         panel.legend(loc="lower right", fontsize=8, framealpha=0.9)
     axes[1, 0].set_ylabel("measurements of a bin, m")
-    figure.colorbar(mesh, ax=axes[1, :], label="part of the bins that came back")
+    figure.colorbar(mesh, ax=axes[1, :], label="fraction of bins that were recovered")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     shrink(path)
@@ -191,7 +191,7 @@ def main():
     for name in PSFS:
         if name == "measured" and not (options.shared / "data/speckle-grits/220.bmp").exists():
             say(f"measured speckle: skipped, {options.shared / 'data/speckle-grits'} is not here")
-            left_out = "The measured speckle is left out: its recording was not there."
+            left_out = "The measured speckle is omitted: its recording was not found."
             continue
         say(PSFS[name])
         found = [bench.map(name, step) for step in steps]
@@ -208,21 +208,21 @@ def main():
     draw(maps, psfs, constants, picture)
     trials = [f["trials"] for f in next(iter(maps.values()))]
     text = [
-        "# How many pixels of a bin come back",
+        "# How many pixels of a bin can be recovered",
         f"Made by `{command_line('phase_transition.py')}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}. Do not edit: run the command again.",
         f"![Success over non-zero pixels and measurements for {len(maps)} PSFs; above each its PSF]({picture.name})",
-        f"Compressed sensing promises k non-zero pixels of n from m ≥ C·k·ln(n/k) random measurements, and leaves C open. Here it is measured: "
-        f"scenes of k random single pixels in each bin of {ROWS}×{COLUMNS} pixels (n = {ROWS * COLUMNS:,}), SNR {SNR}, reconstructed with `l1+support`; a bin has come "
-        f"back where it differs from its truth, at the resolution of a grain, by less than {100 * next(iter(maps.values()))[0]['largest_relative_error']:.0f} % of the norm. "
+        f"Compressed sensing promises k non-zero pixels of n from m ≥ C·k·ln(n/k) random measurements, and leaves C open. Here C is measured: "
+        f"scenes of k isolated pixels at random positions in each bin of {ROWS}×{COLUMNS} pixels (n = {ROWS * COLUMNS:,}), SNR {SNR}, reconstructed with `l1+support`; a bin is "
+        f"recovered where it differs from its truth, at the resolution of a grain, by less than {100 * next(iter(maps.values()))[0]['largest_relative_error']:.0f} % of the norm. "
         f"The measurements of a bin are those of the {', '.join(map(str, steps))} rows that the shutter reads at a time; a cell of the figure is "
-        f"{trials[-1]} to {trials[0]} bins (cells far from the edge are not tried and have their neighbour's value; white: outside of what was asked). Above, the middle of each PSF.",
+        f"{trials[-1]} to {trials[0]} bins (cells far from the edge are not tested and have their neighbour's value; white: outside the tested range). Above each map, the middle of its PSF.",
         table(
             ["PSF", "grain, px", "C, median", "C, range", *[f"k at m = {f['measurements_per_bin']:.0f}" for f in next(iter(maps.values()))]],
             rows,
         ),
-        "k is the number of pixels that half of the bins survive. Things that hang together, as digits do, need fewer measurements than "
-        "as many scattered pixels. A single row (m = 108) sees little of pixels beyond the envelope of a PSF, which the line does not know. "
-        "A larger grain asks for less: places within a grain need not be told apart.",
+        "k is the number of non-zero pixels at which half of the bins are recovered. Connected shapes such as digits need fewer measurements "
+        "than as many scattered pixels. A single row (m = 108) receives little light from pixels beyond the envelope of a PSF, which the line does "
+        "not take into account. A larger grain needs fewer measurements: positions within a grain need not be resolved.",
         f"The caustic is the far field of a smooth random phase plate of the same scattering angle, {CAUSTIC[1]} radians rms instead of the speckle's 4, "
         f"in a pupil four times as wide (`rowburst simulate {' '.join(map(str, CAUSTIC))}`).",
         left_out,

@@ -438,16 +438,16 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
         f"Made by `{options.command}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}, load average "
         f"{os.getloadavg()[2]:.1f} at the end (over 1: its seconds are those of a busy machine). Do not edit: run the command again.",
         f"Problems of 108×108 pixels and 54 bins (dual-inside-out, 9.6 µs, simulated speckle with a grain of 2.5 px, "
-        f"SNR 256 where nothing else is said), drawn anew for {seeds}; solved with `--prior auto --tau auto`. "
-        f"PSNR in dB with the truth's maximum as peak, median and range; \"dark\" is that of a video in which nothing is lit, for "
-        f"sparse scenes leave much of a PSNR to the dark; `seconds` with set-up. Electrons are those that "
-        f"the brightest scene pixel sends to the sensor in a bin: of these less than a hundredth falls on the two rows that are read then "
-        f"(read noise 1 electron). Of the static background the brightest "
-        f"pixel is three times as bright as the digit, and its light some 50 to 100 times the digit's. Beads: 108×108 pixels of a microscope's video, background "
-        f"taken off, through the speckle measured behind 220 grit glass.",
-        f"The last two columns are seed {options.seeds[0]} alone: the program beside PyProximal's primal–dual method with total variation "
-        f"(`tv`; with `0.5*tdiff` where the scene stays or moves), {options.toolbox_iterations} iterations, "
-        f"at the λ that is best by the truth, on a grid of steps of 3; its time is that of the one run.",
+        f"SNR 256 unless stated otherwise), simulated for {seeds}; solved with `--prior auto --tau auto`. "
+        f"PSNR in dB with the truth's maximum as peak, median and range; \"dark\" is the PSNR of a video of zeros, since "
+        f"zeros dominate the PSNR of a sparse scene; `seconds` includes set-up. Electrons are those that "
+        f"the brightest scene pixel sends to the sensor in a bin: less than a hundredth of them falls on the two rows that are read in that bin "
+        f"(read noise 1 electron). The brightest pixel of the static background "
+        f"is three times as bright as the digit, and its total light is some 50 to 100 times the digit's. Beads: 108×108 pixels of a microscope's video, background "
+        f"subtracted, through the speckle measured behind 220 grit glass.",
+        f"The last two columns are for seed {options.seeds[0]} only: the program, and PyProximal's primal–dual method with total variation "
+        f"(`tv`; with `0.5*tdiff` where the scene is static or moves), {options.toolbox_iterations} iterations, "
+        f"at the λ with the highest PSNR on a grid of steps of 3; its time is that of one run.",
         table(["problem", "PSNR", "to reach", "dark", "residual/σ", "fit", "prior chosen", "seconds",
                *([f"seed {options.seeds[0]}", "PyProximal"] if tools else [])], rows),
     ]
@@ -462,8 +462,8 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
             rows.append([KINDS[kind][0], spread(own), spread([b[0] for b in best]), spread(lost, 2), winners])
         text += [
             "## The choice of prior and τ",
-            f"Against the best of {', '.join(f'`{p}`' for p in GRID_PRIORS)}, each at the τ found for it, and the best "
-            f"{GRID_BEST} of them at {', '.join(f'{f:g}' for f in GRID_FACTORS)} times that τ; best by the truth, for each seed. To reach: within 0.5 dB.",
+            f"Compared with the best of {', '.join(f'`{p}`' for p in GRID_PRIORS)}, each at its automatic τ, and the best "
+            f"{GRID_BEST} of them at {', '.join(f'{f:g}' for f in GRID_FACTORS)} times that τ; best by PSNR, for each seed. To reach: within 0.5 dB.",
             table(["problem", "chosen by the program", "best of the grid", "lost, dB", "the best"], rows),
         ]
     if led_runs:
@@ -484,7 +484,7 @@ def describe(options, bench, results, grids, tools, led_runs, skipped):
         ]
     moving = [r["measured_here"]["moving_psnr_db"] for r in results.get("background", [])]
     if moving:
-        text.append(f"With the peak of the moving digit instead of the background's, the PSNR before the static background is {spread(moving)} dB.")
+        text.append(f"With the peak of the moving digit instead of the background's, the PSNR of the foreground is {spread(moving)} dB.")
     text += [f"Left out: {reason}." for reason in skipped]
     return "\n\n".join(text) + "\n"
 

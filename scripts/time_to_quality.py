@@ -200,13 +200,13 @@ def describe(bench, session, figure):
         "The problem is `problems/digits12`: 108×108 pixels, 54 bins, SNR 256. All times are of one session. "
         + (f"Before our runs other programs took {statistics.median(taken):.0%} of the processors (median; {max(taken):.0%} at most)." if taken else "")
         + (" **The machine was busy: on a quiet one all are faster.**" if taken and statistics.median(taken) > 0.1 else ""),
-        "Rowburst, from the start of the process, with reading the files and set-up; median and, in brackets, least. "
+        "Rowburst, from the start of the process, reading the files and set-up included; median and, in brackets, minimum. "
         "The last column is until the process ends, with video, report and figures written.",
         table(["prior", "runs", *(f"to {db:g} dB" for db in GOALS), "at the end", "files written"], rows),
     ]
     if boxes:
-        climbed = ("λ and step are those that served best before." if options.no_climb else
-                   f"λ and step are the best of a grid of steps of 3 by the truth, {options.tuning_seconds:g} s each.")
+        climbed = ("λ and step were tuned in an earlier run." if options.no_climb else
+                   f"λ and step give the highest PSNR on a grid of steps of 3, {options.tuning_seconds:g} s each.")
         found = {m: summary(runs) for m, runs in boxes.items()}
         rows = []
         for m, s in sorted(found.items(), key=lambda f: -f[1]["best"]):
@@ -219,19 +219,19 @@ def describe(bench, session, figure):
         top = max(found, key=lambda m: found[m]["best"])
         mine = middle_time(standard, found[top]["best"])
         verdict = "" if mine is None else (
-            f"The best of them, {TOOLBOXES[top][0]}, comes to {found[top]['best']:.1f} dB in {options.seconds:g} s; "
-            f"Rowburst passes that after {seconds(mine)} (median), **{found[top]['without'] / mine:.0f} times sooner** "
+            f"The best of them, {TOOLBOXES[top][0]}, reaches {found[top]['best']:.1f} dB in {options.seconds:g} s; "
+            f"Rowburst reaches that after {seconds(mine)} (median), **{found[top]['without'] / mine:.0f} times sooner** "
             f"(target: 100).")
         to_44 = middle_time(standard, 44.0)
         verdict += "" if to_44 is None else f" 44 dB take {seconds(to_44)} (target: 0.5 s)."
         text += [
-            f"Toolboxes, {options.seconds:g} s each, from their first iteration, with their imports, the operator and its norm ready "
-            f"beforehand: the best quality of v ≥ 0 that they reach, and the time to {SLACK_DB} dB below it, with what JAX compiles "
-            f"and without. Isotropic TV in each bin. {climbed} "
-            f"Then our time to the same quality, from the start of the process, median and least, and theirs over it (median), without and with what is compiled.",
+            f"Toolboxes, {options.seconds:g} s each, from their first iteration; imports, the operator and its norm are not "
+            f"counted: the highest PSNR that they reach with v ≥ 0, and the time to {SLACK_DB} dB below it, with and without JAX's "
+            f"compilation. Isotropic TV in each bin. {climbed} "
+            f"Then Rowburst's time to the same PSNR from the start of the process (median, and minimum in brackets), and the ratio of the toolbox's time to it, without and with compilation.",
             table(["toolbox", "best", "after", "without compiling", "iterations", "settings", "Rowburst", "ratio", "with compiling"], rows),
             verdict,
-            "deepinv is left out: it needs PyTorch, which PyPI has for Linux on x86-64 with CUDA alone.",
+            "deepinv is omitted: it needs PyTorch, which PyPI has for Linux on x86-64 only with CUDA.",
         ]
     if figure:
         text.append(f"![PSNR against time since the start, logarithmic]({figure.name})")

@@ -1,4 +1,4 @@
-"""The forward operator and the data term, as SciPy, PyLops, PyProximal and SCICO know them."""
+"""The forward operator and the data term, for SciPy, PyLops, PyProximal and SCICO."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class RollingShutterOperator(LinearOperator):
 
     @property
     def video_shape(self) -> tuple[int, int, int]:
-        """Shape of what it is applied to, before flattening."""
+        """Shape of its input, before flattening."""
         return self.camera.video_shape
 
     @property
     def frame_shape(self) -> tuple[int, int]:
-        """Shape of what it gives, before flattening."""
+        """Shape of its output, before flattening."""
         return self.camera.frame_shape
 
     def _matvec(self, x: Any) -> NDArray[Any]:
@@ -71,6 +71,10 @@ class DataTerm:
     def __init__(self, operator: RollingShutterOperator, frame: ArrayLike) -> None:
         self._native = _rowburst._DataTerm(operator._native, frame)
         self.operator = operator
+        self._frame = frame
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.operator, self._frame)
 
     def __call__(self, x: ArrayLike) -> float:
         return self._native.value(np.asarray(x).reshape(-1))
@@ -105,6 +109,7 @@ class DataTerm:
 def operator(camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> RollingShutterOperator:
     """The forward operator ``A`` of a camera behind a diffuser.
 
-    ``dtype`` is what solvers see, and most work in: with ``numpy.float32`` they are about twice as fast.
+    ``dtype`` is the type that solvers see, and in which most of them work: with ``numpy.float32`` they are
+    about twice as fast.
     """
     return RollingShutterOperator(camera, psf, dtype)

@@ -1,4 +1,4 @@
-"""``reconstruct`` and what it gives."""
+"""``reconstruct`` and its result."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._rowburst import Camera, Progress, Psf
+from ._rowburst import Camera, Experiment, InputError, Progress, Psf
 
 
 @dataclass(frozen=True)
 class Trace:
     """The light of a region over time, with standard errors.
 
-    ``value`` is the mean of the video over the region, ``debiased`` the same from an estimate that the
-    prior does not pull, and ``standard_error`` (NaN where it is not known) belongs to ``debiased``.
+    ``value`` is the mean of the video over the region. ``debiased`` is the same from a re-estimate without
+    the bias of the prior, and ``standard_error`` (NaN where it is not known) belongs to ``debiased``.
     """
 
     region: tuple[int, int, int, int]
@@ -36,7 +36,7 @@ class Trace:
 
     @property
     def frequency_hz(self) -> float | None:
-        """What repeats, where something does."""
+        """The strongest frequency; None where no frequency is significant."""
         return self.numbers.get("frequency_hz")
 
     @property
@@ -54,6 +54,9 @@ class Report(str):
         target.write_text(self, encoding="utf-8")
         return target
 
+    def __repr__(self) -> str:
+        return f"<rowburst.Report: a page of {len(self) / 1000:.0f} kB; report.save(path) writes it>"
+
     def _repr_html_(self) -> str:
         return f'<iframe srcdoc="{escape(self)}" style="width:100%;height:45em;border:0"></iframe>'
 
@@ -64,6 +67,7 @@ class Result:
     def __init__(self, found: _rowburst.Result, camera: Camera) -> None:
         self._native = found
         self.camera = camera
+        self._numbers_text: str | None = None
 
     @property
     def video(self) -> NDArray[np.float32]:
@@ -72,7 +76,7 @@ class Result:
 
     @property
     def background(self) -> NDArray[np.float32] | None:
-        """The part of the video that the prior has as its background, if it has one."""
+        """The background component of the video, if the prior has one."""
         return self._native.background
 
     @property
@@ -107,7 +111,7 @@ class Result:
 
     @property
     def residual_over_sigma(self) -> float:
-        """1 where the video explains the frame to within the noise."""
+        """Rms of the residual over sigma: about 1 where the video explains the frame."""
         return self._native.residual_over_sigma
 
     @property
@@ -127,23 +131,25 @@ class Result:
 
     @property
     def fit_reason(self) -> str:
-        """Why."""
+        """The reason for the verdict ``fit``."""
         return self._native.fit_reason
 
     @property
     def seconds(self) -> float:
-        """The solver alone."""
+        """Time of the solver alone."""
         return self._native.seconds
 
     @property
     def setup_seconds(self) -> float:
-        """Operator, Gram factors, noise level."""
+        """Time to set up operator, Gram factors and noise level."""
         return self._native.setup_seconds
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """All that ``result.json`` of the command line says."""
-        numbers: dict[str, Any] = json.loads(self._native._json())
+        """The content of ``result.json`` of the command line."""
+        if self._numbers_text is None:
+            self._numbers_text = self._native._json()
+        numbers: dict[str, Any] = json.loads(self._numbers_text)
         return numbers
 
     def traces(
@@ -154,9 +160,9 @@ class Result:
         """Traces of ``regions``, then of the brightest spots.
 
         A region is ``(y, x)``, for the 3×3 pixels about it, or ``(y, x, rows, columns)``. A photodiode
-        is a CSV file with the columns ``time_us,value``, which is laid over the trace that it fits.
+        is a CSV file with the columns ``time_us,value``, which is aligned with the trace that fits it best.
         """
-        texts = [",".join(str(int(n)) for n in region) for region in regions]
+        texts = [_region_text(region) for region in regions]
         found, text = self._native._traces(texts, [fspath(p) for p in photodiodes])
         numbers = json.loads(text)["traces"]
         time_us = self.time_us
@@ -182,12 +188,32 @@ class Result:
         )
 
 
+def _region_text(region: object) -> str:
+    """The region as the command line takes it; only whole numbers make one."""
+    try:
+        numbers = list(region)  # type: ignore[call-overload]
+        whole = [int(n) for n in numbers]
+        if whole == numbers:
+            return ",".join(map(str, whole))
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InputError(
+        f"regions: found {region!r}; a region is (y, x) or (y, x, rows, columns) in whole numbers from 0. "
+        "Give a list of regions, such as [(40, 52)]; round positions that are not whole."
+    )
+
+
 class _Bar:
     """A tqdm bar of a run."""
 
     def __init__(self) -> None:
-        from tqdm.auto import tqdm
-
+        try:
+            from tqdm.auto import tqdm
+        except ImportError as error:
+            raise InputError(
+                "progress: found True; the bar needs tqdm, which is not installed. "
+                "Install it: pip install tqdm, or give a function that is called with a rowburst.Progress."
+            ) from error
         self.bar = tqdm(unit="iteration", leave=False)
 
     def __call__(self, progress: Progress) -> None:
@@ -201,13 +227,26 @@ class _Bar:
         self.bar.close()
 
 
+def _callback(progress: object) -> tuple[_Bar | None, Callable[[Progress], object] | None]:
+    """The bar of a run, if there is one, and what is called after every iteration."""
+    if progress is None or callable(progress):
+        return None, progress
+    if isinstance(progress, (bool, np.bool_)):
+        bar = _Bar() if progress else None
+        return bar, bar
+    raise InputError(
+        f"progress: found {progress!r}; it is True for a tqdm bar, or a function of a rowburst.Progress. "
+        "Give progress=True, or leave it out."
+    )
+
+
 def reconstruct(
     frame: ArrayLike | PathLike[str],
-    camera: Camera,
-    psf: Psf | ArrayLike | PathLike[str],
+    camera: Camera | Experiment,
+    psf: Psf | ArrayLike | PathLike[str] | None = None,
     *,
-    prior: str = "auto",
-    tau: str | float = "auto",
+    prior: str | None = None,
+    tau: str | float | None = None,
     noise_sigma: float | None = None,
     time_budget_s: float | None = None,
     max_iterations: int | None = None,
@@ -221,20 +260,38 @@ def reconstruct(
 ) -> Result:
     """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``.
 
-    A frame (and a PSF given as an array) of integers is a raw capture: dark or bias are taken off,
-    and the end of its type is saturation. The name of a file, in any format that the command line
-    reads, may stand in for an array. ``prior`` and ``tau`` are those of the command line.
+    An :class:`Experiment` in the place of ``camera`` gives the camera and every one of ``psf``, ``dark``,
+    ``flat``, ``bad_pixels``, ``prior`` and ``tau`` that is left out. Without an experiment a PSF is needed,
+    and ``prior`` and ``tau`` are ``"auto"``. They have the values of the command line.
+
+    A frame (and a PSF given as an array) of integers is a raw capture: dark or bias is subtracted,
+    and the largest value of its type is saturation. An array of floating-point numbers is a frame without
+    bias: ``bias_counts`` of the camera is not subtracted from it, while a ``dark`` that is given is. A
+    ``flat`` always includes its dark level. Arrays may also be given as the name of a file, in any format
+    that the command line reads. As on the command line a file is a raw capture, even one of floating-point
+    numbers: dark or bias is subtracted. Masked pixels of masked arrays (frame, dark, flat and bad pixels)
+    are bad pixels.
+
     ``progress`` is ``True`` for a tqdm bar, or a function that is given a :class:`Progress` after
-    every iteration; where it returns ``False`` the best so far is the result. Ctrl-C raises
+    every iteration; where it returns ``False`` the run stops with the current result. Ctrl-C raises
     ``KeyboardInterrupt``. Other Python threads run meanwhile.
     """
-    bar = _Bar() if progress is True else None
+    experiment = None
+    if isinstance(camera, Experiment):
+        experiment, camera = camera, camera.camera
+        psf = experiment.psf if psf is None else psf
+        dark = experiment.dark if dark is None else dark
+        flat = experiment.flat if flat is None else flat
+        bad_pixels = experiment.bad_pixels if bad_pixels is None else bad_pixels
+        prior = experiment.prior if prior is None else prior
+        tau = experiment.tau if tau is None else tau
+    bar, callback = _callback(progress)
     try:
         found = _rowburst.reconstruct(
             frame,
             camera,
             psf,
-            prior=prior,
+            prior="auto" if prior is None else prior,
             tau=tau,
             noise_sigma=noise_sigma,
             time_budget_s=time_budget_s,
@@ -244,8 +301,9 @@ def reconstruct(
             bad_pixels=bad_pixels,
             truth=truth,
             direct=direct,
-            progress=bar or (progress if callable(progress) else None),
+            progress=callback,
             seed=seed,
+            experiment=experiment,
         )
     finally:
         if bar is not None:

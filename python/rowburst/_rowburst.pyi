@@ -13,7 +13,7 @@ __version__: str
 _Line: TypeAlias = tuple[int, str, bool, float | None, str | None, float, str]
 
 class InputError(ValueError):
-    """What was given breaks a rule: the message names it, the value, the rule and the remedy."""
+    """An input breaks a rule: the message names the input, its value, the rule and the remedy."""
 
 class WorkError(RuntimeError):
     """The work itself failed: a full disk, no memory, numbers that overflowed."""
@@ -23,7 +23,8 @@ class Camera:
     """A rolling-shutter camera and the field that it is asked to reconstruct.
 
     The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
-    instant of every row for the shutter ``custom``.
+    instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
+    reconstructed by the command line alone.
     """
 
     def __new__(
@@ -44,6 +45,7 @@ class Camera:
         gain_electrons_per_count: float | None = None,
         read_noise_electrons: float | None = None,
         full_well_counts: float | None = None,
+        bayer: Literal["rggb", "bggr", "grbg", "gbrg"] | None = None,
     ) -> Camera: ...
     @staticmethod
     def from_file(path: str | PathLike[str]) -> Camera:
@@ -56,6 +58,12 @@ class Camera:
     def columns(self) -> int: ...
     @property
     def shutter(self) -> str: ...
+    @property
+    def row_order(self) -> list[int] | None:
+        """The instant of every row for the shutter ``custom``."""
+    @property
+    def bayer(self) -> str | None:
+        """The mosaic of a colour sensor whose frames are raw, such as ``rggb``."""
     @property
     def row_time_us(self) -> float: ...
     @property
@@ -80,7 +88,7 @@ class Camera:
     def full_well_counts(self) -> float | None: ...
     @property
     def video_shape(self) -> tuple[int, int, int]:
-        """``(bins, rows, columns)``."""
+        """``(bins, rows, columns)`` of the video."""
     @property
     def frame_shape(self) -> tuple[int, int]:
         """``(rows, columns)`` of the frame on the working grid."""
@@ -88,7 +96,7 @@ class Camera:
     def frame_rate_hz(self) -> float: ...
     @property
     def time_us(self) -> NDArray[np.float64]:
-        """The middle of each bin of the video, from the start of the first."""
+        """The middle of each bin of the video, from the start of the first, in microseconds."""
     def row_time_weights(self) -> NDArray[np.float32]:
         """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times."""
 
@@ -119,12 +127,12 @@ class Psf:
 
 @final
 class Experiment:
-    """What an experiment file says, with the files that it names read."""
+    """The content of an experiment file and of the files that it names."""
 
     def __new__(
         cls, path: str | PathLike[str], frame: str | PathLike[str] | None = None
     ) -> Experiment:
-        """What the file leaves open is taken from the metadata of ``frame``, a file or a folder."""
+        """Keys missing from the file are taken from the metadata of ``frame``, a file or a folder."""
     @property
     def camera(self) -> Camera: ...
     @property
@@ -146,10 +154,13 @@ class Experiment:
         """Keys that came from metadata, with their values as text."""
     @property
     def metadata_warnings(self) -> list[str]:
-        """Where the metadata contradicts the file, and what of it cannot be used."""
+        """Contradictions between metadata and file, and metadata that cannot be used."""
 
-def read_frames(path: str | PathLike[str]) -> NDArray[np.float32]:
-    """The frames of a file, ``[frame, y, x]``: every format that the command line reads."""
+def read_frames(path: str | PathLike[str]) -> NDArray[Any]:
+    """The frames of a file, ``[frame, y, x]``: every format that the command line reads.
+
+    Integers where the file holds integers, else float32, so that each frame is what it was in the file.
+    """
 
 @final
 class Simulation:
@@ -160,7 +171,12 @@ class Simulation:
     @property
     def psf(self) -> Psf: ...
     @property
-    def frame(self) -> NDArray[np.float32]: ...
+    def frame(self) -> NDArray[Any]:
+        """The frame as :func:`reconstruct` takes it.
+
+        Integers where the camera has a bias, as a sensor gives them; without noise, floating-point numbers
+        without the bias. float32 where the camera has none.
+        """
     @property
     def truth(self) -> NDArray[np.float32]:
         """The video ``[t, y, x]``, in counts of the frame."""
@@ -181,7 +197,7 @@ class Progress:
 
     @property
     def label(self) -> str:
-        """What the run is for, where it is not the last one."""
+        """The step that the solver runs for, such as a prior that is tested; empty in the final run."""
     @property
     def iteration(self) -> int: ...
     @property
@@ -194,34 +210,38 @@ class Progress:
     def change(self) -> float: ...
     @property
     def seconds(self) -> float:
-        """Since the call."""
+        """Seconds since the call."""
 
 @final
 class LiveView:
-    """A live view: frames of one scene, each reconstructed from the end of the last one.
+    """A live view: frames of one scene, each warm-started from the previous one.
 
-    A frame that was stopped early is not lost, the next one goes on from there; where the last video
-    explains less than half of what varies in the frame, it starts from nothing. Videos depend on the
-    frames before: for a look, not for a measurement. The prior ``"auto"`` is the standard one here.
+    A frame that was stopped early is not lost: the next one continues from its state. Where the last
+    video explains less than half of the variance of the frame, the solver starts from zero. Videos
+    depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
+    standard prior ``tv+0.5*tdiff+support`` here.
 
         live = rowburst.LiveView(camera, psf)
         look = live.next(frame, time_budget_s=0.1)
         show(look.video)
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         camera: Camera,
-        psf: Psf | ArrayLike,
+        psf: Psf | ArrayLike | PathLike[str],
         *,
         prior: str = "auto",
         tau: float | str | None = None,
         noise_sigma: float | None = None,
-    ) -> None: ...
-    def next(self, frame: ArrayLike, *, time_budget_s: float | None = None) -> Look:
-        """The video of the next frame; the budget ends the iterations, not what comes after them."""
+    ) -> LiveView: ...
+    def next(self, frame: ArrayLike | PathLike[str], *, time_budget_s: float | None = None) -> Look:
+        """The video of the next frame; the budget limits the iterations, not the evaluation after them.
+
+        The bias of the camera is subtracted from integers, not from an array of floating-point numbers.
+        """
     def forget(self) -> None:
-        """The next frame starts from nothing."""
+        """The next frame starts from zero."""
 
 @final
 class Look:
@@ -229,14 +249,14 @@ class Look:
 
     @property
     def video(self) -> NDArray[np.float32]:
-        """``[t, y, x]``, in counts."""
+        """``[t, y, x]``, in counts. It may not be written to."""
     @property
     def residual_over_sigma(self) -> float: ...
     @property
     def iterations(self) -> int: ...
     @property
     def went_on(self) -> bool:
-        """Whether it was begun from the end of the last frame."""
+        """Whether it was warm-started from the previous frame."""
     @property
     def fit(self) -> str: ...
     @property
@@ -284,6 +304,8 @@ class _Operator:
     def shape(self) -> tuple[int, int]: ...
     @property
     def camera(self) -> Camera: ...
+    @property
+    def psf(self) -> Psf: ...
     def apply(self, x: ArrayLike) -> NDArray[np.float32]: ...
     def apply_double(self, x: ArrayLike) -> NDArray[np.float64]: ...
     def adjoint(self, y: ArrayLike) -> NDArray[np.float32]: ...
@@ -326,7 +348,7 @@ class _Batch:
 def reconstruct(
     frame: ArrayLike | PathLike[str],
     camera: Camera,
-    psf: Psf | ArrayLike | PathLike[str],
+    psf: Psf | ArrayLike | PathLike[str] | None,
     *,
     prior: str = "auto",
     tau: str | float | None = None,
@@ -340,11 +362,12 @@ def reconstruct(
     direct: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | None = None,
     seed: int = 0,
+    experiment: Experiment | None = None,
 ) -> Result: ...
 def simulate(
     camera: Camera,
-    scene: str | ArrayLike | None = None,
-    psf: Psf | ArrayLike | None = None,
+    scene: str | PathLike[str] | ArrayLike | None = None,
+    psf: Psf | ArrayLike | PathLike[str] | None = None,
     *,
     snr: float = 256.0,
     peak_electrons: float | None = None,
@@ -356,10 +379,10 @@ def simulate(
     """The frame that ``camera`` records of a scene.
 
     ``scene`` is ``digits`` (the default), ``leds``, ``moving``, ``two-moving`` or a video ``[t, y, x]``
-    that is fitted to the field. Without ``psf`` a speckle PSF is computed. ``snr`` is the rms of the
-    noiseless frame over the noise, ``inf`` for none; ``peak_electrons`` (in the brightest pixel of the
-    frame) or ``scene_electrons`` (from the brightest scene pixel in a bin) give shot and read noise
-    instead, and need gain and read noise of the camera.
+    (an array or the name of a file) that is fitted to the field. Without ``psf`` a speckle PSF is
+    computed. ``snr`` is the rms of the noiseless frame over the noise, ``inf`` for none;
+    ``peak_electrons`` (in the brightest pixel of the frame) or ``scene_electrons`` (from the brightest
+    scene pixel in a bin) give shot and read noise instead, and need gain and read noise of the camera.
     """
 
 def speckle_psf(
@@ -377,7 +400,10 @@ def speckle_psf(
     """A random speckle PSF of a diffuser behind a lens, for every displacement that ``camera`` sees."""
 
 def set_threads(threads: int) -> None:
-    """Sets the number of threads, once, before anything is computed."""
+    """Sets the number of threads of this process, before anything is computed.
+
+    Later only the number that runs already is accepted.
+    """
 
 def threads() -> int:
-    """Threads that are used."""
+    """Number of threads that computations use."""

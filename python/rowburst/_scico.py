@@ -1,4 +1,4 @@
-"""The operator and the data term in SCICO's words. JAX calls them through its host."""
+"""The operator and the data term as SCICO objects. JAX calls them on the host."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings on a Dask cluster: ``rowburst batch`` with workers that a scheduler gives work to.
+"""Recordings on a Dask cluster: ``rowburst batch`` on the workers of a scheduler.
 
     python3 -m rowburst.dask experiment.toml --frames frames.zarr -o videos.zarr --scheduler tcp://host:8786
 
@@ -32,7 +32,7 @@ _FILES = ("psf", "dark", "flat", "bad_pixels")
 def _opened(job: str) -> _Batch:
     """The batch of a worker process: its operator and Gram blocks are made once, for all its tasks."""
     begun = os.stat(Path(json.loads(job)["out"]) / "rowburst" / "job.json")
-    # An archive that was deleted and begun anew under the same name is another one.
+    # An archive that was deleted and restarted under the same name is another one.
     return _opened_as(job, begun.st_ino, begun.st_mtime_ns)
 
 
@@ -49,7 +49,7 @@ def _choose(job: str, version: str) -> tuple[str, str]:
 
 
 def _part(job: str, version: str, frames: list[int], threads: int) -> tuple[int, int]:
-    """Makes what is left of ``frames``: how many were made, and how many of these failed."""
+    """Reconstructs those of ``frames`` that are not done: how many were run, and how many of these failed."""
     _same_version(version)
     batch = _opened(job)
     left = set(batch.left(min(frames), max(frames) + 1, True))

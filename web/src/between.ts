@@ -34,7 +34,7 @@ export function between(store: Store): HTMLElement | null {
     if (what !== "data" || begun || !video.isWhole || !other.isWhole) return;
     begun = true;
     void psnr(video, other).then((db) => {
-      const words = db == null ? "they are equal, or dark" : `${number(db, 4)} dB, its maximum for peak`;
+      const words = db == null ? "they are equal, or zero everywhere" : `${number(db, 4)} dB, with its maximum as peak`;
       line.textContent = `PSNR of ${first.name} against ${second.name}: ${words}`;
       line.hidden = false;
     });

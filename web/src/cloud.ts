@@ -100,7 +100,7 @@ export class Cloud {
     }
     this.points = Float32Array.from(found);
     this.count = found.length / 4;
-    const all = least > wanted ? ", the brightest of all that pass" : "";
+    const all = least > wanted ? ", the brightest above it" : "";
     this.status.textContent = `${Math.round(100 * this.threshold)} % of white: ${this.count} points${all}`;
     this.busy = false;
     this.draw();

@@ -30,7 +30,7 @@ export class Evidence {
     if (several) this.element.append(h("h3", {}, meta.name));
     if (!view?.settings) {
       this.element.append(
-        h("p", { class: "muted" }, "Nothing but the video is known here: it is a video alone, or a folder of an earlier version."),
+        h("p", { class: "muted" }, "Only the video is available: this is a single video, or a folder written by an earlier version."),
       );
       return;
     }
@@ -48,14 +48,14 @@ export class Evidence {
     }
     const grid = h("div", { class: "pictures" });
     this.element.append(grid);
-    this.picture(grid, at, "frame", "Captured frame; marked are the rows that see the bin shown", (p) => this.drawFrame(p, meta));
+    this.picture(grid, at, "frame", "Captured frame; the rows that measure this bin are marked", (p) => this.drawFrame(p, meta));
     this.picture(grid, at, "psf", "PSF, square root of its light", (p) => {
       const root = p.data.map(Math.sqrt);
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.values(root, "magma", 0, highest(root));
       return (ctx, w, hgt) => ctx.drawImage(bitmap.canvas, 0, 0, w, hgt);
     });
-    this.picture(grid, at, "residual", "Residual in σ, blue −4 to red +4: without structure where the fit is good", (p) => {
+    this.picture(grid, at, "residual", "Residual in σ, blue −4 to red +4: structureless where the fit is good", (p) => {
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.signed((i) => p.data[i], 4);
       this.statistics(grid, p);
@@ -154,7 +154,7 @@ export class Evidence {
       for (const v of [-4, -2, 0, 2, 4]) ctx.fillText(`${v < 0 ? "−" : ""}${Math.abs(v)}σ`, ((v + 5) / 10) * width, height - 4);
     };
     grid.append(
-      h("figure", {}, canvas, h("figcaption", {}, `Its distribution: rms ${number(rms, 3)}, mean ${number(mean, 2)}; the line is pure noise`)),
+      h("figure", {}, canvas, h("figcaption", {}, `Its distribution: rms ${number(rms, 3)}, mean ${number(mean, 2)}; the line is Gaussian noise`)),
     );
     this.redraw.push(draw);
     new ResizeObserver(draw).observe(canvas);
@@ -164,7 +164,7 @@ export class Evidence {
 /** Residual, and PSNR where the truth is known, over time. */
 export function convergenceFigure(points: HistoryPoint[]): HTMLElement {
   const chart = new Chart({
-    label: "Course of the solver",
+    label: "Convergence",
     x: "time (s)",
     y: "residual/σ",
     right: points.some((p) => p.psnr_db != null) ? "PSNR (dB)" : "",
@@ -172,7 +172,7 @@ export function convergenceFigure(points: HistoryPoint[]): HTMLElement {
     log: true,
   });
   drawConvergence(chart, points);
-  return h("figure", { class: "wide" }, h("figcaption", {}, "Course of the solver; dashed: PSNR, where the truth is known"), chart.element);
+  return h("figure", { class: "wide" }, h("figcaption", {}, "Convergence; dashed: PSNR, where the truth is known"), chart.element);
 }
 
 export function drawConvergence(chart: Chart, points: HistoryPoint[]): void {

@@ -30,8 +30,8 @@ export class Limits {
           this.read(id === "low");
         },
       });
-    this.low = slider("low", "Darkest value that is seen");
-    this.high = slider("high", "Value that is white");
+    this.low = slider("low", "Value shown as black");
+    this.high = slider("high", "Value shown as white");
     this.status = h("span", { class: "muted", id: "limits" });
     const maps: [MapName, string][] = [
       ["magma", "Magma"],

@@ -24,9 +24,9 @@ export class Live {
     this.stop = h(
       "button",
       { type: "button", id: "stop", class: "accent", click: () => void this.ask() },
-      "Stop and keep the best so far",
+      "Stop and keep the current result",
     );
-    this.chart = new Chart({ label: "Course of the solver", x: "time (s)", y: "residual/σ", right: "PSNR (dB)", height: 260, log: true });
+    this.chart = new Chart({ label: "Convergence", x: "time (s)", y: "residual/σ", right: "PSNR (dB)", height: 260, log: true });
     this.element = h("div", { class: "live" }, this.status, this.bar, this.chart.element, this.stop);
     void this.poll();
   }

@@ -132,7 +132,7 @@ function panel(store: Store): HTMLElement {
     );
     panels.push(h("div", { role: "tabpanel", id: `panel-${id}`, "aria-labelledby": `tab-${id}` }, element));
   });
-  const list = h("div", { class: "tabs", role: "tablist", "aria-label": "What to look at" }, ...tabs);
+  const list = h("div", { class: "tabs", role: "tablist", "aria-label": "Panels" }, ...tabs);
   list.addEventListener("keydown", (event) => {
     const by = event.key === "ArrowRight" ? 1 : event.key === "ArrowLeft" ? -1 : 0;
     if (!by) return;

@@ -67,7 +67,7 @@ export class PaneGrid {
       choice("Show", layers, state.layer, (layer) => store.set({ layer }, "look"), "layer"),
       comparison.length > 1 &&
         choice(
-          "Beside",
+          "Compare with",
           comparison,
           state.comparison,
           (value) => {

@@ -33,7 +33,7 @@ export class Slices {
     this.element = h(
       "div",
       {},
-      h("p", { class: "muted note" }, "Time runs to the right. The slices go through the last region; with the tool “Line” drag one of your own."),
+      h("p", { class: "muted note" }, "Time runs to the right. The slices go through the last region; drag your own line with the tool “Line”."),
       this.slices.line.element,
       this.slices.x.element,
       this.slices.y.element,

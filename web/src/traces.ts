@@ -75,8 +75,8 @@ export class Traces {
         clock.step_us != null &&
           h(
             "button",
-            { type: "button", id: "load-photodiode", title: "A CSV file time_us,value; it may be dropped here, too", click: () => file.click() },
-            "Lay a photodiode over",
+            { type: "button", id: "load-photodiode", title: "A CSV file time_us,value; it may also be dropped here", click: () => file.click() },
+            "Overlay a photodiode",
           ),
         file,
         h("button", { type: "button", class: "quiet", click: () => store.set({ regions: [] }, "regions") }, "Remove all"),
@@ -245,7 +245,7 @@ export class Traces {
     this.time.set(curves);
     this.frequency.set(spectra);
     const words = [];
-    if (banded) words.push("Bands: where the truth is in 95 of 100 bins, from the frame's noise (refitted values).");
+    if (banded) words.push("Bands: 95 % confidence intervals of the debiased values, from the frame's noise.");
     if (!store.video.isWhole) words.push("The video is still loading.");
     if (store.source.isOffline) words.push("Values of this file have 8 bits; video.npy has all.");
     this.note.textContent = words.join(" ");

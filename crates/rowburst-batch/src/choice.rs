@@ -175,9 +175,12 @@ impl ChosenPrior {
     ) -> Result<Option<Self>> {
         let (_, measurement) = read_measurement(inputs, frame)?;
         let problem = Problem::with_model(&inputs.model, &measurement, inputs.options)?;
-        let chosen = problem.choose(&mut |_| match stop.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(StopReason::Interrupted),
-            false => ControlFlow::Continue(()),
+        let chosen = problem.choose(&mut |_| {
+            if stop.load(Ordering::Relaxed) {
+                ControlFlow::Break(StopReason::Interrupted)
+            } else {
+                ControlFlow::Continue(())
+            }
         });
         Ok(match chosen {
             Err(_) => None,
@@ -186,7 +189,7 @@ impl ChosenPrior {
                 tau_factor: 1.0,
                 frame: Some(frame),
                 reason:
-                    "the standard one: a single bin or a small frame leaves nothing to choose by"
+                    "standard prior: too few pixels to compare priors (one bin, or a small frame)"
                         .into(),
             }),
             Ok(Some(choice)) => Some(Self {

@@ -7,7 +7,7 @@ use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::inputs::{
-    check_memory, naming_file, psf_of, read_corrections, read_psfs, resolve_calibration,
+    check_memory, naming_file, psf_path, read_corrections, read_psfs, resolve_calibration,
 };
 use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
@@ -54,9 +54,10 @@ pub struct LoadedBatch {
 /// # Errors
 /// Files that are missing or damaged, and choices that are none.
 pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
-    let metadata = match is_zarr(files.frames) {
-        true => Metadata::default(),
-        false => read_metadata(files.frames),
+    let metadata = if is_zarr(files.frames) {
+        Metadata::default()
+    } else {
+        read_metadata(files.frames)
     };
     let mut experiment = Experiment::read_with(files.experiment, &metadata)?;
     if let Some(mosaic) = experiment.bayer {
@@ -80,10 +81,11 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
     let own_period = files.frame_period_us;
     let frame_period_us = own_period.or(experiment.recording.frame_period_us);
     let calibration = resolve_calibration(files.calibration.clone(), &experiment);
-    let psf_path = psf_of(&calibration, &experiment)?;
-    let frames = match is_zarr(files.frames) {
-        true => open_zarr_recording(files.frames)?,
-        false => open_recording(files.frames)?,
+    let psf_path = psf_path(&calibration, &experiment)?;
+    let frames = if is_zarr(files.frames) {
+        open_zarr_recording(files.frames)?
+    } else {
+        open_recording(files.frames)?
     };
     // The frames' files say where they end.
     let corrections = read_corrections(&calibration, None)?;

@@ -68,11 +68,11 @@ pub(crate) fn check_same(
     Err(Error::input(
         out.display().to_string(),
         format!(
-            "a batch that was begun otherwise ({})",
+            "a batch that was started with other settings ({})",
             differences.join("; ")
         ),
-        "an archive holds the videos of one recording, all made alike",
-        "Choose another folder with -o, or go on with what this one was begun with.",
+        "an archive holds the videos of one recording, all reconstructed with the same settings",
+        "Choose another folder with -o, or resume with the settings that this one was started with.",
     ))
 }
 

@@ -14,7 +14,7 @@
 //! **Several processes** may work on parts of one job at once, on one machine or on several that
 //! share a disk. Where they are given the same frame both do it, and the same is written.
 //!
-//! **No start from the neighbouring frame**: see ARCHITECTURE.md.
+//! **No warm start**: a frame does not start from the result of its neighbour, see `docs/design/014`.
 
 mod allocation;
 mod choice;

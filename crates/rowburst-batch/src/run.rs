@@ -72,7 +72,7 @@ impl Batch {
                 return Err(Error::input(
                     inputs.frames.path().display().to_string(),
                     format!(
-                        "other frames than those that {} was begun with",
+                        "other frames than those that {} was started with",
                         out.display()
                     ),
                     "an archive holds the videos of one recording",
@@ -302,23 +302,28 @@ impl Batch {
             return Err(Error::input(
                 self.inputs.frames.name(frame),
                 pixel_format,
-                format!("the frames of this recording are {}", self.job.pixel_format),
+                format!(
+                    "the frames of this recording have the pixel format {}",
+                    self.job.pixel_format
+                ),
                 "Save all frames with the same settings.",
             ));
         }
         let measurement = self.inputs.measurement(&capture)?;
         if let Some(budgeted) = budgeted {
-            let found = budgeted.next(&measurement, is_over)?;
+            let found = budgeted.reconstruct(&measurement, is_over)?;
             return Ok((measurement, found));
         }
         let problem = Problem::with_model(&self.inputs.model, &measurement, frame_options.options)?;
-        let found =
-            problem
-                .with_tau_factor(frame_options.tau_factor)
-                .solve(&mut |_| match is_over() {
-                    true => ControlFlow::Break(StopReason::Interrupted),
-                    false => ControlFlow::Continue(()),
-                })?;
+        let found = problem
+            .with_tau_factor(frame_options.tau_factor)
+            .solve(&mut |_| {
+                if is_over() {
+                    ControlFlow::Break(StopReason::Interrupted)
+                } else {
+                    ControlFlow::Continue(())
+                }
+            })?;
         Ok((measurement, found))
     }
 
@@ -352,20 +357,21 @@ struct BudgetedSequence {
 }
 
 impl BudgetedSequence {
-    fn next(
+    fn reconstruct(
         &self,
         measurement: &Measurement,
         is_over: &(dyn Fn() -> bool + Sync),
     ) -> Result<Reconstruction> {
         let began = Instant::now();
         let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
-        let found = sequence.next(measurement, &mut |_| {
+        let found = sequence.reconstruct(measurement, &mut |_| {
             if is_over() {
                 return ControlFlow::Break(StopReason::Interrupted);
             }
-            match began.elapsed() > self.budget {
-                true => ControlFlow::Break(StopReason::TimeBudget),
-                false => ControlFlow::Continue(()),
+            if began.elapsed() > self.budget {
+                ControlFlow::Break(StopReason::TimeBudget)
+            } else {
+                ControlFlow::Continue(())
             }
         })?;
         Ok(found.0)

@@ -114,7 +114,7 @@ impl State {
                 path.display().to_string(),
                 format!("format {}", job.format),
                 format!("this version of the program knows format {FORMAT}"),
-                "Go on with the version that it was begun with, or choose another folder with -o.",
+                "Resume with the version that it was started with, or choose another folder with -o.",
             )),
             job => Ok(job),
         }

@@ -53,7 +53,7 @@ pub struct DemoArgs {
     /// Signal-to-noise ratio: rms of the noiseless frame over the noise; "inf" for none
     #[arg(long, default_value_t = 256.0, value_parser = parse_snr, allow_hyphen_values = true)]
     pub snr: f64,
-    /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
+    /// Re-estimate the active voxels by least squares, without the bias of the prior (debiasing)
     #[arg(long)]
     pub debias: bool,
     /// Folder for all results
@@ -183,10 +183,10 @@ pub struct CalibrationArgs {
     after_help = "Example:\n  rowburst reconstruct experiment.toml --frame capture.tif --psf psf.tif -o result\n  then open result/report.html\n  rowburst reconstruct experiment.toml --frame run.h5:/camera/frame -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --region 40,52 --photodiode led.csv -o result\n  rowburst reconstruct experiment.toml --frame capture.tif --sweep prior=tv,tv+l1 --sweep tau=auto,0.01 -o sweep\n  rowburst reconstruct wide-sensor.toml --frame capture.tif --prior tv+support --part-bins 0 -o result"
 )]
 pub struct ReconstructArgs {
-    /// The experiment file: camera, calibration, field, recipe
+    /// The experiment file: camera, calibration, field, reconstruction options
     pub experiment: PathBuf,
-    /// The raw frame (.npy, .tif, .png, .bmp, .h5, .mat, .fits, .cihx); FILE.h5:/path names an array. What
-    /// the experiment file leaves open is taken from its metadata
+    /// The raw frame (.npy, .tif, .png, .bmp, .h5, .mat, .fits, .cihx); FILE.h5:/path names an array. Keys
+    /// missing from the experiment file are taken from its metadata
     #[arg(long)]
     pub frame: PathBuf,
     #[command(flatten)]
@@ -198,44 +198,44 @@ pub struct ReconstructArgs {
     #[arg(long)]
     pub direct: Option<PathBuf>,
     /// The prior: auto, or terms of tv, tdiff, l1, tv3d, tv3d-aniso, dct, wavelet, group, lowrank,
-    /// support joined by +, such as tv+0.5*tdiff
+    /// background, lowrank-background, support joined by +, such as tv+0.5*tdiff
     #[arg(long, allow_hyphen_values = true)]
     pub prior: Option<String>,
-    /// Weight of the prior: auto, or a number above zero
+    /// Weight of the prior: auto (by the noise level), held-out (by held-out pixels), or a number above
+    /// zero
     #[arg(long, allow_hyphen_values = true)]
     pub tau: Option<String>,
     /// Standard deviation of the noise in counts [default: from the calibration, or the frame]
     #[arg(long, allow_hyphen_values = true)]
     pub noise_sigma: Option<f64>,
-    /// Stop after this time and keep the best so far
+    /// Stop after this time and keep the current result
     #[arg(long, allow_hyphen_values = true)]
     pub time_budget_s: Option<f64>,
     /// Stop after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
-    /// Only these bins of the video, of the rows that see them
+    /// Only these bins of the video, from the rows that measure them
     #[arg(long, value_name = "FIRST..END")]
     pub bins: Option<String>,
-    /// Find the video in parts of so many bins, each written before the next: for videos that do not fit
-    /// memory. The prior has no term over time [default prior: tv+support]; 0: as many as 3 GiB hold.
-    /// Stopped, the same command goes on
+    /// Reconstruct in chunks of N bins, each written before the next starts: for videos that do not fit
+    /// in memory. The prior has no term over time [default prior: tv+support]; 0: as many bins as fit
+    /// in 3 GiB. The same command resumes an interrupted run
     #[arg(long, value_name = "N", conflicts_with_all = ["truth", "direct", "debias", "region", "photodiode", "time_budget_s", "sweep"])]
     pub part_bins: Option<usize>,
-    /// Estimate the lit voxels anew from the frame, free of the prior's pull on sizes
+    /// Re-estimate the active voxels by least squares, without the bias of the prior (debiasing)
     #[arg(long)]
     pub debias: bool,
-    /// Leave out the time in µs that video.mp4 has in a strip below the picture, as a paper's
-    /// supplement wants it
+    /// Omit the strip with the time in µs below the picture of video.mp4, as for a paper's supplement
     #[arg(long)]
     pub no_stamp: bool,
     /// A trace of the 3×3 pixels about row Y, column X, or of a region (repeatable)
     #[arg(long, value_name = "Y,X[,ROWS,COLUMNS]", allow_hyphen_values = true)]
     pub region: Vec<String>,
-    /// A photodiode's signal to lay over the trace that it fits: a CSV file with the
+    /// A photodiode's signal, aligned with the trace that fits it best: a CSV file with the
     /// columns time_us,value (or time_s, time_ms, time_ns) (repeatable)
     #[arg(long, value_name = "FILE.csv")]
     pub photodiode: Vec<PathBuf>,
-    /// Show the video in the browser while it is found, with a button to stop; then the result,
+    /// Show the video in the browser during the reconstruction, with a button to stop; then the result,
     /// until Ctrl-C
     #[cfg(feature = "view")]
     #[arg(long, conflicts_with_all = ["sweep", "part_bins"])]
@@ -243,7 +243,7 @@ pub struct ReconstructArgs {
     #[cfg(feature = "view")]
     #[command(flatten)]
     pub browser: BrowserArgs,
-    /// Run once for each value of prior, tau, noise-sigma or max-iterations, in a folder of its own
+    /// Run once for each value of prior, tau, noise-sigma or max-iterations, each in its own folder
     /// below the output, and compare them in sweep.csv (repeatable: all combinations)
     #[arg(long, value_name = "OPTION=VALUE,VALUE")]
     pub sweep: Vec<String>,
@@ -260,9 +260,9 @@ pub struct ReconstructArgs {
 
 /// Look at a result in the browser.
 ///
-/// The page comes from a server on 127.0.0.1, out of reach of other machines. On a computer far away
-/// run it there with --no-open, then ssh -L 8787:localhost:8787 THERE and open http://localhost:8787/
-/// here.
+/// The page is served on 127.0.0.1, which other machines cannot reach. To view results on a remote
+/// computer, run this command there with --no-open, run ssh -L 8787:localhost:8787 HOST here, and open
+/// http://localhost:8787/.
 #[cfg(feature = "view")]
 #[derive(Debug, Args)]
 #[command(
@@ -316,18 +316,18 @@ pub struct BrowserArgs {
 
 /// Recover the videos of a recording of many frames, into one Zarr archive.
 ///
-/// Killed at any moment, the same command goes on where it was.
+/// An interrupted run resumes with the same command.
 #[cfg(feature = "batch")]
 #[derive(Debug, Clone, Args)]
 #[command(
     after_help = "Example:\n  rowburst batch experiment.toml --frames captures -o videos.zarr\n  rowburst batch experiment.toml --frames stack.tif --frame-period-us 2000 --stitch -o videos.zarr\n  then in Python: zarr.open(\"videos.zarr\")[\"0\"][frame, t], or drop videos.zarr into napari;\n  the table is videos.zarr/rowburst/frames.csv"
 )]
 pub struct BatchArgs {
-    /// The experiment file: camera, calibration, field, recipe
+    /// The experiment file: camera, calibration, field, reconstruction options
     pub experiment: PathBuf,
     /// The recording: a folder of images or stacks, a multi-page .tif, an array [frame, y, x] (.npy, .h5,
-    /// .mat, .fits; FILE.h5:/path names one), .cihx with .mraw, or a Zarr array or OME-Zarr image. What the
-    /// experiment file leaves open is taken from its metadata
+    /// .mat, .fits; FILE.h5:/path names one), .cihx with .mraw, or a Zarr array or OME-Zarr image. Keys
+    /// missing from the experiment file are taken from its metadata
     #[arg(long)]
     pub frames: PathBuf,
     #[command(flatten)]
@@ -336,7 +336,7 @@ pub struct BatchArgs {
     /// frames spread over the recording
     #[arg(long, allow_hyphen_values = true)]
     pub prior: Option<String>,
-    /// Weight of the prior: auto (found for each frame), or a number above zero
+    /// Weight of the prior: auto or held-out (chosen for each frame), or a number above zero
     #[arg(long, allow_hyphen_values = true)]
     pub tau: Option<String>,
     /// Standard deviation of the noise in counts [default: from the calibration, or each frame]
@@ -345,12 +345,12 @@ pub struct BatchArgs {
     /// Stop each frame after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,
-    /// A preview: so many seconds for each frame, which goes on from the end of the frame before.
-    /// The videos then depend on how fast the machine is
-    #[arg(long, allow_hyphen_values = true, conflicts_with_all = ["at_once", "scheduler"])]
+    /// Preview: time limit per frame in seconds; each frame is warm-started from the previous one. The
+    /// videos then depend on the speed of the machine
+    #[arg(long, allow_hyphen_values = true, conflicts_with_all = ["concurrent_frames", "scheduler"])]
     pub time_budget_s: Option<f64>,
     /// Only the frames from A up to, but without, B, counted from 0 (either may be left out):
-    /// several processes may work on parts of one archive at once
+    /// several processes may work on ranges of one archive concurrently
     #[arg(
         long,
         value_name = "A:B",
@@ -365,17 +365,18 @@ pub struct BatchArgs {
     /// picture of NaN, and stitched/time_us has the time of each bin
     #[arg(long)]
     pub stitch: bool,
-    /// Try the frames again that failed before
+    /// Retry the frames that failed before
     #[arg(long)]
     pub retry_failed: bool,
-    /// Have the workers of a Dask scheduler do it, such as tcp://host:8786. Needs the Python package
-    /// with Dask (pip install 'rowburst[dask]'), here and on the workers, and a disk that all share
-    #[arg(long, value_name = "ADDRESS", conflicts_with_all = ["frames_range", "at_once"])]
+    /// Run on the workers of the Dask scheduler at this address, such as tcp://host:8786. Needs the
+    /// Python package with Dask (pip install 'rowburst[dask]'), here and on the workers, and a shared
+    /// disk
+    #[arg(long, value_name = "ADDRESS", conflicts_with_all = ["frames_range", "concurrent_frames"])]
     pub scheduler: Option<String>,
-    /// Frames at once [default: one per thread, as many as fit into memory]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub at_once: Option<u16>,
-    /// Run once for each value of prior, tau, noise-sigma or max-iterations, into an archive of its own
+    /// Number of frames reconstructed concurrently [default: one per thread, as many as fit into memory]
+    #[arg(long, alias = "at-once", value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub concurrent_frames: Option<u16>,
+    /// Run once for each value of prior, tau, noise-sigma or max-iterations, each into its own archive
     /// in the folder of the output, and compare them in sweep.csv (repeatable: all combinations)
     #[arg(long, value_name = "OPTION=VALUE,VALUE", conflicts_with_all = ["frames_range", "stitch"])]
     pub sweep: Vec<String>,

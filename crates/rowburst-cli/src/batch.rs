@@ -61,11 +61,11 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
         return Err(Error::input(
             "--threads",
             threads,
-            "with --scheduler the workers do the work, on threads of their own",
+            "with --scheduler the workers reconstruct the frames, with their own threads",
             "Leave it out, and start the workers with dask worker --nthreads.",
         ));
     }
-    let stop = stop_on_ctrl_c("what is done stays, and the same command goes on from there");
+    let stop = stop_on_ctrl_c("finished frames are kept; the same command resumes");
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
@@ -162,9 +162,10 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
     let missing_words = missing_words(&missing, &**frames);
     missing_words.iter().for_each(|words| eprintln!("{words}"));
 
-    let retry = match args.retry_failed && args.scheduler.is_none() {
-        true => RetryPolicy::RetryFailed,
-        false => RetryPolicy::SkipFailed,
+    let retry = if args.retry_failed && args.scheduler.is_none() {
+        RetryPolicy::RetryFailed
+    } else {
+        RetryPolicy::SkipFailed
     };
     let pending = batch.pending(range.clone(), retry)?;
     let bar = bar(pending.len(), range.len());
@@ -176,7 +177,7 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
     let threads = rayon::current_num_threads();
     // With a budget frames follow each other.
     let most = args
-        .at_once
+        .concurrent_frames
         .map(usize::from)
         .or(args.time_budget_s.map(|_| 1));
     let allocation = ThreadAllocation::new(threads, pending.len(), &batch.inputs().model, most);
@@ -201,9 +202,10 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
     }
     let rows = batch.rows()?;
     refuse_if_all_failed(args, &rows, &range)?;
-    let stitched = match args.stitch {
-        true => Some(stitch(args, &batch, stop)?),
-        false => None,
+    let stitched = if args.stitch {
+        Some(stitch(args, &batch, stop)?)
+    } else {
+        None
     };
 
     let of = |status| rows.iter().filter(move |row| row.status == status);
@@ -304,9 +306,10 @@ fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
                 "choosing the prior on {}",
                 batch.inputs().frames.name(frame)
             );
-            match bar.is_hidden() {
-                true => eprintln!("{words}"),
-                false => bar.set_message(words),
+            if bar.is_hidden() {
+                eprintln!("{words}")
+            } else {
+                bar.set_message(words)
             }
         }
         Event::FrameFinished(row) => {
@@ -330,7 +333,7 @@ fn stopped(args: &BatchArgs) -> Error {
     Error::work(
         args.output.display().to_string(),
         "stopped",
-        "The same command goes on from here.",
+        "Run the same command to resume.",
     )
 }
 
@@ -373,7 +376,7 @@ fn missing_words(missing: &[(usize, u64, u64)], frames: &dyn Frames) -> Vec<Stri
         return Vec::new();
     };
     vec![format!(
-        "{count} frames are missing by the numbers in the names, the first after {}; in time they are counted",
+        "the numbers in the names skip {count} frames, the first after {}; the time axis includes them",
         frames.name(before)
     )]
 }
@@ -401,7 +404,7 @@ fn print_summary(summary: &BatchSummary) {
     ));
     if let Some(rate) = summary.frames_per_second {
         print_line(format!(
-            "this run: {} frames in {} s, {} a second ({} at once, {} thread(s) each)",
+            "this run: {} frames in {} s, {} per second ({} concurrently, {} thread(s) each)",
             summary.frames_this_run,
             short(summary.seconds),
             short(rate),
@@ -415,7 +418,7 @@ fn print_summary(summary: &BatchSummary) {
     ));
     if let (Some(period), Some(dead)) = (summary.frame_period_us, summary.dead_us) {
         print_line(format!(
-            "a frame every {period} µs, {} µs of them dead time",
+            "a frame every {period} µs, of which {} µs are dead time",
             short(dead)
         ));
     }

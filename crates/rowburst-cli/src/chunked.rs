@@ -48,7 +48,7 @@ pub fn print_summary(summary: &ChunkedSummary, args: &ReconstructArgs) -> Result
         return Ok(());
     }
     print_line(format_args!(
-        "{} frames of {}×{} at {} fps from one frame, in {} parts and {:.1} s ({} s a bin)",
+        "{} frames of {}×{} at {} fps from one frame, in {} chunks and {:.1} s ({} s per bin)",
         summary.frames,
         summary.rows,
         summary.columns,

@@ -27,7 +27,7 @@ pub fn run(args: &BatchArgs, scheduler: &str) -> Result<()> {
         Ok(status) => Err(Error::work(
             scheduler,
             format!("the run on the cluster ended with {status}"),
-            "What is done stays, and the same command goes on from there.",
+            "Finished frames are kept; run the same command to resume.",
         )),
         Err(error) => Err(Error::work(
             python.display().to_string(),
@@ -57,7 +57,7 @@ fn check_package(python: &OsString) -> Result<()> {
             python.display()
         ),
         format!(
-            "Run pip install 'rowburst[dask]', or set {PYTHON} to the Python that has it; without a scheduler nothing of Python is needed."
+            "Run pip install 'rowburst[dask]', or set {PYTHON} to the Python that has it; without a scheduler no Python is needed."
         ),
     ))
 }

@@ -13,7 +13,7 @@ use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
 };
-use rowburst_run::inputs::{check_memory, naming_file, psf_of, read_corrections, read_frame};
+use rowburst_run::inputs::{check_memory, naming_file, psf_path, read_corrections, read_frame};
 use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
 use rowburst_run::{
     MetadataNumbers, ReconstructionSummary, ResultMeta, Task, TraceRequest, player_of, solve,
@@ -66,7 +66,7 @@ pub fn run(
     args: &ReconstructArgs,
     experiment: Experiment,
     mosaic: Bayer,
-    began: Instant,
+    process_start: Instant,
     stop: &Arc<AtomicBool>,
 ) -> Result<()> {
     refuse_options(args)?;
@@ -88,7 +88,7 @@ pub fn run(
         eprintln!("{}", site.name());
         let plane = plane_camera(&shared.camera, site);
         let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
-        let (summary, video) = shared.solve(args, &plane, site, options, began, stop)?;
+        let (summary, video) = shared.solve(args, &plane, site, options, process_start, stop)?;
         options.prior = options.prior.or(summary.prior.parse().ok());
         bin_us = plane.camera.time().bin_duration_us();
         let listed = PlaneSummary::of(&summary, site, plane.start_us, args);
@@ -143,9 +143,10 @@ pub fn run(
     };
     let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
     folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
-    match args.json {
-        true => print_line(json),
-        false => print_summary(&summary, args),
+    if args.json {
+        print_line(json)
+    } else {
+        print_summary(&summary, args)
     }
     Ok(())
 }
@@ -171,7 +172,7 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
         Some((option, _)) => Err(Error::input(
             *option,
             "a raw Bayer frame",
-            "its four planes are reconstructed apart, and the option is for one video",
+            "its four planes are reconstructed separately, and the option is for one video",
             "Leave it out.",
         )),
     }
@@ -181,8 +182,8 @@ impl SharedInputs {
     fn read(args: &ReconstructArgs, experiment: &Experiment) -> Result<Self> {
         let camera = experiment.camera()?;
         let calibration = resolve_calibration(&args.calibration, experiment);
-        let psf_path = psf_of(&calibration, experiment)?.to_path_buf();
-        let (raw, container_end) = read_frame(&args.frame)?;
+        let psf_path = psf_path(&calibration, experiment)?.to_path_buf();
+        let (raw, saturation_limit) = read_frame(&args.frame)?;
         if (raw.rows(), raw.columns()) != (camera.rows(), camera.columns()) {
             return Err(Error::input(
                 args.frame.display().to_string(),
@@ -191,7 +192,7 @@ impl SharedInputs {
                 "Give the raw frame, before any colours are made of it.",
             ));
         }
-        let corrections = read_corrections(&calibration, container_end)?;
+        let corrections = read_corrections(&calibration, saturation_limit)?;
         let psfs = read_psfs(&psf_path, &camera, corrections.dark.as_ref())?;
         for (name, image) in [
             ("dark", &corrections.dark),
@@ -227,7 +228,7 @@ impl SharedInputs {
         plane: &PlaneCamera,
         site: Site,
         options: Options,
-        began: Instant,
+        process_start: Instant,
         stop: &Arc<AtomicBool>,
     ) -> Result<(ReconstructionSummary, Video)> {
         let of = |image: &Option<Image>| image.as_ref().map(|image| plane_image(image, site));
@@ -252,7 +253,7 @@ impl SharedInputs {
             from_metadata: Default::default(),
         };
         let mut bar = Bar::new(Arc::clone(stop));
-        let completed = solve(task, began, &mut |progress, metrics| {
+        let completed = solve(task, process_start, &mut |progress, metrics| {
             bar.show(progress, metrics)
         });
         bar.finish();

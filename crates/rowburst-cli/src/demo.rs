@@ -27,8 +27,8 @@ fn paper_camera() -> CameraParams {
     }
 }
 
-/// `began` is the start of the process.
-pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
+/// `process_start` is the start of the process.
+pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
     let figure = match args.scene {
         DemoScene::Digits => "54 digits, one every 9.6 µs (the paper's Fig. 2)",
         DemoScene::Leds => "three LEDs at 20.8, 34.7 and 52.1 kHz (the paper's Fig. 3)",
@@ -78,5 +78,5 @@ pub fn run(args: &DemoArgs, began: Instant) -> Result<()> {
         seed: args.seed,
         output: args.output.clone(),
     };
-    reconstruct::run(&reconstruction, began)
+    reconstruct::run(&reconstruction, process_start)
 }

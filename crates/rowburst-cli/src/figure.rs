@@ -57,31 +57,9 @@ struct PhotodiodeRecord {
 }
 
 pub fn run(args: &FigureArgs) -> Result<()> {
-    let kind = args.output.extension().and_then(|e| e.to_str());
-    let is_svg = match kind.map(str::to_ascii_lowercase).as_deref() {
-        Some("svg") => true,
-        Some("png") => false,
-        _ => {
-            return Err(Error::input(
-                "-o",
-                args.output.display(),
-                "a figure is an .svg or a .png file",
-                "Give the file one of these endings.",
-            ));
-        }
-    };
+    let is_svg = is_svg(&args.output)?;
     let folder = &args.result;
-    let whole = ["result.json", "view.json"]
-        .iter()
-        .find(|name| !folder.join(name).is_file());
-    if let Some(missing) = whole {
-        return Err(Error::input(
-            folder.display().to_string(),
-            format!("no {missing}"),
-            "a figure is drawn from a whole result, which has view.json and result.json",
-            "Run rowburst reconstruct with -o, and give its folder.",
-        ));
-    }
+    check_complete(folder)?;
     let view = read_view(&folder.join("view.json"))?;
     let image = |name: &str| -> Result<Image> { Ok(read_image(&folder.join(name))?.image) };
     let (frame, psf, residual) = (
@@ -143,6 +121,37 @@ pub fn run(args: &FigureArgs) -> Result<()> {
     )?;
     print_line(args.output.display());
     Ok(())
+}
+
+/// Whether the ending of the file asks for an SVG rather than a PNG.
+fn is_svg(path: &Path) -> Result<bool> {
+    let kind = path.extension().and_then(|e| e.to_str());
+    match kind.map(str::to_ascii_lowercase).as_deref() {
+        Some("svg") => Ok(true),
+        Some("png") => Ok(false),
+        _ => Err(Error::input(
+            "-o",
+            path.display(),
+            "a figure is an .svg or a .png file",
+            "Give the file one of these endings.",
+        )),
+    }
+}
+
+/// Refuses a folder that lacks the files of a complete result.
+fn check_complete(folder: &Path) -> Result<()> {
+    let missing = ["result.json", "view.json"]
+        .iter()
+        .find(|name| !folder.join(name).is_file());
+    match missing {
+        Some(missing) => Err(Error::input(
+            folder.display().to_string(),
+            format!("no {missing}"),
+            "a figure is drawn from a whole result, which has view.json and result.json",
+            "Run rowburst reconstruct with -o, and give its folder.",
+        )),
+        None => Ok(()),
+    }
 }
 
 fn read_view(path: &Path) -> Result<ViewRecord> {

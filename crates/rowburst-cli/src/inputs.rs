@@ -1,16 +1,16 @@
-//! Files into values, with the talk that goes with it.
+//! Reads the files that the command line names, and prints notes about them.
 
 use crate::args::CalibrationArgs;
 use rowburst::{Camera, Image, PatchSet, Result};
 use rowburst_io::{Calibration, Experiment};
 use std::path::Path;
 
-/// The files of the command line, or else of the experiment.
+/// The calibration files: each from the command line, or else from the experiment file.
 pub fn resolve_calibration(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
     rowburst_run::inputs::resolve_calibration(calibration_from_args(args), experiment)
 }
 
-/// The files of the command line.
+/// The calibration files of the command line.
 pub fn calibration_from_args(args: &CalibrationArgs) -> Calibration {
     let files = args.clone();
     Calibration {
@@ -21,7 +21,7 @@ pub fn calibration_from_args(args: &CalibrationArgs) -> Calibration {
     }
 }
 
-/// The PSFs of `path`; says where they were binned.
+/// Reads the PSFs of `path`. Prints a note where a PSF was binned.
 pub fn read_psfs(path: &Path, camera: &Camera, dark: Option<&Image>) -> Result<PatchSet> {
     let (psfs, note) = rowburst_run::inputs::read_psfs(path, camera, dark)?;
     if let Some(note) = note {

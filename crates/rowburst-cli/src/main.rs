@@ -1,7 +1,7 @@
 //! `rowburst`: one rolling-shutter frame in, a 100,000 fps video out.
 //!
-//! Arguments become library calls and files; no maths here. Standard output carries
-//! results, standard error the talk. Exit status: 0 done, 1 the work failed, 2 the
+//! Turns arguments into calls of the library and writes files; it holds no maths. Results go to
+//! standard output, messages to standard error. Exit status: 0 success, 1 the work failed, 2 the
 //! input or the command line is wrong.
 
 mod args;
@@ -31,7 +31,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 fn main() -> ExitCode {
-    let began = Instant::now();
+    let process_start = Instant::now();
     let cli = Cli::parse();
     if let Some(threads) = cli.threads
         && let Err(error) = rayon::ThreadPoolBuilder::new()
@@ -42,9 +42,9 @@ fn main() -> ExitCode {
         return ExitCode::from(1);
     }
     let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
-        Verb::Demo(args) => demo::run(&args, began),
+        Verb::Demo(args) => demo::run(&args, process_start),
         Verb::Simulate(args) => simulate::run(&args),
-        Verb::Reconstruct(args) => reconstruct::run(&args, began),
+        Verb::Reconstruct(args) => reconstruct::run(&args, process_start),
         #[cfg(feature = "batch")]
         Verb::Batch(args) => batch::run(&args, cli.threads),
         #[cfg(feature = "view")]

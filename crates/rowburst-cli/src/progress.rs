@@ -23,8 +23,9 @@ impl Bar {
         } else {
             ProgressBar::hidden()
         };
-        let style =
-            ProgressStyle::with_template("{bar:30} iteration {pos}, at most {eta} left; {msg}");
+        let style = ProgressStyle::with_template(
+            "{bar:30} iteration {pos} of {len}, at most {eta} left; {msg}",
+        );
         bar.set_style(style.expect("the template is valid"));
         Self { bar, stop }
     }
@@ -45,9 +46,10 @@ impl Bar {
             "" => format!("residual/σ {level:.2}"),
             label => format!("{label}: residual/σ {level:.2}"),
         });
-        match self.stop.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(StopReason::Interrupted),
-            false => ControlFlow::Continue(()),
+        if self.stop.load(Ordering::Relaxed) {
+            ControlFlow::Break(StopReason::Interrupted)
+        } else {
+            ControlFlow::Continue(())
         }
     }
 
@@ -85,9 +87,10 @@ impl ChunkBar {
         }
         self.bar
             .set_message(format!("iteration {}", progress.iteration));
-        match self.stop.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(StopReason::Interrupted),
-            false => ControlFlow::Continue(()),
+        if self.stop.load(Ordering::Relaxed) {
+            ControlFlow::Break(StopReason::Interrupted)
+        } else {
+            ControlFlow::Continue(())
         }
     }
 
@@ -122,7 +125,7 @@ pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
         if flag.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
-        eprintln!("\nstopping; {talk} (Ctrl-C again to leave at once)");
+        eprintln!("\nstopping; {talk} (Ctrl-C again to quit immediately)");
     });
     stop
 }

@@ -1,4 +1,4 @@
-//! `rowburst reconstruct`: files in, video and report out.
+//! `rowburst reconstruct`: reads a frame and its calibration, writes the video and the report.
 
 use crate::args::ReconstructArgs;
 use crate::chunked;
@@ -7,34 +7,34 @@ use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
-use rowburst::measurement::correct;
+use rowburst::measurement::{Measurement, correct};
 use rowburst::reconstruct::{Chunked, Options, Verdict};
-use rowburst::{Error, Result};
-use rowburst_io::{Experiment, OutputFolder, read_metadata};
+use rowburst::{Camera, Error, PatchSet, Result};
+use rowburst_io::{Experiment, FromMetadata, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
-    check_memory, naming_file, psf_of, read_corrections, read_frame, read_truth,
+    check_memory, naming_file, psf_path, read_corrections, read_frame, read_truth,
 };
 use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
 use rowburst_run::{
-    ChunkedSummary, ChunkedTask, MovieStyle, ReconstructionSummary, ResultMeta, Task, TraceRequest,
-    Traces, player_of, short, solve, thousands,
+    ChunkedSummary, ChunkedTask, CompletedTask, MovieStyle, ReconstructionSummary, ResultMeta,
+    Task, TraceRequest, Traces, player_of, short, solve, thousands,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-/// `began` is the start of the process.
-pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
-    let stop = stop_on_ctrl_c("the best so far will be written");
+/// Runs the command. `process_start` is the time at which the process started.
+pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
+    let stop = stop_on_ctrl_c("the current result will be written");
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
     let experiment = read_experiment(args)?;
     if let Some(mosaic) = experiment.bayer {
-        return colour::run(args, experiment, mosaic, began, &stop);
+        return colour::run(args, experiment, mosaic, process_start, &stop);
     }
-    let artifacts = match run_one(args, experiment, began, stop)? {
+    let artifacts = match run_one(args, experiment, process_start, stop)? {
         Artifacts::Whole(artifacts) => artifacts,
         Artifacts::Chunked(summary) => return chunked::print_summary(&summary, args),
     };
@@ -52,22 +52,22 @@ pub fn run(args: &ReconstructArgs, began: Instant) -> Result<()> {
     Ok(())
 }
 
-/// What a run has made.
+/// The results of a run, which are written already.
 enum Artifacts {
     Whole(Box<WholeArtifacts>),
     Chunked(Box<ChunkedSummary>),
 }
 
-/// A reconstruction that is written.
+/// A reconstruction of the whole video.
 struct WholeArtifacts {
     summary: ReconstructionSummary,
     traces: Traces,
-    /// The page that watched it.
+    /// The live page of the run, if one is open.
     #[cfg(feature = "view")]
     page: Option<crate::view::LivePage>,
 }
 
-/// A run for each point of the sweep; one that fails does not stop the others.
+/// Runs every point of the sweep. A run that fails does not stop the others; the sweep fails if all do.
 fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
     let runs = points.iter().map(|point| {
@@ -84,16 +84,16 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         }
         Ok((sweep::label(point), point_args))
     });
-    // A value that is none is found before the first run.
+    // All values are parsed before the first run.
     let runs: Vec<(String, ReconstructArgs)> = runs.collect::<Result<_>>()?;
     let mut rows: Vec<sweep::Row> = Vec::new();
     let mut first_error = None;
     for (point, point_args) in runs {
-        let began = Instant::now();
+        let point_start = Instant::now();
         eprintln!("{point}");
         let artifacts = read_experiment(&point_args)
             .and_then(refuse_colour)
-            .and_then(|experiment| run_one(&point_args, experiment, began, Arc::clone(stop)));
+            .and_then(|experiment| run_one(&point_args, experiment, point_start, Arc::clone(stop)));
         let summary = match &artifacts {
             Ok(Artifacts::Whole(artifacts)) => Some(&artifacts.summary),
             _ => None,
@@ -101,13 +101,13 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         rows.push(sweep::Row {
             point,
             output: point_args.output.display().to_string(),
-            prior: summary.map(|o| o.prior.clone()),
-            tau: summary.map(|o| o.tau),
-            residual_over_sigma: summary.map(|o| o.residual_over_sigma),
-            psnr_db: summary.and_then(|o| o.psnr_db),
-            ssim: summary.and_then(|o| o.ssim),
-            fit: summary.map(|o| o.fit.to_string()),
-            seconds: began.elapsed().as_secs_f64(),
+            prior: summary.map(|s| s.prior.clone()),
+            tau: summary.map(|s| s.tau),
+            residual_over_sigma: summary.map(|s| s.residual_over_sigma),
+            psnr_db: summary.and_then(|s| s.psnr_db),
+            ssim: summary.and_then(|s| s.ssim),
+            fit: summary.map(|s| s.fit.to_string()),
+            seconds: point_start.elapsed().as_secs_f64(),
             error: artifacts.as_ref().err().map(ToString::to_string),
         });
         if let Err(error) = artifacts {
@@ -130,7 +130,7 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     }
 }
 
-/// The experiment, filled from what the frame's file says.
+/// Reads the experiment file. Metadata of the frame's file fills the keys that are left open.
 fn read_experiment(args: &ReconstructArgs) -> Result<Experiment> {
     let experiment = Experiment::read_with(&args.experiment, &read_metadata(&args.frame))?;
     if let Some(from_metadata) = experiment.from_metadata.summary_line() {
@@ -139,26 +139,51 @@ fn read_experiment(args: &ReconstructArgs) -> Result<Experiment> {
     Ok(experiment)
 }
 
+/// Refuses colour frames, which a sweep cannot compare.
 fn refuse_colour(experiment: Experiment) -> Result<Experiment> {
     match experiment.bayer {
         None => Ok(experiment),
         Some(mosaic) => Err(Error::input(
             "--sweep",
             format!("raw frames of the mosaic {}", mosaic.name()),
-            "their planes are reconstructed apart, and a sweep compares one video",
+            "their planes are reconstructed separately, and a sweep compares one video",
             "Leave --sweep out.",
         )),
     }
 }
 
-/// One reconstruction, written.
+/// Reconstructs one frame and writes the output folder.
 fn run_one(
     args: &ReconstructArgs,
     experiment: Experiment,
-    began: Instant,
+    process_start: Instant,
     stop: Arc<AtomicBool>,
 ) -> Result<Artifacts> {
     let folder = OutputFolder::create(&args.output)?;
+    let inputs = load(args, experiment)?;
+    if args.part_bins.is_some() {
+        let summary = run_in_chunks(args, inputs, &folder, stop)?;
+        return Ok(Artifacts::Chunked(Box::new(summary)));
+    }
+    check_memory(&args.experiment, &inputs.camera)?;
+    let (task, request) = load_task(args, inputs)?;
+    let run = solve_task(args, task, process_start, stop)?;
+    let artifacts = write(args, run, request, &folder)?;
+    Ok(Artifacts::Whole(Box::new(artifacts)))
+}
+
+/// The inputs of a reconstruction, of the whole video or in chunks.
+struct Inputs {
+    camera: Camera,
+    psfs: PatchSet,
+    measurement: Measurement,
+    options: Options,
+    budget: Option<Duration>,
+    from_metadata: FromMetadata,
+}
+
+/// Parses the options, then reads and corrects the frame. With `--bins` camera and frame are those of these bins.
+fn load(args: &ReconstructArgs, experiment: Experiment) -> Result<Inputs> {
     let camera = experiment.camera()?;
     let options = Options {
         prior: resolve_prior(args.prior.as_deref(), &experiment)?,
@@ -168,9 +193,9 @@ fn run_one(
     };
     let budget = parse_time_budget(args.time_budget_s)?;
     let calibration = resolve_calibration(&args.calibration, &experiment);
-    let psf_path = psf_of(&calibration, &experiment)?;
-    let (raw, container_end) = read_frame(&args.frame)?;
-    let corrections = read_corrections(&calibration, container_end)?;
+    let psf_path = psf_path(&calibration, &experiment)?;
+    let (raw, saturation_limit) = read_frame(&args.frame)?;
+    let corrections = read_corrections(&calibration, saturation_limit)?;
     let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
     let measurement = correct(&raw, &camera, &corrections)
         .map_err(|e| naming_file(e, &args.frame, &calibration))?;
@@ -184,46 +209,88 @@ fn run_one(
             (part, measurement)
         }
     };
-    let memory = check_memory(&args.experiment, &camera);
-    if args.part_bins.is_some() {
-        let task = ChunkedTask {
-            chunked: Chunked::new(camera, psfs, measurement, options)?,
-            tau: options.tau,
-            bins_per_chunk: args.part_bins.filter(|n| *n > 0),
-            title: &format!("Rowburst: {}", args.frame.display()),
-            reproduce: &command_line(args),
-            movie: movie_style(args),
-            from_metadata: &experiment.from_metadata,
-        };
-        return chunked::run(&task, &folder, stop)
-            .map(|summary| Artifacts::Chunked(Box::new(summary)));
-    }
-    memory?;
-    let truth = args
-        .truth
-        .as_deref()
-        .map(|path| read_truth(path, &camera))
-        .transpose()?;
-    let direct = args.direct.as_deref().map(read_frame).transpose()?;
-    let direct = direct.map(|(image, _)| image);
-    let request = TraceRequest::read(&args.region, &args.photodiode, camera.video_shape())?;
-
-    #[cfg(feature = "view")]
-    let mut page = crate::view::open_live_page(args, &camera, &stop)?;
-    let task = Task {
+    Ok(Inputs {
         camera,
         psfs,
         measurement,
         options,
         budget,
+        from_metadata: experiment.from_metadata,
+    })
+}
+
+/// Reconstructs the video in chunks of bins, each written before the next one starts.
+fn run_in_chunks(
+    args: &ReconstructArgs,
+    inputs: Inputs,
+    folder: &OutputFolder,
+    stop: Arc<AtomicBool>,
+) -> Result<ChunkedSummary> {
+    let Inputs {
+        camera,
+        psfs,
+        measurement,
+        options,
+        ..
+    } = inputs;
+    let task = ChunkedTask {
+        chunked: Chunked::new(camera, psfs, measurement, options)?,
+        tau: options.tau,
+        bins_per_chunk: args.part_bins.filter(|n| *n > 0),
+        title: &format!("Rowburst: {}", args.frame.display()),
+        reproduce: &command_line(args),
+        movie: movie_style(args),
+        from_metadata: &inputs.from_metadata,
+    };
+    chunked::run(&task, folder, stop)
+}
+
+/// Reads the inputs that only the whole video has: truth, direct frame, regions and photodiodes.
+fn load_task(args: &ReconstructArgs, inputs: Inputs) -> Result<(Task, TraceRequest)> {
+    let truth = args
+        .truth
+        .as_deref()
+        .map(|path| read_truth(path, &inputs.camera))
+        .transpose()?;
+    let direct = args.direct.as_deref().map(read_frame).transpose()?;
+    let direct = direct.map(|(image, _)| image);
+    let request = TraceRequest::read(&args.region, &args.photodiode, inputs.camera.video_shape())?;
+    let task = Task {
+        camera: inputs.camera,
+        psfs: inputs.psfs,
+        measurement: inputs.measurement,
+        options: inputs.options,
+        budget: inputs.budget,
         truth,
         truth_file: args.truth.clone(),
         direct,
         seed: args.seed,
-        from_metadata: experiment.from_metadata,
+        from_metadata: inputs.from_metadata,
     };
+    Ok((task, request))
+}
+
+/// A reconstruction that is not written yet.
+struct CompletedRun {
+    completed: CompletedTask,
+    /// The live page of the run, if one is open.
+    #[cfg(feature = "view")]
+    page: Option<crate::view::LivePage>,
+}
+
+/// Runs the solver, with the progress bar and, if requested, the live page.
+fn solve_task(
+    args: &ReconstructArgs,
+    task: Task,
+    process_start: Instant,
+    stop: Arc<AtomicBool>,
+) -> Result<CompletedRun> {
+    #[cfg(feature = "view")]
+    let mut page = crate::view::open_live_page(args, &task.camera, &stop)?;
+    #[cfg(not(feature = "view"))]
+    let _ = args;
     let mut bar = Bar::new(stop);
-    let completed = solve(task, began, &mut |progress, metrics| {
+    let completed = solve(task, process_start, &mut |progress, metrics| {
         #[cfg(feature = "view")]
         if let Some(page) = &mut page {
             page.show(progress, metrics);
@@ -231,11 +298,25 @@ fn run_one(
         bar.show(progress, metrics)
     });
     bar.finish();
-    let mut completed = completed?;
+    Ok(CompletedRun {
+        completed: completed?,
+        #[cfg(feature = "view")]
+        page,
+    })
+}
+
+/// Computes the traces and writes all files of the result.
+fn write(
+    args: &ReconstructArgs,
+    run: CompletedRun,
+    request: TraceRequest,
+    folder: &OutputFolder,
+) -> Result<WholeArtifacts> {
+    let mut completed = run.completed;
     let mut traces = completed.traces(request, args.debias);
     completed.take_debiased(&mut traces);
     #[cfg(feature = "view")]
-    if let Some(page) = &page {
+    if let Some(page) = &run.page {
         page.mark_writing();
     }
     let title = format!("Rowburst: {}", args.frame.display());
@@ -246,23 +327,25 @@ fn run_one(
         player: player_of(folder.path()),
         movie: movie_style(args),
     };
-    let summary = completed.write(&traces, &folder, result_meta)?;
-    Ok(Artifacts::Whole(Box::new(WholeArtifacts {
+    let summary = completed.write(&traces, folder, result_meta)?;
+    Ok(WholeArtifacts {
         summary,
         traces,
         #[cfg(feature = "view")]
-        page,
-    })))
+        page: run.page,
+    })
 }
 
+/// The style of `video.mp4` that the arguments select.
 pub(crate) fn movie_style(args: &ReconstructArgs) -> MovieStyle {
-    match args.no_stamp {
-        true => MovieStyle::Plain,
-        false => MovieStyle::Stamped,
+    if args.no_stamp {
+        MovieStyle::Plain
+    } else {
+        MovieStyle::Stamped
     }
 }
 
-/// What makes the same result again, as a shell takes it.
+/// The command that reproduces the result, quoted for a shell.
 pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     let path = |path: &PathBuf| path.display().to_string();
     let mut words: Vec<String> = ["rowburst", "reconstruct"].map(String::from).into();
@@ -290,8 +373,8 @@ pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     let number = |value: Option<f64>| value.map(|v| v.to_string());
     option("--noise-sigma", number(args.noise_sigma));
     option("--time-budget-s", number(args.time_budget_s));
-    let most = args.max_iterations.map(|v| v.to_string());
-    option("--max-iterations", most);
+    let max_iterations = args.max_iterations.map(|v| v.to_string());
+    option("--max-iterations", max_iterations);
     option("--bins", args.bins.clone());
     option("--part-bins", args.part_bins.map(|v| v.to_string()));
     let flags = [("--debias", args.debias), ("--no-stamp", args.no_stamp)];
@@ -301,6 +384,7 @@ pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     shell_words::join(words)
 }
 
+/// Prints the summary for a person.
 fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces: &Traces) {
     print_line(format_args!(
         "{} frames of {}×{} at {} fps from one frame, in {:.2} s (set-up {:.2} s, {} iterations, {})",
@@ -335,11 +419,11 @@ fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces
         print_line(format_args!("the fit is good: {}", summary.fit_reason));
     }
     if let Some(debias) = &summary.debias {
-        let before = debias
-            .psnr_db_before
-            .map_or(String::new(), |db| format!(", PSNR before {db:.2} dB"));
+        let before = debias.psnr_db_before.map_or(String::new(), |db| {
+            format!(", PSNR before debiasing {db:.2} dB")
+        });
         print_line(format_args!(
-            "debiased: light × {:.4}, bright parts × {:.4}{before}",
+            "debiased: total light × {:.4}, bright voxels × {:.4}{before}",
             debias.light_ratio, debias.bright_light_ratio
         ));
     }

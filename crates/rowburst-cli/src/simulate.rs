@@ -3,9 +3,9 @@
 use crate::args::{OpticsArgs, SimulateArgs};
 use crate::inputs::read_psfs;
 use crate::output::print_line;
-use rowburst::noise::Noise;
-use rowburst::simulate::scene;
-use rowburst::{Camera, Error, PatchSet, Result};
+use rowburst::noise::{Noise, SimulatedFrame};
+use rowburst::simulate::scene::{self, Led};
+use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
 use rowburst_io::{
     Experiment, OutputFolder, read_video, write_csv, write_npy_image, write_npy_video,
     write_patch_set, write_tiff_image,
@@ -16,7 +16,7 @@ use rowburst_run::simulate::{
     LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, naming_camera,
     pixel_pitch_um, simulate, speckle_for, subtract_background,
 };
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::Path;
 
 /// What is to be simulated.
@@ -83,7 +83,7 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
         background: inputs.background,
         noise: inputs.noise,
         seed: inputs.seed,
-        digit_px: inputs.digit_px,
+        digit_height_px: inputs.digit_px,
     })
     .map_err(|e| match e {
         // What the frame's light makes impossible is the scene's.
@@ -99,67 +99,133 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
 
     let psf_file = write_psfs(&folder, &psfs)?;
     folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
-    let mut light = None;
-    // Those of an earlier run in this folder would not add up to this truth.
-    for name in BACKGROUND_FILES {
-        folder.remove(name)?;
-    }
-    if let Some(still) = background {
-        let moving = subtract_background(truth, &still);
-        light = Some(total(still.data()) * moving.shape().bins as f64 / total(moving.data()));
-        let [of_still, of_moving] = BACKGROUND_FILES;
-        folder.write(of_still, |w| write_npy_image(w, &still))?;
-        folder.write(of_moving, |w| write_npy_video(w, &moving))?;
-    }
+    let light = write_background(&folder, truth, background)?;
     folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
     folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
     if inputs.scene == "leds" {
         write_photodiodes(inputs, &folder, &camera)?;
     }
-    let notes = json!({
+    let record = record(inputs, &camera, &recorded, noise, &leds, light);
+    folder.write_bytes("simulation.json", format!("{record:#}\n").as_bytes())?;
+    let experiment = written_experiment(inputs, &folder, psf_file);
+    write_row_order(&folder, &experiment, &camera)?;
+    let text = experiment.to_toml(folder.path());
+    folder.write_bytes("experiment.toml", text.as_bytes())?;
+    eprintln!(
+        "frame: {}×{} pixels, noise {} ({}), {} saturated",
+        camera.rows(),
+        camera.columns(),
+        short(recorded.sigma),
+        noise_text(inputs.noise),
+        recorded.saturated
+    );
+    Ok(())
+}
+
+/// Writes the static background and the moving part of the truth. Returns the light of the background over that of
+/// the moving part.
+fn write_background(
+    folder: &OutputFolder,
+    truth: Video,
+    background: Option<Image>,
+) -> Result<Option<f64>> {
+    // Files of an earlier run would not add up to this truth.
+    for name in BACKGROUND_FILES {
+        folder.remove(name)?;
+    }
+    let Some(still) = background else {
+        return Ok(None);
+    };
+    let moving = subtract_background(truth, &still);
+    let light = total(still.data()) * moving.shape().bins as f64 / total(moving.data());
+    let [of_still, of_moving] = BACKGROUND_FILES;
+    folder.write(of_still, |w| write_npy_image(w, &still))?;
+    folder.write(of_moving, |w| write_npy_video(w, &moving))?;
+    Ok(Some(light))
+}
+
+/// The contents of `simulation.json`; `background_light` is what [`write_background`] returns.
+fn record(
+    inputs: &SimulationInputs,
+    camera: &Camera,
+    recorded: &SimulatedFrame,
+    noise: Noise,
+    leds: &[Led],
+    background_light: Option<f64>,
+) -> Value {
+    json!({
         "version": env!("CARGO_PKG_VERSION"),
         "scene": inputs.scene,
         "background": inputs.background.map(|times| json!({
             "brightest_over_scene": times,
-            "light_over_scene": light,
+            "light_over_scene": background_light,
         })),
         "leds": leds.iter().map(|led| json!({
             "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
         })).collect::<Vec<_>>(),
         "seed": inputs.seed,
-        "noise": match inputs.noise {
-            NoiseChoice::Snr(snr) => json!({ "model": "gaussian", "snr": snr.is_finite().then_some(snr) }),
-            NoiseChoice::PeakElectrons(_) | NoiseChoice::SceneElectrons(_) => json!({
-                "model": "shot and read noise",
-                "peak_electrons": match noise {
-                    Noise::Camera { peak_electrons } => Some(peak_electrons),
-                    Noise::None | Noise::Gaussian { .. } => None,
-                },
-                "scene_electrons": match inputs.noise {
-                    NoiseChoice::SceneElectrons(n) => Some(n),
-                    NoiseChoice::Snr(_) | NoiseChoice::PeakElectrons(_) => None,
-                },
-            }),
-        },
+        "noise": noise_record(inputs.noise, noise),
         "noise_sigma": recorded.sigma,
         "counts_per_unit_of_scene": recorded.scale,
         "saturated_pixels": recorded.saturated,
-        "psf": match &inputs.psf.map(Path::to_path_buf).or(inputs.experiment.calibration.psf.clone()) {
-            Some(path) => json!(path.display().to_string()),
-            None => json!({
-                "wavelength_nm": inputs.optics.wavelength_nm,
-                "pupil_mm": inputs.optics.na.is_none().then_some(inputs.optics.pupil_mm),
-                "na": inputs.optics.na,
-                "focal_length_mm": inputs.optics.focal_length_mm,
-                "magnification": inputs.optics.magnification,
-                "diffuser_fwhm_deg": inputs.optics.diffuser_deg,
-                "diffuser_phase_rad": inputs.diffuser_phase,
-                "pixel_pitch_um": pixel_pitch_um(&camera),
-            }),
-        },
-    });
-    folder.write_bytes("simulation.json", format!("{notes:#}\n").as_bytes())?;
-    let experiment = written_experiment(inputs, &folder, psf_file);
+        "psf": psf_record(inputs, camera),
+    })
+}
+
+/// The noise that was asked for; `noise` is the one that was added.
+fn noise_record(choice: NoiseChoice, noise: Noise) -> Value {
+    match choice {
+        NoiseChoice::Snr(snr) => {
+            json!({ "model": "gaussian", "snr": snr.is_finite().then_some(snr) })
+        }
+        NoiseChoice::PeakElectrons(_) | NoiseChoice::SceneElectrons(_) => json!({
+            "model": "shot and read noise",
+            "peak_electrons": match noise {
+                Noise::Camera { peak_electrons } => Some(peak_electrons),
+                Noise::None | Noise::Gaussian { .. } => None,
+            },
+            "scene_electrons": match choice {
+                NoiseChoice::SceneElectrons(n) => Some(n),
+                NoiseChoice::Snr(_) | NoiseChoice::PeakElectrons(_) => None,
+            },
+        }),
+    }
+}
+
+/// The file of the PSF, or the optics of the speckle.
+fn psf_record(inputs: &SimulationInputs, camera: &Camera) -> Value {
+    match &inputs
+        .psf
+        .map(Path::to_path_buf)
+        .or(inputs.experiment.calibration.psf.clone())
+    {
+        Some(path) => json!(path.display().to_string()),
+        None => json!({
+            "wavelength_nm": inputs.optics.wavelength_nm,
+            "pupil_mm": inputs.optics.na.is_none().then_some(inputs.optics.pupil_mm),
+            "na": inputs.optics.na,
+            "focal_length_mm": inputs.optics.focal_length_mm,
+            "magnification": inputs.optics.magnification,
+            "diffuser_fwhm_deg": inputs.optics.diffuser_deg,
+            "diffuser_phase_rad": inputs.diffuser_phase,
+            "pixel_pitch_um": pixel_pitch_um(camera),
+        }),
+    }
+}
+
+/// The noise that was asked for, in words.
+fn noise_text(noise: NoiseChoice) -> String {
+    match noise {
+        NoiseChoice::Snr(snr) => format!("SNR {snr}"),
+        NoiseChoice::PeakElectrons(n) => format!("{n} electrons in the brightest pixel"),
+        NoiseChoice::SceneElectrons(n) => {
+            format!("{n} electrons of the brightest scene pixel in a bin")
+        }
+    }
+}
+
+/// Writes the row order of a custom shutter.
+fn write_row_order(folder: &OutputFolder, experiment: &Experiment, camera: &Camera) -> Result<()> {
     if let (Some(order), rowburst::Shutter::Custom(k)) = (&experiment.row_order, camera.shutter()) {
         let name = order
             .file_name()
@@ -169,21 +235,6 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
         let k: Vec<i64> = k.iter().map(|&k| k as i64).collect();
         folder.write(&name, |w| rowburst_io::write_npy_i64(w, &[k.len()], &k))?;
     }
-    let text = experiment.to_toml(folder.path());
-    folder.write_bytes("experiment.toml", text.as_bytes())?;
-    eprintln!(
-        "frame: {}×{} pixels, noise {} ({}), {} saturated",
-        camera.rows(),
-        camera.columns(),
-        short(recorded.sigma),
-        match inputs.noise {
-            NoiseChoice::Snr(snr) => format!("SNR {snr}"),
-            NoiseChoice::PeakElectrons(n) => format!("{n} electrons in the brightest pixel"),
-            NoiseChoice::SceneElectrons(n) =>
-                format!("{n} electrons of the brightest scene pixel in a bin"),
-        },
-        recorded.saturated
-    );
     Ok(())
 }
 

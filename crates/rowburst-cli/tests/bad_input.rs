@@ -93,6 +93,7 @@ fn more(lab: &Lab, lines: &str) {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of faulty inputs")]
 fn frames() {
     refused(&[
         case(
@@ -262,6 +263,7 @@ fn frames() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of faulty inputs")]
 fn files() {
     refused(&[
         case(
@@ -463,7 +465,7 @@ fn files() {
                     5,
                     5,
                     |y, x| if (y, x) == (4, 0) { -0.5 } else { 1.0 },
-                )
+                );
             },
             BAD_PSF,
             [
@@ -558,6 +560,7 @@ fn files() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of faulty inputs")]
 fn experiments() {
     refused(&[
         case(
@@ -884,6 +887,7 @@ fn experiments() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of faulty inputs")]
 fn options() {
     refused(&[
         case(
@@ -1071,7 +1075,7 @@ fn options() {
                 more(
                     lab,
                     "gain_electrons_per_count = 0.5\nread_noise_electrons = 1.5",
-                )
+                );
             },
             "simulate experiment.toml --scene digits --peak-electrons 0 -o out",
             ["--peak-electrons", "0", "above zero", "below the full well"],
@@ -1082,7 +1086,7 @@ fn options() {
                 more(
                     lab,
                     "gain_electrons_per_count = 0.5\nread_noise_electrons = 1.5",
-                )
+                );
             },
             "simulate experiment.toml --scene digits --peak-electrons -5 -o out",
             [

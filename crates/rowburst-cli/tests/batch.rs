@@ -73,7 +73,10 @@ fn a_preview_warm_starts_each_frame() {
     assert_eq!(summary["prior"], "tv+0.5*tdiff+support");
     let refused = [
         (&["--time-budget-s", "-1"][..], "budget"),
-        (&["--time-budget-s", "0.2", "--at-once", "2"], "at-once"),
+        (
+            &["--time-budget-s", "0.2", "--at-once", "2"],
+            "concurrent-frames",
+        ),
         (&["--prior", "tv+0.5*tdiff+support"], "time budget"),
     ];
     for (more, word) in refused {
@@ -257,7 +260,7 @@ fn an_interrupt_is_reported_and_the_job_resumes() {
     let stderr = String::from_utf8(stderr).unwrap();
     assert_eq!(status.code(), Some(1), "{stderr}");
     assert!(
-        stderr.contains("The same command goes on from here"),
+        stderr.contains("Run the same command to resume"),
         "{stderr}"
     );
     let through = column(&lab, "out.zarr", "frame").len();
@@ -529,7 +532,7 @@ fn one_prior_is_chosen_for_all_frames_and_kept() {
     let summary = done(&lab, "out.zarr", &auto);
     assert_eq!(summary["prior_frame"], 2, "the brightest");
     let reason = summary["prior_reason"].as_str().unwrap();
-    assert!(reason.contains("pixels that it had not seen"), "{reason}");
+    assert!(reason.contains("held-out pixels"), "{reason}");
     let prior = summary["prior"].as_str().unwrap();
     assert_eq!(column(&lab, "out.zarr", "prior"), vec![prior; 4]);
     // A part that begins elsewhere takes the same choice.
@@ -605,7 +608,7 @@ fn a_scheduler_needs_the_python_package_and_says_so() {
 #[test]
 fn a_scheduler_takes_no_threads_of_this_machine() {
     let lab = lab_of(2);
-    for (option, number) in [("--threads", "2"), ("--at-once", "2")] {
+    for (option, number) in [("--threads", "2"), ("--concurrent-frames", "2")] {
         let words = ["--scheduler", "tcp://127.0.0.1:9", option, number];
         let (code, stdout, stderr) = output(command(&lab, "out.zarr", &words));
         assert_eq!((code, stdout.as_str()), (2, ""), "{stderr}");

@@ -165,10 +165,11 @@ fn exposures_are_merged_and_outliers_named() {
         serde_json::json!(["moved.png"]),
         "{result}"
     );
-    assert!(warned(&result, "moved.png was left out"));
+    assert!(warned(&result, "moved.png was excluded"));
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of bad inputs")]
 fn mistakes_are_named() {
     let lab = Lab::empty();
     for i in 0..4 {
@@ -221,7 +222,7 @@ fn mistakes_are_named() {
         ("gone.png", &["gone.png", "no such file"]),
         (
             "0.png 1.png --positions-mm few.csv",
-            &["2 places", "three places or more"],
+            &["2 positions", "three positions or more"],
         ),
         (
             "0.png 1.png --positions-mm missing.csv",

@@ -327,6 +327,7 @@ fn scale(image: &mut Image, factor: f32) {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of bad inputs")]
 fn bad_input_says_what_to_do() {
     let cases = [
         Case {
@@ -388,7 +389,7 @@ fn bad_input_says_what_to_do() {
                 stack(lab, "f.npy", &flats);
             },
             arguments: PLAIN,
-            says: ["--flats", "a light of its own", "at least two flats"],
+            says: ["--flats", "no two of equal light", "at least two flats"],
         },
         Case {
             name: "the same frame twice",
@@ -486,7 +487,7 @@ fn poor_captures_are_warned_of() {
             "a lamp that flickers",
             |lab, s| {
                 let flats = changed(s.frames(8000.0, 6), |i, f| {
-                    scale(f, 1.0 + 0.04 * (i % 2) as f32)
+                    scale(f, 1.0 + 0.04 * (i % 2) as f32);
                 });
                 stack(lab, "f.npy", &flats);
             },

@@ -129,6 +129,7 @@ fn an_unequal_double_pulse_decides_the_direction() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of bad inputs")]
 fn bad_input_names_what_to_do() {
     let lab = Lab::empty();
     let down = |r: usize| ROW_TIME_US * r as f64;
@@ -205,8 +206,12 @@ fn bad_input_names_what_to_do() {
         ("led.npy", "--signal bad.csv", "bad.csv, line 3"),
         ("led.npy", "--signal back.csv", "never go back"),
         ("led.npy", "--signal gone.csv", "gone.csv"),
-        ("led.npy", "--signal slow.csv", "Cut it to the time about"),
-        ("still.npy", "--signal pulses.csv", "the signal explains"),
+        (
+            "led.npy",
+            "--signal slow.csv",
+            "Shorten it to the time around",
+        ),
+        ("still.npy", "--signal pulses.csv", "a signal that explains"),
     ];
     for (frames, options, words) in cases {
         let arguments = format!("calibrate timing {frames} {options}");

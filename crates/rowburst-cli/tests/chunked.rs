@@ -31,7 +31,7 @@ fn chunks_equal_the_whole_solve() {
     let how = "--prior tv+l1 --tau 1e-6 --noise-sigma 1e-4 --max-iterations 3000";
     lab.done(&format!("{FRAME} {how} -o whole"));
     let said = lab.done(&format!("{FRAME} {how} --part-bins 5 -o parts"));
-    assert!(said.contains("in 3 parts"), "{said}");
+    assert!(said.contains("in 3 chunks"), "{said}");
     let (whole, parts) = (lab.array("whole/video.npy"), lab.array("parts/video.npy"));
     assert_eq!(whole.dim(), parts.dim());
     let far = (&whole - &parts)
@@ -115,7 +115,7 @@ fn invalid_combinations_are_refused() {
         (
             "reconstruct long.toml --frame sim/frame.npy --psf sim/psf.npy --part-bins 4 -o x"
                 .into(),
-            "at most a row",
+            "at most one row time",
         ),
         (
             "reconstruct long.toml --frame sim/frame.npy --psf sim/psf.npy --bins 0..4 -o x".into(),

@@ -143,6 +143,7 @@ fn experiment_and_psf_are_used() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one table of bad inputs")]
 fn bad_input_is_refused() {
     let lab = Lab::new();
     lab.write(

@@ -336,7 +336,10 @@ fn ctrl_c_writes_the_best_so_far() {
     let output = child.wait_with_output().unwrap();
     let talk = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{}: {talk}", output.status);
-    assert!(talk.contains("the best so far will be written"), "{talk}");
+    assert!(
+        talk.contains("the current result will be written"),
+        "{talk}"
+    );
     has_all_files(&lab, "out");
     let result = lab.result("out");
     has_all_keys(&result, false);

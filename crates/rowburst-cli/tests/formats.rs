@@ -93,7 +93,7 @@ fn metadata_is_taken_over_and_contradictions_are_told() {
     let warnings = reconstruct(&lab, "frame.npy")["warnings"].to_string();
     assert!(warnings.contains("exposure_us is 9.6"), "{warnings}");
     assert!(
-        warnings.contains("the experiment file counts"),
+        warnings.contains("the experiment file takes precedence"),
         "{warnings}"
     );
 

@@ -33,7 +33,7 @@ fn traces_have_errors_and_photodiodes_find_their_leds() {
         "{RECONSTRUCT} --region 5,6,4,3 --photodiode sim/photodiode-1.csv --photodiode sim/photodiode-2.csv --debias -o out"
     ));
     assert!(said.contains("photodiode-1.csv: correlation"), "{said}");
-    assert!(said.contains("debiased: light"), "{said}");
+    assert!(said.contains("debiased: total light"), "{said}");
     let result = lab.result("out");
     let traces = result["traces"].as_array().unwrap();
     assert_eq!(traces[0]["region"]["y"], 5);
@@ -69,7 +69,7 @@ fn traces_have_errors_and_photodiodes_find_their_leds() {
     assert_eq!(table.lines().count(), 1 + 20);
     assert!(table.lines().nth(1).unwrap().starts_with("4.8,"));
     let page = String::from_utf8(lab.read("out/report.html")).unwrap();
-    assert!(page.contains("95 % of all bins") && page.contains("photodiode-1.csv over"));
+    assert!(page.contains("95 % confidence intervals") && page.contains("photodiode-1.csv over"));
     assert!(page.contains("--region 5,6,4,3 --photodiode sim/photodiode-1.csv"));
 }
 

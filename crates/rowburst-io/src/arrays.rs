@@ -59,7 +59,7 @@ pub(crate) fn choose(source: &Source, all: &[ArrayInfo]) -> Result<usize> {
         )),
         [first, ..] => Err(source.error(
             format!("several arrays: {}", list(all)),
-            "where a file has more than one image, the one that is meant is named",
+            "name the image where a file has more than one",
             remedy(&all[first].name),
         )),
     }

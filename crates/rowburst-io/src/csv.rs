@@ -114,9 +114,8 @@ pub fn write_csv(
     let mut line = |text: String| writeln!(w, "{text}").map_err(|e| fault::write_error(&e));
     line(heading.join(","))?;
     for row in rows {
-        let cell = |v: &f64| match v.is_finite() {
-            // Nine digits: more than a float32 holds.
-            true => {
+        let cell = |v: &f64| {
+            if v.is_finite() {
                 let text = format!("{v:.8e}");
                 let plain = text.parse::<f64>().unwrap_or(*v).to_string();
                 if plain.len() < text.len() {
@@ -124,8 +123,9 @@ pub fn write_csv(
                 } else {
                     text
                 }
+            } else {
+                String::new()
             }
-            false => String::new(),
         };
         line(row.iter().map(cell).collect::<Vec<_>>().join(","))?;
     }

@@ -47,7 +47,7 @@ pub struct Experiment {
     pub params: CameraParams,
     /// The mosaic of a colour sensor whose frames are raw.
     pub bayer: Option<Bayer>,
-    /// The file of a custom shutter's order.
+    /// The file of a custom shutter's order; `None` where the experiment file lists the order itself.
     pub row_order: Option<PathBuf>,
     /// Where the calibration lies.
     pub calibration: Calibration,
@@ -173,10 +173,19 @@ impl Experiment {
             Ok(table.text(key)?.map(|name| folder.join(name)))
         };
         let camera = file.table("camera")?;
-        let row_order = resolved(&camera, "row_order")?;
+        let listed_order = camera.counts("row_order")?;
+        let row_order = match listed_order {
+            Some(_) => None,
+            None => resolved(&camera, "row_order")?,
+        };
         let mut filling = Filling::new(path, metadata);
         let field = file.table("field")?;
-        let params = read_params(&camera, &field, row_order.as_deref(), &mut filling)?;
+        let order = match (listed_order, &row_order) {
+            (Some(order), _) => Some(RowOrder::Listed(order)),
+            (None, Some(path)) => Some(RowOrder::File(path)),
+            (None, None) => None,
+        };
+        let params = read_params(&camera, &field, order, &mut filling)?;
         let mut recording = read_recording(&file.table("recording")?)?;
         recording.frame_period_us = filling.number(
             "frame_period_us",
@@ -203,9 +212,9 @@ impl Experiment {
 
     /// The text of an experiment file that lies in `folder` and says the same.
     ///
-    /// Paths in `folder` are written relative to it, others as absolute paths. The
-    /// order of a custom shutter must be written by the caller, to `row_order`, or to
-    /// `row_order.npy` in `folder` where that is `None`.
+    /// Paths in `folder` are written relative to it, others as absolute paths. The order of a
+    /// custom shutter is written as a list where `row_order` is `None`; the file that
+    /// `row_order` names must be written by the caller.
     pub fn to_toml(&self, folder: &Path) -> String {
         let path = |path: &PathBuf| -> toml::Value {
             let written = match path.strip_prefix(folder) {
@@ -221,13 +230,13 @@ impl Experiment {
         line(&mut text, "shutter", Some(params.shutter.name()));
         line(&mut text, "row_time_us", Some(params.row_time_us));
         line(&mut text, "exposure_us", Some(params.exposure_us));
-        if let Shutter::Custom(_) = params.shutter {
-            let default = folder.join("row_order.npy");
-            line(
-                &mut text,
-                "row_order",
-                Some(path(self.row_order.as_ref().unwrap_or(&default))),
-            );
+        if let Shutter::Custom(order) = &params.shutter {
+            let list = || -> toml::Value {
+                let numbers = order.iter().map(|&k| toml::Value::from(k as i64));
+                numbers.collect::<Vec<_>>().into()
+            };
+            let order = self.row_order.as_ref().map_or_else(list, path);
+            line(&mut text, "row_order", Some(order));
         }
         let unless_one = |n: usize| (n != 1).then_some(n as i64);
         line(&mut text, "binning", unless_one(sensor.binning));
@@ -294,10 +303,16 @@ fn line(text: &mut String, key: &str, value: Option<impl Into<toml::Value>>) {
     }
 }
 
+/// The order of a custom shutter, as `[camera]` gives it.
+enum RowOrder<'a> {
+    Listed(Vec<usize>),
+    File(&'a Path),
+}
+
 fn read_params(
     camera: &Table,
     field: &Table,
-    row_order: Option<&Path>,
+    row_order: Option<RowOrder>,
     filling: &mut Filling,
 ) -> Result<CameraParams> {
     camera.check_keys(&CAMERA_KEYS)?;
@@ -353,13 +368,16 @@ fn read_params(
     })
 }
 
-fn read_shutter(camera: &Table, row_order: Option<&Path>) -> Result<Option<Shutter>> {
+fn read_shutter(camera: &Table, row_order: Option<RowOrder>) -> Result<Option<Shutter>> {
     let Some(name) = camera.text("shutter")? else {
         return Ok(None);
     };
     if name == "custom" {
-        let path = camera.required("row_order", row_order)?;
-        return Ok(Some(Shutter::Custom(read_row_order(path)?)));
+        let order = match camera.required("row_order", row_order)? {
+            RowOrder::Listed(order) => order,
+            RowOrder::File(path) => read_row_order(path)?,
+        };
+        return Ok(Some(Shutter::Custom(order)));
     }
     let shutter = Shutter::from_name(name).ok_or_else(|| {
         camera.error(

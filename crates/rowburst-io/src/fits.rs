@@ -240,9 +240,10 @@ fn units(source: &Source, file: &mut (impl Read + Seek)) -> Result<Vec<Unit>> {
         let numbers = axes
             .iter()
             .try_fold(1u64, |n, &side| n.checked_mul(side as u64));
-        let bytes = match axes.is_empty() {
-            true => Some(0),
-            false => numbers.and_then(|n| n.checked_add(also)?.checked_mul(size)),
+        let bytes = if axes.is_empty() {
+            Some(0)
+        } else {
+            numbers.and_then(|n| n.checked_add(also)?.checked_mul(size))
         };
         let bytes = bytes.ok_or_else(|| source.unreadable("sizes beyond all bounds"))?;
         found.push(Unit {
@@ -259,9 +260,10 @@ fn units(source: &Source, file: &mut (impl Read + Seek)) -> Result<Vec<Unit>> {
         };
         at = next;
     }
-    match found.is_empty() {
-        true => Err(source.unreadable("no FITS header")),
-        false => Ok(found),
+    if found.is_empty() {
+        Err(source.unreadable("no FITS header"))
+    } else {
+        Ok(found)
     }
 }
 

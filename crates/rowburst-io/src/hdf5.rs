@@ -65,9 +65,10 @@ impl Stack {
 
     /// The numbers of frame `at`.
     fn numbers(&self, at: usize) -> std::result::Result<Vec<f32>, hdf5_pure::Error> {
-        let (first, rows) = match self.is_single {
-            true => (0, self.dataset.shape()?[0]),
-            false => (at as u64, 1),
+        let (first, rows) = if self.is_single {
+            (0, self.dataset.shape()?[0])
+        } else {
+            (at as u64, 1)
         };
         macro_rules! read {
             ($read:ident) => {

@@ -303,9 +303,10 @@ impl Matrix {
             "unknown", "cell", "struct", "object", "char", "sparse", "double", "single", "int8",
             "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
         ];
-        match self.is_complex {
-            true => "complex",
-            false => NAMES.get(self.class as usize).copied().unwrap_or("unknown"),
+        if self.is_complex {
+            "complex"
+        } else {
+            NAMES.get(self.class as usize).copied().unwrap_or("unknown")
         }
     }
 

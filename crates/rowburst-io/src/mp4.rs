@@ -56,8 +56,7 @@ pub fn write_mp4(w: &mut impl Write, video: &Video, stamp: Option<&StampRenderer
         .vui(VuiConfig::bt709())
         .max_frame_rate(FrameRate::from_hz(PLAYBACK_HZ as f32))
         .intra_frame_period(IntraFramePeriod::from_num_frames(KEY_PERIOD))
-        // Constant quality at the encoder's own step of 26: a moving digit comes back
-        // within 0.24 of 219 steps of luma rms.
+        // Constant quality at the encoder's own step (docs/design/018).
         .rate_control_mode(RateControlMode::Off)
         .scene_change_detect(false)
         .adaptive_quantization(false)
@@ -184,11 +183,12 @@ impl Picture {
     fn new(scaler: &Scaler, has_stamp: bool) -> Self {
         let side = |sampled: usize| (sampled * scaler.repeat).max(MIN_SIDE).next_multiple_of(2);
         let (height, width) = (side(scaler.sampled.0), side(scaler.sampled.1));
-        let stamp_height = match has_stamp && width >= MIN_STAMP_WIDTH {
-            true => ((width as f64 * STAMP_HEIGHT_RATIO) as usize)
+        let stamp_height = if has_stamp && width >= MIN_STAMP_WIDTH {
+            ((width as f64 * STAMP_HEIGHT_RATIO) as usize)
                 .max(MIN_STAMP_HEIGHT)
-                .next_multiple_of(2),
-            false => 0,
+                .next_multiple_of(2)
+        } else {
+            0
         };
         let height = height + stamp_height;
         Self {

@@ -79,7 +79,7 @@ pub fn write_patch_set(folder: &OutputFolder, name: &str, set: &PatchSet) -> Res
         .map(|(y, x)| format!("    [{y:?}, {x:?}],\n"))
         .collect();
     let text = format!(
-        "# PSFs at several places of the field: psf = \"…\" under [calibration] takes this file.\n\
+        "# PSFs at several positions of the field: psf = \"…\" under [calibration] takes this file.\n\
          # [patch, y, x]\npsfs = {}\n\
          # Row and column offset of each source from the middle of the field, in pixels.\n\
          offsets_px = [\n{}]\n",

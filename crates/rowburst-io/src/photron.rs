@@ -154,17 +154,19 @@ fn both(source: &Source) -> Result<(std::path::PathBuf, std::path::PathBuf)> {
     let is_raw = path
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("mraw"));
-    let other = match is_raw {
-        true => beside(&["cihx", "cih", "CIHX", "CIH"]),
-        false => beside(&["mraw", "MRAW"]),
+    let other = if is_raw {
+        beside(&["cihx", "cih", "CIHX", "CIH"])
+    } else {
+        beside(&["mraw", "MRAW"])
     };
     match other {
         Some(header) if is_raw => Ok((header, path.into())),
         Some(raw) => Ok((path.into(), raw)),
         None => Err(source.error(
-            match is_raw {
-                true => "raw frames without their header",
-                false => "a header without its raw frames",
+            if is_raw {
+                "raw frames without their header"
+            } else {
+                "a header without its raw frames"
             },
             "NAME.cihx (or .cih) and NAME.mraw lie in one folder",
             "Copy the other file beside it, with the same name.",
@@ -182,9 +184,10 @@ fn read_header(source: &Source, path: &Path) -> Result<Header> {
     let is_xml = path
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("cihx"));
-    let values = match is_xml {
-        true => of_xml(&text),
-        false => of_text(&text),
+    let values = if is_xml {
+        of_xml(&text)
+    } else {
+        of_text(&text)
     };
     let values = values.map_err(|reason| source.unreadable(reason))?;
     checked(source, &values)

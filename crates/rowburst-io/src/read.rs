@@ -83,9 +83,18 @@ pub fn read_stack(path: &Path) -> Result<Vec<Image>> {
 /// # Errors
 /// Those of [`read_image`], but for several pages.
 pub fn read_video(path: &Path) -> Result<Video> {
+    read_frames(path).map(|(video, _)| video)
+}
+
+/// Like [`read_video`], with the kind of numbers that the file holds.
+///
+/// # Errors
+/// Those of [`read_video`].
+pub fn read_frames(path: &Path) -> Result<(Video, SampleFormat)> {
     let pages = read_pages(path, Colour::Refused)?;
     let shape = Shape::new(pages.count, pages.rows, pages.columns);
-    Video::new(shape, pages.data).map_err(|e| e.within(path.display()))
+    let video = Video::new(shape, pages.data).map_err(|e| e.within(path.display()))?;
+    Ok((video, pages.format))
 }
 
 fn capture(path: &Path, colour: Colour) -> Result<Capture> {
@@ -102,7 +111,7 @@ pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
                 pages.count, pages.rows, pages.columns
             ),
             "one image is needed here",
-            "Save the page that is meant as a file of its own; `rowburst batch` reads recordings.",
+            "Save the page that you mean as a separate file; `rowburst batch` reads recordings.",
         ));
     }
     let image = Image::new(pages.rows, pages.columns, pages.data);

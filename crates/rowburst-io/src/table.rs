@@ -1,6 +1,6 @@
 //! A TOML table that is read key by key, with errors that name the line.
 
-use rowburst::camera::MAX_SENSOR_SIDE;
+use rowburst::camera::MAX_SIDE;
 use rowburst::{Error, Result};
 use std::path::Path;
 use toml::Spanned;
@@ -106,13 +106,34 @@ impl<'a> Table<'a> {
             .ok_or_else(|| self.wrong_type(key, value, "a whole number from 0"))
     }
 
+    /// The whole numbers from 0 of a list; `None` where the key is missing or holds a text.
+    pub fn counts(&self, key: &str) -> Result<Option<Vec<usize>>> {
+        let Some(value) = self.value(key).filter(|value| !value.get_ref().is_str()) else {
+            return Ok(None);
+        };
+        let numbers = value.get_ref().as_array().and_then(|list| {
+            let numbers = list.iter().map(|item| {
+                let number = whole(item)?;
+                usize::try_from(number).ok()
+            });
+            numbers.collect::<Option<Vec<usize>>>()
+        });
+        numbers.map(Some).ok_or_else(|| {
+            self.wrong_type(
+                key,
+                value,
+                "the name of a file in quotes, or a list of whole numbers from 0",
+            )
+        })
+    }
+
     /// The length of a side of a sensor or a field, in pixels.
     pub fn side(&self, key: &str) -> Result<Option<usize>> {
         match self.count(key)? {
-            Some(side) if side > MAX_SENSOR_SIDE => Err(self.error(
+            Some(side) if side > MAX_SIDE => Err(self.error(
                 key,
                 side,
-                &format!("a side has at most {MAX_SENSOR_SIDE} pixels"),
+                &format!("a side has at most {MAX_SIDE} pixels"),
                 "Give the size of the frame in pixels.",
             )),
             side => Ok(side),

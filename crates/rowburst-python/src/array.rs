@@ -19,6 +19,15 @@ fn floats<'py, T: Element>(
 ) -> PyResult<(Bound<'py, PyAny>, SampleFormat)> {
     let py = value.py();
     let numpy = py.import(intern!(py, "numpy"))?;
+    if let Some(mask) = mask_of(value)? {
+        let count: usize = mask.call_method0(intern!(py, "sum"))?.extract()?;
+        return Err(to_py_err(Error::input(
+            name,
+            format!("a masked array with {count} masked values"),
+            "only frame, dark, flat and bad_pixels may have masked pixels, which are then bad pixels",
+            "Replace them: array.filled(0).",
+        )));
+    }
     let array = numpy.call_method1(intern!(py, "asarray"), (value,))?;
     let dtype = array.getattr(intern!(py, "dtype"))?;
     let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
@@ -74,6 +83,65 @@ fn path_of(value: &Bound<'_, PyAny>) -> Option<PathBuf> {
     is_path.then(|| value.extract().ok()).flatten()
 }
 
+/// The mask of a masked array of numpy in which something is masked.
+fn mask_of<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let py = value.py();
+    let masked = py.import(intern!(py, "numpy.ma"))?;
+    for question in [intern!(py, "isMaskedArray"), intern!(py, "is_masked")] {
+        if !masked.call_method1(question, (value,))?.is_truthy()? {
+            return Ok(None);
+        }
+    }
+    masked
+        .call_method1(intern!(py, "getmaskarray"), (value,))
+        .map(Some)
+}
+
+/// What [`capture`] reads, and the mask of a masked array: 1 where a pixel is masked.
+pub fn masked_capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(Capture, Option<Image>)> {
+    let py = value.py();
+    let Some(mask) = mask_of(value)? else {
+        return Ok((capture(value, name)?, None));
+    };
+    let masked = py.import(intern!(py, "numpy.ma"))?;
+    let filled = masked.call_method1(intern!(py, "filled"), (value, 0))?;
+    let capture_with_zeros = capture(&filled, name)?;
+    Ok((capture_with_zeros, Some(capture(&mask, name)?.image)))
+}
+
+/// Adds the pixels of `mask` to `bad_pixels`. Where one has several pixels for each of the other, as with
+/// binning, the result is on the finer grid.
+pub fn with_masked(bad_pixels: Option<Image>, mask: Option<Image>) -> Option<Image> {
+    let (Some(bad), Some(mask)) = (&bad_pixels, &mask) else {
+        return bad_pixels.or(mask);
+    };
+    let (rows, columns) = (
+        bad.rows().max(mask.rows()),
+        bad.columns().max(mask.columns()),
+    );
+    let block_side = |image: &Image| {
+        let side = rows / image.rows();
+        let fits = (image.rows() * side, image.columns() * side) == (rows, columns);
+        fits.then_some(side)
+    };
+    let (Some(of_bad), Some(of_mask)) = (block_side(bad), block_side(mask)) else {
+        // Of no common grid: the check of the sizes names it.
+        return bad_pixels;
+    };
+    let is_set =
+        |image: &Image, side: usize, y: usize, x: usize| image.at(y / side, x / side) != 0.0;
+    Some(Image::from_fn(rows, columns, |y, x| {
+        f32::from(u8::from(
+            is_set(bad, of_bad, y, x) || is_set(mask, of_mask, y, x),
+        ))
+    }))
+}
+
+/// Whether `value` is an array rather than the name of a file.
+pub fn is_array(value: &Bound<'_, PyAny>) -> bool {
+    path_of(value).is_none()
+}
+
 /// A frame, a PSF or a mask; the name of a file is read.
 pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
     if let Some(path) = path_of(value) {
@@ -89,7 +157,16 @@ pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
 
 /// An image whose pixels are finite.
 pub fn finite_image(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Image> {
-    let image = capture(value, name)?.image;
+    require_finite(capture(value, name)?.image, name)
+}
+
+/// Like [`finite_image`], with the mask of a masked array.
+pub fn masked_image(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(Image, Option<Image>)> {
+    let (capture, mask) = masked_capture(value, name)?;
+    Ok((require_finite(capture.image, name)?, mask))
+}
+
+fn require_finite(image: Image, name: &str) -> PyResult<Image> {
     match image.first_non_finite() {
         None => Ok(image),
         Some((y, x)) => Err(to_py_err(Error::input(
@@ -137,6 +214,15 @@ pub fn vector<'py, T: Element>(
 pub fn from_video(py: Python<'_>, video: Video) -> PyResult<Bound<'_, PyArray3<f32>>> {
     let shape = video.shape();
     PyArray1::from_vec(py, video.into_data()).reshape([shape.bins, shape.rows, shape.columns])
+}
+
+/// Forbids writing to `array`.
+pub fn make_read_only(array: &Bound<'_, PyAny>) -> PyResult<()> {
+    let options = PyDict::new(array.py());
+    options.set_item("write", false)?;
+    array
+        .call_method("setflags", (), Some(&options))
+        .map(|_| ())
 }
 
 /// `image` as an array `[y, x]`, without a copy.

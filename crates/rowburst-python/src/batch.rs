@@ -1,6 +1,7 @@
 //! `rowburst._rowburst._Batch`: a recording on its way into an archive.
 
 use crate::error::to_py_err;
+use crate::threads::{self, detached};
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
@@ -15,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// A batch, begun or taken up again; any number of processes may have the same one.
-#[pyclass(name = "_Batch", module = "rowburst", frozen)]
+#[pyclass(name = "_Batch", module = "rowburst._rowburst", frozen)]
 pub struct PyBatch {
     batch: Batch,
 }
@@ -87,7 +88,7 @@ impl PyBatch {
             Batch::open(loaded.inputs, &out)
                 .map_err(|e| name_correction_file(e, &frames, &loaded.calibration))
         };
-        let batch = py.detach(open).map_err(to_py_err)?;
+        let batch = detached(py, open)?.map_err(to_py_err)?;
         Ok(Self { batch })
     }
 
@@ -111,8 +112,7 @@ impl PyBatch {
             false => RetryPolicy::SkipFailed,
         };
         let end = end.min(self.count());
-        py.detach(|| self.batch.pending(first..end, retry))
-            .map_err(to_py_err)
+        detached(py, || self.batch.pending(first..end, retry))?.map_err(to_py_err)
     }
 
     /// The prior of all frames and how it came about; chosen now where it is not yet.
@@ -137,6 +137,7 @@ impl PyBatch {
             let error = rowburst::Error::input("frames", bad, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
+        threads::start()?;
         let threads = threads.unwrap_or_else(rayon::current_num_threads);
         let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |stop| -> Result<()> {
@@ -159,13 +160,13 @@ impl PyBatch {
 
     /// Lines of all frames that are through, whoever made them.
     fn rows(&self, py: Python<'_>) -> PyResult<Vec<FrameRowTuple>> {
-        let rows = py.detach(|| self.batch.rows()).map_err(to_py_err)?;
+        let rows = detached(py, || self.batch.rows())?.map_err(to_py_err)?;
         Ok(rows.iter().map(to_tuple).collect())
     }
 
     /// Writes the table of all frames that are through; its path.
     fn write_table(&self, py: Python<'_>) -> PyResult<PathBuf> {
-        py.detach(|| self.batch.write_table()).map_err(to_py_err)
+        detached(py, || self.batch.write_table())?.map_err(to_py_err)
     }
 
     /// The video of a frame as the archive has it; NaN where it has none.
@@ -175,7 +176,7 @@ impl PyBatch {
             let error = rowburst::Error::input("frame", frame, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
-        let video = py.detach(|| self.batch.video(frame)).map_err(to_py_err)?;
+        let video = detached(py, || self.batch.video(frame))?.map_err(to_py_err)?;
         crate::array::from_video(py, video)
     }
 }
@@ -187,6 +188,7 @@ fn interruptibly<T: Send>(
 ) -> PyResult<T> {
     /// Between two looks for Ctrl-C.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
+    threads::start()?;
     let stop = AtomicBool::new(false);
     let mut interruption = None;
     let done = py.detach(|| {

@@ -1,44 +1,87 @@
 //! `rowburst.Camera`.
 
 use crate::error::to_py_err;
+use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyType};
+use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::{Camera, Error, Sensor, Shutter};
 use rowburst_io::Experiment;
 use std::path::PathBuf;
 
 /// A rolling-shutter camera and the field that it is asked to reconstruct.
+///
+/// The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
+/// instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
+/// reconstructed by the command line alone.
 #[pyclass(name = "Camera", module = "rowburst", frozen, eq, from_py_object)]
 #[derive(Clone, PartialEq)]
 pub struct PyCamera {
     pub camera: Camera,
+    /// The mosaic of a colour sensor whose frames are raw.
+    pub bayer: Option<Bayer>,
+}
+
+impl From<Camera> for PyCamera {
+    /// A camera without a mosaic.
+    fn from(camera: Camera) -> Self {
+        Self {
+            camera,
+            bayer: None,
+        }
+    }
+}
+
+impl PyCamera {
+    /// The camera of grey frames.
+    ///
+    /// # Errors
+    /// A mosaic: its four planes are videos of their own.
+    pub fn grey(&self) -> PyResult<&Camera> {
+        match self.bayer {
+            None => Ok(&self.camera),
+            Some(mosaic) => Err(to_py_err(Error::input(
+                "bayer",
+                format!("\"{}\"", mosaic.name()),
+                "a raw Bayer frame has four planes, and Python reconstructs one grey video",
+                "Use the command line, which gives a video in colour: rowburst reconstruct EXPERIMENT.toml. For a sensor without a mosaic, leave bayer out.",
+            ))),
+        }
+    }
 }
 
 #[pymethods]
 impl PyCamera {
     #[new]
     #[pyo3(signature = (*, rows, columns, shutter, exposure_us, row_time_us=None, row_order=None,
-        binning=1, bins_per_row=1, field=None, pixel_pitch_um=None, bit_depth=None, bias_counts=None,
-        gain_electrons_per_count=None, read_noise_electrons=None, full_well_counts=None))]
+        binning=Whole::of(1), bins_per_row=Whole::of(1), field=None, pixel_pitch_um=None,
+        bit_depth=None, bias_counts=None, gain_electrons_per_count=None,
+        read_noise_electrons=None, full_well_counts=None, bayer=None),
+        text_signature = "(*, rows, columns, shutter, exposure_us, row_time_us=None, row_order=None, binning=1, bins_per_row=1, field=None, pixel_pitch_um=None, bit_depth=None, bias_counts=None, gain_electrons_per_count=None, read_noise_electrons=None, full_well_counts=None, bayer=None)")]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        rows: usize,
-        columns: usize,
+        rows: Whole,
+        columns: Whole,
         shutter: &str,
         exposure_us: f64,
         row_time_us: Option<f64>,
-        row_order: Option<Vec<usize>>,
-        binning: usize,
-        bins_per_row: usize,
-        field: Option<(usize, usize)>,
+        row_order: Option<Vec<Whole>>,
+        binning: Whole,
+        bins_per_row: Whole,
+        field: Option<(Whole, Whole)>,
         pixel_pitch_um: Option<f64>,
-        bit_depth: Option<u32>,
+        bit_depth: Option<Whole>,
         bias_counts: Option<f64>,
         gain_electrons_per_count: Option<f64>,
         read_noise_electrons: Option<f64>,
         full_well_counts: Option<f64>,
+        bayer: Option<&str>,
     ) -> PyResult<Self> {
+        let row_order = row_order
+            .map(|order| order.into_iter().map(|k| k.named("row_order")).collect())
+            .transpose()?;
         let shutter = shutter_of(shutter, row_order).map_err(to_py_err)?;
         let row_time_us = match shutter {
             Shutter::Global => row_time_us.unwrap_or(exposure_us),
@@ -49,17 +92,23 @@ impl PyCamera {
             })?,
         };
         let params = CameraParams {
-            rows,
-            columns,
+            rows: rows.named("rows")?,
+            columns: columns.named("columns")?,
             shutter,
             row_time_us,
             exposure_us,
-            bins_per_row,
-            field,
+            bins_per_row: bins_per_row.named("bins_per_row")?,
+            field: field
+                .map(|(rows, columns)| {
+                    Ok::<_, PyErr>((rows.named("field")?, columns.named("field")?))
+                })
+                .transpose()?,
             sensor: Sensor {
-                binning,
+                binning: binning.named("binning")?,
                 pixel_pitch_um,
-                bit_depth,
+                // What 32 bits cannot hold is out of range as well.
+                bit_depth: optional(bit_depth, "bit_depth")?
+                    .map(|bits| u32::try_from(bits).unwrap_or(u32::MAX)),
                 bias_counts,
                 gain_electrons_per_count,
                 read_noise_electrons,
@@ -67,21 +116,30 @@ impl PyCamera {
             },
         };
         let camera = Camera::new(params).map_err(to_py_err)?;
-        Ok(Self { camera })
+        let bayer = bayer.map(mosaic_of).transpose().map_err(to_py_err)?;
+        Ok(Self { camera, bayer })
     }
 
     /// The camera of an experiment file.
     #[staticmethod]
     fn from_file(path: PathBuf) -> PyResult<Self> {
-        let camera = Experiment::read(&path).and_then(|e| e.camera());
-        Ok(Self {
-            camera: camera.map_err(to_py_err)?,
-        })
+        let read = || {
+            let experiment = Experiment::read(&path)?;
+            Ok(Self {
+                camera: experiment.camera()?,
+                bayer: experiment.bayer,
+            })
+        };
+        read().map_err(to_py_err)
     }
 
     /// The text of an experiment file with this camera.
     fn to_toml(&self) -> String {
-        Experiment::new(self.camera.params().clone()).to_toml("".as_ref())
+        let experiment = Experiment {
+            bayer: self.bayer,
+            ..Experiment::new(self.camera.params().clone())
+        };
+        experiment.to_toml("".as_ref())
     }
 
     #[getter]
@@ -97,6 +155,21 @@ impl PyCamera {
     #[getter]
     fn shutter(&self) -> &'static str {
         self.camera.shutter().name()
+    }
+
+    /// The instant of every row for the shutter ``custom``.
+    #[getter]
+    fn row_order(&self) -> Option<Vec<usize>> {
+        match self.camera.shutter() {
+            Shutter::Custom(order) => Some(order.clone()),
+            _ => None,
+        }
+    }
+
+    /// The mosaic of a colour sensor whose frames are raw, such as ``rggb``.
+    #[getter]
+    fn bayer(&self) -> Option<&'static str> {
+        self.bayer.map(Bayer::name)
     }
 
     #[getter]
@@ -154,14 +227,14 @@ impl PyCamera {
         self.camera.sensor().full_well_counts
     }
 
-    /// `(bins, rows, columns)` of the video.
+    /// ``(bins, rows, columns)`` of the video.
     #[getter]
     fn video_shape(&self) -> (usize, usize, usize) {
         let shape = self.camera.video_shape();
         (shape.bins, shape.rows, shape.columns)
     }
 
-    /// `(rows, columns)` of the frame on the working grid.
+    /// ``(rows, columns)`` of the frame on the working grid.
     #[getter]
     fn frame_shape(&self) -> (usize, usize) {
         (self.camera.rows(), self.camera.columns())
@@ -181,7 +254,7 @@ impl PyCamera {
         PyArray1::from_iter(py, (0..time.bins()).map(middle))
     }
 
-    /// `w[r, j]`: the overlap of the exposure of row `r` with bin `j`, in row times.
+    /// ``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times.
     fn row_time_weights<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let time = self.camera.time();
         let (rows, bins) = (self.camera.rows(), time.bins());
@@ -194,6 +267,39 @@ impl PyCamera {
         }
         let image = rowburst::Image::new(rows, bins, weights).map_err(to_py_err)?;
         crate::array::from_image(py, image)
+    }
+
+    fn __reduce__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyDict>,))> {
+        let (this, keys) = (slf.get(), PyDict::new(slf.py()));
+        let params = this.camera.params();
+        keys.set_item("rows", params.rows)?;
+        keys.set_item("columns", params.columns)?;
+        keys.set_item("shutter", this.shutter())?;
+        keys.set_item("exposure_us", params.exposure_us)?;
+        keys.set_item("row_time_us", params.row_time_us)?;
+        keys.set_item("row_order", this.row_order())?;
+        keys.set_item("binning", params.sensor.binning)?;
+        keys.set_item("bins_per_row", params.bins_per_row)?;
+        keys.set_item("field", params.field)?;
+        keys.set_item("pixel_pitch_um", this.pixel_pitch_um())?;
+        keys.set_item("bit_depth", this.bit_depth())?;
+        keys.set_item("bias_counts", this.bias_counts())?;
+        keys.set_item("gain_electrons_per_count", this.gain_electrons_per_count())?;
+        keys.set_item("read_noise_electrons", this.read_noise_electrons())?;
+        keys.set_item("full_well_counts", this.full_well_counts())?;
+        keys.set_item("bayer", this.bayer())?;
+        Ok((slf.get_type().getattr("_restore")?, (keys,)))
+    }
+
+    /// The camera of what `__reduce__` gives.
+    #[classmethod]
+    fn _restore<'py>(
+        cls: &Bound<'py, PyType>,
+        keys: &Bound<'py, PyDict>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        cls.call((), Some(keys))
     }
 
     fn __repr__(&self) -> String {
@@ -209,6 +315,17 @@ impl PyCamera {
             self.frame_rate_hz()
         )
     }
+}
+
+fn mosaic_of(name: &str) -> rowburst::Result<Bayer> {
+    Bayer::from_name(name).ok_or_else(|| {
+        Error::input(
+            "bayer",
+            format!("\"{name}\""),
+            format!("the mosaic is one of {}", Bayer::NAMES.join(", ")),
+            "Give the colours of the first two pixels of the first row, then of the second.",
+        )
+    })
 }
 
 fn shutter_of(name: &str, row_order: Option<Vec<usize>>) -> rowburst::Result<Shutter> {

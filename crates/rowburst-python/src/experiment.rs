@@ -1,27 +1,33 @@
 //! `rowburst.Experiment`: what an experiment file says, read.
 
-use crate::array::from_image;
+use crate::array::{finite_image, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::psf::PyPsf;
+use crate::state::{State, entry, optional_entry};
+use crate::task::tau_from;
 use numpy::PyArray2;
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyType};
 use rowburst::reconstruct::Tau;
-use rowburst::{Camera, Image, PatchSet};
-use rowburst_io::{Experiment, read_metadata};
+use rowburst::{Image, PatchSet};
+use rowburst_io::{Experiment, FromMetadata, read_metadata};
 use rowburst_run::inputs::{read_corrections, read_psfs};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// What an experiment file says, with the files that it names.
+/// The content of an experiment file and of the files that it names.
 #[pyclass(name = "Experiment", module = "rowburst", frozen)]
 pub struct PyExperiment {
-    camera: Camera,
+    camera: PyCamera,
     psfs: Option<PatchSet>,
     dark: Option<Image>,
     flat: Option<Image>,
     bad_pixels: Option<Image>,
-    experiment: Experiment,
+    prior: String,
+    tau: Tau,
+    frame_period_us: Option<f64>,
+    pub from_metadata: FromMetadata,
 }
 
 type Pixels<'py> = PyResult<Option<Bound<'py, PyArray2<f32>>>>;
@@ -47,11 +53,17 @@ impl PyExperiment {
             let psfs = psfs.map(|p| read_psfs(p, &camera, dark)).transpose()?;
             Ok(Self {
                 psfs: psfs.map(|p| p.0),
-                camera,
+                camera: PyCamera {
+                    camera,
+                    bayer: experiment.bayer,
+                },
                 dark: corrections.dark,
                 flat: corrections.flat,
                 bad_pixels: corrections.bad_pixels,
-                experiment,
+                prior: experiment.reconstruction.prior.unwrap_or("auto".into()),
+                tau: experiment.reconstruction.tau.unwrap_or_default(),
+                frame_period_us: experiment.recording.frame_period_us,
+                from_metadata: experiment.from_metadata,
             })
         };
         read().map_err(to_py_err)
@@ -59,9 +71,7 @@ impl PyExperiment {
 
     #[getter]
     fn camera(&self) -> PyCamera {
-        PyCamera {
-            camera: self.camera.clone(),
-        }
+        self.camera.clone()
     }
 
     #[getter]
@@ -86,13 +96,12 @@ impl PyExperiment {
 
     #[getter]
     fn prior(&self) -> String {
-        let prior = self.experiment.reconstruction.prior.clone();
-        prior.unwrap_or("auto".into())
+        self.prior.clone()
     }
 
     #[getter]
     fn tau<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        match self.experiment.reconstruction.tau.unwrap_or_default() {
+        match self.tau {
             Tau::Auto => Ok("auto".into_pyobject(py)?.into_any()),
             Tau::HeldOut => Ok("held-out".into_pyobject(py)?.into_any()),
             Tau::Given(tau) => Ok(tau.into_pyobject(py)?.into_any()),
@@ -102,22 +111,63 @@ impl PyExperiment {
     /// Keys that came from metadata, with their values as text.
     #[getter]
     fn metadata_taken(&self) -> BTreeMap<String, String> {
-        self.experiment
-            .from_metadata
-            .values
-            .iter()
-            .cloned()
-            .collect()
+        self.from_metadata.values.iter().cloned().collect()
     }
 
-    /// Where the metadata contradicts the file, and what of it cannot be used.
+    /// Contradictions between metadata and file, and metadata that cannot be used.
     #[getter]
     fn metadata_warnings(&self) -> Vec<String> {
-        self.experiment.from_metadata.warnings.clone()
+        self.from_metadata.warnings.clone()
     }
 
     #[getter]
     fn frame_period_us(&self) -> Option<f64> {
-        self.experiment.recording.frame_period_us
+        self.frame_period_us
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<State<'py>> {
+        let (this, py) = (slf.get(), slf.py());
+        let state = PyDict::new(py);
+        state.set_item("camera", this.camera())?;
+        state.set_item("psf", this.psf())?;
+        state.set_item("dark", this.dark(py)?)?;
+        state.set_item("flat", this.flat(py)?)?;
+        state.set_item("bad_pixels", this.bad_pixels(py)?)?;
+        state.set_item("prior", this.prior())?;
+        state.set_item("tau", this.tau(py)?)?;
+        state.set_item("frame_period_us", this.frame_period_us)?;
+        let metadata = &this.from_metadata;
+        state.set_item(
+            "metadata",
+            (&metadata.sources, &metadata.values, &metadata.warnings),
+        )?;
+        Ok((slf.get_type().getattr("_restore")?, (state,)))
+    }
+
+    /// The experiment of what `__reduce__` gives.
+    #[classmethod]
+    fn _restore(_cls: &Bound<'_, PyType>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let image = |name: &str| -> PyResult<Option<Image>> {
+            let value = optional_entry(state, name)?;
+            value.map(|value| finite_image(&value, name)).transpose()
+        };
+        let psf = optional_entry(state, "psf")?;
+        let psf = psf.map(|psf| Ok::<_, PyErr>(psf.cast::<PyPsf>()?.get().psfs.clone()));
+        let (sources, values, warnings) = entry(state, "metadata")?.extract()?;
+        Ok(Self {
+            camera: entry(state, "camera")?.extract()?,
+            psfs: psf.transpose()?,
+            dark: image("dark")?,
+            flat: image("flat")?,
+            bad_pixels: image("bad_pixels")?,
+            prior: entry(state, "prior")?.extract()?,
+            tau: tau_from(Some(&entry(state, "tau")?))?,
+            frame_period_us: entry(state, "frame_period_us")?.extract()?,
+            from_metadata: FromMetadata {
+                sources,
+                values,
+                warnings,
+            },
+        })
     }
 }

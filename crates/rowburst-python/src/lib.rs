@@ -8,12 +8,16 @@ mod batch;
 mod camera;
 mod error;
 mod experiment;
+mod memory;
 mod operator;
 mod psf;
 mod result;
 mod sequence;
 mod simulation;
+mod state;
 mod task;
+mod threads;
+mod whole;
 
 use pyo3::prelude::*;
 
@@ -46,40 +50,33 @@ mod _rowburst {
     use crate::simulation::{PySimulation, simulate};
     #[pymodule_export]
     use crate::task::reconstruct;
+    #[pymodule_export]
+    use crate::threads::{set_threads, threads};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 
-    /// Sets the number of threads, once, before anything is computed.
+    /// The frames of a file, ``[frame, y, x]``: every format that the command line reads.
+    ///
+    /// Integers where the file holds integers, else float32, so that each frame is what it was in the file.
     #[pyfunction]
-    fn set_threads(threads: usize) -> PyResult<()> {
-        if threads == 0 {
-            let rule = "there is at least one";
-            let error = rowburst::Error::input("threads", 0, rule, "Give the number of cores.");
-            return Err(crate::error::to_py_err(error));
-        }
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        pool.build_global().map_err(|error| {
-            let remedy = "Call set_threads before anything else.";
-            crate::error::to_py_err(rowburst::Error::work("threads", error, remedy))
-        })
-    }
-
-    /// The frames of a file, float32 [frame, y, x]: every format that the command line reads.
-    #[pyfunction]
-    fn read_frames(
-        py: Python<'_>,
-        path: std::path::PathBuf,
-    ) -> PyResult<Bound<'_, numpy::PyArray3<f32>>> {
-        let video = py.detach(|| rowburst_io::read_video(&path));
-        crate::array::from_video(py, video.map_err(crate::error::to_py_err)?)
-    }
-
-    /// Threads that are used.
-    #[pyfunction]
-    fn threads() -> usize {
-        rayon::current_num_threads()
+    fn read_frames(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Bound<'_, PyAny>> {
+        let frames = crate::threads::detached(py, || rowburst_io::read_frames(&path))?;
+        let (video, format) = frames.map_err(crate::error::to_py_err)?;
+        let array = crate::array::from_video(py, video)?;
+        let dtype = match format {
+            rowburst_io::SampleFormat::Float => return Ok(array.into_any()),
+            rowburst_io::SampleFormat::Counts { bits } => match bits {
+                1 => "bool",
+                7 => "int8",
+                ..=8 => "uint8",
+                15 => "int16",
+                ..=16 => "uint16",
+                _ => "int64",
+            },
+        };
+        array.call_method1("astype", (dtype,))
     }
 }

@@ -3,10 +3,13 @@
 use crate::array::vector;
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
-use crate::psf::psfs_of;
+use crate::psf::{PyPsf, psfs_of};
+use crate::state::State2;
 use crate::task::measured;
+use crate::threads::detached;
 use numpy::{Element, PyArray1};
 use pyo3::prelude::*;
+use pyo3::types::PyType;
 use rowburst::linop::{LinearOperator, Scalar};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{DataStep, Model};
@@ -16,7 +19,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 type Vector<'py, T = f32> = PyResult<Bound<'py, PyArray1<T>>>;
 
 /// `A`: from a flattened video to a flattened frame.
-#[pyclass(name = "_Operator", module = "rowburst", frozen)]
+#[pyclass(name = "_Operator", module = "rowburst._rowburst", frozen)]
 pub struct PyOperator {
     model: Model,
     /// The same in double precision, once somebody asks for it.
@@ -29,7 +32,8 @@ impl PyOperator {
     }
 
     fn double(&self) -> &RollingShutter<f64> {
-        let make = || RollingShutter::in_precision(self.model.camera(), self.model.psfs().clone());
+        let make =
+            || RollingShutter::with_precision(self.model.camera(), self.model.psfs().clone());
         self.double.get_or_init(make)
     }
 }
@@ -38,8 +42,9 @@ impl PyOperator {
 impl PyOperator {
     #[new]
     fn new(py: Python<'_>, camera: &PyCamera, psf: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let psfs = psfs_of(psf, &camera.camera, None)?;
-        let model = py.detach(|| Model::new(&camera.camera, psfs));
+        let camera = camera.grey()?;
+        let psfs = psfs_of(psf, camera, None)?;
+        let model = detached(py, || Model::new(camera, psfs))?;
         Ok(Self {
             model,
             double: OnceLock::new(),
@@ -53,9 +58,30 @@ impl PyOperator {
 
     #[getter]
     fn camera(&self) -> PyCamera {
-        PyCamera {
-            camera: self.model.camera().clone(),
+        self.model.camera().clone().into()
+    }
+
+    #[getter]
+    fn psf(&self) -> PyPsf {
+        PyPsf {
+            psfs: self.model.psfs().clone(),
         }
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<State2<'py, PyCamera, PyPsf>> {
+        let this = slf.get();
+        let restore = slf.get_type().getattr("_restore")?;
+        Ok((restore, (this.camera(), this.psf())))
+    }
+
+    /// The operator of what `__reduce__` gives.
+    #[classmethod]
+    fn _restore(
+        cls: &Bound<'_, PyType>,
+        camera: &PyCamera,
+        psf: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        Self::new(cls.py(), camera, psf)
     }
 
     /// `A x`.
@@ -88,12 +114,12 @@ fn applied<'py, 'a, T: Scalar + Element>(
     shutter: impl FnOnce() -> &'a RollingShutter<T> + Send,
     x: &[T],
 ) -> Vector<'py, T> {
-    let y = py.detach(|| {
+    let y = detached(py, || {
         let shutter = shutter();
         let mut y = vec![T::zero(); shutter.range_len()];
         shutter.apply(x, &mut y);
         y
-    });
+    })?;
     Ok(PyArray1::from_vec(py, y))
 }
 
@@ -102,17 +128,17 @@ fn adjoint_of<'py, 'a, T: Scalar + Element>(
     shutter: impl FnOnce() -> &'a RollingShutter<T> + Send,
     y: &[T],
 ) -> Vector<'py, T> {
-    let x = py.detach(|| {
+    let x = detached(py, || {
         let shutter = shutter();
         let mut x = vec![T::zero(); shutter.domain_len()];
         shutter.adjoint(y, &mut x);
         x
-    });
+    })?;
     Ok(PyArray1::from_vec(py, x))
 }
 
 /// `½‖W(b − A v)‖²` of a frame.
-#[pyclass(name = "_DataTerm", module = "rowburst", frozen)]
+#[pyclass(name = "_DataTerm", module = "rowburst._rowburst", frozen)]
 pub struct PyDataTerm {
     step: Mutex<DataStep>,
     length: usize,
@@ -124,7 +150,7 @@ impl PyDataTerm {
     fn new(py: Python<'_>, operator: &PyOperator, frame: &Bound<'_, PyAny>) -> PyResult<Self> {
         let camera = operator.model.camera();
         let measurement = measured(frame, camera, Corrections::default())?;
-        let step = py.detach(|| DataStep::new(&operator.model, &measurement));
+        let step = detached(py, || DataStep::new(&operator.model, &measurement))?;
         Ok(Self {
             length: operator.shutter().domain_len(),
             step: Mutex::new(step),
@@ -168,10 +194,10 @@ impl PyDataTerm {
             );
             return Err(to_py_err(error));
         }
-        py.detach(|| {
+        detached(py, || {
             let mut step = self.step.lock().unwrap_or_else(PoisonError::into_inner);
             work(&mut step, x)
-        })
+        })?
         .map_err(to_py_err)
     }
 }

@@ -3,14 +3,23 @@
 use crate::array::{capture, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::state::State2;
+use crate::threads::detached;
+use crate::whole::Whole;
 use numpy::PyArray2;
 use pyo3::prelude::*;
-use rowburst::{Camera, Image, PatchSet};
-use rowburst_run::inputs::{psf_from, read_psfs};
+use pyo3::types::PyType;
+use rowburst::{Camera, Error, Image, PatchSet};
+use rowburst_run::inputs::{psf_from_capture, read_psfs};
 use rowburst_run::simulate::{LensOptics, pixel_pitch_um, speckle_for};
 use std::path::PathBuf;
 
-/// A point-spread function, or several that share out the field.
+/// What `Psf.__reduce__` gives: the values and the offsets of each PSF.
+type Stored<'py> = State2<'py, Vec<Bound<'py, PyArray2<f32>>>, Vec<(f64, f64)>>;
+
+/// A point-spread function that sums to 1, or several that share out the field.
+///
+/// The element at ``(height // 2, width // 2)`` is zero displacement.
 #[pyclass(name = "Psf", module = "rowburst", frozen, eq)]
 #[derive(Clone, PartialEq)]
 pub struct PyPsf {
@@ -26,7 +35,7 @@ impl PyPsf {
         Ok(Self { psfs: psf.into() })
     }
 
-    /// PSFs with the offset `(dy, dx)` of each one's source from the middle of the field.
+    /// PSFs with the offset ``(dy, dx)`` of each one's source from the middle of the field.
     #[staticmethod]
     fn patches(values: Vec<Bound<'_, PyAny>>, offsets_px: Vec<(f64, f64)>) -> PyResult<Self> {
         let psfs = values.iter().map(|v| {
@@ -39,7 +48,7 @@ impl PyPsf {
         })
     }
 
-    /// An image, or the patch set of `rowburst calibrate psf`, as the command line reads it.
+    /// An image, or the patch set of ``rowburst calibrate psf``, as the command line reads it.
     #[staticmethod]
     fn from_file(path: PathBuf, camera: &PyCamera) -> PyResult<Self> {
         let (psfs, _) = read_psfs(&path, &camera.camera, None).map_err(to_py_err)?;
@@ -54,7 +63,7 @@ impl PyPsf {
             .collect()
     }
 
-    /// The values of the PSF nearest to the middle of the field.
+    /// The PSF nearest to the middle of the field, ``[y, x]``.
     #[getter]
     fn array<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         from_image(py, self.psfs.central().image().clone())
@@ -86,6 +95,29 @@ impl PyPsf {
         }
     }
 
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Stored<'py>> {
+        let this = slf.get();
+        let restore = slf.get_type().getattr("_restore")?;
+        Ok((restore, (this.arrays(slf.py())?, this.offsets_px())))
+    }
+
+    /// The PSF of what `__reduce__` gives, bit for bit.
+    #[classmethod]
+    fn _restore(
+        _cls: &Bound<'_, PyType>,
+        values: Vec<Bound<'_, PyAny>>,
+        offsets_px: Vec<(f64, f64)>,
+    ) -> PyResult<Self> {
+        let psfs = values.iter().map(|v| {
+            let image = capture(v, "PSF")?.image;
+            rowburst::Psf::from_normalized(image).map_err(to_py_err)
+        });
+        let psfs = PatchSet::new(psfs.collect::<PyResult<_>>()?, offsets_px);
+        Ok(Self {
+            psfs: psfs.map_err(to_py_err)?,
+        })
+    }
+
     fn __repr__(&self) -> String {
         let (rows, columns) = self.shape();
         match self.psfs.psfs().len() {
@@ -104,14 +136,23 @@ pub fn psfs_of(
     if let Ok(psf) = value.cast::<PyPsf>() {
         return Ok(psf.get().psfs.clone());
     }
-    let (psf, _) = psf_from(capture(value, "PSF")?, camera, dark).map_err(to_py_err)?;
+    if value.is_none() {
+        return Err(to_py_err(Error::input(
+            "psf",
+            "None",
+            "the point-spread function of the diffuser is needed",
+            "Give psf=..., an array, a Psf or a file, or write psf = \"FILE\" under [calibration] of the experiment file.",
+        )));
+    }
+    let (psf, _) = psf_from_capture(capture(value, "PSF")?, camera, dark).map_err(to_py_err)?;
     Ok(psf.into())
 }
 
-/// A random speckle PSF of a diffuser behind a lens, for every displacement that `camera` sees.
+/// A random speckle PSF of a diffuser behind a lens, for every displacement that ``camera`` sees.
 #[pyfunction]
 #[pyo3(signature = (camera, *, wavelength_nm=532.0, pupil_mm=1.71, focal_length_mm=50.0,
-    magnification=1.0 / 22.5, na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=1))]
+    magnification=1.0 / 22.5, na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=Whole::of(1)),
+    text_signature = "(camera, *, wavelength_nm=532.0, pupil_mm=1.71, focal_length_mm=50.0, magnification=..., na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=1)")]
 #[allow(clippy::too_many_arguments)]
 pub fn speckle_psf(
     py: Python<'_>,
@@ -123,9 +164,10 @@ pub fn speckle_psf(
     na: Option<f64>,
     diffuser_deg: f64,
     diffuser_phase: f64,
-    seed: u64,
+    seed: Whole,
 ) -> PyResult<PyPsf> {
     let camera = &camera.camera;
+    let seed = seed.named("seed")? as u64;
     let optics = LensOptics {
         wavelength_nm,
         pupil_mm,
@@ -135,7 +177,7 @@ pub fn speckle_psf(
         diffuser_deg,
     };
     let optics = optics.optics(pixel_pitch_um(camera));
-    let psf = py.detach(|| speckle_for(camera, &optics, diffuser_phase, seed));
+    let psf = detached(py, || speckle_for(camera, &optics, diffuser_phase, seed))?;
     Ok(PyPsf {
         psfs: psf.map_err(to_py_err)?.into(),
     })

@@ -1,11 +1,13 @@
 //! `rowburst.Result` and what a progress callback is given.
 
-use crate::array::{from_image, from_video};
+use crate::array::{from_image, from_video, make_read_only};
 use crate::error::to_py_err;
+use crate::state::{self, State as Stored};
+use crate::threads::{self, detached};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyType};
 use rowburst::solve::admm::Progress;
 use rowburst::{Shape, Video};
 use rowburst_io::OutputFolder;
@@ -18,12 +20,14 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// An iteration, as a progress callback sees it.
 #[pyclass(name = "Progress", module = "rowburst", frozen, get_all)]
 pub struct PyProgress {
+    /// The step that the solver runs for, such as a prior that is tested; empty in the final run.
     label: String,
     iteration: usize,
     max_iterations: usize,
     residual_over_sigma: f64,
     tau: f64,
     change: f64,
+    /// Seconds since the call.
     seconds: f64,
 }
 
@@ -54,7 +58,7 @@ impl PyProgress {
 }
 
 /// A reconstructed video with what is needed to judge it.
-#[pyclass(name = "Result", module = "rowburst", frozen)]
+#[pyclass(name = "Result", module = "rowburst._rowburst", frozen)]
 pub struct PyReconstruction {
     state: Mutex<State>,
     shape: Shape,
@@ -91,6 +95,8 @@ impl PyReconstruction {
         py: Python<'_>,
         work: impl FnOnce(&CompletedTask, &mut Option<Traces>) -> T + Send,
     ) -> PyResult<T> {
+        // Another thread may have held the lock when this process was forked.
+        threads::start()?;
         let mut work = Some(work);
         loop {
             let lent = self.state(py).video.as_ref().map(|v| v.clone_ref(py));
@@ -102,7 +108,7 @@ impl PyReconstruction {
                 }
                 None => None,
             };
-            let done = py.detach(|| {
+            let done = detached(py, || {
                 let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
                 let state = &mut *state;
                 match (state.video.is_some(), copy) {
@@ -117,7 +123,7 @@ impl PyReconstruction {
                     state.completed.reconstruction.video = placeholder();
                 }
                 Some(done)
-            });
+            })?;
             if let Some(done) = done {
                 return Ok(done);
             }
@@ -140,9 +146,7 @@ impl PyReconstruction {
         }
         let video = std::mem::replace(&mut state.completed.reconstruction.video, placeholder());
         let array = from_video(py, video)?;
-        let options = PyDict::new(py);
-        options.set_item("write", false)?;
-        array.call_method("setflags", (), Some(&options))?;
+        make_read_only(&array)?;
         state.video = Some(array.clone().unbind());
         Ok(array)
     }
@@ -155,8 +159,27 @@ impl PyReconstruction {
 
     #[getter]
     fn residual<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let residual = self.state(py).completed.reconstruction.residual.clone();
+        let residual = self
+            .state(py)
+            .completed
+            .reconstruction
+            .normalised_residual
+            .clone();
         from_image(py, residual)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Stored<'py>> {
+        let (this, py) = (slf.get(), slf.py());
+        // The video goes to numpy first, so that it is not copied for the state.
+        let video = this.video(py)?;
+        let state = state::of_completed(py, &this.state(py).completed, video)?;
+        Ok((slf.get_type().getattr("_restore")?, (state,)))
+    }
+
+    /// The result of what `__reduce__` gives.
+    #[classmethod]
+    fn _restore(_cls: &Bound<'_, PyType>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
+        state::to_completed(state).map(Self::new)
     }
 
     /// The numbers of `result.json`, as its text.
@@ -242,7 +265,8 @@ impl PyReconstruction {
                 &requested
             };
             let numbers = selected.trace_numbers(completed.task.truth.as_ref());
-            let numbers = serde_json::json!({ "traces": numbers, "errors": selected.numbers });
+            let numbers =
+                serde_json::json!({ "traces": numbers, "errors": selected.standard_errors });
             (selected.traces.clone(), numbers.to_string())
         })?;
         let dicts = traces.iter().map(|trace| {

@@ -1,37 +1,49 @@
 //! `rowburst.LiveView`: a live view.
 
-use crate::array::from_video;
+use crate::array::{from_video, make_read_only};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::psf::psfs_of;
 use crate::task::{measured, prior_from, tau_from};
+use crate::threads::detached;
 use numpy::PyArray3;
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options, Sequence};
 use rowburst::solve::StopReason;
-use rowburst_run::inputs::check_memory;
 use rowburst_run::options::parse_time_budget;
 use std::ops::ControlFlow;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// Frames of one scene, each from the end of the last one.
+/// A live view: frames of one scene, each warm-started from the previous one.
+///
+/// A frame that was stopped early is not lost: the next one continues from its state. Where the last
+/// video explains less than half of the variance of the frame, the solver starts from zero. Videos
+/// depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
+/// standard prior ``tv+0.5*tdiff+support`` here.
+///
+///     live = rowburst.LiveView(camera, psf)
+///     look = live.next(frame, time_budget_s=0.1)
+///     show(look.video)
 #[pyclass(name = "LiveView", module = "rowburst", frozen)]
 pub struct PySequence {
     camera: PyCamera,
     sequence: Mutex<Sequence>,
 }
 
-/// A frame of a sequence.
+/// A frame of a :class:`LiveView`.
 #[pyclass(name = "Look", module = "rowburst", frozen)]
 pub struct PyLook {
+    /// ``[t, y, x]``, in counts. It may not be written to.
     #[pyo3(get)]
     video: Py<PyArray3<f32>>,
     #[pyo3(get)]
     residual_over_sigma: f64,
     #[pyo3(get)]
     iterations: usize,
+    /// Whether it was warm-started from the previous frame.
     #[pyo3(get)]
     went_on: bool,
     #[pyo3(get)]
@@ -58,18 +70,19 @@ impl PySequence {
             noise_sigma,
             max_iterations: None,
         };
-        let psfs = psfs_of(psf, &camera.camera, None)?;
-        check_memory("the video".as_ref(), &camera.camera).map_err(to_py_err)?;
-        let model = py.detach(|| Model::new(&camera.camera, psfs).with_cached_gram());
+        let grey = camera.grey()?;
+        let psfs = psfs_of(psf, grey, None)?;
+        crate::memory::check(grey)?;
+        let model = detached(py, || Model::new(grey, psfs).with_cached_gram())?;
         Ok(Self {
-            camera: PyCamera {
-                camera: camera.camera.clone(),
-            },
+            camera: camera.clone(),
             sequence: Mutex::new(Sequence::new(model, options)),
         })
     }
 
-    /// The video of the next frame.
+    /// The video of the next frame; the budget limits the iterations, not the evaluation after them.
+    ///
+    /// The bias of the camera is subtracted from integers, not from an array of floating-point numbers.
     #[pyo3(signature = (frame, *, time_budget_s=None))]
     fn next(
         &self,
@@ -81,9 +94,9 @@ impl PySequence {
         let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
         let measurement = measured(frame, &self.camera.camera, Corrections::default())?;
         let mut interruption: Option<PyErr> = None;
-        let found = py.detach(|| {
+        let found = detached(py, || {
             let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
-            sequence.next(&measurement, &mut |_| {
+            sequence.reconstruct(&measurement, &mut |_| {
                 if let Err(error) = Python::attach(|py| py.check_signals()) {
                     interruption = Some(error);
                     return ControlFlow::Break(StopReason::Interrupted);
@@ -93,22 +106,31 @@ impl PySequence {
                     false => ControlFlow::Continue(()),
                 }
             })
-        });
+        })?;
         if let Some(error) = interruption {
             return Err(error);
         }
         let (found, went_on) = found.map_err(to_py_err)?;
+        let video = from_video(py, found.video)?;
+        make_read_only(&video)?;
         Ok(PyLook {
             residual_over_sigma: found.residual_over_sigma,
             iterations: found.iterations,
             went_on,
             fit: found.fit.verdict.name(),
             seconds: began.elapsed().as_secs_f64(),
-            video: from_video(py, found.video)?.unbind(),
+            video: video.unbind(),
         })
     }
 
-    /// The next frame starts from nothing.
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err(
+            "a LiveView cannot be pickled or copied: it holds the state of a running solver. Make one in each \
+             process: rowburst.LiveView(camera, psf).",
+        ))
+    }
+
+    /// The next frame starts from zero.
     fn forget(&self, py: Python<'_>) {
         py.detach(|| {
             let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,33 +1,41 @@
 //! `rowburst.simulate`.
 
-use crate::array::{from_image, from_video, video};
+use crate::array::{finite_image, from_image, from_video, is_array, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::psf::{PyPsf, psfs_of};
+use crate::state::{State, entry, optional_entry};
+use crate::threads::detached;
+use crate::whole::Whole;
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
-use rowburst::{Camera, PatchSet};
-use rowburst_run::inputs::check_memory;
+use pyo3::types::{PyDict, PyType};
+use rowburst::{Image, PatchSet, Video};
 use rowburst_run::simulate::{
-    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, pixel_pitch_um,
-    simulate as simulated, speckle_for,
+    LensOptics, NoiseChoice, Scene, Simulation, pixel_pitch_um, simulate as simulated, speckle_for,
 };
+use std::path::PathBuf;
 
 /// A simulated capture with all that is known of it.
 #[pyclass(name = "Simulation", module = "rowburst", frozen)]
 pub struct PySimulation {
-    camera: Camera,
+    camera: PyCamera,
     psfs: PatchSet,
-    made: SimulatedCapture,
+    /// Bias included.
+    frame: Image,
+    truth: Video,
+    direct: Image,
+    background: Option<Image>,
+    noise_sigma: f64,
+    /// `(y, x, frequency_hz, phase)` of each LED.
+    leds: Vec<(f64, f64, f64, f64)>,
 }
 
 #[pymethods]
 impl PySimulation {
     #[getter]
     fn camera(&self) -> PyCamera {
-        PyCamera {
-            camera: self.camera.clone(),
-        }
+        self.camera.clone()
     }
 
     #[getter]
@@ -37,44 +45,102 @@ impl PySimulation {
         }
     }
 
+    /// The frame as :func:`reconstruct` takes it.
+    ///
+    /// Integers where the camera has a bias, as a sensor gives them; without noise, floating-point numbers
+    /// without the bias. float32 where the camera has none.
     #[getter]
-    fn frame<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        from_image(py, self.made.recorded.frame.clone())
+    fn frame<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let bias = self.camera.camera.sensor().bias_counts.unwrap_or(0.0);
+        let mut frame = self.frame.clone();
+        if bias == 0.0 {
+            return Ok(from_image(py, frame)?.into_any());
+        }
+        // `reconstruct` takes the bias off integers alone.
+        if frame.data().iter().all(|p| p.fract() == 0.0 && *p >= 0.0) {
+            let dtype = if frame.max() <= f32::from(u16::MAX) {
+                "uint16"
+            } else {
+                "uint32"
+            };
+            return from_image(py, frame)?.call_method1("astype", (dtype,));
+        }
+        frame.data_mut().iter_mut().for_each(|p| *p -= bias as f32);
+        Ok(from_image(py, frame)?.into_any())
     }
 
+    /// The video ``[t, y, x]``, in counts of the frame.
     #[getter]
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        from_video(py, self.made.truth.clone())
+        from_video(py, self.truth.clone())
     }
 
+    /// The frame of the same camera without the diffuser.
     #[getter]
     fn direct<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        from_image(py, self.made.direct.clone())
+        from_image(py, self.direct.clone())
     }
 
     #[getter]
     fn background<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
-        let background = self.made.background.clone();
+        let background = self.background.clone();
         background.map(|b| from_image(py, b)).transpose()
     }
 
     #[getter]
     fn noise_sigma(&self) -> f64 {
-        self.made.recorded.sigma
+        self.noise_sigma
     }
 
-    /// `(y, x, frequency_hz, phase)` of each LED.
+    /// ``(y, x, frequency_hz, phase)`` of each LED.
     #[getter]
     fn leds(&self) -> Vec<(f64, f64, f64, f64)> {
-        let leds = self.made.leds.iter();
-        leds.map(|l| (l.y, l.x, l.frequency_hz, l.phase)).collect()
+        self.leds.clone()
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<State<'py>> {
+        let (this, py) = (slf.get(), slf.py());
+        let state = PyDict::new(py);
+        state.set_item("camera", this.camera())?;
+        state.set_item("psf", this.psf())?;
+        state.set_item("frame", from_image(py, this.frame.clone())?)?;
+        state.set_item("truth", this.truth(py)?)?;
+        state.set_item("direct", this.direct(py)?)?;
+        state.set_item("background", this.background(py)?)?;
+        state.set_item("noise_sigma", this.noise_sigma)?;
+        state.set_item("leds", this.leds())?;
+        Ok((slf.get_type().getattr("_restore")?, (state,)))
+    }
+
+    /// The simulation of what `__reduce__` gives.
+    #[classmethod]
+    fn _restore(_cls: &Bound<'_, PyType>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let background = optional_entry(state, "background")?;
+        let background = background.map(|value| finite_image(&value, "background"));
+        Ok(Self {
+            camera: entry(state, "camera")?.extract()?,
+            psfs: entry(state, "psf")?.cast::<PyPsf>()?.get().psfs.clone(),
+            frame: finite_image(&entry(state, "frame")?, "frame")?,
+            truth: video(&entry(state, "truth")?, "truth")?,
+            direct: finite_image(&entry(state, "direct")?, "direct")?,
+            background: background.transpose()?,
+            noise_sigma: entry(state, "noise_sigma")?.extract()?,
+            leds: entry(state, "leds")?.extract()?,
+        })
     }
 }
 
-/// The frame that a camera records of a scene.
+/// The frame that ``camera`` records of a scene.
+///
+/// ``scene`` is ``digits`` (the default), ``leds``, ``moving``, ``two-moving`` or a video ``[t, y, x]``
+/// (an array or the name of a file) that is fitted to the field. Without ``psf`` a speckle PSF is
+/// computed. ``snr`` is the rms of the noiseless frame over the noise, ``inf`` for none;
+/// ``peak_electrons`` (in the brightest pixel of the frame) or ``scene_electrons`` (from the brightest
+/// scene pixel in a bin) give shot and read noise instead, and need gain and read noise of the camera.
 #[pyfunction]
 #[pyo3(signature = (camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None,
-    scene_electrons=None, background=None, seed=1, digit_px=12))]
+    scene_electrons=None, background=None, seed=Whole::of(1), digit_px=Whole::of(12)),
+    text_signature = "(camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None, scene_electrons=None, background=None, seed=1, digit_px=12)")]
 #[allow(clippy::too_many_arguments)]
 pub fn simulate(
     py: Python<'_>,
@@ -85,20 +151,22 @@ pub fn simulate(
     peak_electrons: Option<f64>,
     scene_electrons: Option<f64>,
     background: Option<f64>,
-    seed: u64,
-    digit_px: usize,
+    seed: Whole,
+    digit_px: Whole,
 ) -> PyResult<PySimulation> {
-    let camera = camera.camera.clone();
-    check_memory("the video".as_ref(), &camera).map_err(to_py_err)?;
+    let (seed, digit_px) = (seed.named("seed")? as u64, digit_px.named("digit_px")?);
+    let (py_camera, camera) = (camera.clone(), camera.camera.clone());
+    crate::memory::check(&camera)?;
     let name: String;
     let scene = match scene {
         None => Scene::Named("digits"),
+        Some(value) if is_array(value) => Scene::Video(video(value, "scene")?),
         Some(value) => match value.extract::<String>() {
-            Ok(text) => {
+            Ok(text) if !names_a_file(&text) => {
                 name = text;
                 Scene::Named(&name)
             }
-            Err(_) => Scene::Video(video(value, "scene")?),
+            _ => Scene::Video(video(value, "scene")?),
         },
     };
     let noise = match (peak_electrons, scene_electrons) {
@@ -107,7 +175,7 @@ pub fn simulate(
         (None, None) => NoiseChoice::Snr(snr),
     };
     let psfs = psf.map(|p| psfs_of(p, &camera, None)).transpose()?;
-    let made = py.detach(|| {
+    let made = detached(py, || {
         let psfs = match psfs {
             Some(psfs) => psfs,
             None => {
@@ -122,10 +190,26 @@ pub fn simulate(
             background,
             noise,
             seed,
-            digit_px,
+            digit_height_px: digit_px,
         })?;
         Ok((psfs, made))
-    });
+    })?;
     let (psfs, made) = made.map_err(to_py_err)?;
-    Ok(PySimulation { camera, psfs, made })
+    let leds = made.leds.iter();
+    Ok(PySimulation {
+        camera: py_camera,
+        psfs,
+        frame: made.recorded.frame,
+        truth: made.truth,
+        direct: made.direct,
+        background: made.background,
+        noise_sigma: made.recorded.sigma,
+        leds: leds.map(|l| (l.y, l.x, l.frequency_hz, l.phase)).collect(),
+    })
+}
+
+/// Whether a scene is the name of a file rather than of a scene, as on the command line.
+fn names_a_file(text: &str) -> bool {
+    let path = PathBuf::from(text);
+    !Scene::NAMES.contains(&text) && (path.exists() || path.extension().is_some())
 }

@@ -65,9 +65,10 @@ impl Axis {
 
     /// Position of `value`, 0 at the low end and 1 at the high one.
     pub(crate) fn fraction(&self, value: f64) -> f64 {
-        match self.log {
-            true => (value / self.low).ln() / (self.high / self.low).ln(),
-            false => (value - self.low) / (self.high - self.low),
+        if self.log {
+            (value / self.low).ln() / (self.high / self.low).ln()
+        } else {
+            (value - self.low) / (self.high - self.low)
         }
     }
 
@@ -98,9 +99,10 @@ impl Axis {
             .map(|v| {
                 let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
                 let long = v.abs() >= 1e6 || (step < 1e-4 && v != 0.0);
-                let text = match long {
-                    true => number(v, 4),
-                    false => format!("{v:.decimals$}").replace('-', "−"),
+                let text = if long {
+                    number(v, 4)
+                } else {
+                    format!("{v:.decimals$}").replace('-', "−")
                 };
                 (v, text)
             })

@@ -12,9 +12,10 @@ pub(crate) fn number(value: f64, digits: usize) -> String {
     let digits = digits.max(1) as i32;
     let text = if (-4..7).contains(&exponent) {
         let text = format!("{value:.*}", (digits - 1 - exponent).max(0) as usize);
-        match text.contains('.') {
-            true => text.trim_end_matches('0').trim_end_matches('.').to_string(),
-            false => text,
+        if text.contains('.') {
+            text.trim_end_matches('0').trim_end_matches('.').to_string()
+        } else {
+            text
         }
     } else {
         let mantissa = value / 10_f64.powi(exponent);
@@ -29,9 +30,10 @@ pub(crate) fn number(value: f64, digits: usize) -> String {
 
 /// `value` with two decimals, or three digits where that would be long.
 pub(crate) fn fixed(value: f64) -> String {
-    match value.abs() < 1000.0 {
-        true => format!("{value:.2}").replace('-', "−"),
-        false => number(value, 3),
+    if value.abs() < 1000.0 {
+        format!("{value:.2}").replace('-', "−")
+    } else {
+        number(value, 3)
     }
 }
 
@@ -133,9 +135,12 @@ pub(crate) fn rows(rows: &[usize]) -> String {
     if runs.len() > 2 {
         return format!("{} rows", rows.len());
     }
-    let run = |&(from, to): &(usize, usize)| match from == to {
-        true => from.to_string(),
-        false => format!("{from}–{to}"),
+    let run = |&(from, to): &(usize, usize)| {
+        if from == to {
+            from.to_string()
+        } else {
+            format!("{from}–{to}")
+        }
     };
     let list: Vec<String> = runs.iter().map(run).collect();
     let noun = if rows.len() == 1 { "row" } else { "rows" };

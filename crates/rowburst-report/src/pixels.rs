@@ -73,9 +73,12 @@ impl<'a> Plane<'a> {
     /// The plane in the colours of `map`, from `low` to `high`.
     pub(crate) fn coloured(&self, map: Map, low: f32, high: f32) -> Pixels {
         let span = (high - low).max(f32::MIN_POSITIVE);
-        let index = |&v: &f32| match v.is_finite() {
-            true => ((v - low) / span * 254.0).round().clamp(0.0, 254.0) as u8,
-            false => 255,
+        let index = |&v: &f32| {
+            if v.is_finite() {
+                ((v - low) / span * 254.0).round().clamp(0.0, 254.0) as u8
+            } else {
+                255
+            }
         };
         Pixels {
             rows: self.rows,

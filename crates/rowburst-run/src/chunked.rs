@@ -1,9 +1,9 @@
-//! A video too large for memory: found part by part, and written as it is found.
+//! Reconstruction of a video too large for memory, in chunks of bins that are written one by one.
 //!
-//! The folder has `video.npy.part` and `parts.json` until all parts are through; a run that was
-//! stopped, or killed, goes on from there.
+//! Until all chunks are complete the output folder holds `video.npy.part` and `parts.json`. A run that was
+//! stopped or killed is resumed from these files.
 
-#![allow(missing_docs)]
+#![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::thousands;
@@ -20,33 +20,35 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::{ControlFlow, Range};
 use std::time::Instant;
 
-/// Longest side and most bins of `video.mp4`.
+/// Longest side of `video.mp4` in pixels; larger makes a larger file.
 const PREVIEW_MAX_SIDE: usize = 256;
+/// Most bins of `video.mp4`; larger makes a larger file.
 const PREVIEW_MAX_BINS: usize = 512;
 
-/// What is to be done, and how it is called.
+/// A reconstruction in chunks, with the texts of its report.
 pub struct ChunkedTask<'a> {
-    /// The frame and the recipe.
+    /// Camera, PSFs, frame and options.
     pub chunked: Chunked,
-    /// How `τ` was asked for.
+    /// The rule for `τ`, for the report.
     pub tau: Tau,
-    /// Bins of a part; `None`: as many as 3 GiB hold.
+    /// Bins of a chunk; `None`: as many as 3 GiB hold.
     pub bins_per_chunk: Option<usize>,
-    /// Of the page.
+    /// Title of the report.
     pub title: &'a str,
-    /// What makes the same result again.
+    /// The command that reproduces the result.
     pub reproduce: &'a str,
-    /// What `video.mp4` shows.
+    /// Whether `video.mp4` shows the time of each bin.
     pub movie: MovieStyle,
-    /// What of the camera came from the frame's metadata.
+    /// The values of the camera that came from the metadata of the frame's file.
     pub from_metadata: &'a FromMetadata,
 }
 
-/// A part that is through.
+/// A completed chunk, in `result.json` and `parts.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ChunkNumbers {
-    /// Its first bin, and the one after its last, of the video that is written.
+    /// Its first bin in the written video.
     pub first_bin: usize,
+    /// The bin after its last one.
     pub end_bin: usize,
     pub iterations: usize,
     pub stop_reason: String,
@@ -58,7 +60,7 @@ pub struct ChunkNumbers {
     pub seconds: f64,
 }
 
-/// Everything that `result.json` says of a video that was found in parts.
+/// The content of `result.json` of a video that was reconstructed in chunks.
 #[derive(Debug, Clone, Serialize)]
 pub struct ChunkedSummary {
     pub version: &'static str,
@@ -66,19 +68,21 @@ pub struct ChunkedSummary {
     pub tau_rule: &'static str,
     pub noise_sigma: f64,
     pub noise_sigma_source: &'static str,
-    /// Of all parts together.
+    /// Root mean square over all chunks.
     pub residual_over_sigma: f64,
-    /// The least good of the parts, and how many are.
+    /// The worst verdict of the chunks.
     pub fit: &'static str,
+    /// How many chunks have this verdict, and the reason of the first one.
     pub fit_reason: String,
     pub frames: usize,
     pub rows: usize,
     pub columns: usize,
-    /// The bin of the whole readout that is the first one of the video.
+    /// The first bin of the video, counted in the whole readout.
     pub first_bin: usize,
     pub frame_rate_hz: f64,
-    /// Of all runs together, and of a bin.
+    /// Sum of the times of all chunks.
     pub seconds: f64,
+    /// `seconds` over the number of bins.
     pub seconds_per_bin: f64,
     pub peak_memory_bytes: Option<u64>,
     pub threads: usize,
@@ -91,23 +95,26 @@ pub struct ChunkedSummary {
     pub warnings: Vec<String>,
 }
 
+/// The content of `parts.json`.
 #[derive(Serialize, Deserialize)]
 struct ResumeState {
-    /// Of all that decides what the parts are.
+    /// See [`job_hash`].
     job: u64,
     parts: Vec<ChunkNumbers>,
 }
 
+/// The file of the [`ResumeState`].
 const STATE_FILE: &str = "parts.json";
 
-/// Sees the bins of the part at work, the number of all bins, and the iteration.
+/// A callback after every iteration: with the bins of the present chunk, the number of all bins, and the iteration.
 type Observer<'o> = dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason> + 'o;
 
-/// Finds all parts that are not there yet and writes the result. `observer` sees every iteration
-/// and may stop it.
+/// Reconstructs all chunks that are not complete yet, and writes the result. `observer` is called after every
+/// iteration and may stop the run.
 ///
 /// # Errors
-/// Those of a reconstruction, failed writes, and where it was stopped: what is done stays.
+/// Those of [`Chunked::solve`], failed reads and writes, and a run that the observer stopped. Completed chunks
+/// are kept for the next run.
 pub fn run_chunked(
     task: &ChunkedTask,
     folder: &OutputFolder,
@@ -127,7 +134,7 @@ pub fn run_chunked(
             parts: Vec::new(),
         },
     };
-    // That of an earlier run would vouch for files that are no longer its own.
+    // The file of an earlier run does not describe the new files.
     folder.remove("result.json")?;
     for range in ranges {
         if state.parts.iter().any(|p| p.first_bin == range.start) {
@@ -141,8 +148,8 @@ pub fn run_chunked(
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
                 "reconstruction",
-                format!("stopped with {done} of {} bins found", shape.bins),
-                "Run the same command again: it goes on from there.",
+                format!("stopped with {done} of {} bins reconstructed", shape.bins),
+                "Run the same command again to resume.",
             ));
         }
         file.write(range.start, reconstruction.video.data())?;
@@ -153,7 +160,7 @@ pub fn run_chunked(
             stop_reason: reconstruction.stop_reason.name().into(),
             tau: reconstruction.tau,
             residual_over_sigma: reconstruction.residual_over_sigma,
-            support_fraction: reconstruction.support,
+            support_fraction: reconstruction.support_fraction,
             fit: reconstruction.fit.verdict.name().into(),
             fit_reason: reconstruction.fit.reason,
             seconds: began.elapsed().as_secs_f64(),
@@ -176,7 +183,7 @@ pub fn run_chunked(
         folder.write_bytes("video.mp4", &mp4)?;
     }
     let mut summary = summarise(task, state.parts);
-    let sheet = sheet(task, &summary, &statistics);
+    let sheet = report_sheet(task, &summary, &statistics);
     let report = sheet.render()?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
@@ -189,7 +196,7 @@ pub fn run_chunked(
     Ok(summary)
 }
 
-/// A number that another frame, PSF, camera, recipe or division would not have.
+/// A hash of frame, PSFs, camera, prior, `τ`, `σ` and chunks. A run is resumed only if it is equal.
 fn job_hash(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
     let mut hasher = DefaultHasher::new();
     let image = |image: &Image, hasher: &mut DefaultHasher| {
@@ -213,18 +220,20 @@ fn job_hash(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
     hasher.finish()
 }
 
-/// What is drawn of a video, from one pass over it.
+/// Pictures and curves of a video for the report, from one pass over its file.
 struct VideoStatistics {
-    /// The brightest that each pixel was.
+    /// Maximum of each pixel over time.
     brightest: Image,
-    /// All light of each bin.
+    /// Sum of each bin.
     light: Vec<f64>,
-    /// Means over pixels and bins.
+    /// The video averaged over squares of pixels and `bins_each` bins.
     preview: Video,
+    /// Bins of the video in a bin of the preview.
     bins_each: usize,
 }
 
 impl VideoStatistics {
+    /// Reads the whole video, bin by bin.
     fn read(file: &mut ChunkedVideoFile, shape: Shape) -> Result<Self> {
         let side = shape.rows.max(shape.columns).div_ceil(PREVIEW_MAX_SIDE);
         let bins_each = shape.bins.div_ceil(PREVIEW_MAX_BINS);
@@ -260,6 +269,7 @@ impl VideoStatistics {
     }
 }
 
+/// The summary of completed chunks.
 fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
     let camera = task.chunked.camera();
     let shape = camera.video_shape();
@@ -277,7 +287,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         .unwrap_or(Verdict::Good.name());
     let of_worst: Vec<&ChunkNumbers> = parts.iter().filter(|p| p.fit == worst).collect();
     let fit_reason = format!(
-        "{} of {} parts are {worst}; bins {}..{}: {}",
+        "{} of {} chunks have a {worst} fit; bins {}..{}: {}",
         of_worst.len(),
         parts.len(),
         of_worst[0].first_bin,
@@ -291,7 +301,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
     }
     let saturated = task.chunked.measurement().saturated();
     if saturated > 0 {
-        warnings.push(format!("{saturated} saturated pixels were left out"));
+        warnings.push(format!("{saturated} saturated pixels were excluded"));
     }
     ChunkedSummary {
         version: env!("CARGO_PKG_VERSION"),
@@ -324,7 +334,9 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
     }
 }
 
-fn sheet<'a>(
+/// The report.
+#[expect(clippy::too_many_lines, reason = "one table of the report")]
+fn report_sheet<'a>(
     task: &'a ChunkedTask,
     summary: &ChunkedSummary,
     statistics: &'a VideoStatistics,
@@ -376,7 +388,7 @@ fn sheet<'a>(
     Sheet {
         title: task.title,
         summary: format!(
-            "{} frames of {}×{} at {} fps from one frame, found in {} parts.",
+            "{} frames of {}×{} at {} fps from one frame, reconstructed in {} chunks.",
             summary.frames,
             summary.rows,
             summary.columns,
@@ -385,7 +397,7 @@ fn sheet<'a>(
         ),
         warnings: summary.warnings.clone(),
         notes: vec![format!(
-            "Each part of {bins_per_chunk} bins is a problem of its own, of the rows that see it. The prior has no term over time."
+            "Each chunk of {bins_per_chunk} bins is reconstructed independently, from the rows that measure it. The prior has no term over time."
         )],
         headline: vec![
             pair("Fit", summary.fit.into()),
@@ -405,13 +417,13 @@ fn sheet<'a>(
                         "brightest",
                         &statistics.brightest,
                         "counts",
-                        "The brightest that each pixel was at any time.",
+                        "The maximum of each pixel over time.",
                     ),
                     course(
                         "light",
                         "light (counts)",
                         light.collect(),
-                        "All light of each bin over time.",
+                        "The total light of each bin over time.",
                     ),
                 ],
             ),
@@ -422,13 +434,13 @@ fn sheet<'a>(
                         "frame",
                         task.chunked.measurement().image(),
                         "counts",
-                        "The captured frame, corrected; of a range of bins the rows that see them, one after another.",
+                        "The captured frame, corrected; for a range of bins only the rows that measure them.",
                     ),
                     course(
                         "residual",
                         "residual/σ",
                         residual.collect(),
-                        "Residual over the noise of each part: about 1 where the video explains its rows.",
+                        "Residual over the noise of each chunk: about 1 where the video explains its rows.",
                     ),
                 ],
             ),
@@ -438,7 +450,7 @@ fn sheet<'a>(
             vec![
                 pair(
                     "objective",
-                    "½‖W(b − Av)‖² + τ R(v), v ≥ 0, in each part".into(),
+                    "½‖W(b − Av)‖² + τ R(v), v ≥ 0, in each chunk".into(),
                 ),
                 pair("prior R", summary.prior.clone()),
                 pair("τ", summary.tau_rule.into()),
@@ -464,7 +476,7 @@ fn sheet<'a>(
         )],
         files: [
             ("video.npy", "the video, float32 [t, y, x], in counts"),
-            ("video.mp4", "the same made smaller, slowed down"),
+            ("video.mp4", "the same, reduced in size and slowed down"),
             ("report.html", "this page"),
             ("result.json", "the numbers, for programs"),
         ]

@@ -1,4 +1,4 @@
-//! A finished reconstruction: its numbers, its report and its folder of results.
+//! A completed reconstruction: its numbers, its report and its folder of results.
 
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
@@ -19,7 +19,7 @@ use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
 
-/// Files of a result, and what they are.
+/// Files of a result, with their descriptions.
 const FILES: &[(&str, &str)] = &[
     ("video.npy", "the video, float32 [t, y, x], in counts"),
     (
@@ -42,55 +42,55 @@ const FILES: &[(&str, &str)] = &[
     ("result.json", "the numbers, for programs"),
 ];
 
-/// Beside them where the prior has a background.
+/// The further file of a prior with a background.
 const BACKGROUND_FILE: (&str, &str) = (
     "background.npy",
     "the part of the video that is background, float32 [t, y, x]",
 );
 
-/// A solved task.
+/// A task with its reconstruction.
 pub struct CompletedTask {
-    /// What was to be done.
+    /// The task.
     pub task: Task,
-    /// What was found; where it was debiased with that video.
+    /// The reconstruction. After [`Self::take_debiased`] its video is the refitted one.
     pub reconstruction: Reconstruction,
-    /// What debiasing did.
+    /// The effect of debiasing; `None` without it.
     pub debias: Option<DebiasNumbers>,
-    /// Operator, Gram factors, noise level.
+    /// Time of the set-up in seconds: operator, Gram blocks, noise level.
     pub setup_seconds: f64,
-    /// The solver alone.
+    /// Time of the solver in seconds.
     pub seconds: f64,
-    /// Seconds from the start of the program to that of the solver.
-    pub(crate) start_offset_s: f64,
-    /// The course of the run.
-    pub curve: Vec<Iteration>,
+    /// Time from the start of the program to the start of the solver, in seconds.
+    pub start_offset_s: f64,
+    /// The points of the convergence curve.
+    pub convergence: Vec<Iteration>,
 }
 
-/// What a folder of results says of where it comes from.
+/// Title, origin and style of a folder of results.
 pub struct ResultMeta<'a> {
-    /// Of the pages.
+    /// Title of the report and of the viewer's page.
     pub title: &'a str,
-    /// What makes the same result again.
+    /// The command that reproduces the result.
     pub reproduce: Option<&'a str>,
-    /// Makes the viewer's page for the report.
+    /// Makes the viewer's page inside the report; `None` for a report without it.
     pub player: Option<MakePlayer>,
-    /// What `video.mp4` shows.
+    /// Whether `video.mp4` shows the time of each bin.
     pub movie: MovieStyle,
 }
 
-/// What a report says of where it comes from.
+/// Title and origin of a report.
 pub struct ReportMeta<'a> {
-    /// Of the page.
+    /// Title of the page.
     pub title: &'a str,
-    /// What makes the same result again.
+    /// The command that reproduces the result.
     pub reproduce: Option<&'a str>,
-    /// The files that lie beside the page, and what they are.
+    /// The files beside the page, with their descriptions.
     pub files: Vec<(String, String)>,
 }
 
 impl CompletedTask {
-    /// Finds the traces that are wanted and those of the brightest spots; with `debias` the
-    /// refitted video, too, for [`CompletedTask::take_debiased`].
+    /// Computes the requested traces and those of the brightest spots; with `debias` also the refitted video
+    /// for [`Self::take_debiased`].
     pub fn traces(&self, request: TraceRequest, debias: bool) -> Traces {
         let task = &self.task;
         traces::find(
@@ -103,7 +103,8 @@ impl CompletedTask {
         )
     }
 
-    /// Puts the refitted video of `traces`, if it has one, in the place of the reconstruction's.
+    /// Replaces the video of the reconstruction by the refitted video of `traces`, if there is one. Residual and
+    /// fit stay those of the reconstruction.
     pub fn take_debiased(&mut self, traces: &mut Traces) {
         let Some(debiased) = traces.debiased.take() else {
             return;
@@ -119,7 +120,7 @@ impl CompletedTask {
         });
     }
 
-    /// Everything that `result.json` says.
+    /// The content of `result.json`. The peak memory is left open.
     pub fn summary(&self, traces: &Traces) -> ReconstructionSummary {
         let reconstruction = &self.reconstruction;
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
@@ -147,7 +148,7 @@ impl CompletedTask {
             objective: reconstruction.certificate.primal,
             objective_excess: Some(reconstruction.certificate.excess()).filter(|e| e.is_finite()),
             certificate: reconstruction.certificate.to_string(),
-            support_fraction: reconstruction.support,
+            support_fraction: reconstruction.support_fraction,
             iterations: reconstruction.iterations,
             stop_reason: reconstruction.stop_reason.name(),
             seconds: self.seconds,
@@ -169,10 +170,10 @@ impl CompletedTask {
             fit_reason: reconstruction.fit.reason.clone(),
             fit_statistics: FitNumbers::from(&reconstruction.fit.statistics),
             traces: traces.trace_numbers(truth),
-            trace_errors: traces.numbers.clone(),
+            trace_errors: traces.standard_errors.clone(),
             debias: self.debias.clone(),
             history: self
-                .curve
+                .convergence
                 .iter()
                 .map(|point| HistoryPoint::new(point, self.start_offset_s))
                 .collect(),
@@ -180,7 +181,7 @@ impl CompletedTask {
         }
     }
 
-    /// How the prior came about.
+    /// How the prior was chosen.
     fn choice(&self) -> PriorChoice {
         let prior = self.task.options.prior;
         match &self.reconstruction.choice {
@@ -192,10 +193,10 @@ impl CompletedTask {
             None => PriorChoice {
                 reason: match prior {
                     None if self.task.budget.is_some() => {
-                        "the standard one: a time budget leaves no time to choose"
+                        "standard prior: no automatic choice with a time budget"
                     }
                     Some(_) => "given",
-                    None => "not chosen: a single bin or a small frame leaves nothing to choose by, or it was stopped before",
+                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), or stopped before the comparison",
                 }
                 .into(),
                 held_out_pixels: None,
@@ -204,7 +205,7 @@ impl CompletedTask {
         }
     }
 
-    /// What the user should know before trusting the video.
+    /// Warnings that the user should read before trusting the video.
     fn warnings(&self, traces: &Traces) -> Vec<String> {
         let reconstruction = &self.reconstruction;
         let mut warnings = self.task.from_metadata.warnings.clone();
@@ -216,20 +217,23 @@ impl CompletedTask {
             ));
         }
         if reconstruction.video.max() <= 0.0 {
-            warnings.push("the video is dark: noise of this level explains the whole frame; check --noise-sigma".into());
+            warnings.push("the video is zero everywhere: the frame is consistent with noise of this level alone; check --noise-sigma".into());
         }
         let missing = self.task.measurement.saturated();
         if missing > 0 {
-            warnings.push(format!("{missing} saturated pixels were left out"));
+            warnings.push(format!("{missing} saturated pixels were excluded"));
         }
         warnings.extend(traces.warnings());
-        if let (true, Some(why)) = (traces.debias_was_wanted, &traces.numbers.missing_because) {
+        if let (true, Some(why)) = (
+            traces.debias_was_wanted,
+            &traces.standard_errors.missing_because,
+        ) {
             warnings.push(format!("--debias had no effect: {why}"));
         }
         warnings
     }
 
-    /// Writes all files into `folder`, `result.json` last: where it is, the result is whole.
+    /// Writes all files into `folder`. `result.json` is written last, so a folder that has it is complete.
     ///
     /// # Errors
     /// Failed writes.
@@ -242,7 +246,7 @@ impl CompletedTask {
         let mut summary = self.summary(traces);
         let video = &self.reconstruction.video;
         let camera = &self.task.camera;
-        // That of an earlier run would vouch for files that are no longer its own.
+        // The file of an earlier run does not describe the new files.
         folder.remove("result.json")?;
         folder.write("video.npy", |w| write_npy_video(w, video))?;
         folder.remove("video.mp4")?;
@@ -297,10 +301,10 @@ impl CompletedTask {
         Ok(summary)
     }
 
-    /// The report alone, with its film or its player in it.
+    /// The report alone, with the movie and the viewer's page in it where there are any.
     ///
     /// # Errors
-    /// A film that cannot be encoded.
+    /// A movie that cannot be encoded, or a figure that cannot be drawn.
     pub fn report(
         &self,
         traces: &Traces,
@@ -319,7 +323,7 @@ impl CompletedTask {
         self.report_of(traces, &summary, report_meta, mp4.as_deref(), page.as_ref())
     }
 
-    /// Writes what the viewer shows beside the video; the page for one file, where there is one.
+    /// Writes the files that the viewer shows beside the video. Returns the viewer's page for the report, if any.
     fn write_view(
         &self,
         traces: &Traces,
@@ -340,7 +344,7 @@ impl CompletedTask {
         )
     }
 
-    /// Does something with all that the viewer shows.
+    /// Calls `act` with the files of the viewer.
     fn with_view<T>(
         &self,
         traces: &Traces,
@@ -358,10 +362,10 @@ impl CompletedTask {
             truth: truth.map(|truth| (truth, task.truth_file.as_deref())),
             frame: task.measurement.image(),
             psf: task.psfs.central().image(),
-            residual: &self.reconstruction.residual,
+            residual: &self.reconstruction.normalised_residual,
             direct: direct.as_ref().map(|(image, _)| image.as_ref()),
             traces: &traces.annotated(),
-            course: &self.curve,
+            convergence: &self.convergence,
             headline: &headline(summary),
             settings: &settings(task, summary),
             fit: (summary.fit, &summary.fit_reason),
@@ -370,7 +374,7 @@ impl CompletedTask {
         })
     }
 
-    /// The scene without the diffuser: the frame that was given, or computed from the truth.
+    /// The frame of the scene without the diffuser: given, or computed from the truth.
     fn direct(&self) -> Option<(Cow<'_, Image>, DirectOrigin)> {
         let task = &self.task;
         match (&task.direct, &task.truth) {
@@ -383,6 +387,7 @@ impl CompletedTask {
         }
     }
 
+    /// The report of `summary`, with `mp4` and `page` in it.
     fn report_of(
         &self,
         traces: &Traces,
@@ -404,11 +409,11 @@ impl CompletedTask {
                 image,
                 origin: *origin,
             }),
-            residual: &self.reconstruction.residual,
+            residual: &self.reconstruction.normalised_residual,
             traces: &annotated,
             instants: task.camera.instants(),
             time: task.camera.time(),
-            convergence: &self.curve,
+            convergence: &self.convergence,
             headline: headline(summary),
             fit: Some(FitVerdict {
                 verdict: summary.fit,

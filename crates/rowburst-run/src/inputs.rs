@@ -1,4 +1,4 @@
-//! Files into values: frames, PSFs and videos of an experiment.
+//! Reads the files of an experiment: frames, corrections, PSFs and true videos.
 
 use rowburst::measurement::Corrections;
 use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, Video};
@@ -8,7 +8,7 @@ use rowburst_io::{
 };
 use std::path::Path;
 
-/// The files that are given, or else those of the experiment.
+/// The calibration files: each of `given`, or else that of the experiment file.
 pub fn resolve_calibration(given: Calibration, experiment: &Experiment) -> Calibration {
     let from_file = experiment.calibration.clone();
     Calibration {
@@ -19,8 +19,11 @@ pub fn resolve_calibration(given: Calibration, experiment: &Experiment) -> Calib
     }
 }
 
-/// The file of the PSF, which a reconstruction needs.
-pub fn psf_of<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Result<&'c Path> {
+/// The file of the PSF.
+///
+/// # Errors
+/// No PSF in `calibration`.
+pub fn psf_path<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Result<&'c Path> {
     calibration.psf.as_deref().ok_or_else(|| {
         Error::input(
             experiment.path.display().to_string(),
@@ -31,16 +34,24 @@ pub fn psf_of<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Resu
     })
 }
 
-/// A recorded frame, and the counts at which its file ends if they are integers.
+/// Reads a recorded frame. Also returns the largest count that the file's integers hold; `None` for
+/// floats and for integers of more than 16 bits.
+///
+/// # Errors
+/// A file that cannot be read.
 pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {
     let Capture { image, format } = read_image(path)?;
     Ok((image, format.saturation_limit()))
 }
 
-/// Dark, flat and bad pixels of `calibration`.
+/// Reads dark, flat and bad pixels of `calibration`. `saturation_limit` is the count of [`read_frame`] from
+/// which pixels are saturated.
+///
+/// # Errors
+/// A file that cannot be read, or a pixel that is not finite.
 pub fn read_corrections(
     calibration: &Calibration,
-    container_end: Option<f64>,
+    saturation_limit: Option<f64>,
 ) -> Result<Corrections> {
     let read = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {
         path.as_deref().map(read_finite).transpose()
@@ -49,11 +60,11 @@ pub fn read_corrections(
         dark: read(&calibration.dark)?,
         flat: read(&calibration.flat)?,
         bad_pixels: read(&calibration.bad_pixels)?,
-        saturation_counts: container_end,
+        saturation_counts: saturation_limit,
     })
 }
 
-/// A correction: every pixel counts, so every pixel is finite.
+/// Reads a correction. All its pixels have to be finite.
 fn read_finite(path: &Path) -> Result<Image> {
     let image = read_image(path)?.image;
     match image.first_non_finite() {
@@ -67,8 +78,8 @@ fn read_finite(path: &Path) -> Result<Image> {
     }
 }
 
-/// Names the file in an error of the corrections: that of `frame` where it is none of
-/// `calibration`.
+/// Puts the file at fault in front of an error of the corrections: dark, flat or bad pixels of
+/// `calibration`, else `frame`.
 pub fn naming_file(error: Error, frame: &Path, calibration: &Calibration) -> Error {
     let subject = match &error {
         Error::Input { subject, .. } | Error::Work { subject, .. } => subject.as_str(),
@@ -83,8 +94,11 @@ pub fn naming_file(error: Error, frame: &Path, calibration: &Calibration) -> Err
     error.within(place)
 }
 
-/// Refuses a video that this machine has no memory for, before anything is allocated:
-/// the program would be ended without a word.
+/// Checks that this machine has memory for the video, before anything is allocated. Without the check
+/// the operating system could end the program without a message. `experiment` names the file in the error.
+///
+/// # Errors
+/// The memory of a reconstruction cannot be reserved.
 pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
     let shape = camera.video_shape();
     let voxels = shape
@@ -92,10 +106,10 @@ pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
         .checked_mul(shape.columns)
         .and_then(|pixels| pixels.checked_mul(shape.bins));
     let needed = voxels.and_then(|n| n.checked_mul(VIDEO_COPIES));
-    // Never less than 64 MiB: after a smaller block is given back, glibc keeps all later
-    // blocks of that size for itself, and the peak of memory rises by a fifth.
-    let tried = needed.map(|n| n.max(16 << 20));
-    if tried.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
+    // At least 64 MiB: freeing a smaller block makes glibc keep later blocks of that size instead of
+    // returning them, and the peak memory rises.
+    let reserved = needed.map(|n| n.max(16 << 20));
+    if reserved.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
         return Ok(());
     }
     Err(Error::work(
@@ -105,19 +119,18 @@ pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
     ))
 }
 
-/// Copies of the video, in float32, that a reconstruction holds at its peak.
+/// Copies of the video in f32 that a reconstruction holds at its peak.
 const VIDEO_COPIES: usize = 12;
 
-/// The PSF of a capture on the working grid of `camera`, and what is to be said of it.
+/// The PSF of a capture on the working grid of `camera`, and a note for the user if the capture was binned.
 ///
-/// A file of integers is a raw capture: the camera's dark frame (if it has the same
-/// size) or bias is taken from it, and what falls below zero is set to zero. A file of
-/// floats is taken as it is. With binning, a PSF of the raw sensor's size, or larger
-/// than the working grid can use, is binned.
+/// A capture of integers is raw: the dark frame (if it has the same size) or else the bias is subtracted
+/// from it, and negative values are set to zero. A capture of floats is used as it is. With binning, a
+/// capture of the raw sensor's size, or larger than the working grid can use, is binned.
 ///
 /// # Errors
 /// Those of [`Psf::new`].
-pub fn psf_from(
+pub fn psf_from_capture(
     capture: Capture,
     camera: &Camera,
     dark: Option<&Image>,
@@ -153,7 +166,7 @@ pub fn psf_from(
     Ok((Psf::new(image)?, note))
 }
 
-/// The PSFs of `path`: a patch set as it is, one image as [`psf_from`] takes it.
+/// Reads the PSFs of `path`: a patch set as it is, or one image by [`psf_from_capture`]. Also returns the note.
 ///
 /// # Errors
 /// A file that cannot be read, or holds no PSF.
@@ -166,17 +179,20 @@ pub fn read_psfs(
         return Ok((read_patch_set(path)?, None));
     }
     let capture = read_image(path)?;
-    let found = psf_from(capture, camera, dark).map_err(|e| e.within(path.display()))?;
+    let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path.display()))?;
     let note = found.1.map(|note| format!("{}: {note}", path.display()));
     Ok((found.0.into(), note))
 }
 
-/// The true video, checked against the shape that `camera` gives.
+/// Reads the true video and checks it by [`checked_truth`].
+///
+/// # Errors
+/// A file that cannot be read, and those of [`checked_truth`].
 pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
     checked_truth(read_video(path)?, &path.display().to_string(), camera)
 }
 
-/// `video` checked against the shape that `camera` gives; `subject` names it in errors.
+/// Checks that `video` is finite and has the shape that `camera` gives. `subject` names it in errors.
 ///
 /// # Errors
 /// Another shape, or a value that is not finite.

@@ -1,13 +1,17 @@
-//! One reconstruction as a user meets it, from the command line or from Python.
+//! The application layer of one reconstruction, for the command line and for Python.
 //!
 //! ```text
-//! Task (camera, PSF, measurement, recipe, …) ─▶ solve ─▶ Solved ─▶ traces, Outcome, page, folder
+//! Task (camera, PSFs, measurement, options, …)
+//!   ─▶ solve ─▶ CompletedTask ─▶ Traces, ReconstructionSummary, report, result folder
 //! ```
 //!
-//! Reads the files of an experiment into values ([`inputs`]), what is typed into choices
-//! ([`options`]), runs the solver with a clock beside it ([`RunClock`]), and turns what it found into
-//! the numbers of `result.json`, the report and the folder of results. No terminal: what is to be
-//! said goes to the caller, and an observer sees every iteration and may stop it.
+//! [`inputs`] reads the files of an experiment, and [`options`] parses the options of the user.
+//! [`solve`] runs the solver and measures its time ([`RunClock`]). [`CompletedTask`] gives the numbers of
+//! `result.json` ([`ReconstructionSummary`]), the report and the folder of results. [`run_chunked`] does
+//! the same for a video too large for memory, and [`simulate`] makes simulated captures.
+//!
+//! The crate writes nothing to the terminal. Messages are return values, and an observer is called after
+//! every iteration and may stop the run.
 
 mod chunked;
 mod completed_task;
@@ -16,26 +20,26 @@ mod movie;
 mod numbers;
 pub mod options;
 mod player;
+mod run_clock;
 pub mod simulate;
 mod summary;
 mod task;
 mod traces;
 mod view_files;
-mod watch;
 
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
+pub use run_clock::RunClock;
 pub use summary::{
     FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
     peak_memory_bytes, short,
 };
 pub use task::{IterationMetrics, Task, solve};
 pub use traces::{
-    DebiasNumbers, ErrorNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, TraceNumbers,
-    TraceRequest, Traces, TruthNumbers,
+    DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,
+    TraceNumbers, TraceRequest, Traces, TruthNumbers,
 };
 pub use view_files::ViewFiles;
-pub use watch::RunClock;

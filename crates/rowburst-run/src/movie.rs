@@ -2,12 +2,12 @@
 
 use rowburst::{Result, TimeGrid, Video};
 
-/// What `video.mp4` shows beside the video.
+/// Whether `video.mp4` shows the time of each bin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MovieStyle {
     /// The time of each bin in µs, in a strip below the picture.
     Stamped,
-    /// Nothing.
+    /// The video alone.
     Plain,
 }
 
@@ -36,7 +36,7 @@ pub(crate) fn encode_movie(_: &Video, _: &TimeGrid, _: MovieStyle) -> Result<Opt
     Ok(None)
 }
 
-/// The middle of a bin in µs, with the digits that tell bins apart, as in the viewer.
+/// The middle of a bin in µs, with enough digits to distinguish bins, as in the viewer.
 #[cfg(feature = "mp4")]
 fn bin_time(time: &TimeGrid, bin: usize) -> String {
     let step = time.bin_duration_us();

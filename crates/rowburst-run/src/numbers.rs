@@ -1,17 +1,34 @@
-//! The numbers of a run as a reader meets them: the few big ones, and the table of all settings.
+//! The numbers of a run in the report: the headline, and the table of all settings.
 
 use crate::summary::{ReconstructionSummary, short};
 use crate::task::Task;
+use crate::traces::StandardErrorNumbers;
 
-/// Groups of name and value: camera, reconstruction, run.
+/// The table of settings: the groups camera, reconstruction and run, each of pairs of name and value.
 pub(crate) fn settings(
     task: &Task,
     summary: &ReconstructionSummary,
 ) -> Vec<(String, Vec<(String, String)>)> {
+    vec![
+        ("Camera".into(), camera_settings(task)),
+        (
+            "Reconstruction".into(),
+            reconstruction_settings(task, summary),
+        ),
+        ("Run".into(), run_settings(summary)),
+    ]
+}
+
+/// A setting and its value.
+fn pair(name: &str, value: String) -> (String, String) {
+    (name.to_string(), value)
+}
+
+/// The settings of the camera.
+fn camera_settings(task: &Task) -> Vec<(String, String)> {
     let camera = &task.camera;
     let sensor = camera.sensor();
-    let pair = |name: &str, value: String| (name.to_string(), value);
-    let mut of_camera = vec![
+    let mut lines = vec![
         pair(
             "rows × columns",
             format!("{} × {}", camera.rows(), camera.columns()),
@@ -36,104 +53,123 @@ pub(crate) fn settings(
     ];
     for (name, value) in optional {
         if let Some(value) = value {
-            of_camera.push(pair(name, value.to_string()));
+            lines.push(pair(name, value.to_string()));
         }
     }
     if let Some(from_metadata) = task.from_metadata.summary_line() {
-        of_camera.push(pair("from metadata", from_metadata));
+        lines.push(pair("from metadata", from_metadata));
     }
+    lines
+}
+
+/// The settings of the reconstruction, and its numbers.
+fn reconstruction_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<(String, String)> {
     let psf = task.psfs.central().image();
-    let of_solver = vec![
-            pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
-            pair("prior R", summary.prior.clone()),
-            pair("its choice", summary.prior_choice.reason.clone()),
-            pair(
-                "τ",
-                format!("{} ({})", short(summary.tau), summary.tau_rule),
+    vec![
+        pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
+        pair("prior R", summary.prior.clone()),
+        pair(
+            "how the prior was chosen",
+            summary.prior_choice.reason.clone(),
+        ),
+        pair(
+            "τ",
+            format!("{} ({})", short(summary.tau), summary.tau_rule),
+        ),
+        pair(
+            "σ",
+            format!(
+                "{} counts ({})",
+                short(summary.noise_sigma),
+                summary.noise_sigma_source
             ),
-            pair(
-                "σ",
-                format!(
-                    "{} counts ({})",
-                    short(summary.noise_sigma),
-                    summary.noise_sigma_source
-                ),
+        ),
+        pair("residual/σ", format!("{:.4}", summary.residual_over_sigma)),
+        pair("fit", format!("{}: {}", summary.fit, summary.fit_reason)),
+        pair(
+            "χ² per degree of freedom",
+            format!(
+                "{} ± {}",
+                short(summary.fit_statistics.chi_squared),
+                short(summary.fit_statistics.chi_squared_error)
             ),
-            pair("residual/σ", format!("{:.4}", summary.residual_over_sigma)),
-            pair("fit", format!("{}: {}", summary.fit, summary.fit_reason)),
-            pair(
-                "χ² per degree of freedom",
-                format!(
-                    "{} ± {}",
-                    short(summary.fit_statistics.chi_squared),
-                    short(summary.fit_statistics.chi_squared_error)
-                ),
-            ),
-            pair(
-                "noise over σ, outside the optics' band",
-                summary
-                    .fit_statistics
-                    .noise_floor
-                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
-            ),
-            pair(
-                "residual/σ inside it",
-                summary
-                    .fit_statistics
-                    .passed_level
-                    .map_or("not measurable".into(), |v| format!("{v:.2}")),
-            ),
-            pair(
-                "free values per measurement",
-                format!("{:.2}", summary.fit_statistics.freedom),
-            ),
-            pair(
-                "objective at the end",
-                format!("{}; {}", short(summary.objective), summary.certificate),
-            ),
-            pair(
-                "voxels allowed to be lit",
-                format!("{:.2} %", 100.0 * summary.support_fraction),
-            ),
-            pair(
-                "standard errors of traces",
-                match (&summary.trace_errors, &summary.trace_errors.missing_because) {
-                    (_, Some(why)) => format!("not known: {why}"),
-                    (errors, None) => format!(
-                        "light changes over {:.1} px by {:.2} of its brightness, χ² {:.2}, found in {:.2} s",
-                        errors.prior_length_px.unwrap_or(f64::NAN),
-                        errors.prior_amplitude.unwrap_or(f64::NAN),
-                        errors.chi_squared.unwrap_or(f64::NAN),
-                        errors.seconds
-                    ),
-                },
-            ),
-            pair(
-                "debiased",
-                summary.debias.as_ref().map_or("no".into(), |d| {
-                    let psnr = d.psnr_db_before.zip(summary.psnr_db);
-                    let psnr = psnr.map_or(String::new(), |(a, b)| format!(", PSNR {a:.1} to {b:.1} dB"));
-                    format!(
-                        "yes: light × {:.4}, bright parts × {:.4}{psnr}; residual and fit are those before",
-                        d.light_ratio, d.bright_light_ratio
-                    )
-                }),
-            ),
-            pair("iterations", summary.iterations.to_string()),
-            pair("stopped", summary.stop_reason.into()),
-            pair(
-                "PSF",
-                match task.psfs.psfs().len() {
-                    1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
-                    n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
-                },
-            ),
-            pair(
-                "bad and saturated pixels",
-                format!("{} and {}", summary.bad_pixels, summary.saturated_pixels),
-            ),
-        ];
-    let of_run = vec![
+        ),
+        pair(
+            "noise/σ outside the passband of the optics",
+            summary
+                .fit_statistics
+                .noise_floor
+                .map_or("not measurable".into(), |v| format!("{v:.2}")),
+        ),
+        pair(
+            "residual/σ inside the passband",
+            summary
+                .fit_statistics
+                .passed_level
+                .map_or("not measurable".into(), |v| format!("{v:.2}")),
+        ),
+        pair(
+            "degrees of freedom per measurement",
+            format!("{:.2}", summary.fit_statistics.freedom),
+        ),
+        pair(
+            "objective at the end",
+            format!("{}; {}", short(summary.objective), summary.certificate),
+        ),
+        pair(
+            "active voxels (support)",
+            format!("{:.2} %", 100.0 * summary.support_fraction),
+        ),
+        pair(
+            "standard errors of traces",
+            trace_errors_text(&summary.trace_errors),
+        ),
+        pair("debiased", debias_text(summary)),
+        pair("iterations", summary.iterations.to_string()),
+        pair("stopped", summary.stop_reason.into()),
+        pair(
+            "PSF",
+            match task.psfs.psfs().len() {
+                1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
+                n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
+            },
+        ),
+        pair(
+            "bad and saturated pixels",
+            format!("{} and {}", summary.bad_pixels, summary.saturated_pixels),
+        ),
+    ]
+}
+
+/// How the standard errors of the traces were computed.
+fn trace_errors_text(errors: &StandardErrorNumbers) -> String {
+    match &errors.missing_because {
+        Some(why) => format!("not known: {why}"),
+        None => format!(
+            "Gaussian prior: correlation length {:.1} px, relative amplitude {:.2}, χ² {:.2}; {:.2} s",
+            errors.prior_length_px.unwrap_or(f64::NAN),
+            errors.prior_amplitude.unwrap_or(f64::NAN),
+            errors.chi_squared.unwrap_or(f64::NAN),
+            errors.seconds
+        ),
+    }
+}
+
+/// What debiasing changed.
+fn debias_text(summary: &ReconstructionSummary) -> String {
+    summary.debias.as_ref().map_or("no".into(), |d| {
+        let psnr = d.psnr_db_before.zip(summary.psnr_db);
+        let psnr = psnr.map_or(String::new(), |(a, b)| format!(", PSNR {a:.1} to {b:.1} dB"));
+        format!(
+            "yes: total light × {:.4}, bright voxels × {:.4}{psnr}; residual and fit are those before debiasing",
+            d.light_ratio, d.bright_light_ratio
+        )
+    })
+}
+
+/// The program, its time, memory and warnings.
+fn run_settings(summary: &ReconstructionSummary) -> Vec<(String, String)> {
+    vec![
         pair("rowburst", summary.version.into()),
         pair("threads", summary.threads.to_string()),
         pair(
@@ -157,15 +193,10 @@ pub(crate) fn settings(
                 summary.warnings.join("; ")
             },
         ),
-    ];
-    vec![
-        ("Camera".into(), of_camera),
-        ("Reconstruction".into(), of_solver),
-        ("Run".into(), of_run),
     ]
 }
 
-/// The few big numbers.
+/// The main numbers, as pairs of name and value.
 pub(crate) fn headline(summary: &ReconstructionSummary) -> Vec<(String, String)> {
     let mut lines = Vec::new();
     if let Some(psnr) = summary.psnr_db {
@@ -193,7 +224,7 @@ pub(crate) fn headline(summary: &ReconstructionSummary) -> Vec<(String, String)>
     lines
 }
 
-/// A whole number with a comma every three digits.
+/// `value` rounded to a whole number, with a comma every three digits.
 pub fn thousands(value: f64) -> String {
     let digits = format!("{value:.0}");
     let mut text = String::new();

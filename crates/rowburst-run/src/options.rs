@@ -1,14 +1,14 @@
-//! What is typed, as choices: prior, `τ` and time budget.
+//! Parses the options of the user: prior, `τ` and time budget.
 
 use rowburst::reconstruct::{Prior, Tau};
 use rowburst::{Error, Result};
 use rowburst_io::Experiment;
 use std::time::Duration;
 
-/// The prior that is asked for, or else that of the experiment; `None` for `auto`.
+/// The prior `name`, or else that of the experiment file; `None` for `auto`.
 ///
 /// # Errors
-/// A name that is none.
+/// Those of [`parse_prior`].
 pub fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
     match (name, &experiment.reconstruction.prior) {
         (Some(name), _) => parse_prior(name),
@@ -22,7 +22,7 @@ pub fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Opti
     }
 }
 
-/// The rule for `τ` that is asked for, or else that of the experiment.
+/// The rule for `τ` of `text`, or else that of the experiment file.
 ///
 /// # Errors
 /// Those of [`parse_tau`].
@@ -33,10 +33,10 @@ pub fn resolve_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
     }
 }
 
-/// A rule for `τ`: `auto`, `held-out` or a number.
+/// Parses a rule for `τ`: `auto`, `held-out` or a number.
 ///
 /// # Errors
-/// Anything else.
+/// A text that is none of these. The set-up of the reconstruction checks the range of the number.
 pub fn parse_tau(text: &str) -> Result<Tau> {
     Ok(match text {
         "auto" => Tau::Auto,
@@ -52,10 +52,10 @@ pub fn parse_tau(text: &str) -> Result<Tau> {
     })
 }
 
-/// A prior by its name; `None` for `auto`.
+/// Parses a prior (see [`Prior`]); `None` for `auto`.
 ///
 /// # Errors
-/// A name that is none.
+/// A text that is not a prior.
 pub fn parse_prior(name: &str) -> Result<Option<Prior>> {
     match name.trim() {
         "auto" => Ok(None),
@@ -63,10 +63,10 @@ pub fn parse_prior(name: &str) -> Result<Option<Prior>> {
     }
 }
 
-/// A time budget of so many seconds.
+/// A time budget of `seconds`.
 ///
 /// # Errors
-/// A number that is not above zero.
+/// A number that is not above zero, or too large for a [`Duration`].
 pub fn parse_time_budget(seconds: Option<f64>) -> Result<Option<Duration>> {
     let Some(seconds) = seconds else {
         return Ok(None);

@@ -1,23 +1,24 @@
-//! The viewer's page within a report.
+//! The viewer's page inside a report.
 
 use crate::view_files::ViewFiles;
 use serde_json::Value;
 use std::path::Path;
 
-/// From what the viewer shows, and `view.json`, to its page; `None` where the video is too large.
+/// Makes the viewer's page from the viewer's files and the content of `view.json`; `None` where the video is too
+/// large for it.
 pub type MakePlayer = Box<dyn Fn(&ViewFiles, &Value) -> Option<PlayerPage>>;
 
-/// The viewer's page for one file.
+/// The viewer's page for a report in one file.
 pub struct PlayerPage {
-    /// Its code.
+    /// JavaScript.
     pub script: String,
-    /// Its looks.
+    /// CSS.
     pub style: String,
-    /// What it shows.
+    /// The videos, pictures and values that it shows, as JSON.
     pub data: String,
 }
 
-/// Makes the page of a result that is named as its folder; `None` in a build without the page.
+/// Makes the viewer's page of a result, with the name of the folder `result`. `None` in a build without the page.
 #[cfg(feature = "page")]
 pub fn player_of(result: &Path) -> Option<MakePlayer> {
     use rowburst_view::{Offline, bundle};
@@ -48,7 +49,7 @@ pub fn player_of(result: &Path) -> Option<MakePlayer> {
     }))
 }
 
-/// In a build without the viewer.
+/// The viewer's page; `None` in a build without the feature `page`.
 #[cfg(not(feature = "page"))]
 pub fn player_of(_: &Path) -> Option<MakePlayer> {
     None

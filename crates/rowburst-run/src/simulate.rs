@@ -1,4 +1,4 @@
-//! Simulation as a user asks for it: a scene, a PSF and noise, by name or as values.
+//! Simulated captures: a scene, a PSF and noise, by name or as values.
 
 use rowburst::linop::LinearOperator;
 use rowburst::noise::{Noise, SimulatedFrame};
@@ -6,49 +6,49 @@ use rowburst::simulate::scene::{self, Led};
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
 use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, RollingShutter, Video};
 
-/// What is to be simulated.
+/// The inputs of a simulation.
 pub struct Simulation<'a> {
     /// The camera.
     pub camera: &'a Camera,
-    /// The PSF, or those of the parts of the field.
+    /// The PSF, or one PSF for each patch of the field.
     pub psfs: &'a PatchSet,
-    /// What is to be seen.
+    /// The scene.
     pub scene: Scene<'a>,
     /// Brightness of a static background over that of the scene.
     pub background: Option<f64>,
-    /// How much noise.
+    /// The noise.
     pub noise: NoiseChoice,
-    /// Of scene and noise.
+    /// Seed of scene and noise.
     pub seed: u64,
-    /// Height of the font.
-    pub digit_px: usize,
+    /// Height of digits in pixels.
+    pub digit_height_px: usize,
 }
 
-/// What is to be seen.
+/// A scene.
 pub enum Scene<'a> {
     /// One of [`Scene::NAMES`].
     Named(&'a str),
-    /// This, fitted to the field.
+    /// A video, which is fitted to the field.
     Video(Video),
 }
 
 impl Scene<'_> {
-    /// The scenes that have a name.
+    /// The names of scenes.
     pub const NAMES: [&'static str; 4] = ["digits", "leds", "moving", "two-moving"];
 }
 
-/// How much noise.
+/// The kind and the level of the noise.
 #[derive(Debug, Clone, Copy)]
 pub enum NoiseChoice {
-    /// Gaussian; infinite for none.
+    /// Gaussian noise with this signal-to-noise ratio; infinity: no noise.
     Snr(f64),
-    /// Shot and read noise, from the electrons of the frame's brightest pixel.
+    /// Shot and read noise. The brightest pixel of the frame holds this number of electrons.
     PeakElectrons(f64),
-    /// The same, from the electrons of the brightest scene pixel in a bin.
+    /// Shot and read noise. The brightest pixel of the scene sends this number of electrons in a bin.
     SceneElectrons(f64),
 }
 
-/// A simulated capture with all that is known of it.
+/// A simulated capture with its ground truth.
 pub struct SimulatedCapture {
     /// The frame.
     pub recorded: SimulatedFrame,
@@ -56,7 +56,7 @@ pub struct SimulatedCapture {
     pub noise: Noise,
     /// The video, in counts of the frame.
     pub truth: Video,
-    /// What of it is static.
+    /// The static background in `truth`.
     pub background: Option<Image>,
     /// The frame of the same camera without the diffuser.
     pub direct: Image,
@@ -67,7 +67,7 @@ pub struct SimulatedCapture {
 /// Simulates a capture.
 ///
 /// # Errors
-/// A scene that the field is too small for, a background or noise that cannot be.
+/// An unknown scene, a field too small for the scene, or a background or noise out of range.
 pub fn simulate(simulation: &Simulation) -> Result<SimulatedCapture> {
     let camera = simulation.camera;
     check_noise(simulation.noise, camera)?;
@@ -79,7 +79,7 @@ pub fn simulate(simulation: &Simulation) -> Result<SimulatedCapture> {
     let operator = RollingShutter::new(camera, simulation.psfs);
     let mut frame = vec![0.0; operator.range_len()];
     operator.apply(scene.data(), &mut frame);
-    // Scene and PSF are never negative: what is below zero is rounding of the transforms.
+    // Scene and PSF are non-negative, so negative values are rounding of the transforms.
     frame
         .iter_mut()
         .filter(|b| **b < 0.0)
@@ -116,7 +116,7 @@ pub fn simulate(simulation: &Simulation) -> Result<SimulatedCapture> {
     })
 }
 
-/// The optics of a computed speckle PSF, in the words of a lab.
+/// The optics of a simulated speckle PSF, in the usual quantities of a laboratory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensOptics {
     /// Wavelength in nanometres.
@@ -146,7 +146,7 @@ impl LensOptics {
         }
     }
 
-    /// The same for the simulation.
+    /// The optics for the simulation of the PSF, on pixels of `pixel_pitch_um`.
     pub fn optics(&self, pixel_pitch_um: f64) -> SpeckleOptics {
         let lens = Aperture::Lens {
             diameter_mm: self.pupil_mm,
@@ -172,7 +172,7 @@ impl LensOptics {
 /// A speckle PSF that covers every displacement from the field of `camera` to its sensor.
 ///
 /// # Errors
-/// Those of [`phase_plate_psf`], by the names of the options.
+/// Those of [`phase_plate_psf`], with the names of the command-line options.
 pub fn speckle_for(
     camera: &Camera,
     optics: &SpeckleOptics,
@@ -187,7 +187,7 @@ pub fn speckle_for(
     phase_plate_psf(optics, diffuser_phase, rows | 1, columns | 1, seed).map_err(naming_option)
 }
 
-/// Shot noise can only be made where it is known what an electron is.
+/// Checks that the noise can be simulated for `camera`: shot noise needs the gain and the read noise of the sensor.
 ///
 /// # Errors
 /// Numbers of electrons that are not above zero, or a sensor without gain or read noise.
@@ -227,7 +227,7 @@ pub fn check_noise(noise: NoiseChoice, camera: &Camera) -> Result<()> {
     Ok(())
 }
 
-/// Names the experiment file in an error of its camera.
+/// Puts the name of the experiment file in front of an error of its camera.
 pub fn naming_camera(mut error: Error, file: &str) -> Error {
     if let Error::Input { subject, .. } = &mut error
         && subject == "[camera]"
@@ -237,7 +237,7 @@ pub fn naming_camera(mut error: Error, file: &str) -> Error {
     error
 }
 
-/// The pixel pitch of `camera`, or that of the demonstration.
+/// The pixel pitch of `camera` in µm, or that of [`SpeckleOptics::demo`].
 pub fn pixel_pitch_um(camera: &Camera) -> f64 {
     camera
         .sensor()
@@ -245,8 +245,8 @@ pub fn pixel_pitch_um(camera: &Camera) -> f64 {
         .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
 }
 
-/// Names the option in an error of the optics, or the key where it comes from the
-/// experiment.
+/// Replaces the parameter in an error of the optics by its command-line option, or by its key of the experiment
+/// file.
 fn naming_option(mut error: Error) -> Error {
     if let Error::Input { subject, .. } = &mut error {
         let option = match subject.as_str() {
@@ -265,23 +265,25 @@ fn naming_option(mut error: Error) -> Error {
     error
 }
 
-/// What is to be seen, made.
+/// A scene as a video.
 struct RenderedScene {
-    /// All light, that of the background too.
+    /// The video, with the background.
     video: Video,
-    /// What of it is static.
+    /// The static background in `video`.
     background: Option<Image>,
     leds: Vec<Led>,
 }
 
+/// Renders the scene and its background.
 fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     let shape = camera.video_shape();
-    let of_font = |error: Error| error.within(format!("--digit-px {}", simulation.digit_px));
-    let moving = |digits| scene::moving_digit(shape, simulation.digit_px, digits, simulation.seed);
+    let of_font = |error: Error| error.within(format!("--digit-px {}", simulation.digit_height_px));
+    let moving =
+        |digits| scene::moving_digit(shape, simulation.digit_height_px, digits, simulation.seed);
     let mut leds = Vec::new();
     let mut video = match &simulation.scene {
         Scene::Named("digits") => {
-            scene::digits(shape, simulation.digit_px, simulation.seed).map_err(of_font)?
+            scene::digits(shape, simulation.digit_height_px, simulation.seed).map_err(of_font)?
         }
         Scene::Named("moving") => moving(1).map_err(of_font)?,
         Scene::Named("two-moving") => moving(2).map_err(of_font)?,
@@ -321,6 +323,7 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     })
 }
 
+/// Puts the command-line option in front of an error of the background.
 fn naming_background(mut error: Error) -> Error {
     if let Error::Input { subject, .. } = &mut error {
         *subject = match subject.as_str() {
@@ -331,7 +334,7 @@ fn naming_background(mut error: Error) -> Error {
     error
 }
 
-/// `video` without what is `still`.
+/// Subtracts the picture `still` from every bin of `video`; negative values become zero.
 pub fn subtract_background(mut video: Video, still: &Image) -> Video {
     for t in 0..video.shape().bins {
         for (voxel, still) in video.bin_mut(t).iter_mut().zip(still.data()) {

@@ -1,15 +1,16 @@
-//! `result.json`: the numbers of a run.
-//! Keys are those of the file; the README says what they mean.
-#![allow(missing_docs)]
+//! The numbers of `result.json`.
+//!
+//! Fields are the keys of the file; the README explains them.
+#![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
-use crate::traces::{DebiasNumbers, ErrorNumbers, TraceNumbers};
+use crate::traces::{DebiasNumbers, StandardErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Candidate, FitStatistics};
 use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Everything that `result.json` says.
+/// The content of `result.json`.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReconstructionSummary {
     pub version: &'static str,
@@ -21,18 +22,18 @@ pub struct ReconstructionSummary {
     pub noise_sigma_source: &'static str,
     pub residual_over_sigma: f64,
     pub objective: f64,
-    /// The objective is at most this part above its minimum; null where nothing is known.
+    /// Upper bound of the objective's excess over its minimum, relative to its lower bound; null without a bound.
     pub objective_excess: Option<f64>,
-    /// The same as a sentence.
+    /// The bound as a sentence.
     pub certificate: String,
-    /// Part of the voxels that were allowed to be lit at the end.
+    /// Fraction of the voxels that are in the support at the end.
     pub support_fraction: f64,
     pub iterations: usize,
     pub stop_reason: &'static str,
-    /// Solving alone.
+    /// Time of the solver, without the set-up.
     pub seconds: f64,
     pub setup_seconds: f64,
-    /// Of the whole process; null where the system does not tell.
+    /// Peak of the whole process; null where the system does not report it.
     pub peak_memory_bytes: Option<u64>,
     pub frames: usize,
     pub rows: usize,
@@ -42,34 +43,34 @@ pub struct ReconstructionSummary {
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
     pub threads: usize,
-    /// Instruction set of the vector loops: results agree between them to rounding, not to the bit.
+    /// Instruction set of the vector loops. Results of different sets agree to rounding, not to the bit.
     pub simd: &'static str,
-    /// Of the simulation in a demo; 0 else: nothing in a reconstruction is random.
+    /// Seed of the simulation in a demo, else 0. A reconstruction does not depend on it.
     pub seed: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub psnr_db: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim: Option<f64>,
-    /// good, suspicious or bad.
+    /// The verdict: `good`, `suspicious` or `bad`.
     pub fit: &'static str,
     pub fit_reason: String,
     pub fit_statistics: FitNumbers,
-    /// Of the regions that were asked for and the brightest spots.
+    /// Traces of the requested regions and of the brightest spots.
     pub traces: Vec<TraceNumbers>,
-    pub trace_errors: ErrorNumbers,
+    pub trace_errors: StandardErrorNumbers,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub debias: Option<DebiasNumbers>,
-    /// The course of the run that gave the video.
+    /// The recorded iterations of the run that gave the video.
     pub history: Vec<HistoryPoint>,
     pub warnings: Vec<String>,
 }
 
-/// What came from the metadata of the frame's file.
+/// Values from the metadata of the frame's file.
 #[derive(Debug, Clone, Serialize)]
 pub struct MetadataNumbers {
-    /// Where there was any.
+    /// Sources of metadata that were found.
     pub sources: Vec<String>,
-    /// Keys that the experiment file leaves open, with the values that were taken.
+    /// Keys that the experiment file leaves open, with their values from the metadata.
     pub taken: BTreeMap<String, String>,
 }
 
@@ -82,11 +83,11 @@ impl From<&FromMetadata> for MetadataNumbers {
     }
 }
 
-/// The video after an iteration.
+/// A recorded iteration.
 #[derive(Debug, Clone, Serialize)]
 pub struct HistoryPoint {
     pub iteration: usize,
-    /// Since the start of the process, without the comparisons with the truth.
+    /// Time since the start of the process, without comparisons with the truth and calls of the observer.
     pub seconds: f64,
     pub residual_over_sigma: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -94,7 +95,8 @@ pub struct HistoryPoint {
 }
 
 impl HistoryPoint {
-    /// `start_offset_s`: seconds from the start of the process to that of the solver's clock.
+    /// Makes a point of the history. `start_offset_s` is the time from the start of the process to the start
+    /// of the solver, in seconds.
     pub fn new(point: &Iteration, start_offset_s: f64) -> Self {
         Self {
             iteration: point.iteration,
@@ -109,7 +111,7 @@ impl HistoryPoint {
 #[derive(Debug, Clone, Serialize)]
 pub struct PriorChoice {
     pub reason: String,
-    /// Null where there was no choice.
+    /// Null where the prior was not chosen.
     pub held_out_pixels: Option<usize>,
     pub candidates: Vec<PriorCandidate>,
 }
@@ -118,33 +120,38 @@ pub struct PriorChoice {
 #[derive(Debug, Clone, Serialize)]
 pub struct PriorCandidate {
     pub prior: String,
-    /// τ over that of the discrepancy principle.
-    pub strength: f64,
-    /// Rms of the residual over σ at pixels that the solver had not seen.
+    /// Factor on the `τ` of the discrepancy principle.
+    pub tau_factor: f64,
+    /// The same value under the key of 0.1, for programs that read it.
+    #[serde(rename = "strength")]
+    pub old_tau_factor: f64,
+    /// Root mean square of the residual over σ at held-out pixels.
     pub held_out_error: f64,
-    pub given_up: bool,
+    #[serde(rename = "given_up")]
+    pub stopped_early: bool,
 }
 
 impl From<&Candidate> for PriorCandidate {
     fn from(candidate: &Candidate) -> Self {
         Self {
             prior: candidate.prior.to_string(),
-            strength: candidate.tau_factor,
+            tau_factor: candidate.tau_factor,
+            old_tau_factor: candidate.tau_factor,
             held_out_error: candidate.error,
-            given_up: candidate.given_up,
+            stopped_early: candidate.stopped_early,
         }
     }
 }
 
-/// What the verdict on the fit rests on; see `rowburst::reconstruct::FitStatistics`.
+/// The statistics of the fit, on which the verdict rests; see [`FitStatistics`].
 #[derive(Debug, Clone, Serialize)]
 pub struct FitNumbers {
     pub chi_squared: f64,
     pub chi_squared_error: f64,
     pub residual_over_frame: f64,
-    /// Values that the fit has chosen freely over measurements.
+    /// Degrees of freedom of the video over the number of measurements.
     pub freedom: f64,
-    /// Noise over σ; null where the frame is too small to tell.
+    /// Noise of the frequencies that the optics do not pass, over σ; null where the frame is too small.
     pub noise_floor: Option<f64>,
     pub passed_level: Option<f64>,
     pub correlation_x: f64,
@@ -158,7 +165,7 @@ pub struct FitNumbers {
     pub worst_column_chi_squared: f64,
     pub lone_pixels: usize,
     pub residual_trend: f64,
-    /// Null where instants read several rows.
+    /// Null where it cannot be tested, since instants read several rows.
     pub mirrored: Option<f64>,
     pub tests_timing: bool,
 }
@@ -189,7 +196,7 @@ impl From<&FitStatistics> for FitNumbers {
     }
 }
 
-/// Largest memory that this process has held, in bytes (Linux).
+/// Peak memory of this process in bytes; `None` on systems other than Linux.
 pub fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -197,7 +204,7 @@ pub fn peak_memory_bytes() -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// A number with a sensible number of digits.
+/// A number with about four significant digits.
 pub fn short(value: f64) -> String {
     if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
         let digits = (3.0 - value.abs().max(1e-3).log10().floor()).clamp(0.0, 6.0) as usize;

@@ -1,7 +1,7 @@
-//! What a reconstruction of one frame is to do, and doing it.
+//! The task of reconstructing one frame, and the function that solves it.
 
 use crate::completed_task::CompletedTask;
-use crate::watch::RunClock;
+use crate::run_clock::RunClock;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Options, Prior, Problem};
 use rowburst::solve::StopReason;
@@ -12,71 +12,72 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// A frame and what is wanted of it: values, wherever they come from.
+/// A frame with all inputs of its reconstruction, as values.
 pub struct Task {
     /// The camera.
     pub camera: Camera,
-    /// The PSF, or those of the parts of the field.
+    /// The PSF, or one PSF for each patch of the field.
     pub psfs: PatchSet,
     /// The corrected frame.
     pub measurement: Measurement,
-    /// How to reconstruct. Where its prior is left open it is chosen, if there is time for it.
+    /// The options of the reconstruction. With a time budget and no prior, the prior is [`Prior::STANDARD`].
     pub options: Options,
-    /// For set-up and solver.
+    /// Limit of the time for set-up and solver together; `None`: no limit.
     pub budget: Option<Duration>,
-    /// The true video, to compare with.
+    /// The true video, for PSNR and SSIM.
     pub truth: Option<Video>,
-    /// The file that it was read from.
+    /// The file that `truth` was read from.
     pub truth_file: Option<PathBuf>,
-    /// A frame of the scene without the diffuser, to be shown.
+    /// A frame of the scene without the diffuser, for the report.
     pub direct: Option<Image>,
-    /// Of the simulation that the frame comes from.
+    /// Seed of the simulation that made the frame; only reported.
     pub seed: u64,
-    /// What of the camera came from the frame's metadata.
+    /// The values of the camera that came from the metadata of the frame's file.
     pub from_metadata: FromMetadata,
 }
 
-/// What the clock beside the solver knows of an iteration.
+/// Metrics of an iteration that [`crate::RunClock`] adds to those of the solver.
 #[derive(Debug, Clone, Copy)]
 pub struct IterationMetrics {
-    /// Of the solver so far.
+    /// Time of the solver so far, in seconds.
     pub seconds: f64,
-    /// Residual over the noise level.
+    /// Root mean square of the weighted residual over `σ`.
     pub residual_over_sigma: f64,
-    /// Against the truth, at the iterations that are points of the history.
+    /// PSNR against the truth in dB, at the iterations that the convergence curve records; else `None`.
     pub psnr_db: Option<f64>,
 }
 
-/// Solves it. `began` is when the program was started, for the history; `show` sees every
-/// iteration, at its own time, and may stop it.
+/// Reconstructs the frame of `task`. `process_start` is the start of the program, the zero of the convergence curve's
+/// time axis. `show` is called after every iteration and may stop the run; its time is not counted
+/// as the solver's.
 ///
 /// # Errors
 /// Those of [`Problem::new`] and [`Problem::solve`].
 pub fn solve(
     task: Task,
-    began: Instant,
+    process_start: Instant,
     show: &mut dyn FnMut(&Progress, &IterationMetrics) -> ControlFlow<StopReason>,
 ) -> Result<CompletedTask> {
     let options = Options {
-        // A choice takes a run for each candidate: a budget has no time for it.
+        // A choice of the prior takes a run for each candidate, so a time budget excludes it.
         prior: task.options.prior.or(task.budget.map(|_| Prior::STANDARD)),
         ..task.options
     };
-    let started = Instant::now();
+    let setup_start = Instant::now();
     let problem = Problem::new(&task.measurement, &task.camera, &task.psfs, options)?;
-    let setup = started.elapsed();
-    let left = task.budget.map(|b| b.saturating_sub(setup));
-    let mut watch = RunClock::new(problem.sigma(), task.truth.as_ref(), left);
+    let setup = setup_start.elapsed();
+    let remaining = task.budget.map(|b| b.saturating_sub(setup));
+    let mut clock = RunClock::new(problem.sigma(), task.truth.as_ref(), remaining);
     let result = problem.solve(&mut |progress| {
-        let flow = watch.observe(progress);
-        watch.untimed(|metrics| show(progress, metrics))?;
+        let flow = clock.observe(progress);
+        clock.untimed(|metrics| show(progress, metrics))?;
         flow
     });
-    let seconds = watch.seconds();
+    let seconds = clock.seconds();
     let reconstruction = result?;
-    watch.rescale(reconstruction.sigma);
-    let start_offset_s = watch.start_offset_s(began);
-    let curve = watch.curve;
+    clock.rescale(reconstruction.sigma);
+    let start_offset_s = clock.start_offset_s(process_start);
+    let convergence = clock.convergence;
     Ok(CompletedTask {
         task,
         reconstruction,
@@ -84,6 +85,6 @@ pub fn solve(
         setup_seconds: setup.as_secs_f64(),
         seconds,
         start_offset_s,
-        curve,
+        convergence,
     })
 }

@@ -1,6 +1,7 @@
-//! Traces of a result: of the brightest spots and of the regions that were asked for.
-//! Keys are those of the file; the README says what they mean.
-#![allow(missing_docs)]
+//! Traces of a reconstruction: brightness over time of the brightest spots and of requested regions.
+//!
+//! Fields of the structs for `result.json` are the keys of the file; the README explains them.
+#![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
 use crate::summary::short;
 use rowburst::measurement::Measurement;
@@ -16,21 +17,24 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Most spots that are found by themselves.
+/// Most spots that are found automatically; larger adds traces of fainter spots.
 const MAX_AUTO_REGIONS: usize = 6;
-/// Side of a region that is given by its middle alone.
+/// Side in pixels of a region that is given by its middle alone; larger averages more pixels.
 const DEFAULT_REGION_SIDE: usize = 3;
 
-/// What is asked for.
+/// The requested regions, and photodiodes to compare with.
 #[derive(Default)]
 pub struct TraceRequest {
-    /// `Y,X` or `Y,X,ROWS,COLUMNS` of each region.
     regions: Vec<Region>,
     photodiodes: Vec<(String, Photodiode)>,
 }
 
 impl TraceRequest {
-    /// Reads regions and photodiodes, before the work begins.
+    /// Parses the regions and reads the files of the photodiodes. A region is `Y,X` (its middle) or
+    /// `Y,X,ROWS,COLUMNS`.
+    ///
+    /// # Errors
+    /// A region that is not of this form or not in the field of `shape`, or a file that cannot be read.
     pub fn read(regions: &[String], photodiodes: &[PathBuf], shape: Shape) -> Result<Self> {
         let regions = regions.iter().map(|text| region(text, shape));
         let photodiodes = photodiodes.iter().map(|path| {
@@ -44,7 +48,7 @@ impl TraceRequest {
     }
 }
 
-/// A region as it is typed: its middle, or its first row and column with its size.
+/// Parses a region: its middle, or its first row and column with its size.
 fn region(text: &str, shape: Shape) -> Result<Region> {
     let parts: Option<Vec<usize>> = text.split(',').map(|p| p.trim().parse().ok()).collect();
     let wrong = |rule: String| {
@@ -78,32 +82,33 @@ fn region(text: &str, shape: Shape) -> Result<Region> {
     }
 }
 
-/// Traces with all that is known of them.
+/// Traces with their frequencies, photodiodes and standard errors.
 pub struct Traces {
     pub traces: Vec<Trace>,
-    /// What repeats in each.
+    /// The frequency of each trace, if there is one.
     pub frequencies: Vec<Option<Frequency>>,
+    /// File name and signal of each photodiode, and its alignment with a trace.
     photodiodes: Vec<(String, Photodiode, Option<Alignment>)>,
-    pub numbers: ErrorNumbers,
-    /// The refitted video, where it was wanted and could be had.
+    pub standard_errors: StandardErrorNumbers,
+    /// The refitted video, where it was requested and could be computed.
     pub debiased: Option<rowburst::traces::DebiasedVideo>,
-    /// Whether it was wanted.
+    /// Whether the refitted video was requested.
     pub debias_was_wanted: bool,
 }
 
-/// How standard errors came about, in `result.json`.
+/// The estimate of the standard errors, in `result.json`.
 #[derive(Debug, Clone, Serialize)]
-pub struct ErrorNumbers {
-    /// Why there are none.
+pub struct StandardErrorNumbers {
+    /// The reason why there are no standard errors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub missing_because: Option<String>,
-    /// Rms of lit voxels over the brightness of the video, as the frame has it.
+    /// Amplitude of the Gaussian prior: root mean square of the active voxels over the brightness of the video.
     pub prior_amplitude: Option<f64>,
-    /// Distance over which light changes, as the frame has it.
+    /// Correlation length of the Gaussian prior.
     pub prior_length_px: Option<f64>,
-    /// Misfit of the refit per degree of freedom.
+    /// `χ²` of the refit per degree of freedom.
     pub chi_squared: Option<f64>,
-    /// What all errors were multiplied by because of it.
+    /// Factor on all standard errors because of `chi_squared`; 1 unless the misfit is significant.
     pub inflation: Option<f64>,
     pub seconds: f64,
 }
@@ -117,17 +122,17 @@ pub struct TraceNumbers {
     pub mean_standard_error: Option<f64>,
     pub frequency_hz: Option<f64>,
     pub frequency_error_hz: Option<f64>,
-    /// Of the sine of this frequency.
+    /// Amplitude of the sine of this frequency.
     pub amplitude: Option<f64>,
     pub amplitude_error: Option<f64>,
-    /// Whether the frequency cannot be told from half the frame rate.
+    /// Whether the frequency cannot be distinguished from half the frame rate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frequency_is_half_rate: Option<bool>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub harmonics: Vec<HarmonicNumbers>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub photodiodes: Vec<PhotodiodeNumbers>,
-    /// Of the best photodiode.
+    /// Largest correlation with a photodiode.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photodiode_correlation: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -143,7 +148,7 @@ pub struct RegionNumbers {
     pub columns: usize,
 }
 
-/// A harmonic that was fitted along, and where it appears.
+/// A harmonic of the fitted frequency, and the frequency at which it appears.
 #[derive(Debug, Clone, Serialize)]
 pub struct HarmonicNumbers {
     pub order: usize,
@@ -151,32 +156,36 @@ pub struct HarmonicNumbers {
     pub amplitude: f64,
 }
 
-/// A photodiode over its trace.
+/// A photodiode that is aligned with the trace.
 #[derive(Debug, Clone, Serialize)]
 pub struct PhotodiodeNumbers {
     pub file: String,
     pub correlation: f64,
-    /// Added to its times.
+    /// Shift that is added to its times.
     pub shift_us: f64,
     pub gain: f64,
     pub offset: f64,
 }
 
-/// How a trace compares with the truth's.
+/// Comparison of a trace with that of the truth.
 #[derive(Debug, Clone, Serialize)]
 pub struct TruthNumbers {
+    /// Root mean square error of the refitted trace.
     pub rms_error: f64,
-    /// The same of the video's trace.
+    /// The same for the trace of the video.
     pub video_rms_error: f64,
-    /// Slope of the trace over the truth's: 1 is the right amplitude.
+    /// Slope of the refitted trace against that of the truth; 1 is the right amplitude.
     pub amplitude_ratio: f64,
+    /// The same for the trace of the video.
     pub video_amplitude_ratio: f64,
-    /// Bins in which the 95 % interval holds the truth, of those with light.
+    /// Number of active bins in which the 95 % interval contains the truth.
     pub covered_bins: usize,
-    pub lit_bins: usize,
+    /// Number of bins in which the truth is active.
+    #[serde(rename = "lit_bins")]
+    pub active_bins: usize,
 }
 
-/// Finds the traces of a finished reconstruction. `debias` asks for the refitted video, too.
+/// Computes the traces of a completed reconstruction; with `debias` also the refitted video.
 pub fn find(
     request: TraceRequest,
     debias: bool,
@@ -230,7 +239,7 @@ pub fn find(
         photodiodes,
         debiased: refit.as_ref().filter(|_| debias).map(Refit::video),
         debias_was_wanted: debias,
-        numbers: ErrorNumbers {
+        standard_errors: StandardErrorNumbers {
             missing_because,
             prior_amplitude: refit.as_ref().map(Refit::amplitude),
             prior_length_px: refit.as_ref().map(Refit::length_px),
@@ -243,26 +252,26 @@ pub fn find(
 }
 
 impl Traces {
-    /// Photodiodes that fit no trace, and regions without errors.
+    /// Warnings: photodiodes that match no trace, and standard errors that were increased.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         for (name, _, aligned) in &self.photodiodes {
             if aligned.is_none() {
                 warnings.push(format!(
-                    "{name} was not laid over a trace: it covers less than half of the video, or nothing changes"
+                    "{name} was not aligned with a trace: it covers less than half of the video, or one of the two is constant"
                 ));
             }
         }
-        if self.numbers.inflation.is_some_and(|by| by > 1.0) {
+        if self.standard_errors.inflation.is_some_and(|by| by > 1.0) {
             warnings.push(format!(
-                "standard errors of traces were multiplied by {:.2}: the lit voxels do not explain the frame to within σ",
-                self.numbers.inflation.unwrap_or(1.0)
+                "standard errors of traces were inflated by {:.2}: the active voxels do not explain the frame to within σ",
+                self.standard_errors.inflation.unwrap_or(1.0)
             ));
         }
         warnings
     }
 
-    /// For the report.
+    /// The traces for the report.
     pub fn annotated(&self) -> Vec<AnnotatedTrace> {
         let annotated = |i: usize| AnnotatedTrace {
             trace: self.traces[i].clone(),
@@ -282,13 +291,14 @@ impl Traces {
         (0..self.traces.len()).map(annotated).collect()
     }
 
+    /// The photodiodes that are aligned with trace `i`.
     fn over(&self, i: usize) -> impl Iterator<Item = (&String, &Photodiode, &Alignment)> {
         let aligned = self.photodiodes.iter();
         let aligned = aligned.filter_map(|(name, diode, a)| Some((name, diode, a.as_ref()?)));
         aligned.filter(move |(_, _, a)| a.trace == i)
     }
 
-    /// For `result.json`.
+    /// The traces for `result.json`.
     pub fn trace_numbers(&self, truth: Option<&Video>) -> Vec<TraceNumbers> {
         let numbers = |i: usize| {
             let trace = &self.traces[i];
@@ -340,7 +350,7 @@ impl Traces {
         (0..self.traces.len()).map(numbers).collect()
     }
 
-    /// Writes `traces.csv`: a line for each bin, with its middle.
+    /// Writes `traces.csv`: a line for each bin, which begins with the time of its middle in µs.
     pub fn write(&self, folder: &OutputFolder, time: &TimeGrid) -> Result<()> {
         let mut heading = vec!["time_us".to_string()];
         for trace in &self.traces {
@@ -367,7 +377,7 @@ impl Traces {
         })
     }
 
-    /// Lines for a person.
+    /// Lines for the command line: frequencies and photodiodes.
     pub fn summary_lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for (trace, frequency) in self.traces.iter().zip(&self.frequencies) {
@@ -404,6 +414,7 @@ impl Traces {
     }
 }
 
+/// Compares a trace with that of the truth.
 fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
     let expected = trace.region.mean_of(truth);
     let rms = |values: &[f64]| {
@@ -431,18 +442,18 @@ fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
         amplitude_ratio: slope(&trace.debiased),
         video_amplitude_ratio: slope(&trace.value),
         covered_bins: active.iter().filter(covers).count(),
-        lit_bins: active.len(),
+        active_bins: active.len(),
     }
 }
 
-/// What `--debias` did, in `result.json`.
+/// The effect of debiasing, in `result.json`.
 #[derive(Debug, Clone, Serialize)]
 pub struct DebiasNumbers {
-    /// Light of the refit over light of the reconstruction.
+    /// Sum of the refitted video over that of the reconstruction.
     pub light_ratio: f64,
-    /// The same where the reconstruction is above half of its brightness.
+    /// The same over voxels where the reconstruction is above half of its brightness.
     pub bright_light_ratio: f64,
-    /// Bins with too many lit voxels, which were left as they were.
+    /// Number of bins with too many active voxels, which were left unchanged.
     pub untouched_bins: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub psnr_db_before: Option<f64>,

@@ -1,4 +1,4 @@
-//! What a result folder keeps for the viewer: `view.json`, and pictures beside it.
+//! The files of a result folder for the viewer: `view.json`, and pictures beside it.
 
 use rowburst::{Camera, Image, Result, Shutter, Video};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
@@ -6,47 +6,47 @@ use rowburst_report::{AnnotatedTrace, Iteration};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Most points of a photodiode's signal that are kept; a screen shows no more.
+/// Most points of a photodiode's signal in `view.json`; larger makes a larger file than a screen can show.
 const MAX_SIGNAL_POINTS: usize = 5000;
 
-/// The file of the true video, where it is copied.
+/// The file to which the true video is copied.
 pub(crate) const TRUTH: &str = "view-truth.npy";
 
-/// All of it, borrowed.
+/// The values that the viewer shows, borrowed.
 pub struct ViewFiles<'a> {
-    /// Of the page.
+    /// Title of the page.
     pub title: &'a str,
     /// The camera.
     pub camera: &'a Camera,
-    /// The video.
+    /// The reconstructed video.
     pub video: &'a Video,
-    /// The true video, and the file that it came from.
+    /// The true video, and the file that it was read from.
     pub truth: Option<(&'a Video, Option<&'a Path>)>,
     /// The corrected frame.
     pub frame: &'a Image,
-    /// The PSF, or the one in the middle of the field.
+    /// The PSF, or that of the middle of the field.
     pub psf: &'a Image,
     /// `W(b − A v)/σ`.
     pub residual: &'a Image,
-    /// The scene without the diffuser.
+    /// The frame of the scene without the diffuser.
     pub direct: Option<&'a Image>,
-    /// What is drawn over the video.
+    /// The traces, whose regions are drawn over the video.
     pub traces: &'a [AnnotatedTrace],
     /// The points of the convergence curve.
-    pub course: &'a [Iteration],
-    /// Name and value.
+    pub convergence: &'a [Iteration],
+    /// The main numbers: pairs of name and value.
     pub headline: &'a [(String, String)],
-    /// Groups of name and value.
+    /// The table of settings: groups of pairs of name and value.
     pub settings: &'a [(String, Vec<(String, String)>)],
-    /// Verdict and reason.
+    /// The verdict of the fit and its reason.
     pub fit: (&'a str, &'a str),
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: &'a [String],
-    /// What makes the same result again.
+    /// The command that reproduces the result.
     pub command: &'a str,
 }
 
-/// Writes the pictures, then `view.json`; returns what that says.
+/// Writes the pictures, then `view.json`, and returns the content of `view.json`.
 pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<Value> {
     let images = [
         ("view-frame.npy", Some(files.frame)),
@@ -61,7 +61,7 @@ pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<Value> {
         }
     }
     let truth = match files.truth {
-        // It lies in the folder already (rowburst demo).
+        // The folder holds it already (rowburst demo).
         Some((_, Some(path))) if is_in(path, folder, "truth.npy") => {
             folder.remove(TRUTH)?;
             Some("truth.npy")
@@ -80,12 +80,13 @@ pub fn write(folder: &OutputFolder, files: &ViewFiles) -> Result<Value> {
     Ok(view)
 }
 
+/// Whether `path` is the file `name` of `folder`.
 fn is_in(path: &Path, folder: &OutputFolder, name: &str) -> bool {
     let full = |path: &Path| path.canonicalize().ok();
     full(path).is_some_and(|path| Some(path) == full(&folder.path().join(name)))
 }
 
-/// `view.json`; numbers that are not finite become null.
+/// The content of `view.json`. Numbers that are not finite become null.
 pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     let camera = files.camera;
     let time = camera.time();
@@ -100,7 +101,7 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     if let Some((truth, _)) = files.truth {
         ranges["truth"] = json!(range(truth));
     }
-    let course = files.course.iter();
+    let convergence = files.convergence.iter();
     json!({
         "version": 1,
         "title": files.title,
@@ -118,7 +119,7 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         // First and last bin that each row of the frame integrates.
         "row_bins": camera.instants().iter().map(bins_of).collect::<Vec<_>>(),
         "traces": files.traces.iter().map(trace).collect::<Vec<_>>(),
-        "course": course.map(|p| json!({
+        "course": convergence.map(|p| json!({
             "iteration": p.iteration,
             "seconds": p.seconds,
             "objective": p.objective,
@@ -134,6 +135,7 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     })
 }
 
+/// A trace in `view.json`.
 fn trace(annotated: &AnnotatedTrace) -> Value {
     let trace = &annotated.trace;
     let region = trace.region;
@@ -153,7 +155,7 @@ fn trace(annotated: &AnnotatedTrace) -> Value {
     })
 }
 
-/// Smallest and largest value, with 0.
+/// The smallest range that holds 0 and all finite values.
 fn range(video: &Video) -> (f32, f32) {
     let values = video.data().iter().filter(|v| v.is_finite());
     values.fold((0.0, 0.0), |(low, high), &v| (v.min(low), v.max(high)))

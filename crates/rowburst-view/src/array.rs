@@ -153,9 +153,12 @@ impl QuantisedBins {
 pub fn quantise8(video: &Video) -> (Vec<u8>, (f32, f32)) {
     let (low, high) = including_zero(range_of(video.data()));
     let scale = 254.0 / (high - low);
-    let number = |&v: &f32| match v.is_finite() {
-        true => ((v - low) * scale).clamp(0.0, 254.0).round() as u8,
-        false => u8::MAX,
+    let number = |&v: &f32| {
+        if v.is_finite() {
+            ((v - low) * scale).clamp(0.0, 254.0).round() as u8
+        } else {
+            u8::MAX
+        }
     };
     (video.data().iter().map(number).collect(), (low, high))
 }

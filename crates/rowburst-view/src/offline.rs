@@ -12,9 +12,9 @@ use rowburst::{Image, Video};
 use serde_json::{Map, Value, json};
 use std::io::Write;
 
-/// Most bytes of the text: a file of this size can still be sent by mail. The LED demo takes 0.2 MB.
+/// Most bytes of the text: a file of this size can still be sent by mail (docs/design/018).
 const MAX_BYTES: usize = 12_000_000;
-/// Most voxels: the browser unpacks them all, and the packing takes a second for 60 million.
+/// Most voxels: the browser unpacks them all; larger takes longer to pack (docs/design/018).
 const MAX_VOXELS: usize = 80_000_000;
 /// Pictures of more pixels are left out; the report has them as figures.
 const MAX_PIXELS: usize = 1 << 20;

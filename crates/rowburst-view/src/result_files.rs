@@ -87,9 +87,10 @@ impl ResultFiles {
         // Before anything is read: what is written meanwhile is another result.
         let stamp = FileStamp::of(&path.join("result.json"));
         let result = read_json(&path.join("result.json"))?;
-        let view = match there("view.json") {
-            true => read_json(&path.join("view.json"))?,
-            false => Value::Null,
+        let view = if there("view.json") {
+            read_json(&path.join("view.json"))?
+        } else {
+            Value::Null
         };
         let video = Array::open(&path.join("video.npy"), range(&view, "video"))?;
         let shape = video.shape();
@@ -173,9 +174,10 @@ impl ResultFiles {
 
     /// Whether its files are still those that were opened.
     pub(crate) fn is_current(&self) -> bool {
-        let last = match self.is_folder {
-            true => &self.path.join("result.json"),
-            false => &self.path,
+        let last = if self.is_folder {
+            &self.path.join("result.json")
+        } else {
+            &self.path
         };
         self.stamp.0.is_some() && self.stamp == FileStamp::of(last)
     }
@@ -247,7 +249,7 @@ fn incomplete_result(path: &Path) -> Error {
     Error::input(
         path.display().to_string(),
         found,
-        "result.json is written last, and tells a whole result",
+        "result.json is written last and marks a complete result",
         remedy,
     )
 }

@@ -143,7 +143,7 @@ const SHAPE: HeaderName = HeaderName::from_static("x-shape");
 /// Where a result was written anew, its parts would not fit those that a page has.
 fn result_changed(result: &ResultFiles) -> Response {
     let words = format!(
-        "{} was written again, or is being written: reload the page when it is whole.\n",
+        "{} has changed or is being written: reload the page when it is complete.\n",
         result.meta()["name"].as_str().unwrap_or("The result")
     );
     (StatusCode::CONFLICT, words).into_response()
@@ -215,7 +215,7 @@ async fn bins(
     let max_bins = MAX_BYTES / array.bytes_per_bin().max(1);
     if from >= to || to > count || to - from > max_bins.max(1) {
         let words = format!(
-            "bins {from} to {to}: there are {count}, and up to {} are sent at once\n",
+            "bins {from} to {to}: the video has {count}, and one request may ask for up to {}\n",
             max_bins.max(1)
         );
         return (StatusCode::BAD_REQUEST, words).into_response();

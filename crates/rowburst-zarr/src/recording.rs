@@ -33,7 +33,7 @@ pub fn open_zarr_recording(path: &Path) -> Result<Box<dyn Frames>> {
     };
     let unreadable = |reason: &dyn std::fmt::Display| {
         error(
-            format!("what cannot be read as a Zarr array ({reason})"),
+            format!("data that cannot be read as a Zarr array ({reason})"),
             "a recording is a Zarr array [frame, y, x], or an OME-Zarr image of it",
             "Name the array inside the group, such as GROUP.zarr/0.",
         )
@@ -44,7 +44,7 @@ pub fn open_zarr_recording(path: &Path) -> Result<Box<dyn Frames>> {
     let shape = array.shape().to_vec();
     let kind = Kind::of(&array).ok_or_else(|| {
         error(
-            format!("numbers of the type {:?}", array.data_type()),
+            format!("elements of type {:?}", array.data_type()),
             "pixels are integers of 8 to 64 bits or floating point of 32 or 64",
             "Convert the array with numpy.astype and save it again.",
         )
@@ -58,7 +58,7 @@ pub fn open_zarr_recording(path: &Path) -> Result<Box<dyn Frames>> {
         return Err(error(
             format!("an array of shape {shape:?}"),
             "a recording has the axes [frame, y, x], none of them empty; others have length 1",
-            "Save the part that is meant as an array of its own.",
+            "Save that part as a separate array.",
         ));
     };
     Ok(Box::new(ZarrRecording {

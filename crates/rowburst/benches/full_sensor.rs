@@ -9,7 +9,7 @@ use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{Chunked, Options};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
-use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Video};
+use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -18,9 +18,9 @@ struct Cost {
     per_voxel: f64,
 }
 
-/// The first `bins` bins of a sensor of `side`×`side` pixels.
-fn run(side: usize, bins: usize, digits: usize) -> Cost {
-    let whole = Camera::new(CameraParams {
+/// A camera of `side`×`side` pixels with a dual shutter.
+fn dual_shutter(side: usize) -> Camera {
+    Camera::new(CameraParams {
         rows: side,
         columns: side,
         shutter: Shutter::DualInsideOut,
@@ -30,11 +30,11 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
         field: None,
         sensor: Sensor::default(),
     })
-    .expect("a valid camera");
-    let all = whole.time().bins();
-    let camera = whole.subset(0..bins).expect("bins of the camera");
-    let began = Instant::now();
-    // The same grain, a diffuser that spreads as much wider.
+    .expect("a valid camera")
+}
+
+/// A speckle PSF for `side`×`side` pixels: the demo's grain, from a diffuser that spreads wider in proportion.
+fn speckle(side: usize) -> Psf {
     let demo = SpeckleOptics::demo();
     // The simulated speckle's transform ends at 8192 points a side.
     let reach = (side as f64).min(1450.0);
@@ -44,30 +44,33 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
             .to_degrees(),
         ..demo
     };
-    let psf = speckle_psf(&optics, 2 * side - 1, 2 * side - 1, 1).expect("valid optics");
-    println!(
-        "{side}×{side}, bins 0..{bins} of {all}, {digits} digits in each; PSF computed in {:.1} s",
-        began.elapsed().as_secs_f64()
-    );
-    // Bin by bin: the truth of all would not fit where the reconstruction does.
-    let scene_of = |bin: usize| -> Video {
-        let shape = Shape::new(1, side, side);
-        let mut sum = vec![0.0f32; shape.voxels()];
-        for i in 0..digits {
-            let seed = 1 + (bin * digits + i) as u64;
-            let one = scene::digits(shape, 12, seed).expect("a digit fits");
-            let places = sum.iter_mut().zip(one.data());
-            places.for_each(|(sum, v)| *sum = sum.max(*v));
-        }
-        Video::new(shape, sum).expect("the same shape")
-    };
+    speckle_psf(&optics, 2 * side - 1, 2 * side - 1, 1).expect("valid optics")
+}
+
+/// The true image of one bin.
+fn scene_of(bin: usize, side: usize, digits: usize) -> Video {
+    let shape = Shape::new(1, side, side);
+    let mut sum = vec![0.0f32; shape.voxels()];
+    for i in 0..digits {
+        let seed = 1 + (bin * digits + i) as u64;
+        let one = scene::digits(shape, 12, seed).expect("a digit fits");
+        let places = sum.iter_mut().zip(one.data());
+        places.for_each(|(sum, v)| *sum = sum.max(*v));
+    }
+    Video::new(shape, sum).expect("the same shape")
+}
+
+/// The noisy frame of `camera`, which has the first bins of `whole`. It is computed bin by bin: the truth
+/// of all bins does not fit into the memory of the reconstruction.
+fn simulate(whole: &Camera, camera: &Camera, psf: &Psf, digits: usize) -> Measurement {
+    let side = whole.columns();
     let mut rows = vec![0.0f32; camera.rows() * side];
     let places: Vec<usize> = camera.sensor_rows().collect();
-    for bin in 0..bins {
+    for bin in 0..camera.time().bins() {
         let one = whole.subset(bin..bin + 1).expect("a bin");
-        let operator = RollingShutter::new(&one, &psf);
+        let operator = RollingShutter::new(&one, psf);
         let mut read = vec![0.0; operator.range_len()];
-        operator.apply(scene_of(bin).data(), &mut read);
+        operator.apply(scene_of(bin, side, digits).data(), &mut read);
         for (line, row) in read.chunks_exact(side).zip(one.sensor_rows()) {
             let place = places.iter().position(|&r| r == row).expect("a row");
             rows[place * side..(place + 1) * side].copy_from_slice(line);
@@ -75,7 +78,21 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
     }
     let noiseless = Image::new(camera.rows(), side, rows).expect("a frame");
     let noisy = Noise::Gaussian { snr: 256.0 }.apply(&noiseless, camera.sensor(), 1);
-    let measurement = Measurement::new(noisy.expect("light").frame).expect("light");
+    Measurement::new(noisy.expect("light").frame).expect("light")
+}
+
+/// The first `bins` bins of a sensor of `side`×`side` pixels.
+fn run(side: usize, bins: usize, digits: usize) -> Cost {
+    let whole = dual_shutter(side);
+    let all = whole.time().bins();
+    let camera = whole.subset(0..bins).expect("bins of the camera");
+    let began = Instant::now();
+    let psf = speckle(side);
+    println!(
+        "{side}×{side}, bins 0..{bins} of {all}, {digits} digits in each; PSF computed in {:.1} s",
+        began.elapsed().as_secs_f64()
+    );
+    let measurement = simulate(&whole, &camera, &psf, digits);
     let chunks = Chunked::new(camera, psf.into(), measurement, Options::default()).expect("parts");
     let mut decibels = Vec::new();
     let began = Instant::now();
@@ -85,7 +102,7 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
         let mut stamps = Vec::new();
         let found = chunks
             .solve(range.clone(), &mut |progress| {
-                stamps.push((begun.elapsed().as_secs_f64(), progress.support));
+                stamps.push((begun.elapsed().as_secs_f64(), progress.support_fraction));
                 ControlFlow::Continue(())
             })
             .expect("a video");
@@ -94,16 +111,16 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
         let pixels = side * side;
         for (i, bin) in range.clone().enumerate() {
             let own = &found.video.data()[i * pixels..(i + 1) * pixels];
-            decibels.push(psnr_db(own, scene_of(bin).data()));
+            decibels.push(psnr_db(own, scene_of(bin, side, digits).data()));
         }
         comparing += now.elapsed().as_secs_f64();
-        let open = stamps.iter().take_while(|s| s.1 == 1.0).count();
+        let unrestricted = stamps.iter().take_while(|s| s.1 == 1.0).count();
         println!(
-            "- bins {range:?}: {taken:.1} s, {} iterations ({open} of them on all voxels, until {:.1} s), residual/σ {:.3}, support {:.2e}, τ {:.3e}, {}",
+            "- bins {range:?}: {taken:.1} s, {} iterations ({unrestricted} of them on all voxels, until {:.1} s), residual/σ {:.3}, support {:.2e}, τ {:.3e}, {}",
             found.iterations,
-            stamps[open.saturating_sub(1)].0,
+            stamps[unrestricted.saturating_sub(1)].0,
             found.residual_over_sigma,
-            found.support,
+            found.support_fraction,
             found.tau,
             found.fit.verdict.name()
         );

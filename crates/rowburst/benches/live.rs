@@ -53,8 +53,9 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-fn main() {
-    let camera = Camera::new(CameraParams {
+/// The camera of the bench.
+fn camera() -> Camera {
+    Camera::new(CameraParams {
         rows: SIDE,
         columns: SIDE,
         shutter: Shutter::DualInsideOut,
@@ -64,7 +65,56 @@ fn main() {
         field: None,
         sensor: Sensor::default(),
     })
-    .expect("a valid camera");
+    .expect("a valid camera")
+}
+
+/// The noisy frame of `truth`.
+fn measure(model: &Model, camera: &Camera, truth: &Video, seed: u64) -> Measurement {
+    let mut frame = vec![0.0; model.operator().range_len()];
+    model.operator().apply(truth.data(), &mut frame);
+    let noiseless = Image::new(SIDE, SIDE, frame).expect("a frame");
+    let noise = Noise::Gaussian { snr: 256.0 };
+    let recorded = noise
+        .apply(&noiseless, camera.sensor(), seed)
+        .expect("light");
+    Measurement::new(recorded.frame).expect("light")
+}
+
+/// The solution of one frame.
+struct Run {
+    psnr_db: f64,
+    iterations: usize,
+    is_warm_started: bool,
+    seconds: f64,
+}
+
+/// Solves the next frame of `sequence` within `budget` seconds.
+fn solve_next(
+    sequence: &mut Sequence,
+    measurement: &Measurement,
+    truth: &Video,
+    budget: f64,
+) -> Run {
+    let began = Instant::now();
+    let (found, is_warm_started) = sequence
+        .reconstruct(measurement, &mut |_| {
+            if began.elapsed().as_secs_f64() > budget {
+                return ControlFlow::Break(StopReason::TimeBudget);
+            }
+            ControlFlow::Continue(())
+        })
+        .expect("a video");
+    let seconds = began.elapsed().as_secs_f64();
+    Run {
+        psnr_db: psnr_db(found.video.data(), truth.data()),
+        iterations: found.iterations,
+        is_warm_started,
+        seconds,
+    }
+}
+
+fn main() {
+    let camera = camera();
     let side = 2 * SIDE - 1;
     let psf = speckle_psf(&SpeckleOptics::demo(), side, side, 1).expect("valid optics");
     let verbose = std::env::args().any(|a| a == "--verbose");
@@ -79,7 +129,7 @@ fn main() {
         ..Options::default()
     };
     println!(
-        "| scene | budget (s) | from nothing (dB) | in sequence: first, median, least of frames 2 to {FRAMES} (dB) | iterations | went on | longest frame (s) |"
+        "| scene | budget (s) | from zero (dB) | in sequence: first, then median and minimum of frames 2 to {FRAMES} (dB) | iterations | warm-started frames | longest frame (s) |"
     );
     println!("|---|---|---|---|---|---|---|");
     let mut shown = Vec::new();
@@ -87,54 +137,34 @@ fn main() {
         let measured: Vec<Measurement> = truths
             .iter()
             .zip(1..)
-            .map(|(truth, seed)| {
-                let mut frame = vec![0.0; model.operator().range_len()];
-                model.operator().apply(truth.data(), &mut frame);
-                let noiseless = Image::new(SIDE, SIDE, frame).expect("a frame");
-                let noise = Noise::Gaussian { snr: 256.0 };
-                let recorded = noise
-                    .apply(&noiseless, camera.sensor(), seed)
-                    .expect("light");
-                Measurement::new(recorded.frame).expect("light")
-            })
+            .map(|(truth, seed)| measure(&model, &camera, truth, seed))
             .collect();
         for budget in BUDGETS {
             let mut sequence = Sequence::new(model.clone(), options);
             let next = |sequence: &mut Sequence, k: usize| {
-                let began = Instant::now();
-                let (found, is_warm_started) = sequence
-                    .next(&measured[k], &mut |_| {
-                        if began.elapsed().as_secs_f64() > budget {
-                            return ControlFlow::Break(StopReason::TimeBudget);
-                        }
-                        ControlFlow::Continue(())
-                    })
-                    .expect("a video");
-                let taken = began.elapsed().as_secs_f64();
-                let db = psnr_db(found.video.data(), truths[k].data());
-                (db, found.iterations, is_warm_started, taken)
+                solve_next(sequence, &measured[k], &truths[k], budget)
             };
             let alone: Vec<f64> = [0, 7, 14]
                 .map(|k| {
                     sequence.reset();
-                    next(&mut sequence, k).0
+                    next(&mut sequence, k).psnr_db
                 })
                 .to_vec();
             sequence.reset();
             let runs: Vec<_> = (0..FRAMES).map(|k| next(&mut sequence, k)).collect();
-            let later: Vec<f64> = runs[1..].iter().map(|r| r.0).collect();
+            let later: Vec<f64> = runs[1..].iter().map(|r| r.psnr_db).collect();
             let least = later.iter().copied().fold(f64::INFINITY, f64::min);
-            let iterations = median(runs[1..].iter().map(|r| r.1 as f64).collect());
-            let longest = runs.iter().map(|r| r.3).fold(0.0, f64::max);
-            let warm_started = runs.iter().filter(|r| r.2).count();
+            let iterations = median(runs[1..].iter().map(|r| r.iterations as f64).collect());
+            let longest = runs.iter().map(|r| r.seconds).fold(0.0, f64::max);
+            let warm_started = runs.iter().filter(|r| r.is_warm_started).count();
             println!(
                 "| {name} | {budget} | {:.1} | {:.1}, {:.1}, {least:.1} | {iterations} | {warm_started} | {longest:.2} |",
                 median(alone),
-                runs[0].0,
+                runs[0].psnr_db,
                 median(later),
             );
             if budget == SHOWN || verbose {
-                let each: Vec<String> = runs.iter().map(|r| format!("{:.1}", r.0)).collect();
+                let each: Vec<String> = runs.iter().map(|r| format!("{:.1}", r.psnr_db)).collect();
                 shown.push(format!("{name}, {budget} s: {}", each.join(" ")));
             }
         }

@@ -255,7 +255,7 @@ fn memory_lower_bound(video: &[f32], back: &mut [f32], runs: usize) -> f64 {
 /// The table of `docs/speed.md`.
 fn operators() {
     println!(
-        "| video | forward | adjoint | both | FFT floor | memory floor | over the floor | textbook | times as fast |"
+        "| video | forward | adjoint | both | FFT bound | memory bound | over the FFT bound | textbook | times as fast |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     for (size, runs) in [(108, 60), (256, 12), (512, 4)] {
@@ -277,7 +277,7 @@ fn operators() {
             / rowburst::vecmath::norm(&expected);
         assert!(error < 1e-5, "the two forms are the same operator: {error}");
         let slow = fastest(runs / 4, || {
-            textbook.apply(black_box(&video), &mut expected)
+            textbook.apply(black_box(&video), &mut expected);
         }) + fastest(runs / 4, || textbook.adjoint(black_box(&frame), &mut back));
         let both = forward + adjoint;
         println!(

@@ -137,9 +137,12 @@ fn iterations(options: Options, times: usize) {
     let camera = camera(HALF);
     let psf = psf(&camera);
     let problem = problem(&camera, &psf, &measurement(&camera, &psf), options);
-    let found = problem.solve(&mut |progress| match progress.iteration == times {
-        true => ControlFlow::Break(StopReason::Interrupted),
-        false => ControlFlow::Continue(()),
+    let found = problem.solve(&mut |progress| {
+        if progress.iteration == times {
+            ControlFlow::Break(StopReason::Interrupted)
+        } else {
+            ControlFlow::Continue(())
+        }
     });
     let found = found.expect("finite numbers");
     assert_eq!(found.iterations, times, "{:?}", found.stop_reason);

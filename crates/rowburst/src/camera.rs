@@ -1,55 +1,57 @@
-//! The camera: which rows it reads when, and what its numbers mean.
+//! The camera: its readout order, the time grid, the field, and the calibration of its counts.
 
 use crate::{Error, Result, Shape, Shutter, TimeGrid};
 use std::ops::Range;
 
-/// A rolling-shutter camera and the field that it is asked to reconstruct.
+/// A rolling-shutter camera and the field that is reconstructed from its frames.
 ///
-/// Fields are read through methods; [`Camera::new`] has checked them.
+/// [`Camera::new`] checks all parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
     params: CameraParams,
     instants: Vec<usize>,
     time: TimeGrid,
-    /// What a part of the readout reads of the sensor; `None`: every row.
-    cut: Option<Cut>,
+    /// The part of the readout that [`Camera::subset`] keeps; `None`: the whole readout.
+    subset: Option<Subset>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-struct Cut {
+struct Subset {
+    /// Sensor row of each frame row.
     rows: Vec<usize>,
+    /// First bin in the whole readout.
     first_bin: usize,
 }
 
-/// What a [`Camera`] is made from: the experiment file's `[camera]` and `[field]`.
+/// Parameters of a [`Camera`]: the tables `[camera]` and `[field]` of the experiment file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraParams {
     /// Rows of the working grid (after binning).
     pub rows: usize,
     /// Columns of the working grid (after binning).
     pub columns: usize,
-    /// Readout order.
+    /// Order in which the rows are read.
     pub shutter: Shutter,
     /// Time from one instant to the next, in microseconds.
     pub row_time_us: f64,
     /// Exposure of each row, in microseconds.
     pub exposure_us: f64,
-    /// Time bins in each row time.
+    /// Time bins of the video in each row time.
     pub bins_per_row: usize,
     /// Rows and columns of the field; `None` for those of the sensor.
     pub field: Option<(usize, usize)>,
-    /// What a count means.
+    /// Calibration of the sensor's counts.
     pub sensor: Sensor,
 }
 
-/// What the sensor's numbers mean. Everything is optional but the binning.
+/// Calibration of the sensor's counts. All values but the binning are optional.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
-    /// Raw pixels along a side of one pixel of the working grid.
+    /// Raw pixels along one side of a pixel of the working grid.
     pub binning: usize,
     /// Pitch of a pixel of the working grid, in micrometres.
     pub pixel_pitch_um: Option<f64>,
-    /// Bits of the analogue-to-digital converter; counts end at `2^bits − 1`.
+    /// Bits of the analogue-to-digital converter; the largest count is `2^bits − 1`.
     pub bit_depth: Option<u32>,
     /// Counts without light.
     pub bias_counts: Option<f64>,
@@ -76,8 +78,10 @@ impl Default for Sensor {
 }
 
 impl Sensor {
-    /// Counts at and above which a raw pixel holds no information: the full well or
-    /// the converter's end, whichever is lower; `None` where neither is known.
+    /// Counts from which a raw pixel is saturated: the smaller one of the full well and the converter's largest
+    /// count.
+    ///
+    /// `None` if neither is known.
     pub fn saturation_counts(&self) -> Option<f64> {
         let converter = self.bit_depth.map(|bits| f64::from(bits).exp2() - 1.0);
         match (self.full_well_counts, converter) {
@@ -87,22 +91,22 @@ impl Sensor {
     }
 }
 
-/// Longest side of a sensor or a field: twice that of the largest sensors, and short
-/// enough that a table of its pixels can be made.
-pub const MAX_SENSOR_SIDE: usize = 65_536;
+/// Longest side of a sensor or a field in pixels: twice that of the largest sensors; tables of its pixels still fit
+/// in memory.
+pub const MAX_SIDE: usize = 65_536;
 
 impl Camera {
-    /// Checks `params` and works out the time grid.
+    /// Checks `params` and computes the time grid.
     ///
     /// # Errors
-    /// Names the key, the value and the rule that it breaks.
+    /// [`Error::Input`] if a value breaks a rule; it names the key, the value and the rule.
     pub fn new(params: CameraParams) -> Result<Self> {
         for (key, value) in [("rows", params.rows), ("columns", params.columns)] {
             require(
-                (1..=MAX_SENSOR_SIDE).contains(&value),
+                (1..=MAX_SIDE).contains(&value),
                 key,
                 value,
-                format!("a sensor has at least one and at most {MAX_SENSOR_SIDE}"),
+                format!("a sensor has at least one and at most {MAX_SIDE}"),
                 "Give the size of the frame in pixels.",
             )?;
         }
@@ -139,10 +143,10 @@ impl Camera {
         }
         if let Some((rows, columns)) = params.field {
             require(
-                rows.max(columns) <= MAX_SENSOR_SIDE,
+                rows.max(columns) <= MAX_SIDE,
                 "[field]",
                 format!("{rows}×{columns}"),
-                format!("a side has at most {MAX_SENSOR_SIDE} pixels"),
+                format!("a side has at most {MAX_SIDE} pixels"),
                 "Give the size of the field in pixels of the working grid.",
             )?;
         }
@@ -158,7 +162,7 @@ impl Camera {
                     "exposure_us",
                     params.exposure_us,
                     format!(
-                        "an exposure of {exposure:.0} row times is more than ten times the readout of {count}: every row sees the same light"
+                        "an exposure of {exposure:.0} row times is more than ten times the readout of {count} row times, so all rows integrate nearly the same light"
                     ),
                     "Check that exposure_us and row_time_us are both in microseconds; shorten the exposure.",
                 )?;
@@ -169,17 +173,19 @@ impl Camera {
             params,
             instants,
             time,
-            cut: None,
+            subset: None,
         })
     }
 
-    /// The camera that reads only what sees the light of `bins`: its frame has only those rows, one
-    /// after another, its video only those bins, and the field is the same. Where no row sees bins
-    /// inside and outside (an exposure of at most a row), `A` of the whole readout is made of the `A`
-    /// of its parts, so a video can be found part by part.
+    /// The camera that reads only the rows that are exposed to `bins`.
+    ///
+    /// Its frame has only these rows, one after another, and its video only these bins; the field is the same. If the
+    /// exposure is at most one row time, no row is exposed to bins both inside and outside. Then each row belongs to
+    /// one subset, and a video can be reconstructed chunk by chunk.
     ///
     /// # Errors
-    /// Bins that are not there, and rows whose exposure reaches beyond them.
+    /// [`Error::Input`] if `bins` is empty or out of range, if a row is exposed to bins both inside and outside, or
+    /// if no row is exposed to them.
     pub fn subset(&self, bins: Range<usize>) -> Result<Self> {
         require(
             bins.start < bins.end && bins.end <= self.time.bins(),
@@ -199,54 +205,54 @@ impl Camera {
                     "bins",
                     format!("{}..{}", bins.start, bins.end),
                     format!(
-                        "rows are exposed to bins {}..{}, inside and outside",
+                        "no row is exposed both inside and outside the range, as some are to bins {}..{}",
                         sees.start, sees.end
                     ),
-                    "A video can be made in parts where no exposure is longer than a row; with sub-row bins the parts begin at a row.",
+                    "Ranges and chunks need exposures of at most one row time; with bins_per_row above 1 they begin at a row.",
                 )?;
             }
         }
         let first_instant = kept.first().copied().unwrap_or(0);
         let reads = |row: &usize| kept.contains(&self.instants[*row]);
-        let places: Vec<usize> = (0..self.rows()).filter(reads).collect();
+        let kept_rows: Vec<usize> = (0..self.rows()).filter(reads).collect();
         require(
-            !places.is_empty(),
+            !kept_rows.is_empty(),
             "bins",
             format!("{}..{}", bins.start, bins.end),
-            "some row reads the bins",
+            "at least one row is exposed to these bins",
             "Give a wider range.",
         )?;
         let sensor_rows: Vec<usize> = self.sensor_rows().collect();
         Ok(Self {
             params: self.params.clone(),
-            instants: places
+            instants: kept_rows
                 .iter()
-                .map(|&place| self.instants[place] - first_instant)
+                .map(|&row| self.instants[row] - first_instant)
                 .collect(),
             time: self.time.subset(bins.clone(), kept),
-            cut: Some(Cut {
-                rows: places.iter().map(|&place| sensor_rows[place]).collect(),
+            subset: Some(Subset {
+                rows: kept_rows.iter().map(|&row| sensor_rows[row]).collect(),
                 first_bin: self.first_bin() + bins.start,
             }),
         })
     }
 
-    /// The bin of the whole readout at which this part of it begins.
+    /// Index of this camera's first bin in the whole readout; 0 unless it is a [`Self::subset`].
     pub fn first_bin(&self) -> usize {
-        self.cut.as_ref().map_or(0, |cut| cut.first_bin)
+        self.subset.as_ref().map_or(0, |subset| subset.first_bin)
     }
 
-    /// The row of the sensor that each row of the frame is.
+    /// The sensor row of each frame row.
     pub fn sensor_rows(&self) -> impl Iterator<Item = usize> {
-        let cut = self.cut.as_ref();
-        (0..self.rows()).map(move |place| cut.map_or(place, |cut| cut.rows[place]))
+        let subset = self.subset.as_ref();
+        (0..self.rows()).map(move |row| subset.map_or(row, |subset| subset.rows[row]))
     }
 
-    /// Rows of the frame (working grid): those of the sensor, or of the part that is read.
+    /// Rows of the frame (working grid): all of the sensor, or those of the [`Self::subset`].
     pub fn rows(&self) -> usize {
-        self.cut
+        self.subset
             .as_ref()
-            .map_or(self.params.rows, |cut| cut.rows.len())
+            .map_or(self.params.rows, |subset| subset.rows.len())
     }
 
     /// Columns of the sensor (working grid).
@@ -254,22 +260,22 @@ impl Camera {
         self.params.columns
     }
 
-    /// Readout order.
+    /// Order in which the rows are read.
     pub fn shutter(&self) -> &Shutter {
         &self.params.shutter
     }
 
-    /// What its numbers mean.
+    /// Calibration of the sensor's counts.
     pub fn sensor(&self) -> &Sensor {
         &self.params.sensor
     }
 
-    /// What it was made from.
+    /// Parameters of the whole sensor, also for a [`Self::subset`].
     pub fn params(&self) -> &CameraParams {
         &self.params
     }
 
-    /// The instant `k[r]` at which each row is read.
+    /// The instant `k[r]` at which each frame row is read.
     pub fn instants(&self) -> &[usize] {
         &self.instants
     }
@@ -286,8 +292,9 @@ impl Camera {
             .unwrap_or((self.params.rows, self.params.columns))
     }
 
-    /// Rows and columns by which the field begins before the sensor:
-    /// field pixel `(y', x')` lies at sensor position `(y' − oy, x' − ox)`.
+    /// Rows and columns `(oy, ox)` by which the field begins before the sensor.
+    ///
+    /// The field pixel `(y', x')` lies at the sensor position `(y' − oy, x' − ox)`.
     pub fn field_offset(&self) -> (usize, usize) {
         let (rows, columns) = self.field();
         (
@@ -296,7 +303,7 @@ impl Camera {
         )
     }
 
-    /// Shape of the video that one frame gives.
+    /// Shape of the video that is reconstructed from one frame.
     pub fn video_shape(&self) -> Shape {
         let (rows, columns) = self.field();
         Shape::new(self.time.bins(), rows, columns)
@@ -356,6 +363,7 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     Ok(())
 }
 
+/// An [`Error::Input`] unless `holds`.
 fn require(
     holds: bool,
     key: &str,

@@ -81,6 +81,36 @@ impl Measurement {
         }
     }
 
+    /// The measurement with these stored values, without a noise model. It serves to look at a completed
+    /// reconstruction; a new one needs [`correct`].
+    ///
+    /// # Errors
+    /// Another number of weights than pixels, or a frame with values that are not finite.
+    pub fn from_stored(
+        image: Image,
+        weights: Option<Vec<f32>>,
+        bad: usize,
+        saturated: usize,
+    ) -> Result<Self> {
+        check_finite(&image)?;
+        let pixels = image.data().len();
+        if let Some(count) = weights.as_ref().map(Vec::len).filter(|n| *n != pixels) {
+            return Err(Error::input(
+                "weights",
+                format!("{count} values"),
+                format!("there is one for each of the {pixels} pixels"),
+                "Reconstruct the frame again.",
+            ));
+        }
+        Ok(Self {
+            image,
+            weights,
+            noise: None,
+            bad,
+            saturated,
+        })
+    }
+
     /// The corrected frame `b`, `[y, x]`, in counts.
     pub fn image(&self) -> &Image {
         &self.image
@@ -179,6 +209,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
     };
     let mut image = raw.clone();
     subtract(&mut image, dark.as_deref());
+    check_usable_light(&image, &usable, (bad, saturated))?;
     let mut variances = pixel_variances(&image, camera, sensor.binning / binning);
     if let Some(flat) = &corrections.flat {
         let mut response = fitted("flat", flat)?.into_owned();
@@ -246,7 +277,10 @@ fn pixel_variances(image: &Image, camera: &Camera, block_side: usize) -> Option<
     let rounding = sensor.bit_depth.map_or(0.0, |_| ROUNDING_VARIANCE);
     let raw_pixels = (block_side * block_side) as f64;
     let dark_variance = (read * read / (gain * gain) + rounding) / raw_pixels;
-    Some(vec![(1.0 / (gain * raw_pixels), dark_variance); image.data().len()])
+    Some(vec![
+        (1.0 / (gain * raw_pixels), dark_variance);
+        image.data().len()
+    ])
 }
 
 fn divide_by_response(
@@ -400,6 +434,35 @@ fn check_light(image: &Image) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+/// Checks that some usable pixel of `image` differs from zero: without light there is no noise level either.
+fn check_usable_light(
+    image: &Image,
+    usable: &[f32],
+    (bad, saturated): (usize, usize),
+) -> Result<()> {
+    let mut pixels = image.data().iter().zip(usable);
+    if pixels.any(|(&p, &usable)| usable > 0.0 && p != 0.0) {
+        return Ok(());
+    }
+    let (found, remedy) = if saturated + bad == 0 {
+        (
+            "zero in every pixel, less the dark".to_string(),
+            "Check the light, and that the dark frame is another capture than the frame.",
+        )
+    } else {
+        (
+            format!("zero in every pixel but {saturated} saturated and {bad} bad ones"),
+            "Give the counts as the camera recorded them, not a mask or a thresholded picture; shorten the exposure where pixels are saturated.",
+        )
+    };
+    Err(Error::input(
+        "frame",
+        found,
+        "a frame holds a speckle pattern in the pixels that are not saturated",
+        remedy,
+    ))
 }
 
 #[cfg(test)]

@@ -66,8 +66,8 @@ impl PatchSet {
         for (i, a) in offsets_px.iter().enumerate() {
             if let Some(j) = offsets_px[..i].iter().position(|b| b == a) {
                 return error(
-                    format!("PSFs {} and {} at one place, {a:?}", j + 1, i + 1),
-                    "each PSF has a place of its own",
+                    format!("PSFs {} and {} at one position, {a:?}", j + 1, i + 1),
+                    "each PSF has its own position",
                 );
             }
         }

@@ -3,6 +3,9 @@
 use crate::{Error, Image, Result};
 use std::sync::Arc;
 
+/// Largest distance from 1 of the sum of a stored PSF; larger admits PSFs that were never normalized.
+const MAX_STORED_SUM_ERROR: f64 = 1e-3;
+
 /// A non-negative point-spread function that sums to 1.
 ///
 /// The element at `(rows/2, columns/2)` (integer division) is zero displacement;
@@ -49,6 +52,26 @@ impl Psf {
         for p in image.data_mut() {
             *p = (f64::from(*p) / sum) as f32;
         }
+        Ok(Self {
+            image: Arc::new(image),
+        })
+    }
+
+    /// The PSF with the values of [`Psf::image`], bit for bit: they are not scaled again. For stored PSFs.
+    ///
+    /// # Errors
+    /// Those of [`Psf::new`], and values that do not sum to 1.
+    pub fn from_normalized(image: Image) -> Result<Self> {
+        let sum: f64 = image.data().iter().map(|&p| f64::from(p)).sum();
+        if (sum - 1.0).abs() > MAX_STORED_SUM_ERROR {
+            return Err(Error::input(
+                "PSF",
+                format!("a sum of {sum}"),
+                "a stored PSF sums to 1",
+                "Read the PSF again from its capture.",
+            ));
+        }
+        Self::new(image.clone())?;
         Ok(Self {
             image: Arc::new(image),
         })

@@ -1,4 +1,4 @@
-//! Shapes of videos and the grid of their time axis.
+//! The shape of a video and its time axis.
 
 /// Shape of a video: time bins, rows, columns (`[t, y, x]`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -38,12 +38,11 @@ impl std::fmt::Display for Shape {
     }
 }
 
-/// How the bins of the video weigh into the instants at which rows are read.
+/// The time axis of a video: its bins, and the weight of each bin in the instants at which rows are read.
 ///
-/// Row `r` is read out at the end of instant `k[r]`; it integrates the video with
-/// the weights of that instant: `w[r, j] = weight(k[r], j)`, the overlap in row
-/// times of the row's exposure (Eq. 2) with bin `j`. The weights of an instant
-/// are zero outside a short run of bins.
+/// Row `r` is read at the end of instant `k[r]` and integrates the video with the weights of that instant:
+/// `w[r, j] = weight(k[r], j)`. A weight is the overlap of the row's exposure (Eq. 2) with bin `j`, in row times
+/// (for a `global` shutter in exposures, so it is 1). Only a short run of consecutive bins has weights above zero.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TimeGrid {
     bins: usize,
@@ -51,17 +50,18 @@ pub struct TimeGrid {
     instants: Vec<InstantWeights>,
 }
 
-/// The run of bins that one instant integrates.
+/// The weights of the consecutive bins that one instant integrates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InstantWeights {
-    /// First bin with a weight.
+    /// First of these bins.
     pub first_bin: usize,
-    /// Weights of `first_bin, first_bin + 1, …` in row times.
+    /// Weights of `first_bin, first_bin + 1, …` in row times; in exposures for a `global` shutter, whose only weight
+    /// is 1.
     pub weights: Vec<f64>,
 }
 
 impl TimeGrid {
-    /// A single bin seen by every row (`global` shutter).
+    /// A single bin of `duration_us` microseconds, which every row integrates with weight 1 (`global` shutter).
     pub fn single(duration_us: f64) -> Self {
         Self {
             bins: 1,
@@ -75,14 +75,15 @@ impl TimeGrid {
 
     /// The grid of a rolling shutter.
     ///
-    /// `exposure` is in row times; `lead = ceil(exposure) − 1` row times before the
-    /// first instant belong to the video, and each row time has `bins_per_row` bins.
+    /// `row_time_us` is in microseconds, `exposure` in row times. The video begins `lead = ceil(exposure) − 1` row
+    /// times before the first instant. Each row time has `bins_per_row` bins, `(instants + lead) · bins_per_row` in
+    /// all.
     ///
     /// # Panics
     /// If an argument is zero or negative.
     pub fn rolling(instants: usize, row_time_us: f64, exposure: f64, bins_per_row: usize) -> Self {
         assert!(instants > 0 && exposure > 0.0 && bins_per_row > 0 && row_time_us > 0.0);
-        // 28.8 µs / 9.6 µs is 3.0000000000000004: a rounding error is no further row.
+        // 28.8 µs / 9.6 µs is 3.0000000000000004 in f64; the rounding error must not add a row time.
         let exposure = snap(exposure);
         let lead = exposure.ceil() as usize - 1;
         let bins = (instants + lead) * bins_per_row;
@@ -111,7 +112,7 @@ impl TimeGrid {
         }
     }
 
-    /// The grid of the instants `kept` alone, which see only the bins `bins`.
+    /// The grid of `bins` and of the instants `kept`, which integrate only these bins.
     pub(crate) fn subset(&self, bins: std::ops::Range<usize>, kept: Vec<usize>) -> Self {
         let moved = |i: usize| InstantWeights {
             first_bin: self.instants[i].first_bin - bins.start,
@@ -144,7 +145,7 @@ impl TimeGrid {
         &self.instants
     }
 
-    /// Whether no bin is seen by two instants, so that `A Aᵀ` is block-diagonal.
+    /// Whether no two instants integrate the same bin; then `A Aᵀ` is block-diagonal.
     pub fn is_disjoint(&self) -> bool {
         let ends = self.instants.iter().map(|i| i.first_bin + i.weights.len());
         let starts = self.instants.iter().skip(1).map(|i| i.first_bin);
@@ -152,6 +153,7 @@ impl TimeGrid {
     }
 }
 
+/// Rounds a number that is within rounding errors of a positive integer.
 fn snap(value: f64) -> f64 {
     let whole = value.round();
     if whole >= 1.0 && (value - whole).abs() < 1e-9 * whole {

@@ -1,22 +1,21 @@
-//! Which voxels may be lit.
+//! Sets of active voxels, outside which a video is zero.
 
 use crate::Shape;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A set of voxels; a solver restricted to it keeps all others dark. Clones share it.
+/// A set of active voxels; a solver restricted to it keeps all others at zero. Clones share its memory.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Support {
     shape: Shape,
     mask: Arc<Vec<u8>>,
 }
 
-/// A bin of which more than this part is in the support is left open: the restriction
-/// would gain nothing.
+/// Part of a bin's voxels above which all become active; larger restricts bins for little gain (docs/design/007).
 const MAX_ACTIVE_FRACTION: f64 = 1.0 / 3.0;
 
 impl Support {
-    /// Every voxel.
+    /// All voxels of videos of `shape`.
     pub fn full(shape: Shape) -> Self {
         Self {
             shape,
@@ -24,8 +23,9 @@ impl Support {
         }
     }
 
-    /// In each bin, the voxels of `video` above `thresholds[bin]` and their eight
-    /// neighbours; all voxels of a bin whose threshold is zero.
+    /// In each bin, the voxels of `video` above `thresholds[bin]` and their eight neighbours.
+    ///
+    /// All voxels of a bin are active if its threshold is zero, or if these voxels are more than a third of the bin.
     ///
     /// # Panics
     /// If a length does not match.
@@ -43,7 +43,7 @@ impl Support {
             } else {
                 mask.fill(1);
             }
-            open_if_crowded(mask);
+            unrestrict_if_crowded(mask);
         });
         Self {
             shape,
@@ -51,8 +51,10 @@ impl Support {
         }
     }
 
-    /// The same with, in the bins `bins`, the voxels whose value in `correlation` is
-    /// at least half of the bin's largest, and their eight neighbours.
+    /// Adds, in the bins `bins`, the voxels whose `correlation` is above half of the bin's largest, and their eight
+    /// neighbours.
+    ///
+    /// If more than a third of such a bin is then active, all of its voxels become active.
     ///
     /// # Panics
     /// If a length does not match.
@@ -71,15 +73,15 @@ impl Support {
             if half > 0.0 {
                 let mask = &mut all[t * pixels..(t + 1) * pixels];
                 mark_with_neighbours(mask, bin, self.shape.columns, half);
-                open_if_crowded(mask);
+                unrestrict_if_crowded(mask);
             }
         }
         self
     }
 
-    /// The same with all of a bin of which more than `max_active` voxels are in it.
+    /// Adds all voxels of the bins with more than `max_active` active voxels.
     #[must_use]
-    pub fn with_crowded_bins_open(mut self, max_active: usize) -> Self {
+    pub fn with_crowded_bins_unrestricted(mut self, max_active: usize) -> Self {
         let pixels = self.shape.pixels();
         if max_active < pixels {
             for bin in Arc::make_mut(&mut self.mask).chunks_exact_mut(pixels) {
@@ -91,12 +93,12 @@ impl Support {
         self
     }
 
-    /// 1 where a voxel may be lit, else 0; `[t, y, x]`.
+    /// 1 for an active voxel, 0 for others; `[t, y, x]`.
     pub fn mask(&self) -> &[u8] {
         &self.mask
     }
 
-    /// Indices of the pixels of bin `t` that may be lit; `None` where all may.
+    /// Indices of the active pixels of bin `t`; `None` if all are active.
     pub fn pixels_of(&self, t: usize) -> Option<Vec<usize>> {
         let pixels = self.shape.pixels();
         let bin = &self.mask[t * pixels..(t + 1) * pixels];
@@ -104,20 +106,20 @@ impl Support {
         (active.len() < pixels).then_some(active)
     }
 
-    /// Whether a row of a bin holds a voxel that may be lit, `[t, y]`.
+    /// Whether each row of each bin has an active voxel, `[t, y]`.
     pub fn active_rows(&self) -> Vec<bool> {
         let lines = self.mask.par_chunks_exact(self.shape.columns);
         lines.map(|line| line.contains(&1)).collect()
     }
 
-    /// Whether both admit the same voxels in `bins`.
-    pub fn agrees_with(&self, other: &Self, bins: std::ops::Range<usize>) -> bool {
+    /// Whether both have the same active voxels in `bins`.
+    pub fn equals_in_bins(&self, other: &Self, bins: std::ops::Range<usize>) -> bool {
         let pixels = self.shape.pixels();
         let voxels = bins.start * pixels..bins.end * pixels;
         self.mask[voxels.clone()] == other.mask[voxels]
     }
 
-    /// Part of all voxels that may be lit.
+    /// Part of the voxels that are active, from 0 to 1.
     pub fn fraction(&self) -> f64 {
         let active: usize = self
             .mask
@@ -127,8 +129,8 @@ impl Support {
         active as f64 / self.mask.len() as f64
     }
 
-    /// Sets all voxels outside the support to zero, and leaves what follows the video.
-    pub fn apply(&self, video: &mut [f32]) {
+    /// Sets all inactive voxels of `video` to zero. Elements behind those of the shape stay as they are.
+    pub fn zero_outside(&self, video: &mut [f32]) {
         video
             .par_iter_mut()
             .zip(self.mask.par_iter())
@@ -136,13 +138,15 @@ impl Support {
     }
 }
 
-fn open_if_crowded(mask: &mut [u8]) {
+/// Makes all voxels of a bin active if more than [`MAX_ACTIVE_FRACTION`] of them are.
+fn unrestrict_if_crowded(mask: &mut [u8]) {
     let active = mask.iter().filter(|&&active| active == 1).count();
     if active as f64 > MAX_ACTIVE_FRACTION * mask.len() as f64 {
         mask.fill(1);
     }
 }
 
+/// Marks the voxels of `bin` above `threshold` and their eight neighbours.
 fn mark_with_neighbours(mask: &mut [u8], bin: &[f32], columns: usize, threshold: f32) {
     let rows = bin.len() / columns;
     for y in 0..rows {
@@ -173,7 +177,7 @@ mod tests {
         assert_eq!(support.pixels_of(1).unwrap(), [0, 1, 8, 9]);
         assert!((support.fraction() - 13.0 / 112.0).abs() < 1e-12);
         let mut dimmed = vec![1.0f32; shape.voxels()];
-        support.apply(&mut dimmed);
+        support.zero_outside(&mut dimmed);
         assert_eq!(dimmed.iter().sum::<f32>(), 13.0);
     }
 
@@ -190,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn threshold_zero_and_crowded_bins_are_open() {
+    fn threshold_zero_and_crowded_bins_are_unrestricted() {
         let shape = Shape::new(2, 4, 4);
         let video: Vec<f32> = (0..32)
             .map(|i| if i % 16 < 4 { 1.0 } else { 0.0 })

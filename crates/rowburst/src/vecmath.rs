@@ -1,9 +1,9 @@
-//! Dot products and norms with f64 accumulation, products of spectra, small normal equations, and
-//! the SIMD gate.
+//! Dot products and norms with f64 accumulation, products of spectra, small normal equations, and the selection of
+//! SIMD instructions.
 //!
-//! Hot loops are plain Rust; [`simd`] compiles them once for each instruction set
-//! and picks the widest that the processor has at run time (AVX-512, AVX2 or NEON). `ROWBURST_SIMD=portable`
-//! in the environment keeps to what every processor of the kind has.
+//! Hot loops are plain Rust. [`simd`] compiles them once for each instruction set and selects the widest that the
+//! processor has at run time (AVX-512, AVX2 or NEON). With `ROWBURST_SIMD=portable` in the environment it uses only
+//! instructions that every processor of the architecture has.
 
 use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
@@ -13,13 +13,12 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 use std::sync::OnceLock;
 
-/// Elements per parallel task of the reductions below; fixed, so that a sum does
-/// not depend on the number of threads.
+/// Elements of a parallel task in a reduction; fixed, so that a sum does not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
 /// Runs `work` compiled for the widest instruction set of this processor.
 ///
-/// `work` and what it calls must be `#[inline(always)]` to be compiled along.
+/// `work` and all functions that it calls must be `#[inline(always)]`; others keep the default instruction set.
 #[inline(always)]
 pub fn simd<R>(work: impl FnOnce() -> R) -> R {
     struct Work<F>(F);
@@ -37,14 +36,18 @@ pub fn simd<R>(work: impl FnOnce() -> R) -> R {
 #[inline(always)]
 fn arch() -> Arch {
     static ARCH: OnceLock<Arch> = OnceLock::new();
-    *ARCH.get_or_init(|| match is_portable() {
-        true => Arch::Scalar,
-        false => Arch::new(),
+    *ARCH.get_or_init(|| {
+        if is_portable() {
+            Arch::Scalar
+        } else {
+            Arch::new()
+        }
     })
 }
 
-/// Name of the instruction set that [`simd`] compiles for here. Results agree between instruction sets to
-/// rounding, not to the bit.
+/// Name of the instruction set that [`simd`] selects on this machine.
+///
+/// Results of different instruction sets agree up to rounding, not to the bit.
 pub fn instruction_set() -> &'static str {
     match arch() {
         Arch::Scalar => PORTABLE,
@@ -62,6 +65,7 @@ pub fn instruction_set() -> &'static str {
     }
 }
 
+/// The environment variable that selects the instruction set.
 const CHOICE: &str = "ROWBURST_SIMD";
 const PORTABLE: &str = "portable";
 
@@ -70,25 +74,28 @@ pub(crate) fn is_portable() -> bool {
     std::env::var_os(CHOICE).is_some_and(|value| value == PORTABLE)
 }
 
-/// Looks at `ROWBURST_SIMD`, for programs: the library takes what it does not know for nothing.
+/// Checks `ROWBURST_SIMD` in the environment. Programs call this; the library itself ignores unknown values.
 ///
 /// # Errors
-/// Any value but `portable`.
+/// [`Error::Input`] if the variable is set to anything but `portable`.
 pub fn check_environment() -> Result<()> {
     match std::env::var_os(CHOICE) {
         Some(value) if value != PORTABLE => Err(Error::input(
             format!("{CHOICE} in the environment"),
             value.to_string_lossy(),
             "it is `portable`, or not set",
-            "Unset it: the widest vectors of this processor are chosen by themselves.",
+            "Unset it: the widest SIMD instructions of this processor are used by default.",
         )),
         _ => Ok(()),
     }
 }
 
-/// Numbers of which the processor multiplies several complex ones at once.
+/// Real types whose complex numbers have SIMD products.
 pub trait Lanes: Sized {
-    /// `sum += a · b`, with `a` conjugate where `IS_CONJUGATE`.
+    /// `sum += a · b`, or `sum += a* · b` if `IS_CONJUGATE`.
+    ///
+    /// # Panics
+    /// If `a` or `b` is shorter than `sum`.
     fn add_products<S: Simd, const IS_CONJUGATE: bool>(
         simd: S,
         sum: &mut [Complex<Self>],
@@ -173,6 +180,9 @@ pub fn add_conjugate_products<T: Lanes>(
 }
 
 /// `Σ aᵢ bᵢ`.
+///
+/// # Panics
+/// If the lengths differ.
 pub fn dot(a: &[f32], b: &[f32]) -> f64 {
     reduce(a, b, |a, b| f64::from(a) * f64::from(b))
 }
@@ -188,10 +198,14 @@ pub fn norm(a: &[f32]) -> f64 {
 }
 
 /// `Σ (aᵢ − bᵢ)²`.
+///
+/// # Panics
+/// If the lengths differ.
 pub fn distance_squared(a: &[f32], b: &[f32]) -> f64 {
     reduce(a, b, |a, b| f64::from(a - b).powi(2))
 }
 
+/// Sum of `term` over pairs of elements, in parallel.
 fn reduce(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64 + Sync + Copy) -> f64 {
     assert_eq!(a.len(), b.len());
     let partial: Vec<f64> = a
@@ -207,7 +221,8 @@ fn reduce(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64 + Sync + Copy) ->
     partial.iter().sum()
 }
 
-/// Eight running sums let the compiler use SIMD lanes without reordering one sum.
+/// Sum of `term` over pairs of elements, with eight running sums: the compiler can use SIMD without reordering any
+/// sum.
 #[inline(always)]
 pub(crate) fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64) -> f64 {
     let mut lanes = [0.0; 8];
@@ -222,8 +237,10 @@ pub(crate) fn sum_of_lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f64)
     lanes.iter().sum::<f64>() + rest
 }
 
-/// `x` of the normal equations `G x = b`, with `G` symmetric and positive definite and
-/// `b` as long as its side; `None` where `G` is not, or the result is not finite.
+/// Solves the normal equations `G x = b`, with `G` symmetric and positive definite.
+///
+/// `gram` has as many rows and columns as `b` has elements. Returns `None` if `G` is not positive definite or if `x`
+/// is not finite.
 pub fn solve_normal<Row: AsRef<[f64]>>(gram: &[Row], b: &[f64]) -> Option<Vec<f64>> {
     let n = b.len();
     let factor = Mat::from_fn(n, n, |i, j| gram[i].as_ref()[j]).llt(Side::Lower);

@@ -146,6 +146,7 @@ impl Size {
     }
 
     /// What the user may have got wrong about one frame, and what is to be said.
+    #[expect(clippy::too_many_lines, reason = "one table: the planted faults")]
     fn faults(self, scene: &str, seed: u64) -> Vec<Fault> {
         let base = self.simulate(self.camera(Shutter::DualInsideOut, 1.0), scene, SNR, seed);
         let p = base.psf.image();
@@ -231,7 +232,7 @@ impl Size {
                 "times the σ",
             ),
             Fault::new(
-                "a frame that is little but noise",
+                "a frame that is mostly noise",
                 self.simulate(
                     self.camera(Shutter::DualInsideOut, 1.0),
                     scene,
@@ -239,7 +240,7 @@ impl Size {
                     seed,
                 ),
                 Verdict::Suspicious,
-                "little but noise",
+                "mostly noise",
             ),
             Fault::new(
                 "stopped after 15 iterations",
@@ -411,7 +412,7 @@ fn show(name: &str, found: &Reconstruction) {
     println!(
         "{name:44} {:10} support {:.3} χ² {:9.2} df/m {:4.2} floor {:5.2} passed {:7.2} inst {:?} cols {:?} lone {} trend {:.2} mirr {:?} it {} {}\n    {}",
         fit.verdict.name(),
-        found.support,
+        found.support_fraction,
         s.chi_squared,
         s.freedom,
         s.noise_floor.unwrap_or(f64::NAN),

@@ -38,7 +38,7 @@ fn every_camera_obeys_them() {
                 let values = (0..psf_rows * psf_columns).map(|_| rng.random_range(0.0f32..1.0));
                 let image = Image::new(psf_rows, psf_columns, values.collect()).unwrap();
                 let psf = Psf::new(image).unwrap();
-                laws::check(&RollingShutter::<f64>::in_precision(&camera, &psf), 3);
+                laws::check(&RollingShutter::<f64>::with_precision(&camera, &psf), 3);
                 let operator = RollingShutter::new(&camera, &psf);
                 laws::check(&operator, 1);
                 let weights = (0..operator.range_len()).map(|i| (i % 3) as f32).collect();
@@ -117,7 +117,7 @@ fn global_wide_fields_and_parts_of_rows_agree_with_brute_force() {
         );
         let video: Vec<f64> = video.into_iter().map(f64::from).collect();
         let mut frame = vec![f64::NAN; expected.len()];
-        RollingShutter::in_precision(&camera, &psf).apply(&video, &mut frame);
+        RollingShutter::with_precision(&camera, &psf).apply(&video, &mut frame);
         assert!(
             error(&frame) < 1e-12,
             "{name}, f64: relative error {}",

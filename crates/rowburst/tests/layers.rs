@@ -1,12 +1,12 @@
-//! Keeps the floors of the house: imports only go down (see ARCHITECTURE.md).
+//! Checks the layers of the library: an import goes to the same or a lower layer (see ARCHITECTURE.md).
 
 use std::path::{Path, PathBuf};
 
-/// What a room stands on. A room is a module at the top of the crate.
+/// A module at the top of the crate, with its layer and permitted imports.
 struct Module {
     name: &'static str,
     layer: usize,
-    /// Rooms on the same floor or below; a room may always use itself and floor 0.
+    /// Modules of the same or a lower layer; a module may always import itself and layer 0.
     uses: &'static [&'static str],
 }
 
@@ -57,7 +57,7 @@ const MODULES: [Module; 24] = [
     module("metrics", 2, &["image", "video"]),
     // The solver knows neither what a pixel is nor where it comes from.
     module("solve", 2, &["linop", "prox", "support"]),
-    // The only place where physics meets the solver.
+    // With `traces` the only modules where physics meets the solver.
     module(
         "reconstruct",
         3,
@@ -130,7 +130,10 @@ fn imports_only_go_to_lower_layers() {
     for path in files(&source) {
         let name = module_of(path.strip_prefix(&source).unwrap());
         let Some(module) = MODULES.iter().find(|module| module.name == name) else {
-            faults.push(format!("{}: give the room {name} a floor", path.display()));
+            faults.push(format!(
+                "{}: add the module {name} to MODULES",
+                path.display()
+            ));
             continue;
         };
         if module.name == "lib" {
@@ -154,11 +157,11 @@ fn judge(module: &Module, import: &str) -> Result<(), String> {
         .find(|(item, _)| *item == head)
         .map_or(head, |(_, home)| home);
     let Some(other) = MODULES.iter().find(|other| other.name == name) else {
-        return Err("no room has this name; add it to ROOMS or ROOT".into());
+        return Err("no module has this name; add it to MODULES or ROOT".into());
     };
     if other.layer > module.layer {
         return Err(format!(
-            "{} (floor {}) is above {} (floor {})",
+            "{} (layer {}) is above {} (layer {})",
             other.name, other.layer, module.name, module.layer
         ));
     }
@@ -169,7 +172,7 @@ fn judge(module: &Module, import: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// The room of a source file: its first folder or its name.
+/// The module of a source file: its first folder or its name.
 fn module_of(path: &Path) -> String {
     let first = path.iter().next().unwrap().to_string_lossy();
     first.trim_end_matches(".rs").to_string()
@@ -191,7 +194,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 /// Every path after `crate::` in code before the tests, braces of an import opened.
 ///
-/// Tests may use what they like: they stand outside the house.
+/// Tests may import anything.
 fn imports(text: &str) -> Vec<String> {
     let code: String = text
         .lines()

@@ -30,7 +30,7 @@ fn numbers<T: Scalar>() -> Vec<f64> {
             wave(y * 60 + x) as f32
         }))
         .unwrap();
-        let operator = RollingShutter::<T>::in_precision(&camera, &psf);
+        let operator = RollingShutter::<T>::with_precision(&camera, &psf);
         let video: Vec<T> = (0..operator.domain_len())
             .map(|i| T::nearest(wave(i)))
             .collect();

@@ -200,7 +200,7 @@ fn a_fixed_tau_reaches_the_minimum() {
     };
     let found = case.solve(options);
     let operator = RollingShutter::new(&case.camera, &case.psf);
-    let penalty = Variation::new(case.camera.video_shape(), prior.weights);
+    let penalty = Variation::new(case.camera.video_shape(), prior.variation);
     let objective = |video: &[f32]| {
         let mut frame = vec![0.0; operator.range_len()];
         operator.apply(video, &mut frame);
@@ -351,9 +351,10 @@ fn what_is_stopped_while_priors_are_tried_is_the_best_so_far() {
         let found = problem
             .solve(&mut |progress| {
                 run += usize::from(progress.iteration == 1);
-                match run == stopped && progress.iteration == 3 {
-                    true => ControlFlow::Break(StopReason::Interrupted),
-                    false => ControlFlow::Continue(()),
+                if run == stopped && progress.iteration == 3 {
+                    ControlFlow::Break(StopReason::Interrupted)
+                } else {
+                    ControlFlow::Continue(())
                 }
             })
             .unwrap();

@@ -61,9 +61,12 @@ fn options() -> Options {
 fn after(
     iterations: usize,
 ) -> impl FnMut(&rowburst::solve::admm::Progress) -> ControlFlow<StopReason> {
-    move |progress| match progress.iteration >= iterations {
-        true => ControlFlow::Break(StopReason::TimeBudget),
-        false => ControlFlow::Continue(()),
+    move |progress| {
+        if progress.iteration >= iterations {
+            ControlFlow::Break(StopReason::TimeBudget)
+        } else {
+            ControlFlow::Continue(())
+        }
     }
 }
 
@@ -75,7 +78,7 @@ fn a_frame_is_warm_started_from_the_previous_one() {
     let truth = digits(model.camera().video_shape());
     let mut sequence = Sequence::new(model.clone(), options());
     let first = measured(&model, &truth, 1);
-    let (whole, is_warm_started) = sequence.next(&first, &mut after(1000)).unwrap();
+    let (whole, is_warm_started) = sequence.reconstruct(&first, &mut after(1000)).unwrap();
     assert!(!is_warm_started);
     let alone = Problem::with_model(&model, &first, options()).unwrap();
     let alone = alone.solve(&mut after(1000)).unwrap();
@@ -95,7 +98,7 @@ fn a_frame_is_warm_started_from_the_previous_one() {
             truth = moved(&truth);
         }
         let frame = measured(&model, &truth, seed);
-        let (found, is_warm_started) = sequence.next(&frame, &mut after(20)).unwrap();
+        let (found, is_warm_started) = sequence.reconstruct(&frame, &mut after(20)).unwrap();
         assert!(is_warm_started);
         let db = |iterations| {
             let problem = Problem::with_model(&model, &frame, options()).unwrap();
@@ -119,7 +122,7 @@ fn short_runs_add_up() {
     let mut course = Vec::new();
     for seed in 1..16 {
         let frame = measured(&model, &truth, seed);
-        let (found, _) = sequence.next(&frame, &mut after(4)).unwrap();
+        let (found, _) = sequence.reconstruct(&frame, &mut after(4)).unwrap();
         assert_eq!(found.iterations, 4);
         course.push(psnr_db(found.video.data(), truth.data()));
     }
@@ -145,9 +148,9 @@ fn check_another_scene(model: &Model, shape: Shape, options: Options) {
     let mut sequence = Sequence::new(model.clone(), options);
     let leds = scene::leds(shape, 9.6, 6.5, 1).unwrap().0;
     let first = measured(model, &digits(shape), 1);
-    sequence.next(&first, &mut after(60)).unwrap();
+    sequence.reconstruct(&first, &mut after(60)).unwrap();
     let frame = measured(model, &leds, 2);
-    let (found, is_warm_started) = sequence.next(&frame, &mut after(60)).unwrap();
+    let (found, is_warm_started) = sequence.reconstruct(&frame, &mut after(60)).unwrap();
     assert!(!is_warm_started);
     let alone = Problem::with_model(model, &frame, options).unwrap();
     assert_eq!(found.video, alone.solve(&mut after(60)).unwrap().video);

@@ -36,7 +36,7 @@ const ALL: VariationWeights = VariationWeights {
 /// `A`, `b` and the blocks of `A Aᵀ`.
 struct Data {
     operator: Box<dyn LinearOperator + Send>,
-    measured: Vec<f32>,
+    measurements: Vec<f32>,
     gram: Blocks<f64>,
     scale: f64,
     shape: Shape,
@@ -74,17 +74,17 @@ impl Data {
         let indices = instants.map(|i| operator.indices_of(i)).collect();
         Self {
             gram: Blocks::new(indices, |i, block: faer::MatMut<f64>| {
-                operator.add_gram_block(i, None, block)
+                operator.add_gram_block(i, None, block);
             }),
             scale: operator.pixel_power(rows / 4, columns / 4),
-            measured: recorded.frame.data().to_vec(),
+            measurements: recorded.frame.data().to_vec(),
             operator: Box::new(operator),
             shape,
         }
     }
 
     /// One row of pixels seen by a matrix.
-    fn dense(matrix: &[&[f32]], measured: &[f32]) -> Self {
+    fn dense(matrix: &[&[f32]], measurements: &[f32]) -> Self {
         let rows: Vec<Vec<f32>> = matrix.iter().map(|row| row.to_vec()).collect();
         let product = |i: usize, j: usize| -> f64 {
             let pairs = rows[i].iter().zip(&rows[j]);
@@ -103,7 +103,7 @@ impl Data {
         Self {
             scale: product(0, 0),
             gram,
-            measured: measured.to_vec(),
+            measurements: measurements.to_vec(),
             shape: Shape::new(1, 1, rows[0].len()),
             operator: Box::new(Dense(rows)),
         }
@@ -112,7 +112,7 @@ impl Data {
     /// `part` of the `τ` above which the `ℓ1` minimum is dark, `max Aᵀb`.
     fn tau(&self, part: f64) -> f64 {
         let mut pull = vec![0.0; self.operator.domain_len()];
-        self.operator.adjoint(&self.measured, &mut pull);
+        self.operator.adjoint(&self.measurements, &mut pull);
         part * f64::from(pull.iter().copied().fold(0.0, f32::max))
     }
 
@@ -160,11 +160,11 @@ impl DataTerm for Data {
     fn operator(&self) -> &dyn LinearOperator {
         &*self.operator
     }
-    fn measured(&self) -> &[f32] {
-        &self.measured
+    fn measurements(&self) -> &[f32] {
+        &self.measurements
     }
     fn measurement_count(&self) -> usize {
-        self.measured.len()
+        self.measurements.len()
     }
     fn scale(&self) -> f64 {
         self.scale
@@ -173,7 +173,7 @@ impl DataTerm for Data {
         self.gram.solve_with_product(r, rho, y, gram_y);
         true
     }
-    fn misfit_of_bins(&self, _: &[f32]) -> Vec<f64> {
+    fn residual_rms_of_bins(&self, _: &[f32]) -> Vec<f64> {
         unreachable!("no support is asked for")
     }
     fn restrict(&mut self, _: &Support) {
@@ -332,8 +332,8 @@ fn two_pixels_by_hand() {
         (L1, 1.5, [3.0, 1.0], [1.5, 0.0]),
         (L1, 0.5, [-1.0, 2.0], [0.0, 1.5]),
     ];
-    for (weights, tau, measured, expected) in cases {
-        let data = Data::dense(&[&[1.0, 0.0], &[0.0, 1.0]], &measured);
+    for (weights, tau, measurements, expected) in cases {
+        let data = Data::dense(&[&[1.0, 0.0], &[0.0, 1.0]], &measurements);
         let objective = data.objective(weights, tau);
         for solver in EVERY {
             if weights != L1 && matches!(solver, Solver::Gpsr(_)) {
@@ -513,7 +513,7 @@ fn a_warm_start_is_a_start_from_there() {
 fn nothing_depends_on_the_units_of_the_frame() {
     let data = Data::frame();
     let mut scaled = Data::frame();
-    scaled.measured.iter_mut().for_each(|b| *b *= 1024.0);
+    scaled.measurements.iter_mut().for_each(|b| *b *= 1024.0);
     for (weights, part) in [(L1, 0.1), (ALL, 0.003)] {
         let tau = data.tau(part);
         let (one, other) = (

@@ -20,7 +20,7 @@ pub struct CalibrateArgs {
 pub enum CalibrateVerb {
     /// Bias, noise, gain, full well and bad pixels from dark and flat frames
     Sensor(sensor::SensorArgs),
-    /// PSF and its quality from captures of a point source; patches from several places
+    /// PSF and its quality from captures of a point source; patches from several positions
     Psf(psf::PsfArgs),
     /// Row time, shutter and exposure from frames of a blinking light
     Timing(timing::TimingArgs),

@@ -31,7 +31,7 @@ pub struct SensorArgs {
     /// Frames of even light, two or more at each level: files, stacks or folders
     #[arg(long, required = true, num_args = 1.., value_name = "FRAME")]
     pub flats: Vec<PathBuf>,
-    /// An experiment file, to be written to the folder with the results in it
+    /// An experiment file; a copy with the results is written to the folder
     #[arg(long, value_name = "EXPERIMENT.toml")]
     pub experiment: Option<PathBuf>,
     /// Print sensor.json to standard output instead of a summary

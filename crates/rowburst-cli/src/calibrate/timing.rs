@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// Row time, shutter and exposure from frames of a blinking light.
 ///
 /// The light lights all rows at once and changes in a known way: it blinks at a known
-/// frequency, or follows a course that a file gives.
+/// frequency, or follows a waveform given in a file.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  rowburst calibrate timing led.png --frequency-hz 1000 -o timing\n  rowburst calibrate timing led1.tif led2.tif --frequency-hz 2000 --duty 0.5 --dark dark.tif --experiment experiment.toml -o timing\n  rowburst calibrate timing chirp.tif --signal chirp.csv --json\nA line of chirp.csv is time_us,value: the light is a straight line from each to the next; two lines of one time are a step."
@@ -34,13 +34,13 @@ pub struct TimingArgs {
         allow_hyphen_values = true
     )]
     pub frequency_hz: Option<f64>,
-    /// Part of the period in which a square wave is on; shows the exposure where it is not a half
+    /// Duty cycle of a square wave, from 0 to 1; the exposure can be measured where it is not one half
     #[arg(long, requires = "frequency_hz", allow_hyphen_values = true)]
     pub duty: Option<f64>,
-    /// The course of the light: a line time_us,value for each corner
+    /// The waveform of the light: a line time_us,value for each corner
     #[arg(long)]
     pub signal: Option<PathBuf>,
-    /// The course starts anew at its last time, instead of keeping its last value
+    /// Repeat the waveform from its last time on, instead of holding its last value
     #[arg(long, requires = "signal", conflicts_with = "frequency_hz")]
     pub repeat: bool,
     /// A frame without light, instead of the experiment's
@@ -49,8 +49,8 @@ pub struct TimingArgs {
     /// A frame of even, steady light, instead of the experiment's
     #[arg(long)]
     pub flat: Option<PathBuf>,
-    /// An experiment file to start from: its row time (within 30 %) tells aliases apart, and
-    /// the output folder gets one with the numbers found
+    /// An experiment file to start from: its row time (within 30 %) resolves aliases, and the output
+    /// folder gets a copy with the measured numbers
     #[arg(long)]
     pub experiment: Option<PathBuf>,
     /// Print timing.json to standard output instead of a summary

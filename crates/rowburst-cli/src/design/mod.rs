@@ -40,9 +40,10 @@ pub fn run(args: &DesignArgs) -> Result<()> {
         Some(path) => Some(OutputFolder::create(path)?),
         None => None,
     };
-    let map = match args.quick {
-        true => None,
-        false => Some(map_of(&inputs, &assessment, given.as_ref())?),
+    let map = if args.quick {
+        None
+    } else {
+        Some(map_of(&inputs, &assessment, given.as_ref())?)
     };
     let summary = DesignSummary::new(
         &inputs,

@@ -18,10 +18,10 @@ use std::path::PathBuf;
     after_help = "Examples:\n  rowburst design -o design\n  then open design/report.html\n  rowburst design --rows 512 --columns 512 --diffuser-deg 4 --photons 1e8 --quick\n  rowburst design --experiment experiment.toml --psf psf.tif --json"
 )]
 pub struct DesignArgs {
-    /// Camera, field and PSF from an experiment file; options come first
+    /// Camera, field and PSF from an experiment file; options take precedence
     #[arg(long)]
     pub experiment: Option<PathBuf>,
-    /// A recorded PSF or patch set; without one speckle of these optics is computed
+    /// A recorded PSF or patch set; without one, speckle of these optics is computed
     #[arg(long)]
     pub psf: Option<PathBuf>,
     #[command(flatten)]
@@ -33,7 +33,7 @@ pub struct DesignArgs {
     /// Leave out the trial reconstructions, which take most of a minute
     #[arg(long, visible_alias = "no-map", help_heading = "Run")]
     pub quick: bool,
-    /// SNR of the trial reconstructions, with commas between [default: 8 to 256, each twice the last]
+    /// SNRs of the trial reconstructions, separated by commas [default: 8 to 256, each twice the last]
     #[arg(
         long,
         value_delimiter = ',',
@@ -86,7 +86,7 @@ pub struct CameraArgs {
     pub field_columns: Option<usize>,
 }
 
-/// The light and the sensor's answer to it.
+/// The light and the sensor's response to it.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Light and noise")]
 pub struct LightArgs {

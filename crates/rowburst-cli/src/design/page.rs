@@ -48,38 +48,13 @@ impl Page<'_> {
         let mut sections = Vec::new();
         if let (Some(map), Some(rates)) = (self.map, &rates) {
             sections.push((
-                "How much of a scene comes back",
+                "How much of a scene is recovered",
                 vec![success_drawing(map, rates, &steps), self.half_drawing(map)],
             ));
         }
-        let mut optics = vec![Drawing {
-            name: "reach",
-            plot: Plot::Grid {
-                image: reach,
-                quantity: ("light", 0.0, 1.0),
-                x: ("sensor row, from the top", &to),
-                y: ("field row, from the top", &from),
-            },
-            caption: "Light that each sensor row gets from each row of the field, over that of a row level with the source. The corners, from the bottom of the field to the top row and back, need 0.1 or more.".into(),
-            alt: "Map of light over sensor row and field row.".into(),
-        }];
+        let mut optics = vec![reach_drawing(reach, &from, &to)];
         if let Some(psf) = self.psf {
-            optics.push(Drawing {
-                name: "psf",
-                plot: Plot::Map {
-                    image: psf.image(),
-                    quantity: "part of the light",
-                    range: None,
-                },
-                caption: match &self.inputs.psf {
-                    Some(path) => format!("The PSF of {}.", path.display()),
-                    None => format!(
-                        "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Light that falls outside of it is not shown.",
-                        summary.grain_fwhm_px, summary.envelope_fwhm_px
-                    ),
-                },
-                alt: "The point-spread function.".into(),
-            });
+            optics.push(self.psf_drawing(psf));
         }
         sections.push(("Where the light goes", optics));
         sections.push((
@@ -90,15 +65,7 @@ impl Page<'_> {
         tables.push(("Given".into(), self.given()));
         let report = Sheet {
             title: "Rowburst: design",
-            summary: format!(
-                "{} × {} pixels, {}, a diffuser of {:.2}°: {} frames at {:.0} fps from one frame.",
-                camera.rows(),
-                camera.columns(),
-                camera.shutter().name(),
-                self.inputs.optics.diffuser_fwhm_deg,
-                summary.frames,
-                summary.frame_rate_hz
-            ),
+            summary: self.title_line(),
             warnings: summary.warnings.clone(),
             notes: Vec::new(),
             headline: headline(summary),
@@ -118,6 +85,40 @@ impl Page<'_> {
         folder.write_bytes("design.json", format!("{}\n", summary.json()).as_bytes())
     }
 
+    /// The design in one sentence.
+    fn title_line(&self) -> String {
+        let (camera, summary) = (&self.inputs.camera, self.summary);
+        format!(
+            "{} × {} pixels, {}, a diffuser of {:.2}°: {} frames at {:.0} fps from one frame.",
+            camera.rows(),
+            camera.columns(),
+            camera.shutter().name(),
+            self.inputs.optics.diffuser_fwhm_deg,
+            summary.frames,
+            summary.frame_rate_hz
+        )
+    }
+
+    /// The PSF, measured or simulated.
+    fn psf_drawing<'a>(&self, psf: &'a Psf) -> Drawing<'a> {
+        Drawing {
+            name: "psf",
+            plot: Plot::Map {
+                image: psf.image(),
+                quantity: "part of the light",
+                range: None,
+            },
+            caption: match &self.inputs.psf {
+                Some(path) => format!("The PSF of {}.", path.display()),
+                None => format!(
+                    "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Light that falls outside of it is not shown.",
+                    self.summary.grain_fwhm_px, self.summary.envelope_fwhm_px
+                ),
+            },
+            alt: "The point-spread function.".into(),
+        }
+    }
+
     fn half_drawing(&self, map: &SuccessMap) -> Drawing<'_> {
         let points = map.params.snrs.iter().copied().zip(map.k50.iter().copied());
         let snr = self.assessment.signal.snr;
@@ -132,7 +133,7 @@ impl Page<'_> {
                 ),
                 curves: vec![
                     Curve {
-                        name: "half of the bins come back".into(),
+                        name: "half of the bins are recovered".into(),
                         points: points.collect(),
                         ink: Ink::Line,
                     },
@@ -150,7 +151,7 @@ impl Page<'_> {
                 ],
             },
             caption: format!(
-                "Non-zero pixels that half of the bins survive, over the SNR, on the {}×{} pixels of the trials ({:.0} measurements a bin). The dot is this design; beyond the ends it lies at the nearest SNR tried.",
+                "Non-zero pixels per bin at which half of the bins are recovered, over the SNR, on the {}×{} pixels of the trials ({:.0} measurements a bin). The dot is this design; beyond the ends it lies at the nearest SNR tried.",
                 map.sensor.0, map.sensor.1, map.measurements_per_bin
             ),
             alt: "Curve of recoverable pixels over SNR.".into(),
@@ -187,7 +188,7 @@ impl Page<'_> {
                     },
                 ],
             },
-            caption: "Rms of the noiseless frame over shot, read and rounding noise. Under shot noise ten times the light give 3.2 times the SNR, under read noise ten times. The full well is not part of the curve.".into(),
+            caption: "Rms of the noiseless frame over shot, read and rounding noise. Under shot noise ten times the light give 3.2 times the SNR, under read noise ten times. The curve ignores the full well.".into(),
             alt: "Curve of SNR over photons.".into(),
         }
     }
@@ -288,6 +289,21 @@ fn headline(summary: &DesignSummary) -> Vec<(String, String)> {
     .to_vec()
 }
 
+/// Light of each sensor row from each row of the field; `from` and `to` are the rows of its axes.
+fn reach_drawing<'a>(reach: &'a Image, from: &'a [f64], to: &'a [f64]) -> Drawing<'a> {
+    Drawing {
+        name: "reach",
+        plot: Plot::Grid {
+            image: reach,
+            quantity: ("light", 0.0, 1.0),
+            x: ("sensor row, from the top", to),
+            y: ("field row, from the top", from),
+        },
+        caption: "Light that each sensor row gets from each row of the field, over that of a row level with the source. The corners, from the bottom of the field to the top row and back, need 0.1 or more.".into(),
+        alt: "Map of light over sensor row and field row.".into(),
+    }
+}
+
 fn success_drawing<'a>(map: &SuccessMap, rates: &'a Image, steps: &'a [Vec<f64>]) -> Drawing<'a> {
     Drawing {
         name: "success-map",
@@ -298,7 +314,7 @@ fn success_drawing<'a>(map: &SuccessMap, rates: &'a Image, steps: &'a [Vec<f64>]
             y: ("SNR of a pixel", &steps[1]),
         },
         caption: format!(
-            "Part of {} bins that came back right, over the number of scattered non-zero pixels and the SNR: {} reconstructions with prior l1+support. Right: at the resolution of a grain the error is below {} of the norm. Bright is success; cells far from the edge are not tried and have the value of their neighbour.",
+            "Fraction of {} bins that were recovered, over the number of scattered non-zero pixels and the SNR: {} reconstructions with prior l1+support. Recovered means that at the resolution of a grain the error is below {} of the norm. Bright is success; cells far from the edge are not tested and have the value of their neighbour.",
             map.trials, map.reconstructions, map.params.tolerance
         ),
         alt: "Map of success over sparsity and SNR.".into(),

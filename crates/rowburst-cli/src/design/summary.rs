@@ -175,6 +175,7 @@ impl DesignSummary {
     }
 
     /// The numbers in words, as (heading, [(quantity, value)]).
+    #[expect(clippy::too_many_lines, reason = "one table of the numbers")]
     pub fn sections(&self) -> Vec<(String, Vec<(String, String)>)> {
         let line = |name: &str, value: String| (name.to_string(), value);
         let percent = |part: f64| format!("{:.1} %", 100.0 * part);

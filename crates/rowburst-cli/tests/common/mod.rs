@@ -1,7 +1,6 @@
 //! A folder with a small experiment, and the program run in it as a user runs it.
 
-// Each test file uses its own part of this.
-#![allow(dead_code)]
+#![allow(dead_code, reason = "each test file uses only some of these helpers")]
 
 use ndarray::Array3;
 use rowburst::{Image, Shape, Video};

@@ -127,9 +127,10 @@ impl<'a> Filling<'a> {
             }
             _ => false,
         };
-        let divisor = match is_to_be_binned(frame_rows, rows) {
-            true => binning.unwrap_or(1),
-            false => 1,
+        let divisor = if is_to_be_binned(frame_rows, rows) {
+            binning.unwrap_or(1)
+        } else {
+            1
         };
         let mut side = |key: &str, in_file: Option<usize>, frame: usize| -> Result<Option<usize>> {
             match in_file {
@@ -179,7 +180,7 @@ impl<'a> Filling<'a> {
             (Some(in_file), Some(in_metadata)) => {
                 if !is_same(&in_file, &in_metadata) {
                     self.from_metadata.warnings.push(format!(
-                        "{key} is {} in {} and {} in the metadata ({}): the experiment file counts",
+                        "{key} is {} in {} and {} in the metadata ({}): the experiment file takes precedence",
                         words(&in_file),
                         self.experiment.display(),
                         words(&in_metadata),

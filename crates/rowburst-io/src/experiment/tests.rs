@@ -143,6 +143,19 @@ fn a_custom_order_is_read_and_written() {
             .unwrap()
             .contains("row_order = \"order.npy\"")
     );
+    let listed = Experiment {
+        row_order: None,
+        ..experiment
+    };
+    let text = listed.to_toml(folder.path());
+    assert!(text.contains("row_order = [2, 0, 1, 0]"), "{text}");
+    std::fs::write(&path, &text).unwrap();
+    assert_eq!(Experiment::read(&path).unwrap(), listed);
+    for bad in ["[0, -1, 1, 2]", "[0, 1.5]", "3", "[\"a\"]"] {
+        std::fs::write(&path, text.replace("[2, 0, 1, 0]", bad)).unwrap();
+        let message = Experiment::read(&path).unwrap_err().to_string();
+        assert!(message.contains("a list of whole numbers"), "{message}");
+    }
 }
 
 #[test]
@@ -293,7 +306,7 @@ fn the_file_counts_and_contradictions_are_told() {
     assert_eq!(experiment.params.exposure_us, 9.6);
     let warnings = experiment.from_metadata.warnings.join("\n");
     for words in [
-        "exposure_us is 9.6 in lab/run.toml and 19.2 in the metadata (metadata.txt): the experiment file counts",
+        "exposure_us is 9.6 in lab/run.toml and 19.2 in the metadata (metadata.txt): the experiment file takes precedence",
         "bit_depth is 16",
         "shutter is \"top-down\"",
     ] {

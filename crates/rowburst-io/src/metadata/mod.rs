@@ -91,12 +91,13 @@ impl Metadata {
 /// What stands in the file itself comes before what stands beside it.
 pub fn read_metadata(path: &Path) -> Metadata {
     let array_path = ArrayPath::of(path);
-    let file = match array_path.file.is_dir() {
-        true => match images_in(&array_path.file).map(|names| names.into_iter().next()) {
+    let file = if array_path.file.is_dir() {
+        match images_in(&array_path.file).map(|names| names.into_iter().next()) {
             Ok(Some(name)) => array_path.file.join(name),
             _ => return Metadata::default(),
-        },
-        false => array_path.file,
+        }
+    } else {
+        array_path.file
     };
     let mut found = match Format::of_name(&file) {
         Some(Format::Tiff) => in_tiff(&file),

@@ -18,9 +18,10 @@ pub(super) fn draw(iterations: &[Iteration]) -> Option<CaptionedFigure> {
     }
     let mut figure = Figure::new(800.0, 300.0);
     let has_psnr = iterations.iter().any(|i| i.psnr_db.is_some());
-    let third: Quantity = match has_psnr {
-        true => ("PSNR (dB)", |i| i.psnr_db.unwrap_or(f64::NAN)),
-        false => ("objective", |i| i.objective),
+    let third: Quantity = if has_psnr {
+        ("PSNR (dB)", |i| i.psnr_db.unwrap_or(f64::NAN))
+    } else {
+        ("objective", |i| i.objective)
     };
     let panels: [Quantity; 3] = [
         ("residual/σ", |i| i.residual_over_sigma),
@@ -51,9 +52,9 @@ pub(super) fn draw(iterations: &[Iteration]) -> Option<CaptionedFigure> {
         chart.curve(&mut figure, &points, "line", "");
     }
     let mut caption = format!(
-        "The course of the solver over {} iterations and {} s (upper axis): residual/σ, relative \
-         change of the video from one iteration to the next, and {}. In a good one residual/σ \
-         settles at 1 (dashed) and all curves have become level or keep falling.",
+        "Convergence over {} iterations and {} s (upper axis): residual/σ, relative \
+         change of the video from one iteration to the next, and {}. In a good run residual/σ \
+         settles at 1 (dashed) and all curves level off or keep falling.",
         last.iteration,
         number(last.seconds, 3),
         if has_psnr {

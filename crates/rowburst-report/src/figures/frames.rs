@@ -127,8 +127,8 @@ fn compared(
         caption: format!(
             "{} of {} frames: truth, reconstruction and their difference (reconstruction − truth, \
              on a quarter of the scale). Above each, the time at which its bin begins and the \
-             rows that see it. Brightness in the units of the frame per unit of PSF sum. In a \
-             good one the two upper rows look the same and the third is blank.",
+             rows that see it. Brightness in the units of the frame per unit of PSF sum. In a good \
+             result the two upper rows look the same and the third is blank.",
             bins.len(),
             shape.bins
         ),

@@ -71,8 +71,8 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     caption += match input.video.shape().bins {
         1 => ".",
         _ => {
-            ": each row sees the scene at its own instant only, and what happens elsewhere \
-             meanwhile is lost."
+            ": each row sees the scene at its own instant only, and events elsewhere at that time \
+             are lost."
         }
     };
     CaptionedFigure {

@@ -43,7 +43,7 @@ pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
         "The residual (b − A v)/σ of each pixel, dimensionless, and its histogram against the \
          unit Gaussian (line): mean {}, standard deviation {}, {} % beyond ±4. Structureless \
          noise of width 1 means that the model explains the frame; structure means that it does \
-         not, and a width below 1 that noise was fitted.",
+         not, and a width below 1 means that noise was fitted.",
         fixed(m.mean),
         fixed(m.deviation),
         number(100.0 * m.beyond_four, 2),

@@ -44,9 +44,10 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
     let mut figure = Figure::new(800.0, 420.0);
     let place = Rect::new(0.0, 22.0, 480.0, 390.0);
     let (shown, of) = (grouped(bright.shown() as f64), grouped(bright.of as f64));
-    let title = match bright.shown() == bright.of {
-        true => format!("{of} bright voxels in space and time"),
-        false => format!("{shown} of {of} bright voxels in space and time"),
+    let title = if bright.shown() == bright.of {
+        format!("{of} bright voxels in space and time")
+    } else {
+        format!("{shown} of {of} bright voxels in space and time")
     };
     figure.text(
         place.x + place.width / 2.0,
@@ -58,9 +59,10 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
     figure.rect(place, "mark", GROUND);
     body(&mut figure, place, input, videos, &bright);
     slices(&mut figure, input, videos);
-    let drawn = match bright.shown() == bright.of {
-        true => format!("All {of}"),
-        false => format!("{shown} of {of}, drawn by lot from the"),
+    let drawn = if bright.shown() == bright.of {
+        format!("All {of}")
+    } else {
+        format!("{shown} of {of}, a random sample of the")
     };
     Some(CaptionedFigure {
         name: "space-time",
@@ -68,10 +70,10 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         figure,
         caption: format!(
             "The video in space and time. Left, each stroke is a voxel for the time of its bin, its \
-             colour the time as above, its strength the brightness. {drawn} voxels above a quarter \
+             colour the time as above, its opacity the brightness. {drawn} voxels above a quarter \
              of the white point. Right, the x–t slice: the brightest value over all rows, in the \
-             units of the frame per unit of PSF sum. What blinks is a broken line along time, what \
-             moves a slanted one. A good one is empty between them."
+             units of the frame per unit of PSF sum. Blinking points are broken lines along time, \
+             moving points slanted ones. In a good result the space between them is empty."
         ),
         alt: "Bright voxels of the video in a box of x, y and time, and a picture of the largest \
               value over y against x and time."

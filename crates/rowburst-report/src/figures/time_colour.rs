@@ -39,9 +39,10 @@ pub(super) fn draw(
         is_field: false,
     }));
     // Side by side, but wide pictures one below the other.
-    let across = match panels.iter().all(|p| p.pixels.columns < 2 * p.pixels.rows) {
-        true => panels.len(),
-        false => 1,
+    let across = if panels.iter().all(|p| p.pixels.columns < 2 * p.pixels.rows) {
+        panels.len()
+    } else {
+        1
     };
     let gap = 20.0;
     let width = (800.0 - gap * (across as f64 - 1.0)) / across as f64;
@@ -80,8 +81,8 @@ pub(super) fn draw(
         caption: format!(
             "The whole video of {} bins in one picture: hue is time (equal steps of time are \
              equal steps of hue, blue first, red last), brightness the largest value over time. \
-             What is lit all the time is grey.{}{} A good one shows each object in one pure colour \
-             on black; mixed colours are events that were not told apart.",
+             Constant light is grey.{}{} In a good result each object has one pure colour on \
+             black; mixed colours are events that were not separated.",
             shape.bins,
             if is_larger(input) {
                 " The dashed line is the edge of the sensor."
@@ -89,7 +90,7 @@ pub(super) fn draw(
                 ""
             },
             if input.direct.is_some() {
-                " In grey, the frame without the diffuser, in which each row has its own instant alone."
+                " In grey, the frame without the diffuser, in which each row shows its own instant only."
             } else {
                 ""
             }

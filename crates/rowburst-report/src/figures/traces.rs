@@ -20,6 +20,34 @@ const COLOURS: [&str; 8] = [
 /// Half of a 95 % interval over its standard error.
 const Z_95: f64 = 1.96;
 
+/// The time axis of the charts.
+struct TimeScale {
+    bins: usize,
+    step_us: f64,
+    unit: TimeUnit,
+}
+
+impl TimeScale {
+    /// End of the video.
+    fn end(&self) -> f64 {
+        self.bins as f64 * self.step_us / self.unit.us
+    }
+
+    /// Middle of bin `t`.
+    fn middle(&self, t: usize) -> f64 {
+        (t as f64 + 0.5) * self.step_us / self.unit.us
+    }
+
+    /// One value per bin, each with its time.
+    fn points(&self, values: &[f64]) -> Vec<(f64, f64)> {
+        values
+            .iter()
+            .enumerate()
+            .map(|(t, &v)| (self.middle(t), v))
+            .collect()
+    }
+}
+
 /// Draws the traces, or nothing where there are none.
 pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigure> {
     let shape = videos.video.shape();
@@ -28,7 +56,11 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         return None;
     }
     let step_us = input.time.bin_duration_us();
-    let unit = TimeUnit::of(shape.bins as f64 * step_us);
+    let scale = TimeScale {
+        bins: shape.bins,
+        step_us,
+        unit: TimeUnit::of(shape.bins as f64 * step_us),
+    };
     let truth_of = |video: &Video| -> Vec<Vec<f64>> {
         traces
             .iter()
@@ -43,14 +75,9 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
     let mut bottom: f64 = 0.0;
     let range = common_range(traces, truths.as_deref());
     for (i, annotated) in traces.iter().enumerate() {
-        let trace = &annotated.trace;
         let chart = Chart {
             place: Rect::new(330.0, 20.0 + i as f64 * (strip + 22.0), 460.0, strip),
-            x: Axis::linear(
-                0.0,
-                shape.bins as f64 * step_us / unit.us,
-                format!("time ({})", unit.name),
-            ),
+            x: Axis::linear(0.0, scale.end(), format!("time ({})", scale.unit.name)),
             y: Axis::linear(range.0, range.1, ""),
         };
         bottom = chart.place.bottom();
@@ -59,49 +86,15 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
             &mut figure,
             if is_last { Labels::Both } else { Labels::YOnly },
         );
-        let time = |t: usize| (t as f64 + 0.5) * step_us / unit.us;
-        let points = |values: &[f64]| -> Vec<(f64, f64)> {
-            values
-                .iter()
-                .enumerate()
-                .map(|(t, &v)| (time(t), v))
-                .collect()
-        };
-        let pairs = trace.debiased.iter().zip(&trace.standard_error);
-        let band: Vec<(f64, f64, f64)> = pairs
-            .enumerate()
-            .map(|(t, (v, e))| (time(t), v - Z_95 * e, v + Z_95 * e))
-            .collect();
-        let colour = COLOURS[i];
-        let fill = format!(r#"style="fill:{colour};fill-opacity:0.28;stroke:none""#);
-        chart.band(&mut figure, &band, &fill);
-        let thin = r#"style="stroke-width:0.8;stroke-opacity:0.75""#;
-        for diode in &annotated.photodiodes {
-            let inside = diode.points.iter().map(|&(t, v)| (t / unit.us, v));
-            let inside: Vec<(f64, f64)> = inside
-                .filter(|(t, _)| (0.0..=shape.bins as f64 * step_us / unit.us).contains(t))
-                .collect();
-            chart.curve(&mut figure, &inside, "reference", thin);
-        }
-        if let Some(truths) = &truths {
-            let dashes = r#"stroke-dasharray="4 3""#;
-            chart.curve(&mut figure, &points(&truths[i]), "reference", dashes);
-        }
-        let style = format!(r#"style="stroke:{colour}""#);
-        chart.curve(&mut figure, &points(&trace.debiased), "line", &style);
-        let y = place.bottom() + 40.0 + 20.0 * i as f64;
-        let swatch = [(4.0, y - 4.0), (24.0, y - 4.0)];
-        let wide = format!(r#"style="stroke:{colour};stroke-width:3""#);
-        figure.line(&swatch, "line", &wide);
-        let text = format!("{} · {}", i + 1, place_of(&trace.region));
-        figure.text(32.0, y, Anchor::Start, "", &text);
-        let mut label = format!("{}", i + 1);
-        if let Some(found) = &annotated.frequency {
-            let text = frequency_with_error(found.hertz, found.error_hz);
-            label += &format!(" · {text}");
-        }
-        let (right, above) = (chart.place.right(), chart.place.y - 4.0);
-        figure.text(right, above, Anchor::End, "strong", &label);
+        let truth = truths.as_ref().map(|truths| truths[i].as_slice());
+        draw_curves(&mut figure, &chart, &scale, annotated, truth, COLOURS[i]);
+        draw_legend_entry(
+            &mut figure,
+            place.bottom() + 40.0,
+            i,
+            &annotated.trace.region,
+        );
+        draw_label(&mut figure, &chart, i, annotated);
     }
     figure.text_upwards(284.0, (20.0 + bottom) / 2.0, "", "brightness");
     let legend = place.bottom() + 40.0 + 20.0 * traces.len() as f64;
@@ -112,10 +105,65 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         figure,
         caption: caption(videos.truth.is_some(), traces, input.time.frame_rate_hz()),
         alt: format!(
-            "Brightness over time of {} places with 95 % intervals, and a map of them.",
+            "Brightness over time of {} regions with 95 % confidence intervals, and a map of them.",
             traces.len()
         ),
     })
+}
+
+/// Draws one trace over its confidence band, with photodiodes and truth.
+fn draw_curves(
+    figure: &mut Figure,
+    chart: &Chart,
+    scale: &TimeScale,
+    annotated: &AnnotatedTrace,
+    truth: Option<&[f64]>,
+    colour: &str,
+) {
+    let trace = &annotated.trace;
+    let pairs = trace.debiased.iter().zip(&trace.standard_error);
+    let band: Vec<(f64, f64, f64)> = pairs
+        .enumerate()
+        .map(|(t, (v, e))| (scale.middle(t), v - Z_95 * e, v + Z_95 * e))
+        .collect();
+    let fill = format!(r#"style="fill:{colour};fill-opacity:0.28;stroke:none""#);
+    chart.band(figure, &band, &fill);
+    let thin = r#"style="stroke-width:0.8;stroke-opacity:0.75""#;
+    for diode in &annotated.photodiodes {
+        let inside = diode.points.iter().map(|&(t, v)| (t / scale.unit.us, v));
+        let inside: Vec<(f64, f64)> = inside
+            .filter(|(t, _)| (0.0..=scale.end()).contains(t))
+            .collect();
+        chart.curve(figure, &inside, "reference", thin);
+    }
+    if let Some(truth) = truth {
+        let dashes = r#"stroke-dasharray="4 3""#;
+        chart.curve(figure, &scale.points(truth), "reference", dashes);
+    }
+    let style = format!(r#"style="stroke:{colour}""#);
+    chart.curve(figure, &scale.points(&trace.debiased), "line", &style);
+}
+
+/// Names trace `i` and its region below the map; the legend begins at `top`.
+fn draw_legend_entry(figure: &mut Figure, top: f64, i: usize, region: &Region) {
+    let y = top + 20.0 * i as f64;
+    let swatch = [(4.0, y - 4.0), (24.0, y - 4.0)];
+    let colour = COLOURS[i];
+    let wide = format!(r#"style="stroke:{colour};stroke-width:3""#);
+    figure.line(&swatch, "line", &wide);
+    let text = format!("{} · {}", i + 1, place_of(region));
+    figure.text(32.0, y, Anchor::Start, "", &text);
+}
+
+/// Writes number and frequency of trace `i` above its chart.
+fn draw_label(figure: &mut Figure, chart: &Chart, i: usize, annotated: &AnnotatedTrace) {
+    let mut label = format!("{}", i + 1);
+    if let Some(found) = &annotated.frequency {
+        let text = frequency_with_error(found.hertz, found.error_hz);
+        label += &format!(" · {text}");
+    }
+    let (right, above) = (chart.place.right(), chart.place.y - 4.0);
+    figure.text(right, above, Anchor::End, "strong", &label);
 }
 
 /// Middle and size of a region in words.
@@ -158,17 +206,17 @@ fn caption(has_truth: bool, traces: &[AnnotatedTrace], rate_hz: f64) -> String {
         .iter()
         .any(|t| t.trace.mean_standard_error().is_some());
     let mut text = String::from(
-        "Brightness over time, the mean over each place (of 3 × 3 pixels where no other size is given, in the units of the frame per unit of PSF sum; points at the middle of the bins). ",
+        "Brightness over time, the mean over each region (of 3 × 3 pixels where no other size is given, in the units of the frame per unit of PSF sum; points at the middle of the bins). ",
     );
-    text += match has_errors {
-        true => {
-            "Lines are estimates made afresh from the frame on the lit pixels; bands are intervals that hold the truth in 95 % of all bins"
-        }
-        false => "Lines are means of the video; their errors are not known",
+    text += if has_errors {
+        "Lines are debiased estimates on the active voxels; bands are 95 % confidence intervals"
+    } else {
+        "Lines are means of the video; their standard errors are not known"
     };
-    text += match has_truth {
-        true => "; the truth is dashed",
-        false => "",
+    text += if has_truth {
+        "; the truth is dashed"
+    } else {
+        ""
     };
     if traces.iter().any(|t| !t.photodiodes.is_empty()) {
         text += "; thin lines are photodiodes, shifted and scaled to fit: ";
@@ -192,17 +240,17 @@ fn caption(has_truth: bool, traces: &[AnnotatedTrace], rate_hz: f64) -> String {
         .filter_map(|(i, t)| Some((i + 1, t.frequency.as_ref()?)))
         .collect();
     if tones.is_empty() {
-        return text + "No frequency stands out of a trace.";
+        return text + "No significant frequency in any trace.";
     }
-    text += "Strongest frequency with its standard error, given where a sine of it explains much of the trace: ";
+    text += "Strongest frequency with its standard error, where a sine of this frequency explains much of the trace: ";
     let list = tones.iter().map(|(place, found)| {
         let mut words = format!(
-            "place {place}, {} ({} % of the variance",
+            "region {place}, {} ({} % of the variance",
             frequency_with_error(found.hertz, found.error_hz),
             (100.0 * found.share).round()
         );
         if found.is_half_rate {
-            words += "; not to be told from half the frame rate";
+            words += "; indistinguishable from half the frame rate";
         }
         let harmonics = found.harmonics.iter();
         let harmonics: Vec<String> = harmonics
@@ -216,7 +264,7 @@ fn caption(has_truth: bool, traces: &[AnnotatedTrace], rate_hz: f64) -> String {
     text += &list.collect::<Vec<_>>().join("; ");
     let half = frequency(rate_hz / 2.0);
     text + &format!(
-        ". What is faster than half the frame rate, {half}, appears folded below it, harmonics too."
+        ". Frequencies above half the frame rate, {half}, are aliased below it, harmonics too."
     )
 }
 

@@ -74,10 +74,8 @@ impl Default for LightParams {
     }
 }
 
-/// Light of the worst row, over that of a row level with the source, that counts as
-/// reached. Digits of 108×108 pixels at SNR 256 and two seeds came back at 47.1 to 48.0 dB
-/// with diffusers from 0.84°, the smallest by this rule, to 2°; at 44.5 and 47.1 dB with
-/// 0.6° (0.011 of the light), at 32.7 and 34.4 dB with 0.4°.
+/// Light of the worst row, over that of a row level with the source, that counts as reached; smaller loses quality
+/// (`docs/design/017`).
 pub const MIN_ROW_LIGHT: f64 = 0.1;
 
 /// Rms phase of the simulated diffuser in radians, see [`crate::simulate::speckle`].

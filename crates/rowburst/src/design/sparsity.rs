@@ -44,8 +44,7 @@ impl SparsityParams {
     /// but no more than [`success_map`] takes, and the ratios from 8 to the 256 of the
     /// paper.
     ///
-    /// 160 iterations end near the rates of 300: at SNR 64 half of the bins of 216
-    /// measurements survive 16.7 pixels instead of 17.3.
+    /// A trial takes at most 160 iterations; more cost time and hardly move the rates (`docs/design/017`).
     pub fn for_camera(camera: &Camera, grain_px: f64, seed: u64) -> Self {
         let m = measurements_per_bin(camera);
         let largest = (camera.video_shape().pixels() / MIN_PIXELS_PER_SOURCE).max(1) as f64;
@@ -90,7 +89,7 @@ pub struct SuccessMap {
 
 /// Field pixels for each lit one in a trial, at least: more could not all be apart.
 const MIN_PIXELS_PER_SOURCE: usize = 16;
-/// Largest side of the sensor that is simulated: a reconstruction takes about a second.
+/// Largest side of the sensor that is simulated; larger costs time (docs/design/017).
 const MAX_SIDE: usize = 108;
 /// The same where an exposure couples the bins, which is dearer.
 const MAX_SIDE_COUPLED: usize = 48;
@@ -159,8 +158,9 @@ pub fn constant(m: f64, k: f64, n: usize) -> f64 {
     m / (k * (n as f64 / k).ln())
 }
 
-/// `C` of the paper's camera with the speckle of [`crate::simulate::SpeckleOptics::demo`],
-/// at an SNR: what [`success_map`] found (`rowburst design`, seed 1).
+/// `C` of the paper's camera with the speckle of [`crate::simulate::SpeckleOptics::demo`] at an SNR, from
+/// [`success_map`] (`docs/design/017`). Interpolated over the logarithm of the SNR; beyond the table, the nearest
+/// value.
 pub fn usual_constant(snr: f64) -> f64 {
     const MEASURED: [(f64, f64); 6] = [
         (8.0, 3.92),

@@ -1,4 +1,6 @@
-//! Two ways to convolve one instant's light and keep some rows, and the choice.
+//! The two convolution engines, row-wise and planar, and the choice between them.
+//!
+//! An engine convolves the light of an instant with a PSF and keeps the rows that the instant reads.
 
 use super::{planar::Planar, rowwise::Rowwise};
 use crate::linop::Scalar;
@@ -7,7 +9,7 @@ use crate::{Camera, Psf};
 use rustfft::{Fft, FftPlanner, FftPlannerScalar};
 use std::sync::Arc;
 
-/// Sizes of the whole sensor and of the field, and how they lie on each other.
+/// Sizes of the whole sensor and of the field, and the offset of the field (see [`Camera::field_offset`]).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Geometry {
     pub rows: usize,
@@ -53,28 +55,32 @@ impl Geometry {
     }
 }
 
-/// The cheaper of the two ways for this geometry.
+/// A convolution with one PSF.
 pub(super) enum Engine<T: Scalar> {
     Rowwise(Rowwise<T>),
     Planar(Planar<T>),
 }
 
-/// Work space of one thread.
+/// Buffers of one thread.
 pub(super) enum Scratch<T> {
     Rowwise(super::rowwise::Scratch<T>),
-    /// With the light of a field.
-    Planar(super::planar::Scratch<T>, Vec<T>),
+    Planar {
+        engine: super::planar::Scratch<T>,
+        /// Light of the field.
+        light: Vec<T>,
+    },
 }
 
-/// The light of a field, and the rows of the sensor that read it: `values[i, x]` is row `rows[i]` of the convolved
-/// light.
+/// Forward product of one instant: `values[i, x]` becomes sensor row `rows[i]` of the convolved `light` `[y, x]`.
 pub(super) struct ForwardJob<'a, T> {
     pub light: &'a [T],
     pub rows: &'a [usize],
     pub values: &'a mut [T],
 }
 
-/// The adjoint: what `values` of some rows send back to a field. Rows of it that are dark in `mask` are not wanted.
+/// Adjoint product of one instant: from `values[i, x]` in sensor row `rows[i]` to the light of the field.
+///
+/// Field rows that are zero in `mask` need not be computed.
 pub(super) struct AdjointJob<'a, T> {
     pub values: &'a [T],
     pub rows: &'a [usize],
@@ -82,13 +88,14 @@ pub(super) struct AdjointJob<'a, T> {
 }
 
 impl<T: Scalar> Engine<T> {
-    pub fn cheapest(geometry: &Geometry, psf: &Psf, rows_of: &[Vec<usize>]) -> Self {
-        // Real operations per x-frequency: 8 for a complex multiply–add, 5 n log2 n
-        // for a complex FFT of length n, there and back.
-        let reads: usize = rows_of.iter().map(Vec::len).sum();
+    /// The engine with the lower operation count for instants that read `sensor_rows_of`.
+    pub fn cheapest(geometry: &Geometry, psf: &Psf, sensor_rows_of: &[Vec<usize>]) -> Self {
+        // Real operations per x-frequency: 8 for a complex multiply–add, and 5 n log2 n for each of two complex FFTs
+        // of length n.
+        let reads: usize = sensor_rows_of.iter().map(Vec::len).sum();
         let rowwise = 8.0 * (reads * geometry.field_rows) as f64;
         let n = geometry.fft_rows() as f64;
-        let planar = rows_of.len() as f64 * 10.0 * n * n.log2();
+        let planar = sensor_rows_of.len() as f64 * 10.0 * n * n.log2();
         if rowwise <= planar {
             Self::Rowwise(Rowwise::new(geometry, psf))
         } else {
@@ -99,45 +106,50 @@ impl<T: Scalar> Engine<T> {
     pub fn scratch(&self) -> Scratch<T> {
         match self {
             Self::Rowwise(engine) => Scratch::Rowwise(engine.scratch()),
-            Self::Planar(engine) => Scratch::Planar(engine.scratch(), Vec::new()),
+            Self::Planar(engine) => Scratch::Planar {
+                engine: engine.scratch(),
+                light: Vec::new(),
+            },
         }
     }
 
-    /// Bytes that each field is multiplied by nearly the same of.
-    pub fn bytes(&self) -> usize {
+    /// Bytes of PSF spectra that instants in a batch can share; 0 if the engine takes instants one by one.
+    pub fn shared_spectrum_bytes(&self) -> usize {
         match self {
-            Self::Rowwise(engine) => engine.bytes(),
+            Self::Rowwise(engine) => engine.spectrum_bytes(),
             Self::Planar(_) => 0,
         }
     }
 
-    /// Writes the values of all `fields`.
-    pub fn read(&self, fields: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
+    /// Computes the row values of all `jobs`.
+    pub fn apply_batch(&self, jobs: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         match (self, scratch) {
-            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.read(fields, s),
-            (Self::Planar(engine), Scratch::Planar(s, _)) => {
-                for field in fields {
-                    engine.read(field.light, field.rows, field.values, s);
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.apply_batch(jobs, s),
+            (Self::Planar(engine), Scratch::Planar { engine: s, .. }) => {
+                for job in jobs {
+                    engine.apply(job.light, job.rows, job.values, s);
                 }
             }
             _ => unreachable!("scratch comes from the same engine"),
         }
     }
 
-    /// The adjoint of [`Self::read`]. Calls `write(field, start, light)` for pieces of the light of each field, in
-    /// whole rows from pixel `start` on, until all that is wanted was written.
-    pub fn spread(
+    /// The adjoint of [`Self::apply_batch`].
+    ///
+    /// Calls `write(job, start, light)` for pieces of the light of each job: whole field rows from pixel `start` on.
+    /// Each row that has an active pixel in the job's mask is written once; other rows may be left out.
+    pub fn adjoint_batch(
         &self,
-        fields: &[AdjointJob<T>],
+        jobs: &[AdjointJob<T>],
         scratch: &mut Scratch<T>,
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
         match (self, scratch) {
-            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.spread(fields, s, write),
-            (Self::Planar(engine), Scratch::Planar(s, light)) => {
+            (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.adjoint_batch(jobs, s, write),
+            (Self::Planar(engine), Scratch::Planar { engine: s, light }) => {
                 light.resize(engine.field_pixels(), T::zero());
-                for (i, field) in fields.iter().enumerate() {
-                    engine.spread(field.values, field.rows, light, s);
+                for (i, job) in jobs.iter().enumerate() {
+                    engine.adjoint(job.values, job.rows, light, s);
                     write(i, 0, light);
                 }
             }
@@ -146,7 +158,7 @@ impl<T: Scalar> Engine<T> {
     }
 }
 
-/// The complex transforms of a length, there and back, by what the processor has.
+/// The forward and the inverse complex FFT of a length; scalar code if [`is_portable`].
 pub(super) fn transforms<T: Scalar>(length: usize) -> (Arc<dyn Fft<T>>, Arc<dyn Fft<T>>) {
     if is_portable() {
         let mut planner = FftPlannerScalar::new();
@@ -163,8 +175,7 @@ pub(super) fn transforms<T: Scalar>(length: usize) -> (Arc<dyn Fft<T>>, Arc<dyn 
     }
 }
 
-/// Smallest even length ≥ `length` whose only prime factors are 2, 3 and 5: the
-/// lengths at which the FFT crate is fastest.
+/// Smallest even number ≥ `length` whose only prime factors are 2, 3 and 5: FFTs of such lengths are fast.
 pub(super) fn smooth_length(length: usize) -> usize {
     let is_smooth = |mut n: usize| {
         for factor in [2, 3, 5] {

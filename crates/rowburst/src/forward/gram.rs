@@ -4,11 +4,13 @@
 //! G[(a,x),(b,x')] = Σ_y Σ_ξ p_a(y, x−ξ) p_b(y, x'−ξ)
 //! ```
 //!
-//! Moving both columns by one shifts the sum over field columns `ξ` by one, so a
-//! step along a diagonal adds the products of the column that enters and takes away
-//! those of the column that leaves: two matrix products and a running sum. A PSF that
-//! changes over the field has no such diagonals: there the columns of `S_i` are written
-//! out, some at a time, and multiplied.
+//! `p_a(y, d)` is the PSF from field row `y` to row `a` of the instant at the column displacement `d`. Moving both
+//! columns `x`, `x'` by one shifts the sum over the field columns `ξ` by one. So a step along a diagonal of a block
+//! adds the products of the PSF column that enters the sum and subtracts those of the column that leaves it: two
+//! matrix products and a running sum (docs/design/003).
+//!
+//! A PSF that changes over the field has no such diagonals. Then the columns of `S_i` are formed in batches and
+//! multiplied (docs/design/002).
 
 use super::engine::smooth_length;
 use super::{Layer, RollingShutter};
@@ -21,55 +23,57 @@ use faer::{Accum, Mat, MatMut, Par};
 use realfft::RealFftPlanner;
 use rustfft::num_complex::Complex64;
 
-/// Columns of `S_i` that are held at once.
+/// Columns of `S_i` held at once; larger takes more memory (docs/design/002).
 const COLUMNS_PER_BATCH: usize = 128;
 
-/// Columns of a sensor from which on blocks stay f32, and the products of PSF columns are taken in f32, in half of the
-/// time. The sums that run along the diagonals are f64 all the same: their error is near 1e-8 of the diagonal in each
-/// element, 1e-6 in the norm of the block, where [`MIN_RHO`] is ten times as much.
+/// Sensor columns from which blocks are built in f32; smaller is faster and limits `ρ` sooner (docs/design/003).
 const SINGLE_FROM: usize = 1024;
 
-/// Smallest `ρ` over a diagonal element of the block, of such sensors and of others, whose f64 factors have no
-/// digits left below it.
-const MIN_RHO: (f64, f64) = (1e-5, 1e-9);
+/// Smallest `ρ` over a diagonal element where blocks are built in f32; smaller solves lose their digits
+/// (docs/design/003).
+const MIN_RHO_SINGLE: f64 = 1e-5;
 
-/// Bytes of an element of a block of a sensor of so many columns, at most.
+/// The same where blocks are built in f64.
+const MIN_RHO_DOUBLE: f64 = 1e-9;
+
+/// Largest size in bytes that a block's element has on a sensor with `columns` columns.
 pub(crate) fn element_bytes(columns: usize) -> usize {
-    match columns >= SINGLE_FROM {
-        true => size_of::<f32>(),
-        false => size_of::<f64>(),
+    if columns >= SINGLE_FROM {
+        size_of::<f32>()
+    } else {
+        size_of::<f64>()
     }
 }
 
 impl RollingShutter {
-    /// The upper triangle of `sum += weight · S_i S_iᵀ` for the rows of instant `i`, row after row: the index
-    /// of column `x` of the instant's `a`-th row is `a · columns + x`.
+    /// The upper triangle of `sum += weight · S_i S_iᵀ` for instant `i`.
     ///
-    /// Cost: about `(rows·columns)² · field_rows` multiply–adds, with the number of
-    /// rows of this instant: in f32 on sensors from [`SINGLE_FROM`] columns on.
-    fn add_spatial_gram<S: Scalar>(&self, instant: usize, weight: f64, sum: MatMut<S>) {
+    /// Column `x` of the instant's `a`-th row has the index `a · columns + x`. The cost is about
+    /// `(rows·columns)² · field_rows` multiply–adds, with the number of rows of this instant. They are in f32 from
+    /// [`SINGLE_FROM`] sensor columns on.
+    fn add_unrestricted_gram<S: Scalar>(&self, instant: usize, weight: f64, sum: MatMut<S>) {
         match self.layers.as_slice() {
             [
                 Layer {
                     psf, share: None, ..
                 },
             ] if self.geometry.columns >= SINGLE_FROM => {
-                self.add_shifted::<f32, S>(instant, psf, weight, sum);
+                self.add_gram_by_diagonals::<f32, S>(instant, psf, weight, sum);
             }
             [
                 Layer {
                     psf, share: None, ..
                 },
-            ] => self.add_shifted::<f64, S>(instant, psf, weight, sum),
+            ] => self.add_gram_by_diagonals::<f64, S>(instant, psf, weight, sum),
             _ => {
                 let pixels: Vec<usize> = (0..self.video.pixels()).collect();
-                self.add_gram_of(instant, &pixels, weight, sum);
+                self.add_gram_of_pixels(instant, &pixels, weight, sum);
             }
         }
     }
 
-    /// The same for one PSF, with the products of the columns that enter and leave in `T`.
-    fn add_shifted<T: Scalar, S: Scalar>(
+    /// The same for one PSF. The products of the PSF columns that enter and leave the sum are computed in `T`.
+    fn add_gram_by_diagonals<T: Scalar, S: Scalar>(
         &self,
         instant: usize,
         psf: &Psf,
@@ -77,10 +81,10 @@ impl RollingShutter {
         mut sum: MatMut<S>,
     ) {
         let g = &self.geometry;
-        let rows = &self.rows_of[instant];
+        let rows = &self.sensor_rows_of[instant];
         let columns = g.columns;
-        // `[x, y]`: PSF values that lead to row `r` from the field column that enters, and, times
-        // `sign`, from the one that leaves.
+        // `[x, y]`: PSF values from the field column that enters to sensor row `r`; beside them, times `sign`, those
+        // from the field column that leaves.
         let strips = |r: usize, sign: f32| {
             let mut strips = Mat::<T>::zeros(columns, 2 * g.field_rows);
             let sides = [(1, 0, 1.0), (0, g.field_columns - 1, sign)];
@@ -107,11 +111,12 @@ impl RollingShutter {
                 &mut steps,
                 part,
                 Accum::Replace,
-                (&strips[a].0, &strips[b].1),
+                &strips[a].0,
+                &strips[b].1,
                 T::one(),
             );
             let edge = |a: usize, b: usize| &edges[(a * rows.len() + b) * columns..][..columns];
-            // `[x]`: this column of the block of the two rows, made from the last one.
+            // `[x]`: a column of the block of rows `a` and `b`, updated from one column to the next.
             let mut line = edge(b, a).to_vec();
             for x2 in 0..columns {
                 if x2 > 0 {
@@ -130,11 +135,11 @@ impl RollingShutter {
         }
     }
 
-    /// `G[(a,0),(b,x')]`, at `(a · number of rows + b) · columns + x'`.
+    /// `G[(a,0),(b,x')]`, at index `(a · rows + b) · columns + x'` with the number of rows of the instant.
     fn first_columns(&self, psf: &Psf, rows: &[usize]) -> Vec<f64> {
         let g = &self.geometry;
         let mut edges = vec![0.0; rows.len() * rows.len() * g.columns];
-        // All column displacements that any (x, ξ) has, in one line per PSF row.
+        // One line per PSF row holds the column displacements of all pairs (x, ξ).
         let first = g.column_displacement(0, g.field_columns - 1);
         let width = g.columns + g.field_columns - 1;
         let line = |r: usize, y: usize| -> Vec<f64> {
@@ -143,8 +148,8 @@ impl RollingShutter {
                 .map(|i| f64::from(psf.at_displacement(dy, first + i as isize)))
                 .collect()
         };
-        // Σ_ξ a[ξ] b[x + ξ] over all field rows: correlations, which add up as spectra. No sum that
-        // is wanted reaches beyond `width`, so nothing wraps around.
+        // The sums Σ_ξ a[ξ] b[x + ξ] are correlations. Their spectra are added over the field rows and inverted once.
+        // The lags that are kept reach no further than `width`, so nothing wraps around.
         let length = smooth_length(width);
         let mut planner = RealFftPlanner::<f64>::new();
         let (forward, inverse) = (
@@ -171,7 +176,7 @@ impl RollingShutter {
             }
         }
         for (sum, edge) in sums.iter_mut().zip(edges.chunks_exact_mut(g.columns)) {
-            // A real signal's constant and highest frequency are real but for rounding.
+            // The zero and the highest frequency of a real signal are real; rounding errors are removed.
             sum[0].im = 0.0;
             if length.is_multiple_of(2) {
                 sum[length / 2].im = 0.0;
@@ -187,12 +192,13 @@ impl RollingShutter {
 const WHOLE: BlockStructure = BlockStructure::Rectangular;
 const UPPER: BlockStructure = BlockStructure::TriangularUpper;
 
-/// The `part` of `to` plus or replaced by `weight · a bᵀ`.
+/// Adds `weight · a bᵀ` to the `part` of `to`, or replaces it, as `accum` says.
 fn multiply<T: Scalar>(
     to: impl AsMatMut<T = T, Rows = usize, Cols = usize>,
     part: BlockStructure,
     accum: Accum,
-    (a, b): (&Mat<T>, &Mat<T>),
+    a: &Mat<T>,
+    b: &Mat<T>,
     weight: T,
 ) {
     let b = b.transpose();
@@ -200,48 +206,51 @@ fn multiply<T: Scalar>(
 }
 
 impl RollingShutter {
-    /// Whether a block is a sum of so many parts that it has to be made in f64.
-    pub(crate) fn sums_need_f64(&self) -> bool {
+    /// Whether the sums of a block are f64, also where the block is then rounded to f32 for the solve.
+    pub(crate) fn builds_in_f64(&self) -> bool {
         self.geometry.columns < SINGLE_FROM || self.layers.len() > 1
     }
 
-    /// Smallest `ρ` over the typical size of a diagonal element for which `(G + ρI)⁻¹` has digits.
+    /// Smallest `ρ`, over a typical diagonal element of `G`, at which `(G + ρI)⁻¹` is numerically stable.
     pub fn min_rho(&self) -> f64 {
-        match self.geometry.columns >= SINGLE_FROM {
-            true => MIN_RHO.0,
-            false => MIN_RHO.1,
+        if self.geometry.columns >= SINGLE_FROM {
+            MIN_RHO_SINGLE
+        } else {
+            MIN_RHO_DOUBLE
         }
     }
 
-    /// Adds to `sum` the diagonal block of `A P Aᵀ` of the rows of instant `i`,
-    /// with `P` the projection onto `support` (`None`: every voxel). Indices as in
-    /// [`Self::indices_of`]. The block is symmetric: only what lies on and above its diagonal
-    /// is written.
+    /// Adds to `sum` the diagonal block of `A P Aᵀ` for the rows of instant `i`.
     ///
-    /// The blocks are all of `A P Aᵀ` where no bin is seen by two instants.
+    /// `P` projects onto `support` (`None`: every voxel). Row and column indices of the block are those of
+    /// [`Self::indices_of`]. The block is symmetric; only its upper triangle, with the diagonal, is written.
+    ///
+    /// Where no bin is seen by two instants, `A P Aᵀ` has no elements outside these blocks.
     pub fn add_gram_block<T: Scalar>(
         &self,
         instant: usize,
         support: Option<&Support>,
         mut sum: MatMut<T>,
     ) {
-        let run = &self.time.instants()[instant];
-        let mut open_weight = 0.0;
-        for (k, weight) in run.weights.iter().enumerate() {
-            match support.and_then(|s| s.pixels_of(run.first_bin + k)) {
-                None => open_weight += weight * weight,
+        let bins = &self.time.instants()[instant];
+        let mut unrestricted_weight = 0.0;
+        for (k, weight) in bins.weights.iter().enumerate() {
+            match support.and_then(|s| s.pixels_of(bins.first_bin + k)) {
+                None => unrestricted_weight += weight * weight,
                 Some(pixels) => {
-                    self.add_gram_of(instant, &pixels, weight * weight, sum.rb_mut());
+                    self.add_gram_of_pixels(instant, &pixels, weight * weight, sum.rb_mut());
                 }
             }
         }
-        if open_weight > 0.0 {
-            self.add_spatial_gram(instant, open_weight, sum);
+        if unrestricted_weight > 0.0 {
+            self.add_unrestricted_gram(instant, unrestricted_weight, sum);
         }
     }
 
-    /// The columns of `A` that lead from the lit voxels of `support` to the rows of instant `i`: `B` with `B Bᵀ`
-    /// the block of [`Self::add_gram_block`]. `None` where a bin is open, or there are more than `max_columns`.
+    /// The columns of `A` of the active voxels in `support`, for the rows of instant `i`: the matrix `B` whose `B Bᵀ`
+    /// is the block of [`Self::add_gram_block`].
+    ///
+    /// Returns `None` if a bin is unrestricted or if there are more than `max_columns` columns.
     pub fn active_columns<T: Scalar>(
         &self,
         instant: usize,
@@ -265,7 +274,7 @@ impl RollingShutter {
     }
 
     /// The upper triangle of `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.
-    fn add_gram_of<T: Scalar>(
+    fn add_gram_of_pixels<T: Scalar>(
         &self,
         instant: usize,
         pixels: &[usize],
@@ -273,19 +282,22 @@ impl RollingShutter {
         mut sum: MatMut<T>,
     ) {
         let weight = T::nearest(weight);
-        // A few columns at a time: those of a crowded bin are several videos' worth.
+        // In batches, since all columns of a dense bin take the memory of several videos.
         for pixels in pixels.chunks(COLUMNS_PER_BATCH) {
             let a = self.columns_of(instant, pixels);
-            multiply(sum.rb_mut(), UPPER, Accum::Add, (&a, &a), weight);
+            multiply(sum.rb_mut(), UPPER, Accum::Add, &a, &a, weight);
         }
     }
 
-    /// The diagonal element of `A Aᵀ` of the sensor's pixel `(row, column)`, in a row that is read.
+    /// The diagonal element of `A Aᵀ` at the sensor pixel `(row, column)`.
+    ///
+    /// # Panics
+    /// If no instant reads `row`.
     pub fn pixel_power(&self, row: usize, column: usize) -> f64 {
         let g = &self.geometry;
         let sees = |rows: &Vec<usize>| rows.contains(&row);
         let instant = self
-            .rows_of
+            .sensor_rows_of
             .iter()
             .position(sees)
             .expect("every row is read");
@@ -304,20 +316,21 @@ impl RollingShutter {
         exposure * power
     }
 
-    /// Positions in the frame of the rows of instant `i`, in the order of its block.
+    /// Frame indices of the pixels in the rows of instant `i`, in the order of its block.
     pub fn indices_of(&self, instant: usize) -> Vec<usize> {
         let columns = self.geometry.columns;
-        let places = self.places_of[instant].iter();
-        places
+        let frame_rows = self.frame_rows_of[instant].iter();
+        frame_rows
             .flat_map(|&row| row * columns..(row + 1) * columns)
             .collect()
     }
 
-    /// The columns of `S_i` for some pixels of the field: shifted cut-outs of the PSF. Rows as
-    /// in [`Self::indices_of`].
+    /// The columns of `S_i` for the field pixels `pixels`: shifted cut-outs of the PSF.
+    ///
+    /// The matrix has one row for each index of [`Self::indices_of`].
     pub fn columns_of<T: Scalar>(&self, instant: usize, pixels: &[usize]) -> Mat<T> {
         let g = &self.geometry;
-        let rows = &self.rows_of[instant];
+        let rows = &self.sensor_rows_of[instant];
         let mut columns = Mat::<T>::zeros(rows.len() * g.columns, pixels.len());
         for (&pixel, column) in pixels.iter().zip(columns.col_iter_mut()) {
             let column = column.try_as_col_major_mut().expect("columns are whole");
@@ -343,7 +356,7 @@ impl RollingShutter {
 }
 
 impl Layer<f32> {
-    /// What a pixel of the field sends to the displacement `(dy, dx)` by this layer.
+    /// Light from the field pixel `pixel` at the displacement `(dy, dx)` in this layer.
     fn value(&self, pixel: usize, dy: isize, dx: isize) -> f64 {
         let share = self.share.as_ref().map_or(1.0, |share| share[pixel]);
         f64::from(share) * f64::from(self.psf.at_displacement(dy, dx))
@@ -367,7 +380,7 @@ pub(super) mod tests {
                 let mut video = vec![0.0; operator.domain_len()];
                 operator.adjoint(&unit, &mut video);
                 if let Some(support) = support {
-                    support.apply(&mut video);
+                    support.zero_outside(&mut video);
                 }
                 operator.apply(&video, &mut unit);
                 unit
@@ -375,7 +388,7 @@ pub(super) mod tests {
             .collect()
     }
 
-    /// A whole sensor with a bin and an exposure of a row.
+    /// A camera with one bin per row and an exposure of one row.
     pub fn row_by_row(rows: usize, columns: usize, shutter: Shutter) -> Camera {
         Camera::new(CameraParams {
             rows,
@@ -390,7 +403,7 @@ pub(super) mod tests {
         .unwrap()
     }
 
-    /// The two kinds of products, of a sensor that is read two rows at a time.
+    /// Products in f32 and in f64 on a sensor that reads two rows at a time.
     #[test]
     fn products_in_f32_stay_far_below_min_rho() {
         let camera = row_by_row(8, 200, Shutter::DualInsideOut);
@@ -402,10 +415,10 @@ pub(super) mod tests {
         let operator = RollingShutter::new(&camera, &psf);
         let side = operator.indices_of(1).len();
         let (mut single, mut double) = (Mat::zeros(side, side), Mat::zeros(side, side));
-        operator.add_shifted::<f32, f64>(1, &psf, 1.0, single.as_mut());
-        operator.add_shifted::<f64, f64>(1, &psf, 1.0, double.as_mut());
+        operator.add_gram_by_diagonals::<f32, f64>(1, &psf, 1.0, single.as_mut());
+        operator.add_gram_by_diagonals::<f64, f64>(1, &psf, 1.0, double.as_mut());
         let error = (&single - &double).norm_max() / double[(0, 0)];
-        assert!(0.0 < error && error < 0.1 * MIN_RHO.0, "{error}");
+        assert!(0.0 < error && error < 0.1 * MIN_RHO_SINGLE, "{error}");
     }
 
     #[test]
@@ -436,7 +449,7 @@ pub(super) mod tests {
             let video: Vec<f32> = (0..shape.voxels())
                 .map(|_| rng.random_range(0.0..1.0))
                 .collect();
-            // Few enough lit voxels that no bin counts as open; bin 0 is opened on purpose.
+            // Bin 0 is unrestricted; the others have too few active voxels to be.
             let mut thresholds = vec![0.97; shape.bins];
             thresholds[0] = 0.0;
             let some = Support::above(&video, shape, &thresholds);

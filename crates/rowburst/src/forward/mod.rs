@@ -4,13 +4,16 @@
 //! b[r, x] = Σ_j w[r, j] Σ_{y',x'} v[j, y', x'] · p[r − sy(y'), x − sx(x')]
 //! ```
 //!
-//! (Eqs. 1–4), with `sy(y') = y' − oy`, `sx(x') = x' − ox` the position of a field
-//! pixel on the sensor, and no wrap-around. Where the PSF changes over the field
-//! (`PatchSet`), `p` is `Σ_c a_c(y', x') p_c`: the light of the field is shared out among
-//! the layers `a_c v`, and each is convolved with its own PSF. The row-time weights act through the
-//! instant at which a row is read, `w[r, j] = w_{k[r]}[j]`, so `A = S·T`: `T`
-//! integrates the video over the exposure of each instant, and `S` convolves each
-//! instant's light and keeps the rows that are read then.
+//! These are Eqs. 1–4 in the head of the crate. `v` is the video `[t, y, x]`, `b` the frame `[y, x]`, `p` the PSF, and
+//! `w[r, j]` the weight of bin `j` in row `r`. The field pixel `(y', x')` lies at `sy(y') = y' − oy`,
+//! `sx(x') = x' − ox` on the sensor. The convolution does not wrap around.
+//!
+//! A PSF that changes over the field ([`PatchSet`]) is a sum of layers, `p = Σ_c a_c(y', x') p_c`. Each layer
+//! convolves its share `a_c v` of the light with its own PSF `p_c` (docs/design/002).
+//!
+//! All rows of an instant have the same weights, `w[r, j] = w_{k[r]}[j]`, so `A = S·T`. `T` integrates the video over
+//! the exposure of each instant. `S` convolves the light of each instant and keeps the rows that the instant reads
+//! (docs/design/001).
 
 mod engine;
 pub(crate) mod gram;
@@ -22,55 +25,59 @@ mod tests;
 use crate::linop::{LinearOperator, Scalar, WritePart, write_parts};
 use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
 use engine::{AdjointJob, Engine, ForwardJob, Geometry};
-use planar::Planar;
+use planar::{Divisor, Planar};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
 /// The operator `A`: from a video `[t, y, x]` to a frame `[y, x]`.
 ///
-/// Adjoint: exact, `Aᵀ = Tᵀ Sᵀ`. Cost: for each instant one short complex FFT per
-/// two field rows, and a multiply–add over the field for each row that is read; the
-/// rows that are not read are never computed. Where an instant reads many rows
-/// (`global`), 2-D FFTs take over, whichever needs less arithmetic. All that once for
-/// each PSF that a pixel's light is shared out among.
+/// The adjoint is exact: `Aᵀ = Tᵀ Sᵀ`.
+///
+/// An instant costs one short complex FFT for every two field rows, and a multiply–add over the field for each row
+/// that is read. Rows that are not read are not computed. Where an instant reads many rows (`global`), the operator
+/// uses 2-D FFTs instead; it selects the way that needs fewer operations. With several PSFs it does all this once for
+/// each.
 pub struct RollingShutter<T: Scalar = f32> {
     video: Shape,
     time: TimeGrid,
     geometry: Geometry,
-    frame_rows: usize,
-    /// The sensor's rows that each instant reads, and where they are in the frame.
-    rows_of: Vec<Vec<usize>>,
-    places_of: Vec<Vec<usize>>,
+    frame_row_count: usize,
+    /// Sensor rows that each instant reads.
+    sensor_rows_of: Vec<Vec<usize>>,
+    /// The same rows as row indices of the frame.
+    frame_rows_of: Vec<Vec<usize>>,
     layers: Vec<Layer<T>>,
-    /// Mean of `|P̂|²` over the field at each frequency of a plane; empty where rows are
-    /// convolved one by one.
+    /// Mean of `|P̂|²` over the field at each frequency of the padded plane; empty with row-wise engines.
     plane_power: Vec<f32>,
 }
 
-/// A PSF with its part of the field.
+/// A PSF with its share of the field's light.
 struct Layer<T: Scalar> {
     psf: Psf,
-    /// `a_c` of every pixel of the field; `None`: 1.
+    /// `a_c` of every field pixel; `None`: 1 everywhere.
     share: Option<Vec<f32>>,
     engine: Engine<T>,
 }
 
-/// Work space of one thread.
+/// Buffers of one thread.
 struct Scratch<T> {
     engine: engine::Scratch<T>,
-    /// Light of the field, and values of the rows, of one of several layers.
+    /// Light of the field in one of several layers.
     light: Vec<T>,
+    /// Row values of one of several layers.
     values: Vec<T>,
 }
 
 impl RollingShutter {
-    /// The operator of `camera` behind a diffuser with one PSF (`&Psf`) or with one that
-    /// changes over the field (`&PatchSet`), in `f32`.
+    /// The operator of `camera` behind a diffuser, in `f32`. The PSF is constant (`&Psf`) or changes over the field
+    /// (`&PatchSet`).
     pub fn new(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
-        Self::in_precision(camera, psf)
+        Self::with_precision(camera, psf)
     }
 
-    /// `P Aᵀ`, with `P` the projection onto `support`: rows without a place of it cost nothing.
+    /// `video = P Aᵀ frame`, with `P` the projection onto `support`; overwrites `video`.
+    ///
+    /// Rows without an active voxel are skipped.
     ///
     /// # Panics
     /// If a length does not match.
@@ -83,27 +90,27 @@ impl RollingShutter {
 }
 
 impl<T: Scalar> RollingShutter<T> {
-    /// The operator of `camera` behind a diffuser with one PSF (`&Psf`) or with one that
-    /// changes over the field (`&PatchSet`).
-    pub fn in_precision(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
+    /// The operator of `camera` behind a diffuser, in the precision `T`. The PSF is constant (`&Psf`) or changes over
+    /// the field (`&PatchSet`).
+    pub fn with_precision(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
         let time = camera.time().clone();
-        let mut rows_of = vec![Vec::new(); time.instants().len()];
-        let mut places_of = rows_of.clone();
+        let mut sensor_rows_of = vec![Vec::new(); time.instants().len()];
+        let mut frame_rows_of = sensor_rows_of.clone();
         let rows = camera.instants().iter().zip(camera.sensor_rows());
-        for (place, (&instant, row)) in rows.enumerate() {
-            rows_of[instant].push(row);
-            places_of[instant].push(place);
+        for (frame_row, (&instant, sensor_row)) in rows.enumerate() {
+            sensor_rows_of[instant].push(sensor_row);
+            frame_rows_of[instant].push(frame_row);
         }
         let geometry = Geometry::new(camera);
-        let layers = layers_of(psf.into(), &geometry, &rows_of);
+        let layers = layers_of(psf.into(), &geometry, &sensor_rows_of);
         Self {
             video: camera.video_shape(),
             time,
             plane_power: plane_power(&layers),
             geometry,
-            frame_rows: camera.rows(),
-            rows_of,
-            places_of,
+            frame_row_count: camera.rows(),
+            sensor_rows_of,
+            frame_rows_of,
             layers,
         }
     }
@@ -115,12 +122,12 @@ impl<T: Scalar> RollingShutter<T> {
 
     /// Rows and columns of the frame.
     pub fn frame_shape(&self) -> (usize, usize) {
-        (self.frame_rows, self.geometry.columns)
+        (self.frame_row_count, self.geometry.columns)
     }
 
-    /// The rows of the sensor that each instant reads.
+    /// The sensor rows that each instant reads.
     pub fn rows_of_instants(&self) -> &[Vec<usize>] {
-        &self.rows_of
+        &self.sensor_rows_of
     }
 
     /// The time axis of the video.
@@ -128,10 +135,11 @@ impl<T: Scalar> RollingShutter<T> {
         &self.time
     }
 
-    /// An approximate `(A Aᵀ + ρI)⁻¹ r` for operators that convolve whole planes: as if
-    /// the sensor had no edge, where it is a division by `|P̂|² + ρ` (the mean over the
-    /// field) at each spatial frequency. Symmetric and positive definite. `None` where rows are convolved one
-    /// by one.
+    /// An approximate `(A Aᵀ + ρI)⁻¹ r`, as if the sensor had no edge: a preconditioner.
+    ///
+    /// For each instant it divides by `w·|P̂|² + ρ` at each spatial frequency, with `w` the sum of the instant's
+    /// squared weights and `|P̂|²` the mean over the field. The map is symmetric and positive definite. `r` and the
+    /// result have the length of a frame. Returns `None` where the operator convolves row by row.
     pub fn circulant_inverse(&self, r: &[T], rho: f64) -> Option<Vec<T>> {
         let Engine::Planar(planar) = &self.layers[0].engine else {
             return None;
@@ -139,15 +147,19 @@ impl<T: Scalar> RollingShutter<T> {
         let columns = self.geometry.columns;
         let mut scratch = planar.scratch();
         let mut out = vec![T::zero(); r.len()];
-        let read = self.rows_of.iter().zip(&self.places_of);
-        for ((rows, places), run) in read.zip(self.time.instants()) {
-            let values = lines_of(r, places, columns);
-            let weight: f64 = run.weights.iter().map(|w| w * w).sum();
+        let rows_of_instants = self.sensor_rows_of.iter().zip(&self.frame_rows_of);
+        for ((rows, frame_rows), instant) in rows_of_instants.zip(self.time.instants()) {
+            let values = lines_of(r, frame_rows, columns);
+            let weight: f64 = instant.weights.iter().map(|w| w * w).sum();
             let mut divided = vec![T::zero(); values.len()];
-            let power = (self.plane_power.as_slice(), weight);
-            planar.divide(&values, rows, power, rho, &mut divided, &mut scratch);
-            for (&place, values) in places.iter().zip(divided.chunks_exact(columns)) {
-                out[place * columns..(place + 1) * columns].copy_from_slice(values);
+            let divisor = Divisor {
+                power: &self.plane_power,
+                weight,
+                rho,
+            };
+            planar.divide(&values, rows, divisor, &mut divided, &mut scratch);
+            for (&row, values) in frame_rows.iter().zip(divided.chunks_exact(columns)) {
+                out[row * columns..(row + 1) * columns].copy_from_slice(values);
             }
         }
         Some(out)
@@ -162,16 +174,18 @@ impl<T: Scalar> RollingShutter<T> {
         }
     }
 
-    /// Instants that a thread works on together, so that they share what is read of the PSF's spectra where a cache does
-    /// not hold all of them.
+    /// Instants that a thread processes together.
+    ///
+    /// Where the PSF's spectra exceed the cache, these instants share each part of them that is read from memory.
     fn batch_size(&self) -> usize {
-        /// Bytes of a cache that a thread has for itself.
+        /// Cache of a thread in bytes; larger spectra are shared by several instants.
         const CACHE: usize = 1 << 20;
+        /// Most instants that share the PSF's rows; larger takes more memory for less gain (docs/design/001).
         const MAX_BATCH: usize = 8;
         match self.layers.as_slice() {
-            [layer] if layer.engine.bytes() > CACHE => {
-                // All threads have as many groups.
-                let (instants, threads) = (self.rows_of.len(), rayon::current_num_threads());
+            [layer] if layer.engine.shared_spectrum_bytes() > CACHE => {
+                // Every thread gets the same number of groups.
+                let (instants, threads) = (self.sensor_rows_of.len(), rayon::current_num_threads());
                 let rounds = instants.div_ceil(threads * MAX_BATCH);
                 instants.div_ceil(threads * rounds)
             }
@@ -179,8 +193,8 @@ impl<T: Scalar> RollingShutter<T> {
         }
     }
 
-    /// Writes the values of all `fields`.
-    fn read(&self, fields: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
+    /// Computes the row values of all `jobs`, `S` applied to their light.
+    fn apply_batch(&self, jobs: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         if let [
             Layer {
                 share: None,
@@ -189,34 +203,36 @@ impl<T: Scalar> RollingShutter<T> {
             },
         ] = self.layers.as_slice()
         {
-            return engine.read(fields, &mut scratch.engine);
+            return engine.apply_batch(jobs, &mut scratch.engine);
         }
-        for field in fields {
-            field.values.fill(T::zero());
-            scratch.values.resize(field.values.len(), T::zero());
+        for job in jobs {
+            job.values.fill(T::zero());
+            scratch.values.resize(job.values.len(), T::zero());
             for layer in &self.layers {
                 match &layer.share {
-                    None => scratch.light.copy_from_slice(field.light),
+                    None => scratch.light.copy_from_slice(job.light),
                     Some(share) => {
-                        let shared = scratch.light.iter_mut().zip(field.light).zip(share);
-                        shared.for_each(|((s, &v), &a)| *s = v * T::from(a));
+                        let shares = scratch.light.iter_mut().zip(job.light).zip(share);
+                        shares.for_each(|((s, &v), &a)| *s = v * T::from(a));
                     }
                 }
-                let part = ForwardJob {
+                let layer_job = ForwardJob {
                     light: &scratch.light,
-                    rows: field.rows,
+                    rows: job.rows,
                     values: &mut scratch.values,
                 };
-                layer.engine.read(&mut [part], &mut scratch.engine);
-                add_scaled(field.values, &scratch.values, T::one());
+                layer
+                    .engine
+                    .apply_batch(&mut [layer_job], &mut scratch.engine);
+                add_scaled(job.values, &scratch.values, T::one());
             }
         }
     }
 
-    /// The adjoint of [`Self::read`]; see [`Engine::spread`].
-    fn spread(
+    /// The adjoint of [`Self::apply_batch`]; see [`Engine::adjoint_batch`].
+    fn adjoint_batch(
         &self,
-        fields: &[AdjointJob<T>],
+        jobs: &[AdjointJob<T>],
         scratch: &mut Scratch<T>,
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
@@ -228,20 +244,20 @@ impl<T: Scalar> RollingShutter<T> {
             },
         ] = self.layers.as_slice()
         {
-            return engine.spread(fields, &mut scratch.engine, write);
+            return engine.adjoint_batch(jobs, &mut scratch.engine, write);
         }
         let Scratch { engine, light, .. } = scratch;
-        for (i, field) in fields.iter().enumerate() {
+        for (i, job) in jobs.iter().enumerate() {
             light.fill(T::zero());
             for layer in &self.layers {
-                let one = std::slice::from_ref(field);
-                layer.engine.spread(one, engine, |_, start, part| {
+                let one = std::slice::from_ref(job);
+                layer.engine.adjoint_batch(one, engine, |_, start, part| {
                     let sum = &mut light[start..start + part.len()];
                     match &layer.share {
                         None => add_scaled(sum, part, T::one()),
                         Some(share) => {
-                            let shared = sum.iter_mut().zip(part).zip(&share[start..]);
-                            shared.for_each(|((v, s), &a)| *v += *s * T::from(a));
+                            let shares = sum.iter_mut().zip(part).zip(&share[start..]);
+                            shares.for_each(|((v, s), &a)| *v += *s * T::from(a));
                         }
                     }
                 });
@@ -250,17 +266,17 @@ impl<T: Scalar> RollingShutter<T> {
         }
     }
 
-    /// The light that instant `i` integrates: `Σ_j w_i[j] v_j`.
+    /// The light that instant `i` integrates, `Σ_j w_i[j] v_j`; borrowed if that is one bin with weight 1.
     fn integrate<'v>(&self, video: &'v [T], instant: usize) -> Cow<'v, [T]> {
-        let run = &self.time.instants()[instant];
+        let instant = &self.time.instants()[instant];
         let pixels = self.video.pixels();
         let bin = |j: usize| &video[j * pixels..(j + 1) * pixels];
-        if run.weights == [1.0] {
-            return Cow::Borrowed(bin(run.first_bin));
+        if instant.weights == [1.0] {
+            return Cow::Borrowed(bin(instant.first_bin));
         }
         let mut light = vec![T::zero(); pixels];
-        for (k, &weight) in run.weights.iter().enumerate() {
-            add_scaled(&mut light, bin(run.first_bin + k), T::nearest(weight));
+        for (k, &weight) in instant.weights.iter().enumerate() {
+            add_scaled(&mut light, bin(instant.first_bin + k), T::nearest(weight));
         }
         Cow::Owned(light)
     }
@@ -272,18 +288,18 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
     }
 
     fn range_len(&self) -> usize {
-        self.frame_rows * self.geometry.columns
+        self.frame_row_count * self.geometry.columns
     }
 
     fn apply(&self, video: &[T], frame: &mut [T]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         let columns = self.geometry.columns;
-        let instants: Vec<usize> = (0..self.rows_of.len()).collect();
+        let instants: Vec<usize> = (0..self.sensor_rows_of.len()).collect();
         let groups = instants.par_chunks(self.batch_size()).map_init(
             || self.scratch(),
             |scratch, group| {
-                let rows = |instant: &usize| self.rows_of[*instant].as_slice();
+                let rows = |instant: &usize| self.sensor_rows_of[*instant].as_slice();
                 let lights: Vec<Cow<[T]>> = group
                     .iter()
                     .map(|&instant| self.integrate(video, instant))
@@ -292,42 +308,71 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
                     .iter()
                     .map(|instant| vec![T::zero(); rows(instant).len() * columns])
                     .collect();
-                let fields = group.iter().zip(&lights).zip(&mut values);
-                let mut fields: Vec<ForwardJob<T>> = fields
+                let jobs = group.iter().zip(&lights).zip(&mut values);
+                let mut jobs: Vec<ForwardJob<T>> = jobs
                     .map(|((instant, light), values)| ForwardJob {
                         light,
                         rows: rows(instant),
                         values,
                     })
                     .collect();
-                self.read(&mut fields, scratch);
+                self.apply_batch(&mut jobs, scratch);
                 values
             },
         );
-        let read: Vec<Vec<T>> = groups.flatten_iter().collect();
-        for (places, values) in self.places_of.iter().zip(&read) {
-            for (&place, values) in places.iter().zip(values.chunks_exact(columns)) {
-                frame[place * columns..(place + 1) * columns].copy_from_slice(values);
+        let values_of: Vec<Vec<T>> = groups.flatten_iter().collect();
+        for (frame_rows, values) in self.frame_rows_of.iter().zip(&values_of) {
+            for (&row, values) in frame_rows.iter().zip(values.chunks_exact(columns)) {
+                frame[row * columns..(row + 1) * columns].copy_from_slice(values);
             }
         }
     }
 
     fn adjoint(&self, frame: &[T], video: &mut [T]) {
-        self.adjoint_of(frame, video);
+        assert_eq!(video.len(), self.domain_len(), "length of the video");
+        assert_eq!(frame.len(), self.range_len(), "length of the frame");
+        if self.has_one_bin_each() {
+            // Each instant writes its own bin, so no buffer is needed.
+            let copy = |_: usize, part: &[T], video: &mut [T]| video.copy_from_slice(part);
+            return self.adjoint_each(frame, None, video, &copy);
+        }
+        let (pixels, instants) = (self.video.pixels(), self.time.instants());
+        let mut lights = vec![T::zero(); instants.len() * pixels];
+        self.for_each_light(
+            frame,
+            |_| None,
+            &mut lights,
+            |_, _, light, target| {
+                target.copy_from_slice(light);
+            },
+        );
+        video
+            .par_chunks_exact_mut(pixels)
+            .enumerate()
+            .for_each(|(j, bin)| {
+                bin.fill(T::zero());
+                for (instant, light) in instants.iter().zip(lights.chunks_exact(pixels)) {
+                    let first = instant.first_bin;
+                    if (first..first + instant.weights.len()).contains(&j) {
+                        add_scaled(bin, light, T::nearest(instant.weights[j - first]));
+                    }
+                }
+            });
     }
 }
 
 impl<T: Scalar> RollingShutter<T> {
-    /// Whether bin `j` is all that instant `j` integrates.
+    /// Whether every instant `j` integrates bin `j` alone.
     fn has_one_bin_each(&self) -> bool {
         let instants = self.time.instants();
         self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1)
     }
 
-    /// Calls `write(instant, start, light, target)` for pieces of the light that each instant sends back from its rows of
-    /// `frame`, in whole rows from pixel `start` on, with the same piece of the instant's part of `target`. Rows
-    /// that are dark in `mask` may be left out.
-    fn spread_from<'m>(
+    /// Calls `write(instant, start, light, target)` for pieces of `Sᵀ frame`, the light of each instant.
+    ///
+    /// The argument `target` has one plane per instant. `write` gets the light of some whole field rows from pixel
+    /// `start` on, and the same pixels of the instant's plane. Rows that are zero in `mask(instant)` may be left out.
+    fn for_each_light<'m>(
         &self,
         frame: &[T],
         mask: impl Fn(usize) -> Option<&'m [u8]> + Sync,
@@ -343,17 +388,17 @@ impl<T: Scalar> RollingShutter<T> {
                 let instants = first..first + target.len() / pixels;
                 let values: Vec<Vec<T>> = instants
                     .clone()
-                    .map(|i| lines_of(frame, &self.places_of[i], self.geometry.columns))
+                    .map(|i| lines_of(frame, &self.frame_rows_of[i], self.geometry.columns))
                     .collect();
-                let fields: Vec<AdjointJob<T>> = instants
+                let jobs: Vec<AdjointJob<T>> = instants
                     .zip(&values)
                     .map(|(i, values)| AdjointJob {
                         values,
-                        rows: &self.rows_of[i],
+                        rows: &self.sensor_rows_of[i],
                         mask: mask(i),
                     })
                     .collect();
-                self.spread(&fields, scratch, |i, start, light| {
+                self.adjoint_batch(&jobs, scratch, |i, start, light| {
                     let at = i * pixels + start;
                     let target = &mut target[at..at + light.len()];
                     write(first + i, start, light, target);
@@ -362,8 +407,10 @@ impl<T: Scalar> RollingShutter<T> {
         );
     }
 
-    /// Calls `write(start, part, target)` for parts of `P Aᵀ frame` and of `target` that begin at `start`, with `P` the
-    /// projection onto `support` (`None`: every voxel). Rows without a place of it are left out.
+    /// Calls `write(start, part, target)` for each part of `P Aᵀ frame`, in any order and in parallel.
+    ///
+    /// `part` is the result from voxel `start` on, and `target` has the same voxels of the argument `target`. `P`
+    /// projects onto `support` (`None`: every voxel). Rows without an active voxel may be left out.
     ///
     /// # Panics
     /// If a length does not match.
@@ -387,7 +434,7 @@ impl<T: Scalar> RollingShutter<T> {
             return write_parts(&video, target, write);
         }
         let mask_of = |bin: usize| support.map(|s| &s.mask()[bin * pixels..(bin + 1) * pixels]);
-        self.spread_from(frame, mask_of, target, |bin, start, light, target| {
+        self.for_each_light(frame, mask_of, target, |bin, start, light, target| {
             let weight = T::nearest(self.time.instants()[bin].weights[0]);
             let first = bin * pixels + start;
             let Some(mask) = mask_of(bin) else {
@@ -408,54 +455,23 @@ impl<T: Scalar> RollingShutter<T> {
             }
         });
     }
-
-    fn adjoint_of(&self, frame: &[T], video: &mut [T]) {
-        assert_eq!(video.len(), self.domain_len(), "length of the video");
-        assert_eq!(frame.len(), self.range_len(), "length of the frame");
-        if self.has_one_bin_each() {
-            // Bin j is instant j: no second video is needed.
-            let copy = |_: usize, part: &[T], video: &mut [T]| video.copy_from_slice(part);
-            return self.adjoint_each(frame, None, video, &copy);
-        }
-        let (pixels, instants) = (self.video.pixels(), self.time.instants());
-        let mut lights = vec![T::zero(); instants.len() * pixels];
-        self.spread_from(
-            frame,
-            |_| None,
-            &mut lights,
-            |_, _, light, target| {
-                target.copy_from_slice(light);
-            },
-        );
-        video
-            .par_chunks_exact_mut(pixels)
-            .enumerate()
-            .for_each(|(j, bin)| {
-                bin.fill(T::zero());
-                for (run, light) in instants.iter().zip(lights.chunks_exact(pixels)) {
-                    if (run.first_bin..run.first_bin + run.weights.len()).contains(&j) {
-                        add_scaled(bin, light, T::nearest(run.weights[j - run.first_bin]));
-                    }
-                }
-            });
-    }
 }
 
-/// Some rows of a frame, one after another.
-fn lines_of<T: Scalar>(frame: &[T], places: &[usize], columns: usize) -> Vec<T> {
-    let lines = places
+/// The rows `frame_rows` of `frame`, one after another.
+fn lines_of<T: Scalar>(frame: &[T], frame_rows: &[usize], columns: usize) -> Vec<T> {
+    let lines = frame_rows
         .iter()
-        .map(|&place| &frame[place * columns..(place + 1) * columns]);
+        .map(|&row| &frame[row * columns..(row + 1) * columns]);
     lines.flatten().copied().collect()
 }
 
-/// The layers of `set` that have a say in the field.
+/// The layers of `set` that have a share of the field's light.
 fn layers_of<T: Scalar>(
     set: PatchSet,
     geometry: &Geometry,
-    rows_of: &[Vec<usize>],
+    sensor_rows_of: &[Vec<usize>],
 ) -> Vec<Layer<T>> {
-    let engine = |psf: &Psf| Engine::cheapest(geometry, psf, rows_of);
+    let engine = |psf: &Psf| Engine::cheapest(geometry, psf, sensor_rows_of);
     if let [psf] = set.psfs() {
         return vec![Layer {
             engine: engine(psf),
@@ -475,7 +491,7 @@ fn layers_of<T: Scalar>(
         .collect()
 }
 
-/// `|Σ_c a_c P̂_c|²`, its mean over the field, at each frequency of a plane.
+/// Mean of `|Σ_c a_c P̂_c|²` over the field at each frequency of the padded plane; empty with row-wise engines.
 fn plane_power<T: Scalar>(layers: &[Layer<T>]) -> Vec<f32> {
     let planes: Vec<&Planar<T>> = layers
         .iter()
@@ -487,18 +503,23 @@ fn plane_power<T: Scalar>(layers: &[Layer<T>]) -> Vec<f32> {
     let mut power = Vec::new();
     for (i, a) in planes.iter().enumerate() {
         for (j, b) in planes.iter().enumerate().take(i + 1) {
-            let together = match (&layers[i].share, &layers[j].share) {
+            let mean_product = match (&layers[i].share, &layers[j].share) {
                 (Some(a), Some(b)) => crate::vecmath::dot(a, b) / a.len() as f64,
                 _ => 1.0,
             };
-            // Both orders of a pair.
-            let weight = if i == j { together } else { 2.0 * together };
+            // A pair counts in both orders.
+            let weight = if i == j {
+                mean_product
+            } else {
+                2.0 * mean_product
+            };
             a.add_power(b, weight, &mut power);
         }
     }
     power
 }
 
+/// `sum += weight · term`.
 fn add_scaled<T: Scalar>(sum: &mut [T], term: &[T], weight: T) {
     crate::vecmath::simd(
         #[inline(always)]

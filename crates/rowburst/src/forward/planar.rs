@@ -10,6 +10,7 @@ use rustfft::num_complex::Complex;
 use rustfft::num_traits::Zero;
 use std::sync::Arc;
 
+/// The planar engine of one PSF.
 pub(super) struct Planar<T: Scalar> {
     geometry: Geometry,
     /// Spectrum of the PSF, `[x-frequency, y-frequency]`, with the transforms' scale.
@@ -27,6 +28,14 @@ pub(super) struct Planar<T: Scalar> {
 pub(super) struct Scratch<T> {
     rows: Vec<Complex<T>>,
     plane: Vec<Complex<T>>,
+}
+
+/// `weight·power + ρ` at each spatial frequency of the padded plane.
+#[derive(Clone, Copy)]
+pub(super) struct Divisor<'a> {
+    pub power: &'a [f32],
+    pub weight: f64,
+    pub rho: f64,
 }
 
 impl<T: Scalar> Planar<T> {
@@ -49,8 +58,10 @@ impl<T: Scalar> Planar<T> {
         planar
     }
 
+    /// Spectrum of the PSF on the padded plane, with the transforms' scale.
     fn kernel_spectrum(&self, psf: &Psf) -> Vec<Complex<T>> {
-        // Index i along an axis is the displacement i + offset; negative ones wrap.
+        // A field pixel has its index in the field, so index i of the kernel is the displacement i + offset. Negative
+        // indices wrap around to the end.
         let wrapped = |i: usize, positive: usize, length: usize| {
             if i < positive {
                 i as isize
@@ -156,7 +167,8 @@ impl<T: Scalar> Planar<T> {
         );
     }
 
-    pub fn read(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
+    /// Sensor rows `rows` of the convolved `light`, one after another in `values`.
+    pub fn apply(&self, light: &[T], rows: &[usize], values: &mut [T], scratch: &mut Scratch<T>) {
         let field: Vec<usize> = (0..self.geometry.field_rows).collect();
         self.transform(light, self.geometry.field_columns, &field, scratch);
         let plane = scratch.plane.par_chunks_exact_mut(self.height);
@@ -168,7 +180,8 @@ impl<T: Scalar> Planar<T> {
         self.invert(scratch, self.geometry.columns, rows, values);
     }
 
-    pub fn spread(&self, values: &[T], rows: &[usize], light: &mut [T], scratch: &mut Scratch<T>) {
+    /// The adjoint of [`Self::apply`]: the light of the field.
+    pub fn adjoint(&self, values: &[T], rows: &[usize], light: &mut [T], scratch: &mut Scratch<T>) {
         self.transform(values, self.geometry.columns, rows, scratch);
         let plane = scratch.plane.par_chunks_exact_mut(self.height);
         plane
@@ -193,13 +206,12 @@ impl<T: Scalar> Planar<T> {
         }
     }
 
-    /// `values / (weight·power + ρ)` at each spatial frequency of the padded plane.
+    /// Divides `values` by `divisor` at each spatial frequency of the padded plane.
     pub fn divide(
         &self,
         values: &[T],
         rows: &[usize],
-        (power, weight): (&[f32], f64),
-        rho: f64,
+        divisor: Divisor,
         out: &mut [T],
         scratch: &mut Scratch<T>,
     ) {
@@ -207,11 +219,11 @@ impl<T: Scalar> Planar<T> {
         let size = (self.width * self.height) as f64;
         let plane = scratch.plane.par_chunks_exact_mut(self.height);
         plane
-            .zip(power.par_chunks_exact(self.height))
+            .zip(divisor.power.par_chunks_exact(self.height))
             .for_each(|(column, power)| {
                 for (c, &power) in column.iter_mut().zip(power) {
-                    let power = weight * f64::from(power.max(0.0));
-                    *c = c.scale(T::nearest(1.0 / (size * (power + rho))));
+                    let power = divisor.weight * f64::from(power.max(0.0));
+                    *c = c.scale(T::nearest(1.0 / (size * (power + divisor.rho))));
                 }
             });
         self.invert(scratch, self.geometry.columns, rows, out);

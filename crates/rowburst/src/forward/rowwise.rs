@@ -1,18 +1,25 @@
-//! Convolution of only the rows that are read: FFTs along x, sums along y.
+//! Convolution of only the rows that are read: FFTs along x, sums along y (docs/design/001).
 //!
-//! Row `r` of the convolution needs every field row once:
-//! `B_r(f) = Σ_y V_y(f) · P_{r−sy(y)}(f)`, with `V_y`, `P_d` the spectra along x
-//! of a field row and of a PSF row. No FFT along y, no padded plane.
+//! The spectrum along x of row `r` of the convolution is a sum over the field rows:
 //!
-//! Field rows go in pairs, as the real and the imaginary part of one complex line with the spectrum
-//! `Z = V_y + i V_{y+1}`; with `Q_d = P_d − i P_{d−1}` for the pair of PSF rows
+//! ```text
+//! B_r(f) = Σ_y V_y(f) · P_{r−sy(y)}(f)
+//! ```
+//!
+//! `V_y` is the spectrum of field row `y`, and `P_d` that of the PSF row at the displacement `d`. There is no FFT
+//! along y and no padded plane.
+//!
+//! Two field rows share one complex transform: they are the real and the imaginary part of a line with the spectrum
+//! `Z = V_y + i V_{y+1}`. With the kernel `Q_d = P_d − i P_{d−1}` of two PSF rows, where `d = r − sy(y)`, the
+//! operator and its adjoint are
 //!
 //! ```text
 //! b_r = Re F⁻¹ Σ_pairs Z Q_d            v_y + i v_{y+1} = F⁻¹ Σ_r B_r Q_d*
 //! ```
 //!
-//! forward and adjoint: `Re F⁻¹` keeps of `Z Q = V_y P_d + V_{y+1} P_{d−1} + i (V_{y+1} P_d − V_y P_{d−1})`
-//! what is the spectrum of a real line. One complex transform for two rows, and nothing is ever taken apart.
+//! The product is `Z Q_d = V_y P_d + V_{y+1} P_{d−1} + i (V_{y+1} P_d − V_y P_{d−1})`. Its first two terms are the
+//! spectrum of a real line, which `Re F⁻¹` keeps. The bracket is also the spectrum of a real line, so its `i`-fold is
+//! dropped. The spectra of two rows are never separated.
 
 use super::engine::{AdjointJob, ForwardJob, Geometry, transforms};
 use crate::Psf;
@@ -23,26 +30,29 @@ use rustfft::num_complex::Complex;
 use rustfft::num_traits::Zero;
 use std::sync::Arc;
 
-/// Pairs of rows of a field that are transformed at once: their spectra stay in the nearest cache. After them come those of
-/// the next field, which need nearly the same spectra of the PSF.
+/// Row pairs of a field in a batch; larger leaves the nearest cache, smaller passes over the sums more often.
 const PAIRS_PER_BATCH: usize = 4;
 
+/// The row-wise engine of one PSF.
 pub(super) struct Rowwise<T: Scalar> {
     geometry: Geometry,
     /// `Q_d` for each row displacement, smallest first.
-    psf: Vec<Complex<T>>,
+    kernels: Vec<Complex<T>>,
+    /// Length of an FFT.
     length: usize,
     forward: Arc<dyn Fft<T>>,
     inverse: Arc<dyn Fft<T>>,
 }
 
+/// Buffers of one thread.
 pub(super) struct Scratch<T> {
-    /// A line for each sensor row that is read, field after field.
+    /// A line for each sensor row that is read, job after job.
     sums: Vec<Complex<T>>,
-    /// Rows of a field.
+    /// Field rows of a batch.
     light: Vec<T>,
-    /// Pairs of field rows, and where they begin.
+    /// The row pairs of a batch, packed, or their spectra.
     lines: Vec<Complex<T>>,
+    /// First field row of each pair in `lines`.
     pairs: Vec<usize>,
     fft: Vec<Complex<T>>,
 }
@@ -53,32 +63,32 @@ impl<T: Scalar> Rowwise<T> {
         let (forward, inverse) = transforms::<T>(length);
         let displacements = geometry.rows + geometry.field_rows - 1;
         let mut spectra = vec![Complex::zero(); displacements * length];
-        // The transforms are not normalised: the kernel carries 1/length.
+        // The transforms are not normalised, so the kernels contain the factor 1/length.
         let scale = T::nearest(1.0 / length as f64);
-        let mut before = vec![T::zero(); length];
+        let mut previous = vec![T::zero(); length];
         for (d, spectrum) in spectra.chunks_exact_mut(length).enumerate() {
             let dy = d as isize + geometry.row_displacement(0, geometry.field_rows - 1);
             let value = |x, field_x| -> T {
                 let dx = geometry.column_displacement(x, field_x);
                 T::from(psf.at_displacement(dy, dx)) * scale
             };
-            // A field pixel stands at its own index x', so index i of the kernel is the
-            // displacement i + ox; negative indices wrap around to the end.
-            for (x, to) in spectrum[..geometry.columns].iter_mut().enumerate() {
-                to.re = value(x, 0);
+            // The light of field column x' stands at index x' of a line, and its image at index x. So kernel index
+            // `x − x'` holds the displacement `x − x' + ox`. Negative indices wrap around to the end.
+            for (x, element) in spectrum[..geometry.columns].iter_mut().enumerate() {
+                element.re = value(x, 0);
             }
             for x in 1..geometry.field_columns {
                 spectrum[length - x].re = value(0, x);
             }
-            for (to, before) in spectrum.iter_mut().zip(&mut before) {
-                to.im = -*before;
-                *before = to.re;
+            for (element, previous) in spectrum.iter_mut().zip(&mut previous) {
+                element.im = -*previous;
+                *previous = element.re;
             }
         }
         forward.process(&mut spectra);
         Self {
             geometry: geometry.clone(),
-            psf: spectra,
+            kernels: spectra,
             length,
             forward,
             inverse,
@@ -99,64 +109,68 @@ impl<T: Scalar> Rowwise<T> {
         }
     }
 
-    /// `Q_d` that leads from field rows `y` and `y + 1` to sensor row `r`.
+    /// `Q_d` from the field rows `y` and `y + 1` to sensor row `r`.
     fn kernel(&self, r: usize, y: usize) -> &[Complex<T>] {
         let d = r + self.geometry.field_rows - 1 - y;
-        &self.psf[d * self.length..(d + 1) * self.length]
+        &self.kernels[d * self.length..(d + 1) * self.length]
     }
 
     /// Bytes of the PSF's spectra.
-    pub fn bytes(&self) -> usize {
-        size_of_val(self.psf.as_slice())
+    pub fn spectrum_bytes(&self) -> usize {
+        size_of_val(self.kernels.as_slice())
     }
 
-    pub fn read(&self, fields: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
+    /// Computes the row values of all `jobs`.
+    pub fn apply_batch(&self, jobs: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
-        let lines = fields.iter().map(|field| field.rows.len()).sum::<usize>();
+        let lines = jobs.iter().map(|job| job.rows.len()).sum::<usize>();
         scratch.sums.clear();
         scratch.sums.resize(lines * self.length, Complex::zero());
         for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_PER_BATCH) {
             let end = self.geometry.field_rows.min(first + 2 * PAIRS_PER_BATCH);
-            let mut at = 0;
-            for field in &*fields {
-                let light = &field.light[first * field_columns..end * field_columns];
-                self.add_pairs(light, first, field.rows, at, scratch);
-                at += field.rows.len() * self.length;
+            let mut offset = 0;
+            // All jobs take these rows in turn, since they need nearly the same kernels.
+            for job in &*jobs {
+                let light = &job.light[first * field_columns..end * field_columns];
+                self.add_pairs(light, first, job.rows, offset, scratch);
+                offset += job.rows.len() * self.length;
             }
         }
         self.inverse
             .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
-        let lines = fields
+        let lines = jobs
             .iter_mut()
-            .flat_map(|field| field.values.chunks_exact_mut(columns));
+            .flat_map(|job| job.values.chunks_exact_mut(columns));
         for (values, sum) in lines.zip(scratch.sums.chunks_exact(self.length)) {
             values.iter_mut().zip(sum).for_each(|(v, s)| *v = s.re);
         }
     }
 
-    /// Adds what some pairs of field rows, from row `first` on, send to `rows`, whose sums begin at `at`.
+    /// Adds the contribution of some field rows to the sums of the sensor rows `rows`.
+    ///
+    /// `light` holds the field rows from row `first` on; the sums begin at `offset` in `scratch.sums`.
     fn add_pairs(
         &self,
         light: &[T],
         first: usize,
         rows: &[usize],
-        at: usize,
+        offset: usize,
         scratch: &mut Scratch<T>,
     ) {
         let field_columns = self.geometry.field_columns;
         scratch.pairs.clear();
         for (i, row_pair) in light.chunks(2 * field_columns).enumerate() {
-            // Recovered scenes are sparse: most rows of most bins are dark.
+            // Most rows of a sparse video are zero.
             if !is_dark(row_pair) {
-                let place = scratch.pairs.len() * self.length;
-                let line = &mut scratch.lines[place..place + self.length];
+                let start = scratch.pairs.len() * self.length;
+                let line = &mut scratch.lines[start..start + self.length];
                 pack(row_pair, field_columns, line);
                 scratch.pairs.push(first + 2 * i);
             }
         }
         let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
         self.forward.process_with_scratch(lines, &mut scratch.fft);
-        let sums = scratch.sums[at..].chunks_exact_mut(self.length);
+        let sums = scratch.sums[offset..].chunks_exact_mut(self.length);
         for (&r, sum) in rows.iter().zip(sums) {
             for (&y, line) in scratch.pairs.iter().zip(lines.chunks_exact(self.length)) {
                 add_products(sum, line, self.kernel(r, y));
@@ -164,20 +178,19 @@ impl<T: Scalar> Rowwise<T> {
         }
     }
 
-    /// Calls `write(field, start, light)` for all pairs of rows that are not dark in their mask: some pixels of the
-    /// light of a field, from `start` on.
-    pub fn spread(
+    /// The adjoint of [`Self::apply_batch`]; see [`super::engine::Engine::adjoint_batch`].
+    ///
+    /// Row pairs that are zero in the job's mask are left out.
+    pub fn adjoint_batch(
         &self,
-        fields: &[AdjointJob<T>],
+        jobs: &[AdjointJob<T>],
         scratch: &mut Scratch<T>,
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
         let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
-        let lines = fields.iter().map(|field| field.rows.len()).sum::<usize>();
+        let lines = jobs.iter().map(|job| job.rows.len()).sum::<usize>();
         scratch.sums.resize(lines * self.length, Complex::zero());
-        let values = fields
-            .iter()
-            .flat_map(|field| field.values.chunks_exact(columns));
+        let values = jobs.iter().flat_map(|job| job.values.chunks_exact(columns));
         for (values, line) in values.zip(scratch.sums.chunks_exact_mut(self.length)) {
             pack(values, columns, line);
         }
@@ -185,41 +198,42 @@ impl<T: Scalar> Rowwise<T> {
             .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
         for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_PER_BATCH) {
             let end = self.geometry.field_rows.min(first + 2 * PAIRS_PER_BATCH);
-            let mut at = 0;
-            for (i, field) in fields.iter().enumerate() {
+            let mut offset = 0;
+            for (i, job) in jobs.iter().enumerate() {
                 scratch.pairs.clear();
                 for y in (first..end).step_by(2) {
                     let pixels = y * field_columns..end.min(y + 2) * field_columns;
-                    if field.mask.is_none_or(|mask| mask[pixels].contains(&1)) {
+                    if job.mask.is_none_or(|mask| mask[pixels].contains(&1)) {
                         scratch.pairs.push(y);
                     }
                 }
-                self.make_pairs(field.rows, at, scratch);
+                self.compute_pairs(job.rows, offset, scratch);
                 // Neighbouring pairs are written together.
-                let mut made = 0;
+                let mut written_rows = 0;
                 let pairs = std::mem::take(&mut scratch.pairs);
                 for run in pairs.chunk_by(|a, b| a + 2 == *b) {
                     let start = run[0] * field_columns;
                     let stop = end.min(run[run.len() - 1] + 2) * field_columns;
-                    let light = &mut scratch.light[made * field_columns..];
+                    let light = &mut scratch.light[written_rows * field_columns..];
                     write(i, start, &mut light[..stop - start]);
-                    made += 2 * run.len();
+                    written_rows += 2 * run.len();
                 }
                 scratch.pairs = pairs;
-                at += field.rows.len() * self.length;
+                offset += job.rows.len() * self.length;
             }
         }
     }
 
-    /// The light of the pairs of rows that are waiting, one after another, from the spectra of `rows`, which begin at
-    /// `at`.
-    fn make_pairs(&self, rows: &[usize], at: usize, scratch: &mut Scratch<T>) {
+    /// Computes the light of the row pairs in `scratch.pairs` from the spectra of the sensor rows `rows`.
+    ///
+    /// The spectra begin at `offset` in `scratch.sums`; the pairs follow one another in `scratch.light`.
+    fn compute_pairs(&self, rows: &[usize], offset: usize, scratch: &mut Scratch<T>) {
         let field_columns = self.geometry.field_columns;
         let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
         lines.fill(Complex::zero());
-        let waiting = scratch.pairs.iter();
-        for (&y, line) in waiting.zip(lines.chunks_exact_mut(self.length)) {
-            let spectra = scratch.sums[at..].chunks_exact(self.length);
+        let pairs = scratch.pairs.iter();
+        for (&y, line) in pairs.zip(lines.chunks_exact_mut(self.length)) {
+            let spectra = scratch.sums[offset..].chunks_exact(self.length);
             for (&r, spectrum) in rows.iter().zip(spectra) {
                 add_conjugate_products(line, self.kernel(r, y), spectrum);
             }
@@ -232,13 +246,13 @@ impl<T: Scalar> Rowwise<T> {
     }
 }
 
-/// Whether all is zero.
+/// Whether all values are zero.
 fn is_dark<T: Scalar>(values: &[T]) -> bool {
     let is_zero = |part: &[T]| part.iter().fold(true, |dark, v| dark & (*v == T::zero()));
     values.chunks(32).all(is_zero)
 }
 
-/// One or two rows of `columns` values as the real and the imaginary part of `line`, with zeros behind.
+/// Writes one or two rows of `columns` values as the real and the imaginary part of `line`, and zeros after them.
 fn pack<T: Scalar>(rows: &[T], columns: usize, line: &mut [Complex<T>]) {
     let (first, second) = rows.split_at(columns);
     let (to, rest) = line.split_at_mut(columns);
@@ -257,7 +271,7 @@ fn pack<T: Scalar>(rows: &[T], columns: usize, line: &mut [Complex<T>]) {
     rest.fill(Complex::zero());
 }
 
-/// The real and, where there is place for it, the imaginary part of `line` into rows of `columns` values.
+/// Writes the real and the imaginary part of `line` as two rows of `columns` values.
 fn unpack<T: Scalar>(line: &[Complex<T>], columns: usize, rows: &mut [T]) {
     let (first, second) = rows.split_at_mut(columns);
     simd(

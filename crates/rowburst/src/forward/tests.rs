@@ -107,12 +107,12 @@ fn adjoint_on_a_support_is_the_adjoint_and_then_the_support() {
                 .count();
             assert!(
                 active > 0 && support.fraction() < 1.0,
-                "{camera:?}: {active} lit rows"
+                "{camera:?}: {active} active rows"
             );
             let frame: Vec<f32> = (0..operator.range_len()).map(|_| rng.random()).collect();
             let mut expected = vec![f32::NAN; video.len()];
             operator.adjoint(&frame, &mut expected);
-            support.apply(&mut expected);
+            support.zero_outside(&mut expected);
             let mut found = vec![1.0; video.len()];
             operator.adjoint_on(&frame, &support, &mut found);
             assert_eq!(found, expected, "{camera:?}");
@@ -158,7 +158,7 @@ fn batched_instants_give_the_bits_of_single_ones() {
     let (alone, expected) = run(17);
     assert_eq!(alone, 1);
     let mut masked = expected[1].clone();
-    support.apply(&mut masked);
+    support.zero_outside(&mut masked);
     assert_eq!(masked, expected[2]);
     for (threads, together) in [(1, 6), (2, 5), (5, 4)] {
         assert_eq!(

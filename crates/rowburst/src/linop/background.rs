@@ -1,33 +1,33 @@
-//! Videos that are the sum of two parts, as one vector of both.
+//! Videos that are a sum of two components, stacked in one vector.
 
 use super::LinearOperator;
 use crate::Shape;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// What the second part of a video is.
+/// The kind of the second component `l` of a video `s + E l`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Background {
-    /// There is none.
+    /// No second component.
     #[default]
     None,
-    /// One picture that all bins show.
+    /// One picture `[y, x]`, which `E` shows in all bins.
     Static,
-    /// A video.
-    Video,
+    /// A video `[t, y, x]`; `E` is the identity.
+    PerBin,
 }
 
 impl Background {
-    /// Numbers that it takes beside those of a video of `shape`.
+    /// Length of `l` for videos of `shape`.
     pub fn len(self, shape: Shape) -> usize {
         match self {
             Self::None => 0,
             Self::Static => shape.pixels(),
-            Self::Video => shape.voxels(),
+            Self::PerBin => shape.voxels(),
         }
     }
 
-    /// `out = s + E l`, the video that both parts make, `[t, y, x]`; `stacked` is `[s, l]`.
+    /// The video `s + E l`, `[t, y, x]`, for the vector `stacked = [s, l]`; borrowed if there is no `l`.
     ///
     /// # Panics
     /// If a length does not match.
@@ -53,9 +53,9 @@ impl Background {
     }
 }
 
-/// `A [s, l] = A (s + E l)`, where `E` shows a still picture in all bins, or is the identity.
+/// The operator `[s, l] ↦ A (s + E l)` over both components; for `E` see [`Background`].
 ///
-/// Adjoint: `[Aᵀy, EᵀAᵀy]`. Cost: that of `A`, and a pass over the video.
+/// The adjoint is `y ↦ [Aᵀy, EᵀAᵀy]`. The cost is that of `A` and a pass over the video.
 pub struct WithBackground<O> {
     operator: O,
     shape: Shape,
@@ -63,10 +63,10 @@ pub struct WithBackground<O> {
 }
 
 impl<O: LinearOperator> WithBackground<O> {
-    /// `operator` of videos of `shape`, for both parts.
+    /// The operator of both components, from `operator` on videos of `shape`.
     ///
     /// # Panics
-    /// If the operator does not take videos of this shape.
+    /// If the domain of `operator` is not the voxels of `shape`.
     pub fn new(operator: O, shape: Shape, background: Background) -> Self {
         let voxels = shape.voxels();
         assert_eq!(operator.domain_len(), voxels, "videos of this shape");
@@ -97,12 +97,12 @@ impl<O: LinearOperator> LinearOperator for WithBackground<O> {
         match self.background {
             Background::None => {}
             Background::Static => sum_of_bins(first, background),
-            Background::Video => background.copy_from_slice(first),
+            Background::PerBin => background.copy_from_slice(first),
         }
     }
 }
 
-/// `sum = Σ_t v[t]`.
+/// `sum = Σ_t v[t]`, with `sum` the length of a bin; overwrites `sum`.
 pub fn sum_of_bins(video: &[f32], sum: &mut [f32]) {
     const CHUNK: usize = 1 << 10;
     let pixels = sum.len();
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn keeps_the_laws() {
         for shape in [Shape::new(3, 4, 5), Shape::new(1, 2, 7)] {
-            for background in [Background::None, Background::Static, Background::Video] {
+            for background in [Background::None, Background::Static, Background::PerBin] {
                 let differences = Differences::new(shape, vec![Axis::Rows, Axis::Columns]);
                 laws::check(&WithBackground::new(differences, shape, background), 5);
             }

@@ -1,7 +1,7 @@
 //! Linear operators: a matrix-free map and its exact adjoint.
 //!
-//! Operators know no optics. Every implementation passes [`laws`]: linearity,
-//! the adjoint identity, and that outputs are overwritten whatever they held.
+//! Operators know no optics. Every implementation passes [`laws`]: it is linear, its adjoint is exact, and it
+//! overwrites its outputs.
 
 mod background;
 mod bins;
@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use std::ops::{AddAssign, MulAssign, SubAssign};
 use std::sync::Arc;
 
-/// What an operator computes in: `f32`, or `f64` where a caller asks for its precision.
+/// The number type of an operator: `f32`, or `f64` where a caller needs its precision.
 pub trait Scalar:
     realfft::FftNum
     + faer::traits::RealField
@@ -52,24 +52,25 @@ impl Scalar for f64 {
     }
 }
 
-/// `write(start, part, target)`: does something to a part of a vector that begins at `start`, with
-/// the same part of another.
+/// A callback `write(start, part, target)` that combines a part of a vector with the same part of a target.
+///
+/// Both parts begin at element `start`.
 pub type WritePart<'w, T = f32> = &'w (dyn Fn(usize, &[T], &mut [T]) + Sync);
 
-/// Elements of a part of [`write_parts`].
-pub const WRITE_PART: usize = 1 << 14;
+/// Elements of a part in [`write_parts`]; larger leaves fewer parts to share among threads.
+pub const WRITE_PART_LEN: usize = 1 << 14;
 
-/// Calls `write` for all of `values` and `target`, part by part.
+/// Calls `write` for each part of `values` and `target`, in any order and in parallel.
 pub fn write_parts<T: Scalar>(values: &[T], target: &mut [T], write: WritePart<T>) {
     let parts = target
-        .par_chunks_mut(WRITE_PART)
-        .zip(values.par_chunks(WRITE_PART));
+        .par_chunks_mut(WRITE_PART_LEN)
+        .zip(values.par_chunks(WRITE_PART_LEN));
     parts
         .enumerate()
-        .for_each(|(i, (target, part))| write(i * WRITE_PART, part, target));
+        .for_each(|(i, (target, part))| write(i * WRITE_PART_LEN, part, target));
 }
 
-/// A linear map from `domain_len` to `range_len` numbers.
+/// A linear map from vectors of `domain_len` elements to vectors of `range_len` elements.
 pub trait LinearOperator<T = f32>: Sync {
     /// Length of the input of [`Self::apply`].
     fn domain_len(&self) -> usize;

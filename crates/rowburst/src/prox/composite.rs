@@ -4,22 +4,20 @@
 //! R(v) = R_variation(v) + w_g Σ_pixels ‖v[·, y, x]‖₂ + Σ_i w_i ‖K_i v‖_i
 //! ```
 //!
-//! **Exact part.** `v ≥ 0`, the support, ℓ1 and the group norm over time (`group`, ℓ2,1:
-//! few places, any trace; Yuan & Lin 2006) have a prox in closed form together: subtract,
-//! cut at zero, shrink each pixel's trace as a whole.
+//! **Exact part.** `v ≥ 0`, the support, ℓ1 and the group norm over time together have a prox in closed form:
+//! subtract, cut at zero, and shrink each pixel's trace as a whole. The group norm (`group`, ℓ2,1; Yuan & Lin 2006)
+//! favours few active pixels, each with any trace.
 //!
-//! **Dual part.** The others are solved in the dual like [`Variation`]: with
-//! `c(p) = Dᵀp_v + Σ K_iᵀ p_i` the primal point is `z(p) = prox_exact(q − c(p))`, and
-//! every term takes projected gradient steps `p_i ← P_i(p_i + step_i K_i z(p))` with
-//! `step_i = 1.9 / (‖K_i‖ Σ_j ‖K_j‖)`, which keeps `Σ step_i ‖K_i‖² < 2` (Pock & Chambolle
-//! 2011): a transform of norm 1 is not held back by differences of norm 3 beside it. Duals
-//! are kept from call to call.
+//! **Dual part.** The other terms are solved in the dual like [`Variation`]. With `c(p) = Dᵀp_v + Σ K_iᵀ p_i` the
+//! primal point is `z(p) = prox_exact(q − c(p))`. Every term takes projected gradient steps
+//! `p_i ← P_i(p_i + step_i K_i z(p))` with `step_i = 1.9 / (‖K_i‖ Σ_j ‖K_j‖)`, so `Σ step_i ‖K_i‖² < 2` (Pock &
+//! Chambolle 2011). A term with a small norm takes larger steps than one with a large norm. Duals are kept from call
+//! to call.
 //!
-//! **Accuracy.** `R` is homogeneous, so the duality gap of the prox at `z(p)` is
-//! `s R(z) − ⟨q − z, z⟩`, and `‖z − prox(q)‖ ≤ √(2 gap)` as the prox is strongly convex.
-//! The steps go on until this is below how far `q` has moved since the last call, which
-//! is the outer solver's own error (a relative-error criterion as in Eckstein & Yao
-//! 2018), and at least 2; a cap of 4 bounds the time of a call.
+//! **Accuracy.** `R` is homogeneous, so the duality gap of the prox at `z(p)` is `s R(z) − ⟨q − z, z⟩`. The prox is
+//! strongly convex, so `‖z − prox(q)‖ ≤ √(2 gap)`. A call takes steps until this bound is below the movement of `q`
+//! since the last call, which is the outer solver's own error (a relative-error criterion as in Eckstein & Yao 2018).
+//! It takes at least 2 and at most 4 steps (docs/design/012).
 
 use super::dual::DualTerm;
 use super::{Prox, Variation, VariationWeights};
@@ -27,17 +25,16 @@ use crate::vecmath::{distance_squared, simd};
 use crate::{Shape, Support};
 use rayon::prelude::*;
 
-/// Largest error of a prox over the outer solver's last movement.
+/// Largest error bound of a prox over the last movement of `q`; smaller takes more steps.
 const ACCURACY: f64 = 1.0;
 
-/// Fewest and most dual steps of a call inside an outer solver. With the dual kept, what a call
-/// leaves undone the next one does: at most 2, 4 or 12 steps a call gave a moving digit
-/// the same 29.8 dB in the same 200 iterations of `tv3d`, and soft blobs the same 22.6 dB of
-/// `wavelet` with 2 and 12; the bound on the error is pessimistic, and 12 steps took twice the time.
+/// Fewest dual steps of a call.
 const MIN_STEPS: usize = 2;
+
+/// Most dual steps of a call; more cost time and gain nothing, since the dual is kept (docs/design/012).
 const MAX_STEPS: usize = 4;
 
-/// Length of a dual step over the largest that is safe by half; up to 2 converges.
+/// `Σ step_i ‖K_i‖²`; larger is faster but must stay below 2 to converge.
 const STEP: f64 = 1.9;
 
 /// A sum of a [`Variation`], a group norm over time and other terms.
@@ -48,8 +45,9 @@ pub struct Composite {
     terms: Vec<WeightedTerm>,
     min_steps: usize,
     max_steps: usize,
-    /// `q` of the last call, and the point where the terms have been subtracted; empty without any.
+    /// `q` of the last call with duals; empty before it.
     last: Vec<f32>,
+    /// Buffer for `q − Σ K_iᵀ p_i`; empty without terms.
     point: Vec<f32>,
     scale: f64,
     steps_taken: usize,
@@ -61,7 +59,7 @@ struct WeightedTerm {
 }
 
 impl Composite {
-    /// The sum with all duals at zero; weights of zero leave a part out.
+    /// The sum without further terms, with all duals at zero. A part with weight zero is absent.
     pub fn new(shape: Shape, variation: VariationWeights, group: f64) -> Self {
         Self {
             shape,
@@ -77,7 +75,7 @@ impl Composite {
         }
     }
 
-    /// The same plus `weight` times `term`.
+    /// The sum plus `weight` times `term`.
     #[must_use]
     pub fn with(mut self, weight: f64, term: impl DualTerm + 'static) -> Self {
         let term = Box::new(term);
@@ -85,7 +83,8 @@ impl Composite {
         self
     }
 
-    /// The same with `steps` dual steps a call, for a prox that stands alone.
+    /// The same with exactly `steps` dual steps a call. A prox outside an outer solver needs more than the default; the
+    /// tests take up to 5000.
     #[must_use]
     pub fn with_steps(mut self, steps: usize) -> Self {
         (self.min_steps, self.max_steps) = (steps, steps);
@@ -108,7 +107,7 @@ impl Composite {
         self.scale = scale;
     }
 
-    /// `z(p)`.
+    /// Computes `z(p)`.
     fn primal(&mut self, q: &[f32], z: &mut [f32]) {
         if self.terms.is_empty() {
             self.variation.primal(q, self.scale, z);
@@ -125,7 +124,7 @@ impl Composite {
         }
     }
 
-    /// One step of every dual from `z(p)`; returns the gap there.
+    /// Takes one step of every dual from `z = z(p)`; returns the duality gap at `z`.
     fn step_duals(&mut self, q: &[f32], z: &[f32], norms: f64) -> f64 {
         let mut value = self.variation.value(z) + self.group_norm(z);
         for WeightedTerm { weight, term } in &mut self.terms {
@@ -137,7 +136,7 @@ impl Composite {
             let step = STEP / (self.variation.norm_squared().sqrt() * norms);
             self.variation.step_dual(z, self.scale, step as f32);
         }
-        (self.scale * value - inner_rest(q, z)).max(0.0)
+        (self.scale * value - gap_inner_product(q, z)).max(0.0)
     }
 
     fn group_norm(&self, z: &[f32]) -> f64 {
@@ -174,7 +173,6 @@ impl Prox for Composite {
         self.last.extend_from_slice(q);
         for step in 1..=self.max_steps {
             let gap = self.step_duals(q, z, norms);
-            // Before the fewest steps are done, and while it is coarser than the outer error.
             if step > self.min_steps && (2.0 * gap).sqrt() <= ACCURACY * moved {
                 break;
             }
@@ -191,8 +189,9 @@ impl Prox for Composite {
         self.variation.value(z) + self.group_norm(z) + terms.sum::<f64>()
     }
 
-    /// The least of what each term leaves free: a fit is no freer than under its
-    /// strictest term. A term of voxels or groups leaves free what is lit.
+    /// The smallest estimate of all terms: a fit is no freer than under its strictest term.
+    ///
+    /// ℓ1 and the group norm leave all active voxels free.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
         let terms = self.terms.iter();
         terms
@@ -210,7 +209,7 @@ impl Prox for Composite {
         }
         self.variation.subtract_dual(v);
         if self.group > 0.0 {
-            // Of all traces in the ball the one that leaves least.
+            // The dual of the group norm is the trace in the ball that leaves the smallest remainder.
             v.par_iter_mut().for_each(|v| *v = v.max(0.0));
             shrink_traces(v, self.shape.pixels(), (self.scale * self.group) as f32);
         }
@@ -218,7 +217,7 @@ impl Prox for Composite {
 }
 
 /// `⟨q − z, z⟩`.
-fn inner_rest(q: &[f32], z: &[f32]) -> f64 {
+fn gap_inner_product(q: &[f32], z: &[f32]) -> f64 {
     const CHUNK: usize = 1 << 14;
     let parts: Vec<f64> = q
         .par_chunks(CHUNK)
@@ -253,7 +252,7 @@ fn squares_of_traces(z: &[f32], pixels: usize) -> Vec<f32> {
     squares
 }
 
-/// The prox of `radius·Σ_pixels ‖trace‖₂`: every trace shortened by `radius`.
+/// The prox of `radius·Σ_pixels ‖trace‖₂`: it shortens the norm of every trace by `radius`.
 fn shrink_traces(z: &mut [f32], pixels: usize, radius: f32) {
     let mut factors = squares_of_traces(z, pixels);
     for factor in &mut factors {

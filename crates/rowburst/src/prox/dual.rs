@@ -1,9 +1,9 @@
-//! A term `‖K v‖` of a prior, seen from its dual.
+//! Terms `w ‖K v‖` of a prior that are solved in their dual.
 
-/// One term `w ‖K v‖` of a composite prior, with its dual variable `p` inside.
+/// One term `w ‖K v‖` of a [`Composite`](super::Composite) prior, with its dual variable `p`.
 ///
-/// By duality `s w ‖K v‖ = max ⟨p, K v⟩` over the ball `‖p‖_* ≤ s w` of the dual norm; a
-/// term needs no more than `Kᵀ p` and a step of `p` back into that ball.
+/// By duality `s w ‖K v‖ = max ⟨p, K v⟩` over the ball `‖p‖_* ≤ s w` of the dual norm, with `s` the scale of the
+/// prox. So a term needs only `Kᵀ p` and a projected gradient step of `p`.
 pub trait DualTerm: Send {
     /// An upper bound of `‖K‖²`.
     fn norm_squared(&self) -> f64;
@@ -11,8 +11,7 @@ pub trait DualTerm: Send {
     /// `z −= Kᵀ p`.
     fn subtract_adjoint(&self, z: &mut [f32]);
 
-    /// `p ← P(p + step·K z)`, with `P` the projection on the dual ball of `radius`;
-    /// returns `‖K z‖`.
+    /// `p ← P(p + step·K z)`, with `P` the projection onto the dual ball of `radius`; returns `‖K z‖`.
     fn step(&mut self, z: &[f32], step: f32, radius: f32) -> f64;
 
     /// `p *= factor`.
@@ -21,8 +20,8 @@ pub trait DualTerm: Send {
     /// `‖K z‖`.
     fn value(&self, z: &[f32]) -> f64;
 
-    /// Estimate of the number of values in `z` that are free under this term alone;
-    /// differences below `tolerance` count as none.
+    /// Estimate of the number of values in `z` that are free under this term alone. Differences below `tolerance`
+    /// count as zero.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64;
 }
 

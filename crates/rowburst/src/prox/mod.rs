@@ -1,6 +1,6 @@
 //! Proximal operators of the priors.
 //!
-//! [`Variation`] is the fused one of the default; [`Composite`] adds terms of any kind.
+//! [`Variation`] computes the terms of the default prior in one fused pass. [`Composite`] adds terms of any kind.
 
 pub mod composite;
 pub mod dual;
@@ -22,10 +22,9 @@ pub use variation3d::{Isotropy, Variation3d};
 
 use crate::Support;
 
-/// A convex prior `R(v)` with the constraint `v ≥ 0` inside.
+/// A convex prior `R(v)` that includes the constraint `v ≥ 0`.
 ///
-/// An iterative prox may keep its inner state from call to call, so that each call
-/// goes on where the last one stopped.
+/// An iterative prox may keep its inner state between calls, so that each call is a warm start from the last one.
 pub trait Prox: Send {
     /// `z = argmin_{z≥0} ½‖z − q‖² + scale·R(z)`; overwrites `z`.
     ///
@@ -36,16 +35,17 @@ pub trait Prox: Send {
     /// `R(z)`.
     fn value(&self, z: &[f32]) -> f64;
 
-    /// Estimate of the number of values in `z` that the data are free to choose;
-    /// differences below `tolerance` count as none.
+    /// Estimate of the number of values in `z` that the data are free to choose. Differences below `tolerance` count
+    /// as zero.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64;
 
-    /// From now on the prox is taken over videos that are zero outside `support`.
+    /// Restricts all later calls of [`Self::prox`] to videos that are zero outside `support`.
     fn restrict(&mut self, support: &Support);
 
-    /// `v −= c` for a `c` with `⟨c, w⟩ ≤ scale·R(w)` for every `w ≥ 0`: the dual point at
-    /// which the last call of [`Self::prox`] ended, with its `scale`. Where that is
-    /// positive, `v` is more than the prior holds back. Elements below zero may be cut.
+    /// `v −= c`, with `c` the dual point at which the last call of [`Self::prox`] ended.
+    ///
+    /// With the `scale` of that call, `⟨c, w⟩ ≤ scale·R(w)` for every `w ≥ 0`. A positive element of the result shows
+    /// that `v` exceeds the dual point there. Negative elements of the result may be set to zero.
     fn subtract_dual(&self, v: &mut [f32]);
 }
 

@@ -1,16 +1,16 @@
-//! Which rows of a video a prox has to look at.
+//! The rows of a video with active voxels, the only ones that a prox works on.
 //!
-//! On a support most rows of most bins are dark. They stay so, and so does the dual between two
-//! dark voxels.
+//! On a support most rows of most bins have none. Their voxels stay zero, and so does the dual between two inactive
+//! voxels.
 
 use crate::{Shape, Support};
 use std::ops::Range;
 
 /// Runs of neighbouring rows in each bin.
 pub(super) struct Rows {
-    /// Rows with a voxel that may be lit.
+    /// Rows with an active voxel.
     active: Vec<Vec<Range<usize>>>,
-    /// Those, and the rows whose differences along y or t reach one.
+    /// Those, and the rows whose differences along y or t reach one of them.
     adjacent: Vec<Vec<Range<usize>>>,
 }
 

@@ -1,15 +1,15 @@
-//! A video that is the sum of two parts, each with its own prior.
+//! The prior of a video that is a sum of two components, each with its own prior.
 //!
 //! ```text
-//! R(v) = min { R_1(s) + R_2(l) : s + E l = v,  s, l ≥ 0 }
+//! R(v) = min { R_1(s) + w R_2(l) : s + E l = v,  s, l ≥ 0 }
 //! ```
 //!
-//! the infimal convolution of `R_1` and `R_2`: a part that moves before a background that stands
-//! still (`E` shows one picture in all bins), or that is of low rank (`L + S`: Candès, Li, Ma &
-//! Wright 2011; Otazo, Candès & Sodickson 2015). The unknown is the vector `[s, l]` of
-//! [`crate::linop::WithBackground`], over which the prox is that of each part.
+//! This is the infimal convolution of `R_1` and `w R_2`. The component `s` moves before a background `l`. The
+//! background is static (`E` shows one picture in all bins) or has low rank (`E` is the identity; `L + S`: Candès,
+//! Li, Ma & Wright 2011; Otazo, Candès & Sodickson 2015). The unknown is the vector `[s, l]` of
+//! [`crate::linop::WithBackground`]; the prox acts on each component by itself.
 //!
-//! The support is that of the first part alone.
+//! The support restricts the component `s` alone.
 
 use super::Prox;
 use crate::Support;
@@ -24,7 +24,7 @@ pub struct SumPrior {
 }
 
 impl SumPrior {
-    /// The sum for an `s` of `length` elements.
+    /// `first(s) + weight · second(l)` for an `s` of `length` elements.
     pub fn new(length: usize, first: Box<dyn Prox>, second: Box<dyn Prox>, weight: f64) -> Self {
         Self {
             first,
@@ -71,7 +71,7 @@ mod tests {
     use crate::Shape;
     use crate::prox::{Variation, VariationWeights};
 
-    /// ℓ1 with weights 1 and 3: each part is shrunk by its own.
+    /// ℓ1 with weights 1 and 3: each component is shrunk by its own weight.
     #[test]
     fn each_component_has_its_prior() {
         let l1 = |shape| -> Box<dyn Prox> {

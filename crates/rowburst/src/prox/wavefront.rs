@@ -1,46 +1,59 @@
-//! Steps that couple neighbouring bins, taken through a video as a wave.
+//! Temporal blocking of steps that couple neighbouring bins (docs/design/013).
 //!
-//! A dual prox makes the primal point of every bin, which reads the dual over time before and behind it, then steps
-//! the dual between every two bins, which reads both points, and so on, level after level. Done so, the whole video
-//! passes the cache for each. Here level `l` follows `l` bins and `l` rows behind the first one, through a strip
-//! of a few rows of all bins after the other, so what a level has made is at hand for the next one. Where bins do not see
-//! each other, each takes all levels by itself.
+//! A level of a dual prox has two parts. It computes the primal point of every bin, from the duals over time on both
+//! sides of the bin. Then it steps the dual between every two bins, from both primal points. If one level follows the
+//! other over the whole video, each of them reads the video from memory.
 //!
-//! Threads take blocks of bins each. What level `l` may do there ends `l` bins from a border that blocks
-//! share; what is left, a few bins around each border, is done after all blocks. Every voxel sees the
-//! same steps in the same order however many blocks there are, so the bits do not depend on the threads.
+//! Here the levels advance together through one strip of a few rows after the other. Level `l` stays `l` bins and `l`
+//! rows behind level 0, so it finds the results of level `l − 1` in the cache. Where bins are not coupled, each bin
+//! takes all levels by itself.
+//!
+//! Each thread takes a tile of bins. In the interior of a tile level `l` ends `l` bins before a border to another
+//! tile. The seam, the few bins around each border, is done after all interiors. With two steps the bins `i` of the
+//! interiors and `s` of the seam around the border `|` are
+//!
+//! ```text
+//! level 2   i i s s|s s i i
+//! level 1   i i i s|s i i i
+//! level 0   i i i i|i i i i
+//! ```
+//!
+//! Every voxel sees the same steps in the same order for any number of tiles, so the bits do not depend on the number
+//! of threads.
 
 use super::variation::Dual;
 use crate::Shape;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Levels `0..=steps` over the bins; each brings the duals before the bins to the next one.
+/// The levels `0..=last_level` over a video. Each level but the last takes a dual step.
 pub(super) struct Wavefront {
     pub shape: Shape,
     /// Rows of a strip.
     pub rows_per_strip: usize,
-    pub steps: usize,
-    /// Whether bins see their neighbours; else each is done by itself.
+    /// The dual has taken `l` steps at level `l`, so this is the number of steps.
+    pub last_level: usize,
+    /// Whether bins depend on their neighbours; if not, each bin is done by itself.
     pub is_coupled: bool,
 }
 
-/// Some neighbouring bins of everything that the steps read and write.
+/// Neighbouring bins of all arrays that the steps read and write.
 pub(super) struct Tile<'a> {
     bins: Range<usize>,
     pixels: usize,
     q: &'a [f32],
     z: &'a mut [f32],
-    /// Two duals in space; empty where there is none.
+    /// Spatial duals along y and x; empty if the prior has none.
     space: [&'a mut [Dual]; 2],
-    /// The dual over time from each bin to the next; of the last bin, which a neighbour reads
-    /// as well, and of the bin before the first it is shared.
+    /// Dual over time from each bin to the next, without the one in `last`; empty if the prior has none.
     time: &'a mut [Dual],
+    /// Dual over time of the last bin, read-only, where the next tile reads it as well.
     last: Option<&'a [Dual]>,
+    /// Dual over time of the bin before the first, read-only.
     before: Option<&'a [Dual]>,
 }
 
-/// The dual along y and along x.
+/// The duals along y and along x.
 pub(super) type SpatialDuals<'s> = (&'s mut [Dual], &'s mut [Dual]);
 
 /// A bin of a [`Tile`].
@@ -48,44 +61,52 @@ pub(super) struct BinView<'s> {
     pub z: &'s mut [f32],
     pub q: &'s [f32],
     pub space: Option<SpatialDuals<'s>>,
-    /// The dual over time of it, and of the bin before, unless that is to step.
+    /// Dual over time from this bin to the next.
     pub time: Option<&'s [Dual]>,
-    pub before: Option<&'s [Dual]>,
-    /// Else that, and the bin before.
-    pub to_step: Option<(&'s mut [Dual], &'s [f32])>,
+    pub previous: Previous<'s>,
+}
+
+/// The dual over time from the previous bin.
+pub(super) enum Previous<'s> {
+    /// There is none: the bin is the first, or the prior has no such dual.
+    None,
+    /// It is only read.
+    Read(&'s [Dual]),
+    /// It is to step; with the previous bin's primal point.
+    Update(&'s mut [Dual], &'s [f32]),
 }
 
 impl Tile<'_> {
-    /// Bin `t`, where the dual over time before it is to step if `steps_before`.
-    pub fn bin(&mut self, t: usize, steps_before: bool) -> BinView<'_> {
+    /// A view of bin `t`. If `updates_previous_dual`, the dual over time from the previous bin is to step.
+    pub fn bin(&mut self, t: usize, updates_previous_dual: bool) -> BinView<'_> {
         let at = self.range_of(t);
         let [py, px] = &mut self.space;
         let space = py.get_mut(at.clone()).zip(px.get_mut(at.clone()));
-        // What is before the bin, and from it on.
         let (z_before, z) = self.z.split_at_mut(at.start);
         let (p_before, p) = self.time.split_at_mut(at.start.min(self.time.len()));
         let time = p.get(..self.pixels).or(self.last);
-        let (mut before, mut to_step) = (None, None);
-        if steps_before {
+        let previous = if updates_previous_dual {
             let start = at.start - self.pixels;
-            to_step = Some((&mut p_before[start..], &z_before[start..]));
-        } else if at.start == 0 {
-            before = self.before;
+            Previous::Update(&mut p_before[start..], &z_before[start..])
         } else {
-            let p = p_before.get(at.start - self.pixels..);
-            before = p.filter(|p| !p.is_empty());
-        }
+            let dual = if at.start == 0 {
+                self.before
+            } else {
+                let p = p_before.get(at.start - self.pixels..);
+                p.filter(|p| !p.is_empty())
+            };
+            dual.map_or(Previous::None, Previous::Read)
+        };
         BinView {
             q: &self.q[at.clone()],
             z: &mut z[..self.pixels],
             space,
             time,
-            before,
-            to_step,
+            previous,
         }
     }
 
-    /// The dual over time from bin `t` to the next, and the two bins.
+    /// The dual over time from bin `t` to the next, and the primal points of both.
     pub fn time_step(&mut self, t: usize) -> (&mut [Dual], (&[f32], &[f32])) {
         let (now, next) = (self.range_of(t), self.range_of(t + 1));
         let p = &mut self.time[now.clone()];
@@ -99,23 +120,28 @@ impl Tile<'_> {
     }
 }
 
-/// What is done to some rows of a bin at a level, and if `steps_before` to the dual over time before the bin, which is then
-/// at the next level; or to that of bin `t` alone. Rows may end one behind the last: what looks at the row above has its
-/// turn there.
+/// The computation at one bin and level.
+///
+/// The range `rows` may include one row past the last, since spatial duals step one row behind the primal point.
 pub(super) trait Stencil: Sync {
+    /// Updates `rows` of bin `t` at `level`.
+    ///
+    /// If `updates_previous_dual`, it also takes the step to the next level of the dual over time from the previous
+    /// bin.
     fn update_bin(
         &self,
         tile: &mut Tile,
         t: usize,
         level: usize,
         rows: Range<usize>,
-        steps_before: bool,
+        updates_previous_dual: bool,
     );
+    /// Steps `rows` of the dual over time from bin `t` to the next.
     fn step_time_dual(&self, tile: &mut Tile, t: usize, rows: Range<usize>);
 }
 
 impl Wavefront {
-    /// Takes `stencil` through all bins.
+    /// Runs all levels of `stencil` over all bins.
     pub fn run(
         &self,
         q: &[f32],
@@ -124,30 +150,31 @@ impl Wavefront {
         stencil: &impl Stencil,
     ) {
         let bins = self.shape.bins;
-        let blocks = match self.is_coupled {
-            true => rayon::current_num_threads().min(bins / (2 * self.steps + 2)),
-            // Some may take far longer than others, which are dark.
-            false => bins,
+        // Without coupling a tile is one bin, since active bins take far longer than dark ones.
+        let tile_count = if self.is_coupled {
+            rayon::current_num_threads().min(bins / (2 * self.last_level + 2))
+        } else {
+            bins
         };
-        let blocks = blocks.max(1);
-        let seams: Vec<usize> = (0..=blocks).map(|i| i * bins / blocks).collect();
+        let tile_count = tile_count.max(1);
+        let seams: Vec<usize> = (0..=tile_count).map(|i| i * bins / tile_count).collect();
         let tiles = self.tiles(&seams, q, z, duals, true);
         let tiles = tiles.into_par_iter();
         tiles.for_each(|mut tile| self.run_interior(&mut tile, stencil));
-        if self.is_coupled && blocks > 1 {
+        if self.is_coupled && tile_count > 1 {
             let mut seam_tiles = vec![0];
-            seam_tiles.extend((2..blocks).map(|i| (seams[i - 1] + seams[i]) / 2));
+            seam_tiles.extend((2..tile_count).map(|i| (seams[i - 1] + seams[i]) / 2));
             seam_tiles.push(bins);
             let tiles = self.tiles(&seam_tiles, q, z, duals, false);
-            let tiles = tiles.into_par_iter().zip(&seams[1..blocks]);
+            let tiles = tiles.into_par_iter().zip(&seams[1..tile_count]);
             tiles.for_each(|(mut tile, &seam)| self.run_seam(&mut tile, seam, stencil));
         }
     }
 
-    /// The rows that each level takes of a strip; at the end all have had every row, and the one behind the last.
+    /// For each strip, the rows of each level. In the end every level has had all rows and one past the last.
     fn strips(&self) -> impl Iterator<Item = impl Fn(usize) -> Range<usize>> {
         let (size, end) = (self.rows_per_strip, self.shape.rows + 1);
-        let starts = (0..end + self.steps).step_by(size);
+        let starts = (0..end + self.last_level).step_by(size);
         starts.map(move |start| {
             move |level| {
                 let row = |y: usize| y.saturating_sub(level).min(end);
@@ -156,14 +183,15 @@ impl Wavefront {
         })
     }
 
-    /// All that can be done without the neighbours of `tile`: level `l` reads what level `l − 1` has made of a
-    /// bin and of its neighbours, and writes over it.
+    /// Runs the levels as far as they do not depend on neighbouring tiles.
+    ///
+    /// Level `l` reads the results of level `l − 1` in a bin and its neighbours, and overwrites them.
     fn run_interior(&self, tile: &mut Tile, stencil: &impl Stencil) {
         let Range { start, end } = tile.bins;
         if !self.is_coupled {
             for t in start..end {
                 for rows in self.strips() {
-                    let each = 0..=self.steps;
+                    let each = 0..=self.last_level;
                     each.for_each(|level| stencil.update_bin(tile, t, level, rows(level), false));
                 }
             }
@@ -171,33 +199,35 @@ impl Wavefront {
         }
         let (is_first, is_last) = (start == 0, end == self.shape.bins);
         for rows in self.strips() {
-            for front in start..end + self.steps {
-                for level in 0..=self.steps.min(front - start) {
+            for front in start..end + self.last_level {
+                for level in 0..=self.last_level.min(front - start) {
                     let t = front - level;
                     let low = start + if is_first { 0 } else { level };
                     let high = end - if is_last { 0 } else { level };
                     if (low..high).contains(&t) {
-                        let steps_before = t > low && level < self.steps;
-                        stencil.update_bin(tile, t, level, rows(level), steps_before);
+                        let updates_previous_dual = t > low && level < self.last_level;
+                        stencil.update_bin(tile, t, level, rows(level), updates_previous_dual);
                     }
                 }
             }
         }
     }
 
-    /// What [`Self::run_interior`] has left on both sides of `seam`.
+    /// Runs the steps that [`Self::run_interior`] has left on both sides of `seam`.
     fn run_seam(&self, tile: &mut Tile, seam: usize, stencil: &impl Stencil) {
         for rows in self.strips() {
-            for level in 1..=self.steps {
-                // Behind it is a bin that its block has brought to the level before.
+            for level in 1..=self.last_level {
+                // This dual lies between the seam and the interior; neither has taken its step to this level.
                 stencil.step_time_dual(tile, seam + level - 2, rows(level));
                 for t in seam - level..seam + level {
-                    stencil.update_bin(tile, t, level, rows(level), level < self.steps);
+                    stencil.update_bin(tile, t, level, rows(level), level < self.last_level);
                 }
             }
         }
     }
 
+    /// The tiles between neighbouring `boundaries`; if `is_shared`, two tiles share the dual over time at their
+    /// border.
     fn tiles<'a>(
         &self,
         boundaries: &[usize],
@@ -236,7 +266,7 @@ impl Wavefront {
     }
 }
 
-/// The first `size` of `values`, which goes on behind them; nothing of nothing.
+/// Splits the first `size` elements off `values`; all of them if there are fewer.
 fn split<'a, T>(values: &mut &'a mut [T], size: usize) -> &'a mut [T] {
     let all = std::mem::take(values);
     let (first, rest) = all.split_at_mut(size.min(all.len()));

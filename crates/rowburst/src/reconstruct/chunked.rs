@@ -1,15 +1,15 @@
-//! A video too large for memory, part by part.
+//! Reconstruction of a video too large for memory, in chunks of bins.
 //!
-//! Where no exposure is longer than a row, each bin is seen by its own rows alone, and `A` falls into
-//! blocks. With a prior of space alone the problem does so, too:
+//! Where no exposure is longer than a row time, each bin is seen by its own rows alone, so `A` is block-diagonal
+//! in time. With a prior of space alone the problem separates, too:
 //!
 //! ```text
-//! min Σ_parts ½‖W_k(b_k − A_k v_k)‖² + τ R(v_k),   v ≥ 0
+//! min Σ_k ½‖W_k(b_k − A_k v_k)‖² + τ R(v_k),   v ≥ 0
 //! ```
 //!
-//! Each part is a problem of its own, of the rows that read its bins ([`Camera::subset`]). With `τ` given
-//! the parts together are the minimiser of the whole; by the discrepancy principle each part has its
-//! own `τ`, at which its residual is the noise of the whole frame.
+//! Each chunk `k` is a problem of its own, with the rows that read its bins ([`Camera::subset`]). With `τ`
+//! given, the chunks together are the minimiser of the whole problem. Under the discrepancy principle each
+//! chunk has its own `τ`, at which its residual matches the noise level of the whole frame.
 
 use super::sigma::Bands;
 use super::{Model, Options, Prior, Problem, Reconstruction, SigmaSource, noise_of};
@@ -20,15 +20,14 @@ use crate::solve::admm::Progress;
 use crate::{Camera, Error, PatchSet, Result};
 use std::ops::{ControlFlow, Range};
 
-/// Memory that a part may take where its size is left open, in bytes: of 2048×2048 pixels with two
-/// rows an instant 16 bins, and the process stays below 6 GiB.
+/// Bytes of a chunk where its size is left open; smaller makes more chunks (docs/design/008).
 const MAX_CHUNK_BYTES: usize = 3 << 30;
-/// Bins of a part are a multiple of this where there are as many: threads share them evenly.
+/// Rows of a chunk are a multiple of this where more fit, so that threads share its bins evenly.
 const BIN_MULTIPLE: usize = 8;
-/// Copies of a part's video that its reconstruction holds.
+/// Copies of a chunk's video that its reconstruction holds.
 const VIDEO_COPIES: usize = 6;
 
-/// A frame whose video is found part by part.
+/// A frame whose video is reconstructed in chunks of bins.
 pub struct Chunked {
     camera: Camera,
     psfs: PatchSet,
@@ -39,11 +38,12 @@ pub struct Chunked {
 }
 
 impl Chunked {
-    /// The parts of `measurement`. The prior is the recipe's, or [`Prior::SEPARABLE`].
+    /// Sets up the reconstruction of `measurement`. The prior is that of the options, or
+    /// [`Prior::SEPARABLE`].
     ///
     /// # Errors
-    /// A prior that couples bins, exposures longer than a row, and a noise level that cannot be read
-    /// from the frame.
+    /// A prior that couples bins, exposures longer than a row time, a video of one bin, or a noise level
+    /// that only held-out pixels could determine.
     pub fn new(
         camera: Camera,
         psfs: PatchSet,
@@ -57,7 +57,7 @@ impl Chunked {
             return Err(Error::input(
                 "exposure_us",
                 camera.params().exposure_us,
-                "a video is found part by part where each bin is seen at one instant: by a rolling shutter with exposures of at most a row",
+                "reconstruction in chunks needs each bin to be exposed at one instant: a rolling shutter with exposures of at most one row time",
                 "Leave --part-bins out, and make [field] smaller or bin the frame if memory is short.",
             ));
         }
@@ -66,8 +66,8 @@ impl Chunked {
         if sigma_source == SigmaSource::HeldOut && !matches!(options.tau, super::Tau::Given(_)) {
             return Err(Error::input(
                 "--noise-sigma",
-                "a noise level that cannot be read from the frame",
-                "parts share the noise level of the whole frame",
+                "a noise level that cannot be estimated from the frame",
+                "all chunks use the noise level of the whole frame",
                 "Give --noise-sigma, or gain and read noise in [camera].",
             ));
         }
@@ -84,34 +84,34 @@ impl Chunked {
         })
     }
 
-    /// The camera of the whole.
+    /// The camera of the whole frame.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// The PSF, or those of the parts of the field.
+    /// The PSF, or one PSF for each patch of the field.
     pub fn psfs(&self) -> &PatchSet {
         &self.psfs
     }
 
-    /// The frame.
+    /// The whole frame, corrected.
     pub fn measurement(&self) -> &Measurement {
         &self.measurement
     }
 
-    /// The prior of all parts.
+    /// The prior, the same for all chunks.
     pub fn prior(&self) -> Prior {
         self.options.prior.unwrap_or(Prior::SEPARABLE)
     }
 
-    /// Noise of a pixel with weight 1 in counts, and where it is known from.
+    /// Noise of a pixel with weight 1 in counts, and its source.
     pub fn sigma(&self) -> (f64, SigmaSource) {
         (self.sigma, self.sigma_source)
     }
 
-    /// The parts of `each` bins, or of as many as 3 GiB hold, always the same for the same camera.
-    /// Parts begin at a row.
-    pub fn ranges(&self, each: Option<usize>) -> Vec<Range<usize>> {
+    /// The bins of each chunk, in order. A chunk has `bins_per_chunk` bins, rounded up to whole rows; `None`:
+    /// as many as 3 GiB hold. The ranges depend on camera and `bins_per_chunk` alone.
+    pub fn ranges(&self, bins_per_chunk: Option<usize>) -> Vec<Range<usize>> {
         let (bins, shape) = (self.camera.time().bins(), self.camera.video_shape());
         let instants = self.camera.time().instants().len();
         let per_row = self.camera.params().bins_per_row;
@@ -119,19 +119,20 @@ impl Chunked {
         let element = element_bytes(self.camera.columns());
         let bytes = VIDEO_COPIES * size_of::<f32>() * shape.pixels() * per_row + element * block;
         let fitting = (MAX_CHUNK_BYTES / bytes).max(1);
-        let even = match fitting > BIN_MULTIPLE {
-            true => fitting - fitting % BIN_MULTIPLE,
-            false => fitting,
+        let fitting_multiple = if fitting > BIN_MULTIPLE {
+            fitting - fitting % BIN_MULTIPLE
+        } else {
+            fitting
         };
-        let each = each.unwrap_or(per_row * even);
-        let each = each.next_multiple_of(per_row);
+        let bins_per_chunk = bins_per_chunk.unwrap_or(per_row * fitting_multiple);
+        let bins_per_chunk = bins_per_chunk.next_multiple_of(per_row);
         (0..bins)
-            .step_by(each)
-            .map(|first| first..bins.min(first + each))
+            .step_by(bins_per_chunk)
+            .map(|first| first..bins.min(first + bins_per_chunk))
             .collect()
     }
 
-    /// The video of some bins.
+    /// Reconstructs the bins of one chunk. `observer` is called after every iteration and may stop the run.
     ///
     /// # Errors
     /// Those of [`Camera::subset`], [`Problem::with_model`] and [`Problem::solve`].
@@ -141,14 +142,14 @@ impl Chunked {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<Reconstruction> {
         let part = self.camera.subset(bins)?;
-        let first = self.camera.sensor_rows().collect::<Vec<_>>();
-        let place = |row: usize| {
-            first
+        let all_rows = self.camera.sensor_rows().collect::<Vec<_>>();
+        let index_of = |row: usize| {
+            all_rows
                 .iter()
                 .position(|&r| r == row)
                 .expect("a row of the whole")
         };
-        let rows: Vec<usize> = part.sensor_rows().map(place).collect();
+        let rows: Vec<usize> = part.sensor_rows().map(index_of).collect();
         let measurement = self.measurement.select_rows(&rows);
         let options = Options {
             noise_sigma: Some(self.sigma),

@@ -1,12 +1,12 @@
-//! The data term of a frame by itself, for solvers that are not ours.
+//! The data term of a frame with its proximal operator, for other solvers.
 //!
 //! ```text
 //! f(v) = ½‖W(b − A v)‖²
 //! prox_{s f}(p) = argmin_v f(v) + ‖v − p‖²/(2s) = p + (WA)ᵀ (WA(WA)ᵀ + I/s)⁻¹ W(b − A p)
 //! ```
 //!
-//! Exact where no bin is seen by two instants, since `A Aᵀ` is block-diagonal then; see
-//! ARCHITECTURE.md. Else by conjugate gradients, taken up again until they are as good as f32.
+//! The step is exact where no bin is seen by two instants, since `A Aᵀ` is block-diagonal then (see
+//! docs/design/003). Otherwise conjugate gradients are restarted until they are as accurate as f32.
 
 use super::frame_data::FrameData;
 use super::model::Model;
@@ -15,9 +15,9 @@ use crate::solve::DataTerm;
 use crate::vecmath::norm;
 use crate::{Error, Result};
 
-/// What may be left of the right-hand side; f32 holds no more.
+/// Residual over the right-hand side at which the solve stops; f32 is no more accurate.
 const TOLERANCE: f64 = 1e-6;
-/// Most calls of the solver for one step; blocks need one.
+/// Limit of the calls of the Gram solver for one step. Blocks need few; conjugate gradients may need many.
 const MAX_CALLS: usize = 40;
 
 /// `½‖W(b − A v)‖²` with its gradient and its proximal step.
@@ -26,19 +26,19 @@ pub struct DataStep {
 }
 
 impl DataStep {
-    /// The data term of `measurement`. Cost: the set-up of a reconstruction.
+    /// The data term of `measurement`. Costs the set-up of a reconstruction.
     pub fn new(model: &Model, measurement: &Measurement) -> Self {
         Self {
             data: FrameData::with_f64_blocks(model, measurement),
         }
     }
 
-    /// Length of a video.
+    /// Number of voxels of a video.
     pub fn len(&self) -> usize {
         self.data.shape().voxels()
     }
 
-    /// Whether videos have no voxels: never.
+    /// Always `false`: a video has voxels.
     pub fn is_empty(&self) -> bool {
         false
     }
@@ -48,7 +48,7 @@ impl DataStep {
     /// # Panics
     /// If the length is not that of a video.
     pub fn residual(&self, video: &[f32]) -> Vec<f32> {
-        let measured = self.data.measured();
+        let measured = self.data.measurements();
         let mut residual = vec![0.0; measured.len()];
         self.data.operator().apply(video, &mut residual);
         let pairs = residual.iter_mut().zip(measured);
@@ -78,43 +78,45 @@ impl DataStep {
     /// `argmin_v ½‖W(b − A v)‖² + ‖v − p‖²/(2 step)`.
     ///
     /// # Errors
-    /// A step that is not above zero, or so long that float64 cannot tell it from infinity.
+    /// A step that is not above zero, or so long that `1/step` is below the smallest stable `ρ`.
     ///
     /// # Panics
     /// If the length is not that of a video.
     ///
     /// # Cost
-    /// One product with `A`, one with `Aᵀ`, and triangular solves; where the step differs from
-    /// the last one a Cholesky factor of each block besides.
+    /// One product with `A`, one with `Aᵀ`, and triangular solves. A step that differs from the last one
+    /// also costs a Cholesky factor of each block.
     pub fn prox(&mut self, p: &[f32], step: f64) -> Result<Vec<f32>> {
         let rho = 1.0 / step;
-        let least = self.data.min_rho();
-        if !(rho.is_finite() && rho >= least) {
+        let min_rho = self.data.min_rho();
+        if !(rho.is_finite() && rho >= min_rho) {
             return Err(Error::input(
                 "step",
                 step,
-                format!("a step is above zero and at most {:.1e}", 1.0 / least),
+                format!("a step is above zero and at most {:.1e}", 1.0 / min_rho),
                 "Steps about one over the norm of A squared are usual; longer ones are allowed.",
             ));
         }
-        let mut rest = self.residual(p);
-        let target = TOLERANCE * norm(&rest);
-        let (mut y, mut part, mut gram) = (
-            vec![0.0f32; rest.len()],
-            vec![0.0f32; rest.len()],
-            vec![0.0f32; rest.len()],
+        let mut remaining = self.residual(p);
+        let target = TOLERANCE * norm(&remaining);
+        let (mut y, mut increment, mut gram_increment) = (
+            vec![0.0f32; remaining.len()],
+            vec![0.0f32; remaining.len()],
+            vec![0.0f32; remaining.len()],
         );
         for _ in 0..MAX_CALLS {
-            let before = norm(&rest);
-            self.data.solve_gram(&rest, rho, &mut part, &mut gram);
-            for i in 0..rest.len() {
-                y[i] += part[i];
-                rest[i] =
-                    (f64::from(rest[i]) - f64::from(gram[i]) - rho * f64::from(part[i])) as f32;
+            let norm_before = norm(&remaining);
+            self.data
+                .solve_gram(&remaining, rho, &mut increment, &mut gram_increment);
+            for i in 0..remaining.len() {
+                y[i] += increment[i];
+                remaining[i] = (f64::from(remaining[i])
+                    - f64::from(gram_increment[i])
+                    - rho * f64::from(increment[i])) as f32;
             }
-            let left = norm(&rest);
-            // Blocks leave rounding alone, which no further call takes away.
-            if left <= target || left > 0.9 * before {
+            let norm_after = norm(&remaining);
+            // After a solve with blocks only rounding is left, which further calls do not reduce.
+            if norm_after <= target || norm_after > 0.9 * norm_before {
                 break;
             }
         }

@@ -1,4 +1,4 @@
-//! The data term of a rolling-shutter frame: `½‖W(b − A v)‖²`.
+//! The data term of a rolling-shutter frame, `½‖W(b − A v)‖²`, with the solver of its proximal step.
 
 use super::held_out::HeldOut;
 use super::model::Model;
@@ -9,65 +9,70 @@ use crate::linop::{
 };
 use crate::measurement::{Measurement, NoiseModel};
 use crate::solve::blocks::{BlockSource, Blocks};
-use crate::solve::bordered::Bordered;
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
+use crate::solve::coupled_blocks::{CoupledBlocks, CoupledSystem};
 use crate::solve::{DataTerm, GramSolver};
 use crate::{Camera, RollingShutter, Shape, Shutter, Support};
 use faer::reborrow::ReborrowMut;
 use faer::{Mat, MatMut, MatRef};
 use std::sync::Arc;
 
-/// Measurements of an instant from which its factor costs more than ten iterations.
+/// Measurements of an instant above which a factor costs more than ten iterations (docs/design/008).
 const LARGE_BLOCK: usize = 1024;
 
-/// Smallest `ρ` over the typical size of a diagonal element of `A Aᵀ` where no block limits it.
+/// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where no blocks are built; smaller is not stable.
 const MIN_RHO: f64 = 1e-9;
 
-/// Where `ρ` is smaller the blocks are f64: the rounding of f32 blocks and factors is near 1e-6 of the diagonal in norm.
+/// Smallest `ρ` for f32 blocks; smaller is faster, and rounding of the blocks enters the result (docs/design/003).
 const MIN_RHO_SINGLE: f64 = 1e-5;
 
-/// Measurement and operator, with the solver of `W A P Aᵀ W + ρI`.
+/// Measurement and operator of a frame, with the solver of `(W A P Aᵀ W + ρI) y = r`; `P` projects on the support.
 pub(super) struct FrameData {
     model: Model,
-    /// `W A`, and the same of both parts of a video.
+    /// `W A` on the foreground, and on the stacked foreground and background.
     operator: Arc<WeightedOperator<Arc<RollingShutter>>>,
     with_background: WithBackground<Arc<WeightedOperator<Arc<RollingShutter>>>>,
     background: Background,
-    /// What convolves the whole field at once, where the second part stands still.
-    planes: Option<RollingShutter>,
-    /// `b` and `W b`.
+    /// Operator of a global shutter over the whole field. It preconditions the solve for a static background.
+    whole_field_operator: Option<RollingShutter>,
+    /// `b`.
     frame: Vec<f32>,
-    measured: Vec<f32>,
-    /// The weights of all pixels, those held out among them: of the counts, and of the light.
+    /// `W b`, 0 at held-out pixels.
+    measurements: Vec<f32>,
+    /// `W` of all pixels from the counts of the frame; held-out pixels keep their weights here.
     initial_weights: Option<Vec<f32>>,
+    /// The present `W` of all pixels; [`DataTerm::update_weights`] computes it from the light of the video.
     weights: Option<Vec<f32>>,
     noise: Option<NoiseModel>,
     held_out: Option<HeldOut>,
+    /// Pixels with a weight above zero, without the held-out ones.
     measurement_count: usize,
-    /// The largest `w²`.
+    /// The largest `w²` of the operator.
     max_squared_weight: f64,
     support: Option<Support>,
     gram: Gram,
-    /// Whether blocks are never f32.
-    is_double: bool,
+    /// Whether blocks are f64 from the start.
+    always_f64: bool,
 }
 
+/// The solver of the data step.
 enum Gram {
-    /// No bin is seen by two instants: the blocks are all there is.
+    /// Cholesky factors of the blocks, which are all of `G` where no bin is seen by two instants.
     Exact(Precision),
-    /// The same, and a part that all bins share.
-    Bordered(Blocks<f64>, Bordered),
+    /// The same, with a static background that couples all blocks.
+    Coupled(Blocks<f64>, CoupledBlocks),
+    /// Conjugate gradients for everything else.
     Iterative(ConjugateGradient),
 }
 
-/// The blocks, in f32 as long as `ρ` stands above its rounding.
+/// The Gram blocks, in f32 as long as `ρ` is above their rounding.
 enum Precision {
     Single(Blocks<f32>),
     Double(Blocks<f64>),
 }
 
 impl Precision {
-    /// Writes those that `has_changed` anew, or all with other weights or another second part.
+    /// Rebuilds the blocks of the instants that `has_changed` selects; `None`: all, as new weights require.
     fn rebuild_changed(
         &mut self,
         has_changed: Option<&(dyn Fn(usize) -> bool + Sync)>,
@@ -82,7 +87,8 @@ impl Precision {
         }
     }
 
-    /// A step of an iteration, in which `r` changes less and less; whether `ρ` was not lost in rounding.
+    /// Solves `(G + ρI) y = r` for an `r` that converges over the iterations, and sets `gram_y = G y`. Returns
+    /// whether `ρ` is large enough for the precision of the blocks.
     fn solve_incremental(
         &mut self,
         r: &[f32],
@@ -91,7 +97,10 @@ impl Precision {
         gram_y: &mut [f32],
     ) -> bool {
         match self {
-            Self::Single(blocks) => blocks.solve_incremental(r, rho, y, gram_y),
+            Self::Single(blocks) => {
+                blocks.solve_incremental(r, rho, y, gram_y);
+                !blocks.is_ill_conditioned()
+            }
             Self::Double(blocks) => {
                 blocks.solve_with_product(r, rho, y, gram_y);
                 !blocks.is_ill_conditioned()
@@ -113,15 +122,15 @@ fn rebuild_changed<T: Scalar>(
 
 impl FrameData {
     pub fn new(model: &Model, measurement: &Measurement) -> Self {
-        Self::in_precision(model, measurement, false)
+        Self::with_precision(model, measurement, false)
     }
 
-    /// The same with blocks that are never f32.
+    /// The same with f64 blocks from the start.
     pub fn with_f64_blocks(model: &Model, measurement: &Measurement) -> Self {
-        Self::in_precision(model, measurement, true)
+        Self::with_precision(model, measurement, true)
     }
 
-    fn in_precision(model: &Model, measurement: &Measurement, is_double: bool) -> Self {
+    fn with_precision(model: &Model, measurement: &Measurement, always_f64: bool) -> Self {
         let shutter = model.shutter();
         let frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
@@ -132,22 +141,23 @@ impl FrameData {
             operator: &operator,
             active: (None, background),
         };
-        let gram = match shutter.time().is_disjoint() && model.gram_bytes().is_some() {
-            true => Gram::Exact(all.exact(is_double)),
-            false => Gram::Iterative(ConjugateGradient::new(all.preconditioner(), frame.len())),
+        let gram = if shutter.time().is_disjoint() && model.gram_bytes().is_some() {
+            Gram::Exact(all.exact_blocks(always_f64))
+        } else {
+            Gram::Iterative(ConjugateGradient::new(all.preconditioner(), frame.len()))
         };
         let with_background =
             WithBackground::new(Arc::clone(&operator), shutter.video_shape(), background);
         let mut data = Self {
-            measured: Vec::new(),
+            measurements: Vec::new(),
             measurement_count: 0,
             max_squared_weight: 1.0,
-            is_double,
+            always_f64,
             noise: measurement.noise().cloned(),
             held_out: None,
             support: None,
             model: model.clone(),
-            planes: None,
+            whole_field_operator: None,
             background,
             with_background,
             operator,
@@ -160,7 +170,7 @@ impl FrameData {
         data
     }
 
-    /// `W` of all pixels, if not all 1.
+    /// The present `W` of all pixels; held-out pixels keep their weights here. `None`: all 1.
     pub fn weights(&self) -> Option<&[f32]> {
         self.weights.as_deref()
     }
@@ -177,34 +187,34 @@ impl FrameData {
         self.shutter().video_shape()
     }
 
-    /// A draw of pixels to be held out.
+    /// Draws the pixels to be held out.
     pub fn held_out(&self) -> HeldOut {
         HeldOut::draw(self.shutter(), self.weights())
     }
 
-    /// Starts afresh, on all voxels of videos with this second part, without the pixels of
-    /// `held_out`.
-    pub fn start(&mut self, background: Background, held_out: Option<HeldOut>) {
-        let is_as_it_was = self.support.is_none() && self.weights == self.initial_weights;
+    /// Resets to the initial weights and to all voxels, for videos with this background, without the
+    /// pixels of `held_out`. The results do not depend on earlier calls, to the bit.
+    pub fn reset(&mut self, background: Background, held_out: Option<HeldOut>) {
+        let is_unchanged = self.support.is_none() && self.weights == self.initial_weights;
         let is_fresh = match &mut self.gram {
             Gram::Exact(Precision::Single(blocks)) => {
                 blocks.reset();
                 true
             }
-            Gram::Exact(Precision::Double(_)) => self.is_double,
+            Gram::Exact(Precision::Double(_)) => self.always_f64,
             _ => true,
         };
-        if background == self.background && held_out == self.held_out && is_as_it_was && is_fresh {
+        if background == self.background && held_out == self.held_out && is_unchanged && is_fresh {
             return;
         }
         self.held_out = held_out;
         self.weights.clone_from(&self.initial_weights);
         self.support = None;
         self.background = background;
-        let is_still = background == Background::Static;
-        if is_still && self.planes.is_none() {
+        let is_static = background == Background::Static;
+        if is_static && self.whole_field_operator.is_none() {
             let (rows, columns) = self.model.camera().field();
-            let whole = CameraParams {
+            let whole_field = CameraParams {
                 rows,
                 columns,
                 shutter: Shutter::Global,
@@ -212,22 +222,22 @@ impl FrameData {
                 bins_per_row: 1,
                 ..self.model.camera().params().clone()
             };
-            // A field too large for a sensor has no preconditioner, and takes longer.
-            let whole = Camera::new(whole).ok();
-            self.planes =
-                whole.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
+            // A field too large for a sensor has no preconditioner, so its solve takes more iterations.
+            let whole_field = Camera::new(whole_field).ok();
+            self.whole_field_operator =
+                whole_field.map(|camera| RollingShutter::new(&camera, self.model.psfs().clone()));
         }
         let is_exact = match &self.gram {
-            Gram::Exact(_) => is_still || !is_fresh,
-            Gram::Bordered(..) => true,
+            Gram::Exact(_) => is_static || !is_fresh,
+            Gram::Coupled(..) => true,
             Gram::Iterative(_) => false,
         };
         self.apply_weights(is_exact);
     }
 
-    /// From now on the data of another frame of the same camera, on the same support. Weights that
-    /// follow the light stay those of the last frame where the same pixels hold information.
-    pub fn next(&mut self, measurement: &Measurement) {
+    /// Replaces the frame by another one of the same camera and keeps the support. Weights that were
+    /// updated from the light are kept where the same pixels have weights above zero.
+    pub fn set_frame(&mut self, measurement: &Measurement) {
         self.frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);
         let usable = |of: &Option<Vec<f32>>| -> Option<Vec<bool>> {
@@ -246,12 +256,12 @@ impl FrameData {
         self.apply_weights(false);
     }
 
-    /// `σ` of a pixel of weight 1 by the law of noise that the weights come from.
+    /// `σ` in counts of a pixel with weight 1 under the noise model of the weights; `None` without a noise model.
     pub fn calibrated_sigma(&self) -> Option<f64> {
         self.noise.as_ref().map(NoiseModel::sigma)
     }
 
-    /// The video that both parts make.
+    /// The video: the sum of foreground and background.
     pub fn sum(&self, stacked: Vec<f32>) -> Vec<f32> {
         match self.background {
             Background::None => stacked,
@@ -259,12 +269,12 @@ impl FrameData {
         }
     }
 
-    /// How many pixels are held out now.
+    /// Number of pixels that are held out now.
     pub fn held_out_count(&self) -> usize {
         self.held_out.as_ref().map_or(0, |h| h.pixels().len())
     }
 
-    /// `W(b − A v)` at the pixels that are held out.
+    /// `W(b − A v)` at the held-out pixels, with the weights that they would have.
     pub fn held_out_residuals(&self, video: &[f32]) -> Vec<f64> {
         let Some(held_out) = &self.held_out else {
             return Vec::new();
@@ -281,7 +291,8 @@ impl FrameData {
             .collect()
     }
 
-    /// Operator, Gram blocks and preconditioner with new weights; `replaces_blocks`: with blocks of another kind.
+    /// Applies the present weights and held-out pixels to operator, frame, Gram blocks and preconditioner.
+    /// `replaces_blocks` makes new Gram blocks, as another kind of background requires.
     fn apply_weights(&mut self, replaces_blocks: bool) {
         let mut weights = self.weights.clone();
         if let Some(held_out) = &self.held_out {
@@ -296,7 +307,7 @@ impl FrameData {
             WithBackground::new(Arc::clone(&self.operator), self.shape(), self.background);
         self.apply_weights_to_frame();
         if replaces_blocks {
-            return self.replace_blocks(self.is_double);
+            return self.replace_blocks(self.always_f64);
         }
         let source = GramSource {
             model: &self.model,
@@ -305,16 +316,16 @@ impl FrameData {
         };
         match &mut self.gram {
             Gram::Exact(blocks) => blocks.rebuild_changed(None, source),
-            Gram::Bordered(blocks, _) => blocks.rebuild_all(source),
+            Gram::Coupled(blocks, _) => blocks.rebuild_all(source),
             Gram::Iterative(solver) => {
                 solver.restart(self.support.as_ref(), source.preconditioner());
             }
         }
     }
 
-    /// Blocks of the present weights, support and second part, for those that there are.
-    fn replace_blocks(&mut self, is_double: bool) {
-        // The old ones go first.
+    /// Replaces the Gram blocks by new ones for the present weights, support and background.
+    fn replace_blocks(&mut self, in_f64: bool) {
+        // Frees the old blocks before it builds the new ones.
         let nothing = |_: usize, _: MatMut<f64>| {};
         self.gram = Gram::Exact(Precision::Double(Blocks::new(Vec::new(), nothing)));
         let source = GramSource {
@@ -323,18 +334,19 @@ impl FrameData {
             active: (self.support.as_ref(), self.background),
         };
         self.gram = match self.background {
-            // What all bins share is solved for from other right sides all the time.
-            Background::Static => Gram::Bordered(source.blocks(), Bordered::default()),
-            _ => Gram::Exact(source.exact(is_double)),
+            // Always f64: its right-hand sides do not converge, so incremental solves in f32 do not help.
+            Background::Static => Gram::Coupled(source.blocks(), CoupledBlocks::default()),
+            _ => Gram::Exact(source.exact_blocks(in_f64)),
         };
     }
 
+    /// Sets `W b` and the other values that follow from the operator's weights.
     fn apply_weights_to_frame(&mut self) {
-        self.measured = self.frame.clone();
+        self.measurements = self.frame.clone();
         self.measurement_count = self.frame.len();
         self.max_squared_weight = 1.0;
         if let Some(weights) = self.operator.weights() {
-            let pixels = self.measured.iter_mut().zip(weights);
+            let pixels = self.measurements.iter_mut().zip(weights);
             pixels.for_each(|(b, w)| *b *= w);
             self.measurement_count = weights.iter().filter(|w| **w > 0.0).count();
             let max_weight = weights.iter().copied().fold(0.0, f32::max);
@@ -351,8 +363,8 @@ impl DataTerm for FrameData {
         }
     }
 
-    fn measured(&self) -> &[f32] {
-        &self.measured
+    fn measurements(&self) -> &[f32] {
+        &self.measurements
     }
 
     fn measurement_count(&self) -> usize {
@@ -364,17 +376,17 @@ impl DataTerm for FrameData {
     }
 
     fn min_rho(&self) -> f64 {
-        // Without blocks nothing is factored.
-        let least = match self.model.gram_bytes() {
+        // Without blocks there is no factor whose rounding could limit `ρ`.
+        let min_rho_ratio = match self.model.gram_bytes() {
             Some(_) => self.shutter().min_rho(),
             None => MIN_RHO,
         };
-        least * self.scale()
+        min_rho_ratio * self.scale()
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        let least = MIN_RHO_SINGLE * self.max_squared_weight * self.scale();
-        if matches!(self.gram, Gram::Exact(Precision::Single(..))) && rho < least {
+        let min_rho_single = MIN_RHO_SINGLE * self.max_squared_weight * self.scale();
+        if matches!(self.gram, Gram::Exact(Precision::Single(..))) && rho < min_rho_single {
             self.replace_blocks(true);
         }
         match &mut self.gram {
@@ -386,15 +398,21 @@ impl DataTerm for FrameData {
                 self.replace_blocks(true);
                 self.solve_gram(r, rho, y, gram_y)
             }
-            Gram::Bordered(blocks, bordered) => {
-                let border = Border(&self.operator);
-                let planes = self.planes.as_ref();
+            Gram::Coupled(blocks, coupled) => {
+                let coupling = StaticBackgroundOperator(&self.operator);
+                let whole_field_operator = self.whole_field_operator.as_ref();
                 let inverse = |g: &[f32], rho: f64, h: f64| {
-                    let divided = planes.and_then(|p| p.circulant_inverse(g, rho / h));
+                    let divided =
+                        whole_field_operator.and_then(|p| p.circulant_inverse(g, rho / h));
                     divided.unwrap_or_else(|| g.to_vec())
                 };
                 let mut solve = |r: &[f32], y: &mut [f32]| blocks.solve(r, rho, y);
-                let is_good = bordered.solve(&mut solve, &border, &inverse, (r, rho), y, gram_y);
+                let system = CoupledSystem {
+                    blocks: &mut solve,
+                    coupling: &coupling,
+                    inverse: &inverse,
+                };
+                let is_good = coupled.solve(system, r, rho, y, gram_y);
                 is_good && !blocks.is_ill_conditioned()
             }
             Gram::Iterative(solver) => {
@@ -407,7 +425,7 @@ impl DataTerm for FrameData {
         }
     }
 
-    fn misfit_of_bins(&self, residual: &[f32]) -> Vec<f64> {
+    fn residual_rms_of_bins(&self, residual: &[f32]) -> Vec<f64> {
         let operator = self.shutter();
         let mut sums = vec![(0.0, 0usize); self.shape().bins];
         for (instant, run) in operator.time().instants().iter().enumerate() {
@@ -438,12 +456,14 @@ impl DataTerm for FrameData {
         rows.iter().any(|rows| rows.len() * columns > LARGE_BLOCK)
     }
 
-    /// The block of so many voxels takes as long as that of all, which leans on the field's shifts:
-    /// `m²` products for each voxel, and 4 for each row of the field.
-    fn max_active_voxels(&self) -> usize {
-        match self.has_large_blocks() {
-            true => 4 * self.shape().rows,
-            false => usize::MAX,
+    /// Above this number the block of all voxels is cheaper than that of the active ones. A block on a
+    /// support costs `m²` products for each active voxel; the block of all voxels uses the shifts of the
+    /// field and costs `4 m²` for each row of the field.
+    fn max_restricted_voxels(&self) -> usize {
+        if self.has_large_blocks() {
+            4 * self.shape().rows
+        } else {
+            usize::MAX
         }
     }
 
@@ -460,11 +480,11 @@ impl DataTerm for FrameData {
             let bins = run.first_bin..run.first_bin + run.weights.len();
             before
                 .as_ref()
-                .is_none_or(|b| !support.agrees_with(b, bins))
+                .is_none_or(|b| !support.equals_in_bins(b, bins))
         };
         match &mut self.gram {
             Gram::Exact(blocks) => blocks.rebuild_changed(Some(&has_changed), source),
-            Gram::Bordered(blocks, _) => blocks.rebuild_changed(has_changed, source),
+            Gram::Coupled(blocks, _) => blocks.rebuild_changed(has_changed, source),
             Gram::Iterative(solver) => solver.restrict(support, source.block_preconditioner()),
         }
     }
@@ -478,7 +498,7 @@ impl DataTerm for FrameData {
             (_, None) => self.operator().adjoint(y, video),
             (_, Some(support)) => {
                 self.operator().adjoint(y, video);
-                support.apply(video);
+                support.zero_outside(video);
             }
         }
     }
@@ -513,10 +533,10 @@ impl DataTerm for FrameData {
     }
 }
 
-/// `W A E`: a picture that all bins show.
-struct Border<'a>(&'a WeightedOperator<Arc<RollingShutter>>);
+/// `W A E`, where `E` repeats a picture in all bins: the operator of a static background.
+struct StaticBackgroundOperator<'a>(&'a WeightedOperator<Arc<RollingShutter>>);
 
-impl LinearOperator for Border<'_> {
+impl LinearOperator for StaticBackgroundOperator<'_> {
     fn domain_len(&self) -> usize {
         self.0.inner().video_shape().pixels()
     }
@@ -537,10 +557,10 @@ impl LinearOperator for Border<'_> {
     }
 }
 
-/// What may be lit: the support of the first part, and the second part.
+/// The voxels that may be active: the support of the foreground (`None`: all), and the background.
 type ActiveVoxels<'a> = (Option<&'a Support>, Background);
 
-/// The blocks of `W A P Aᵀ W`.
+/// Builds the diagonal blocks of `W A P Aᵀ W`.
 #[derive(Clone, Copy)]
 struct GramSource<'a> {
     model: &'a Model,
@@ -549,32 +569,33 @@ struct GramSource<'a> {
 }
 
 impl GramSource<'_> {
-    /// One for each instant.
+    /// The blocks, one for each instant.
     fn blocks<T: Scalar>(self) -> Blocks<T> {
         let shutter = self.operator.inner();
         let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
         Blocks::new(indices.collect(), self)
     }
 
-    /// In f32, if not for ever in f64.
-    fn exact(self, is_double: bool) -> Precision {
-        match is_double {
-            true => Precision::Double(self.blocks()),
-            false => Precision::Single(self.blocks()),
+    /// The blocks in f32, or in f64 where `in_f64`.
+    fn exact_blocks(self, in_f64: bool) -> Precision {
+        if in_f64 {
+            Precision::Double(self.blocks())
+        } else {
+            Precision::Single(self.blocks())
         }
     }
 
-    /// Adds the blocks of both parts of a video.
+    /// Adds the block of the foreground and that of a background video.
     fn add_sum_of_blocks<T: Scalar>(&self, instant: usize, mut sum: MatMut<T>) {
         let (support, background) = self.active;
         let shutter = self.operator.inner();
         shutter.add_gram_block(instant, support, sum.rb_mut());
-        if background == Background::Video {
+        if background == Background::PerBin {
             shutter.add_gram_block(instant, None, sum.rb_mut());
         }
     }
 
-    /// Whether the support leaves all bins of an instant open.
+    /// Whether all bins of an instant are unrestricted.
     fn is_unrestricted_at(&self, instant: usize) -> bool {
         let run = &self.model.shutter().time().instants()[instant];
         let mut bins = run.first_bin..run.first_bin + run.weights.len();
@@ -582,13 +603,13 @@ impl GramSource<'_> {
         support.is_none_or(|s| bins.all(|bin| s.pixels_of(bin).is_none()))
     }
 
-    /// Blocks, if they are not too large.
+    /// A preconditioner of Gram blocks; `None` where they are too large to be built.
     fn block_preconditioner(self) -> Option<Box<dyn Preconditioner>> {
         self.model.gram_bytes()?;
         Some(Box::new(BlockPreconditioner(self.blocks())))
     }
 
-    /// Blocks where there are some, else what suits whole planes.
+    /// Gram blocks where they can be built, else division in Fourier space.
     fn preconditioner(self) -> Box<dyn Preconditioner> {
         let plane = PlanePreconditioner {
             shutter: Arc::clone(self.operator.inner()),
@@ -600,13 +621,13 @@ impl GramSource<'_> {
 }
 
 impl<T: Scalar> BlockSource<T> for GramSource<'_> {
-    fn fill(&self, instant: usize, mut sum: MatMut<T>) {
+    fn write_block(&self, instant: usize, mut sum: MatMut<T>) {
         let (_, background) = self.active;
         let shutter = self.operator.inner();
-        let is_cached = self.is_unrestricted_at(instant) && background != Background::Video;
+        let is_cached = self.is_unrestricted_at(instant) && background != Background::PerBin;
         match self.model.cached_block(instant).filter(|_| is_cached) {
             Some(block) => round(block.as_ref(), sum.rb_mut()),
-            None if shutter.sums_need_f64() => {
+            None if shutter.builds_in_f64() => {
                 let mut exact = Mat::<f64>::zeros(sum.nrows(), sum.ncols());
                 self.add_sum_of_blocks(instant, exact.as_mut());
                 round(exact.as_ref(), sum.rb_mut());
@@ -629,7 +650,7 @@ impl<T: Scalar> BlockSource<T> for GramSource<'_> {
 
     fn columns(&self, instant: usize, max_columns: usize) -> Option<Mat<T>> {
         let (support, background) = self.active;
-        if background == Background::Video {
+        if background == Background::PerBin {
             return None;
         }
         let shutter = self.operator.inner();
@@ -649,7 +670,7 @@ fn round<T: Scalar>(from: MatRef<f64>, to: MatMut<T>) {
     faer::zip!(to, from).for_each(|faer::unzip!(to, from)| *to = T::nearest(*from));
 }
 
-/// In f64: here `ρ` may be small.
+/// Solves with the Gram blocks, in f64 since `ρ` may be small.
 struct BlockPreconditioner(Blocks<f64>);
 
 impl Preconditioner for BlockPreconditioner {
@@ -658,7 +679,7 @@ impl Preconditioner for BlockPreconditioner {
     }
 }
 
-/// Where whole planes are convolved: division in Fourier space; else a constant.
+/// Divides in Fourier space where the operator convolves whole planes, else divides by a constant.
 struct PlanePreconditioner {
     shutter: Arc<RollingShutter>,
     scale: f64,
@@ -708,8 +729,8 @@ mod tests {
         FrameData::new(&Model::new(&camera, &psf), &measurement)
     }
 
-    /// What `solve_gram` returns fits the operator that the solver sees: of one right side after another, with `ρ` that
-    /// falls below what f32 stands for.
+    /// Checks `solve_gram` against the operator that the solver sees, for several right-hand sides and for a `ρ`
+    /// below the limit of f32.
     fn check(data: &mut FrameData, state: &str) {
         let least = if data.is_iterative() { 0.05 } else { 9e-6 };
         for (k, part) in [0.05, 0.05, 0.06, least, 0.05].into_iter().enumerate() {
@@ -728,7 +749,7 @@ mod tests {
         let mut video = vec![0.0; data.operator().domain_len()];
         data.operator().adjoint(&y, &mut video);
         if let Some(support) = &data.support {
-            support.apply(&mut video);
+            support.zero_outside(&mut video);
         }
         let mut seen = vec![0.0; m];
         data.operator().apply(&video, &mut seen);
@@ -754,7 +775,7 @@ mod tests {
         }
     }
 
-    /// Blocks that are kept are those that are not, to the bit: of one PSF and of several.
+    /// Cached blocks equal new ones to the bit, for one PSF and for several.
     #[test]
     fn cached_blocks_change_nothing() {
         let first = data(Shutter::DualInsideOut);
@@ -779,7 +800,7 @@ mod tests {
         }
     }
 
-    /// Weights make the blocks larger, and their rounding: f32 ends at a larger `ρ`.
+    /// Larger weights make larger blocks with larger rounding, so f64 is needed at a larger `ρ`.
     #[test]
     fn large_weights_need_f64_sooner() {
         for (weight, is_single) in [(1.0, true), (10.0, false)] {
@@ -791,7 +812,7 @@ mod tests {
         }
     }
 
-    /// What went before does not show, to the bit.
+    /// After `reset` the result does not depend on earlier solves, to the bit.
     #[test]
     fn starts_afresh() {
         let solution = |data: &mut FrameData| {
@@ -808,7 +829,7 @@ mod tests {
         check(&mut used, "before");
         assert!(!used.is_single(), "ρ was below what f32 stands for");
         for background in [Background::None, Background::Static, Background::None] {
-            used.start(background, None);
+            used.reset(background, None);
             assert_eq!(used.is_single(), background == Background::None);
             if background == Background::None {
                 assert_eq!(solution(&mut used), expected);
@@ -825,15 +846,15 @@ mod tests {
         for shutter in [Shutter::DualInsideOut, Shutter::Global] {
             let mut data = data(shutter.clone());
             let shape = data.shape();
-            for background in [Background::None, Background::Static, Background::Video] {
+            for background in [Background::None, Background::Static, Background::PerBin] {
                 if shape.bins == 1 && background != Background::None {
                     continue;
                 }
                 let state = format!("{} {background:?}", shutter.name());
-                data.start(background, None);
+                data.reset(background, None);
                 check(&mut data, &state);
                 let held_out = data.held_out();
-                data.start(background, Some(held_out.clone()));
+                data.reset(background, Some(held_out.clone()));
                 assert_eq!(data.measurement_count(), 240 - held_out.pixels().len());
                 check(&mut data, &format!("{state}, pixels held out"));
                 let bright: Vec<f32> = (0..shape.voxels()).map(|i| (i % 9) as f32).collect();
@@ -843,15 +864,15 @@ mod tests {
         }
     }
 
-    /// Twice the light has the weights of twice the light, and pixels held out keep weight 0.
+    /// Weights are those of the light of both parts, and held-out pixels keep weight 0.
     #[test]
     fn weights_are_updated_from_the_light() {
         let mut data = data(Shutter::DualInsideOut);
         let held_out = data.held_out();
-        data.start(Background::Static, Some(held_out.clone()));
+        data.reset(Background::Static, Some(held_out.clone()));
         let n = data.operator().domain_len();
         assert!(data.update_weights(&vec![2.0; n]));
-        // Both parts show 2: a light of 4 everywhere.
+        // Foreground and background are 2 everywhere, so the video is 4.
         let mut light = vec![0.0; 240];
         data.shutter()
             .apply(&vec![4.0; data.shape().voxels()], &mut light);
@@ -862,7 +883,7 @@ mod tests {
             assert_eq!(*w, if is_held_out { 0.0 } else { weights[i] });
         }
         check(&mut data, "after following");
-        data.start(Background::Static, Some(held_out.clone()));
+        data.reset(Background::Static, Some(held_out.clone()));
         assert_eq!(data.weights(), data.initial_weights.as_deref());
         check(&mut data, "after starting again");
         assert_eq!(

@@ -1,30 +1,29 @@
-//! Pixels that the solver does not see, to test what it finds.
+//! Cross-validation with pixels that the solver does not see.
 //!
-//! A video that fits the pixels it was made from may have followed their noise. It has
-//! seen nothing of pixels that are held out, so there its error is that of the video and
-//! the noise, `⟨(w(b − A v)/σ)²⟩`, and the lower of two is the better one (cross-validation;
-//! Stone 1974, Ward 2009 for compressed sensing).
+//! A video may fit the noise of the pixels that it was made from. At held-out pixels its error
+//! `⟨(w(b − A v)/σ)²⟩` is that of the video plus that of the noise, so a smaller error means a better video
+//! (cross-validation: Stone 1974; for compressed sensing: Ward 2009).
 
 use crate::RollingShutter;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-/// Part of the pixels of each instant.
+/// Fraction of the pixels held out; larger decides better and leaves less for the fit (docs/design/011).
 const HELD_OUT_FRACTION: f64 = 0.05;
 
-/// The draw is always the same: so is the result.
+/// Fixed seed of the draw, so that results are reproducible.
 const SEED: u64 = 0x0526_d017;
 
-/// Pixels that are held out: a random 5 % of those that each instant reads.
+/// The held-out pixels: a random [`HELD_OUT_FRACTION`] of those that each instant reads.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct HeldOut {
     pixels: Vec<usize>,
 }
 
 impl HeldOut {
-    /// Draws from the pixels with a weight above zero; at least one of each instant that
-    /// has 10 or more.
+    /// Draws from the pixels with a weight above zero: at least one for each instant that has 10 or more of
+    /// them, none for the others.
     pub fn draw(shutter: &RollingShutter, weights: Option<&[f32]>) -> Self {
         let mut rng = Pcg64::seed_from_u64(SEED);
         let mut pixels = Vec::new();
@@ -42,7 +41,7 @@ impl HeldOut {
         Self { pixels }
     }
 
-    /// Indices in the frame, in order.
+    /// Indices of the pixels in the frame, in ascending order.
     pub fn pixels(&self) -> &[usize] {
         &self.pixels
     }
@@ -70,7 +69,7 @@ mod tests {
         let psf = Psf::new(Image::from_fn(5, 5, |_, _| 1.0)).unwrap();
         let shutter = RollingShutter::new(&camera, &psf);
         let mut weights = vec![1.0f32; 400];
-        // Of the middle rows, those of the first instant, half are bad.
+        // Half of the pixels of the first instant, which reads the middle rows, are bad.
         weights[150..200].fill(0.0);
         let held_out = HeldOut::draw(&shutter, Some(&weights));
         for instant in 0..4 {

@@ -1,4 +1,8 @@
-//! From a measurement to a video: the only place where physics meets the solver.
+//! Reconstruction of a video from one frame. This module joins the optical model to the solver.
+//!
+//! [`Problem`] solves `min ½‖W(b − A v)‖² + τ R(v)` over `v ≥ 0` for one frame, [`Sequence`] for
+//! consecutive frames of one scene, and [`Chunked`] for videos that do not fit into memory. [`Model`]
+//! holds `A`, [`Prior`] is `R`, and [`Fit`] says whether the result explains the frame.
 
 mod choose;
 mod chunked;
@@ -17,7 +21,7 @@ pub use chunked::Chunked;
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
-pub use prior::{FurtherWeights, Prior};
+pub use prior::{Prior, UnfusedWeights};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
@@ -31,52 +35,57 @@ use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
 
-/// Raised by one with every change that gives other numbers for the same input, also within a
-/// version of the program: archives of many frames are not continued across it.
+/// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
+/// one, also within a version of the program. An archive of many frames is not continued with another
+/// revision.
 pub const ALGORITHM_REVISION: u32 = 6;
 
-/// What the user chooses.
+/// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
+const TAU_SEARCH_THIRDS: usize = 2;
+
+/// Options of a reconstruction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Options {
-    /// The prior; `None`: the one of [`CANDIDATES`] that predicts held-out pixels best.
+    /// The prior; `None`: the candidate that predicts held-out pixels best ([`CANDIDATES`] and
+    /// [`DENSE_CANDIDATES`]).
     pub prior: Option<Prior>,
-    /// How `τ` is found.
+    /// The rule for `τ`.
     pub tau: Tau,
-    /// Standard deviation of the noise in counts; `None`: from the calibration, or
-    /// else from the frame itself.
+    /// Standard deviation of the noise in counts, for a pixel with weight 1; `None`: taken from the
+    /// calibration or else estimated (see [`SigmaSource`]).
     pub noise_sigma: Option<f64>,
-    /// Most iterations; `None`: the solver's default.
+    /// Limit of the number of iterations; `None`: the solver's default.
     pub max_iterations: Option<usize>,
 }
 
-/// How `τ` of `½‖W(b − Av)‖² + τ R(v)` is found.
+/// The rule for `τ` of `½‖W(b − A v)‖² + τ R(v)`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Tau {
-    /// By the discrepancy principle where the noise level is known or can be read from the
-    /// frame, else by held-out pixels.
+    /// The discrepancy principle. The noise level is that of [`Problem::sigma`]; where it is unknown,
+    /// held-out pixels determine it.
     #[default]
     Auto,
-    /// By the pixels that are held out: the noise level is the one that predicts them best.
+    /// The discrepancy principle with the noise level that predicts held-out pixels best.
     HeldOut,
-    /// Given.
+    /// This value; it is finite and above zero.
     Given(f64),
 }
 
-/// Where the noise level comes from.
+/// The source of the noise level `σ`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SigmaSource {
-    /// The user gave it.
+    /// [`Options::noise_sigma`].
     Given,
     /// Gain and read noise of the sensor.
     Calibration,
-    /// The part of the frame's spectrum that the optics do not pass.
+    /// The frequencies of the frame that the PSF passes least ([`estimate_sigma`]).
     Frame,
-    /// The level at which held-out pixels are predicted best.
+    /// The noise level at which the video predicts held-out pixels best.
     HeldOut,
 }
 
 impl SigmaSource {
-    /// The word in reports.
+    /// The description in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Given => "given",
@@ -87,7 +96,7 @@ impl SigmaSource {
     }
 }
 
-/// A reconstruction set up and ready to run.
+/// The reconstruction of one frame, set up and ready to run.
 pub struct Problem {
     data: FrameData,
     options: Options,
@@ -98,45 +107,45 @@ pub struct Problem {
     bands: Bands,
 }
 
-/// A reconstructed video with what is needed to judge it.
+/// A reconstructed video, with the quantities that judge it.
 #[derive(Debug, Clone)]
 pub struct Reconstruction {
     /// The video in counts, `[t, y, x]`.
     pub video: Video,
-    /// The part of it that the prior has as its background.
+    /// The background in `video`, `[t, y, x]`; `None` for a prior without a background.
     pub background: Option<Video>,
-    /// `W(b − A v)/σ`, `[y, x]`; 0 where a pixel holds no information.
-    pub residual: Image,
-    /// Root mean square of the residual over the pixels that hold information.
+    /// `W(b − A v)/σ`, `[y, x]`; 0 at pixels with weight 0.
+    pub normalised_residual: Image,
+    /// Root mean square of `W(b − A v)/σ` over the pixels with weight above 0.
     pub residual_over_sigma: f64,
-    /// The prior.
+    /// The prior, given or chosen.
     pub prior: Prior,
-    /// What it was chosen among, where it was.
+    /// The candidates and the choice; `None` where the prior was not chosen.
     pub choice: Option<Choice>,
     /// `τ` at the end.
     pub tau: f64,
-    /// `½‖W(b − A v)‖² + τ R(v)` at the end, and a bound of its minimum from below: over videos up
-    /// to twice as bright, on the support, for this `τ`.
+    /// `½‖W(b − A v)‖² + τ R(v)` at the end, with a lower bound of its minimum. The bound holds for
+    /// this `τ`, over videos on the support that are at most twice as bright.
     pub certificate: Certificate,
-    /// `W` that the video was found with, `[y, x]`; `None`: all 1.
+    /// The weights `W` at the end, `[y, x]`; `None`: all 1.
     pub weights: Option<Vec<f32>>,
     /// Noise of a pixel with weight 1, in counts.
     pub sigma: f64,
-    /// Where `sigma` comes from.
+    /// The source of `sigma`.
     pub sigma_source: SigmaSource,
-    /// Iterations done.
+    /// Number of iterations.
     pub iterations: usize,
     /// Why the solver stopped.
     pub stop_reason: StopReason,
-    /// Part of the voxels that were allowed to be lit at the end.
-    pub support: f64,
+    /// Fraction of the voxels that are in the support at the end.
+    pub support_fraction: f64,
     /// Whether the model explains the frame.
     pub fit: Fit,
 }
 
 impl Problem {
-    /// Sets up the reconstruction of `measurement`: operator, Gram factors, noise level.
-    /// `psf` is one for the whole field (`&Psf`) or one for each part of it (`&PatchSet`).
+    /// Sets up the reconstruction of `measurement`: the operator, the Gram blocks and the noise level.
+    /// `psf` is one PSF for the whole field (`&Psf`) or one for each patch of it (`&PatchSet`).
     ///
     /// # Errors
     /// Those of [`Problem::with_model`].
@@ -149,11 +158,11 @@ impl Problem {
         Self::with_model(&Model::new(camera, psf), measurement, options)
     }
 
-    /// Sets up the reconstruction of one of many frames that share `model`.
+    /// Sets up the reconstruction of one of several frames that share `model`.
     ///
     /// # Errors
-    /// A `τ` or `σ` that is not above zero, a noise level that cannot be found, or a
-    /// prior over time for a video of one bin.
+    /// A `τ` or `σ` that is not finite and above zero, or a prior with a term over time for a video of
+    /// one bin ([`Prior::check_bins`]).
     pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
         let tau = match options.tau {
@@ -166,12 +175,20 @@ impl Problem {
                     name,
                     value,
                     "the value is a finite number above zero",
-                    "Leave it out: the program finds it.",
+                    "Leave it out: the program estimates it.",
                 ));
             }
         }
         let bands = Bands::new(measurement, psf.central());
         let (sigma, sigma_source) = noise_of(measurement, &bands, &options);
+        if !(sigma.is_finite() && sigma > 0.0) {
+            return Err(Error::input(
+                "frame",
+                format!("a noise level of {sigma}, {}", sigma_source.name()),
+                "the noise level is above zero: a frame holds light and noise",
+                "Check the frame, gain and read noise, or give --noise-sigma.",
+            ));
+        }
         if let Some(prior) = options.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
@@ -186,51 +203,57 @@ impl Problem {
         })
     }
 
-    /// The same for a given prior with `tau_factor` times the `τ` of the discrepancy principle: the
-    /// other half of what [`Problem::choose`] finds. It has no say where `τ` is given.
+    /// Multiplies the `τ` of the discrepancy principle by `tau_factor`. With the prior and the
+    /// [`Candidate::tau_factor`] of [`Problem::choose`], [`Problem::solve`] gives the video of the
+    /// automatic choice. The factor has no effect where `τ` is given or `solve` chooses the prior.
     ///
     /// # Panics
     /// If `tau_factor` is not above zero.
     #[must_use]
     pub fn with_tau_factor(self, tau_factor: f64) -> Self {
-        assert!(tau_factor > 0.0, "a strength above zero, not {tau_factor}");
+        assert!(tau_factor > 0.0, "a factor above zero, not {tau_factor}");
         Self { tau_factor, ..self }
     }
 
-    /// What the user chose.
+    /// The options.
     pub fn options(&self) -> &Options {
         &self.options
     }
 
-    /// Noise of a pixel with weight 1, in counts; a guess where held-out pixels are to tell.
+    /// Noise of a pixel with weight 1, in counts. A guess where held-out pixels will determine it.
     pub fn sigma(&self) -> f64 {
         self.sigma
     }
 
-    /// Solves it; `observer` sees every iteration and may stop it.
+    /// Chooses the noise level and the prior where they are left open, and runs the solver. `observer`
+    /// is called after every iteration and may stop the run; the result is then the video so far.
     ///
     /// # Errors
-    /// Numbers that overflowed.
+    /// An objective that is not finite: the numbers overflowed.
     pub fn solve(
         mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> Result<Reconstruction> {
-        let mut history = Vec::new();
-        let found = self.find(&mut |progress| {
+        let mut residual_history = Vec::new();
+        let found = self.choose_and_run(&mut |progress| {
             if progress.iteration == 1 {
-                history.clear();
+                residual_history.clear();
             }
-            history.push(progress.residual_rms);
+            residual_history.push(progress.residual_rms);
             observer(progress)
         });
-        self.build_reconstruction(found.unwrap_or_else(|partial| *partial), &history)
+        self.build_reconstruction(found.unwrap_or_else(|partial| *partial), &residual_history)
     }
 
-    /// Judges what was found.
-    fn build_reconstruction(&self, found: RunResult, history: &[f64]) -> Result<Reconstruction> {
+    /// Adds residual, background and fit statistics to the result of a run.
+    fn build_reconstruction(
+        &self,
+        found: RunResult,
+        residual_history: &[f64],
+    ) -> Result<Reconstruction> {
         let RunResult {
             prior,
-            freedom,
+            degrees_of_freedom,
             choice,
             solution,
         } = found;
@@ -244,13 +267,17 @@ impl Problem {
         let shape = self.data.shape();
         let measurement_count = self.data.measurement_count() as f64;
         let residual_rms = crate::vecmath::norm(&solution.residual) / measurement_count.sqrt();
-        let residual: Vec<f32> = solution
+        let normalised_residual: Vec<f32> = solution
             .residual
             .iter()
             .map(|r| (f64::from(*r) / self.sigma) as f32)
             .collect();
         let columns = self.camera.columns();
-        let residual = Image::new(residual.len() / columns, columns, residual)?;
+        let normalised_residual = Image::new(
+            normalised_residual.len() / columns,
+            columns,
+            normalised_residual,
+        )?;
         let background = match prior.background() {
             Background::None => None,
             background => {
@@ -263,29 +290,29 @@ impl Problem {
             }
         };
         let video = Video::new(shape, self.data.sum(solution.video))?;
-        let scaled = self.data.measured().iter();
+        let scaled = self.data.measurements().iter();
         let measured: Vec<f32> = scaled
             .map(|b| (f64::from(*b) / self.sigma) as f32)
             .collect();
         let fit = fit::judge(&fit::FitInput {
-            residual: &residual,
+            normalised_residual: &normalised_residual,
             measured: &measured,
             weights: self.data.weights(),
             camera: &self.camera,
             bands: &self.bands,
             video: &video,
-            freedom,
-            history,
+            degrees_of_freedom,
+            residual_history,
             sigma: self.sigma,
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.options.tau, Tau::Given(_)),
             stop_reason: solution.stop_reason,
-            support: solution.support,
+            support_fraction: solution.support_fraction,
         });
         Ok(Reconstruction {
             video,
             background,
-            residual,
+            normalised_residual,
             residual_over_sigma: residual_rms / self.sigma,
             tau: solution.tau,
             certificate: solution.certificate,
@@ -296,36 +323,38 @@ impl Problem {
             sigma_source: self.sigma_source,
             iterations: solution.iterations,
             stop_reason: solution.stop_reason,
-            support: solution.support,
+            support_fraction: solution.support_fraction,
             fit,
         })
     }
 
-    /// Chooses the prior, and the strength that goes with it, as [`Problem::solve`] does where none
-    /// is given, and no more; `None` where there is nothing to choose by.
+    /// Chooses the prior and its factor on `τ`, as [`Problem::solve`] does where no prior is given, and
+    /// stops there. Returns `None` for a video of one bin, and for a frame with too few pixels to hold out.
     ///
     /// # Errors
-    /// Why the observer stopped it.
+    /// The observer stopped it; the error is the reason.
     pub fn choose(
         mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Option<Choice>, StopReason> {
         let stopped = |found: Box<RunResult>| found.solution.stop_reason;
-        let rule = self.rule(observer).map_err(stopped)?;
-        let chosen = self.choice(rule, observer).map_err(stopped)?;
+        let rule = self.resolve_tau_rule(observer).map_err(stopped)?;
+        let chosen = self.compare_priors(rule, observer).map_err(stopped)?;
         Ok(chosen.map(|(choice, _)| choice))
     }
 
-    /// How `τ` is found; where no noise level is known held-out pixels tell it now.
-    fn rule(
+    /// Determines the rule for `τ`. Where the noise level is unknown or is to be found afresh, runs the solver on
+    /// held-out pixels and sets `sigma`. The error is the result so far of a run that the observer stopped.
+    fn resolve_tau_rule(
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<TauRule, Box<RunResult>> {
-        let standard = self.options.prior.unwrap_or(Prior::STANDARD);
+        let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
             let max_iterations = self.options.max_iterations;
-            self.sigma = choose::noise_level(&mut self.data, standard, max_iterations, observer)?;
+            self.sigma =
+                choose::noise_level(&mut self.data, default_prior, max_iterations, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
         }
         Ok(match self.options.tau {
@@ -334,12 +363,14 @@ impl Problem {
         })
     }
 
-    fn choice(
+    /// Compares the candidates on held-out pixels. Returns the choice and the best trial; `None` for one bin or too few
+    /// pixels.
+    fn compare_priors(
         &mut self,
         rule: TauRule,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Option<(Choice, Option<BestTrial>)>, Box<RunResult>> {
-        // The candidates differ in how they treat time.
+        // The candidates differ only in their terms over time.
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
@@ -347,39 +378,45 @@ impl Problem {
         choose::choose_prior(&mut self.data, rule, self.sigma, max_iterations, observer).map(Some)
     }
 
-    /// The choices that are left to the program, then the run; what there is so far where the
-    /// observer stops them.
-    fn find(
+    /// Makes the choices that are left open, then runs the solver. The error is the result so far of a
+    /// choice that the observer stopped.
+    fn choose_and_run(
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<RunResult, Box<RunResult>> {
-        let rule = self.rule(observer)?;
+        let rule = self.resolve_tau_rule(observer)?;
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
-            None => match self.choice(rule, observer)? {
+            None => match self.compare_priors(rule, observer)? {
                 Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),
             },
         };
-        let standard = self.options.prior.unwrap_or(Prior::STANDARD);
-        let (prior, tau_factor) = choice.as_ref().map_or((standard, self.tau_factor), |c| {
-            (c.best().prior, c.best().tau_factor)
-        });
+        let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
+        let (prior, tau_factor) = choice
+            .as_ref()
+            .map_or((default_prior, self.tau_factor), |c| {
+                (c.best().prior, c.best().tau_factor)
+            });
         let shape = self.data.shape();
-        self.data.start(prior.background(), None);
+        self.data.reset(prior.background(), None);
         let mut prox = prior.prox(shape);
         let params = prior.admm_params(shape, rule, self.options.max_iterations);
         let mut run = Admm::new(&self.data, shape, params);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
-                show(prior.background(), shape, progress, observer)
+                observe_sum(prior.background(), shape, progress, observer)
             })
         };
         let mut stop_reason = None;
         if tau_factor != 1.0 && matches!(rule, TauRule::Discrepancy { .. }) {
-            // As in the trial: first to where the principle leads, then on from there.
+            // The factor applies to the `τ` of the discrepancy principle, so the run finds that `τ` first.
             run.set_tolerance(choose::TOLERANCE);
-            let reason = run_until(&mut run, &mut self.data, 2 * params.max_iterations / 3);
+            let reason = run_until(
+                &mut run,
+                &mut self.data,
+                TAU_SEARCH_THIRDS * params.max_iterations / 3,
+            );
             match reason {
                 StopReason::TimeBudget | StopReason::Interrupted => stop_reason = Some(reason),
                 _ => {
@@ -390,8 +427,8 @@ impl Problem {
         }
         let stop_reason = stop_reason
             .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
-        let solution = run.solution(&self.data, &*prox, stop_reason);
-        // Stopped soon after its start: the trial of this prior was nearer.
+        let solution = run.into_solution(&self.data, &*prox, stop_reason);
+        // A run that was stopped early may fit worse than the trial of its prior; then the trial counts.
         if let (StopReason::Interrupted | StopReason::TimeBudget, Some(best_trial)) =
             (stop_reason, best_trial)
             && best_trial.misfit() < crate::vecmath::norm(&solution.residual)
@@ -406,8 +443,8 @@ impl Problem {
     }
 }
 
-/// Shows `observer` the video that both parts make.
-fn show(
+/// Calls `observer` with the sum of foreground and background as the video.
+fn observe_sum(
     background: Background,
     shape: Shape,
     progress: &Progress,
@@ -422,11 +459,11 @@ fn show(
     }
 }
 
-/// What a run ends with.
+/// The result of a run of the solver.
 struct RunResult {
     prior: Prior,
-    /// Degrees of freedom of the video.
-    freedom: f64,
+    /// Degrees of freedom of the video (see [`Prox::degrees_of_freedom`]).
+    degrees_of_freedom: f64,
     choice: Option<Choice>,
     solution: Solution,
 }
@@ -436,21 +473,21 @@ impl RunResult {
         let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
         Self {
             prior,
-            freedom: prox.degrees_of_freedom(&solution.video, faint),
+            degrees_of_freedom: prox.degrees_of_freedom(&solution.video, faint),
             choice: None,
             solution,
         }
     }
 }
 
-/// The standard deviation of the noise, and where it is known from.
+/// The standard deviation of the noise in counts, and its source.
 fn noise_of(measurement: &Measurement, bands: &Bands, options: &Options) -> (f64, SigmaSource) {
     match (options.noise_sigma, measurement.sigma()) {
         (Some(sigma), _) => (sigma, SigmaSource::Given),
         (None, Some(sigma)) => (sigma, SigmaSource::Calibration),
         (None, None) => match bands.sigma(measurement) {
             Some(sigma) => (sigma, SigmaSource::Frame),
-            // Until held-out pixels tell.
+            // A guess until held-out pixels determine it.
             None => (
                 rms(measurement.image().data()) / 256.0,
                 SigmaSource::HeldOut,

@@ -1,4 +1,4 @@
-//! What all frames of one experiment share.
+//! The model of a camera with its PSF, which all frames of an experiment share.
 
 use crate::forward::RollingShutter;
 use crate::forward::gram::element_bytes;
@@ -7,32 +7,35 @@ use faer::Mat;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Gram blocks larger than this, or in total than that, are not built.
+/// Measurements of a block above which no blocks are built; then conjugate gradients solve the data step
+/// (docs/design/004).
 const MAX_BLOCK_SIZE: usize = 4096;
+/// Bytes of all blocks above which none are built; larger allows exact steps on larger sensors (docs/design/004).
 const MAX_GRAM_BYTES: usize = 4 << 30;
 
-/// Camera and PSF with what is computed from them alone: the operator `A` with the spectra of
-/// the PSF and, where they are kept, the blocks of `A Aᵀ`.
+/// Camera and PSF, with the values that depend on them alone: the operator `A` with the spectra of the
+/// PSF and, if cached, the blocks of `A Aᵀ`.
 ///
-/// Cheap to clone, and shared by all threads.
+/// Cheap to clone: clones share the operator and the blocks.
 #[derive(Clone)]
 pub struct Model {
     camera: Camera,
     psfs: PatchSet,
     shutter: Arc<RollingShutter>,
     scale: f64,
+    /// The cached blocks of `A Aᵀ`, one for each instant.
     gram: Option<Arc<Vec<Mat<f64>>>>,
 }
 
 impl Model {
-    /// The model of one frame. `psf` is one for the whole field (`&Psf`) or one for each part
+    /// A model without cached blocks. `psf` is one PSF for the whole field (`&Psf`) or one for each patch
     /// of it (`&PatchSet`).
     pub fn new(camera: &Camera, psf: impl Into<PatchSet>) -> Self {
         let psfs = psf.into();
         let shutter = Arc::new(RollingShutter::new(camera, psfs.clone()));
         let (rows, columns) = shutter.frame_shape();
+        // A pixel halfway between the middle and the edge of the sensor stands for a typical one.
         let row = camera.sensor_rows().nth(rows / 4);
-        // Halfway between the middle and the edge of a whole sensor.
         let scale = shutter
             .pixel_power(row.expect("a frame has rows"), columns / 4)
             .max(f64::MIN_POSITIVE);
@@ -45,9 +48,9 @@ impl Model {
         }
     }
 
-    /// Keeps the blocks of `A Aᵀ` of the whole field for all the frames to come: the same
-    /// numbers as without. Cost: the set-up of one frame, and 8 bytes for each element
-    /// (20 MB for 108×108×54). Where blocks are too large nothing is kept.
+    /// Caches the blocks of `A Aᵀ` for all voxels, so that later frames are set up faster. The numbers
+    /// stay the same. Costs the set-up of one frame, and 8 bytes for each element of the blocks. Blocks
+    /// that are too large (see [`Self::gram_bytes`]) are not cached.
     #[must_use]
     pub fn with_cached_gram(mut self) -> Self {
         if self.gram.is_none() && self.gram_bytes().is_some() {
@@ -69,17 +72,17 @@ impl Model {
         &self.camera
     }
 
-    /// The PSF, or those of the parts of the field.
+    /// The PSF, or one PSF for each patch of the field.
     pub fn psfs(&self) -> &PatchSet {
         &self.psfs
     }
 
-    /// `A`.
+    /// The operator `A`.
     pub fn operator(&self) -> &RollingShutter {
         &self.shutter
     }
 
-    /// `A`, to be shared.
+    /// The operator `A`, shared.
     pub(super) fn shutter(&self) -> &Arc<RollingShutter> {
         &self.shutter
     }
@@ -89,9 +92,10 @@ impl Model {
         self.scale
     }
 
-    /// Memory of the blocks of `A Aᵀ`, which each frame at work has for itself (half of it on sensors of less than 1024
-    /// columns as long as f32 is enough; up to three quarters more while bins are found on a support); `None`
-    /// where they are too large to be built.
+    /// Memory of the blocks of `A Aᵀ` in bytes; `None` where they are too large to be built.
+    ///
+    /// Each frame that is being reconstructed has blocks of its own. On sensors of less than 1024 columns
+    /// they take half of this memory as long as f32 suffices. A support takes up to three quarters more.
     pub fn gram_bytes(&self) -> Option<usize> {
         let (_, columns) = self.shutter.frame_shape();
         let rows = self.shutter.rows_of_instants().iter();
@@ -103,7 +107,7 @@ impl Model {
         is_small.then_some(bytes)
     }
 
-    /// The block of `A Aᵀ` of an instant, where it was kept.
+    /// The cached block of `A Aᵀ` of an instant.
     pub(super) fn cached_block(&self, instant: usize) -> Option<&Mat<f64>> {
         self.gram.as_ref()?.get(instant)
     }

@@ -1,4 +1,4 @@
-//! The priors that a user names.
+//! Priors `R(v)`, and their names.
 //!
 //! | term | `R(v)` | boundary | for |
 //! |---|---|---|---|
@@ -9,14 +9,15 @@
 //! | `tv3d-aniso` | `Σ \|∂y v\| + \|∂x v\| + \|∂t v\|` | Neumann | boxy or blinking shapes |
 //! | `dct` | `Σ \|DCT-II of each bin\|` | symmetric | smooth or periodic pictures |
 //! | `wavelet` | `Σ \|Daubechies-4 details\|`, mean over all shifts | periodic | smooth shapes with some edges |
-//! | `group` | `Σ_pixels √(Σ_t v²)` | none | few places, any trace |
-//! | `lowrank` | `Σ singular values of time × space` | none | few shapes, each with its trace |
-//! | `background` | `√T TV(picture)` of a part that stands still | Neumann | a scene before a still background |
-//! | `lowrank-background` | `√N Σ singular values` of a part of its own | none | the same where the background blinks as a whole |
+//! | `group` | `Σ_pixels √(Σ_t v²)` | none | few active pixels, any trace |
+//! | `lowrank` | `Σ singular values of time × space` | none | few shapes, each with its own trace |
+//! | `background` | `√T TV(picture)` of a static background | Neumann | a scene in front of a static background |
+//! | `lowrank-background` | `√N Σ singular values` of a background | none | a background that blinks as a whole |
 //! | `support` | 0 on bright voxels and their neighbours, else ∞ | – | sparse scenes |
 //!
-//! With a background the video is the sum of two parts, and all other terms are those of the
-//! first one ([`crate::prox::SumPrior`]; `N` is the larger of pixels and bins, as in Candès et al. 2011).
+//! `T` is the number of bins, and `N` is the larger of pixels and bins, as in Candès et al. (2011). With a
+//! background the video is the sum of foreground and background, and all other terms act on the foreground
+//! ([`crate::prox::SumPrior`]).
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
@@ -27,28 +28,27 @@ use crate::prox::{
 use crate::solve::admm::{AdmmParams, TauRule};
 use crate::{Error, Result, Shape};
 
-/// A prior: weights of the convex parts, and whether the video is restricted to its
-/// support.
+/// A prior: the weights of its convex terms, and whether the video is restricted to a support.
 ///
-/// Written as terms joined by `+`, each with an optional weight: `l1` (absolute
-/// values), `tv` (isotropic total variation in space), `tdiff` (absolute differences
-/// in time), `tv3d` and `tv3d-aniso` (total variation in space and time as one), `dct` and
-/// `wavelet` (few coefficients in each bin), `group` (few places), `lowrank` (few
-/// shapes), `support` (only bright voxels and their neighbours, see
-/// [`crate::solve::admm`]).
+/// Its text form joins the terms by `+`, each with an optional weight, as in `tv+0.5*tdiff+support`:
+/// `l1` (absolute values), `tv` (isotropic total variation in space), `tdiff` (absolute differences
+/// in time), `tv3d` and `tv3d-aniso` (total variation in space and time), `dct` and `wavelet` (few
+/// coefficients in each bin), `group` (few active pixels), `lowrank` (few shapes), `background` and
+/// `lowrank-background` (a static background, and a background video of low rank), `support` (only
+/// bright voxels and their neighbours, see [`crate::solve::admm`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
-    /// Weights of the convex parts that [`Variation`] fuses.
-    pub weights: VariationWeights,
-    /// Weights of the other convex parts.
-    pub further: FurtherWeights,
-    /// Whether the video is restricted to its support.
+    /// Weights of the terms that [`Variation`] computes together: `tv`, `tdiff` and `l1`.
+    pub variation: VariationWeights,
+    /// Weights of all other convex terms, which are not fused into one loop.
+    pub unfused: UnfusedWeights,
+    /// Whether the video is restricted to a support, `support`.
     pub support: bool,
 }
 
-/// The weights of the terms beside [`VariationWeights`]; a term with weight 0 is absent.
+/// Weights of the terms that [`Variation`] does not compute; a term with weight 0 is absent.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct FurtherWeights {
+pub struct UnfusedWeights {
     /// Isotropic total variation in space and time, `tv3d`.
     pub tv3d: f64,
     /// Anisotropic total variation in space and time, `tv3d-aniso`.
@@ -61,14 +61,14 @@ pub struct FurtherWeights {
     pub group: f64,
     /// Nuclear norm of space × time, `lowrank`.
     pub lowrank: f64,
-    /// Total variation of a part that stands still, `background`.
+    /// Total variation of a static background, `background`.
     pub background: f64,
-    /// Nuclear norm of a part of its own, `lowrank-background`.
+    /// Nuclear norm of a background video, `lowrank-background`.
     pub lowrank_background: f64,
 }
 
 /// The terms that couple bins.
-const OF_TIME: [&str; 7] = [
+const TEMPORAL_TERMS: [&str; 7] = [
     "tdiff",
     "tv3d",
     "tv3d-aniso",
@@ -78,12 +78,20 @@ const OF_TIME: [&str; 7] = [
     "lowrank-background",
 ];
 
+/// Units of `β` in [`Prior::threshold_factor`], in units of the brightness of a voxel; larger shrinks the term more in
+/// each iteration (docs/design/012). That of `group` is multiplied by `√T`, that of `lowrank` by the singular value of a
+/// typical picture.
+const GROUP_UNIT: f64 = 2.0;
+const LOWRANK_UNIT: f64 = 3.0;
+const WAVELET_UNIT: f64 = 5.0;
+const DCT_UNIT: f64 = 3.0;
+
 const NO_VARIATION: VariationWeights = VariationWeights {
     space: 0.0,
     time: 0.0,
     l1: 0.0,
 };
-const NONE: FurtherWeights = FurtherWeights {
+const NO_UNFUSED_TERMS: UnfusedWeights = UnfusedWeights {
     tv3d: 0.0,
     tv3d_aniso: 0.0,
     dct: 0.0,
@@ -95,24 +103,21 @@ const NONE: FurtherWeights = FurtherWeights {
 };
 
 impl Prior {
-    /// What does well on sparse scenes, still or moving: `tv+0.5*tdiff+support`.
-    ///
-    /// The temporal weight costs digits that change in every bin nothing (48.0 dB with
-    /// and without) and gives a moving digit 0.2 dB, without the support 3.7 dB.
+    /// Default for sparse scenes, static or moving: `tv+0.5*tdiff+support` (`docs/design/012`).
     pub const STANDARD: Self = Self {
-        weights: VariationWeights {
+        variation: VariationWeights {
             space: 1.0,
             time: 0.5,
             l1: 0.0,
         },
-        further: NONE,
+        unfused: NO_UNFUSED_TERMS,
         support: true,
     };
-    /// The same for videos that are found part by part: `tv+support`.
+    /// Default for videos that are reconstructed in chunks, without a term over time: `tv+support`.
     pub const SEPARABLE: Self = Self {
-        weights: VariationWeights {
+        variation: VariationWeights {
             time: 0.0,
-            ..Self::STANDARD.weights
+            ..Self::STANDARD.variation
         },
         ..Self::STANDARD
     };
@@ -148,50 +153,61 @@ impl Prior {
         }
     }
 
-    /// The prox of the convex parts over videos of `shape`.
+    /// The proximal operator of the convex terms, for videos of `shape`. Where the prior has a background, its
+    /// argument is the foreground followed by the background.
     pub fn prox(&self, shape: Shape) -> Box<dyn Prox> {
-        let FurtherWeights {
+        let UnfusedWeights {
             background,
             lowrank_background,
             ..
-        } = self.further;
-        let first = self.foreground_prox(shape);
+        } = self.unfused;
+        let foreground = self.foreground_prox(shape);
         let voxels = shape.voxels();
         match self.background() {
-            Background::None => first,
+            Background::None => foreground,
             Background::Static => {
                 let picture = Shape::new(1, shape.rows, shape.columns);
                 let weights = VariationWeights {
                     space: 1.0,
                     ..NO_VARIATION
                 };
-                let second = Variation::new(picture, weights);
+                let background_part = Variation::new(picture, weights);
                 let weight = background * (shape.bins as f64).sqrt();
-                Box::new(SumPrior::new(voxels, first, Box::new(second), weight))
+                Box::new(SumPrior::new(
+                    voxels,
+                    foreground,
+                    Box::new(background_part),
+                    weight,
+                ))
             }
-            Background::Video => {
-                let second =
+            Background::PerBin => {
+                let background_part =
                     Composite::new(shape, NO_VARIATION, 0.0).with(1.0, LowRank::new(shape));
                 let weight = lowrank_background * (shape.pixels().max(shape.bins) as f64).sqrt();
-                Box::new(SumPrior::new(voxels, first, Box::new(second), weight))
+                Box::new(SumPrior::new(
+                    voxels,
+                    foreground,
+                    Box::new(background_part),
+                    weight,
+                ))
             }
         }
     }
 
-    /// What stands behind the part that all other terms are for.
+    /// The kind of background.
     pub fn background(&self) -> Background {
-        if self.further.background > 0.0 {
+        if self.unfused.background > 0.0 {
             Background::Static
-        } else if self.further.lowrank_background > 0.0 {
-            Background::Video
+        } else if self.unfused.lowrank_background > 0.0 {
+            Background::PerBin
         } else {
             Background::None
         }
     }
 
-    /// Without the backgrounds.
+    /// The prox of the foreground alone.
     fn foreground_prox(&self, shape: Shape) -> Box<dyn Prox> {
-        let FurtherWeights {
+        let UnfusedWeights {
             tv3d,
             tv3d_aniso,
             dct,
@@ -199,16 +215,16 @@ impl Prior {
             group,
             lowrank,
             ..
-        } = self.further;
-        if self.foreground_terms() == NONE {
-            return Box::new(Variation::new(shape, self.weights));
+        } = self.unfused;
+        if self.unfused_foreground_weights() == NO_UNFUSED_TERMS {
+            return Box::new(Variation::new(shape, self.variation));
         }
         let Shape {
             bins,
             rows,
             columns,
         } = shape;
-        let mut sum = Composite::new(shape, self.weights, group);
+        let mut sum = Composite::new(shape, self.variation, group);
         for (weight, isotropy) in [
             (tv3d, Isotropy::Isotropic),
             (tv3d_aniso, Isotropy::Anisotropic),
@@ -229,33 +245,30 @@ impl Prior {
         Box::new(sum)
     }
 
-    /// What the solver's threshold `β` is multiplied by: `min_i unit_i/w_i` over the terms,
-    /// where `unit_i` is the size of what a lit voxel is a part of.
+    /// Factor on the solver's threshold `β`: `min_i unit_i/w_i` over the terms. `unit_i` is the size
+    /// of what term `i` acts on, in units of the brightness of a voxel; `w_i` is its weight.
     ///
-    /// `β` is a part of the brightness of a voxel. A trace over `T` bins, a picture's
-    /// singular value and a coefficient are larger than that, and a threshold for voxels
-    /// would need thousands of iterations to have a say: points blinking in 24 bins
-    /// stood after 300 iterations of `group` at 31.8, 38.5, 40.1 and 37.7 dB with `β` times 1,
-    /// 3, 10 and 30; textures of `lowrank` at 21.7, 23.0, 23.5 and 23.4 dB with 10, 30, 100 and
-    /// 300; soft blobs of `wavelet` at 22.6, 23.5, 23.6 and 23.1 dB with 1, 3, 10 and 30; waves
-    /// of `dct` at 20.2, 20.6 and 19.4 dB with 1, 5 and 20.
-    /// What [`Variation`] fuses has none: 1.
+    /// Without the factor `β` is a fraction of the brightness of a voxel. The norm of a trace, a
+    /// singular value and a transform coefficient are larger than that; a threshold for voxels would
+    /// need thousands of iterations to act (`docs/design/012`). The factor is 1 for the terms of
+    /// [`Variation`] alone.
     pub fn threshold_factor(&self, shape: Shape) -> f64 {
-        if self.foreground_terms() == NONE {
+        if self.unfused_foreground_weights() == NO_UNFUSED_TERMS {
             return 1.0;
         }
         let bins = shape.bins as f64;
-        // A shape of a hundredth of the field, lit half of the time: √(T·N/200).
+        // Singular value of a shape on a hundredth of `P` pixels of the field, active half of the time at
+        // brightness 1: √(T·P/200).
         let picture = (bins * shape.pixels() as f64 / 200.0).sqrt();
         Self::TERMS
             .into_iter()
             .filter(|name| self.weight(name) > 0.0 && !name.ends_with("background"))
             .map(|name| {
                 let unit = match name {
-                    "group" => 2.0 * bins.sqrt(),
-                    "lowrank" => 3.0 * picture,
-                    "wavelet" => 5.0,
-                    "dct" => 3.0,
+                    "group" => GROUP_UNIT * bins.sqrt(),
+                    "lowrank" => LOWRANK_UNIT * picture,
+                    "wavelet" => WAVELET_UNIT,
+                    "dct" => DCT_UNIT,
                     _ => 1.0,
                 };
                 unit / self.weight(name)
@@ -263,25 +276,25 @@ impl Prior {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// The further terms of the first part.
-    fn foreground_terms(&self) -> FurtherWeights {
-        FurtherWeights {
+    /// The unfused terms without the backgrounds.
+    fn unfused_foreground_weights(&self) -> UnfusedWeights {
+        UnfusedWeights {
             background: 0.0,
             lowrank_background: 0.0,
-            ..self.further
+            ..self.unfused
         }
     }
 
-    /// Checks that a video of `bins` bins has what the terms speak of.
+    /// Checks that the prior suits a video of `bins` bins.
     ///
     /// # Errors
-    /// A term over time where there is a single bin. [`Self::STANDARD`] is for any video: its
-    /// `tdiff` does nothing there.
+    /// A term over time and a single bin. [`Self::STANDARD`] is permitted: its `tdiff` is zero for a
+    /// single bin.
     pub fn check_bins(&self, bins: usize) -> Result<()> {
         if bins > 1 || *self == Self::STANDARD {
             return Ok(());
         }
-        match OF_TIME.iter().find(|name| self.weight(name) > 0.0) {
+        match TEMPORAL_TERMS.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(
                 "--prior",
@@ -292,18 +305,18 @@ impl Prior {
         }
     }
 
-    /// Checks that no term couples bins, so that each can be found by itself.
+    /// Checks that no term couples bins, so that bins can be reconstructed separately.
     ///
     /// # Errors
     /// A term over time.
     pub fn check_separable_in_time(&self) -> Result<()> {
-        match OF_TIME.iter().find(|name| self.weight(name) > 0.0) {
+        match TEMPORAL_TERMS.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(
                 "--prior",
-                format!("\"{name}\" for a video that is found part by part"),
-                format!("{name} couples bins, and they would fall into different parts"),
-                "Use terms of space alone, such as tv+support, l1, wavelet, or fewer bins (--bins) in one part.",
+                format!("\"{name}\" for a video that is reconstructed in chunks"),
+                format!("{name} couples bins, which would be in different chunks"),
+                "Use terms of space alone, such as tv+support, l1, wavelet, or fewer bins (--bins) in one chunk.",
             )),
         }
     }
@@ -313,24 +326,26 @@ impl Prior {
         self.weight_mut(name).copied().unwrap_or(0.0)
     }
 
+    /// The weight of the convex term `name`; `None` where no convex term has this name.
     fn weight_mut(&mut self, name: &str) -> Option<&mut f64> {
         Some(match name {
-            "tv" => &mut self.weights.space,
-            "tdiff" => &mut self.weights.time,
-            "l1" => &mut self.weights.l1,
-            "tv3d" => &mut self.further.tv3d,
-            "tv3d-aniso" => &mut self.further.tv3d_aniso,
-            "dct" => &mut self.further.dct,
-            "wavelet" => &mut self.further.wavelet,
-            "group" => &mut self.further.group,
-            "lowrank" => &mut self.further.lowrank,
-            "background" => &mut self.further.background,
-            "lowrank-background" => &mut self.further.lowrank_background,
+            "tv" => &mut self.variation.space,
+            "tdiff" => &mut self.variation.time,
+            "l1" => &mut self.variation.l1,
+            "tv3d" => &mut self.unfused.tv3d,
+            "tv3d-aniso" => &mut self.unfused.tv3d_aniso,
+            "dct" => &mut self.unfused.dct,
+            "wavelet" => &mut self.unfused.wavelet,
+            "group" => &mut self.unfused.group,
+            "lowrank" => &mut self.unfused.lowrank,
+            "background" => &mut self.unfused.background,
+            "lowrank-background" => &mut self.unfused.lowrank_background,
             _ => return None,
         })
     }
 }
 
+/// The error of a prior's text: `found` breaks `rule`.
 fn refuse<T>(found: &str, rule: impl Into<String>) -> Result<T> {
     Err(Error::input(
         "--prior",
@@ -348,8 +363,8 @@ impl std::str::FromStr for Prior {
 
     fn from_str(text: &str) -> Result<Self> {
         let mut prior = Self {
-            weights: NO_VARIATION,
-            further: NONE,
+            variation: NO_VARIATION,
+            unfused: NO_UNFUSED_TERMS,
             support: false,
         };
         let mut seen: Vec<&str> = Vec::new();
@@ -362,32 +377,32 @@ impl std::str::FromStr for Prior {
                 },
             };
             if seen.contains(&name) {
-                return refuse(text, "each term stands once");
+                return refuse(text, "each term may appear once");
             }
             seen.push(name);
             match (name, prior.weight_mut(name)) {
-                (_, Some(place)) => *place = weight,
+                (_, Some(slot)) => *slot = weight,
                 ("support", None) if weight == 1.0 => prior.support = true,
                 ("support", None) => return refuse(term, "support has no weight"),
                 ("auto", None) => {
-                    return refuse(text, "auto is a choice of the program and stands alone");
+                    return refuse(text, "auto is the program's choice of a prior, not a term");
                 }
                 (_, None) => return refuse(term, unknown(name)),
             }
         }
         if seen == ["support"] {
-            return refuse(text, "support needs a convex term beside it");
+            return refuse(text, "support must be combined with a convex term");
         }
-        if prior.further.tv3d > 0.0 && prior.further.tv3d_aniso > 0.0 {
+        if prior.unfused.tv3d > 0.0 && prior.unfused.tv3d_aniso > 0.0 {
             return refuse(
                 text,
-                "tv3d and tv3d-aniso are two forms of one term: one of them stands",
+                "tv3d and tv3d-aniso are two forms of one term: use one of them",
             );
         }
-        if prior.further.background > 0.0 && prior.further.lowrank_background > 0.0 {
+        if prior.unfused.background > 0.0 && prior.unfused.lowrank_background > 0.0 {
             return refuse(
                 text,
-                "a still background is one of low rank: one of background and lowrank-background stands",
+                "a static background has low rank: use either background or lowrank-background",
             );
         }
         if seen
@@ -396,30 +411,30 @@ impl std::str::FromStr for Prior {
         {
             return refuse(
                 text,
-                "a background needs a convex term for what is before it",
+                "a background must be combined with a convex term for the foreground",
             );
         }
         Ok(prior)
     }
 }
 
-/// That there is no `name`, and which it may have been meant to be.
+/// The rule that an unknown `name` breaks, with the nearest name where one is similar.
 fn unknown(name: &str) -> String {
-    let near = Prior::TERMS
+    let nearest_term = Prior::TERMS
         .iter()
-        .map(|term| (edits(name, term), term))
+        .map(|term| (edit_distance(name, term), term))
         .min();
-    match near {
-        // More than half of the letters wrong is another word.
-        Some((edits, term)) if 2 * edits <= name.chars().count() => {
+    match nearest_term {
+        // A name that differs in more than half of its letters is not similar.
+        Some((edit_distance, term)) if 2 * edit_distance <= name.chars().count() => {
             format!("no prior has this name; the nearest is {term}")
         }
         _ => "no prior has this name".to_string(),
     }
 }
 
-/// Levenshtein distance: letters to add, drop or change.
-fn edits(a: &str, b: &str) -> usize {
+/// Levenshtein distance: the number of letters to add, drop or change.
+fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
     for (i, x) in a.chars().enumerate() {
@@ -501,19 +516,22 @@ mod tests {
             ("tv3d+tv3d-aniso", "two forms of one term"),
             (
                 "tv+background+lowrank-background",
-                "a still background is one of low rank",
+                "a static background has low rank",
             ),
-            ("background", "a background needs a convex term"),
+            (
+                "background",
+                "a background must be combined with a convex term",
+            ),
             (
                 "lowrank-background+support",
-                "a background needs a convex term",
+                "a background must be combined with a convex term",
             ),
-            ("auto+dct", "stands alone"),
-            ("auto", "stands alone"),
-            ("tv+tv", "each term stands once"),
+            ("auto+dct", "not a term"),
+            ("auto", "not a term"),
+            ("tv+tv", "each term may appear once"),
             ("-1*tv", "above zero"),
             ("nan*tv", "above zero"),
-            ("support", "needs a convex term"),
+            ("support", "must be combined with a convex term"),
             ("tv+2*support", "no weight"),
         ] {
             let error = name.parse::<Prior>().unwrap_err().to_string();
@@ -534,7 +552,7 @@ mod tests {
         }
     }
 
-    /// A common factor of the weights changes nothing; the fused terms stay as they were.
+    /// The factor is the size of a term over its weight, and 1 for the terms of `Variation`.
     #[test]
     fn the_threshold_follows_the_size_of_a_term() {
         let shape = Shape::new(25, 8, 9);
@@ -550,7 +568,7 @@ mod tests {
         assert_eq!(factor("lowrank"), 9.0);
     }
 
-    /// Whatever is named is built, and counts: a weight twice as large, a value twice as large.
+    /// Every named term adds to the value, in proportion to its weight.
     #[test]
     fn every_term_has_its_value() {
         let shape = Shape::new(3, 8, 9);
@@ -558,7 +576,7 @@ mod tests {
             .map(|i| (i as f32 * 0.9).sin().max(0.0))
             .collect();
         for name in Prior::TERMS.iter().filter(|name| **name != "support") {
-            // A background stands behind something.
+            // A background needs a foreground term.
             let before = if name.ends_with("background") {
                 "1e-9*l1+"
             } else {

@@ -1,11 +1,11 @@
-//! Frames of one scene, one after another: a live view.
+//! Consecutive frames of one scene with warm starts, for a live view.
 //!
-//! From one frame to the next most of a scene stays as it is. The solver goes on from where the last
-//! frame ended: its video, its duals, the support, `ρ`, and the factors of the Gram blocks, which
-//! hold as long as neither support nor `ρ` moves. What changed is found by the data step, and new
-//! places by the looks at the support (see [`crate::solve::admm`]). A frame that was stopped early is
-//! not lost: the next one goes on from there. Where the last video explains little of the new frame,
-//! it begins from nothing.
+//! Most of a scene stays the same from one frame to the next. So the solver starts each frame from the
+//! end of the last one: its video, its duals, the support, `ρ`, and the factors of the Gram blocks, which
+//! are valid as long as support and `ρ` stay. The data step finds changes of active voxels, and the
+//! updates of the support find new active voxels (see [`crate::solve::admm`]). A frame that was stopped
+//! early is continued by the next one. A frame starts from zero where the last video explains too little
+//! of it (docs/design/014).
 
 use super::sigma::Bands;
 use super::{
@@ -19,31 +19,40 @@ use crate::solve::{DataTerm, StopReason};
 use crate::vecmath::distance_squared;
 use std::ops::ControlFlow;
 
-/// Part of the variance of a frame that the last video may leave unexplained; beyond, it is of
-/// another scene.
+/// Unexplained part of a frame's variance above which it starts from zero; larger keeps old videos longer
+/// (docs/design/014).
 const MAX_UNEXPLAINED: f64 = 0.5;
 
-/// Reconstructs frames of the same camera, each from the end of the last one.
+/// Reconstructs consecutive frames of the same camera, each with a warm start from the last one.
 ///
-/// What comes out depends on the frames before, within [`crate::solve::admm::AdmmParams::tolerance`]
-/// where it converges: for a live view, not for a measurement. The prior is the recipe's, or
-/// [`Prior::STANDARD`].
+/// The video of a frame depends on the frames before, for converged frames within
+/// [`crate::solve::admm::AdmmParams::tolerance`]. So it suits a live view, not a measurement. The prior
+/// is that of the options, or [`Prior::STANDARD`].
 pub struct Sequence {
     model: Model,
     options: Options,
-    previous: Option<PreviousFrame>,
+    /// The run of the last frame.
+    previous: Option<FrameRun>,
 }
 
-/// The end of the last frame.
-struct PreviousFrame {
+/// The run of a frame; its end is the start of the next one.
+struct FrameRun {
     problem: Problem,
     prox: Box<dyn Prox>,
     run: Admm,
 }
 
+/// A run from zero.
+enum Start {
+    /// The run, before its first iteration.
+    Ready(Box<FrameRun>),
+    /// The result so far of a search for the noise level that the observer stopped.
+    Stopped(Box<Reconstruction>),
+}
+
 impl Sequence {
-    /// A sequence without frames yet. With [`Model::with_cached_gram`] a frame that starts from nothing
-    /// is set up sooner.
+    /// A sequence without frames. A model with [`Model::with_cached_gram`] makes frames that start from
+    /// zero faster.
     pub fn new(model: Model, options: Options) -> Self {
         let options = Options {
             prior: Some(options.prior.unwrap_or(Prior::STANDARD)),
@@ -56,17 +65,17 @@ impl Sequence {
         }
     }
 
-    /// Forgets what it has seen: the next frame starts from nothing.
+    /// Drops the last frame, so that the next one starts from zero.
     pub fn reset(&mut self) {
         self.previous = None;
     }
 
-    /// The video of the next frame, and whether it went on from the last one; `observer` sees every
-    /// iteration and may stop it: what a time budget needs.
+    /// Reconstructs the next frame. Also returns whether it had a warm start from the last one.
+    /// `observer` is called after every iteration and may stop the run, as for a time budget.
     ///
     /// # Errors
-    /// Those of [`Problem::with_model`] and [`Problem::solve`]; the next frame then starts from nothing.
-    pub fn next(
+    /// Those of [`Problem::with_model`] and [`Problem::solve`]; the next frame then starts from zero.
+    pub fn reconstruct(
         &mut self,
         measurement: &Measurement,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
@@ -78,33 +87,36 @@ impl Sequence {
         let is_warm_started = advanced.is_some();
         let mut current = match advanced {
             Some(previous) => previous,
-            None => match self.first(measurement, observer)? {
-                Ok(first) => *first,
-                Err(stopped) => return Ok((*stopped, false)),
+            None => match self.start(measurement, observer)? {
+                Start::Ready(frame_run) => *frame_run,
+                Start::Stopped(stopped) => return Ok((*stopped, false)),
             },
         };
-        let mut history = Vec::new();
-        let reason = current.run(&mut history, observer);
-        let found = current.build_reconstruction(reason, &history)?;
+        let mut residual_history = Vec::new();
+        let reason = current.run(&mut residual_history, observer);
+        let found = current.build_reconstruction(reason, &residual_history)?;
         self.previous = Some(current);
         Ok((found, is_warm_started))
     }
 
-    /// A run from nothing; what there is where the observer stopped the search for the noise level.
-    fn first(
+    /// Sets up a run from zero, and searches for the noise level where it is unknown.
+    fn start(
         &self,
         measurement: &Measurement,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-    ) -> Result<std::result::Result<Box<PreviousFrame>, Box<Reconstruction>>> {
+    ) -> Result<Start> {
         let mut problem = Problem::with_model(&self.model, measurement, self.options)?;
-        let rule = match problem.rule(observer) {
+        let rule = match problem.resolve_tau_rule(observer) {
             Ok(rule) => rule,
-            Err(partial) => return Ok(Err(Box::new(problem.build_reconstruction(*partial, &[])?))),
+            Err(partial) => {
+                let stopped = problem.build_reconstruction(*partial, &[])?;
+                return Ok(Start::Stopped(Box::new(stopped)));
+            }
         };
         let (shape, prior) = (problem.data.shape(), problem.prior());
-        problem.data.start(prior.background(), None);
+        problem.data.reset(prior.background(), None);
         let params = prior.admm_params(shape, rule, self.options.max_iterations);
-        Ok(Ok(Box::new(PreviousFrame {
+        Ok(Start::Ready(Box::new(FrameRun {
             run: Admm::new(&problem.data, shape, params),
             prox: prior.prox(shape),
             problem,
@@ -113,15 +125,16 @@ impl Sequence {
 }
 
 impl Problem {
+    /// The prior that is given, or the standard one.
     fn prior(&self) -> Prior {
         self.options.prior.unwrap_or(Prior::STANDARD)
     }
 }
 
-impl PreviousFrame {
+impl FrameRun {
     fn run(
         &mut self,
-        history: &mut Vec<f64>,
+        residual_history: &mut Vec<f64>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> StopReason {
         let shape = self.problem.data.shape();
@@ -129,30 +142,30 @@ impl PreviousFrame {
         let (data, max_iterations) = (&mut self.problem.data, self.run.max_iterations());
         self.run
             .run(data, &mut *self.prox, max_iterations, &mut |progress| {
-                history.push(progress.residual_rms);
-                super::show(background, shape, progress, observer)
+                residual_history.push(progress.residual_rms);
+                super::observe_sum(background, shape, progress, observer)
             })
     }
 
     fn build_reconstruction(
         &mut self,
         reason: StopReason,
-        history: &[f64],
+        residual_history: &[f64],
     ) -> Result<Reconstruction> {
         let (problem, prox) = (&self.problem, &*self.prox);
         let solution = self.run.snapshot(&problem.data, prox, reason);
         let found = RunResult::new(problem.prior(), prox, problem.data.shape(), solution);
-        problem.build_reconstruction(found, history)
+        problem.build_reconstruction(found, residual_history)
     }
 
-    /// The same with the data of the next frame; `None` where that is of another scene.
+    /// Prepares the warm start of the next frame; `None` where the last video explains too little of it.
     fn advance(mut self, measurement: &Measurement) -> Option<Self> {
         let problem = &mut self.problem;
-        problem.data.next(measurement);
+        problem.data.set_frame(measurement);
         problem.bands = Bands::new(measurement, problem.data.psfs().central());
         let (sigma, source) = noise_of(measurement, &problem.bands, &problem.options);
         if source != SigmaSource::HeldOut {
-            // Weights that stayed have the reference of the law that they come from.
+            // Weights that were kept refer to the `σ` of the noise model that they come from.
             problem.sigma = match source {
                 SigmaSource::Calibration => problem.data.calibrated_sigma()?,
                 _ => sigma,
@@ -164,7 +177,7 @@ impl PreviousFrame {
             let rule = TauRule::Discrepancy { sigma };
             self.run.set_tau_rule(rule, &problem.data);
         }
-        // A run that was stopped early has no video yet that could explain anything.
+        // The video of a run that was stopped during its warm-up explains nothing yet.
         if !self.run.is_warming_up() && !explains_most_variance(problem, self.run.video()) {
             return None;
         }
@@ -173,13 +186,13 @@ impl PreviousFrame {
     }
 }
 
-/// Whether `video` explains most of what varies in the frame.
+/// Whether `video` explains enough of the variance of the frame.
 fn explains_most_variance(problem: &Problem, video: &[f32]) -> bool {
     let data = &problem.data;
-    let measured = data.measured();
-    let mut seen = vec![0.0; measured.len()];
-    data.operator().apply(video, &mut seen);
+    let measured = data.measurements();
+    let mut predicted = vec![0.0; measured.len()];
+    data.operator().apply(video, &mut predicted);
     let mean = measured.iter().map(|b| f64::from(*b)).sum::<f64>() / measured.len() as f64;
-    let varies = distance_squared(measured, &vec![mean as f32; measured.len()]);
-    distance_squared(measured, &seen) <= MAX_UNEXPLAINED * varies
+    let variance_sum = distance_squared(measured, &vec![mean as f32; measured.len()]);
+    distance_squared(measured, &predicted) <= MAX_UNEXPLAINED * variance_sum
 }

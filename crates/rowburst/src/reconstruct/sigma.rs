@@ -1,51 +1,58 @@
-//! The noise level, from the frame itself.
+//! Estimate of the noise level from the frame itself.
 //!
-//! The optics pass no detail finer than a speckle grain: beyond their cut-off the
-//! spectrum of a row holds only noise. Each row is one instant, so rows, not columns,
-//! are transformed; a Hann window keeps the strong low frequencies from leaking.
+//! The optics pass no detail finer than a speckle grain, so the spectrum of a row beyond their cut-off
+//! holds only noise. Rows are transformed rather than columns, since each row is one instant. A Hann
+//! window keeps the strong low frequencies from leaking into the noise band.
 
 use crate::measurement::Measurement;
 use crate::{Image, Psf};
 use realfft::RealFftPlanner;
 
-/// Part of the frequencies that are taken for noise: those that the PSF passes least.
+/// Fraction of the frequencies that are taken for noise, those that the PSF passes least; larger averages
+/// more values and admits more signal.
 const NOISE_BAND: f64 = 0.1;
 
-/// Part of the frequencies that the PSF passes best.
+/// Fraction of the frequencies that make up the passed band, those that the PSF passes best.
 const PASSED_BAND: f64 = 0.25;
 
-/// Standard deviation of the noise in `measurement` in counts (weight 1), from the
-/// tenth of the horizontal frequencies that `psf` passes least.
+/// Estimates the standard deviation of the noise of a pixel with weight 1, in counts, from the tenth of
+/// the horizontal frequencies that `psf` passes least.
 ///
-/// An upper bound where the PSF passes all frequencies of the pixel grid (a grain
-/// below two pixels). `None` where no part of a row is whole enough.
+/// The result is an upper bound where the PSF passes all frequencies of the pixel grid (a speckle grain
+/// below two pixels). `None` where bad pixels leave no part of a row that is long enough.
 pub fn estimate_sigma(measurement: &Measurement, psf: &Psf) -> Option<f64> {
     Bands::new(measurement, psf).sigma(measurement)
 }
 
 impl Bands {
-    /// See [`estimate_sigma`]; the bands are those of the measurement.
+    /// See [`estimate_sigma`]. The bands have to be those of `measurement`.
     pub fn sigma(&self, measurement: &Measurement) -> Option<f64> {
         let image = measurement.image();
-        let blind = self.blind_rms(|at| {
+        let noise_rms = self.noise_rms(|at| {
             let weight = measurement.weights().map_or(1.0, |w| f64::from(w[at]));
             weight * f64::from(image.data()[at])
         });
         let rms = (crate::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
-        // A noiseless frame still has the rounding of its numbers.
-        let floor = 1e-5 * rms;
-        blind.map(|blind| blind.max(floor))
+        // A noiseless frame still has rounding noise.
+        let min_sigma = 1e-5 * rms;
+        noise_rms.map(|noise_rms| noise_rms.max(min_sigma))
     }
 }
 
-/// The horizontal frequencies that the optics pass least and best, and where in a frame
-/// they can be measured.
+/// The horizontal frequencies that the optics pass least (noise band) and best (passed band), and the
+/// windows of the frame in which they are measured.
 pub(super) struct Bands {
+    /// Length of a window in pixels.
     length: usize,
+    /// Index in the frame of the first pixel of each window.
     starts: Vec<usize>,
+    /// The Hann window.
     window: Vec<f64>,
-    blind: Vec<usize>,
-    passed: Vec<usize>,
+    /// The frequencies that the optics pass least.
+    noise_band: Vec<usize>,
+    /// The frequencies that the optics pass best.
+    passed_band: Vec<usize>,
+    /// See [`Self::leak`].
     leak: f64,
 }
 
@@ -62,11 +69,11 @@ impl Bands {
         let power = transfer(psf, length);
         let mut order: Vec<usize> = (1..power.len()).collect();
         order.sort_by(|&a, &b| power[a].total_cmp(&power[b]));
-        let part = |share: f64, least: usize| {
-            let count = (power.len() as f64 * share).ceil() as usize;
-            count.max(least).min(order.len())
+        let band_size = |fraction: f64, min_count: usize| {
+            let count = (power.len() as f64 * fraction).ceil() as usize;
+            count.max(min_count).min(order.len())
         };
-        // The last frequency of an even length is real: its power has another law.
+        // The last frequency of an even length is real, so its power has another distribution.
         let real_end = if length.is_multiple_of(2) {
             length / 2
         } else {
@@ -75,53 +82,53 @@ impl Bands {
         let complex = |band: &[usize]| -> Vec<usize> {
             band.iter().copied().filter(|&f| f != real_end).collect()
         };
-        let blind = complex(&order[..part(NOISE_BAND, 1)]);
-        let passed = complex(&order[order.len() - part(PASSED_BAND, 2)..]);
+        let noise_band = complex(&order[..band_size(NOISE_BAND, 1)]);
+        let passed_band = complex(&order[order.len() - band_size(PASSED_BAND, 2)..]);
         let mean =
             |band: &[usize]| band.iter().map(|&f| power[f]).sum::<f64>() / band.len().max(1) as f64;
         Self {
-            leak: mean(&blind) / mean(&passed).max(f64::MIN_POSITIVE),
+            leak: mean(&noise_band) / mean(&passed_band).max(f64::MIN_POSITIVE),
             length,
             starts,
             window,
-            blind,
-            passed,
+            noise_band,
+            passed_band,
         }
     }
 
-    /// Number of values behind [`Self::blind_rms`].
-    pub fn blind_count(&self) -> usize {
-        self.starts.len() * self.blind.len()
+    /// Number of values of which [`Self::noise_rms`] takes the median.
+    pub fn noise_count(&self) -> usize {
+        self.starts.len() * self.noise_band.len()
     }
 
-    /// Power that the optics pass in the blind band over that in the passed one.
+    /// Mean power that the optics pass in the noise band over that in the passed band.
     pub fn leak(&self) -> f64 {
         self.leak
     }
 
-    /// Root mean square per pixel of white noise that has the median power of the blind
-    /// band of `value(i)`, `i` the pixel of the frame; `None` where no row is whole
-    /// enough. A median, which a few disturbed rows do not move.
-    pub fn blind_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
-        let mut powers = self.powers(&self.blind, value);
+    /// Root mean square per pixel of white noise with the same median power in the noise band as the
+    /// picture `value(i)`, where `i` is the index of a pixel. `None` without windows. A few disturbed rows
+    /// do not change the median.
+    pub fn noise_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
+        let mut powers = self.powers(&self.noise_band, value);
         if powers.is_empty() {
             return None;
         }
         let middle = powers.len() / 2;
         let median = *powers.select_nth_unstable_by(middle, f64::total_cmp).1;
-        // The power of complex Gaussian noise is exponential: its median is ln 2 of its mean.
+        // The power of complex Gaussian noise is exponentially distributed: its median is ln 2 times its mean.
         Some((median / std::f64::consts::LN_2).sqrt())
     }
 
-    /// Root mean square per pixel of white noise that has the mean power of the passed
-    /// band.
+    /// Root mean square per pixel of white noise with the same mean power in the passed band as the
+    /// picture `value(i)`. `None` without windows.
     pub fn passed_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
-        let powers = self.powers(&self.passed, value);
+        let powers = self.powers(&self.passed_band, value);
         let count = powers.len();
         (count > 0).then(|| (powers.iter().sum::<f64>() / count as f64).sqrt())
     }
 
-    /// Power of each row's window at each frequency of `band`, 1 for unit white noise.
+    /// Power of each window at each frequency of `band`, with mean 1 for white noise of variance 1.
     fn powers(&self, band: &[usize], value: impl Fn(usize) -> f64) -> Vec<f64> {
         let fft = RealFftPlanner::<f64>::new().plan_fft_forward(self.length);
         let mut spectrum = fft.make_output_vec();
@@ -138,12 +145,12 @@ impl Bands {
     }
 }
 
-/// Shortest window of a row that still has frequencies to choose from.
+/// Shortest window in pixels; smaller uses more of a frame with bad pixels, and has fewer frequencies.
 const SHORTEST: usize = 16;
 
-/// Where in the frame the windows begin that are transformed, and their length: whole
-/// rows; where most rows lack a pixel, whose edges would be written into the spectrum,
-/// parts of rows that lack none.
+/// The length of the windows that are transformed, and the index of the first pixel of each. Windows
+/// hold no pixel with weight 0, whose edges would show in the spectrum. They are whole rows, or parts of
+/// rows where too few rows are complete.
 fn windows(image: &Image, weights: Option<&[f32]>) -> (usize, Vec<usize>) {
     let columns = image.columns();
     let mut length = columns;

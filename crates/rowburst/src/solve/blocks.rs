@@ -1,15 +1,15 @@
 //! Exact solution of `(G + ρI) y = r` for a block-diagonal `G`.
 //!
-//! A block `G_i` is given whole, or as `B Bᵀ` where `B` has few columns: the lit voxels. Then the smaller
-//! system stands for it,
+//! A block `G_i` is given whole, or as `B Bᵀ` with one column of `B` for each active voxel. Where these are few, a
+//! smaller system is solved:
 //!
 //! ```text
 //! (G_i + ρI)⁻¹ r = (r − B (BᵀB + ρI)⁻¹ Bᵀ r) / ρ
 //! ```
 //!
-//! (Woodbury; Golub & Van Loan, 4th ed., section 2.1.4). Blocks and factors are f32, which takes half of the memory and
-//! of the time, or f64: the eigenvalues of `G` span six decades and more, and `ρ` has to stand above the rounding of
-//! the largest.
+//! (Woodbury; Golub & Van Loan, 4th ed., section 2.1.4). Blocks and factors are f32 or f64; f32 takes half of the
+//! memory and of the time. The eigenvalues of `G` span six decades and more, and `ρ` has to exceed the rounding error
+//! of the largest; smaller `ρ` need f64 (`docs/design/003`).
 
 use super::GramSolver;
 use crate::linop::Scalar;
@@ -22,19 +22,19 @@ use faer::{Accum, ColMut, ColRef, Mat, MatMut, MatRef, Par, Spec};
 use rayon::prelude::*;
 use std::hint::black_box;
 
-/// Where the diagonal blocks of `G` come from.
+/// Supplies the diagonal blocks of `G`.
 pub trait BlockSource<T>: Sync {
-    /// Writes what lies on and above the diagonal of block `i` over zeros.
-    fn fill(&self, i: usize, block: MatMut<T>);
+    /// Writes the elements on and above the diagonal of block `i` to `block`, which holds zeros.
+    fn write_block(&self, i: usize, block: MatMut<T>);
 
-    /// `B` of block `i`, where it is known and has at most `max_columns` columns.
+    /// `B` of block `i = B Bᵀ`, where it is known and has at most `max_columns` columns.
     fn columns(&self, i: usize, max_columns: usize) -> Option<Mat<T>> {
         let _ = (i, max_columns);
         None
     }
 
-    /// Whether block `i` is that of everything lit, which is the same each time until it is
-    /// [renewed](Blocks::rebuild_all).
+    /// Whether block `i` is that of all voxels, active or not. Such a block is kept for later use until
+    /// [`Blocks::rebuild_all`].
     fn is_unrestricted(&self, i: usize) -> bool {
         let _ = i;
         false
@@ -42,12 +42,12 @@ pub trait BlockSource<T>: Sync {
 }
 
 impl<T, F: Fn(usize, MatMut<T>) + Sync> BlockSource<T> for F {
-    fn fill(&self, i: usize, block: MatMut<T>) {
+    fn write_block(&self, i: usize, block: MatMut<T>) {
         self(i, block);
     }
 }
 
-/// The diagonal blocks of `G`; together they cover every element once.
+/// The diagonal blocks of `G` with their factors, for blocks and factors in `T`.
 pub struct Blocks<T> {
     blocks: Vec<Block<T>>,
     is_ill_conditioned: bool,
@@ -55,46 +55,52 @@ pub struct Blocks<T> {
 
 /// A diagonal block of `G`.
 struct Block<T> {
+    /// Positions of its elements in the whole vector.
     indices: Vec<usize>,
-    /// `G` itself, and whether it is that of everything lit: this stays, in case it is wanted again.
+    /// `G_i`, if the block is given whole or was unrestricted before.
     gram: PackedCholesky<T>,
+    /// Whether `gram` is the block of all voxels. It is kept while `low_rank` takes its place.
     is_unrestricted: bool,
-    /// The columns that the block is given by, if it is, and `BᵀB`.
+    /// `B` and `BᵀB`, if the block is given by columns.
     low_rank: Option<(Mat<T>, PackedCholesky<T>)>,
     previous: Option<PreviousSolve>,
 }
 
-/// `(G + ρI) y = r` of a block, at the last step that was [followed](Blocks::solve_incremental).
+/// `(G_i + ρI) y = r` of a block, at the last [`Blocks::solve_incremental`].
 struct PreviousSolve {
     rho: f64,
     r: Vec<f32>,
     y: Vec<f64>,
 }
 
-/// A symmetric matrix `M` with the Cholesky factor of `M + ρI` at the last `ρ`.
+/// A symmetric matrix `M` and the Cholesky factor `L` of `M + ρI` for the last `ρ`.
 ///
-/// One square, column after column, holds both: `M` above its diagonal, which is kept apart, and the factor below it.
+/// Both share one square in column-major order: `M` above the diagonal, `L` on and below it.
 struct PackedCholesky<T> {
     size: usize,
     memory: Vec<T>,
+    /// The diagonal of `M`.
     diagonal: Vec<T>,
-    /// The inverses of the tiles on the diagonal of the factor, each whole, column after column.
-    tiles: Vec<FactorTile<T>>,
-    /// Of the factor, if there is one, and whether one of its pivots was lost in rounding.
+    /// The inverses of the diagonal tiles of `L`, each in column-major order.
+    inverse_tiles: Vec<FactorTile<T>>,
+    /// `ρ` of the factor, if there is one.
     rho: Option<f64>,
+    /// Whether rounding made a pivot of the factor too small, so that it was replaced.
     is_ill_conditioned: bool,
 }
 
-/// Side of the tiles that a factor is solved by: what a vector of the processor holds of f32.
+/// Side of the tiles of a factor; 8 elements of f32 fill a vector register of 256 bits.
 const TILE: usize = 8;
 
 type FactorTile<T> = [[T; TILE]; TILE];
 
-/// Most columns for each row of a block that is given by them: then their square takes less time.
+/// Active columns per row up to which the Woodbury form is used; larger costs more time (docs/design/003).
 const MAX_COLUMN_RATIO: f64 = 0.5;
 
 impl<T: Scalar> Blocks<T> {
-    /// Blocks over the elements `indices` each of the whole vector.
+    /// One block for each list of `indices`: the positions of the block's elements in the whole vector.
+    ///
+    /// The lists together hold every position once.
     pub fn new(indices: Vec<Vec<usize>>, source: impl BlockSource<T>) -> Self {
         let empty = |indices: Vec<usize>| Block {
             indices,
@@ -111,25 +117,21 @@ impl<T: Scalar> Blocks<T> {
         blocks
     }
 
-    /// Whether rounding has changed a pivot of one of the factors so far: `ρ` is too small for `T`, and the last solution
-    /// is that of other blocks.
+    /// Whether rounding made a pivot of one of the present factors too small. `ρ` is then too small for `T`, and the
+    /// last solution belongs to slightly different blocks.
     pub fn is_ill_conditioned(&self) -> bool {
         self.is_ill_conditioned
     }
 
-    /// `(G + ρI) y = r` and `G y` in a step of an iteration, in which `r` changes less and less; whether `ρ` was not lost
-    /// in rounding. The change of `y` is solved for, so that rounding fades with it: with a defect `d` of the first
-    /// step, all later ones are as if `r` were `r + d`, and an iteration that adds up `gram_y = r − ρy` takes `d` along.
+    /// Solves `(G + ρI) y = r` and computes `gram_y = G y`, for an iteration in which `r` changes less and less.
+    ///
+    /// Each call solves for the change of `y` since the last one, so that rounding errors fade with the change. A
+    /// defect `d` of the first call stays: later calls solve for `r + d`. An iteration that adds up `gram_y = r − ρy`
+    /// absorbs `d` within a few steps. The solution is reliable unless [`Self::is_ill_conditioned`].
     ///
     /// # Panics
     /// If a block is not finite.
-    pub fn solve_incremental(
-        &mut self,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) -> bool {
+    pub fn solve_incremental(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
         let parts: Vec<Vec<(f32, f32)>> = self
             .blocks
             .par_iter_mut()
@@ -143,15 +145,14 @@ impl<T: Scalar> Blocks<T> {
                 (y[at], gram_y[at]) = *values;
             }
         }
-        !self.is_ill_conditioned
     }
 
-    /// The next step is the first one.
+    /// Makes the next [`Self::solve_incremental`] the first one again.
     pub fn reset(&mut self) {
         self.blocks.iter_mut().for_each(|b| b.previous = None);
     }
 
-    /// Writes all blocks anew, those of everything lit among them.
+    /// Builds all blocks again, the unrestricted ones included.
     pub fn rebuild_all(&mut self, source: impl BlockSource<T>) {
         self.blocks
             .iter_mut()
@@ -159,7 +160,7 @@ impl<T: Scalar> Blocks<T> {
         self.rebuild_changed(|_| true, source);
     }
 
-    /// Writes the blocks that `has_changed` anew, in the memory of the old ones.
+    /// Builds the blocks `i` with `has_changed(i)` again, in the memory of the old ones.
     pub fn rebuild_changed(
         &mut self,
         has_changed: impl Fn(usize) -> bool + Sync,
@@ -169,12 +170,12 @@ impl<T: Scalar> Blocks<T> {
             .par_iter_mut()
             .enumerate()
             .filter(|(i, _)| has_changed(*i))
-            .for_each(|(i, block)| block.fill(i, &source));
+            .for_each(|(i, block)| block.rebuild(i, &source));
     }
 }
 
 impl<T: Scalar> GramSolver for Blocks<T> {
-    /// Factors anew only where `ρ` or a block changed.
+    /// Writes the solution to `y`. A block is factored again only if it or `ρ` changed.
     ///
     /// # Panics
     /// If a block is not finite.
@@ -199,7 +200,7 @@ impl<T: Scalar> GramSolver for Blocks<T> {
 }
 
 impl<T: Scalar> Block<T> {
-    fn fill(&mut self, i: usize, source: &impl BlockSource<T>) {
+    fn rebuild(&mut self, i: usize, source: &impl BlockSource<T>) {
         let rows = self.indices.len();
         let max_columns = (MAX_COLUMN_RATIO * rows as f64) as usize;
         let columns = source.columns(i, max_columns);
@@ -210,7 +211,8 @@ impl<T: Scalar> Block<T> {
             self.low_rank = None;
             let is_unrestricted = source.is_unrestricted(i);
             if !(is_unrestricted && self.is_unrestricted) {
-                self.gram.fill(rows, |gram| source.fill(i, gram));
+                self.gram
+                    .set_matrix(rows, |gram| source.write_block(i, gram));
                 self.is_unrestricted = is_unrestricted;
             }
             return;
@@ -219,7 +221,7 @@ impl<T: Scalar> Block<T> {
             .low_rank
             .take()
             .map_or(PackedCholesky::new(), |(_, packed)| packed);
-        packed.fill(columns.ncols(), |packed| {
+        packed.set_matrix(columns.ncols(), |packed| {
             triangular::matmul(
                 packed,
                 BlockStructure::TriangularUpper,
@@ -243,20 +245,20 @@ impl<T: Scalar> Block<T> {
         packed.is_ill_conditioned
     }
 
-    /// See [`Blocks::solve_incremental`]: `y` and `G y`.
+    /// [`Blocks::solve_incremental`] of this block: each element of `y` with that of `G y`.
     fn solve_incremental(&mut self, r: &[f32], rho: f64, scratch: &mut Vec<T>) -> Vec<(f32, f32)> {
         let r: Vec<f32> = self.indices.iter().map(|&i| r[i]).collect();
         let (mut y, mut change): (Vec<f64>, Vec<T>) = match self.previous.take() {
             None => (vec![0.0; r.len()], r.iter().map(|&r| T::from(r)).collect()),
             Some(previous) => {
-                // G y = r − ρy of the last step.
-                let less = previous.rho - rho;
+                // The new right-hand side minus `(G + ρI) y` of the old `y`, with `G y = r − ρy` of the last call.
+                let rho_decrease = previous.rho - rho;
                 let change =
                     r.iter()
                         .zip(&previous.r)
                         .zip(&previous.y)
                         .map(|((&r, &previous), y)| {
-                            T::nearest(f64::from(r) - f64::from(previous) + less * y)
+                            T::nearest(f64::from(r) - f64::from(previous) + rho_decrease * y)
                         });
                 let change = change.collect();
                 (previous.y, change)
@@ -273,7 +275,7 @@ impl<T: Scalar> Block<T> {
         values
     }
 
-    /// `(G + ρI)⁻¹ y` in place. Works in `scratch`.
+    /// Replaces `y` by `(G_i + ρI)⁻¹ y`.
     fn solve(&mut self, y: &mut Vec<T>, rho: f64, scratch: &mut Vec<T>) {
         let Some((columns, packed)) = &mut self.low_rank else {
             return self.gram.solve(y, rho, scratch);
@@ -294,19 +296,19 @@ impl<T: Scalar> PackedCholesky<T> {
             size: 0,
             memory: Vec::new(),
             diagonal: Vec::new(),
-            tiles: Vec::new(),
+            inverse_tiles: Vec::new(),
             rho: None,
             is_ill_conditioned: false,
         }
     }
 
-    /// From one column to the next.
+    /// Elements from one column to the next.
     fn stride(&self) -> usize {
         self.size.next_multiple_of(TILE)
     }
 
-    /// Becomes a matrix of side `size`, of which `write` writes what lies on and above the diagonal over zeros.
-    fn fill(&mut self, size: usize, write: impl FnOnce(MatMut<T>)) {
+    /// Sets `M`, of side `size`: `write` writes its elements on and above the diagonal over zeros.
+    fn set_matrix(&mut self, size: usize, write: impl FnOnce(MatMut<T>)) {
         self.size = size;
         let stride = self.stride();
         self.memory.clear();
@@ -318,23 +320,23 @@ impl<T: Scalar> PackedCholesky<T> {
         self.rho = None;
     }
 
-    /// Works in `scratch`: the factorisation writes above the diagonal, too.
+    /// Computes `L` in `scratch`, since the factorisation overwrites the part above the diagonal too.
     fn factorise(&mut self, rho: f64, scratch: &mut Vec<T>) {
         let (size, stride, packed) = (self.size, self.stride(), &mut self.memory);
         scratch.resize(scratch.len().max(packed.len()), T::zero());
         let factor = &mut scratch[..packed.len()];
-        copy_below(packed, (size, stride), factor);
-        let more = T::nearest(rho);
+        copy_below(packed, size, stride, factor);
+        let shift = T::nearest(rho);
         for (j, diagonal) in self.diagonal.iter().enumerate() {
-            factor[j * stride + j] = *diagonal + more;
+            factor[j * stride + j] = *diagonal + shift;
         }
         let need = llt::factor::cholesky_in_place_scratch::<T>(size, Par::Seq, Spec::default());
         let info = llt::factor::cholesky_in_place(
             as_matrix(factor, size, stride),
-            // No pivot is below ρ but by rounding.
+            // Exact pivots are at least ρ. One below ρ/2 is wrong by rounding and is replaced by ρ.
             llt::factor::LltRegularization {
-                dynamic_regularization_delta: more,
-                dynamic_regularization_epsilon: more * T::nearest(0.5),
+                dynamic_regularization_delta: shift,
+                dynamic_regularization_epsilon: shift * T::nearest(0.5),
             },
             Par::Seq,
             MemStack::new(&mut MemBuffer::new(need)),
@@ -348,25 +350,25 @@ impl<T: Scalar> PackedCholesky<T> {
             packed[j * stride + size..(j + 1) * stride].fill(T::zero());
         }
         let tiles = (0..size).step_by(TILE);
-        let tiles = tiles.map(|first| inverse_tile(packed, (size, stride), first));
-        self.tiles.clear();
-        self.tiles.extend(tiles);
+        let tiles = tiles.map(|first| inverse_tile(packed, size, stride, first));
+        self.inverse_tiles.clear();
+        self.inverse_tiles.extend(tiles);
         self.rho = Some(rho);
     }
 
-    /// `(M + ρI)⁻¹ values` in place. Works in `scratch` where it factors anew.
+    /// Replaces `values` by `(M + ρI)⁻¹ values`. A new factor is computed in `scratch`.
     fn solve(&mut self, values: &mut Vec<T>, rho: f64, scratch: &mut Vec<T>) {
         if self.rho != Some(rho) {
             self.factorise(rho, scratch);
         }
         self.prefetch();
         values.resize(self.stride(), T::zero());
-        solve_packed(&self.memory, &self.tiles, values);
+        solve_packed(&self.memory, &self.inverse_tiles, values);
         values.truncate(self.size);
     }
 
-    /// Reads a number of each cache line of the factor: the processor waits for many at once then, and the solution, which
-    /// goes from one column to the next, for none.
+    /// Reads one element of each cache line of the factor, so that the processor fetches many lines at once. The
+    /// solve goes from column to column and would wait for each.
     fn prefetch(&self) {
         const LINE: usize = 64;
         let (stride, every) = (self.stride(), LINE / size_of::<T>());
@@ -385,7 +387,7 @@ fn as_matrix<T>(packed: &mut [T], size: usize, stride: usize) -> MatMut<'_, T> {
     MatMut::from_column_major_slice_with_stride_mut(packed, size, size, stride)
 }
 
-/// `to` plus or replaced by `weight · matrix · values`.
+/// Writes `weight · matrix · values` to `to`, or adds it, as `accum` says.
 fn multiply<T: Scalar>(accum: Accum, to: &mut [T], matrix: MatRef<T>, values: &[T], weight: T) {
     let to = ColMut::from_slice_mut(to);
     matmul(
@@ -398,10 +400,11 @@ fn multiply<T: Scalar>(accum: Accum, to: &mut [T], matrix: MatRef<T>, values: &[
     );
 }
 
-/// `L⁻¹` of the tile at column `first` of the diagonal; as if `L` went on with ones.
+/// The inverse of the diagonal tile of `L` at column `first`. Beyond the end of `L` the tile is the identity.
 fn inverse_tile<T: Scalar>(
     packed: &[T],
-    (size, stride): (usize, usize),
+    size: usize,
+    stride: usize,
     first: usize,
 ) -> FactorTile<T> {
     let element = |i: usize, j: usize| packed[(first + j) * stride + first + i];
@@ -420,20 +423,22 @@ fn inverse_tile<T: Scalar>(
     inverse
 }
 
-/// `(L Lᵀ)⁻¹ values` in place, with `L` below the diagonal of `packed`, column after column, and `tiles` the inverses of
-/// the tiles on it. `values` are as many as a column.
-fn solve_packed<T: Scalar>(packed: &[T], tiles: &[FactorTile<T>], values: &mut [T]) {
+/// Replaces `values` by `(L Lᵀ)⁻¹ values`.
+///
+/// `L` is the part of `packed` below the diagonal tiles, and `inverse_tiles` are the inverses of these. `values` is as
+/// long as a column of `packed`, a multiple of [`TILE`].
+fn solve_packed<T: Scalar>(packed: &[T], inverse_tiles: &[FactorTile<T>], values: &mut [T]) {
     let stride = values.len();
     simd(
         #[inline(always)]
         || {
-            for (k, tile) in tiles.iter().enumerate() {
+            for (k, tile) in inverse_tiles.iter().enumerate() {
                 let (solved, rest) = values.split_at_mut((k + 1) * TILE);
                 let current = last_tile(solved);
                 *current = times(tile, current);
                 subtract_columns(below(packed, stride, k), current, rest);
             }
-            for (k, tile) in tiles.iter().enumerate().rev() {
+            for (k, tile) in inverse_tiles.iter().enumerate().rev() {
                 let (before, rest) = values.split_at_mut((k + 1) * TILE);
                 let sums = sums_of_products(below(packed, stride, k), rest);
                 let current = last_tile(before);
@@ -451,17 +456,18 @@ fn last_tile<T>(values: &mut [T]) -> &mut [T; TILE] {
     values.last_chunk_mut().expect("values come in tiles")
 }
 
-/// The columns of tile `k`, from the row behind it on.
+/// The columns of tile `k`, from the first row below the tile on.
 #[inline(always)]
 fn below<T>(packed: &[T], stride: usize, k: usize) -> [&[T]; TILE] {
     std::array::from_fn(|j| {
         let column = (k * TILE + j) * stride;
-        // Behind the last tile is nothing, and its last columns may not be there.
+        // The last tile has no rows below it, and may have fewer columns.
         let rows = column + (k + 1) * TILE..column + stride;
         packed.get(rows).unwrap_or(&[])
     })
 }
 
+/// `tile · values`.
 #[inline(always)]
 fn times<T: Scalar>(tile: &FactorTile<T>, values: &[T; TILE]) -> [T; TILE] {
     let mut sums = [[T::zero(); TILE]; 2];
@@ -481,18 +487,18 @@ fn dot<T: Scalar>(a: &[T; TILE], b: &[T; TILE]) -> T {
     (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
 }
 
-/// `rest −= Σ_j column_j v_j`; `rest` are whole tiles.
+/// `rest −= Σ_j column_j v_j`; the length of `rest` is a multiple of [`TILE`].
 #[inline(always)]
 fn subtract_columns<T: Scalar>(columns: [&[T]; TILE], v: &[T; TILE], rest: &mut [T]) {
-    // Two tiles at once, which wider processors hold in a vector.
+    // Two tiles at once: 16 elements of f32 fill a vector register of 512 bits.
     const TWO: usize = 2 * TILE;
-    let (twos, one) = rest.as_chunks_mut::<TWO>();
+    let (double_tiles, single_tile) = rest.as_chunks_mut::<TWO>();
     let parts = columns.map(<[T]>::as_chunks::<TWO>);
-    let wide = parts.map(|(wide, _)| &wide[..twos.len()]);
-    for (chunk, to) in twos.iter_mut().enumerate() {
+    let double_columns = parts.map(|(double_columns, _)| &double_columns[..double_tiles.len()]);
+    for (chunk, to) in double_tiles.iter_mut().enumerate() {
         let mut sum = *to;
         for j in 0..TILE {
-            let part = &wide[j][chunk];
+            let part = &double_columns[j][chunk];
             for i in 0..TWO {
                 sum[i] -= part[i] * v[j];
             }
@@ -500,13 +506,13 @@ fn subtract_columns<T: Scalar>(columns: [&[T]; TILE], v: &[T; TILE], rest: &mut 
         *to = sum;
     }
     for j in 0..TILE {
-        for (to, part) in one.iter_mut().zip(parts[j].1) {
+        for (to, part) in single_tile.iter_mut().zip(parts[j].1) {
             *to -= *part * v[j];
         }
     }
 }
 
-/// `Σ column · values` of each column; `values` are whole tiles.
+/// `column_jᵀ values` of each column; the length of `values` is a multiple of [`TILE`].
 #[inline(always)]
 fn sums_of_products<T: Scalar>(columns: [&[T]; TILE], values: &[T]) -> [T; TILE] {
     let values = values.as_chunks::<TILE>().0;
@@ -526,9 +532,10 @@ fn sums_of_products<T: Scalar>(columns: [&[T]; TILE], values: &[T]) -> [T; TILE]
     })
 }
 
-/// Writes what lies above the diagonal of a square below that of `to`: a transposition,
-/// tile by tile since columns are far apart. What is above the diagonal of `to` may be anything.
-fn copy_below<T: Scalar>(packed: &[T], (size, stride): (usize, usize), to: &mut [T]) {
+/// Transposes the part of `packed` above the diagonal into the part of `to` below its diagonal.
+///
+/// It works tile by tile, since columns are far apart in memory. The rest of `to` is undefined afterwards.
+fn copy_below<T: Scalar>(packed: &[T], size: usize, stride: usize, to: &mut [T]) {
     let whole = size - size % TILE;
     for column in (0..whole).step_by(TILE) {
         for row in (0..=column).step_by(TILE) {
@@ -586,7 +593,7 @@ mod tests {
     struct ByColumns(Mat<f64>);
 
     impl<T: Scalar> BlockSource<T> for ByColumns {
-        fn fill(&self, _: usize, mut block: MatMut<T>) {
+        fn write_block(&self, _: usize, mut block: MatMut<T>) {
             let whole = &self.0 * self.0.transpose();
             for (i, j) in (0..ROWS).flat_map(|i| (0..ROWS).map(move |j| (i, j))) {
                 block[(i, j)] = T::nearest(whole[(i, j)]);
@@ -602,13 +609,13 @@ mod tests {
 
     const ROWS: usize = 27;
 
-    /// Blocks of many, few and no columns, one after another in the same memory, over the spread of `ρ` that a fit on a
-    /// support has: at most, the part of `r` that `(B Bᵀ + ρI) y` leaves, over `ρ‖y‖`, and the error of `y` over its
-    /// largest element.
+    /// Solves blocks of many, few and no columns, one after the other in the same memory, for each of `rhos`.
+    ///
+    /// Returns the largest residual over `ρ‖y‖`, and the largest error of `y` over its largest element.
     fn worst<T: Scalar>(rhos: &[f64]) -> (f64, f64) {
-        let wave = |k: usize| (k as f64 * 1.7).sin() + 0.8;
-        let of = |columns| Mat::from_fn(ROWS, columns, |i, j| wave(i * 5 + j * j + columns));
-        let r: Vec<f32> = (0..ROWS).map(|i| wave(3 * i) as f32).collect();
+        let sample = |k: usize| (k as f64 * 1.7).sin() + 0.8;
+        let of = |columns| Mat::from_fn(ROWS, columns, |i, j| sample(i * 5 + j * j + columns));
+        let r: Vec<f32> = (0..ROWS).map(|i| sample(3 * i) as f32).collect();
         let wanted = Mat::from_fn(ROWS, 1, |i, _| f64::from(r[i]));
         let mut blocks = Blocks::<T>::new(vec![(0..ROWS).collect()], ByColumns(of(ROWS)));
         let mut worst = (0.0f64, 0.0f64);

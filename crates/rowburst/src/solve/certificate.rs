@@ -1,4 +1,4 @@
-//! How far an objective is from its minimum: a bound from the dual problem.
+//! A bound of the distance of an objective from its minimum, by the dual problem.
 //!
 //! With `τ R(v) = max_p ⟨K v, p⟩ + τ w_1 Σ v` (see [`super::objective`]) the dual of
 //! `min_{v≥0} ½‖b − A v‖² + τ R(v)` is
@@ -7,25 +7,24 @@
 //! max D(y) = ⟨b, y⟩ − ½‖y‖²   over  Aᵀy − Kᵀp ≤ τ w_1,  p in the balls of radius τ w
 //! ```
 //!
-//! (Fenchel; Boyd & Vandenberghe 2004, ch. 5). Every `y` that keeps the constraint gives
-//! `D(y) ≤ min F`, and at the minimum `y = b − A v` makes them equal. So a residual is
-//! turned into such a `y`, and `F(v) − D(y)` bounds what is still to be gained:
+//! (Fenchel; Boyd & Vandenberghe 2004, ch. 5). A `y` is feasible if it satisfies the constraint with some `p`. Every
+//! feasible `y` gives `D(y) ≤ min F`, and at the minimum `y = b − A v` makes both sides equal. A residual is turned
+//! into a feasible `y`, and `F(v) − D(y)` bounds the distance of `F(v)` from the minimum:
 //!
-//! 1. `p` is fitted: accelerated projected gradient steps on `½‖(Aᵀy − Kᵀp − τ w_1)₊‖²`, from
-//!    the last `p`. (Without differences there is none, and step 2 is exact.)
-//! 2. What is left is repaired, by scaling `y` and `p` down (where `w_1 > 0`), or by taking
-//!    a little of a light that is even in each bin from `y`, which lowers `Aᵀy` everywhere.
-//!    The better one counts.
-//! 3. Along `s·y`, `0 ≤ s ≤ 1`, which keeps the constraint too, the best `s` is taken.
+//! 1. Fit `p` by accelerated projected gradient steps on `½‖(Aᵀy − Kᵀp − τ w_1)₊‖²`, from the last `p`. (Without
+//!    differences there is no `p`, and step 2 is exact.)
+//! 2. Remove the rest of the violation. Either scale `y` and `p` down (where `w_1 > 0`), or subtract from `y` the
+//!    measurements of a video that is constant in each bin, which lowers `Aᵀy` everywhere. The better result counts.
+//! 3. Take the best of all `s·y` with `0 ≤ s ≤ 1`, which are feasible too.
 //!
-//! A bound holds for good, so the largest one is kept. Sums are f64, `Aᵀy` is f32: the bound
-//! is as exact as its rounding, about 10⁻⁶ of the objective.
+//! The largest bound found is kept, since every bound stays valid. Sums are f64 and `Aᵀy` is f32, so rounding changes
+//! the bound by about 10⁻⁶ of the objective.
 
 use super::Objective;
 use crate::linop::LinearOperator;
 use crate::vecmath::{dot, norm_squared};
 
-/// The objective of a video, and a bound of the minimum from below.
+/// The objective of a video, and a lower bound of its minimum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
     /// `F(v)`.
@@ -35,13 +34,13 @@ pub struct Certificate {
 }
 
 impl Certificate {
-    /// `F(v) − D(y)`, at least what `F(v)` is above the minimum.
+    /// `F(v) − D(y)`: the objective exceeds its minimum by at most this.
     pub fn gap(&self) -> f64 {
         self.primal - self.dual
     }
 
-    /// `(F(v) − D(y)) / D(y)`: at most by this part is the objective above its minimum;
-    /// infinite where the bound says nothing.
+    /// `(F(v) − D(y)) / D(y)`: the objective exceeds its minimum by at most this part of it. Infinite without a
+    /// positive bound.
     pub fn excess(&self) -> f64 {
         if self.dual > 0.0 {
             self.gap() / self.dual
@@ -61,7 +60,7 @@ impl std::fmt::Display for Certificate {
             }
             percent if percent.is_finite() => {
                 let digits = (1.0 - percent.log10().floor()).clamp(0.0, 4.0) as usize;
-                // Up, but for rounding: it is a bound.
+                // Rounded up, since it is a bound; 1e-6 absorbs errors of the multiplication.
                 let unit = 10f64.powi(digits as i32);
                 let percent = (percent * unit - 1e-6).ceil() / unit;
                 write!(
@@ -69,39 +68,41 @@ impl std::fmt::Display for Certificate {
                     "the objective is within {percent:.digits$} % of its minimum"
                 )
             }
-            _ => f.write_str("nothing is known about the distance of the objective to its minimum"),
+            _ => f.write_str("no bound on the distance of the objective to its minimum"),
         }
     }
 }
 
-/// Finds [`Certificate`]s of one objective; keeps the largest bound and its `p`.
+/// Finds [`Certificate`]s of one objective. It keeps the largest bound and the last `p`.
 pub struct Certifier<'a> {
     objective: &'a Objective<'a>,
     /// The dual of the differences.
     p: Vec<f32>,
+    /// The largest bound so far.
     best: f64,
     /// `AᵀA1`.
-    reach: Vec<f32>,
+    gram_of_ones: Vec<f32>,
 }
 
 impl<'a> Certifier<'a> {
-    /// Nothing known yet: the bound is 0.
+    /// Starts with the bound 0.
     pub fn new(objective: &'a Objective<'a>) -> Self {
         let operator = objective.operator();
-        let mut even = vec![0.0; operator.range_len()];
-        let mut reach = vec![1.0; operator.domain_len()];
-        operator.apply(&reach, &mut even);
-        operator.adjoint(&even, &mut reach);
+        let mut image_of_ones = vec![0.0; operator.range_len()];
+        let mut gram_of_ones = vec![1.0; operator.domain_len()];
+        operator.apply(&gram_of_ones, &mut image_of_ones);
+        operator.adjoint(&image_of_ones, &mut gram_of_ones);
         Self {
             objective,
             p: vec![0.0; objective.differences().range_len()],
-            // y = 0 keeps the constraint.
+            // `y = 0` is feasible.
             best: 0.0,
-            reach,
+            gram_of_ones,
         }
     }
 
-    /// The certificate of any `video ≥ 0`: its residual, with `p` fitted by `steps` steps.
+    /// The certificate of `video`, which may be any with `v ≥ 0`: `y` is its residual, and `p` is fitted in `steps`
+    /// steps.
     ///
     /// # Panics
     /// If a length does not match.
@@ -110,11 +111,11 @@ impl<'a> Certifier<'a> {
         let mut light = vec![0.0; objective.operator().range_len()];
         objective.operator().apply(video, &mut light);
         let residual = residual(objective, &light);
-        let mut pull = vec![0.0; video.len()];
-        objective.operator().adjoint(&residual, &mut pull);
-        self.fit(&pull, steps);
+        let mut adjoint_y = vec![0.0; video.len()];
+        objective.operator().adjoint(&residual, &mut adjoint_y);
+        self.fit(&adjoint_y, steps);
         let p = std::mem::take(&mut self.p);
-        self.bound(&residual, &pull, &p);
+        self.bound(&residual, &adjoint_y, &p);
         self.p = p;
         Certificate {
             primal: objective.value_with(video, &light),
@@ -127,40 +128,41 @@ impl<'a> Certifier<'a> {
         self.best
     }
 
-    /// Learns from a solver's own duals: `y` and `p` within its balls.
-    pub(super) fn learn(&mut self, y: &[f32], p: &[f32]) {
-        let mut pull = vec![0.0; self.reach.len()];
-        self.objective.operator().adjoint(y, &mut pull);
-        self.bound(y, &pull, p);
+    /// Improves the bound by a solver's duals: `y`, and `p` within its balls.
+    pub(super) fn improve_with(&mut self, y: &[f32], p: &[f32]) {
+        let mut adjoint_y = vec![0.0; self.gram_of_ones.len()];
+        self.objective.operator().adjoint(y, &mut adjoint_y);
+        self.bound(y, &adjoint_y, p);
     }
 
-    /// The `p` that `steps` steps fit to `y`.
-    pub(super) fn fitted(mut self, y: &[f32], steps: usize) -> Vec<f32> {
-        let mut pull = vec![0.0; self.reach.len()];
-        self.objective.operator().adjoint(y, &mut pull);
-        self.fit(&pull, steps);
+    /// The `p` that is fitted to `y` in `steps` steps.
+    pub(super) fn fit_p(mut self, y: &[f32], steps: usize) -> Vec<f32> {
+        let mut adjoint_y = vec![0.0; self.gram_of_ones.len()];
+        self.objective.operator().adjoint(y, &mut adjoint_y);
+        self.fit(&adjoint_y, steps);
         self.p
     }
 
-    /// Step 1 of the module's list, for `pull = Aᵀy`.
-    fn fit(&mut self, pull: &[f32], steps: usize) {
+    /// Step 1 of the module's list, for `adjoint_y = Aᵀy`.
+    fn fit(&mut self, adjoint_y: &[f32], steps: usize) {
         let k = self.objective.differences();
         if self.p.is_empty() {
             return;
         }
         let step = (1.0 / k.norm_squared_bound()) as f32;
-        let price = self.objective.price() as f32;
-        let (mut over, mut rise) = (vec![0.0f32; pull.len()], vec![0.0f32; self.p.len()]);
+        let l1_threshold = self.objective.l1_threshold() as f32;
+        let (mut violation, mut descent) =
+            (vec![0.0f32; adjoint_y.len()], vec![0.0f32; self.p.len()]);
         let mut extrapolated = self.p.clone();
         let mut t = 1.0f64;
         for _ in 0..steps {
-            k.adjoint(&extrapolated, &mut over);
-            for (over, pull) in over.iter_mut().zip(pull) {
-                *over = (pull - *over - price).max(0.0);
+            k.adjoint(&extrapolated, &mut violation);
+            for (violation, adjoint_y) in violation.iter_mut().zip(adjoint_y) {
+                *violation = (adjoint_y - *violation - l1_threshold).max(0.0);
             }
-            k.apply(&over, &mut rise);
-            for (extrapolated, rise) in extrapolated.iter_mut().zip(&rise) {
-                *extrapolated += step * rise;
+            k.apply(&violation, &mut descent);
+            for (extrapolated, descent) in extrapolated.iter_mut().zip(&descent) {
+                *extrapolated += step * descent;
             }
             self.objective.project(&mut extrapolated);
             let next = 0.5 * (1.0 + (1.0 + 4.0 * t * t).sqrt());
@@ -174,82 +176,92 @@ impl<'a> Certifier<'a> {
         }
     }
 
-    /// Steps 2 and 3 of the module's list, for `pull = Aᵀy`.
-    fn bound(&mut self, y: &[f32], pull: &[f32], p: &[f32]) {
+    /// Steps 2 and 3 of the module's list, for `adjoint_y = Aᵀy`.
+    fn bound(&mut self, y: &[f32], adjoint_y: &[f32], p: &[f32]) {
         let objective = self.objective;
-        let mut over = vec![0.0f32; pull.len()];
-        objective.differences().adjoint(p, &mut over);
-        for (over, pull) in over.iter_mut().zip(pull) {
-            *over = pull - *over;
+        let mut violation = vec![0.0f32; adjoint_y.len()];
+        objective.differences().adjoint(p, &mut violation);
+        for (violation, adjoint_y) in violation.iter_mut().zip(adjoint_y) {
+            *violation = adjoint_y - *violation;
         }
-        let price = objective.price();
-        let largest = over.iter().fold(0.0f64, |most, &o| most.max(f64::from(o)));
+        let l1_threshold = objective.l1_threshold();
+        let largest = violation
+            .iter()
+            .fold(0.0f64, |largest, &v| largest.max(f64::from(v)));
         let s = if largest > 0.0 {
-            price / largest
+            l1_threshold / largest
         } else {
             f64::INFINITY
         };
         // p may be scaled down, but not up.
-        let most = if p.is_empty() { s } else { s.min(1.0) };
-        self.best = self.best.max(self.along(y, most));
-        over.iter_mut().for_each(|o| *o -= price as f32);
-        self.repair(y, &over);
+        let max_s = if p.is_empty() { s } else { s.min(1.0) };
+        self.best = self.best.max(self.best_scaled(y, max_s));
+        violation.iter_mut().for_each(|v| *v -= l1_threshold as f32);
+        self.shift_into_feasibility(y, &violation);
     }
 
-    /// Takes an even light in each bin from `y`, as much as the bin's voxels need that are
-    /// too high by `over`; scaled, since bins that share their instants share it.
-    fn repair(&mut self, y: &[f32], over: &[f32]) {
+    /// The second way of step 2: subtracts from `y` a multiple of the measurements of a video that is constant in
+    /// each bin.
+    ///
+    /// The constant is what the bin's voxels with a `violation` above zero need if the bin is alone. The multiple
+    /// accounts for bins that share their instants.
+    fn shift_into_feasibility(&mut self, y: &[f32], violation: &[f32]) {
         let pixels = self.objective.shape().pixels();
-        let mut light = vec![0.0f32; over.len()];
-        let bins = over
+        let mut light = vec![0.0f32; violation.len()];
+        let bins = violation
             .chunks_exact(pixels)
-            .zip(self.reach.chunks_exact(pixels));
-        for (light, (over, reach)) in light.chunks_exact_mut(pixels).zip(bins) {
-            light.fill(largest_ratio(over, reach) as f32);
+            .zip(self.gram_of_ones.chunks_exact(pixels));
+        for (light, (violation, gram_of_ones)) in light.chunks_exact_mut(pixels).zip(bins) {
+            light.fill(largest_ratio(violation, gram_of_ones) as f32);
         }
         let operator = self.objective.operator();
-        let mut seen = vec![0.0f32; y.len()];
-        operator.apply(&light, &mut seen);
-        operator.adjoint(&seen, &mut light);
-        let delta = largest_ratio(over, &light);
-        if !(delta > 0.0 && delta.is_finite()) {
+        let mut measured_light = vec![0.0f32; y.len()];
+        operator.apply(&light, &mut measured_light);
+        operator.adjoint(&measured_light, &mut light);
+        let multiple = largest_ratio(violation, &light);
+        if !(multiple > 0.0 && multiple.is_finite()) {
             return;
         }
-        let mixed: Vec<f32> = y
+        let shifted: Vec<f32> = y
             .iter()
-            .zip(&seen)
-            .map(|(&y, &seen)| (f64::from(y) - delta * f64::from(seen)) as f32)
+            .zip(&measured_light)
+            .map(|(&y, &measured_light)| {
+                (f64::from(y) - multiple * f64::from(measured_light)) as f32
+            })
             .collect();
-        self.best = self.best.max(self.along(&mixed, 1.0));
+        self.best = self.best.max(self.best_scaled(&shifted, 1.0));
     }
 
-    /// The largest `D(s·y)` for `0 ≤ s ≤ most`.
-    fn along(&self, y: &[f32], most: f64) -> f64 {
-        let (slope, size) = (dot(self.objective.measured(), y), norm_squared(y));
-        if slope <= 0.0 || size == 0.0 {
+    /// The largest `D(s·y)` for `0 ≤ s ≤ max_s`.
+    fn best_scaled(&self, y: &[f32], max_s: f64) -> f64 {
+        let (linear, quadratic) = (dot(self.objective.measurements(), y), norm_squared(y));
+        if linear <= 0.0 || quadratic == 0.0 {
             return 0.0;
         }
-        let s = (slope / size).min(most);
-        s * slope - 0.5 * s * s * size
+        let s = (linear / quadratic).min(max_s);
+        s * linear - 0.5 * s * s * quadratic
     }
 }
 
-/// The largest `over/reach` of the voxels with `over > 0`, at least 0.
-fn largest_ratio(over: &[f32], reach: &[f32]) -> f64 {
-    let pairs = over.iter().zip(reach).filter(|(over, _)| **over > 0.0);
-    pairs.fold(0.0, |most, (&over, &reach)| {
-        let ratio = if reach > 0.0 {
-            f64::from(over) / f64::from(reach)
+/// The largest `violation/response` of the voxels with `violation > 0`, at least 0.
+fn largest_ratio(violation: &[f32], response: &[f32]) -> f64 {
+    let pairs = violation
+        .iter()
+        .zip(response)
+        .filter(|(violation, _)| **violation > 0.0);
+    pairs.fold(0.0, |largest, (&violation, &response)| {
+        let ratio = if response > 0.0 {
+            f64::from(violation) / f64::from(response)
         } else {
             f64::INFINITY
         };
-        most.max(ratio)
+        largest.max(ratio)
     })
 }
 
-/// `b − A v`.
+/// `b − A v`, with `light = A v`.
 pub(super) fn residual(objective: &Objective, light: &[f32]) -> Vec<f32> {
-    let pairs = objective.measured().iter().zip(light);
+    let pairs = objective.measurements().iter().zip(light);
     pairs.map(|(b, a)| b - a).collect()
 }
 
@@ -272,8 +284,8 @@ mod tests {
             text(4.0, 1.0),
             "the objective is within 300 % of its minimum"
         );
-        assert!(text(1.0, 0.0).starts_with("nothing is known"));
-        assert!(text(f64::INFINITY, 0.0).starts_with("nothing is known"));
+        assert!(text(1.0, 0.0).starts_with("no bound"));
+        assert!(text(f64::INFINITY, 0.0).starts_with("no bound"));
         assert!(text(0.0, 0.0).contains("0.001 %"));
     }
 }

@@ -1,5 +1,6 @@
-//! Preconditioned conjugate gradients for `(A P Aᵀ + ρI) y = r`, where `A Aᵀ` has no
-//! small blocks: exposures longer than a row, a global shutter.
+//! Preconditioned conjugate gradients for `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
+//!
+//! They are for operators whose `A Aᵀ` has no small blocks: exposures longer than a row, or a global shutter.
 
 use crate::Support;
 use crate::linop::LinearOperator;
@@ -7,22 +8,20 @@ use crate::vecmath::{dot, norm};
 
 /// An approximate inverse of `A Aᵀ + ρI`, symmetric and positive definite.
 pub trait Preconditioner: Send {
-    /// Overwrites `out`.
+    /// Writes the approximation of `(A Aᵀ + ρI)⁻¹ r` to `out`.
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]);
 }
 
-/// Most iterations of one call.
+/// Most iterations of a call; larger makes fewer data steps inexact and costs time (docs/design/004).
 const ITERATIONS: usize = 100;
 
-/// The residual at which a call stops, over `ρ‖y‖`, which is what the data term leaves
-/// unexplained. The caller accounts for what is left, and the next call starts from
-/// this one's result.
+/// Residual over `ρ‖y‖` at which a call stops; larger drives `ρ` to nothing, smaller costs time (docs/design/004).
 const TOLERANCE: f64 = 0.1;
 
-/// State kept from call to call.
+/// The solver; it starts each call from the last solution.
 pub struct ConjugateGradient {
     preconditioner: Box<dyn Preconditioner>,
-    /// The last solution: the start of the next.
+    /// The last solution.
     y: Vec<f32>,
     support: Option<Support>,
 }
@@ -37,7 +36,7 @@ impl ConjugateGradient {
         }
     }
 
-    /// From now on videos are zero outside `support`.
+    /// Restricts videos to `support` from now on. A `preconditioner` replaces the present one; `None` keeps it.
     pub fn restrict(&mut self, support: &Support, preconditioner: Option<Box<dyn Preconditioner>>) {
         self.support = Some(support.clone());
         if let Some(preconditioner) = preconditioner {
@@ -45,15 +44,18 @@ impl ConjugateGradient {
         }
     }
 
-    /// Another operator: starts from zero with videos restricted to `support`, if there is one.
+    /// Prepares for another operator: the next call starts from zero.
+    ///
+    /// Videos are restricted to `support` (`None`: every voxel).
     pub fn restart(&mut self, support: Option<&Support>, preconditioner: Box<dyn Preconditioner>) {
         self.y.fill(0.0);
         self.support = support.cloned();
         self.preconditioner = preconditioner;
     }
 
-    /// Overwrites `y`, and `gram_y` with `A P Aᵀ y`, exact for the `y` returned; whether
-    /// `y` has reached the tolerance.
+    /// Writes the solution to `y`, and `A P Aᵀ y` to `gram_y`. Returns whether `y` reached the tolerance.
+    ///
+    /// `gram_y` belongs to the returned `y`, whether or not this reached the tolerance. The next call starts from it.
     pub fn solve(
         &mut self,
         operator: &dyn LinearOperator,
@@ -66,42 +68,45 @@ impl ConjugateGradient {
         let mut gram = |x: &[f32], out: &mut [f32]| {
             operator.adjoint(x, &mut video);
             if let Some(support) = &self.support {
-                support.apply(&mut video);
+                support.zero_outside(&mut video);
             }
             operator.apply(&video, out);
         };
         y.copy_from_slice(&self.y);
         gram(y, gram_y);
-        let mut rest: Vec<f32> = (0..r.len())
+        let mut residual: Vec<f32> = (0..r.len())
             .map(|i| r[i] - gram_y[i] - rho as f32 * y[i])
             .collect();
-        let mut s = vec![0.0f32; r.len()];
-        self.preconditioner.apply(&rest, rho, &mut s);
-        let mut direction = s.clone();
+        let mut preconditioned = vec![0.0f32; r.len()];
+        self.preconditioner
+            .apply(&residual, rho, &mut preconditioned);
+        let mut direction = preconditioned.clone();
         let mut product = vec![0.0f32; r.len()];
-        let mut slope = dot(&rest, &s);
-        let is_reached = |rest: &[f32], y: &[f32]| norm(rest) <= TOLERANCE * rho * norm(y);
+        // rᵀ M⁻¹ r with the residual r and the preconditioner M⁻¹.
+        let mut residual_product = dot(&residual, &preconditioned);
+        let is_reached = |residual: &[f32], y: &[f32]| norm(residual) <= TOLERANCE * rho * norm(y);
         for _ in 0..ITERATIONS {
-            if is_reached(&rest, y) || slope <= 0.0 {
+            if is_reached(&residual, y) || residual_product <= 0.0 {
                 break;
             }
             gram(&direction, &mut product);
             let curvature = dot(&direction, &product) + rho * dot(&direction, &direction);
-            let step = (slope / curvature) as f32;
+            let step = (residual_product / curvature) as f32;
             for i in 0..r.len() {
                 y[i] += step * direction[i];
                 gram_y[i] += step * product[i];
-                rest[i] -= step * (product[i] + rho as f32 * direction[i]);
+                residual[i] -= step * (product[i] + rho as f32 * direction[i]);
             }
-            self.preconditioner.apply(&rest, rho, &mut s);
-            let next = dot(&rest, &s);
-            let beta = (next / slope) as f32;
-            slope = next;
-            for (d, s) in direction.iter_mut().zip(&s) {
+            self.preconditioner
+                .apply(&residual, rho, &mut preconditioned);
+            let next = dot(&residual, &preconditioned);
+            let beta = (next / residual_product) as f32;
+            residual_product = next;
+            for (d, s) in direction.iter_mut().zip(&preconditioned) {
                 *d = s + beta * *d;
             }
         }
         self.y.copy_from_slice(y);
-        is_reached(&rest, y)
+        is_reached(&residual, y)
     }
 }

@@ -182,8 +182,8 @@ impl<'a> Inner<'a> {
 /// `z(p)`.
 fn primal(objective: &Objective, step: f64, q: &[f32], p: &[f32], z: &mut [f32]) {
     objective.differences().adjoint(p, z);
-    let (step, price) = (step as f32, objective.price() as f32);
+    let (step, l1_threshold) = (step as f32, objective.l1_threshold() as f32);
     for (z, q) in z.iter_mut().zip(q) {
-        *z = (q - step * (price + *z)).max(0.0);
+        *z = (q - step * (l1_threshold + *z)).max(0.0);
     }
 }

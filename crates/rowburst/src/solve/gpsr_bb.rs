@@ -70,7 +70,7 @@ pub fn solve(
     let operator = objective.operator();
     let unit = 1.0 / operator_norm(operator).powi(2).max(f64::MIN_POSITIVE);
     let (shortest, longest) = (params.step_bounds.0 * unit, params.step_bounds.1 * unit);
-    let price = objective.price() as f32;
+    let l1_threshold = objective.l1_threshold() as f32;
     let (n, m) = (operator.domain_len(), operator.range_len());
     let (mut video, mut light) = begin(objective, start);
     let (mut gradient, mut direction, mut change) =
@@ -80,11 +80,11 @@ pub fn solve(
     loop {
         let misfit: Vec<f32> = light
             .iter()
-            .zip(objective.measured())
+            .zip(objective.measurements())
             .map(|(a, b)| a - b)
             .collect();
         operator.adjoint(&misfit, &mut gradient);
-        gradient.iter_mut().for_each(|g| *g += price);
+        gradient.iter_mut().for_each(|g| *g += l1_threshold);
         for ((d, v), g) in direction.iter_mut().zip(&video).zip(&gradient) {
             *d = (v - alpha as f32 * g).max(0.0) - v;
         }

@@ -1,10 +1,12 @@
-//! Solvers for `min_{v≥0} ½‖b − A v‖² + τ R(v)` (Eq. 5); they know operators, not optics.
+//! Solvers for `min_{v≥0} ½‖b − A v‖² + τ R(v)` (Eq. 5 in the head of the crate).
+//!
+//! They work on operators and know no optics.
 
 pub mod admm;
 pub mod blocks;
-pub mod bordered;
 pub mod certificate;
 pub mod conjugate_gradient;
+pub mod coupled_blocks;
 pub mod fista;
 pub mod gpsr_bb;
 pub mod objective;
@@ -21,18 +23,18 @@ use crate::linop::{LinearOperator, WritePart};
 /// Why a solver stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopReason {
-    /// The video no longer changes.
+    /// The [`Certificate`] reached the tolerance.
     Converged,
     /// The largest number of iterations was reached first.
     IterationLimit,
-    /// The observer stopped it because its time was up.
+    /// The observer stopped it at the end of its time budget.
     TimeBudget,
-    /// The observer stopped it because the user asked.
+    /// The observer stopped it at the user's request.
     Interrupted,
 }
 
 impl StopReason {
-    /// The word in `result.json`.
+    /// Its name in `result.json`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Converged => "converged",
@@ -43,12 +45,12 @@ impl StopReason {
     }
 }
 
-/// Solves `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
+/// Solver of `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
 pub trait GramSolver: Send {
-    /// Overwrites `y`.
+    /// Writes the solution to `y`.
     fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]);
 
-    /// The same, and `gram_y` with `A P Aᵀ y`.
+    /// Writes the solution to `y`, and `A P Aᵀ y` to `gram_y`.
     fn solve_with_product(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
         self.solve(r, rho, y);
         gram_product(r, rho, y, gram_y);
@@ -68,39 +70,44 @@ pub trait DataTerm: Send {
     fn operator(&self) -> &dyn LinearOperator;
 
     /// `b`.
-    fn measured(&self) -> &[f32];
+    fn measurements(&self) -> &[f32];
 
-    /// Number of measurements that carry information.
+    /// Number of measurements with a weight above zero.
     fn measurement_count(&self) -> usize;
 
     /// Typical size of a diagonal element of `A Aᵀ`.
     fn scale(&self) -> f64;
 
-    /// Smallest `ρ` for which [`Self::solve_gram`] has digits.
+    /// Smallest `ρ` at which [`Self::solve_gram`] is numerically stable.
     fn min_rho(&self) -> f64 {
         0.0
     }
 
-    /// See [`GramSolver::solve_with_product`]. Returns whether `y` is as good as it was asked to be.
+    /// See [`GramSolver::solve_with_product`]. Returns whether the solution is accurate: the iteration reached its
+    /// tolerance, or the factor is well conditioned.
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool;
 
-    /// Root mean square of `residual` over the measurements that see each bin.
-    fn misfit_of_bins(&self, residual: &[f32]) -> Vec<f64>;
+    /// For each bin, the root mean square of `residual` over the measurements that see it.
+    fn residual_rms_of_bins(&self, residual: &[f32]) -> Vec<f64>;
 
-    /// From now on videos are zero outside `support`.
+    /// Restricts videos to `support`: they are zero outside it from now on.
     fn restrict(&mut self, support: &Support);
 
-    /// `P Aᵀ y`, with `P` the projection onto the support that it was last restricted to; `support`
-    /// is that.
+    /// Writes `P Aᵀ y` to `video`, with `P` the projection onto `support` (`None`: every voxel).
+    ///
+    /// `support` is the one of the last [`Self::restrict`].
     fn adjoint_on(&self, y: &[f32], support: Option<&Support>, video: &mut [f32]) {
         self.operator().adjoint(y, video);
         if let Some(support) = support {
-            support.apply(video);
+            support.zero_outside(video);
         }
     }
 
-    /// Calls `write(start, part, target)` for parts of [`Self::adjoint_on`] and of `target` that begin at `start`, for
-    /// all that the support does not keep dark: while they are at hand, and without a video between.
+    /// Computes [`Self::adjoint_on`] part by part; an implementation may do without memory for a whole video.
+    ///
+    /// Calls `write(start, part, target)` for each part, in any order and in parallel: `part` is the result from
+    /// element `start` on, and `target` has the same elements of the argument `target`. Parts without an active voxel
+    /// may be left out.
     fn adjoint_each(
         &self,
         y: &[f32],
@@ -113,19 +120,23 @@ pub trait DataTerm: Send {
         crate::linop::write_parts(&video, target, write);
     }
 
-    /// Whether another `ρ` costs far more than an iteration: factors of thousands of measurements.
+    /// Whether a change of `ρ` costs far more than an iteration, since Gram blocks with thousands of measurements are
+    /// factored again.
     fn has_large_blocks(&self) -> bool {
         false
     }
 
-    /// Most voxels of a bin that [`Self::restrict`] is worth its cost for; of more, the prior alone
-    /// keeps the others dark.
-    fn max_active_voxels(&self) -> usize {
+    /// Most active voxels of a bin for which a restricted data step takes less time than an unrestricted one.
+    ///
+    /// A bin with more is unrestricted in the data step; the prior alone keeps its inactive voxels at zero.
+    fn max_restricted_voxels(&self) -> usize {
         usize::MAX
     }
 
-    /// Follows the light of `video`, where the noise depends on it: whether `A` and `b`, of
-    /// which the weights are a part, have changed.
+    /// Computes the weights of the measurements afresh, where the noise depends on the light of `video`.
+    ///
+    /// Returns whether it did. If so, [`Self::operator`] and [`Self::measurements`] have changed, since they contain
+    /// the weights.
     fn update_weights(&mut self, _video: &[f32]) -> bool {
         false
     }

@@ -87,8 +87,8 @@ impl<'a> Objective<'a> {
     }
 
     /// `b`.
-    pub fn measured(&self) -> &[f32] {
-        self.data.measured()
+    pub fn measurements(&self) -> &[f32] {
+        self.data.measurements()
     }
 
     /// `K`: rows and columns if `w_s` is not zero, then bins if `w_t` is not.
@@ -111,8 +111,8 @@ impl<'a> Objective<'a> {
         self.tau
     }
 
-    /// `τ w_1`: what a unit of light costs.
-    pub fn price(&self) -> f64 {
+    /// `τ w_1`: the weight of `Σ v` in the objective.
+    pub fn l1_threshold(&self) -> f64 {
         self.tau * self.weights.l1
     }
 
@@ -131,8 +131,8 @@ impl<'a> Objective<'a> {
         let mut steps = vec![0.0; self.differences.range_len()];
         self.differences.apply(video, &mut steps);
         let absolute: f64 = video.iter().map(|v| f64::from(v.abs())).sum();
-        0.5 * distance_squared(self.measured(), light)
-            + self.price() * absolute
+        0.5 * distance_squared(self.measurements(), light)
+            + self.l1_threshold() * absolute
             + self.variation(&steps)
     }
 
@@ -163,7 +163,7 @@ impl<'a> Objective<'a> {
 
     /// Root mean square of `b − A v` over the measurements that carry information.
     pub(super) fn residual_rms(&self, light: &[f32]) -> f64 {
-        (distance_squared(self.measured(), light) / self.data.measurement_count() as f64).sqrt()
+        (distance_squared(self.measurements(), light) / self.data.measurement_count() as f64).sqrt()
     }
 
     fn spatial(&self) -> usize {

@@ -71,18 +71,18 @@ pub fn solve(
         None => (vec![0.0f32; light.len()], vec![0.0f32; k.range_len()]),
         Some(_) => {
             let y = residual(objective, &light);
-            let p = Certifier::new(objective).fitted(&y, params.fit_steps);
+            let p = Certifier::new(objective).fit_p(&y, params.fit_steps);
             (y, p)
         }
     };
     let (mut pull, mut hold) = (vec![0.0f32; video.len()], vec![0.0f32; video.len()]);
     let mut rise = vec![0.0f32; k.range_len()];
     let mut watch = Watch::new(objective, params.limits, observer);
-    let price = objective.price() as f32;
+    let l1_threshold = objective.l1_threshold() as f32;
     loop {
         for ((y, b), a) in y
             .iter_mut()
-            .zip(objective.measured())
+            .zip(objective.measurements())
             .zip(&extrapolated_light)
         {
             *y = (*y + data_step as f32 * (b - a)) / (1.0 + data_step as f32);
@@ -96,7 +96,7 @@ pub fn solve(
         k.adjoint(&p, &mut hold);
         let before = video.clone();
         for ((v, pull), hold) in video.iter_mut().zip(&pull).zip(&hold) {
-            *v = (*v + step as f32 * (pull - hold - price)).max(0.0);
+            *v = (*v + step as f32 * (pull - hold - l1_threshold)).max(0.0);
         }
         for ((a, v), before) in extrapolated.iter_mut().zip(&video).zip(&before) {
             *a = 2.0 * v - before;

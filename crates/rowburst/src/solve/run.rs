@@ -41,7 +41,7 @@ pub struct CertifiedSolution {
 }
 
 /// Iterations from one certificate to the next: one costs about as much as an iteration.
-const CERTIFY_EVERY: usize = 20;
+const CHECK_INTERVAL: usize = 20;
 
 /// Watches a solver: shows its iterates to the observer, certifies them, and stops it.
 pub(super) struct Watch<'a, 'o> {
@@ -88,7 +88,7 @@ impl<'a, 'o> Watch<'a, 'o> {
         self.iterations += 1;
         let k = self.iterations;
         let certifies =
-            k == 1 || k.is_multiple_of(CERTIFY_EVERY) || k == self.limits.max_iterations;
+            k == 1 || k.is_multiple_of(CHECK_INTERVAL) || k == self.limits.max_iterations;
         if certifies {
             self.certify(iterate);
         }
@@ -101,7 +101,7 @@ impl<'a, 'o> Watch<'a, 'o> {
             objective: self.certificate.primal,
             tau: self.objective.tau(),
             change: iterate.change,
-            support: 1.0,
+            support_fraction: 1.0,
         })?;
         if certifies && self.certificate.excess() <= self.limits.tolerance {
             return ControlFlow::Break(StopReason::Converged);
@@ -119,9 +119,9 @@ impl<'a, 'o> Watch<'a, 'o> {
 
     fn certify(&mut self, iterate: &Iterate) {
         let rest = residual(self.objective, iterate.light);
-        self.certifier.learn(&rest, iterate.p);
+        self.certifier.improve_with(&rest, iterate.p);
         if let Some(y) = iterate.y {
-            self.certifier.learn(y, iterate.p);
+            self.certifier.improve_with(y, iterate.p);
         }
         self.certificate = Certificate {
             primal: self.objective.value_with(iterate.video, iterate.light),

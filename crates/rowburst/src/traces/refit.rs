@@ -8,27 +8,21 @@
 //! E v_S = argmin ‖W(b − A_S v)‖²/σ² + vᵀK⁻¹v,    cov v_S = (A_Sᵀ W² A_S/σ² + K⁻¹)⁻¹
 //! ```
 //!
-//! **Why a prior.** Plain least squares on `S` is free of bias and useless: with a speckle grain
-//! of 2.5 pixels and SNR 256 the standard error of a voxel of a digit is 8.5 times the digit's
-//! brightness, that of a mean of 3×3 is 2.9 times (LEDs: 0.06 and 0.012). The prior says only
-//! how rough light may be, and the frame says how rough that is.
+//! **Why a prior.** Least squares on `S` is free of bias and useless: its standard errors exceed the brightness of a
+//! digit (docs/design/016). The prior fixes only the form of the covariance; the frame gives `a` and `ℓ`.
 //!
 //! **What the errors mean.** An interval of ±1.96 standard errors holds the truth in about 95 % of all
-//! voxels and bins, not of all repetitions for one voxel: the pull of the prior counts as an
-//! error (Nychka, J. Am. Stat. Assoc. 83, 1134, 1988). The variance is the mean of two: the posterior's,
-//! which knows the scene from the frame alone and is too wide for LEDs (98 to 99 %) and too narrow
-//! for a whole digit (87 %), and that of the estimate if the reconstruction were the truth: the
-//! noise that it passes, and its pull on the reconstruction, squared, over places nearby (LEDs 93 %,
-//! 3×3 of a digit 78 %). `tests/traces.rs` measures both together. At 108×108×54 and SNR 256 they held the
-//! truth, over 200 noise seeds and on the support, in 96.2, 98.3 and 98.1 % (LEDs: pixel, 3×3, whole) and
-//! in 95.3, 88.6 and 93.6 % (digits), 97.5 and 92.5 % of all. Where the frame has few pixels a bin
-//! they are too narrow: 89 % for LEDs on 40×40.
+//! voxels and bins, not of all repetitions for one voxel: the bias of the prior counts as an
+//! error (Nychka, J. Am. Stat. Assoc. 83, 1134, 1988). The variance is the mean of two. One is the posterior's, which
+//! is too wide for points and too narrow for large shapes. The other is that of the estimate if the reconstruction
+//! were the truth: the noise that it passes, and its bias on the reconstruction, squared, over positions nearby.
+//! `tests/traces.rs` measures how often the interval holds the truth (docs/design/016). Where the frame has few
+//! pixels per bin, the intervals are too narrow.
 //!
-//! **σ** enters every error in proportion; where the frame's own misfit `χ²` is significantly
-//! above 1 (light outside `S`, a wrong PSF, σ too low), all errors grow by its root. That of σ
-//! itself (2 to 5 % where it is read from the frame) is not added: it moves a coverage of 95 % by
-//! one per cent. Light outside `S` fainter than 0.01 of the brightness is not accounted for
-//! otherwise.
+//! **σ** enters every error in proportion. Where the misfit `χ²` of the frame is significantly above 1 (light outside
+//! `S`, a wrong PSF, a σ that is too low), all errors grow by its root. The error of σ itself is not added, since it
+//! hardly changes how often the interval holds the truth (docs/design/016). Fainter light outside `S` is not
+//! accounted for otherwise.
 //!
 //! Bins must be independent: exposures longer than a row couple them, and are refused.
 
@@ -81,12 +75,11 @@ pub struct DebiasedVideo {
     pub untouched_bins: usize,
 }
 
-/// Threshold of `S` over the brightness of the video.
+/// Threshold of `S` over the brightness; larger leaves faint light out, smaller costs precision (docs/design/016).
 const THRESHOLD: f64 = 0.01;
 /// Most voxels of an instant: a factorisation grows with the cube of their number.
 const MAX_VOXELS: usize = 400;
-/// Most instants that `a` and `ℓ` are found from: a dozen determines both to some per cent, and
-/// the cost is theirs.
+/// Most instants that `a` and `ℓ` are found from; more cost time for some per cent (docs/design/016).
 const MAX_SAMPLES: usize = 12;
 /// Lengths that are tried, in pixels; between them a parabola decides.
 const LENGTHS_PX: [f64; 12] = [

@@ -1,5 +1,5 @@
 //! What the integration tests share.
-#![allow(dead_code)]
+#![allow(dead_code, reason = "each test file uses only some of these")]
 
 use ndarray_npy::ReadNpyExt;
 use rowburst::camera::CameraParams;

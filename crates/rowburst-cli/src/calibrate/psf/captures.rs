@@ -12,14 +12,14 @@ pub struct File {
     /// Its pages.
     pub shots: Vec<NamedCapture>,
     /// Counts at which its kind of file ends, if it holds integers.
-    pub container_end: Option<f64>,
+    pub saturation_limit: Option<f64>,
 }
 
 impl File {
     fn read(path: PathBuf) -> Result<Self> {
         let pages = read_stack(&path)?;
         let count = pages.len();
-        let container_end = match count {
+        let saturation_limit = match count {
             1 => read_image(&path)?.format.saturation_limit(),
             _ => None,
         };
@@ -35,7 +35,7 @@ impl File {
         Ok(Self {
             shots: shots.collect(),
             path,
-            container_end,
+            saturation_limit,
         })
     }
 
@@ -118,7 +118,7 @@ pub fn read_positions(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
         Error::input(
             csv.display().to_string(),
             e,
-            "the places of the captures are a text file of lines capture,x_mm,y_mm",
+            "the positions of the captures are a text file with lines capture,x_mm,y_mm",
             "Check the path given to --positions-mm.",
         )
     })?;
@@ -156,7 +156,7 @@ pub fn read_positions(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
             return Err(Error::input(
                 subject,
                 format!("the capture \"{}\" a second time", fields[0]),
-                "each capture has one place",
+                "each capture has one position",
                 "Take one of the two lines out.",
             ));
         }
@@ -166,7 +166,7 @@ pub fn read_positions(csv: &Path, files: &[File]) -> Result<Vec<(f64, f64)>> {
         return Err(Error::input(
             csv.display().to_string(),
             format!("no line for {}", files[i].file_name()),
-            "each capture has its place",
+            "each capture has its position",
             "Add a line capture,x_mm,y_mm, or leave the capture out.",
         ));
     }

@@ -10,10 +10,10 @@ use std::path::PathBuf;
 
 pub use run::run;
 
-/// PSF and its quality from captures of a point source; patches from several places.
+/// PSF and its quality from captures of a point source; patches from several positions.
 ///
-/// Captures of one place are averaged, or merged if --exposures-ms says that their
-/// exposures differ. With --positions-mm each file is a place of its own.
+/// Captures of one position are averaged, or merged if --exposures-ms says that their exposures differ.
+/// With --positions-mm each file has its own position.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  rowburst calibrate psf point.tif --dark dark.tif -o psf\n  rowburst calibrate psf scan/ --positions-mm scan.csv --experiment experiment.toml -o psf\n  then open psf/report.html\n\nscan.csv has a line capture,x_mm,y_mm for each file, such as\n  0.bmp,0.00,0"
@@ -23,7 +23,7 @@ pub struct PsfArgs {
     /// folders of them
     #[arg(required = true)]
     pub captures: Vec<PathBuf>,
-    /// A frame without light [default: the experiment's, or the captures' darkest places]
+    /// A frame without light [default: the experiment's, or the darkest parts of the captures]
     #[arg(long)]
     pub dark: Option<PathBuf>,
     /// Exposure of each capture in milliseconds, if they differ: 1,10,100
@@ -34,7 +34,7 @@ pub struct PsfArgs {
         conflicts_with = "positions_mm"
     )]
     pub exposures_ms: Vec<f64>,
-    /// Places of the source: a file of lines capture,x_mm,y_mm
+    /// Positions of the source: a file with lines capture,x_mm,y_mm
     #[arg(long)]
     pub positions_mm: Option<PathBuf>,
     /// Raw pixels along a side of one pixel of the working grid [default: the experiment's, or 1]
@@ -43,18 +43,18 @@ pub struct PsfArgs {
     /// Counts from which on a pixel is saturated [default: the experiment's, or the file's end]
     #[arg(long, allow_hyphen_values = true)]
     pub saturation_counts: Option<f64>,
-    /// The experiment that the PSF is for: gives sensor and field, and is written anew with
-    /// the PSF
+    /// The experiment that the PSF is for: it gives sensor and field, and a copy with the PSF is
+    /// written
     #[arg(long)]
     pub experiment: Option<PathBuf>,
     /// Size of the field in pixels of the working grid, such as 216x216 [default: the
-    /// experiment's, or what the places span]
+    /// experiment's, or the span of the positions]
     #[arg(long, value_name = "ROWSxCOLUMNS", value_parser = parse_field)]
     pub field: Option<(usize, usize)>,
     /// Diffraction-limited grain λz/D in pixels, to compare with
     #[arg(long, allow_hyphen_values = true)]
     pub expected_grain_px: Option<f64>,
-    /// Make a patch of every place, not only of as many as the field needs
+    /// Make a patch of every position, not only of as many as the field needs
     #[arg(long)]
     pub all_patches: bool,
     /// Print psf.json to standard output instead of a summary

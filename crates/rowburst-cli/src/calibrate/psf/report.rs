@@ -100,7 +100,9 @@ fn headline(summary: &PsfSummary) -> Vec<(String, String)> {
         let range = memory.isoplanatic_range_mm;
         all.push(pair(
             "isoplanatic range",
-            range.map_or("beyond the places".into(), |r| format!("{r:.3} mm")),
+            range.map_or("beyond the measured positions".into(), |r| {
+                format!("{r:.3} mm")
+            }),
         ));
     }
     all
@@ -125,7 +127,7 @@ fn tables(summary: &PsfSummary) -> Vec<(String, Vec<(String, String)>)> {
             format!("{:.1} %", 100.0 * summary.noise_part),
         ),
         pair(
-            "lit part of the capture",
+            "illuminated fraction of the capture",
             format!("{:.1} %", 100.0 * summary.lit_fraction),
         ),
         pair(
@@ -135,7 +137,7 @@ fn tables(summary: &PsfSummary) -> Vec<(String, Vec<(String, String)>)> {
         pair("binning", summary.binning.to_string()),
     ];
     if let Some(floor) = summary.floor_counts {
-        speckle.push(pair("floor", format!("{floor:.2} counts")));
+        speckle.push(pair("black level", format!("{floor:.2} counts")));
     }
     let reach = &summary.row_reach;
     let mut tables = vec![
@@ -217,7 +219,7 @@ fn histogram(speckle: &SpeckleStatistics) -> Drawing<'static> {
             curves,
         },
         caption: format!(
-            "Intensities of the lit region. Good: bars along the line; a hump away from zero means low contrast, a wall at the right saturation. Kolmogorov–Smirnov distance {:.3}.",
+            "Intensities of the illuminated region. Good: bars along the line. A hump away from zero means low contrast, a wall at the right means saturation. Kolmogorov–Smirnov distance {:.3}.",
             speckle.exponential_distance
         ),
         alt: "Histogram of intensities against a falling exponential".into(),

@@ -7,11 +7,11 @@ use super::summary::{MemorySummary, PsfSummary, RowReach, remarks, warnings};
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use rowburst::calibrate::psf::{
-    MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, ballistic_core,
-    centred_psfs, centroid, memory_effect, merge, noise_of, patch_set, patches_needed, row_reach,
-    select_patches, span_px, statistics, suppress_noise,
+    Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
+    SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect, merge, noise_of,
+    patch_set, patches_needed, row_reach, select_patches, span_px, statistics, suppress_noise,
 };
-use rowburst::{Error, Image, PatchSet, Result};
+use rowburst::{Error, Image, PatchSet, Psf, Result};
 use rowburst_io::{Experiment, OutputFolder, read_image, write_npy_image, write_patch_set};
 use rowburst_run::short;
 
@@ -38,136 +38,216 @@ pub fn run(args: &PsfArgs) -> Result<()> {
         .map(|group| settings.light(group))
         .collect::<Result<Vec<PointSourceImage>>>()?;
 
-    let (effect, placed_lights) = match &positions {
-        None => (None, Vec::new()),
-        Some(positions) => {
-            let rough = statistics(&lights[lights.len() / 2].image).grain_px;
-            let shots = lights
-                .iter()
-                .zip(positions)
-                .map(|(light, at)| PositionedCapture {
-                    light: light.image.clone(),
-                    at_mm: *at,
-                });
-            let shots: Vec<PositionedCapture> = shots.collect();
-            let effect = memory_effect(&shots, rough)?;
-            (Some(effect), shots)
-        }
-    };
-    let reference = effect.as_ref().map_or(0, |e| e.reference);
-    let light = &lights[reference];
-    let speckle = statistics(&light.image);
-    let core = ballistic_core(&light.image, speckle.grain_px);
-    let middle = centroid(&speckle.envelope);
-    let cleaned = |light: &Image| {
-        suppress_noise(light, speckle.grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
-    };
-    let (rows, columns) = (light.image.rows(), light.image.columns());
-    let zero = ((rows / 2) as f64, (columns / 2) as f64);
-    let psf = centred_psfs(
-        &[&cleaned(&light.image)],
-        &[(zero.0 - middle.0, zero.1 - middle.1)],
-    )?
-    .remove(0);
-
-    let sensor_rows = experiment.as_ref().map_or(rows, |e| e.params.rows);
-    let field = args
-        .field
-        .or(experiment.as_ref().and_then(|e| e.params.field));
-    let field = field.or(experiment
+    let memory = positions
+        .map(|positions| MemoryMeasurement::new(&lights, positions))
+        .transpose()?;
+    let effect = memory.as_ref().map(|m| &m.effect);
+    let index = effect.map_or(0, |e| e.reference);
+    let reference = ReferencePsf::new(&lights[index])?;
+    let field = field_of(args, experiment.as_ref());
+    let sensor_rows = experiment
         .as_ref()
-        .map(|e| (e.params.rows, e.params.columns)));
+        .map_or(reference.light.image.rows(), |e| e.params.rows);
     let field_rows = field.map_or(sensor_rows, |f| f.0);
-    let covered = (
-        -middle.0.floor() as isize,
-        rows as isize - 1 - middle.0.ceil() as isize,
-    );
-    let reach = row_reach(
-        &psf,
-        sensor_rows,
-        field_rows,
-        speckle.grain_px,
-        (speckle.lit_edge_fraction > 0.02).then_some(covered),
-    );
+    let reach = reference.reach(sensor_rows, field_rows);
     let row_reach = RowReach::new(&reach, sensor_rows, field_rows);
-
-    let patches = match (&effect, &positions) {
-        (Some(effect), Some(positions)) => {
-            let kept: Vec<usize> = match args.all_patches {
-                true => (0..positions.len()).collect(),
-                false => select_patches(positions, effect, field),
-            };
-            let cleaned: Vec<Image> = placed_lights.iter().map(|p| cleaned(&p.light)).collect();
-            Some(patch_set(&cleaned, positions, effect, &kept, middle)?)
-        }
-        _ => None,
-    };
-    let memory = effect
+    let patches = memory
         .as_ref()
-        .zip(positions.as_ref())
-        .map(|(effect, positions)| {
-            let extent =
-                field.map_or_else(|| span_px(positions, effect), |f| (f.0 as f64, f.1 as f64));
-            let count = patches.as_ref().map_or(0, |p| p.psfs().len());
-            MemorySummary::new(effect, count, patches_needed(effect, extent))
-        });
+        .map(|m| m.patches(&reference, field, args.all_patches))
+        .transpose()?;
+    let patch_count = patches.as_ref().map_or(0, |p| p.psfs().len());
     let mut warned = warnings(
-        light,
-        &speckle,
-        core.as_ref(),
+        reference.light,
+        &reference.speckle,
+        reference.core.as_ref(),
         &row_reach,
         args.expected_grain_px,
     );
-    warned.extend(saturated_captures(&lights, reference, &groups));
-    let summary = PsfSummary {
-        version: env!("CARGO_PKG_VERSION"),
-        rows: psf.image().rows(),
-        columns: psf.image().columns(),
-        binning: settings.binning,
-        captures: lights.iter().map(|l| l.used).sum(),
-        left_out: lights
-            .iter()
-            .flat_map(|l| &l.left_out)
-            .map(|o| o.0.clone())
-            .collect(),
-        contrast: speckle.contrast,
-        grain_px: speckle.grain_px,
-        grain_y_px: speckle.grain_y_px,
-        grain_x_px: speckle.grain_x_px,
-        ballistic_fraction: core.map_or(0.0, |c| c.fraction),
-        ballistic_at_px: core.map(|c| c.at_px),
-        saturated_fraction: light.saturated_fraction,
-        exponential_distance: speckle.exponential_distance,
-        noise_part: speckle.noise_fraction,
-        lit_fraction: speckle.lit_fraction,
-        floor_counts: light.black_level.map(|f| f.counts),
-        middle_px: middle,
-        remarks: remarks(light, &speckle, &row_reach, effect.as_ref()),
+    warned.extend(saturated_captures(&lights, index, &groups));
+    let summary = reference.summary(
+        &lights,
+        settings.binning,
         row_reach,
-        memory,
-        warnings: warned,
-    };
-    for warning in &summary.warnings {
-        eprintln!("warning: {warning}");
-    }
-    for remark in &summary.remarks {
-        eprintln!("note: {remark}");
-    }
+        effect,
+        memory.as_ref().map(|m| m.summary(field, patch_count)),
+        warned,
+    );
+    print_warnings(&summary);
     let input = PsfReportInput {
         args,
-        psf: psf.image(),
-        speckle: &speckle,
+        psf: reference.psf.image(),
+        speckle: &reference.speckle,
         reach: &reach,
-        effect: effect.as_ref().zip(positions.as_deref()),
+        effect: memory.as_ref().map(|m| (&m.effect, m.positions.as_slice())),
         summary: &summary,
     };
     write(&folder, &input, experiment, patches.as_ref())?;
     if args.json {
         print_line(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
     } else {
-        print_summary(&summary, effect.as_ref(), args);
+        print_summary(&summary, effect, args);
     }
     Ok(())
+}
+
+/// The size of the field in rows and columns: that of the options, else of the experiment.
+fn field_of(args: &PsfArgs, experiment: Option<&Experiment>) -> Option<(usize, usize)> {
+    let field = args.field.or(experiment.and_then(|e| e.params.field));
+    field.or(experiment.map(|e| (e.params.rows, e.params.columns)))
+}
+
+/// The PSF of the reference capture, and the speckle that it was computed from.
+struct ReferencePsf<'a> {
+    light: &'a PointSourceImage,
+    speckle: SpeckleStatistics,
+    core: Option<Core>,
+    /// Centroid `(y, x)` of the envelope, which becomes zero displacement.
+    centre: (f64, f64),
+    psf: Psf,
+}
+
+impl<'a> ReferencePsf<'a> {
+    fn new(light: &'a PointSourceImage) -> Result<Self> {
+        let speckle = statistics(&light.image);
+        let core = ballistic_core(&light.image, speckle.grain_px);
+        let centre = centroid(&speckle.envelope);
+        let (rows, columns) = (light.image.rows(), light.image.columns());
+        let zero = ((rows / 2) as f64, (columns / 2) as f64);
+        let psf = centred_psfs(
+            &[&cleaned(&light.image, speckle.grain_px)],
+            &[(zero.0 - centre.0, zero.1 - centre.1)],
+        )?
+        .remove(0);
+        Ok(Self {
+            light,
+            speckle,
+            core,
+            centre,
+            psf,
+        })
+    }
+
+    /// The light that each sensor row gets from each row of the field.
+    fn reach(&self, sensor_rows: usize, field_rows: usize) -> Reach {
+        let covered = (
+            -self.centre.0.floor() as isize,
+            self.light.image.rows() as isize - 1 - self.centre.0.ceil() as isize,
+        );
+        row_reach(
+            &self.psf,
+            sensor_rows,
+            field_rows,
+            self.speckle.grain_px,
+            (self.speckle.lit_edge_fraction > 0.02).then_some(covered),
+        )
+    }
+
+    /// The numbers of `psf.json`; `lights` are those of all captures.
+    fn summary(
+        &self,
+        lights: &[PointSourceImage],
+        binning: usize,
+        row_reach: RowReach,
+        effect: Option<&MemoryEffect>,
+        memory: Option<MemorySummary>,
+        warnings: Vec<String>,
+    ) -> PsfSummary {
+        PsfSummary {
+            version: env!("CARGO_PKG_VERSION"),
+            rows: self.psf.image().rows(),
+            columns: self.psf.image().columns(),
+            binning,
+            captures: lights.iter().map(|l| l.used).sum(),
+            left_out: lights
+                .iter()
+                .flat_map(|l| &l.left_out)
+                .map(|o| o.0.clone())
+                .collect(),
+            contrast: self.speckle.contrast,
+            grain_px: self.speckle.grain_px,
+            grain_y_px: self.speckle.grain_y_px,
+            grain_x_px: self.speckle.grain_x_px,
+            ballistic_fraction: self.core.map_or(0.0, |c| c.fraction),
+            ballistic_at_px: self.core.map(|c| c.at_px),
+            saturated_fraction: self.light.saturated_fraction,
+            exponential_distance: self.speckle.exponential_distance,
+            noise_part: self.speckle.noise_fraction,
+            lit_fraction: self.speckle.lit_fraction,
+            floor_counts: self.light.black_level.map(|f| f.counts),
+            middle_px: self.centre,
+            remarks: remarks(self.light, &self.speckle, &row_reach, effect),
+            row_reach,
+            memory,
+            warnings,
+        }
+    }
+}
+
+/// `light` without its noise.
+fn cleaned(light: &Image, grain_px: f64) -> Image {
+    suppress_noise(light, grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
+}
+
+/// The memory effect between captures at known positions.
+struct MemoryMeasurement {
+    /// Positions `(y, x)` in millimetres.
+    positions: Vec<(f64, f64)>,
+    captures: Vec<PositionedCapture>,
+    effect: MemoryEffect,
+}
+
+impl MemoryMeasurement {
+    fn new(lights: &[PointSourceImage], positions: Vec<(f64, f64)>) -> Result<Self> {
+        let rough = statistics(&lights[lights.len() / 2].image).grain_px;
+        let captures = lights.iter().zip(&positions);
+        let captures: Vec<PositionedCapture> = captures
+            .map(|(light, at)| PositionedCapture {
+                light: light.image.clone(),
+                at_mm: *at,
+            })
+            .collect();
+        let effect = memory_effect(&captures, rough)?;
+        Ok(Self {
+            positions,
+            captures,
+            effect,
+        })
+    }
+
+    /// A PSF for each patch of the field, or for each position if `all` is set.
+    fn patches(
+        &self,
+        reference: &ReferencePsf,
+        field: Option<(usize, usize)>,
+        all: bool,
+    ) -> Result<PatchSet> {
+        let kept: Vec<usize> = if all {
+            (0..self.positions.len()).collect()
+        } else {
+            select_patches(&self.positions, &self.effect, field)
+        };
+        let captures = self.captures.iter();
+        let cleaned: Vec<Image> = captures
+            .map(|p| cleaned(&p.light, reference.speckle.grain_px))
+            .collect();
+        patch_set(
+            &cleaned,
+            &self.positions,
+            &self.effect,
+            &kept,
+            reference.centre,
+        )
+    }
+
+    /// The numbers of the memory effect; `patches` is the number of PSFs written.
+    fn summary(&self, field: Option<(usize, usize)>, patches: usize) -> MemorySummary {
+        let extent = field.map_or_else(
+            || span_px(&self.positions, &self.effect),
+            |f| (f.0 as f64, f.1 as f64),
+        );
+        let needed = patches_needed(&self.effect, extent);
+        MemorySummary::new(&self.effect, patches, needed)
+    }
 }
 
 /// What holds for every capture.
@@ -218,7 +298,7 @@ impl CaptureSettings {
             &MergeParams {
                 dark: self.dark.clone(),
                 exposures_ms: self.exposures_ms.clone(),
-                saturation_counts: self.saturation_counts.or(group.container_end),
+                saturation_counts: self.saturation_counts.or(group.saturation_limit),
             },
         )?;
         let short = light.image.rows().min(light.image.columns());
@@ -245,26 +325,26 @@ impl CaptureSettings {
 /// Captures of one place.
 struct Group {
     shots: Vec<NamedCapture>,
-    container_end: Option<f64>,
+    saturation_limit: Option<f64>,
 }
 
 fn groups(files: Vec<File>, by_file: bool) -> Vec<Group> {
     let groups = files.into_iter().map(|file| Group {
         shots: file.shots,
-        container_end: file.container_end,
+        saturation_limit: file.saturation_limit,
     });
     if by_file {
         return groups.collect();
     }
     let joined = groups.reduce(|mut all, one| {
         all.shots.extend(one.shots);
-        all.container_end = all.container_end.or(one.container_end);
+        all.saturation_limit = all.saturation_limit.or(one.saturation_limit);
         all
     });
     // No capture at all is an error of the library.
     vec![joined.unwrap_or(Group {
         shots: Vec::new(),
-        container_end: None,
+        saturation_limit: None,
     })]
 }
 
@@ -327,6 +407,16 @@ fn write(
     folder.write_bytes("psf.json", format!("{json}\n").as_bytes())
 }
 
+/// Prints the warnings and the remarks to standard error.
+fn print_warnings(summary: &PsfSummary) {
+    for warning in &summary.warnings {
+        eprintln!("warning: {warning}");
+    }
+    for remark in &summary.remarks {
+        eprintln!("note: {remark}");
+    }
+}
+
 fn print_summary(summary: &PsfSummary, effect: Option<&MemoryEffect>, args: &PsfArgs) {
     print_line(format!("contrast     {:.3}", summary.contrast));
     print_line(format!(
@@ -357,7 +447,9 @@ fn print_summary(summary: &PsfSummary, effect: Option<&MemoryEffect>, args: &Psf
         ));
         let range = effect
             .range_mm
-            .map_or("beyond the places".into(), |r| format!("{r:.3} mm"));
+            .map_or("beyond the measured positions".into(), |r| {
+                format!("{r:.3} mm")
+            });
         print_line(format!("isoplanatic  {range}"));
         print_line(format!(
             "patches      {} written, {} × {} needed",

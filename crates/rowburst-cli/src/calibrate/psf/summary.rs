@@ -117,7 +117,7 @@ pub fn warnings(
 ) -> Vec<String> {
     let mut warnings = Vec::new();
     for (name, correlation) in &light.left_out {
-        warnings.push(format!("{name} was left out: it shows another pattern than the other captures (correlation {correlation:.2}); check that nothing moved, or leave it out for good"));
+        warnings.push(format!("{name} was excluded: its pattern differs from that of the other captures (correlation {correlation:.2}); check that nothing moved, or do not pass it"));
     }
     if let Some(core) = core.filter(|c| c.fraction > MAX_BALLISTIC_FRACTION) {
         warnings.push(format!(
@@ -156,7 +156,7 @@ pub fn warnings(
     }
     if !reach.enough {
         warnings.push(format!(
-            "light from one end of the field ({} rows) reaches the farthest of the {} sensor rows with {:.1} % of the mean{}: their instants tell nothing of it; take a diffuser of a larger angle, a longer distance to it, or a smaller field",
+            "light from one end of the field ({} rows) reaches the farthest of the {} sensor rows with {:.1} % of the mean{}: the frame says nothing about it at their instants; take a diffuser of a larger angle, a longer distance to it, or a smaller field",
             reach.field_rows, reach.sensor_rows, 100.0 * reach.worst,
             if reach.extrapolated { " (continued beyond the capture)" } else { "" }
         ));
@@ -174,11 +174,11 @@ pub fn remarks(
     let mut remarks = Vec::new();
     match &light.black_level {
         Some(black_level) if black_level.is_from_dark_region => remarks.push(format!(
-            "no dark frame: the floor of {:.2} counts was read from a region without light",
+            "no dark frame: the black level of {:.2} counts was estimated from a region without light",
             black_level.counts
         )),
         Some(black_level) => remarks.push(format!(
-            "no dark frame: the floor of {:.2} counts is that of the darkest thousandth of the pixels, so the contrast is an upper bound; give --dark",
+            "no dark frame: the black level of {:.2} counts is that of the darkest thousandth of the pixels, so the contrast is an upper bound; give --dark",
             black_level.counts
         )),
         None => {}
@@ -198,13 +198,13 @@ pub fn remarks(
     if let Some(effect) = effect {
         if effect.range_mm.is_none() {
             remarks.push(format!(
-                "the correlation does not fall to 0.5 within the places: the isoplanatic range is beyond {:.3} mm, and one PSF may do",
+                "the correlation does not fall to 0.5 within the measured positions: the isoplanatic range is beyond {:.3} mm, and one PSF may suffice",
                 effect.correlation.last().map_or(0.0, |c| c.0)
             ));
         }
         let lost = effect.fitted.iter().filter(|f| !**f).count();
         if lost > 0 {
-            remarks.push(format!("{lost} captures correlate too little with the middle one for a shift of their own: it was looked for within a grain of what the others predict"));
+            remarks.push(format!("{lost} captures correlate too little with the middle one to measure their shift independently: it was searched within a grain of the prediction from the others"));
         }
     }
     remarks

@@ -11,94 +11,10 @@ pub fn render(calibration: &SensorCalibration, args: &SensorArgs) -> Result<Repo
     let reproduce = command_line(args);
     let spot = spot_px(calibration);
     let faults = fault_map(calibration, spot);
-    let kept = |image: &Image| -> Vec<f64> {
-        let pixels = image.data().iter().enumerate();
-        let good = pixels.filter(|(i, _)| !calibration.faults.is_bad(*i));
-        good.map(|(_, &p)| f64::from(p)).collect()
-    };
-    let (dark, read) = (kept(&calibration.dark), kept(&calibration.read_noise));
-    let drawing = |name, plot, caption: &str, alt: &str| Drawing {
-        name,
-        plot,
-        caption: caption.into(),
-        alt: alt.into(),
-    };
-    let map = |image, quantity, values: &[f64]| Plot::Map {
-        image,
-        quantity,
-        range: Some(middle(values)),
-    };
-    let response = kept(&calibration.response);
-    // Means of whole counts over n frames are multiples of 1/n.
-    let step = calibration
-        .has_integer_counts
-        .then(|| 1.0 / calibration.dark_drift.len() as f64);
+    let usable = UsablePixels::new(calibration);
     let sections = vec![
-        (
-            "Noise",
-            vec![
-                drawing(
-                    "photon-transfer",
-                    photon_transfer(calibration),
-                    "Variance of a pixel, from differences of two flats of one level, over the light: each ring is a level and a range of the field's brightness. The slope of the line is 1/gain; rings on it mean shot noise and nothing else. Those left out are saturated, or above 70 % of saturation.",
-                    "Rings of variance against light, and the fitted line.",
-                ),
-                drawing(
-                    "read-noise-histogram",
-                    histogram(&read, "read noise (electrons)", None),
-                    "Read noise of the usable pixels: a hump with a short tail. With few darks the hump is wide by chance.",
-                    "Histogram of the read noise of the pixels.",
-                ),
-                drawing(
-                    "dark-histogram",
-                    histogram(&dark, "dark level (counts)", step),
-                    "Dark level of the usable pixels, mean over all darks.",
-                    "Histogram of the dark level of the pixels.",
-                ),
-                drawing(
-                    "row-means",
-                    rows(calibration),
-                    "Mean of each row of the first dark above the mean dark. The dashed lines are twice what pixel noise gives: rows that wander far outside have noise of their own (banding).",
-                    "Row means of one dark frame over the rows.",
-                ),
-            ],
-        ),
-        (
-            "Maps",
-            vec![
-                drawing(
-                    "dark-map",
-                    map(&calibration.dark, "dark (counts)", &dark),
-                    "Mean dark. Columns, corners and glow are taken away by it. Black and white are the middle 99 %.",
-                    "Map of the dark level.",
-                ),
-                drawing(
-                    "response-map",
-                    map(&calibration.response, "response", &response),
-                    "Response to the flats' light, mean 1. What is uneven in the light itself shows here as well, and would be taken for the sensor's.",
-                    "Map of the response.",
-                ),
-                drawing(
-                    "read-noise-map",
-                    map(&calibration.read_noise, "read noise (electrons)", &read),
-                    "Read noise of each pixel: even grain is best.",
-                    "Map of the read noise.",
-                ),
-                drawing(
-                    "bad-pixels-map",
-                    Plot::Map {
-                        image: &faults,
-                        quantity: "bad pixels in a spot",
-                        range: Some((0.0, faults.max().max(1.0))),
-                    },
-                    &format!(
-                        "{} pixels that get no weight, counted in spots of {spot}×{spot}. Single pixels scattered at random are what sensors have; whole rows, columns or corners point to the frames.",
-                        calibration.faults.count()
-                    ),
-                    "Map of the bad pixels.",
-                ),
-            ],
-        ),
+        ("Noise", noise_drawings(calibration, &usable)),
+        ("Maps", map_drawings(calibration, &usable, &faults, spot)),
     ];
     Sheet {
         title: "Rowburst: sensor",
@@ -123,6 +39,127 @@ pub fn render(calibration: &SensorCalibration, args: &SensorArgs) -> Result<Repo
         reproduce: Some(&reproduce),
     }
     .render()
+}
+
+/// Values of the pixels that are not bad.
+struct UsablePixels {
+    dark: Vec<f64>,
+    read_noise: Vec<f64>,
+    response: Vec<f64>,
+}
+
+impl UsablePixels {
+    fn new(calibration: &SensorCalibration) -> Self {
+        let values = |image: &Image| -> Vec<f64> {
+            let pixels = image.data().iter().enumerate();
+            let good = pixels.filter(|(i, _)| !calibration.faults.is_bad(*i));
+            good.map(|(_, &p)| f64::from(p)).collect()
+        };
+        Self {
+            dark: values(&calibration.dark),
+            read_noise: values(&calibration.read_noise),
+            response: values(&calibration.response),
+        }
+    }
+}
+
+/// A drawing with its caption and its alternative text.
+fn drawing<'a>(name: &'a str, plot: Plot<'a>, caption: &str, alt: &str) -> Drawing<'a> {
+    Drawing {
+        name,
+        plot,
+        caption: caption.into(),
+        alt: alt.into(),
+    }
+}
+
+/// A map whose range is the middle 99 % of `values`.
+fn map<'a>(image: &'a Image, quantity: &'a str, values: &[f64]) -> Plot<'a> {
+    Plot::Map {
+        image,
+        quantity,
+        range: Some(middle(values)),
+    }
+}
+
+/// Photon transfer, histograms of the dark and read noise, and the row means.
+fn noise_drawings(calibration: &SensorCalibration, usable: &UsablePixels) -> Vec<Drawing<'static>> {
+    // Means of whole counts over n frames are multiples of 1/n.
+    let step = calibration
+        .has_integer_counts
+        .then(|| 1.0 / calibration.dark_drift.len() as f64);
+    vec![
+        drawing(
+            "photon-transfer",
+            photon_transfer(calibration),
+            "Variance of a pixel, from differences of two flats of one level, over the light: each ring is a level and a range of the field's brightness. The slope of the line is 1/gain; rings on it mean shot noise only. Excluded ones are saturated, or above 70 % of saturation.",
+            "Rings of variance against light, and the fitted line.",
+        ),
+        drawing(
+            "read-noise-histogram",
+            histogram(&usable.read_noise, "read noise (electrons)", None),
+            "Read noise of the usable pixels: a hump with a short tail. With few darks the hump is wider.",
+            "Histogram of the read noise of the pixels.",
+        ),
+        drawing(
+            "dark-histogram",
+            histogram(&usable.dark, "dark level (counts)", step),
+            "Dark level of the usable pixels, mean over all darks.",
+            "Histogram of the dark level of the pixels.",
+        ),
+        drawing(
+            "row-means",
+            rows(calibration),
+            "Mean of each row of the first dark above the mean dark. The dashed lines are twice the standard deviation expected from pixel noise: rows far outside have row noise (banding).",
+            "Row means of one dark frame over the rows.",
+        ),
+    ]
+}
+
+/// Maps of the dark, the response, the read noise and the bad pixels.
+fn map_drawings<'a>(
+    calibration: &'a SensorCalibration,
+    usable: &UsablePixels,
+    faults: &'a Image,
+    spot: usize,
+) -> Vec<Drawing<'a>> {
+    vec![
+        drawing(
+            "dark-map",
+            map(&calibration.dark, "dark (counts)", &usable.dark),
+            "Mean dark. Subtracting it removes columns, corners and glow. Black and white are the middle 99 %.",
+            "Map of the dark level.",
+        ),
+        drawing(
+            "response-map",
+            map(&calibration.response, "response", &usable.response),
+            "Response to the flats' light, mean 1. Uneven light shows here as well and would be mistaken for the sensor's response.",
+            "Map of the response.",
+        ),
+        drawing(
+            "read-noise-map",
+            map(
+                &calibration.read_noise,
+                "read noise (electrons)",
+                &usable.read_noise,
+            ),
+            "Read noise of each pixel: even grain is best.",
+            "Map of the read noise.",
+        ),
+        drawing(
+            "bad-pixels-map",
+            Plot::Map {
+                image: faults,
+                quantity: "bad pixels in a spot",
+                range: Some((0.0, faults.max().max(1.0))),
+            },
+            &format!(
+                "{} pixels that get no weight, counted in spots of {spot}×{spot}. Isolated pixels at random positions are normal for a sensor; whole rows, columns or corners point to a fault of the frames.",
+                calibration.faults.count()
+            ),
+            "Map of the bad pixels.",
+        ),
+    ]
 }
 
 fn pair(name: &str, value: String) -> (String, String) {
@@ -176,13 +213,16 @@ fn tables(calibration: &SensorCalibration) -> Vec<(String, Vec<(String, String)>
             "error of a pixel of the flat",
             percent(calibration.flat_error),
         ),
-        pair("banding: a row's own noise", electrons(banding.row_counts)),
         pair(
-            "what pixel noise gives a row's mean",
+            "banding: noise common to a row",
+            electrons(banding.row_counts),
+        ),
+        pair(
+            "row noise expected from pixel noise",
             electrons(banding.expected_counts),
         ),
         pair(
-            "banding is more than chance",
+            "banding is significant",
             if banding.is_real { "yes" } else { "no" }.into(),
         ),
         pair(
@@ -191,7 +231,7 @@ fn tables(calibration: &SensorCalibration) -> Vec<(String, Vec<(String, String)>
         ),
     ];
     let faults = vec![
-        pair("hot: dark level stands out", count(&calibration.faults.hot)),
+        pair("hot: high dark level", count(&calibration.faults.hot)),
         pair(
             "dead: response far from its neighbours'",
             count(&calibration.faults.dead),
@@ -219,7 +259,7 @@ fn tables(calibration: &SensorCalibration) -> Vec<(String, Vec<(String, String)>
         ("Numbers".into(), numbers),
         ("Bad pixels".into(), faults),
         ("Levels of the flats".into(), levels.collect()),
-        ("What this rests on".into(), remarks.collect()),
+        ("Basis of these numbers".into(), remarks.collect()),
     ]
 }
 
@@ -250,7 +290,7 @@ fn photon_transfer(calibration: &SensorCalibration) -> Plot<'static> {
     });
     if !left.is_empty() {
         curves.push(Curve {
-            name: "left out".into(),
+            name: "excluded".into(),
             points: left.clone(),
             ink: Ink::Dots,
         });

@@ -101,7 +101,7 @@ impl TimingInputs {
             [only] => experiment.params.shutter = only.clone(),
             several if several.contains(before) => {}
             _ => notes.push(format!(
-                "the shutter of the experiment, {}, is not among those that the light leaves: it was kept, decide and correct it",
+                "the shutter of the experiment, {}, is not among those that fit the light: it was kept; decide which is right and correct it",
                 before.name()
             )),
         }
@@ -148,7 +148,7 @@ fn light(args: &TimingArgs) -> Result<Lamp> {
         (None, None) => Err(Error::input(
             "command line",
             "no light",
-            "the light is known by its frequency or its course",
+            "the light is given by its frequency or its waveform",
             "Give --frequency-hz F or --signal FILE.csv.",
         )),
     }
@@ -160,7 +160,7 @@ fn read_points(path: &Path) -> Result<Vec<(f64, f64)>> {
         Error::input(
             path.display().to_string(),
             format!("a file that cannot be read ({error})"),
-            "the course of the light is a text file",
+            "the waveform of the light is a text file",
             "Check the path and the permissions.",
         )
     })?;

@@ -90,7 +90,7 @@ fn profile(timing: &Timing) -> Drawing<'_> {
                 curve("fit", over_rows(model, 0, rows), Ink::Line),
             ],
         },
-        caption: "The stripes of the first frame and their fit. Where the two part, the light, the shutter or the profile of the lamp is not what the fit takes it for.".into(),
+        caption: "The stripes of the first frame and their fit. Where they differ, the light, the shutter or the profile of the lamp is not as the fit assumes.".into(),
         alt: "Light of each row, measured and fitted".into(),
     }
 }
@@ -182,7 +182,7 @@ fn candidates(timing: &Timing) -> Drawing<'_> {
             ),
             curves: vec![
                 curve(
-                    "left out above",
+                    "excluded above",
                     vec![(0.5, CLEAR_MARGIN), (4.5, CLEAR_MARGIN)],
                     Ink::Expected,
                 ),
@@ -190,7 +190,7 @@ fn candidates(timing: &Timing) -> Drawing<'_> {
             ],
         },
         caption: format!(
-            "How much worse than the best each readout order explains the rows: {}. Above the dashed line, at {CLEAR_MARGIN}, an order is left out.",
+            "How much worse than the best each readout order explains the rows: {}. Orders above the dashed line, at {CLEAR_MARGIN}, are excluded.",
             labels.join(", ")
         ),
         alt: "Excess of χ² of the four readout orders".into(),
@@ -201,7 +201,7 @@ fn tables(timing: &Timing) -> Vec<(String, Vec<(String, String)>)> {
     let pair = |name: &str, value: String| (name.to_string(), value);
     let mut found = vec![
         pair("row time", row_time(timing)),
-        pair("shutters left", names(timing)),
+        pair("consistent shutters", names(timing)),
         pair("exposure", exposure(timing)),
         pair("exposure from", timing.exposure_basis.clone()),
         pair(
@@ -226,7 +226,11 @@ fn tables(timing: &Timing) -> Vec<(String, Vec<(String, String)>)> {
         None => found.push(pair("start on the signal's clock (µs)", numbers.join(", "))),
     }
     let orders = timing.candidates.iter().enumerate().map(|(i, c)| {
-        let verdict = if c.is_consistent { "left" } else { "left out" };
+        let verdict = if c.is_consistent {
+            "consistent"
+        } else {
+            "excluded"
+        };
         let text = format!(
             "{verdict}: χ² beyond the best {}, χ² per degree of freedom {}, row time {} µs",
             short(c.excess),

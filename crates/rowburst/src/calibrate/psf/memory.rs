@@ -268,7 +268,9 @@ fn fit(
             return Err(Error::input(
                 "captures",
                 "no capture that shows the same pattern as the one nearest the middle",
-                format!("the shift per millimetre needs captures with a correlation above {TRUSTED}"),
+                format!(
+                    "the shift per millimetre needs captures with a correlation above {TRUSTED}"
+                ),
                 "Record the source in smaller steps around the middle, and check that --positions-mm names the right captures.",
             ));
         }

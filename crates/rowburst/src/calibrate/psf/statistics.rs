@@ -134,8 +134,15 @@ impl NormalisedSpeckle {
 
     fn lit_edge_fraction(&self) -> f64 {
         let (rows, columns) = (self.illuminated.rows(), self.illuminated.columns());
-        let sides = [0, rows - 1].map(|y| self.illuminated.row(y).to_vec()).concat();
-        let ends = (0..rows).flat_map(|y| [self.illuminated.at(y, 0), self.illuminated.at(y, columns - 1)]);
+        let sides = [0, rows - 1]
+            .map(|y| self.illuminated.row(y).to_vec())
+            .concat();
+        let ends = (0..rows).flat_map(|y| {
+            [
+                self.illuminated.at(y, 0),
+                self.illuminated.at(y, columns - 1),
+            ]
+        });
         let illuminated: f64 = sides.into_iter().chain(ends).map(f64::from).sum();
         illuminated / (2 * (rows + columns)) as f64
     }
@@ -143,7 +150,9 @@ impl NormalisedSpeckle {
     fn against_exponential(&self) -> (Vec<f64>, f64) {
         let pairs = self.values.data().iter().zip(self.illuminated.data());
         let illuminated = pairs.filter(|(_, l)| **l > 0.0);
-        let mut values: Vec<f64> = illuminated.map(|(v, _)| f64::from(*v) / self.mean).collect();
+        let mut values: Vec<f64> = illuminated
+            .map(|(v, _)| f64::from(*v) / self.mean)
+            .collect();
         values.sort_by(f64::total_cmp);
         let count = values.len().max(1) as f64;
         let mut histogram = vec![0.0; BINS];
@@ -174,13 +183,20 @@ impl Autocovariance {
     fn of(normalised: &NormalisedSpeckle) -> Self {
         let (rows, columns) = (normalised.values.rows(), normalised.values.columns());
         let mut centred = normalised.values.clone();
-        for (v, &illuminated) in centred.data_mut().iter_mut().zip(normalised.illuminated.data()) {
+        for (v, &illuminated) in centred
+            .data_mut()
+            .iter_mut()
+            .zip(normalised.illuminated.data())
+        {
             *v = illuminated * (f64::from(*v) - normalised.mean) as f32;
         }
         let lags = (rows.min(columns) / 3).max(1);
         let spectrum = |image: &Image| Spectrum::of(image, rows + lags, columns + lags);
         let (values, illuminated) = (spectrum(&centred), spectrum(&normalised.illuminated));
-        let (values, pairs) = (values.correlate(&values), illuminated.correlate(&illuminated));
+        let (values, pairs) = (
+            values.correlate(&values),
+            illuminated.correlate(&illuminated),
+        );
         let at = |dy: usize, dx: usize| {
             let (dy, dx) = (dy as isize, dx as isize);
             values.at(dy, dx) / pairs.at(dy, dx).max(1.0)

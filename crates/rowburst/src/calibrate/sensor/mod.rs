@@ -152,15 +152,7 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     let error = |light: f64| ((typical + light.max(0.0) * rough_gain) / frames).sqrt();
     let dead = pixels::dead(&light, error, columns);
     usable.iter_mut().zip(&dead).for_each(|(u, &d)| *u &= !d);
-    if usable.iter().filter(|u| **u).count() * 2 < usable.len() {
-        let bad = usable.iter().filter(|u| !**u).count();
-        return Err(Error::input(
-            "--darks and --flats",
-            format!("{bad} of {} pixels hot, dead or unstable", usable.len()),
-            "at least half of the pixels are sound",
-            "Check that all frames are raw, of one camera, one gain and one exposure.",
-        ));
-    }
+    check_usable(&usable)?;
 
     let banding = rows::banding(darks, &dark, &usable);
     let series = FlatSeries {
@@ -213,6 +205,20 @@ pub fn calibrate(darks: &Stack, flats: &Stack) -> Result<SensorCalibration> {
     };
     found.warnings = warnings::of(&found, darks, flats, &lights, &usable);
     Ok(found)
+}
+
+/// Refuses a sensor of which fewer than half of the pixels are usable.
+fn check_usable(usable: &[bool]) -> Result<()> {
+    if usable.iter().filter(|u| **u).count() * 2 >= usable.len() {
+        return Ok(());
+    }
+    let bad = usable.iter().filter(|u| !**u).count();
+    Err(Error::input(
+        "--darks and --flats",
+        format!("{bad} of {} pixels hot, dead or unstable", usable.len()),
+        "at least half of the pixels are sound",
+        "Check that all frames are raw, of one camera, one gain and one exposure.",
+    ))
 }
 
 /// Points, line and saturation: which points the line goes through depends on where the

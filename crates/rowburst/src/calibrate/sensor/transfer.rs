@@ -156,9 +156,10 @@ fn add_pair(
         // A row with hardly any light says nothing about the lamp.
         let enough = 10.0 * (count * dark_variance).sqrt();
         let by_row = count > 2.0 && row_a.min(row_b) > enough;
-        let (ratio, freedom) = match by_row {
-            true => (row_a / row_b, count / (count - 1.0)),
-            false => (frame_ratio, 1.0),
+        let (ratio, freedom) = if by_row {
+            (row_a / row_b, count / (count - 1.0))
+        } else {
+            (frame_ratio, 1.0)
         };
         let unit = (freedom / (2.0 * ratio)).sqrt();
         for i in row {

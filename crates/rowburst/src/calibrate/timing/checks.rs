@@ -24,7 +24,9 @@ pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
     Err(Error::input(
         "frames",
         format!("{periods:.2} periods of the light in the readout of a frame"),
-        format!("at least {MIN_PERIODS} are needed to separate the modulation from the profile of the lamp"),
+        format!(
+            "at least {MIN_PERIODS} are needed to separate the modulation from the profile of the lamp"
+        ),
         format!(
             "Blink at {} Hz or more; about {} Hz gives 20 periods.",
             rounded(1.1 * MIN_PERIODS / periods * frequency_hz),

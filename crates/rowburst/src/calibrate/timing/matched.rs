@@ -4,7 +4,7 @@
 //! readout order: a coarse search by correlation over the row time `τ` and the moment `t₀`,
 //! then least squares over `τ, t₀` and the exposure together.
 
-use super::fit::{Basis, Optimum, dot, linear, minimise, polynomials};
+use super::fit::{Basis, Linear, Optimum, dot, linear, minimise, polynomials};
 use super::waveform::{Extension, Waveform};
 use rayon::prelude::*;
 use rustfft::{Fft, FftPlanner, num_complex::Complex64};
@@ -254,6 +254,159 @@ fn correlate(
         .collect()
 }
 
+/// The model of the frames for one readout order.
+///
+/// θ is in units of the start: row time and exposure (logarithms), then the moment of the
+/// middle of each frame.
+struct OrderModel<'a> {
+    frames: &'a [Vec<f64>],
+    /// Instant of each row.
+    k: &'a [usize],
+    waveform: &'a Waveform,
+    /// Profile of the steady light; that of the lamp is its beginning.
+    steady: Basis,
+    /// Number of instants.
+    instants: f64,
+    /// The middle instant.
+    middle: f64,
+    /// Row time of the start, in microseconds.
+    unit: f64,
+}
+
+/// What the fitted model predicts.
+struct Prediction {
+    model: Vec<Vec<f64>>,
+    extremes: (f64, f64),
+}
+
+impl<'a> OrderModel<'a> {
+    fn new(frames: &'a [Vec<f64>], k: &'a [usize], waveform: &'a Waveform, unit: f64) -> Self {
+        let instants = k.iter().max().map_or(1, |last| last + 1) as f64;
+        Self {
+            frames,
+            k,
+            waveform,
+            steady: polynomials(k.len(), STEADY_DEGREE),
+            instants,
+            middle: 0.5 * (instants - 1.0),
+            unit,
+        }
+    }
+
+    /// Profile of the lamp.
+    fn lamp(&self) -> &[Vec<f64>] {
+        &self.steady[..=LAMP_DEGREE]
+    }
+
+    /// Row time at `theta`, in microseconds.
+    fn row_time_us(&self, theta: &[f64]) -> f64 {
+        self.unit * theta[0].exp()
+    }
+
+    /// Exposure at `theta`, in microseconds.
+    fn exposure_us(&self, theta: &[f64]) -> f64 {
+        self.unit * theta[1].exp()
+    }
+
+    /// The linear fit of frame `f` at `theta`, and the light that its rows saw.
+    fn fit_frame(&self, theta: &[f64], f: usize) -> (Linear, Vec<f64>) {
+        let (tau, exposure) = (self.row_time_us(theta), self.exposure_us(theta));
+        let course: Vec<f64> = self
+            .k
+            .iter()
+            .map(|&k| {
+                self.waveform.mean_over_exposure(
+                    self.unit * theta[2 + f] + (k as f64 - self.middle) * tau,
+                    exposure,
+                )
+            })
+            .collect();
+        let lit = |p: &Vec<f64>| p.iter().zip(&course).map(|(p, c)| p * c).collect();
+        let lamp = self.lamp().iter().map(lit);
+        let basis: Basis = lamp.chain(self.steady.iter().cloned()).collect();
+        (linear(&basis, &self.frames[f]), course)
+    }
+
+    /// Residual of the frames `from..to` at `theta`.
+    fn residual(&self, theta: &[f64], from: usize, to: usize) -> Vec<f64> {
+        // Exposures beyond thousands of rows are no start of anything.
+        if theta[1].abs() > 12.0 || theta[0].abs() > 1.0 {
+            return vec![1e3; (to - from) * self.k.len()];
+        }
+        (from..to)
+            .flat_map(|f| self.fit_frame(theta, f).0.residual)
+            .collect()
+    }
+
+    /// Steps of the derivatives for `count` frames.
+    fn steps(&self, count: usize) -> Vec<f64> {
+        let mut steps = vec![1e-4; 2 + count];
+        steps[0] = 1e-4 / self.instants;
+        steps
+    }
+
+    /// The least-squares θ: frame 1 first, then the moment of each further frame, then all.
+    fn optimum(&self, start: Start) -> Optimum {
+        let first = start.offset_us / self.unit + self.middle;
+        let exposure = (start.exposure_us / self.unit).ln();
+        let mut theta = vec![0.0, exposure, first];
+        let one = minimise(&theta, &self.steps(1), &|t| self.residual(t, 0, 1));
+        theta = one.theta;
+        for f in 1..self.frames.len() {
+            let moment = moment_of(
+                &self.frames[f],
+                self.k,
+                self.waveform,
+                self.row_time_us(&theta),
+                self.exposure_us(&theta),
+            );
+            theta.push(moment / self.unit + self.middle * theta[0].exp());
+            let other = |t: &[f64]| {
+                let mut all = theta[..2].to_vec();
+                all.extend(std::iter::repeat_n(0.0, f));
+                all.push(t[0]);
+                self.residual(&all, f, f + 1)
+            };
+            theta[2 + f] = minimise(&[theta[2 + f]], &[1e-4], &other).theta[0];
+        }
+        let count = self.frames.len();
+        minimise(&theta, &self.steps(count), &|t| self.residual(t, 0, count))
+    }
+
+    /// Values less parameters.
+    fn dof(&self) -> f64 {
+        let count = self.frames.len();
+        let parameter_count = (self.lamp().len() + self.steady.len() + 1) * count + 2;
+        (count * self.k.len()) as f64 - parameter_count as f64
+    }
+
+    /// The rows by the fit at `theta`; `None` if the light darkens a frame.
+    fn prediction(&self, theta: &[f64]) -> Option<Prediction> {
+        let lamp = self.lamp();
+        let mut model = Vec::new();
+        let mut extremes = (0.0, 0.0);
+        for (f, seen) in self.frames.iter().enumerate() {
+            let (fit, course) = self.fit_frame(theta, f);
+            // Light brightens: a course that darkens the rows is another light.
+            if fit.weights[0] <= 0.0 {
+                return None;
+            }
+            if f == 0 {
+                let (low, high) = super::waveform::range(course.iter().copied());
+                let steady =
+                    fit.weights[lamp.len()] - fit.weights.get(lamp.len() + 2).unwrap_or(&0.0);
+                extremes = (
+                    steady + fit.weights[0] * low,
+                    steady + fit.weights[0] * high,
+                );
+            }
+            model.push(seen.iter().zip(&fit.residual).map(|(y, e)| y - e).collect());
+        }
+        Some(Prediction { model, extremes })
+    }
+}
+
+/// The least-squares fit from `start`; `None` if the start has no score or the light darkens a frame.
 fn refine(
     frames: &[Vec<f64>],
     k: &[usize],
@@ -263,101 +416,31 @@ fn refine(
     if !start.score.is_finite() {
         return None;
     }
-    let rows = k.len();
-    let instants = k.iter().max().map_or(1, |last| last + 1) as f64;
-    let steady = polynomials(rows, STEADY_DEGREE);
-    let lamp = &steady[..=LAMP_DEGREE];
-    // θ in units of the start: row time, exposure (logarithms), moments of the middle of each frame.
-    let middle = 0.5 * (instants - 1.0);
     let unit = start.row_time_us;
-    let loose = |theta: &[f64], f: usize| {
-        let (tau, exposure) = (unit * theta[0].exp(), unit * theta[1].exp());
-        let course: Vec<f64> = k
-            .iter()
-            .map(|&k| {
-                waveform
-                    .mean_over_exposure(unit * theta[2 + f] + (k as f64 - middle) * tau, exposure)
-            })
-            .collect();
-        let lit = |p: &Vec<f64>| p.iter().zip(&course).map(|(p, c)| p * c).collect();
-        let basis: Basis = lamp.iter().map(lit).chain(steady.iter().cloned()).collect();
-        (linear(&basis, &frames[f]), course)
-    };
-    let residual_of = |theta: &[f64], from: usize, to: usize| -> Vec<f64> {
-        // Exposures beyond thousands of rows are no start of anything.
-        if theta[1].abs() > 12.0 || theta[0].abs() > 1.0 {
-            return vec![1e3; (to - from) * rows];
-        }
-        (from..to)
-            .flat_map(|f| loose(theta, f).0.residual)
-            .collect()
-    };
-    let first = start.offset_us / unit + middle;
-    let exposure = (start.exposure_us / unit).ln();
-    let mut theta = vec![0.0, exposure, first];
-    let steps = |count: usize| {
-        let mut steps = vec![1e-4; 2 + count];
-        steps[0] = 1e-4 / instants;
-        steps
-    };
-    let one = minimise(&theta, &steps(1), &|t| residual_of(t, 0, 1));
-    theta = one.theta;
-    for f in 1..frames.len() {
-        let moment = moment_of(
-            &frames[f],
-            k,
-            waveform,
-            unit * theta[0].exp(),
-            unit * theta[1].exp(),
-        );
-        theta.push(moment / unit + middle * theta[0].exp());
-        let other = |t: &[f64]| {
-            let mut all = theta[..2].to_vec();
-            all.extend(std::iter::repeat_n(0.0, f));
-            all.push(t[0]);
-            residual_of(&all, f, f + 1)
-        };
-        theta[2 + f] = minimise(&[theta[2 + f]], &[1e-4], &other).theta[0];
-    }
-    let count = frames.len();
-    let found: Optimum = minimise(&theta, &steps(count), &|t| residual_of(t, 0, count));
-    let parameter_count = (lamp.len() + steady.len() + 1) * count + 2;
-    let dof = (count * rows) as f64 - parameter_count as f64;
-    let (errors, variance_inflation) = found.errors(dof, rows);
-    let (tau, exposure) = (unit * found.theta[0].exp(), unit * found.theta[1].exp());
-    let mut model = Vec::new();
-    let mut extremes = (0.0, 0.0);
-    for (f, seen) in frames.iter().enumerate() {
-        let (fit, course) = loose(&found.theta, f);
-        // Light brightens: a course that darkens the rows is another light.
-        if fit.weights[0] <= 0.0 {
-            return None;
-        }
-        if f == 0 {
-            let (low, high) = super::waveform::range(course.iter().copied());
-            let steady = fit.weights[lamp.len()] - fit.weights.get(lamp.len() + 2).unwrap_or(&0.0);
-            extremes = (
-                steady + fit.weights[0] * low,
-                steady + fit.weights[0] * high,
-            );
-        }
-        model.push(seen.iter().zip(&fit.residual).map(|(y, e)| y - e).collect());
-    }
+    let order = OrderModel::new(frames, k, waveform, unit);
+    let found = order.optimum(start);
+    let dof = order.dof();
+    let (errors, variance_inflation) = found.errors(dof, k.len());
+    let tau = order.row_time_us(&found.theta);
+    let Prediction { model, extremes } = order.prediction(&found.theta)?;
     let (exposure, exposure_error) = match fit_shared_profile(frames, k, waveform, &found, unit) {
         Some(tied)
             if tied.variance < SHARED_PROFILE_MAX_VARIANCE_RATIO * found.rss / dof.max(1.0) =>
         {
             tied.exposure
         }
-        _ => (exposure, exposure * errors[1]),
+        _ => {
+            let exposure = order.exposure_us(&found.theta);
+            (exposure, exposure * errors[1])
+        }
     };
     Some(MatchedFit {
         row_time_us: tau,
         row_time_error: tau * errors[0],
         exposure_us: exposure,
         exposure_error,
-        offsets_us: (0..count)
-            .map(|f| unit * found.theta[2 + f] - middle * tau)
+        offsets_us: (0..frames.len())
+            .map(|f| unit * found.theta[2 + f] - order.middle * tau)
             .collect(),
         rss: found.rss,
         dof,

@@ -24,10 +24,12 @@ pub use waveform::{Extension, Waveform};
 
 use crate::{Error, Image, Result, Shutter};
 use checks::{check_agreement, check_alias, check_periods, expected_warning, unseen};
+use matched::MatchedFit;
 use orders::{advice, candidate, consistent_shutters};
 use periodic::PeriodicFit;
 use rows::RowSignals;
 use search::{best_of, fundamental, refined, start_of, total_power};
+use std::borrow::Cow;
 
 /// The light in the frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -217,6 +219,73 @@ fn count_of(k: &[usize]) -> usize {
     k.iter().max().map_or(1, |last| last + 1)
 }
 
+/// Fits of a periodic light, one for each readout order.
+struct OrderFits<'a> {
+    fits: Vec<PeriodicFit>,
+    /// Index of the order that leaves the least residual.
+    best: usize,
+    /// The fitted rows; the still scene is removed where that helps.
+    frames: Cow<'a, [Vec<f64>]>,
+    /// Whether a frequency stands out in the frames.
+    has_clear_peak: bool,
+}
+
+impl<'a> OrderFits<'a> {
+    /// Fits `frames` in each of `orders`.
+    fn new(frames: &'a [Vec<f64>], orders: &[Vec<usize>]) -> Self {
+        // One sweep either way is the same to a light of unknown course, and so are two
+        // sweeps of an even number of rows.
+        let is_even = frames[0].len().is_multiple_of(2);
+        let same_as = [0, 0, 2, if is_even { 2 } else { 3 }];
+        let mut has_clear_peak = false;
+        let mut fits: Vec<PeriodicFit> = Vec::new();
+        for (o, k) in orders.iter().enumerate() {
+            if same_as[o] != o {
+                fits.push(fits[same_as[o]].clone());
+                continue;
+            }
+            let (start, clear) = start_of(frames, k);
+            has_clear_peak |= clear;
+            fits.push(fundamental(frames, k, start));
+        }
+        let fits = refined(frames, orders, same_as, &fits);
+        let mut order_fits = Self {
+            best: best_of(&fits),
+            fits,
+            frames: Cow::Borrowed(frames),
+            has_clear_peak,
+        };
+        if pattern::is_identifiable(&order_fits.fits[order_fits.best]) {
+            order_fits.remove_scene(orders, same_as);
+        }
+        order_fits
+    }
+
+    /// Removes the still scene from the rows, if that leaves clearly less variance.
+    fn remove_scene(&mut self, orders: &[Vec<usize>], same_as: [usize; 4]) {
+        let (mut cleaned, mut refits): (Vec<Vec<Vec<f64>>>, Vec<PeriodicFit>) =
+            (Vec::new(), Vec::new());
+        for (o, k) in orders.iter().enumerate() {
+            if same_as[o] == o {
+                let (rows, fit) = pattern::fit_without_scene(&self.frames, k, &self.fits[o]);
+                cleaned.push(rows);
+                refits.push(fit);
+            } else {
+                cleaned.push(cleaned[same_as[o]].clone());
+                refits.push(refits[same_as[o]].clone());
+            }
+        }
+        let variance = |f: &PeriodicFit| f.optimum.rss / f.dof.max(1.0);
+        let best = best_of(&refits);
+        // Without a still scene the removal would only lose information about the stripes.
+        if variance(&refits[best]) < 0.7 * variance(&self.fits[self.best]) {
+            self.fits = refits;
+            self.best = best;
+            self.frames = Cow::Owned(cleaned.swap_remove(best));
+        }
+    }
+}
+
 fn calibrate_periodic(
     signals: &RowSignals,
     frequency_hz: f64,
@@ -229,48 +298,12 @@ fn calibrate_periodic(
         check_alias(frequency_hz * expected * 1e-6, frequency_hz, Some(expected))?;
     }
     let orders = instants(rows);
-    // One sweep either way is the same to a light of unknown course, and so are two
-    // sweeps of an even number of rows.
-    let same_as = [0, 0, 2, if rows.is_multiple_of(2) { 2 } else { 3 }];
-    let mut seen = false;
-    let mut fits: Vec<Option<PeriodicFit>> = Vec::new();
-    for (o, k) in orders.iter().enumerate() {
-        if same_as[o] != o {
-            fits.push(fits[same_as[o]].clone());
-            continue;
-        }
-        let (start, clear) = start_of(frames, k);
-        seen |= clear;
-        fits.push(Some(fundamental(frames, k, start)));
-    }
-    let fits: Vec<PeriodicFit> = fits.into_iter().flatten().collect();
-    let mut fits = refined(frames, &orders, same_as, &fits);
-    let mut best = best_of(&fits);
-    let mut cleaned: Option<Vec<Vec<f64>>> = None;
-    if pattern::is_identifiable(&fits[best]) {
-        let (mut all, mut refits): (Vec<_>, Vec<PeriodicFit>) = (Vec::new(), Vec::new());
-        for (o, k) in orders.iter().enumerate() {
-            if same_as[o] == o {
-                let (rows, fit) = pattern::fit_without_scene(frames, k, &fits[o]);
-                all.push(rows);
-                refits.push(fit);
-            } else {
-                all.push(Vec::clone(&all[same_as[o]]));
-                refits.push(refits[same_as[o]].clone());
-            }
-        }
-        let variance = |f: &PeriodicFit| f.optimum.rss / f.dof.max(1.0);
-        let cleaner = best_of(&refits);
-        // Without a scene to take out it would cost what the frames say of the stripes.
-        if variance(&refits[cleaner]) < 0.7 * variance(&fits[best]) {
-            (fits, best) = (refits, cleaner);
-            cleaned = Some(all.swap_remove(best));
-        }
-    }
-    let frames = cleaned.as_ref().unwrap_or(frames);
-    let fit = &fits[best];
+    let order_fits = OrderFits::new(frames, &orders);
+    let best = order_fits.best;
+    let frames = &*order_fits.frames;
+    let fit = &order_fits.fits[best];
     let explained = explained(frames, fit.optimum.rss, fit.profile.len() - 1);
-    if !seen || explained < MIN_EXPLAINED {
+    if !order_fits.has_clear_peak || explained < MIN_EXPLAINED {
         return Err(unseen(explained, frequency_hz, rows));
     }
     let periods = fit.cycles_per_row * count_of(&orders[best]) as f64;
@@ -281,22 +314,7 @@ fn calibrate_periodic(
     }
     let period_us = 1e6 / frequency_hz;
     let (error, variance_inflation) = fit.error();
-    let variance = fit.optimum.rss / fit.dof.max(1.0);
-    let candidates: Vec<Candidate> = fits
-        .iter()
-        .zip(ORDERS)
-        .map(|(f, shutter)| {
-            candidate(
-                shutter,
-                f.cycles_per_row * period_us,
-                f.optimum.rss,
-                f.dof,
-                fit.optimum.rss,
-                variance * variance_inflation,
-                variance,
-            )
-        })
-        .collect();
+    let candidates = periodic_candidates(&order_fits.fits, fit, period_us, variance_inflation);
     let row_time_us = fit.cycles_per_row * period_us;
     let mut warnings = expected_warning(row_time_us, params);
     let (exposure, exposure_basis) =
@@ -328,6 +346,30 @@ fn calibrate_periodic(
     })
 }
 
+/// The readout orders, compared with the `best` fit of a periodic light.
+fn periodic_candidates(
+    fits: &[PeriodicFit],
+    best: &PeriodicFit,
+    period_us: f64,
+    variance_inflation: f64,
+) -> Vec<Candidate> {
+    let variance = best.optimum.rss / best.dof.max(1.0);
+    fits.iter()
+        .zip(ORDERS)
+        .map(|(f, shutter)| {
+            candidate(
+                shutter,
+                f.cycles_per_row * period_us,
+                f.optimum.rss,
+                f.dof,
+                best.optimum.rss,
+                variance * variance_inflation,
+                variance,
+            )
+        })
+        .collect()
+}
+
 fn calibrate_waveform(
     signals: &RowSignals,
     waveform: &Waveform,
@@ -336,22 +378,7 @@ fn calibrate_waveform(
     let frames = &signals.frames;
     let rows = frames[0].len();
     let orders = instants(rows);
-    let range = match params.expected_row_time_us {
-        Some(expected) => (expected / 1.3, expected * 1.3),
-        None => params.row_times_us,
-    };
-    let (first, last) = waveform.span_us();
-    if (last - first) / range.0 > MAX_SIGNAL_ROW_TIMES {
-        return Err(Error::input(
-            "signal",
-            format!("a waveform of {} ms", (last - first) * 1e-3),
-            format!(
-                "it lasts no longer than {MAX_SIGNAL_ROW_TIMES} of the shortest row times looked for, {} µs",
-                range.0
-            ),
-            "Shorten it to the time around the frame, check that its times are in microseconds, or give the expected row time.",
-        ));
-    }
+    let range = row_time_range(waveform, params)?;
     let fits = matched::fit_all(frames, &orders, waveform, range);
     let best = (0..fits.len())
         .filter(|&o| fits[o].is_some())
@@ -375,23 +402,7 @@ fn calibrate_waveform(
             "Check that the signal is that of the lamp, that it lasts longer than the readout (or repeats), and the expected row time.",
         ));
     };
-    let variance = fit.rss / fit.dof.max(1.0);
-    let candidates: Vec<Candidate> = fits
-        .iter()
-        .zip(ORDERS)
-        .filter_map(|(f, shutter)| {
-            let f = f.as_ref()?;
-            Some(candidate(
-                shutter,
-                f.row_time_us,
-                f.rss,
-                f.dof,
-                fit.rss,
-                variance * fit.variance_inflation,
-                variance,
-            ))
-        })
-        .collect();
+    let candidates = matched_candidates(&fits, fit);
     let mut warnings = expected_warning(fit.row_time_us, params);
     if fit.row_time_us < 1.01 * range.0 || fit.row_time_us > range.1 / 1.01 {
         warnings.push(format!(
@@ -429,6 +440,47 @@ fn calibrate_waveform(
         shutters: consistent_shutters(&candidates),
         candidates,
     })
+}
+
+/// Smallest and largest row time to search for a light of known course, in microseconds.
+fn row_time_range(waveform: &Waveform, params: &TimingParams) -> Result<(f64, f64)> {
+    let range = match params.expected_row_time_us {
+        Some(expected) => (expected / 1.3, expected * 1.3),
+        None => params.row_times_us,
+    };
+    let (first, last) = waveform.span_us();
+    if (last - first) / range.0 > MAX_SIGNAL_ROW_TIMES {
+        return Err(Error::input(
+            "signal",
+            format!("a waveform of {} ms", (last - first) * 1e-3),
+            format!(
+                "it lasts no longer than {MAX_SIGNAL_ROW_TIMES} of the shortest row times looked for, {} µs",
+                range.0
+            ),
+            "Shorten it to the time around the frame, check that its times are in microseconds, or give the expected row time.",
+        ));
+    }
+    Ok(range)
+}
+
+/// The readout orders, compared with the `best` fit of a light of known course.
+fn matched_candidates(fits: &[Option<MatchedFit>], best: &MatchedFit) -> Vec<Candidate> {
+    let variance = best.rss / best.dof.max(1.0);
+    fits.iter()
+        .zip(ORDERS)
+        .filter_map(|(f, shutter)| {
+            let f = f.as_ref()?;
+            Some(candidate(
+                shutter,
+                f.row_time_us,
+                f.rss,
+                f.dof,
+                best.rss,
+                variance * best.variance_inflation,
+                variance,
+            ))
+        })
+        .collect()
 }
 
 /// An exposure with a larger standard error than this part of it is not shown by the frame.

@@ -18,6 +18,50 @@ const MIN_ROWS: usize = 16;
 
 /// Takes `dark` away, divides by `flat`, and means over the columns.
 pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<RowSignals> {
+    let (rows, columns) = checked_size(frames, params)?;
+    let response = response(params, rows, columns)?;
+    let mut signals = RowSignals {
+        frames: Vec::new(),
+        mean_counts: Vec::new(),
+        saturated: 0.0,
+    };
+    for (i, frame) in frames.iter().enumerate() {
+        if let Some(end) = params.saturation_counts {
+            signals.saturated = signals.saturated.max(saturated_fraction(frame, end));
+        }
+        let means = row_means(frame, params.dark.as_ref(), response.as_deref());
+        if let Some(y) = means.iter().position(|m| m.is_nan()) {
+            return Err(Error::input(
+                "flat",
+                format!("no light in row {y}"),
+                "every row of the flat is lit",
+                "Record the flat under even light.",
+            ));
+        }
+        let mean = means.iter().sum::<f64>() / rows as f64;
+        if mean.is_nan() || mean <= 0.0 {
+            return Err(Error::input(
+                frame_name(i),
+                format!("a mean of {mean:.1} counts above the dark"),
+                "the light brightens the frame",
+                "Check that the lamp lights the sensor and that the dark frame is dark.",
+            ));
+        }
+        signals
+            .frames
+            .push(means.iter().map(|m| m / mean).collect());
+        signals.mean_counts.push(mean);
+    }
+    Ok(signals)
+}
+
+/// Name of frame `i` in messages.
+fn frame_name(i: usize) -> String {
+    format!("frame {}", i + 1)
+}
+
+/// Rows and columns of the frames; all images must have this size and finite pixels.
+fn checked_size(frames: &[Image], params: &TimingParams) -> Result<(usize, usize)> {
     let Some(first) = frames.first() else {
         return Err(Error::input(
             "frames",
@@ -35,8 +79,7 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
             "Read the whole sensor, not a narrow window.",
         ));
     }
-    let named = |i: usize| format!("frame {}", i + 1);
-    let all = frames.iter().enumerate().map(|(i, f)| (named(i), f));
+    let all = frames.iter().enumerate().map(|(i, f)| (frame_name(i), f));
     let extra = [("dark", &params.dark), ("flat", &params.flat)];
     let extra = extra
         .into_iter()
@@ -59,51 +102,33 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
             ));
         }
     }
-    let response = response(params, rows, columns)?;
-    let mut signals = RowSignals {
-        frames: Vec::new(),
-        mean_counts: Vec::new(),
-        saturated: 0.0,
-    };
-    for (i, frame) in frames.iter().enumerate() {
-        let mut means = Vec::with_capacity(rows);
-        for y in 0..rows {
-            let pixels = frame.row(y);
-            if let Some(end) = params.saturation_counts {
-                let full = pixels.iter().filter(|&&p| f64::from(p) >= end).count();
-                signals.saturated = signals.saturated.max(full as f64 / columns as f64);
-            }
-            let dark = params.dark.as_ref().map(|d| d.row(y));
+    Ok((rows, columns))
+}
+
+/// Part of the pixels that read `end` counts or more, in the worst row.
+fn saturated_fraction(frame: &Image, end: f64) -> f64 {
+    (0..frame.rows())
+        .map(|y| {
+            let full = frame.row(y).iter().filter(|&&p| f64::from(p) >= end);
+            full.count() as f64 / frame.columns() as f64
+        })
+        .fold(0.0, f64::max)
+}
+
+/// Mean of each row, corrected for dark and response; NaN for a row without response.
+fn row_means(frame: &Image, dark: Option<&Image>, response: Option<&[f64]>) -> Vec<f64> {
+    let columns = frame.columns();
+    (0..frame.rows())
+        .map(|y| {
+            let dark = dark.map(|d| d.row(y));
             let (mut sum, mut weight) = (0.0, 0.0);
-            for (x, &pixel) in pixels.iter().enumerate() {
+            for (x, &pixel) in frame.row(y).iter().enumerate() {
                 sum += f64::from(pixel) - dark.map_or(0.0, |d| f64::from(d[x]));
-                weight += response.as_ref().map_or(1.0, |r| r[y * columns + x]);
+                weight += response.map_or(1.0, |r| r[y * columns + x]);
             }
-            means.push(if weight > 0.0 { sum / weight } else { f64::NAN });
-        }
-        if let Some(y) = means.iter().position(|m| m.is_nan()) {
-            return Err(Error::input(
-                "flat",
-                format!("no light in row {y}"),
-                "every row of the flat is lit",
-                "Record the flat under even light.",
-            ));
-        }
-        let mean = means.iter().sum::<f64>() / rows as f64;
-        if mean.is_nan() || mean <= 0.0 {
-            return Err(Error::input(
-                named(i),
-                format!("a mean of {mean:.1} counts above the dark"),
-                "the light brightens the frame",
-                "Check that the lamp lights the sensor and that the dark frame is dark.",
-            ));
-        }
-        signals
-            .frames
-            .push(means.iter().map(|m| m / mean).collect());
-        signals.mean_counts.push(mean);
-    }
-    Ok(signals)
+            if weight > 0.0 { sum / weight } else { f64::NAN }
+        })
+        .collect()
 }
 
 /// Response of each pixel, the mean 1; what lies below zero is not used.

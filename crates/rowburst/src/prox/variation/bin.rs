@@ -1,73 +1,71 @@
-//! What is done to a bin of a [`super::Variation`]: its primal point is made, and duals take their steps.
+//! Loops over one bin of a [`super::Variation`]: its primal point and the steps of its duals.
 //!
-//! All goes by parts of [`PART`] pixels, whatever rows they fall in, and what follows from a part of the primal point is
-//! done while that is in registers: the dual over time from the bin before and the spatial dual of the row above, which
-//! have waited for nothing else, take their steps.
+//! The loops take parts of [`PART`] pixels, across the ends of rows. While a part of the primal point is in
+//! registers, two duals take their steps there, since it was the last value that they needed: the dual over time from
+//! the previous bin and the spatial dual of the row above (docs/design/013).
 
-use super::reached;
+use super::runs_near;
 use crate::vecmath::simd;
 use std::ops::Range;
 
-/// Pixels of a part.
+/// Pixels worked on together in registers; larger gains nothing (docs/design/013).
 pub(super) const PART: usize = 32;
 
-/// A bin of a video, apart from what is read and made of it.
+/// Parameters of a bin.
 pub(super) struct Bin<'a> {
     pub columns: usize,
-    /// The runs of rows that may be lit.
+    /// Runs of rows with an active voxel.
     pub rows: &'a [Range<usize>],
     /// `s·w_1`.
     pub shrink: f32,
-    /// What one of a [`Dual`] is worth, in space and over time.
+    /// Value of one unit of a [`Dual`], in space and over time.
     pub units: (f32, f32),
-    /// 1 where it may be lit, 0 elsewhere.
+    /// 1 for active voxels, 0 for others; `None`: all are active.
     pub mask: Option<&'a [u8]>,
 }
 
-/// A dual over the radius of the ball that it stays in, in parts of [`FULL`]: half of the memory of f32, which is what
-/// a prior of a video beyond the caches waits for. Rounding moves a point by 1e-4 of the radius at most, and that is 1.5 %
-/// of the brightness in an iteration.
+/// A dual over its ball's radius in 16 bits: half the memory of f32, with little rounding (docs/design/013).
 pub type Dual = i16;
 
-/// The radius in units of a [`Dual`].
+/// The ball's radius in units of a [`Dual`].
 const FULL: f32 = 32767.0;
 
-/// What one of a [`Dual`] is worth where the ball has this `radius`.
+/// Value of one unit of a [`Dual`] in a ball of `radius`.
 pub(super) fn unit(radius: f32) -> f32 {
     radius / FULL
 }
 
-/// Rounded to the nearest whole number; less than half of one beyond [`FULL`].
+/// Rounds to the nearest integer. `value` must be less than half a unit beyond ±[`FULL`].
 #[inline(always)]
 fn nearest(value: f32) -> Dual {
-    // From here on f32 has no digits behind the point, and the last ones are those of the number.
-    const WHOLE: f32 = 12_582_912.0;
-    (value + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()) as i16
+    // Near 1.5·2²³ an f32 has no fractional digits, so the sum's lowest bits are the rounded integer.
+    const SHIFT: f32 = 12_582_912.0;
+    (value + SHIFT).to_bits().wrapping_sub(SHIFT.to_bits()) as i16
 }
 
 /// A dual of all pixels of a bin, or zeros.
 #[derive(Clone, Copy)]
-pub(super) struct Values<'a> {
+pub(super) struct DualOrZeros<'a> {
     values: &'a [Dual],
-    /// Which bits of an index count.
+    /// Mask of an index: all bits, or none if every index gives the same zeros.
     mask: usize,
 }
 
-/// The duals that pull at a bin: along y and x, and over time to the next bin and from the one before.
+/// The duals that act on a bin: along y and x, over time to the next bin, and over time from the previous bin.
 #[derive(Clone, Copy)]
 pub(super) struct Duals<'a> {
-    pub py: Values<'a>,
-    pub px: Values<'a>,
-    pub time: Values<'a>,
-    pub before: Values<'a>,
+    pub py: DualOrZeros<'a>,
+    pub px: DualOrZeros<'a>,
+    pub time: DualOrZeros<'a>,
+    pub previous: DualOrZeros<'a>,
 }
 
-/// A step of a dual: what a difference moves it by.
+/// A dual step: units of a [`Dual`] for each unit of a difference of the primal point.
 #[derive(Clone, Copy)]
-pub(super) struct Step(f32);
+pub(super) struct StepFactor(f32);
 
-impl Step {
-    /// Of a `length`, for the ball of this `radius`; where that is 0 the dual stays.
+impl StepFactor {
+    /// A step of `length` in a ball of `radius`. With radius 0 the dual does not change.
     pub fn new(length: f32, radius: f32) -> Self {
         Self(if radius > 0.0 {
             FULL / radius * length
@@ -77,40 +75,44 @@ impl Step {
     }
 }
 
-/// The spatial dual of a bin, which is to step.
+/// The spatial dual of a bin, with its step.
 pub(super) struct Space<'a> {
     pub py: &'a mut [Dual],
     pub px: &'a mut [Dual],
-    pub step: Step,
+    pub step: StepFactor,
     pub columns: usize,
-    /// See [`along`].
-    pub along: &'a [f32],
+    /// See [`x_weights`].
+    pub x_weights: &'a [f32],
 }
 
-/// The dual over time between two bins, which is to step, and the point of the first of them.
+/// The dual over time `p` from a bin to the next, with its step and the primal point `now` of the first bin.
 pub(super) struct Time<'a> {
     pub p: &'a mut [Dual],
     pub now: &'a [f32],
-    pub step: Step,
+    pub step: StepFactor,
 }
 
-/// What a difference along x counts from each place of a row on: ones, with zero in the last column, which has no
-/// neighbour; as many more as a part has.
-pub(super) fn along(columns: usize) -> Vec<f32> {
+/// Weights of the differences along x: 0 in the last column, which has no right neighbour, and 1 elsewhere.
+///
+/// They continue for [`PART`] pixels beyond a row, so that a part may begin in any column.
+pub(super) fn x_weights(columns: usize) -> Vec<f32> {
     let is_inner = |i: usize| !(i + 1).is_multiple_of(columns);
     (0..columns + PART)
         .map(|i| f32::from(is_inner(i)))
         .collect()
 }
 
-/// What is done to `P` pixels of a bin from `i` on, the first of them in column `x`.
-trait Work {
+/// A loop body over the pixels of a bin.
+trait PixelLoop {
+    /// Works on the pixels `i..i + P`; pixel `i` is in column `x`.
     fn part<const P: usize>(&mut self, i: usize, x: usize);
 }
 
-/// Does `work` at the `pixels`, in order. The first pixel of all, which has nothing beside it, is a part of its own, and
-/// no part goes over the end of the first row, which has none above.
-fn walk<W: Work>(pixels: Range<usize>, columns: usize, mut work: W) -> W {
+/// Runs `work` over `pixels` in order.
+///
+/// Pixel 0, which has no left neighbour, is a part of its own. No part crosses the end of row 0, which has no row
+/// above.
+fn walk<W: PixelLoop>(pixels: Range<usize>, columns: usize, mut work: W) -> W {
     let Range { start, end } = pixels;
     let borders = [1, columns].map(|border| border.clamp(start, end.max(start)));
     let mut x = start % columns;
@@ -145,12 +147,13 @@ fn walk<W: Work>(pixels: Range<usize>, columns: usize, mut work: W) -> W {
     )
 }
 
+/// The `P` values from `i` on.
 #[inline(always)]
-fn part<T: Copy, const P: usize>(values: &[T], i: usize) -> [T; P] {
+fn load<T: Copy, const P: usize>(values: &[T], i: usize) -> [T; P] {
     values[i..i + P].try_into().expect("so many")
 }
 
-/// [`std::array::from_fn`], compiled for the instructions of where it stands.
+/// [`std::array::from_fn`], inlined so that it is compiled for the caller's instruction set.
 #[inline(always)]
 fn each<T: Copy + Default, const P: usize>(value: impl Fn(usize) -> T) -> [T; P] {
     let mut values = [T::default(); P];
@@ -160,13 +163,14 @@ fn each<T: Copy + Default, const P: usize>(value: impl Fn(usize) -> T) -> [T; P]
     values
 }
 
+/// Writes `part` from `i` on.
 #[inline(always)]
-fn put<T: Copy, const P: usize>(values: &mut [T], i: usize, part: [T; P]) {
+fn store<T: Copy, const P: usize>(values: &mut [T], i: usize, part: [T; P]) {
     values[i..i + P].copy_from_slice(&part);
 }
 
-impl<'a> Values<'a> {
-    const NONE: Self = Self {
+impl<'a> DualOrZeros<'a> {
+    const ZEROS: Self = Self {
         values: &[0; PART],
         mask: 0,
     };
@@ -179,37 +183,43 @@ impl<'a> Values<'a> {
         }
     }
 
+    /// The dual `values`, or zeros.
     pub fn new(values: Option<&'a [Dual]>) -> Self {
-        values.map_or(Self::NONE, Self::all)
+        values.map_or(Self::ZEROS, Self::all)
     }
 
     #[inline(always)]
-    fn part<const P: usize>(self, i: usize) -> [Dual; P] {
-        part(self.values, i & self.mask)
+    fn load<const P: usize>(self, i: usize) -> [Dual; P] {
+        load(self.values, i & self.mask)
     }
 
-    /// The part that is `shift` pixels before `i`; zeros if there is none.
+    /// The part that begins `shift` pixels before `i`; zeros if that is before the bin.
     #[inline(always)]
-    fn before<const P: usize>(self, i: usize, shift: usize) -> [Dual; P] {
-        let values = if i < shift { Self::NONE } else { self };
-        values.part(i.wrapping_sub(shift))
+    fn load_before<const P: usize>(self, i: usize, shift: usize) -> [Dual; P] {
+        let values = if i < shift { Self::ZEROS } else { self };
+        values.load(i.wrapping_sub(shift))
     }
 }
 
 impl Duals<'_> {
-    /// `s·w_1 + Dᵀp` at a part. To the left of a row is the last column of the row before, whose dual along x is zero.
+    /// `s·w_1 + Dᵀp` at a part.
+    ///
+    /// The pixel before column 0 is in the last column of the row above, where the dual along x is zero.
     #[inline(always)]
     fn pull<const P: usize>(&self, i: usize, bin: &Bin) -> [f32; P] {
-        let (here, above) = (self.py.part::<P>(i), self.py.before::<P>(i, bin.columns));
-        let (right, left) = (self.px.part::<P>(i), self.px.before::<P>(i, 1));
-        let (time, before) = (self.time.part::<P>(i), self.before.part::<P>(i));
+        let (here, above) = (
+            self.py.load::<P>(i),
+            self.py.load_before::<P>(i, bin.columns),
+        );
+        let (right, left) = (self.px.load::<P>(i), self.px.load_before::<P>(i, 1));
+        let (time, previous) = (self.time.load::<P>(i), self.previous.load::<P>(i));
         let (in_space, over_time) = bin.units;
         each(
             #[inline(always)]
             |k| {
-                let less = |a: Dual, b: Dual| i32::from(a) - i32::from(b);
-                let space = less(above[k], here[k]) + less(left[k], right[k]);
-                let time = less(before[k], time[k]);
+                let difference = |a: Dual, b: Dual| i32::from(a) - i32::from(b);
+                let space = difference(above[k], here[k]) + difference(left[k], right[k]);
+                let time = difference(previous[k], time[k]);
                 bin.shrink + in_space * space as f32 + over_time * time as f32
             },
         )
@@ -217,7 +227,7 @@ impl Duals<'_> {
 }
 
 impl Bin<'_> {
-    /// `max(0, q − s·w_1 − Dᵀp)` at a part, and zero where it may not be lit.
+    /// `max(0, q − s·w_1 − Dᵀp)` at a part; zero at inactive voxels.
     #[inline(always)]
     fn primal<const P: usize>(&self, i: usize, q: [f32; P], duals: Duals) -> [f32; P] {
         let pull = duals.pull::<P>(i, self);
@@ -237,56 +247,60 @@ impl Bin<'_> {
         }
     }
 
-    /// Sets those of the `rows` of `z` to zero that are not lit.
-    pub fn darken_others(&self, z: &mut [f32], rows: Range<usize>) {
+    /// Sets those of `rows` in `z` to zero that have no active voxel.
+    pub fn zero_inactive_rows(&self, z: &mut [f32], rows: Range<usize>) {
         let end = rows.end.min(z.len() / self.columns);
-        let mut dark = rows.start;
-        for run in reached(self.rows, &rows) {
-            if dark < run.start {
-                z[dark * self.columns..run.start * self.columns].fill(0.0);
+        let mut next = rows.start;
+        for run in runs_near(self.rows, &rows) {
+            if next < run.start {
+                z[next * self.columns..run.start * self.columns].fill(0.0);
             }
-            dark = run.end;
+            next = run.end;
         }
-        if dark < end {
-            z[dark * self.columns..end * self.columns].fill(0.0);
+        if next < end {
+            z[next * self.columns..end * self.columns].fill(0.0);
         }
     }
 
-    /// `z = max(0, q − s·w_1 − Dᵀp)`.
+    /// `z = max(0, q − s·w_1 − Dᵀp)` in the whole bin.
     pub fn write(&self, z: &mut [f32], q: &[f32], duals: Duals) {
-        self.darken_others(z, 0..z.len() / self.columns);
+        self.zero_inactive_rows(z, 0..z.len() / self.columns);
         for run in self.rows {
-            self.write_rows(run.clone(), (z, q), duals);
+            self.write_rows(run.clone(), z, q, duals);
         }
     }
 
-    /// Some rows of it.
-    pub fn write_rows(&self, rows: Range<usize>, (z, q): (&mut [f32], &[f32]), duals: Duals) {
+    /// The same in `rows`, which have an active voxel each.
+    pub fn write_rows(&self, rows: Range<usize>, z: &mut [f32], q: &[f32], duals: Duals) {
         let bin = self;
         walk(self.pixels(rows), self.columns, Write { bin, duals, q, z });
     }
 
-    /// Some rows of it, while duals take their steps: along y and x in the rows above, and over time from the bin
-    /// before, if that is to step.
+    /// The same, and steps of the duals: along y and x in the rows above, and over time from the previous bin if
+    /// `previous` is [`Previous::Update`].
     pub fn write_and_step(
         &self,
         rows: Range<usize>,
-        (z, q): (&mut [f32], &[f32]),
+        z: &mut [f32],
+        q: &[f32],
         space: Space,
-        (time, before, to_step): (Values, Values, Option<Time>),
+        time: DualOrZeros,
+        previous: Previous,
     ) {
-        match to_step {
-            Some(before) => self.write_and_step_with(rows, (z, q), space, (time, before)),
-            None => self.write_and_step_with(rows, (z, q), space, (time, before)),
+        match previous {
+            Previous::Update(dual) => self.write_and_step_with(rows, z, q, space, time, dual),
+            Previous::Read(dual) => self.write_and_step_with(rows, z, q, space, time, dual),
         }
     }
 
     fn write_and_step_with(
         &self,
         rows: Range<usize>,
-        (z, q): (&mut [f32], &[f32]),
+        z: &mut [f32],
+        q: &[f32],
         space: Space,
-        (time, before): (Values, impl Before),
+        time: DualOrZeros,
+        previous: impl PreviousDual,
     ) {
         let bin = self;
         let work = WriteAndStep {
@@ -295,12 +309,12 @@ impl Bin<'_> {
             z,
             space,
             time,
-            before,
+            previous,
         };
         walk(self.pixels(rows), self.columns, work);
     }
 
-    /// `z −= s·w_1 + Dᵀp` of the rows that may be lit.
+    /// `z −= s·w_1 + Dᵀp` in the rows with an active voxel.
     pub fn subtract_dual(&self, z: &mut [f32], duals: Duals) {
         let bin = self;
         for run in self.rows {
@@ -325,23 +339,29 @@ struct Write<'a> {
     z: &'a mut [f32],
 }
 
-impl Work for Write<'_> {
+impl PixelLoop for Write<'_> {
     #[inline(always)]
     fn part<const P: usize>(&mut self, i: usize, _: usize) {
-        put::<_, P>(self.z, i, self.bin.primal(i, part(self.q, i), self.duals));
+        store::<_, P>(self.z, i, self.bin.primal(i, load(self.q, i), self.duals));
     }
 }
 
-/// The dual over time from the bin before.
-trait Before {
-    fn values(&self) -> Values<'_>;
-    /// Takes its step at a part, where the bin is at `z` now.
+/// The dual over time from the previous bin, for [`Bin::write_and_step`].
+pub(super) enum Previous<'a> {
+    Read(DualOrZeros<'a>),
+    Update(Time<'a>),
+}
+
+/// The dual over time from the previous bin: one that steps ([`Time`]), or one that is only read ([`DualOrZeros`]).
+trait PreviousDual {
+    fn values(&self) -> DualOrZeros<'_>;
+    /// Steps the dual at a part, where the bin's primal point is `z`.
     fn step<const P: usize>(&mut self, i: usize, z: [f32; P]);
 }
 
-impl Before for Values<'_> {
+impl PreviousDual for DualOrZeros<'_> {
     #[inline(always)]
-    fn values(&self) -> Values<'_> {
+    fn values(&self) -> DualOrZeros<'_> {
         *self
     }
 
@@ -349,21 +369,21 @@ impl Before for Values<'_> {
     fn step<const P: usize>(&mut self, _: usize, _: [f32; P]) {}
 }
 
-impl Before for Time<'_> {
+impl PreviousDual for Time<'_> {
     #[inline(always)]
-    fn values(&self) -> Values<'_> {
-        Values::all(self.p)
+    fn values(&self) -> DualOrZeros<'_> {
+        DualOrZeros::all(self.p)
     }
 
     /// `p ← P(p + step·(next − now))`.
     #[inline(always)]
     fn step<const P: usize>(&mut self, i: usize, next: [f32; P]) {
-        let (p, now) = (part::<_, P>(self.p, i), part::<_, P>(self.now, i));
+        let (p, now) = (load::<_, P>(self.p, i), load::<_, P>(self.now, i));
         let moved = each(
             #[inline(always)]
             |k| nearest((f32::from(p[k]) + self.step.0 * (next[k] - now[k])).clamp(-FULL, FULL)),
         );
-        put::<_, P>(self.p, i, moved);
+        store::<_, P>(self.p, i, moved);
     }
 }
 
@@ -372,24 +392,24 @@ struct WriteAndStep<'a, B> {
     q: &'a [f32],
     z: &'a mut [f32],
     space: Space<'a>,
-    time: Values<'a>,
-    before: B,
+    time: DualOrZeros<'a>,
+    previous: B,
 }
 
-impl<B: Before> Work for WriteAndStep<'_, B> {
+impl<B: PreviousDual> PixelLoop for WriteAndStep<'_, B> {
     #[inline(always)]
     fn part<const P: usize>(&mut self, i: usize, x: usize) {
         let duals = Duals {
-            py: Values::all(self.space.py),
-            px: Values::all(self.space.px),
+            py: DualOrZeros::all(self.space.py),
+            px: DualOrZeros::all(self.space.px),
             time: self.time,
-            before: self.before.values(),
+            previous: self.previous.values(),
         };
-        let z = self.bin.primal::<P>(i, part(self.q, i), duals);
-        put(self.z, i, z);
-        self.before.step(i, z);
+        let z = self.bin.primal::<P>(i, load(self.q, i), duals);
+        store(self.z, i, z);
+        self.previous.step(i, z);
         if let Some(above) = i.checked_sub(self.bin.columns) {
-            self.space.part(above, x, self.z, z);
+            self.space.step_part(above, x, self.z, z);
         }
     }
 }
@@ -400,11 +420,11 @@ struct Subtract<'a> {
     z: &'a mut [f32],
 }
 
-impl Work for Subtract<'_> {
+impl PixelLoop for Subtract<'_> {
     #[inline(always)]
     fn part<const P: usize>(&mut self, i: usize, _: usize) {
-        let (z, pull) = (part::<_, P>(self.z, i), self.duals.pull::<P>(i, self.bin));
-        put::<_, P>(
+        let (z, pull) = (load::<_, P>(self.z, i), self.duals.pull::<P>(i, self.bin));
+        store::<_, P>(
             self.z,
             i,
             each(
@@ -416,33 +436,33 @@ impl Work for Subtract<'_> {
 }
 
 impl Space<'_> {
-    /// A step along the differences of `z` at a part, with `below` it, and back into the ball.
+    /// A projected gradient step at a part of the primal point `z`; `below` is the same part of the next row.
     #[inline(always)]
-    fn part<const P: usize>(&mut self, i: usize, x: usize, z: &[f32], below: [f32; P]) {
+    fn step_part<const P: usize>(&mut self, i: usize, x: usize, z: &[f32], below: [f32; P]) {
         let step = self.step.0;
-        let (here, right) = (part::<_, P>(z, i), part::<_, P>(z, i + 1));
-        let along = part::<_, P>(self.along, x);
-        let (py, px) = (part::<_, P>(self.py, i), part::<_, P>(self.px, i));
+        let (here, right) = (load::<_, P>(z, i), load::<_, P>(z, i + 1));
+        let weights = load::<_, P>(self.x_weights, x);
+        let (py, px) = (load::<_, P>(self.py, i), load::<_, P>(self.px, i));
         let y: [f32; P] = each(
             #[inline(always)]
             |k| f32::from(py[k]) + step * (below[k] - here[k]),
         );
         let x: [f32; P] = each(
             #[inline(always)]
-            |k| f32::from(px[k]) + step * (along[k] * (right[k] - here[k])),
+            |k| f32::from(px[k]) + step * (weights[k] * (right[k] - here[k])),
         );
-        // In most of a picture nothing is outside.
+        // Most parts need no projection.
         if is_inside(&y, &x) {
-            self.put(i, y, x);
+            self.store(i, y, x);
         } else {
             let (y, x) = project(y, x);
-            self.put(i, y, x);
+            self.store(i, y, x);
         }
     }
 
     #[inline(always)]
-    fn put<const P: usize>(&mut self, i: usize, y: [f32; P], x: [f32; P]) {
-        put::<_, P>(
+    fn store<const P: usize>(&mut self, i: usize, y: [f32; P], x: [f32; P]) {
+        store::<_, P>(
             self.py,
             i,
             each(
@@ -450,7 +470,7 @@ impl Space<'_> {
                 |k| nearest(y[k]),
             ),
         );
-        put::<_, P>(
+        store::<_, P>(
             self.px,
             i,
             each(
@@ -460,10 +480,11 @@ impl Space<'_> {
         );
     }
 
-    /// The same of some rows.
+    /// The same in `rows`.
     pub fn rows(self, rows: Range<usize>, z: &[f32]) {
         let columns = self.columns;
-        // The last row has no row below, and the last column nothing beside: their differences are zero.
+        // The last row is compared with itself, so its differences along y are zero. The dual of the last pixel,
+        // which has no neighbour, stays zero.
         let last = z.len() / columns - 1;
         let others = rows.start * columns..rows.end.min(last) * columns;
         let steps = SpaceSteps {
@@ -493,7 +514,7 @@ struct SpaceSteps<'a> {
     is_last: bool,
 }
 
-impl Work for SpaceSteps<'_> {
+impl PixelLoop for SpaceSteps<'_> {
     #[inline(always)]
     fn part<const P: usize>(&mut self, i: usize, x: usize) {
         let below = if self.is_last {
@@ -501,12 +522,12 @@ impl Work for SpaceSteps<'_> {
         } else {
             i + self.space.columns
         };
-        self.space.part::<P>(i, x, self.z, part(self.z, below));
+        self.space.step_part::<P>(i, x, self.z, load(self.z, below));
     }
 }
 
 impl Time<'_> {
-    /// Takes its step at some pixels.
+    /// Steps the dual at `pixels`; `next` is the primal point of the next bin.
     pub fn pixels(self, pixels: Range<usize>, next: &[f32]) {
         walk(pixels, usize::MAX, TimeSteps { time: self, next });
     }
@@ -517,14 +538,14 @@ struct TimeSteps<'a> {
     next: &'a [f32],
 }
 
-impl Work for TimeSteps<'_> {
+impl PixelLoop for TimeSteps<'_> {
     #[inline(always)]
     fn part<const P: usize>(&mut self, i: usize, _: usize) {
-        self.time.step::<P>(i, part(self.next, i));
+        self.time.step::<P>(i, load(self.next, i));
     }
 }
 
-/// The radius of the ball, from where rounding does not lead out, squared.
+/// Square of the largest norm without projection: the radius less one unit, so that rounding stays in the ball.
 const MAX_NORM_SQUARED: f32 = (FULL - 1.0) * (FULL - 1.0);
 
 #[inline(always)]
@@ -536,7 +557,7 @@ fn is_inside<const P: usize>(y: &[f32; P], x: &[f32; P]) -> bool {
     outside == 0
 }
 
-/// Into the ball; what is inside stays as it is.
+/// Projects onto the ball; points inside do not change.
 #[inline(always)]
 fn project<const P: usize>(mut y: [f32; P], mut x: [f32; P]) -> ([f32; P], [f32; P]) {
     for (y, x) in y.iter_mut().zip(&mut x) {
@@ -551,9 +572,10 @@ fn project<const P: usize>(mut y: [f32; P], mut x: [f32; P]) -> ([f32; P], [f32;
     (y, x)
 }
 
-/// `1/√a` to 1e-6 of it, and something large for zero: a first guess from the exponent, a Newton step whose constants
-/// fit that guess best (Kadlec 2010), and a plain one. Products alone: processors take several times as long for a root
-/// and a division.
+/// `1/√a` with a relative error of 1e-6; a large finite number for zero.
+///
+/// A first guess from the exponent is followed by a Newton step with constants that fit that guess (Kadlec 2010) and
+/// by a plain Newton step. They take products alone, which are several times faster than a root and a division.
 #[inline(always)]
 pub(super) fn inverse_root(a: f32) -> f32 {
     let guess = f32::from_bits(0x5f1f_fff9 - (a.to_bits() >> 1));
@@ -561,7 +583,7 @@ pub(super) fn inverse_root(a: f32) -> f32 {
     root * (1.5 - 0.5 * a * root * root)
 }
 
-/// Adds a row's `√((∂y v)² + (∂x v)²)`, `|∂t v|` and `|v|`.
+/// Adds the sums of `√((∂y v)² + (∂x v)²)`, `|∂t v|` and `|v|` over a row to `sums`.
 #[inline(always)]
 pub(super) fn add_row(sums: &mut [f64; 3], row: &[f32], below: &[f32], next: &[f32]) {
     const LANES: usize = 8;

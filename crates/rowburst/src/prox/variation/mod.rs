@@ -4,38 +4,37 @@
 //! R(v) = w_s Σ √((∂y v)² + (∂x v)²) + w_t Σ |∂t v| + w_1 Σ |v|
 //! ```
 //!
-//! with forward differences that are zero at the last row, column and bin (Neumann
-//! boundary). The prox is solved in the dual (Chambolle 2004; Beck & Teboulle 2009):
-//! `z(p) = max(0, q − s·w_1 − Dᵀp)` with `p` in the balls of radius `s·w`, by
-//! projected gradient steps `p ← P(p + step·D z(p))`. The dual is kept from call to
-//! call; inside an outer solver that changes `q` little by little, two steps a call
-//! lose nothing against five accelerated ones, and need no momentum arrays
-//! (in a trial on digits of 12 and 18 px: equal PSNR to 0.02 dB after 80 and 120 iterations).
+//! The differences `D` are forward differences, zero at the last row, column and bin (Neumann boundary).
 //!
-//! The steps of a call go through rows and bins as a wave, so that a video is read from memory once for all of
-//! them (`prox::wavefront`).
+//! The prox of `s·R` is solved in the dual (Chambolle 2004; Beck & Teboulle 2009). The dual `p` lies in balls of
+//! radius `s·w_s` for each pixel in space and `s·w_t` over time. Its primal point is
+//! `z(p) = max(0, q − s·w_1 − Dᵀp)`. It takes projected gradient steps `p ← P(p + step·D z(p))`, and it is kept from
+//! call to call. An outer solver changes `q` little between calls. Two plain steps per call are then as good as five
+//! accelerated ones, and need no momentum arrays (docs/design/012).
+//!
+//! All steps of a call share one pass of the video through memory (`prox::wavefront`, docs/design/013).
 
 mod bin;
 
 use super::Prox;
 use super::rows::Rows;
-use super::wavefront::{BinView, SpatialDuals, Stencil, Tile, Wavefront};
+use super::wavefront::{BinView, Previous, SpatialDuals, Stencil, Tile, Wavefront};
 use crate::vecmath::simd;
 use crate::{Shape, Support};
 pub(super) use bin::Dual;
-use bin::{Bin, Duals, Space, Step, Time, Values, add_row, unit};
+use bin::{Bin, DualOrZeros, Duals, Space, StepFactor, Time, add_row, unit};
 use rayon::prelude::*;
 use std::mem::take;
 use std::ops::Range;
 
-/// Dual steps of one call of [`Prox::prox`] inside an outer solver.
-const STEPS: usize = 2;
+/// Dual steps of a sweep, and by default of a call; one takes more iterations in all, three take more time
+/// (docs/design/012).
+const STEPS_PER_SWEEP: usize = 2;
 
-/// Length of a dual step over `1/‖D‖²`; up to 2 converges.
-const STEP: f32 = 1.9;
+/// Length of a dual step over `1/‖D‖²`; larger is faster but must stay below 2 to converge.
+const RELATIVE_STEP_LENGTH: f32 = 1.9;
 
-/// Pixels that are worked on together, in whole rows: what a level has made of them is at hand for the next one, and
-/// few are left over by vectors of the processor.
+/// Pixels of a strip; larger leaves the nearest cache, smaller wastes vector lanes (docs/design/013).
 const PIXELS_PER_STRIP: usize = 12288;
 
 /// The weights of the three parts of [`Variation`]; a part with weight 0 is absent.
@@ -49,24 +48,25 @@ pub struct VariationWeights {
     pub l1: f64,
 }
 
-/// The prior `R` above over videos of one shape.
+/// The prior `R` over videos of one shape; see the [module](self).
 pub struct Variation {
     shape: Shape,
     weights: VariationWeights,
-    steps: usize,
+    /// Dual steps of a call.
+    steps_per_call: usize,
     dual_y: Vec<Dual>,
     dual_x: Vec<Dual>,
     dual_t: Vec<Dual>,
-    /// Scale of the last call. The duals are parts of it.
+    /// `s` of the last call. The duals are stored as fractions of their radii `s·w`.
     scale: f64,
     support: Option<Support>,
     rows: Rows,
-    /// See [`bin::along`].
-    along: Vec<f32>,
+    /// See [`bin::x_weights`].
+    x_weights: Vec<f32>,
 }
 
 impl Variation {
-    /// The prior with its dual at zero.
+    /// The prior with all duals at zero.
     pub fn new(shape: Shape, weights: VariationWeights) -> Self {
         let space = if weights.space > 0.0 {
             shape.voxels()
@@ -81,21 +81,22 @@ impl Variation {
         Self {
             shape,
             weights,
-            steps: STEPS,
+            steps_per_call: STEPS_PER_SWEEP,
             dual_y: vec![0; space],
             dual_x: vec![0; space],
             dual_t: vec![0; time],
             scale: 0.0,
             support: None,
             rows: Rows::all(shape),
-            along: bin::along(shape.columns),
+            x_weights: bin::x_weights(shape.columns),
         }
     }
 
-    /// The same with `steps` dual steps a call, for a prox that stands alone.
+    /// The same with `steps` dual steps a call. A prox outside an outer solver needs more than the default; the tests
+    /// take 3000.
     #[must_use]
     pub fn with_steps(mut self, steps: usize) -> Self {
-        self.steps = steps;
+        self.steps_per_call = steps;
         self
     }
 
@@ -103,7 +104,7 @@ impl Variation {
         self.scale = scale;
     }
 
-    /// `z(p)`: the primal point of the dual.
+    /// Computes `z(p)`, the primal point of the dual.
     pub(super) fn primal(&self, q: &[f32], scale: f64, z: &mut [f32]) {
         let pixels = self.shape.pixels();
         let bins = z.par_chunks_exact_mut(pixels).enumerate();
@@ -113,22 +114,23 @@ impl Variation {
         });
     }
 
-    /// `steps` steps of the dual, and the primal point after them if `is_last`: `z`.
-    fn sweep(&mut self, q: &[f32], scale: f64, z: &mut [f32], steps: usize, is_last: bool) {
+    /// Takes `steps` dual steps. If `writes_primal`, `z` is the primal point after them; else its content is
+    /// unspecified.
+    fn sweep(&mut self, q: &[f32], scale: f64, z: &mut [f32], steps: usize, writes_primal: bool) {
         let mut duals = self.take_duals();
         let has_time = !duals[2].is_empty();
         let wavefront = Wavefront {
             shape: self.shape,
             rows_per_strip: (PIXELS_PER_STRIP / self.shape.columns).clamp(1, self.shape.rows),
-            steps,
+            last_level: steps,
             is_coupled: has_time,
         };
         let stencil = DualSteps {
             prior: self,
             scale,
-            length: STEP / norm_squared(!duals[0].is_empty(), has_time) as f32,
-            steps,
-            is_last,
+            length: RELATIVE_STEP_LENGTH / norm_squared(!duals[0].is_empty(), has_time) as f32,
+            last_level: steps,
+            writes_primal,
         };
         wavefront.run(q, z, &mut duals, &stencil);
         [self.dual_y, self.dual_x, self.dual_t] = duals;
@@ -147,47 +149,55 @@ impl Variation {
         }
     }
 
-    /// What pulls at bin `t`.
+    /// The duals that act on bin `t`.
     fn duals(&self, t: usize) -> Duals<'_> {
         let pixels = self.shape.pixels();
         let of = |t: usize| t * pixels..(t + 1) * pixels;
         let time = |t: usize| self.dual_t.get(of(t));
         Duals {
-            py: Values::new(self.dual_y.get(of(t))),
-            px: Values::new(self.dual_x.get(of(t))),
-            time: Values::new(time(t)),
-            before: Values::new(t.checked_sub(1).and_then(time)),
+            py: DualOrZeros::new(self.dual_y.get(of(t))),
+            px: DualOrZeros::new(self.dual_x.get(of(t))),
+            time: DualOrZeros::new(time(t)),
+            previous: DualOrZeros::new(t.checked_sub(1).and_then(time)),
         }
     }
 
+    /// Radii of the dual's balls in space and over time.
     fn radii(&self, scale: f64) -> (f32, f32) {
         let VariationWeights { space, time, .. } = self.weights;
         ((scale * space) as f32, (scale * time) as f32)
     }
 
-    /// The spatial dual of a bin, for steps of the given length at a scale.
-    fn space<'s>(
+    /// The spatial dual `(py, px)` of a bin, for steps of length `length` at `scale`.
+    fn spatial_step<'s>(
         &'s self,
         py: &'s mut [Dual],
         px: &'s mut [Dual],
-        (scale, length): (f64, f32),
+        scale: f64,
+        length: f32,
     ) -> Space<'s> {
         Space {
             py,
             px,
-            step: Step::new(length, self.radii(scale).0),
+            step: StepFactor::new(length, self.radii(scale).0),
             columns: self.shape.columns,
-            along: &self.along,
+            x_weights: &self.x_weights,
         }
     }
 
-    /// The same of the dual over time behind a bin that is at `now`.
-    fn time<'s>(&self, p: &'s mut [Dual], now: &'s [f32], (scale, length): (f64, f32)) -> Time<'s> {
-        let step = Step::new(length, self.radii(scale).1);
+    /// The same for `p`, the dual over time between a bin with the primal point `now` and the next bin.
+    fn time_step<'s>(
+        &self,
+        p: &'s mut [Dual],
+        now: &'s [f32],
+        scale: f64,
+        length: f32,
+    ) -> Time<'s> {
+        let step = StepFactor::new(length, self.radii(scale).1);
         Time { p, now, step }
     }
 
-    /// Whether a part of it needs the dual.
+    /// Whether any part of the prior needs a dual.
     pub(super) fn is_dual(&self) -> bool {
         !self.dual_y.is_empty() || !self.dual_t.is_empty()
     }
@@ -197,7 +207,7 @@ impl Variation {
         norm_squared(!self.dual_y.is_empty(), !self.dual_t.is_empty())
     }
 
-    /// One projected gradient step of length `step` of the dual from its primal point `z`.
+    /// Takes one projected gradient step of length `step` of every dual, from the primal point `z`.
     pub(super) fn step_dual(&mut self, z: &[f32], scale: f64, step: f32) {
         let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
         let bin = |t: usize| &z[t * pixels..(t + 1) * pixels];
@@ -207,15 +217,17 @@ impl Variation {
             .zip(px.par_chunks_exact_mut(pixels));
         duals.enumerate().for_each(|(t, (py, px))| {
             for run in self.rows.adjacent(t) {
-                self.space(py, px, (scale, step)).rows(run.clone(), bin(t));
+                self.spatial_step(py, px, scale, step)
+                    .rows(run.clone(), bin(t));
             }
         });
-        // The last bin has no next one: its difference is zero.
+        // The difference of the last bin is zero.
         let duals = pt.par_chunks_exact_mut(pixels).take(self.shape.bins - 1);
         duals.enumerate().for_each(|(t, p)| {
             for run in self.rows.adjacent(t) {
                 let run = run.start * columns..run.end * columns;
-                self.time(p, bin(t), (scale, step)).pixels(run, bin(t + 1));
+                self.time_step(p, bin(t), scale, step)
+                    .pixels(run, bin(t + 1));
             }
         });
         [self.dual_y, self.dual_x, self.dual_t] = [py, px, pt];
@@ -226,8 +238,8 @@ impl Variation {
     }
 }
 
-/// Those of the `runs`, which are in order, that hold one of the `rows` or the row above them.
-fn reached<'r>(runs: &'r [Range<usize>], rows: &Range<usize>) -> &'r [Range<usize>] {
+/// Those of the sorted `runs` that contain one of `rows` or the row above `rows`.
+fn runs_near<'r>(runs: &'r [Range<usize>], rows: &Range<usize>) -> &'r [Range<usize>] {
     let first = runs.partition_point(|run| run.end < rows.start);
     let count = runs[first..].partition_point(|run| run.start < rows.end);
     &runs[first..first + count]
@@ -238,53 +250,67 @@ fn norm_squared(space: bool, time: bool) -> f64 {
     f64::from(8 * u8::from(space) + 4 * u8::from(time))
 }
 
-/// The levels of [`Variation::sweep`].
+/// The stencil of [`Variation::sweep`]: a level computes the primal point and takes a dual step.
 struct DualSteps<'a> {
     prior: &'a Variation,
     scale: f64,
     length: f32,
-    steps: usize,
-    is_last: bool,
+    last_level: usize,
+    /// Whether the last level writes the primal point.
+    writes_primal: bool,
 }
 
 impl DualSteps<'_> {
-    /// The primal points of some rows, and while they are at hand steps of the spatial dual of the rows above, and of
-    /// the dual over time before them if it is to step.
+    /// Computes the primal point in `rows` and steps the duals that depend on it.
+    ///
+    /// These are the spatial dual of the rows above and, if `bin_view.previous` is [`Previous::Update`], the dual over
+    /// time from the previous bin.
     fn write_and_step(
         &self,
         bin: &Bin,
-        bin_view: BinView,
+        mut bin_view: BinView,
         (py, px): SpatialDuals,
         rows: Range<usize>,
     ) {
-        let (prior, lengths) = (self.prior, (self.scale, self.length));
-        let (time, before) = (Values::new(bin_view.time), Values::new(bin_view.before));
-        let mut to_step = bin_view.to_step;
-        for run in reached(bin.rows, &rows) {
-            // The row behind a run is dark.
+        let prior = self.prior;
+        let time = DualOrZeros::new(bin_view.time);
+        for run in runs_near(bin.rows, &rows) {
+            // The dual of a row steps when the row below is known. Below the last row of a run lies a zero row, so the
+            // dual steps in the strip that contains this zero row.
             let (start, end) = (run.start.max(rows.start), rows.end.min(run.end + 1));
             let active = start..end.min(run.end);
             let above = |y: usize| y.max(1) - 1;
-            let left = above(active.end)..above(end);
-            let stepping = to_step.as_mut().map(|(p, now)| prior.time(p, now, lengths));
-            let (space, point) = (prior.space(py, px, lengths), (&mut *bin_view.z, bin_view.q));
-            bin.write_and_step(active, point, space, (time, before, stepping));
-            prior.space(py, px, lengths).rows(left, bin_view.z);
+            let row_above = above(active.end)..above(end);
+            let previous = match &mut bin_view.previous {
+                Previous::None => bin::Previous::Read(DualOrZeros::new(None)),
+                Previous::Read(dual) => bin::Previous::Read(DualOrZeros::new(Some(*dual))),
+                Previous::Update(p, now) => {
+                    bin::Previous::Update(prior.time_step(p, now, self.scale, self.length))
+                }
+            };
+            let space = prior.spatial_step(py, px, self.scale, self.length);
+            bin.write_and_step(active, bin_view.z, bin_view.q, space, time, previous);
+            prior
+                .spatial_step(py, px, self.scale, self.length)
+                .rows(row_above, bin_view.z);
         }
     }
 
-    /// The primal points of some rows.
+    /// Computes the primal point in `rows`.
     fn write(&self, bin: &Bin, bin_view: BinView, space: Option<SpatialDuals>, rows: Range<usize>) {
         let (py, px) = space.unzip();
         let duals = Duals {
-            py: Values::new(py.as_deref()),
-            px: Values::new(px.as_deref()),
-            time: Values::new(bin_view.time),
-            before: Values::new(bin_view.before),
+            py: DualOrZeros::new(py.as_deref()),
+            px: DualOrZeros::new(px.as_deref()),
+            time: DualOrZeros::new(bin_view.time),
+            previous: DualOrZeros::new(match bin_view.previous {
+                Previous::Read(dual) => Some(dual),
+                Previous::None | Previous::Update(..) => None,
+            }),
         };
-        for run in reached(bin.rows, &rows) {
+        for run in runs_near(bin.rows, &rows) {
             let active = run.start.max(rows.start)..run.end.min(rows.end);
-            bin.write_rows(active, (&mut *bin_view.z, bin_view.q), duals);
+            bin.write_rows(active, bin_view.z, bin_view.q, duals);
         }
     }
 }
@@ -296,24 +322,27 @@ impl Stencil for DualSteps<'_> {
         t: usize,
         level: usize,
         rows: Range<usize>,
-        steps_before: bool,
+        updates_previous_dual: bool,
     ) {
-        let is_end = level == self.steps;
-        if is_end && !self.is_last {
+        let is_last_level = level == self.last_level;
+        if is_last_level && !self.writes_primal {
             return;
         }
         let (prior, bin) = (self.prior, self.prior.bin(t, self.scale));
-        // On a support what moves between the bins is not what is lit.
-        let in_one = steps_before && prior.weights.space > 0.0 && prior.support.is_none();
-        let mut bin_view = tile.bin(t, in_one);
+        // On a support the rows of the dual over time are not the active rows, so it takes its step by itself.
+        let is_fused =
+            updates_previous_dual && prior.weights.space > 0.0 && prior.support.is_none();
+        let mut bin_view = tile.bin(t, is_fused);
         if level == 0 {
-            bin.darken_others(bin_view.z, rows.clone());
+            bin.zero_inactive_rows(bin_view.z, rows.clone());
         }
         match bin_view.space.take() {
-            Some(space) if !is_end => self.write_and_step(&bin, bin_view, space, rows.clone()),
+            Some(space) if !is_last_level => {
+                self.write_and_step(&bin, bin_view, space, rows.clone())
+            }
             space => self.write(&bin, bin_view, space, rows.clone()),
         }
-        if steps_before && !in_one {
+        if updates_previous_dual && !is_fused {
             self.step_time_dual(tile, t - 1, rows);
         }
     }
@@ -321,9 +350,9 @@ impl Stencil for DualSteps<'_> {
     fn step_time_dual(&self, tile: &mut Tile, t: usize, rows: Range<usize>) {
         let (p, (now, next)) = tile.time_step(t);
         let columns = self.prior.shape.columns;
-        for run in reached(self.prior.rows.adjacent(t), &rows) {
+        for run in runs_near(self.prior.rows.adjacent(t), &rows) {
             let (start, end) = (run.start.max(rows.start), run.end.min(rows.end));
-            let time = self.prior.time(p, now, (self.scale, self.length));
+            let time = self.prior.time_step(p, now, self.scale, self.length);
             time.pixels(start * columns..end * columns, next);
         }
     }
@@ -334,10 +363,14 @@ impl Prox for Variation {
         assert_eq!(q.len(), self.shape.voxels(), "length of the point");
         assert_eq!(z.len(), self.shape.voxels(), "length of the result");
         self.scale = scale;
-        let mut left = if self.is_dual() { self.steps } else { 0 };
-        while left > STEPS {
-            self.sweep(q, scale, z, STEPS, false);
-            left -= STEPS;
+        let mut left = if self.is_dual() {
+            self.steps_per_call
+        } else {
+            0
+        };
+        while left > STEPS_PER_SWEEP {
+            self.sweep(q, scale, z, STEPS_PER_SWEEP, false);
+            left -= STEPS_PER_SWEEP;
         }
         self.sweep(q, scale, z, left, true);
     }
@@ -350,7 +383,7 @@ impl Prox for Variation {
             let row = |t: usize, y: usize| &z[(t * shape.rows + y) * columns..][..columns];
             let mut sums = [0.0; 3];
             for y in rows {
-                // Beyond the last row and the last bin nothing differs.
+                // The differences of the last row and the last bin are zero.
                 let below = row(t, (y + 1).min(shape.rows - 1));
                 let next = row((t + 1).min(shape.bins - 1), y);
                 simd(
@@ -363,9 +396,10 @@ impl Prox for Variation {
         bins.collect::<Vec<f64>>().iter().sum()
     }
 
-    /// The lit voxels that differ from all their predecessors (left, above, before)
-    /// along the axes that the prior couples: the number of plateaus, which for a
-    /// total variation is what the data choose (Tibshirani & Taylor 2012).
+    /// The number of plateaus: the degrees of freedom under a total variation (Tibshirani & Taylor 2012).
+    ///
+    /// It counts the voxels above `tolerance` that differ from all their predecessors (left, above, previous bin)
+    /// along the axes that the prior couples.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
         let (pixels, columns) = (self.shape.pixels(), self.shape.columns);
         let (space, time) = (!self.dual_y.is_empty(), !self.dual_t.is_empty());
@@ -382,8 +416,8 @@ impl Prox for Variation {
                         && (!time || t == 0 || differs(start + i - pixels))
                 };
                 let active = self.rows.active(t).iter();
-                let places = active.flat_map(|run| run.start * columns..run.end * columns);
-                places.filter(is_free).count()
+                let pixels = active.flat_map(|run| run.start * columns..run.end * columns);
+                pixels.filter(is_free).count()
             })
             .sum();
         free as f64

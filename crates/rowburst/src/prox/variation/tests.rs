@@ -93,7 +93,7 @@ fn level_by_level(prior: &mut Variation, q: &[f32], scale: f64, z: &mut [f32], s
     prior.set_scale(scale);
     for _ in 0..steps {
         prior.primal(q, scale, z);
-        prior.step_dual(z, scale, STEP / prior.norm_squared() as f32);
+        prior.step_dual(z, scale, RELATIVE_STEP_LENGTH / prior.norm_squared() as f32);
     }
     prior.primal(q, scale, z);
 }
@@ -227,8 +227,8 @@ fn skipped_rows_change_nothing() {
         let (mut a, mut b) = (q.clone(), q.clone());
         few.subtract_dual(&mut a);
         whole.subtract_dual(&mut b);
-        support.apply(&mut a);
-        support.apply(&mut b);
+        support.zero_outside(&mut a);
+        support.zero_outside(&mut b);
         assert_eq!(a, b, "{weights:?}");
     }
 }

@@ -1,14 +1,13 @@
-//! The automatic choices: `τ` and the prior that predict held-out pixels best.
+//! Automatic choice of the prior and of `τ` by held-out pixels.
 //!
-//! **Prior.** Each of [`CANDIDATES`] is run without the pixels held out (see `HeldOut`), and
-//! the one with the smallest error there is then run on the whole frame. Candidates that are far
-//! behind are given up early.
+//! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). The one with the
+//! smallest error at these pixels is then run on the whole frame. Candidates that are far behind the best
+//! one are stopped early.
 //!
-//! **Strength.** The discrepancy principle counts what the fit chooses freely, and noise that is a
-//! little stronger or weaker than on average moves it by a factor of 2 in `τ` and more. So from
-//! where it ends, each candidate goes on with half or twice the `τ` as long as that predicts the
-//! held-out pixels better; the factor goes with the prior into the run on the whole frame. A moving
-//! digit gains 0.5 to 2.3 dB by it (seeds 1 to 5, signal-to-noise ratio 256).
+//! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
+//! weaker than on average changes `τ` by a factor of 2 and more. So each candidate continues from the end of its
+//! run with half or twice its `τ`, as long as that predicts the held-out pixels better; the factor goes with
+//! the prior into the run on the whole frame (docs/design/011).
 
 mod level;
 mod trial;
@@ -24,89 +23,79 @@ use crate::vecmath::norm;
 use std::ops::ControlFlow;
 use trial::Trial;
 
-/// Sees every iteration and may stop it.
+/// A callback after every iteration, which may stop the run.
 type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
 
-/// The priors that `auto` chooses among, the one that is kept where others are no better first.
-///
-/// Not among them, since none was best by more than 0.7 dB on digits, LEDs and moving digits:
-/// `tv3d`, `wavelet` (ten times the time) and `l1`, each with the support.
+/// Priors of `auto`; an earlier one is kept where later ones are no better. More candidates cost a run each
+/// (`docs/design/011`).
 pub const CANDIDATES: [&str; 3] = [
     "tv+2*tdiff+support",
     "tv+0.5*tdiff+support",
     "group+support",
 ];
 
-/// What is tried as well where a scene is not sparse: light on more than a third of the voxels is
-/// often that of a background. 12 px digits and a moving one before a background three times as
-/// bright: 33.5 and 32.0 dB, without it 16.6 and 15.0 dB.
+/// Priors that `auto` also tries where the support of the best of [`CANDIDATES`] exceeds a third of the
+/// voxels: much of the light may be a background then (`docs/design/011`).
 pub const DENSE_CANDIDATES: [&str; 1] = ["tv+0.5*tdiff+0.3*l1+background+support"];
+/// Part of the voxels in the support above which [`DENSE_CANDIDATES`] are tried; smaller tries them on more scenes.
 const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 
-/// Candidates whose held-out error is above that of the best so far by this are not tried with
-/// another `τ`: none that was then chosen gained as much by it.
+/// Held-out error over the best up to which other `τ` are tried; larger costs time (docs/design/011).
 const MAX_TUNING_ERROR_RATIO: f64 = 1.06;
 
-/// Part by which an error must be smaller than that of the prior or the `τ` before it, times the
-/// root of the number of pixels held out; less is chance. Of 600 pixels it is half a per cent: of a moving
-/// digit (seed 2) `group+support` predicted them better than `tv+0.5*tdiff+support` by 0.3 %, and was
-/// 3 dB worse; where it is better (LEDs) it is so by 4 to 7 %. Half or twice the `τ` was no better
-/// for LEDs and larger digits where it gained less than that; for moving digits it gains 0.6 to 3 %.
+/// Relative gain that counts, times the root of the held-out pixels; smaller follows chance (docs/design/011).
 const SIGNIFICANCE: f64 = 0.12;
 
-/// See [`SIGNIFICANCE`].
+/// Relative gain of the held-out error that counts; see [`SIGNIFICANCE`].
 fn margin(held_out: usize) -> f64 {
     SIGNIFICANCE / (held_out.max(1) as f64).sqrt()
 }
 
-/// What `auto` chose among.
+/// The candidates of `auto` with their held-out errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Choice {
     /// The candidates in the order in which they were tried.
     pub candidates: Vec<Candidate>,
-    /// Number of pixels held out.
+    /// Number of held-out pixels.
     pub held_out: usize,
 }
 
-/// A candidate and how well it predicts pixels that it has not seen.
+/// A candidate and how well it predicts held-out pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// The prior.
     pub prior: Prior,
-    /// `τ` over that of the discrepancy principle.
+    /// Factor on the `τ` of the discrepancy principle.
     pub tau_factor: f64,
-    /// Rms of `W(b − A v)/σ` over the pixels held out.
+    /// Root mean square of `W(b − A v)/σ` over the held-out pixels.
     pub error: f64,
-    /// Part of the voxels that it lets be lit.
-    pub support: f64,
-    /// Whether it was given up before its end.
-    pub given_up: bool,
+    /// Fraction of the voxels that are in its support.
+    pub support_fraction: f64,
+    /// Whether it was stopped early because it was far behind the best.
+    pub stopped_early: bool,
 }
 
 impl Candidate {
-    /// The prior, and the factor on `τ` where it is not 1.
+    /// The name of the prior, with the factor on `τ` where it is not 1.
     pub fn name(&self) -> String {
         if self.tau_factor == 1.0 {
             self.prior.to_string()
         } else {
-            format!(
-                "{} with {} times the τ of the discrepancy principle",
-                self.prior, self.tau_factor
-            )
+            format!("{} with τ multiplied by {}", self.prior, self.tau_factor)
         }
     }
 }
 
 impl Choice {
-    /// The candidate with the smallest error, where it is smaller than that of all before it by
-    /// more than chance (half a per cent with 600 pixels).
+    /// The best candidate. A candidate replaces the best one before it where its error is smaller by more
+    /// than chance: by a factor that falls with the root of the number of held-out pixels.
     ///
     /// # Panics
-    /// If there is none.
+    /// If there are no candidates.
     pub fn best(&self) -> Candidate {
         let margin = margin(self.held_out);
         let better = |best: Candidate, next: &Candidate| {
-            // An error that is no number never is the smaller one.
+            // A candidate whose error is NaN is never the best.
             if next.error < (1.0 - margin) * best.error || best.error.is_nan() {
                 *next
             } else {
@@ -117,16 +106,20 @@ impl Choice {
         rest.iter().fold(*first, better)
     }
 
-    /// Why, as a plain sentence without a full stop.
+    /// The reason for the choice, as a sentence without a full stop.
     pub fn reason(&self) -> String {
         let best = self.best();
         let others = self.candidates.iter().filter(|c| **c != best).map(|c| {
-            let given_up = if c.given_up { ", given up" } else { "" };
-            format!("{} {:.3} σ{given_up}", c.name(), c.error)
+            let stopped_early = if c.stopped_early {
+                ", stopped early"
+            } else {
+                ""
+            };
+            format!("{} {:.3} σ{stopped_early}", c.name(), c.error)
         });
         let smallest = self.candidates.iter().all(|c| c.error >= best.error);
         format!(
-            "{} predicts {} pixels that it had not seen to {:.3} σ; {}{}",
+            "{} has the smallest error on {} held-out pixels: {:.3} σ; {}{}",
             best.name(),
             self.held_out,
             best.error,
@@ -135,7 +128,7 @@ impl Choice {
                 String::new()
             } else {
                 format!(
-                    "; differences below {:.1} % are taken for chance, and the earlier prior is kept",
+                    "; differences below {:.1} % are not significant, so the earlier prior is kept",
                     100.0 * margin(self.held_out)
                 )
             }
@@ -143,27 +136,28 @@ impl Choice {
     }
 }
 
-/// Fewest pixels held out that a choice may rest on: their mean square scatters by a fifth.
+/// Fewest held-out pixels that a choice may rest on; fewer decide by chance (docs/design/011).
 const MIN_HELD_OUT_PIXELS: usize = 50;
 
-/// Whether the frame has the pixels for a choice.
+/// Whether the frame has enough pixels to hold out for a choice.
 pub(super) fn can_choose(data: &FrameData) -> bool {
     data.held_out().pixels().len() >= MIN_HELD_OUT_PIXELS
 }
 
-/// What the best trial has found, without the pixels that were held out.
+/// The result of the best trial, which did not see the held-out pixels.
 pub(super) struct BestTrial {
     prior: Prior,
     solution: Solution,
 }
 
 impl BestTrial {
-    /// Rms of `W(b − A v)`, but for a factor that all runs on a frame share.
+    /// Norm of `W(b − A v)`, 0 at held-out pixels.
     pub fn misfit(&self) -> f64 {
         norm(&self.solution.residual)
     }
 
-    /// The same as the end of a run that was stopped, for `data` that it was found with.
+    /// The trial as the result of a run that was stopped for `reason`. `data` has to be in the state of the trial's
+    /// prior.
     pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
         self.solution.stop_reason = reason;
         let prox = self.prior.prox(data.shape());
@@ -176,8 +170,8 @@ impl BestTrial {
     }
 }
 
-/// Tries the candidates without the pixels that are held out; also what the best of them has found.
-/// Where the observer stops it, the best so far.
+/// Tries the candidates without the held-out pixels. Returns the choice and the best trial. The error is the
+/// result so far where the observer stopped it: the best trial, or the first one.
 pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
@@ -190,33 +184,34 @@ pub(super) fn choose_prior(
         candidates: Vec::new(),
         held_out: held_out.pixels().len(),
     };
-    let mut best: Vec<f64> = Vec::new();
+    // The held-out errors of the best candidate at each check.
+    let mut best_errors: Vec<f64> = Vec::new();
     let mut best_trial: Option<BestTrial> = None;
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
-        data.start(prior.background(), Some(held_out.clone()));
+        data.reset(prior.background(), Some(held_out.clone()));
         let trial = Trial::new(data, prior, rule, sigma, max_iterations);
         let max_error = choice
             .candidates
             .iter()
             .map(|c| MAX_TUNING_ERROR_RATIO * c.error);
         let max_error = max_error.fold(f64::INFINITY, f64::min);
-        let (candidate, errors, found) = match trial.run(data, &best, max_error, observer) {
-            Ok(ended) => ended,
+        let trial_result = match trial.run(data, &best_errors, max_error, observer) {
+            Ok(trial_result) => trial_result,
             Err(stopped) => {
                 let Some(best_trial) = best_trial.take() else {
                     return Err(stopped);
                 };
-                data.start(best_trial.prior.background(), Some(held_out.clone()));
+                data.reset(best_trial.prior.background(), Some(held_out.clone()));
                 return Err(best_trial.stopped(data, stopped.solution.stop_reason));
             }
         };
-        choice.candidates.push(candidate);
-        if choice.best() == candidate {
-            best = errors;
+        choice.candidates.push(trial_result.candidate);
+        if choice.best() == trial_result.candidate {
+            best_errors = trial_result.errors;
             best_trial = Some(BestTrial {
                 prior,
-                solution: found.solution,
+                solution: trial_result.run_result.solution,
             });
         }
         Ok(())
@@ -224,7 +219,7 @@ pub(super) fn choose_prior(
     for name in CANDIDATES {
         run(&mut choice, name)?;
     }
-    if choice.best().support > DENSE_SUPPORT {
+    if choice.best().support_fraction > DENSE_SUPPORT {
         for name in DENSE_CANDIDATES {
             run(&mut choice, name)?;
         }
@@ -247,8 +242,8 @@ mod tests {
             prior: prior.parse().unwrap(),
             tau_factor: 1.0,
             error,
-            support: 0.03,
-            given_up: false,
+            support_fraction: 0.03,
+            stopped_early: false,
         };
         let mut choice = Choice {
             candidates: vec![
@@ -259,13 +254,17 @@ mod tests {
         };
         assert_eq!(choice.best(), choice.candidates[0]);
         assert!(
-            choice.reason().contains("taken for chance"),
+            choice.reason().contains("not significant"),
             "{}",
             choice.reason()
         );
         choice.candidates.push(candidate("l1+support", 1.06));
         assert_eq!(choice.best(), choice.candidates[2]);
-        assert!(!choice.reason().contains("chance"), "{}", choice.reason());
+        assert!(
+            !choice.reason().contains("significant"),
+            "{}",
+            choice.reason()
+        );
         // A run that overflowed is never the best.
         choice.candidates.push(candidate("tv+support", f64::NAN));
         assert_eq!(choice.best(), choice.candidates[2]);

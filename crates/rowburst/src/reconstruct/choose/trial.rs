@@ -1,38 +1,51 @@
-//! The run of a candidate on the pixels that are not held out.
+//! The trial of a candidate: a run on the pixels that are not held out.
 
 use super::super::frame_data::FrameData;
-use super::super::{Prior, RunResult, show};
+use super::super::{Prior, RunResult, observe_sum};
 use super::{Candidate, Observer, margin, rms};
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
 
-/// How close to its minimum a candidate is run.
+/// [`AdmmParams::tolerance`] of a trial; larger is faster and compares less exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
 
-/// Held-out error over that of the best so far after as many iterations at which a candidate
-/// is given up, early and late; LEDs stand at 3 after 100 iterations of a prior that ends best.
+/// Held-out error over that of the best candidate, after as many iterations, that stops a candidate early in
+/// its run; smaller may stop the best (docs/design/011).
 const EARLY_ERROR_RATIO: f64 = 6.0;
+/// The same from [`LATE_FROM`] on.
 const LATE_ERROR_RATIO: f64 = 1.5;
+/// Iteration at which a candidate is first compared; smaller may stop the best.
 const FIRST_CHECK: usize = 100;
+/// First iteration at which [`LATE_ERROR_RATIO`] applies; smaller may stop the best.
 const LATE_FROM: usize = 200;
+/// Iterations between two comparisons; larger stops candidates later.
 const CHECK_INTERVAL: usize = 20;
 
-/// Factor from one `τ` to the next that is tried, the farthest from where the discrepancy principle
-/// ended, and the iterations that each is given.
+/// Factor from one tried `τ` to the next; smaller is finer and takes more runs (docs/design/011).
 const TAU_STEP: f64 = 2.0;
+/// Largest factor on the `τ` of the discrepancy principle, up and down; larger tries more values.
 const MAX_TAU_FACTOR: f64 = 8.0;
+/// Iterations for each tried `τ`; fewer compare videos that have not settled.
 const TUNING_ITERATIONS: usize = 30;
 
-/// A strength of a candidate, the held-out error there and the part of the voxels that may be lit.
+/// A factor on `τ`, with the held-out error and the fraction of voxels in the support at this factor.
 #[derive(Clone, Copy)]
 struct TauTrial {
     tau_factor: f64,
     error: f64,
-    support: f64,
+    support_fraction: f64,
 }
 
-/// A candidate that is being tried.
+/// The result of a trial.
+pub(super) struct TrialResult {
+    pub candidate: Candidate,
+    /// The held-out error at each check.
+    pub errors: Vec<f64>,
+    pub run_result: Box<RunResult>,
+}
+
+/// The run of a candidate.
 pub(super) struct Trial {
     prior: Prior,
     prox: Box<dyn Prox>,
@@ -42,8 +55,7 @@ pub(super) struct Trial {
 }
 
 impl Trial {
-    /// A run from a dark video, for `data` without the pixels that are held out; errors are in
-    /// units of `sigma`.
+    /// A run from a zero video. `data` holds out its pixels already; held-out errors are divided by `sigma`.
     pub fn new(
         data: &FrameData,
         prior: Prior,
@@ -64,42 +76,42 @@ impl Trial {
         }
     }
 
-    /// Runs to the end, or until it is hopelessly worse than `best`, the course of the errors of
-    /// the best so far; then tries other `τ` where the error is at most `max_error`. Also returns
-    /// the course of its errors, and what it has found.
+    /// Runs until the solver stops, or until the held-out error is far above `best_errors`, those of the best
+    /// candidate at each check. Then tries other `τ` where the error is at most `max_error`. The error is the
+    /// result so far of a run that the observer stopped.
     pub fn run(
         mut self,
         data: &mut FrameData,
-        best: &[f64],
+        best_errors: &[f64],
         max_error: f64,
         observer: &mut Observer,
-    ) -> Result<(Candidate, Vec<f64>, Box<RunResult>), Box<RunResult>> {
+    ) -> Result<TrialResult, Box<RunResult>> {
         let mut errors = Vec::new();
-        let given_up = loop {
-            // In pieces: an observer cannot ask the data for the held-out error.
+        let stopped_early = loop {
+            // The run pauses for each check, since an observer has no access to the held-out pixels.
             let until = (self.run.iterations() + CHECK_INTERVAL).max(FIRST_CHECK);
             let (error, ended) = match self.run_until(data, until, observer) {
-                Ok(seen) => seen,
+                Ok(check) => check,
                 Err(reason) => return Err(self.into_result(data, reason)),
             };
-            let then = best.get(errors.len()).or(best.last());
+            let best_error = best_errors.get(errors.len()).or(best_errors.last());
             let limit = if self.run.iterations() < LATE_FROM {
                 EARLY_ERROR_RATIO
             } else {
                 LATE_ERROR_RATIO
             };
             errors.push(error);
-            if ended || then.is_some_and(|then| error > limit * then) {
+            if ended || best_error.is_some_and(|best_error| error > limit * best_error) {
                 break !ended;
             }
         };
         let mut found = TauTrial {
             tau_factor: 1.0,
             error: errors[errors.len() - 1],
-            support: self.run.support(),
+            support_fraction: self.run.support_fraction(),
         };
-        let is_free = matches!(self.params.tau, TauRule::Discrepancy { .. });
-        if is_free && !given_up && found.error <= max_error {
+        let is_tunable = matches!(self.params.tau, TauRule::Discrepancy { .. });
+        if is_tunable && !stopped_early && found.error <= max_error {
             found = match self.tune(data, found, observer) {
                 Ok(found) => found,
                 Err(reason) => return Err(self.into_result(data, reason)),
@@ -109,15 +121,18 @@ impl Trial {
             prior: self.prior,
             tau_factor: found.tau_factor,
             error: found.error,
-            support: found.support,
-            given_up,
+            support_fraction: found.support_fraction,
+            stopped_early,
         };
-        let reason = StopReason::IterationLimit;
-        Ok((candidate, errors, self.into_result(data, reason)))
+        Ok(TrialResult {
+            candidate,
+            errors,
+            run_result: self.into_result(data, StopReason::IterationLimit),
+        })
     }
 
-    /// Goes on with half of `τ`, or twice, as long as the held-out error falls; where it was
-    /// smallest.
+    /// Continues with half of `τ`, then of that, as long as the held-out error falls; where the first half does
+    /// not help, with twice of it. Returns the best factor.
     fn tune(
         &mut self,
         data: &mut FrameData,
@@ -138,7 +153,7 @@ impl Trial {
                 best = TauTrial {
                     tau_factor: factor,
                     error,
-                    support: self.run.support(),
+                    support_fraction: self.run.support_fraction(),
                 };
                 factor *= direction;
             }
@@ -149,7 +164,7 @@ impl Trial {
         Ok(best)
     }
 
-    /// Iterates up to `until` or the end; the held-out error, and whether it has ended.
+    /// Iterates until iteration `until` or the end. Returns the held-out error, and whether the run has ended.
     fn run_until(
         &mut self,
         data: &mut FrameData,
@@ -158,13 +173,13 @@ impl Trial {
     ) -> Result<(f64, bool), StopReason> {
         let until = until.min(self.params.max_iterations);
         let (background, shape) = (self.prior.background(), data.shape());
-        let label = format!("trying {}", self.prior);
+        let label = format!("testing prior {}", self.prior);
         let reason = self.run.run(data, &mut *self.prox, until, &mut |progress| {
             let progress = Progress {
                 label: &label,
                 ..*progress
             };
-            show(background, shape, &progress, observer)
+            observe_sum(background, shape, &progress, observer)
         });
         match reason {
             StopReason::TimeBudget | StopReason::Interrupted => Err(reason),
@@ -176,9 +191,9 @@ impl Trial {
         }
     }
 
-    /// What a run that was stopped has found.
+    /// The result so far, stopped for `reason`.
     fn into_result(self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
-        let solution = self.run.solution(data, &*self.prox, reason);
+        let solution = self.run.into_solution(data, &*self.prox, reason);
         Box::new(RunResult::new(
             self.prior,
             &*self.prox,

@@ -8,20 +8,20 @@
 //! ```
 //!
 //! `σ` does not come from the fit, so `χ²` may fail: it is given, calibrated, or read from
-//! the frequencies that the optics do not pass. In that **blind band** no video can do
+//! the frequencies that the optics do not pass. In that **noise band** no video can do
 //! anything about the residual: its level there is the noise, whatever the model
 //! (`noise_floor`; 1 if `σ` is right). All that a wrong model does lies in the band that the
 //! optics pass (`passed_level`).
 //!
 //! | fault | told by |
 //! |---|---|
-//! | σ wrong | the blind band, even where the fit has followed the wrong σ |
+//! | σ wrong | the noise band, even where the fit has followed the wrong σ |
 //! | PSF of another diffuser, another distance, turned, with a background | `χ²` |
 //! | rows paired or overlapped wrongly (shutter, exposure too long, frame moved along `y`) | `χ²`, where the scene changes |
 //! | two rows an instant taken for one (dual for single) | a video that runs back and forth |
 //! | light outside the field, support too tight, bad pixels and columns | `χ²` of few instants, columns, pixels |
 //! | stopped early | few iterations, or a residual that still falls |
-//! | pixels that hold no light of the scene | the blind band, or a solver that ran away |
+//! | pixels that hold no light of the scene | the noise band, or a solver that ran away |
 //! | too few measurements to tell | `df/m` |
 //!
 //! **No residual can tell** what another video explains as well: time reversed
@@ -30,7 +30,7 @@
 //! too short or up to a row wrong (the video is brighter, or blurred in time).
 //!
 //! Reference: W. H. Press et al., Numerical Recipes, 3rd ed. (2007), section 15.1, for
-//! `χ²` as a test of a model; the blind band is that of `estimate_sigma`.
+//! `χ²` as a test of a model; the noise band is that of `estimate_sigma`.
 
 mod statistics;
 mod verdict;
@@ -88,8 +88,8 @@ pub struct FitStatistics {
     pub noise_floor: Option<f64>,
     /// Standard error of `noise_floor` over itself.
     pub noise_floor_error: f64,
-    /// Whether the PSF is dark there: else `noise_floor` is an upper bound.
-    pub floor_is_blind: bool,
+    /// Whether the PSF passes almost nothing at these frequencies; else `noise_floor` is an upper bound.
+    pub noise_band_is_dark: bool,
     /// Rms of `r` in the quarter of the frequencies that they pass best; up to 1 for a
     /// good fit.
     pub passed_level: Option<f64>,
@@ -137,7 +137,7 @@ pub struct TrimmedChiSquared {
 /// What a verdict is made from.
 pub(super) struct FitInput<'a> {
     /// `W(b − A v)/σ`, `[y, x]`.
-    pub residual: &'a Image,
+    pub normalised_residual: &'a Image,
     /// `W b/σ`, `[y, x]`.
     pub measured: &'a [f32],
     /// `W`; 0 for pixels without information.
@@ -146,15 +146,15 @@ pub(super) struct FitInput<'a> {
     pub bands: &'a Bands,
     pub video: &'a Video,
     /// `df` as the prior counts it.
-    pub freedom: f64,
+    pub degrees_of_freedom: f64,
     /// Rms of the residual after each iteration.
-    pub history: &'a [f64],
+    pub residual_history: &'a [f64],
     pub sigma: f64,
     pub sigma_source: SigmaSource,
     pub tau_is_given: bool,
     pub stop_reason: StopReason,
-    /// Part of the voxels that the support lets be lit; 1 without one.
-    pub support: f64,
+    /// Part of the voxels that are active; 1 without a support.
+    pub support_fraction: f64,
 }
 
 /// Judges a reconstruction.

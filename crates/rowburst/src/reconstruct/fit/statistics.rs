@@ -13,9 +13,9 @@ fn limit_of_line(n: usize) -> f64 {
     1.25 * (1.0 + 6.0 * (2.0 / n.max(1) as f64).sqrt())
 }
 
-/// Power that the optics may pass in the blind band, over that in the passed one, for it
-/// to count as blind: a misfit of 30 σ then leaves 0.3 σ of it.
-const BLIND: f64 = 1e-4;
+/// Mean power that the optics pass in the noise band over that in the passed band, below which the noise band counts
+/// as dark: a misfit of 30 σ then leaves 0.3 σ in it.
+const MAX_LEAK: f64 = 1e-4;
 
 /// Fewest bins of which it can be said that they are mirrored.
 const MIN_MIRRORED_BINS: usize = 16;
@@ -26,12 +26,15 @@ const SMALL: usize = 32;
 const COMPARISONS: usize = 8;
 
 pub(super) fn of(evidence: &FitInput) -> FitStatistics {
-    let (rows, columns) = (evidence.residual.rows(), evidence.residual.columns());
-    let r = evidence.residual.data();
+    let (rows, columns) = (
+        evidence.normalised_residual.rows(),
+        evidence.normalised_residual.columns(),
+    );
+    let r = evidence.normalised_residual.data();
     let usable = |at: usize| evidence.weights.is_none_or(|w| w[at] > 0.0);
     let pixels: Vec<usize> = (0..r.len()).filter(|&at| usable(at)).collect();
     let m = pixels.len().max(1) as f64;
-    let spent = evidence.freedom.min(MAX_FREEDOM * m);
+    let spent = evidence.degrees_of_freedom.min(MAX_FREEDOM * m);
     // χ² of a part of the pixels: each has its share of the freedom.
     let chi = |sum: f64, count: usize| sum / (count.max(1) as f64 * (1.0 - spent / m));
     let power = |at: usize| f64::from(r[at]).powi(2);
@@ -51,7 +54,7 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
     let lone: Vec<usize> = pixels.iter().copied().filter(|&at| lone(at)).collect();
     let without_lone = total - lone.iter().map(|&at| power(at)).sum::<f64>();
 
-    let blind_count = evidence.bands.blind_count();
+    let noise_count = evidence.bands.noise_count();
     let value = |at: usize| f64::from(r[at]);
     let correlation = |step: usize, limit: usize| {
         let pairs = (0..r.len() - step.min(r.len()))
@@ -68,13 +71,13 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
         chi_squared_error: (2.0 / (m - spent)).sqrt(),
         residual_over_frame: total.sqrt()
             / crate::vecmath::norm(evidence.measured).max(f64::MIN_POSITIVE),
-        freedom: evidence.freedom / m,
-        noise_floor: (blind_count >= 8)
-            .then(|| evidence.bands.blind_rms(value))
+        freedom: evidence.degrees_of_freedom / m,
+        noise_floor: (noise_count >= 8)
+            .then(|| evidence.bands.noise_rms(value))
             .flatten(),
         // Of a median of exponential powers, as an rms.
-        noise_floor_error: 0.72 / (blind_count.max(1) as f64).sqrt(),
-        floor_is_blind: evidence.bands.leak() < BLIND,
+        noise_floor_error: 0.72 / (noise_count.max(1) as f64).sqrt(),
+        noise_band_is_dark: evidence.bands.leak() < MAX_LEAK,
         passed_level: evidence.bands.passed_rms(value),
         correlation_x: correlation(1, columns - 1),
         correlation_y: if rows > 1 {
@@ -93,7 +96,7 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
             pixels: chi(without_lone, pixels.len() - lone.len()),
         },
         lone_pixels: lone.len(),
-        residual_trend: trend(evidence.history),
+        residual_trend: trend(evidence.residual_history),
         mirrored: mirrored(evidence.camera, evidence.video),
         tests_timing: tests_timing(evidence.camera),
     }
@@ -143,7 +146,7 @@ impl Lines {
 }
 
 fn correlation_with_model(evidence: &FitInput, pixels: &[usize]) -> f64 {
-    let r = evidence.residual.data();
+    let r = evidence.normalised_residual.data();
     let (mut both, mut residual, mut model) = (0.0, 0.0, 0.0);
     for &at in pixels {
         let (r, b) = (f64::from(r[at]), f64::from(evidence.measured[at]));
@@ -155,11 +158,11 @@ fn correlation_with_model(evidence: &FitInput, pixels: &[usize]) -> f64 {
     both / (residual * model).sqrt().max(f64::MIN_POSITIVE)
 }
 
-fn trend(history: &[f64]) -> f64 {
-    let Some(&last) = history.last() else {
+fn trend(residual_history: &[f64]) -> f64 {
+    let Some(&last) = residual_history.last() else {
         return 1.0;
     };
-    let before = history[(history.len() * 4 / 5).min(history.len() - 1)];
+    let before = residual_history[(residual_history.len() * 4 / 5).min(residual_history.len() - 1)];
     if before > 0.0 { last / before } else { 1.0 }
 }
 

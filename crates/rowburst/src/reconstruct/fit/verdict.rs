@@ -1,24 +1,22 @@
 //! From the numbers to a verdict and a sentence.
 //!
-//! The thresholds were set on fits with the right model (`campaign` in
-//! `crates/rowburst/tests/fit.rs`; digits, a moving digit and LEDs, SNR 256 and 32, shot
-//! noise, a larger field; 48×40 pixels, seeds 1 to 5): in 90 fits with two rows an instant
-//! the noise floor lay between 0.89 and 1.08, and `χ²` in 86 of them between 0.96 and 1.25.
-//! In the other four one or two instants lacked light, and they are called suspicious for
-//! it. Single shutters, with half the measurements for each bin, are mostly suspicious.
+//! The thresholds were set on fits with the right model, `campaign` in `crates/rowburst/tests/fit.rs`
+//! (docs/design/015).
 
 use super::{FitInput, FitStatistics, SigmaSource, StopReason, Verdict};
 
-/// `χ²` from which a fit is suspicious (and four of its standard deviations), and bad.
+/// `χ²` from which a fit is suspicious; smaller doubts good fits (docs/design/015).
 const SUSPICIOUS: f64 = 1.25;
+/// Standard deviations by which the limits of `χ²` and of the noise floor are widened; smaller doubts good fits.
 const DEVIATIONS: f64 = 4.0;
+/// `χ²` above which a misfit is bad and not only suspicious.
 const BAD: f64 = 4.0;
 /// `χ²` below which noise has been fitted: `df` takes at most 0.3 off.
 const OVERFITTED: f64 = 0.5;
 /// Factor by which `σ` may be wrong before the fit is suspicious, and bad.
 const SIGMA_RATIO_SUSPICIOUS: f64 = 1.5;
 const SIGMA_RATIO_BAD: f64 = 5.0;
-/// `r` in the passed band over that in the blind one.
+/// `r` in the passed band over that in the noise band.
 const STRUCTURE: f64 = 1.25;
 /// Part of the instants, columns and pixels that counts as a few.
 const FEW_INSTANTS: f64 = 0.25;
@@ -26,11 +24,9 @@ const FEW_COLUMNS: f64 = 0.1;
 const FEW_PIXELS: f64 = 0.02;
 /// Values chosen freely for each measurement: a wrong model would be followed as well.
 const MAX_TESTABLE_FREEDOM: f64 = 0.8;
-/// Likeness of mirrored bins above that of others; at most 0.02 in the right order, and
-/// at least 0.15 in the wrong one.
+/// Likeness of mirrored bins above that of others; smaller calls good fits suspicious (docs/design/015).
 const MIRRORED: f64 = 0.08;
-/// Part of the voxels that the support admits. Of good fits of small videos (48 instants of 40 columns) the widest
-/// took 0.108, with an offset of 10 % the narrowest 0.119.
+/// Part of the voxels in the support that is suspicious; larger misses offsets (docs/design/015).
 const DENSE_SUPPORT: f64 = 0.11;
 /// Iterations before which no video has taken shape: the solver looks for the support from
 /// the 20th on, and follows the brightness for 40.
@@ -48,14 +44,15 @@ pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     if evidence.video.max() <= 0.0 {
         return (
             Verdict::Bad,
-            "the video is dark: noise of this level explains the whole frame".into(),
+            "the video is zero everywhere: the frame is consistent with noise of this level alone"
+                .into(),
         );
     }
-    if s.residual_over_frame > DIVERGED && evidence.history.len() >= MIN_ITERATIONS {
+    if s.residual_over_frame > DIVERGED && evidence.residual_history.len() >= MIN_ITERATIONS {
         return (
             Verdict::Bad,
             format!(
-                "the residual is {} times the frame itself: the solver ran away, as it does where no video comes near the frame: dead, hot or saturated pixels that are not marked, a σ that is too small, or a PSF or shutter that is wrong",
+                "the residual is {} times the frame: the solver diverged. Likely causes: dead, hot or saturated pixels that are not marked, a σ that is too small, or a wrong PSF or shutter",
                 digits(s.residual_over_frame)
             ),
         );
@@ -66,7 +63,7 @@ pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     let suspicious = |reason: String| (Verdict::Suspicious, reason);
     if let Some(mirrored) = s.mirrored.filter(|m| *m > MIRRORED) {
         return suspicious(format!(
-            "the video runs back and forth (bins mirrored in time are more alike than others, by {mirrored:.2}): the shutter is probably a dual one, which reads two rows in an instant"
+            "the video is nearly symmetric in time (the correlation of mirrored bins exceeds that of others by {mirrored:.2}): the shutter is probably dual, reading two rows in an instant"
         ));
     }
     let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
@@ -76,13 +73,13 @@ pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     let light = light_over_noise(evidence);
     if light < MIN_LIGHT_OVER_NOISE {
         return suspicious(format!(
-            "the frame is little but noise: light has {:.0} % of the noise's power; more light, a longer exposure or a sparser scene is needed",
+            "the frame is mostly noise: the signal power is {:.0} % of the noise power; use more light, a longer exposure or a sparser scene",
             100.0 * light.max(0.0)
         ));
     }
     if s.chi_squared < OVERFITTED {
         return suspicious(format!(
-            "the residual is only {:.2} of the noise: the fit has followed the noise{}",
+            "the residual is only {:.2} times the noise: the video is overfitted{}",
             s.chi_squared.sqrt(),
             if evidence.tau_is_given {
                 "; give a larger τ, or leave it out"
@@ -93,24 +90,24 @@ pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     }
     if let Some(excess) = structure(s) {
         return suspicious(format!(
-            "the residual has {excess:.2} times the noise at the scale of the speckle: {}",
+            "the residual has {excess:.2} times the noise at the frequencies that the optics pass: {}",
             possible_causes(evidence, s)
         ));
     }
     if s.freedom > MAX_TESTABLE_FREEDOM {
         return suspicious(format!(
-            "the video has {:.1} free values for each measurement: a wrong PSF or shutter would fit as well, so the fit proves nothing; a sparser scene, or a shutter that reads more rows in an instant, can be tested",
+            "the video has {:.1} degrees of freedom per measurement: a wrong PSF or shutter would fit as well, so the residual cannot test the model; use a sparser scene, or a shutter that reads more rows in an instant",
             s.freedom
         ));
     }
-    if evidence.support < 1.0 && evidence.support > DENSE_SUPPORT {
+    if evidence.support_fraction < 1.0 && evidence.support_fraction > DENSE_SUPPORT {
         return suspicious(format!(
-            "light is spread over {:.0} % of all voxels: the scene is not sparse, or the frame has an offset that was not taken off (dark frame, bias)",
-            100.0 * evidence.support
+            "{:.0} % of all voxels are active: the scene is not sparse, or an offset was not subtracted from the frame (dark frame, bias)",
+            100.0 * evidence.support_fraction
         ));
     }
     let mut reason = String::from(
-        "the residual is white noise of the expected strength: PSF, camera and noise level explain the frame",
+        "the residual is white noise at the expected level: PSF, camera and noise level explain the frame",
     );
     if !s.tests_timing {
         reason +=
@@ -133,7 +130,7 @@ fn light_over_noise(evidence: &FitInput) -> f64 {
 fn noise_level(evidence: &FitInput, s: &FitStatistics) -> Option<(Verdict, String)> {
     let floor = s.noise_floor?;
     let allowed = SIGMA_RATIO_SUSPICIOUS * (1.0 + DEVIATIONS * s.noise_floor_error);
-    let high = floor > allowed && s.floor_is_blind;
+    let high = floor > allowed && s.noise_band_is_dark;
     let low = floor < 1.0 / allowed;
     if !(high || low) {
         return None;
@@ -149,14 +146,14 @@ fn noise_level(evidence: &FitInput, s: &FitStatistics) -> Option<(Verdict, Strin
         SigmaSource::Frame | SigmaSource::HeldOut => "give a σ of",
     };
     let effect = if high {
-        "the solver has fitted noise (or the frame has detail finer than the optics pass: bad pixels or columns that are not marked)"
+        "the video is fitted to noise (or the frame has finer detail than the optics pass, such as bad pixels or columns that are not marked)"
     } else {
-        "the video is smoother than the frame allows"
+        "the video is smoothed more than the noise requires"
     };
     Some((
         verdict,
         format!(
-            "the noise of the frame is {} times the σ of {} counts ({}), and {effect}: {check} about {} counts",
+            "the measured noise is {} times the σ of {} counts ({}): {effect}; {check} about {} counts",
             digits(floor),
             digits(evidence.sigma),
             evidence.sigma_source.name(),
@@ -168,7 +165,7 @@ fn noise_level(evidence: &FitInput, s: &FitStatistics) -> Option<(Verdict, Strin
 fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, String) {
     let ratio = digits(s.chi_squared.sqrt());
     let stopped = evidence.stop_reason != StopReason::Converged;
-    let iterations = evidence.history.len();
+    let iterations = evidence.residual_history.len();
     let suspicious = |reason: String| (Verdict::Suspicious, reason);
     if stopped && iterations < MIN_ITERATIONS {
         let more = match evidence.stop_reason {
@@ -176,7 +173,7 @@ fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, Strin
             _ => "iterations",
         };
         return suspicious(format!(
-            "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; give it more {more}, and judge then"
+            "stopped early, after {iterations} iterations: the residual is still {ratio} times the noise; allow more {more} before judging the fit"
         ));
     }
     if let Some(reason) = local_misfit(s, limit, stopped) {
@@ -184,7 +181,7 @@ fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, Strin
     }
     if stopped && s.residual_trend < FALLING_RATIO && s.residual_over_frame < FAR_FROM_FRAME {
         return suspicious(format!(
-            "stopped early, after {iterations} iterations: the residual is {ratio} times the noise and still falls; give it more iterations, and if it stays, {}",
+            "stopped early, after {iterations} iterations: the residual is {ratio} times the noise and still falling; allow more iterations; if it stays this large, {}",
             possible_causes(evidence, s)
         ));
     }
@@ -220,7 +217,7 @@ fn local_misfit(s: &FitStatistics, limit: f64, stopped: bool) -> Option<String> 
         && s.chi_squared_without.pixels < limit
     {
         return Some(format!(
-            "{} single pixels do not fit: mark them as bad pixels",
+            "{} isolated pixels do not fit: mark them as bad pixels",
             s.lone_pixels
         ));
     }
@@ -232,12 +229,12 @@ fn local_misfit(s: &FitStatistics, limit: f64, stopped: bool) -> Option<String> 
     }
     if few(instants, FEW_INSTANTS) && s.chi_squared_without.instants < limit {
         return Some(format!(
-            "the light of {} of {} instants is not all found, instant {} worst, the others fit: {}it may come from outside the field or from more of the scene than the support admits (try a larger field, or a prior without support)",
+            "{} of {} instants do not fit (instant {} worst), the others do: {}light may come from outside the field, or the support is too small (try a larger field, or a prior without support)",
             instants.0,
             instants.1,
             s.worst_instant.0,
             if stopped {
-                "the iterations did not suffice, or "
+                "there were too few iterations, or "
             } else {
                 ""
             }
@@ -257,11 +254,11 @@ fn structure(s: &FitStatistics) -> Option<f64> {
 fn possible_causes(evidence: &FitInput, s: &FitStatistics) -> String {
     let mut list = Vec::new();
     if evidence.tau_is_given {
-        list.push("τ is given, and too large");
+        list.push("the given τ is too large");
     }
     list.push("the PSF does not belong to this frame (another diffuser or distance, turned, or with a background left in it)");
     if s.tests_timing {
-        list.push("rows see the scene at other times than assumed (shutter, exposure too long, frame shifted along y)");
+        list.push("the row times are not those assumed (wrong shutter, exposure too long, frame shifted along y)");
     }
     if evidence.stop_reason != StopReason::Converged {
         list.push("the solver did not converge");

@@ -1,48 +1,42 @@
-//! ADMM with the exact proximal step of the data term.
+//! ADMM (Boyd et al. 2011) with the proximal step of the data term.
 //!
-//! `min_v f(v) + τ R(v)` is split into `x = z`: `x` takes the step of the data term,
+//! `min_v ½‖b − A v‖² + τ R(v)` is split into two variables with `x = z`. `x` takes the step of the data term,
 //!
 //! ```text
 //! x = argmin ½‖b − A x‖² + ρ/2 ‖x − p‖² = p + Aᵀ (A Aᵀ + ρI)⁻¹ (b − A p),   p = z − u
 //! ```
 //!
-//! and `z` the prox of the prior with `β = τ/ρ` (Boyd et al. 2011; over-relaxed), of a point `q`; the scaled dual is
-//! what that leaves, `u = q − z`, and is not kept.
-//! `A z` is the only product with `A` in an iteration: `A x` follows from the solve,
-//! and `A q` by addition.
+//! and `z` that of the prior: `z = prox(q)` with the threshold `β = τ/ρ` and `q = x̂ + u`. Here `x̂ = αx + (1−α)z` is
+//! the over-relaxed `x` (Boyd et al. 2011, section 3.4.3). The scaled dual is `u = q − z`, so it is not stored. An
+//! iteration has one product with `A`, which is `A z`: `A x` follows from the solve, and `A q` by addition.
 //!
-//! **Threshold.** `β` is what the prior takes from the video in a step; it is a fixed
-//! part of the video's own brightness, so nothing depends on the units of the data. At first
-//! it is larger: digits of 18 px come within 0.5 dB of their end after 60 iterations, three LEDs after 57
-//! (`cargo bench --bench solver`; 158 and 88 with a constant one in a trial).
+//! **Threshold.** `β` is a fixed part of the video's brightness, so no constant of the solver has a unit. At first it
+//! is larger: large steps find the shapes, small ones the details (`docs/design/006`).
 //!
-//! **τ by discrepancy.** With the noise `σ` known the problem is `min R(v)` with
-//! `‖b − A v‖² ≤ σ²(m − df)`: the same iteration, with `ρ` now the multiplier that
-//! puts `x` on the bound, corrected a little in every iteration; `τ = ρβ` comes out.
-//! The `df` values that the fit spends (see [`Prox::degrees_of_freedom`]) take their
-//! share of the noise with them, so the bound lies below `σ²m`; at `σ²m` itself
-//! pictures of digits are over-smoothed (1.5 dB in a trial without the support).
+//! **τ by discrepancy.** With the noise `σ` known, the problem is `min R(v)` subject to `‖b − A v‖² ≤ σ²(m − df)` for
+//! `m` measurements. The iteration is the same. `ρ` is the multiplier that puts `x` on the bound; it is corrected
+//! between iterations, and `τ = ρβ` results. A fit with `df` degrees of freedom (see [`Prox::degrees_of_freedom`])
+//! also fits their share of the noise, so its residual is below `σ²m`. The bound `σ²m` would over-smooth the video
+//! (`docs/design/005`).
 //!
-//! **Support.** A sparse scene lights few voxels. Once the video has taken shape, it is
-//! restricted to its bright voxels and their neighbours, found anew every few
-//! iterations: the limit of reweighted ℓ1 (Candès, Wakin & Boyd 2008). The data then
-//! determine what is left far better, and the iteration, whose slow part is light that
-//! hides in dark voxels, converges in a few steps. Where
-//! they cannot explain what was measured of a bin, and come no nearer to it, its threshold is
-//! lowered and the voxels are added to which the residual points, `Aᵀ(b − A v)`; in the end all are.
-//! With hundreds of voxels for each measurement the video takes shape slowly, and all this waits for it.
+//! **Support.** In a sparse scene few voxels are active. Once the video has taken shape, it is restricted to its
+//! bright voxels and their neighbours, which are updated every few iterations: the limit of reweighted ℓ1 (Candès,
+//! Wakin & Boyd 2008). The data determine these voxels far better. The iteration then converges in a few steps, since
+//! its slow part is light that stays as haze in inactive voxels. A bin whose residual is too large and no longer
+//! falls is underfit: its threshold is lowered, and the voxels to which the residual points, `Aᵀ(b − A v)`, are
+//! added; in the end all of its voxels are active (`docs/design/007`). With hundreds of voxels for each measurement a
+//! video takes shape slowly, and the first restriction waits for it (`docs/design/008`).
 //!
-//! **When it stops.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ τ R(v)`) give
+//! **Stopping.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ τ R(v)`) give
 //!
 //! ```text
 //! min F ≥ ⟨b, y⟩ − ½‖y‖² − v_max Σ (Aᵀy − c)₊     over videos 0 ≤ v ≤ v_max on the support
 //! ```
 //!
-//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). The data step gives `y = b − A x` and the
-//! prior's step `c`, and their excess `(Aᵀy − c)₊` is at most `ρ` times how far the video has
-//! moved, so the bound closes as the iteration ends. `v_max` is twice the brightest voxel. It
-//! stops once the objective is proved to be within [`AdmmParams::tolerance`] of its minimum:
-//! for the `τ` that was found and on the support that was found.
+//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). The data step gives `y = b − A x` and the prior's step `c`. Their
+//! excess `(Aᵀy − c)₊` is at most `ρ` times the change of the video, so the gap closes as the iteration converges.
+//! `v_max` is twice the brightest voxel. The solver stops once the objective is proved to be within
+//! [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found (`docs/design/009`).
 
 mod state;
 mod support_estimator;
@@ -58,31 +52,29 @@ use std::ops::ControlFlow;
 /// How `τ` is found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TauRule {
-    /// Given.
+    /// `τ` has this value.
     Fixed(f64),
-    /// By the discrepancy principle, for noise of this standard deviation.
+    /// The discrepancy principle gives `τ`: the residual is as large as the noise.
     Discrepancy {
         /// Standard deviation of the noise in the units of `b`.
         sigma: f64,
     },
 }
 
-/// Parameters of [`solve`]; `default` is what the tables in the documentation use.
+/// Parameters of [`Admm`]; [`Self::new`] has the defaults.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdmmParams {
     /// How `τ` is found.
     pub tau: TauRule,
-    /// Over-relaxation, between 1 and 2.
+    /// Over-relaxation `α`, from 1 to 2; larger is faster for some scenes and slower for LEDs (`docs/design/006`).
     pub relaxation: f64,
-    /// `β` over the brightness of the video.
+    /// `β` over the brightness; larger needs fewer iterations and is less exact at the end (`docs/design/005`).
     pub threshold: f64,
     /// Most iterations.
     pub max_iterations: usize,
-    /// [`Certificate::excess`] at which it stops: how far the objective may be above its
-    /// minimum. With the support found from iteration 60 on, digits, LEDs and a moving digit ended
-    /// within 0.1 dB of each other for 0.05 to 0.001, larger digits gained 1.5 dB.
+    /// [`Certificate::excess`] at which it stops; smaller takes more iterations for little gain (`docs/design/009`).
     pub tolerance: f64,
-    /// Whether the video is restricted to its support.
+    /// Whether the video is restricted to its support, see the module's head.
     pub support: bool,
 }
 
@@ -92,9 +84,6 @@ impl AdmmParams {
         Self {
             tau,
             relaxation: 1.7,
-            // In a trial that began at 0.12, digits of 12 px ended within 0.5 dB of each other
-            // from 0.01 to 0.03, larger ones within 0.9, LEDs within 1.2; the larger, the fewer
-            // iterations.
             threshold: 0.015,
             max_iterations: 300,
             tolerance: 1e-3,
@@ -103,10 +92,10 @@ impl AdmmParams {
     }
 }
 
-/// What an observer sees after each iteration.
+/// The state of a run that an observer sees after each iteration.
 #[derive(Debug, Clone, Copy)]
 pub struct Progress<'a> {
-    /// What the run is for, where it is not the last one.
+    /// Purpose of a preliminary run, such as the prior that it tries; empty for the final run.
     pub label: &'a str,
     /// Iterations done.
     pub iteration: usize,
@@ -114,20 +103,21 @@ pub struct Progress<'a> {
     pub max_iterations: usize,
     /// The video of this iteration, `[t, y, x]`.
     pub video: &'a [f32],
-    /// Root mean square of `b − A v` over the measurements that carry information.
+    /// Root mean square of `b − A v` over the measurements with a weight above zero.
     pub residual_rms: f64,
     /// `½‖b − A v‖² + τ R(v)` at the last iteration that computed it.
     pub objective: f64,
     /// `τ` of this iteration.
     pub tau: f64,
-    /// How far the point whose prox the video is has moved, in sizes of the video before; 1 from a dark one. Under the
-    /// same prox the video moves no farther.
+    /// Relative change of the iteration. In [`solve`] it is `‖q − q'‖/‖v'‖`, with `q'` and `v'` those of the
+    /// iteration before and `v = prox(q)`, or 1 where `v' = 0`; under the same prox the video moves no farther than
+    /// `q`. In the reference solvers it is the relative change of the video.
     pub change: f64,
-    /// Part of the voxels that may be lit.
-    pub support: f64,
+    /// Part of the voxels that are active, from 0 to 1.
+    pub support_fraction: f64,
 }
 
-/// What [`solve`] found.
+/// The result of [`solve`].
 #[derive(Debug, Clone)]
 pub struct Solution {
     /// The video, `[t, y, x]`.
@@ -140,16 +130,16 @@ pub struct Solution {
     pub iterations: usize,
     /// Why it stopped.
     pub stop_reason: StopReason,
-    /// Part of the voxels that may be lit.
-    pub support: f64,
-    /// `½‖b − A v‖² + τ R(v)` at the end, and how far it is from its minimum at most.
+    /// Part of the voxels that are active, from 0 to 1.
+    pub support_fraction: f64,
+    /// `½‖b − A v‖² + τ R(v)` at the end, and a lower bound of its minimum.
     pub certificate: Certificate,
 }
 
 /// Minimises `½‖b − A v‖² + τ R(v)` over `v ≥ 0` of `shape`, from `v = 0`.
 ///
-/// `observer` sees every iteration and may stop it; the video so far is returned. Runs of several threads in one pool
-/// wait for each other, an iteration at a time: give each its own pool if its time counts.
+/// `observer` sees every iteration and may stop the run; the result is then that of the last iteration. Runs that
+/// share a thread pool wait for each other's iterations; give each its own pool where time counts.
 ///
 /// # Panics
 /// If the shapes of `data`, `prior` and `shape` disagree.
@@ -162,22 +152,23 @@ pub fn solve(
 ) -> Solution {
     let mut run = Admm::new(data, shape, *params);
     let stop_reason = run.run(data, prior, params.max_iterations, observer);
-    run.solution(data, prior, stop_reason)
+    run.into_solution(data, prior, stop_reason)
 }
 
-/// A run that can be halted, be given another `τ` and go on from where it is.
+/// A run of the solver that can be stopped, take another rule for `τ`, and continue.
 pub struct Admm {
     state: State,
     params: AdmmParams,
-    /// At the last iteration that computed it.
+    /// `½‖b − A v‖² + τ R(v)` at the last iteration that computed it.
     objective: f64,
 }
 
-/// Iterations from one certificate to the next: one costs a product with `Aᵀ` and a few passes.
-const CERTIFY_EVERY: usize = 5;
+/// Iterations between certificates, and between objectives; smaller stops earlier, but each certificate costs a product
+/// with `Aᵀ` and a few passes.
+const CHECK_INTERVAL: usize = 5;
 
 impl Admm {
-    /// A dark video.
+    /// A run that begins at `v = 0`.
     ///
     /// # Panics
     /// If the shapes of `data` and `shape` disagree.
@@ -189,8 +180,9 @@ impl Admm {
         }
     }
 
-    /// Iterates up to iteration `until`, or until it has converged. `observer` sees every
-    /// iteration and may stop it.
+    /// Iterates up to iteration `until`, counted from the start of the run, or until it converges.
+    ///
+    /// `observer` sees every iteration and may stop the run.
     pub fn run(
         &mut self,
         data: &mut dyn DataTerm,
@@ -200,7 +192,7 @@ impl Admm {
     ) -> StopReason {
         let (state, params) = (&mut self.state, &self.params);
         for k in state.iterations + 1..=until {
-            // On a thread of the pool: else each parallel loop would wake one and wait for it.
+            // Runs on a thread of the pool. Otherwise each parallel loop would wake a thread and wait for it.
             let change = rayon::scope(|_| {
                 if k > 1 {
                     state.update_parameters(data, prior, params);
@@ -210,7 +202,7 @@ impl Admm {
                 change
             });
             state.iterations = k;
-            if k % CERTIFY_EVERY == 1 {
+            if k % CHECK_INTERVAL == 1 {
                 self.objective = state.objective(data, prior);
             }
             let verdict = observer(&Progress {
@@ -222,12 +214,12 @@ impl Admm {
                 objective: self.objective,
                 tau: state.tau(),
                 change,
-                support: state.support_fraction(),
+                support_fraction: state.support_fraction(),
             });
             if let ControlFlow::Break(reason) = verdict {
                 return reason;
             }
-            if k.is_multiple_of(CERTIFY_EVERY) && state.is_settled(params) {
+            if k.is_multiple_of(CHECK_INTERVAL) && state.is_settled(params) {
                 let certificate = state.certify(data, prior);
                 if certificate.excess() <= params.tolerance {
                     return StopReason::Converged;
@@ -237,17 +229,17 @@ impl Admm {
         StopReason::IterationLimit
     }
 
-    /// From now on `τ` is found by this rule.
+    /// Sets how `τ` is found from now on.
     pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
         self.state.set_tau_rule(rule, data);
     }
 
-    /// From now on it has converged at this [`AdmmParams::tolerance`].
+    /// Sets [`AdmmParams::tolerance`].
     pub fn set_tolerance(&mut self, tolerance: f64) {
         self.params.tolerance = tolerance;
     }
 
-    /// Whether it has done so few iterations that its video tells nothing of the scene yet.
+    /// Whether the run is still so short that its video says little about the scene.
     pub fn is_warming_up(&self) -> bool {
         self.state.is_warming_up()
     }
@@ -257,7 +249,7 @@ impl Admm {
         self.params.max_iterations
     }
 
-    /// `τ` so far.
+    /// `τ` of the last iteration.
     pub fn tau(&self) -> f64 {
         self.state.tau()
     }
@@ -267,22 +259,22 @@ impl Admm {
         self.state.iterations
     }
 
-    /// Part of the voxels that may be lit.
-    pub fn support(&self) -> f64 {
+    /// Part of the voxels that are active, from 0 to 1.
+    pub fn support_fraction(&self) -> f64 {
         self.state.support_fraction()
     }
 
-    /// The video so far.
+    /// The video of the last iteration, `[t, y, x]`.
     pub fn video(&self) -> &[f32] {
         self.state.video()
     }
 
-    /// From now on it runs on `data` that hold another frame, from where the last one ended.
+    /// Continues with `data`, which hold another frame, from the end of the last frame's run.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
         self.state.warm_start(data);
     }
 
-    /// The run so far; it can go on.
+    /// The result so far; the run can continue.
     pub fn snapshot(
         &mut self,
         data: &dyn DataTerm,
@@ -294,8 +286,8 @@ impl Admm {
         solution
     }
 
-    /// The end of the run.
-    pub fn solution(
+    /// Ends the run and returns its result.
+    pub fn into_solution(
         mut self,
         data: &dyn DataTerm,
         prior: &dyn Prox,

@@ -1,100 +1,107 @@
-//! The variables of an iteration, and its steps.
+//! The variables of an ADMM iteration, and its steps.
 
 use super::support_estimator::SupportEstimator;
 use super::{AdmmParams, Solution, TauRule};
 use crate::Shape;
-use crate::linop::WRITE_PART;
+use crate::linop::WRITE_PART_LEN;
 use crate::prox::Prox;
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::vecmath::{distance_squared, dot, norm_squared, simd};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Corrections of `ρ` that are not worth another factor, and at first, when factors
-/// take as long as two iterations and corrections say little yet: a factor for every 2 % left the pictures of four
-/// scenes within 0.3 dB, and took a quarter of the time.
+/// Corrections of `ρ` inside this interval are skipped; wider saves factors, `τ` is less exact (docs/design/006).
 const RHO_DEADBAND: (f64, f64) = (0.98, 1.02);
-const OPEN_RHO_DEADBAND: (f64, f64) = (0.8, 1.25);
-/// The same on a wide sensor, where they take as long as ten iterations, and while one of its bins is open.
+/// Deadband of `ρ` up to the first support update; wider saves factors, `ρ` settles later (docs/design/006).
+const WARM_UP_RHO_DEADBAND: (f64, f64) = (0.8, 1.25);
+/// [`RHO_DEADBAND`] for large blocks, whose factors cost several iterations; wider saves time (docs/design/008).
 const LARGE_RHO_DEADBAND: (f64, f64) = (0.95, 1.05);
-const LARGE_OPEN_RHO_DEADBAND: (f64, f64) = (0.6, 1.6);
-/// The first such correction, when the misfit has settled, and iterations from one to the next.
-const LARGE_OPEN_RHO_FROM: usize = 20;
-const LARGE_OPEN_RHO_INTERVAL: usize = 5;
-/// Iterations in which the brightness that `β` refers to is followed.
+/// Deadband for large blocks up to the first support update and while a bin is unrestricted; wider saves time, `ρ`
+/// settles later (docs/design/008).
+const LARGE_UNRESTRICTED_RHO_DEADBAND: (f64, f64) = (0.6, 1.6);
+/// First iteration that corrects `ρ` while such a bin is unrestricted; smaller follows residuals that have not settled
+/// (docs/design/008).
+const LARGE_UNRESTRICTED_RHO_FROM: usize = 20;
+/// Iterations between corrections of `ρ` in that case; larger saves factors, `ρ` settles later (docs/design/008).
+const LARGE_UNRESTRICTED_RHO_INTERVAL: usize = 5;
+/// Iteration up to which `β` follows the brightness; larger delays the first certificate (docs/design/006).
 const THRESHOLD_SETTLES: usize = 40;
-/// With so many voxels for each measurement a video takes shape slowly: the
-/// clock stands at [`SupportEstimator::FIRST_UPDATE`] until the brightness of every bin has passed its top, falling by this part in
-/// so many iterations, or up to the iteration `LATEST_FIRST_UPDATE`. Digits on 2048×2048 pixels end at 62 dB so;
-/// with a support found at iteration 80 half of the bins lack light
-/// (`cargo bench --workspace --bench full_sensor -- 2048 2`).
+/// Voxels per measurement above which the first support update waits; smaller makes more runs wait (docs/design/008).
 const UNDERSAMPLED: usize = 300;
+/// Relative fall of a bin's brightness that ends the wait; smaller ends it too early (docs/design/008).
 const DECLINE: f64 = 0.005;
+/// Iterations over which that fall is measured, and by which the schedule pauses (docs/design/008).
 const DECLINE_WINDOW: usize = 5;
+/// Iteration at which the wait ends at the latest; smaller may leave bins without light (docs/design/008).
 const LATEST_FIRST_UPDATE: usize = 150;
-/// `β` at first over what it will be, and the iteration at which it is that: large steps find
-/// the places, small ones the details. Up to the 12th iteration larger digits take 56 to 85 iterations to 0.5 dB
-/// of their end, up to the 20th 43 to 82; up to the 28th one of four seeds lost 5 dB. 8 up to the 20th iteration is faster still, and loses faint
-/// LEDs in small videos, whose bins then have to be opened.
+/// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).
 const CONTINUATION_FACTOR: f64 = 4.0;
+/// Iteration at which `β` reaches its end; later is faster for large shapes but less robust (docs/design/006).
 const CONTINUATION_END: usize = 20;
-/// The first data step spreads the light of a sparse scene; it is this much brighter.
+/// Brightness of the scene over that of the first data step, which spreads sparse light; larger gives a larger `β`.
 const INITIAL_BRIGHTNESS_RATIO: f64 = 10.0;
-/// Iterations from one look at the light that the noise depends on to the next, at first;
-/// later, when it moves little, five times as many.
+/// Iterations between updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
 const WEIGHT_UPDATE_INTERVAL: usize = 20;
+/// Iteration after which the weights are updated a fifth as often; larger costs more rebuilt blocks
+/// (docs/design/010).
 const FREQUENT_UPDATES_UNTIL: usize = 100;
-/// First iteration that counts the degrees of freedom: before, everything is lit.
+/// `df` is counted after this iteration; earlier counts a video that is active everywhere (docs/design/005).
 const DEGREES_OF_FREEDOM_AFTER: usize = 15;
-/// Largest part of the measurements that the fit is allowed to spend.
+/// Largest part of the measurements that `df` may take; larger lets a fit follow the noise (docs/design/005).
 pub(crate) const MAX_FREEDOM: f64 = 0.3;
-/// `ρ` of the first step over the typical size of a diagonal element; on a wide sensor nearer to where it goes.
+/// `ρ` at first over a typical diagonal element; far from its end costs more factors (docs/design/006).
 const INITIAL_RHO: f64 = 0.01;
+/// The same for large blocks, nearer to the end since their factors cost more (docs/design/008).
 const LARGE_INITIAL_RHO: f64 = 0.0015;
-/// Lowest `ρ` on a support over `ρ` before it: a support that lacks light cannot meet the
-/// bound, and the dual would grow without end. On a wide sensor `ρ` is farther from its end there.
+/// Smallest `ρ` on a support over `ρ` before; smaller lets the dual grow without end (docs/design/007).
 const MIN_RHO_RATIO: f64 = 0.3;
+/// The same for large blocks, whose `ρ` is farther from its end then (docs/design/008).
 const LARGE_MIN_RHO_RATIO: f64 = 0.1;
-/// Data steps in a row that may be solved worse than asked for: the first ones start
-/// from nothing.
+/// Inexact data steps in a row after which `ρ` is doubled; larger may let `ρ` fall to nothing (docs/design/004).
 const MAX_INEXACT_STEPS: usize = 3;
-/// Brightest voxel that the certificate speaks of, over the brightest one found.
+/// Brightest voxel that the certificate admits over the brightest found; larger loosens the bound (docs/design/009).
 const BRIGHTNESS_BOUND: f64 = 2.0;
-/// Iterations that the end of the frame before is worth: the first look at where light may be comes
-/// four iterations later.
+/// Iterations credited to a warm start; smaller repeats more of the warm-up (docs/design/014).
 const WARM_START_CREDIT: usize = 26;
 
+/// The variables of the iteration, named as in the head of [`super`], and all that adapts between iterations.
 pub(super) struct State {
     shape: Shape,
-    /// For what needs a video by the way.
-    x: Vec<f32>,
+    /// Scratch buffer the size of a video.
+    scratch: Vec<f32>,
+    /// The video.
     z: Vec<f32>,
-    /// `z = prox(q)`, and the scaled dual is `u = q − z`.
+    /// The point with `z = prox(q)`; the scaled dual is `u = q − z`.
     q: Vec<f32>,
+    /// `A z`.
     az: Vec<f32>,
+    /// `A q`.
     aq: Vec<f32>,
     /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last data step: `ρ y = b − A x`.
     y: Vec<f32>,
     rho: f64,
-    rho_lower_bound: f64,
+    /// Lower bound of `ρ` under the discrepancy rule; it only rises.
+    rho_floor: f64,
     /// See [`DataTerm::min_rho`].
-    min_rho: f64,
-    /// Data steps in a row that were solved worse than asked for.
+    stable_rho: f64,
+    /// Data steps in a row that did not reach their accuracy.
     inexact_steps: usize,
     beta: f64,
-    /// The brightness of each bin at the last look whether it grows; zero once it has passed its top.
+    /// Brightness of each bin at the last call of [`Self::brightness_is_rising`]; 0 once it has declined.
     rising_brightness: Vec<f64>,
     rule: TauRule,
+    /// See [`AdmmParams::threshold`].
     relative_threshold: f64,
-    /// Bound on `‖b − A v‖`, and `‖b − A x‖` of the last data step.
+    /// Bound of `‖b − A v‖` under the discrepancy rule.
     bound: f64,
+    /// `‖b − A x‖` of the last data step.
     x_residual_norm: f64,
-    /// Whether `ρ` was left as it was.
-    is_steady: bool,
+    /// Whether the last update left `ρ` unchanged.
+    rho_is_unchanged: bool,
     pub iterations: usize,
-    /// Iterations that what it began from is worth.
+    /// Iterations that the schedule counts as done at the start of the run.
     warm_start_credit: usize,
-    /// Iterations in which the video only took shape.
+    /// Iterations that the schedule does not count, since the video was still taking shape.
     paused_iterations: usize,
     support_estimator: SupportEstimator,
 }
@@ -106,21 +113,22 @@ impl State {
             n >= shape.voxels(),
             "the operator takes videos of this shape"
         );
-        let first_rho = match data.has_large_blocks() {
-            true => LARGE_INITIAL_RHO,
-            false => INITIAL_RHO,
+        let first_rho = if data.has_large_blocks() {
+            LARGE_INITIAL_RHO
+        } else {
+            INITIAL_RHO
         };
         let mut state = Self {
             shape,
-            x: vec![0.0; n],
+            scratch: vec![0.0; n],
             z: vec![0.0; n],
             q: vec![0.0; n],
             az: vec![0.0; m],
             aq: vec![0.0; m],
             y: vec![0.0; m],
             rho: first_rho * data.scale(),
-            rho_lower_bound: (1e-7 * data.scale()).max(data.min_rho()),
-            min_rho: data.min_rho(),
+            rho_floor: (1e-7 * data.scale()).max(data.min_rho()),
+            stable_rho: data.min_rho(),
             inexact_steps: 0,
             beta: 0.0,
             rising_brightness: vec![f64::MIN_POSITIVE; shape.bins],
@@ -128,20 +136,20 @@ impl State {
             relative_threshold: params.threshold,
             bound: 0.0,
             x_residual_norm: 0.0,
-            is_steady: false,
+            rho_is_unchanged: false,
             iterations: 0,
             warm_start_credit: 0,
             paused_iterations: 0,
-            support_estimator: SupportEstimator::new(shape, data.max_active_voxels()),
+            support_estimator: SupportEstimator::new(shape, data.max_restricted_voxels()),
         };
         state.set_tau_rule(params.tau, data);
         state
     }
 
-    /// From now on `τ` is found by this rule.
+    /// Sets how `τ` is found from now on.
     pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
         self.rule = rule;
-        self.is_steady = false;
+        self.rho_is_unchanged = false;
         match rule {
             TauRule::Discrepancy { sigma } => {
                 self.bound = sigma * (data.measurement_count() as f64).sqrt();
@@ -151,28 +159,28 @@ impl State {
         }
     }
 
-    /// Goes on with other measurements of a scene that has changed little.
+    /// Continues with the measurements of another frame, whose scene has changed little.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
-        let beyond = self.schedule_iteration().saturating_sub(WARM_START_CREDIT);
-        // The next look at the places comes when it would have come.
+        let iterations_past_credit = self.schedule_iteration().saturating_sub(WARM_START_CREDIT);
+        // The next support update comes when it would have come without a new frame.
         self.warm_start_credit = self.schedule_iteration().min(WARM_START_CREDIT)
-            + beyond % SupportEstimator::UPDATE_INTERVAL;
+            + iterations_past_credit % SupportEstimator::UPDATE_INTERVAL;
         self.iterations = 0;
         self.paused_iterations = 0;
         self.inexact_steps = 0;
         self.support_estimator.reset();
         self.set_tau_rule(self.rule, data);
-        // The weights may be others.
+        // `A` contains the weights, which may have changed.
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.q, &mut self.aq);
     }
 
-    /// How far the run is: the iterations that count, and what it began with.
+    /// The iteration that the schedule counts: plus a warm start's credit, minus pauses.
     fn schedule_iteration(&self) -> usize {
         self.warm_start_credit + self.iterations - self.paused_iterations
     }
 
-    /// Whether it has not come to where a video has taken shape.
+    /// Whether the schedule has not passed the first support update.
     pub fn is_warming_up(&self) -> bool {
         self.schedule_iteration() <= SupportEstimator::FIRST_UPDATE
     }
@@ -182,16 +190,16 @@ impl State {
         &self.z
     }
 
-    /// Part of the voxels that may be lit.
+    /// Part of the voxels that are active, from 0 to 1.
     pub fn support_fraction(&self) -> f64 {
         self.support_estimator.fraction()
     }
 
-    /// Whether `β`, `τ` and the support are what they will be.
+    /// Whether `β`, `τ` and the support have settled.
     pub fn is_settled(&self, params: &AdmmParams) -> bool {
         self.schedule_iteration() > THRESHOLD_SETTLES
-            && self.is_steady
-            && (!params.support || self.support_estimator.is_settled())
+            && self.rho_is_unchanged
+            && (!params.support || self.support_estimator.is_stable())
     }
 
     pub fn tau(&self) -> f64 {
@@ -201,21 +209,23 @@ impl State {
         }
     }
 
-    /// `q ← x̂ + u` with `x̂ = αx + (1−α)z`, and `A q` along with it; returns how far `q` is from the last one, in
-    /// sizes of `z`.
+    /// `q ← x̂ + u` with `x̂ = αx + (1−α)z`, and `A q` to match.
+    ///
+    /// Returns `‖q − q'‖/‖z‖`, where `q'` is the old `q`; 1 where `z = 0` and `q` moved.
     pub fn data_step(&mut self, data: &mut dyn DataTerm, params: &AdmmParams) -> f64 {
         let alpha = params.relaxation as f32;
         let m = self.az.len();
-        // b − A p with p = z − u
-        let light = data.measured().iter().zip(&self.az).zip(&self.aq);
-        let rest: Vec<f32> = light.map(|((b, az), aq)| b - az + (aq - az)).collect();
+        // b − A p with p = z − u = 2z − q.
+        let products = data.measurements().iter().zip(&self.az).zip(&self.aq);
+        let rhs: Vec<f32> = products.map(|((b, az), aq)| b - az + (aq - az)).collect();
         let mut gram_y = vec![0.0f32; m];
-        let solved = data.solve_gram(&rest, self.rho, &mut self.y, &mut gram_y);
-        self.inexact_steps = if solved { 0 } else { self.inexact_steps + 1 };
-        self.x_residual_norm = distance_squared(&rest, &gram_y).sqrt();
+        let is_exact = data.solve_gram(&rhs, self.rho, &mut self.y, &mut gram_y);
+        self.inexact_steps = if is_exact { 0 } else { self.inexact_steps + 1 };
+        self.x_residual_norm = distance_squared(&rhs, &gram_y).sqrt();
         let z = &self.z;
-        let slot = self.shape.columns.min(WRITE_PART);
-        // Of the parts that begin in each row: their order does not count.
+        let slot = self.shape.columns.min(WRITE_PART_LEN);
+        // Each part has a slot of its own for its two sums, as two f32 in a u64. So the order of the threads does not
+        // matter.
         let sums: Vec<AtomicU64> = (0..z.len().div_ceil(slot))
             .map(|_| AtomicU64::new(0))
             .collect();
@@ -224,26 +234,25 @@ impl State {
             self.support_estimator.data_support(),
             &mut self.q,
             &|start, x, q| {
-                // x is x − p here.
+                // `x` holds x − p here.
                 let sum = relax(q, &z[start..start + x.len()], x, alpha);
-                let [distance, size] = sum.map(|sum| u64::from(sum.to_bits()));
-                sums[start / slot].store(distance << 32 | size, Ordering::Relaxed);
+                let [step_squared, z_squared] = sum.map(|sum| u64::from(sum.to_bits()));
+                sums[start / slot].store(step_squared << 32 | z_squared, Ordering::Relaxed);
             },
         );
         for ((aq, az), gram_y) in self.aq.iter_mut().zip(&self.az).zip(&gram_y) {
             *aq = az + (1.0 - alpha) * (*aq - az) + alpha * gram_y;
         }
-        let (mut distance, mut size) = (0.0, 0.0);
+        let (mut step_squared, mut z_squared) = (0.0, 0.0);
         for sum in sums.into_iter().map(AtomicU64::into_inner) {
-            let of = |half: u64| f64::from(f32::from_bits(half as u32));
-            (distance, size) = (distance + of(sum >> 32), size + of(sum));
+            let to_f64 = |half: u64| f64::from(f32::from_bits(half as u32));
+            (step_squared, z_squared) = (step_squared + to_f64(sum >> 32), z_squared + to_f64(sum));
         }
-        if distance == 0.0 {
+        if step_squared == 0.0 {
             return 0.0;
         }
-        // From a dark video all of it is a change.
-        if size > 0.0 {
-            f64::from(alpha) * (distance / size).sqrt()
+        if z_squared > 0.0 {
+            f64::from(alpha) * (step_squared / z_squared).sqrt()
         } else {
             1.0
         }
@@ -252,13 +261,14 @@ impl State {
     /// `z = prox(q)`.
     pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) {
         if self.beta == 0.0 {
+            // With a background this is the brightness of both components; later calls take the foreground's.
             self.set_threshold(INITIAL_BRIGHTNESS_RATIO * brightness(&self.q));
         }
         prior.prox(&self.q, self.beta, &mut self.z);
         data.operator().apply(&self.z, &mut self.az);
     }
 
-    /// Corrects `ρ` or the bound, and now and then `β` and the support.
+    /// Corrects `ρ`, and when the schedule says so the bound, `β`, the support and the noise weights.
     pub fn update_parameters(
         &mut self,
         data: &mut dyn DataTerm,
@@ -273,60 +283,69 @@ impl State {
         {
             self.paused_iterations += DECLINE_WINDOW;
         }
-        let (k, rho) = (self.schedule_iteration(), self.rho);
+        let (schedule_iteration, rho) = (self.schedule_iteration(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
             if self.inexact_steps >= MAX_INEXACT_STEPS {
-                // The smaller ρ, the harder the step: misfit that comes of poor steps would
-                // drive it to nothing.
-                self.rho_lower_bound = self.rho_lower_bound.max(2.0 * self.rho);
-                self.rho = self.rho_lower_bound;
+                // Inexact steps leave a residual that a smaller ρ makes worse: without this ρ would fall without end.
+                self.rho_floor = self.rho_floor.max(2.0 * self.rho);
+                self.rho = self.rho_floor;
                 self.inexact_steps = 0;
             }
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_residual_norm.max(1e-30)).clamp(0.5, 2.0);
             let has_large_blocks = data.has_large_blocks();
-            let is_open =
-                has_large_blocks && params.support && self.support_estimator.has_open_bin();
-            let (least, most) = match (has_large_blocks, self.is_warming_up() || is_open) {
+            let has_unrestricted_bin =
+                has_large_blocks && params.support && self.support_estimator.has_unrestricted_bin();
+            let (lower, upper) = match (
+                has_large_blocks,
+                self.is_warming_up() || has_unrestricted_bin,
+            ) {
                 (false, false) => RHO_DEADBAND,
-                (false, true) => OPEN_RHO_DEADBAND,
+                (false, true) => WARM_UP_RHO_DEADBAND,
                 (true, false) => LARGE_RHO_DEADBAND,
-                (true, true) => LARGE_OPEN_RHO_DEADBAND,
+                (true, true) => LARGE_UNRESTRICTED_RHO_DEADBAND,
             };
-            let has_settled = self.warm_start_credit + self.iterations >= LARGE_OPEN_RHO_FROM;
-            let is_due = !is_open
-                || (has_settled && self.iterations.is_multiple_of(LARGE_OPEN_RHO_INTERVAL));
-            if is_due && !(least..most).contains(&correction) {
-                self.rho = (self.rho * correction).clamp(self.rho_lower_bound, 1e7 * data.scale());
+            let is_past_warm_up =
+                self.warm_start_credit + self.iterations >= LARGE_UNRESTRICTED_RHO_FROM;
+            let is_due = !has_unrestricted_bin
+                || (is_past_warm_up
+                    && self
+                        .iterations
+                        .is_multiple_of(LARGE_UNRESTRICTED_RHO_INTERVAL));
+            if is_due && !(lower..upper).contains(&correction) {
+                self.rho = (self.rho * correction).clamp(self.rho_floor, 1e7 * data.scale());
             }
-            if k > DEGREES_OF_FREEDOM_AFTER && k.is_multiple_of(10) {
+            if schedule_iteration > DEGREES_OF_FREEDOM_AFTER
+                && schedule_iteration.is_multiple_of(10)
+            {
                 let m = data.measurement_count() as f64;
                 let tolerance = (0.01 * brightness(self.foreground())) as f32;
-                let freedom = prior.degrees_of_freedom(&self.z, tolerance);
-                self.bound = sigma * (m - freedom.min(MAX_FREEDOM * m)).sqrt();
+                let df = prior.degrees_of_freedom(&self.z, tolerance);
+                self.bound = sigma * (m - df.min(MAX_FREEDOM * m)).sqrt();
             }
         }
-        if k < THRESHOLD_SETTLES && k.is_multiple_of(5) {
+        if schedule_iteration < THRESHOLD_SETTLES && schedule_iteration.is_multiple_of(5) {
             self.set_threshold(brightness(self.foreground()));
         }
-        if params.support && SupportEstimator::is_due(k) {
+        if params.support && SupportEstimator::is_due(schedule_iteration) {
             self.restrict(data, prior);
         }
-        if (k <= FREQUENT_UPDATES_UNTIL || k.is_multiple_of(5 * WEIGHT_UPDATE_INTERVAL))
-            && k.is_multiple_of(WEIGHT_UPDATE_INTERVAL)
+        if (schedule_iteration <= FREQUENT_UPDATES_UNTIL
+            || schedule_iteration.is_multiple_of(5 * WEIGHT_UPDATE_INTERVAL))
+            && schedule_iteration.is_multiple_of(WEIGHT_UPDATE_INTERVAL)
             && data.update_weights(&self.z)
         {
             data.operator().apply(&self.z, &mut self.az);
             data.operator().apply(&self.q, &mut self.aq);
         }
-        self.is_steady = self.rho == rho;
-        if k.is_multiple_of(50) {
-            // A q is a long sum: start it afresh.
+        self.rho_is_unchanged = self.rho == rho;
+        if schedule_iteration.is_multiple_of(50) {
+            // `A q` is a running sum: compute it afresh, so that rounding errors do not add up.
             data.operator().apply(&self.q, &mut self.aq);
         }
     }
 
-    /// Whether a bin is still taking shape.
+    /// Whether some bin's brightness has not yet declined, by [`DECLINE`] from one call to the next.
     fn brightness_is_rising(&mut self) -> bool {
         let bins = self.z.chunks_exact(self.shape.pixels());
         for (before, bin) in self.rising_brightness.iter_mut().zip(bins) {
@@ -342,9 +361,10 @@ impl State {
         self.rising_brightness.iter().any(|before| *before > 0.0)
     }
 
-    /// Sets `β` to its part of the brightness of the video's first part. The scaled dual `u` is left
-    /// as it is: while the brightness still grows, multiplying it along (as a change of
-    /// penalty asks for) would blow up the haze of the first iterations.
+    /// Sets `β` to the scheduled fraction of `brightness`.
+    ///
+    /// The scaled dual `u` is not rescaled, though a change of the penalty calls for it (Boyd et al. 2011, section
+    /// 3.4.1): the brightness still grows then, and rescaling would amplify the haze of the first iterations.
     fn set_threshold(&mut self, brightness: f64) {
         if brightness <= 0.0 {
             self.beta = self.beta.max(f64::MIN_POSITIVE);
@@ -359,48 +379,51 @@ impl State {
         }
     }
 
-    /// `ρ = τ/β`; where the data step has no digits for that, a smaller `β`.
+    /// Sets `ρ = τ/β`. Where the data step is not stable at this `ρ`, takes a smaller `β`.
     fn set_rho_for_tau(&mut self, tau: f64) {
         self.rho = tau / self.beta;
-        if self.rho < self.min_rho {
-            self.rho = self.min_rho;
+        if self.rho < self.stable_rho {
+            self.rho = self.stable_rho;
             self.beta = tau / self.rho;
         }
     }
 
-    /// Looks where light may be, and keeps the rest dark.
+    /// Updates the support, and sets the voxels outside it to zero.
     fn restrict(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) {
         let mut underfit_bins = Vec::new();
-        let was_open = self.support_estimator.fraction() == 1.0;
+        let was_unrestricted = self.support_estimator.fraction() == 1.0;
         if self.support_estimator.support().is_some() {
             let residual = self.residual(data);
-            let misfits = data.misfit_of_bins(&residual);
+            let residual_rms = data.residual_rms_of_bins(&residual);
             underfit_bins = self
                 .support_estimator
-                .underfit_bins(misfits, self.expected_rms(data));
-            if self.support_estimator.is_settled() && underfit_bins.is_empty() {
+                .underfit_bins(residual_rms, self.reference_rms(data));
+            if self.support_estimator.is_stable() && underfit_bins.is_empty() {
                 return;
             }
             if !underfit_bins.is_empty() {
-                // What the residual looks like in the video: brightest where light is missing.
-                data.operator().adjoint(&residual, &mut self.x);
+                // `Aᵀ(b − A v)` is largest where the video lacks light.
+                data.operator().adjoint(&residual, &mut self.scratch);
             }
         }
         let voxels = self.shape.voxels();
         let bright = brightness(self.foreground());
-        let underfit_bins = (&self.x[..voxels], underfit_bins.as_slice());
-        let support = self
-            .support_estimator
-            .update(&self.z[..voxels], bright, underfit_bins);
-        if was_open && self.support_estimator.fraction() < 1.0 {
-            let part = match data.has_large_blocks() {
-                true => LARGE_MIN_RHO_RATIO,
-                false => MIN_RHO_RATIO,
+        let support = self.support_estimator.update(
+            &self.z[..voxels],
+            bright,
+            &self.scratch[..voxels],
+            &underfit_bins,
+        );
+        if was_unrestricted && self.support_estimator.fraction() < 1.0 {
+            let part = if data.has_large_blocks() {
+                LARGE_MIN_RHO_RATIO
+            } else {
+                MIN_RHO_RATIO
             };
-            self.rho_lower_bound = self.rho_lower_bound.max(part * self.rho);
+            self.rho_floor = self.rho_floor.max(part * self.rho);
         }
         prior.restrict(&support);
-        // What goes dark leaves the dual u = q − z as it was.
+        // In voxels that become inactive `q` and `z` fall alike, so the dual u = q − z stays as it was.
         let active = support
             .mask()
             .par_iter()
@@ -414,63 +437,71 @@ impl State {
             });
         if let Some(data_support) = self.support_estimator.data_support() {
             data.restrict(data_support);
-            data_support.apply(&mut self.q);
+            // Where the data step is restricted too, the dual becomes zero.
+            data_support.zero_outside(&mut self.q);
         }
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.q, &mut self.aq);
     }
 
-    /// Root mean square that the residual is expected to have.
-    fn expected_rms(&self, data: &dyn DataTerm) -> f64 {
+    /// Root mean square to which that of a bin's residual is compared: that of the bound, or the present one of all
+    /// measurements where `τ` is given.
+    fn reference_rms(&self, data: &dyn DataTerm) -> f64 {
         match self.rule {
             TauRule::Discrepancy { .. } => self.bound / (data.measurement_count() as f64).sqrt(),
             TauRule::Fixed(_) => self.residual_rms(data),
         }
     }
 
-    /// See the module of [`super`]; overwrites `x`.
+    /// The certificate of the iterate; see **Stopping** in the head of [`super`]. Overwrites `scratch`.
     pub fn certify(&mut self, data: &dyn DataTerm, prior: &dyn Prox) -> Certificate {
-        let (b, tau) = (data.measured(), self.tau());
+        let (b, tau) = (data.measurements(), self.tau());
         let brightest = self.z.par_iter().copied().reduce(|| 0.0, f32::max);
-        // Twice: a trace has no part outside the support, and the dual may have one.
-        data.adjoint_on(&self.y, self.support_estimator.data_support(), &mut self.x);
-        prior.subtract_dual(&mut self.x);
-        self.restrict_x();
-        // In units of ρ up to here.
-        let over: f64 = self
-            .x
+        // `adjoint_on` zeroes the voxels outside the support, since `group` reads a pixel's whole trace. They are
+        // zeroed again after `subtract_dual`, whose result may be non-zero there.
+        data.adjoint_on(
+            &self.y,
+            self.support_estimator.data_support(),
+            &mut self.scratch,
+        );
+        prior.subtract_dual(&mut self.scratch);
+        self.restrict_scratch();
+        // `y` is the dual point over ρ, and so are the sums: `linear` and `quadratic` scale them.
+        let excess: f64 = self
+            .scratch
             .par_chunks(CHUNK)
             .map(|x| x.iter().map(|v| f64::from(v.max(0.0))).sum::<f64>())
             .collect::<Vec<_>>()
             .iter()
             .sum();
-        let rise = self.rho * (dot(b, &self.y) - BRIGHTNESS_BOUND * f64::from(brightest) * over);
-        let size = self.rho * self.rho * norm_squared(&self.y);
-        // s·y with s·c is as good a dual point for every 0 ≤ s ≤ 1.
-        let s = if size > 0.0 {
-            (rise / size).clamp(0.0, 1.0)
+        let linear =
+            self.rho * (dot(b, &self.y) - BRIGHTNESS_BOUND * f64::from(brightest) * excess);
+        let quadratic = self.rho * self.rho * norm_squared(&self.y);
+        // `s·y` with `s·c` is a dual point for every 0 ≤ s ≤ 1: take the best `s`.
+        let s = if quadratic > 0.0 {
+            (linear / quadratic).clamp(0.0, 1.0)
         } else {
             0.0
         };
         Certificate {
             primal: 0.5 * distance_squared(b, &self.az) + tau * prior.value(&self.z),
-            dual: s * rise - 0.5 * s * s * size,
+            dual: s * linear - 0.5 * s * s * quadratic,
         }
     }
 
-    /// What the brightness and the support are taken from.
+    /// The video without its background; brightness and support refer to it.
     fn foreground(&self) -> &[f32] {
         &self.z[..self.shape.voxels()]
     }
 
-    fn restrict_x(&mut self) {
+    fn restrict_scratch(&mut self) {
         if let Some(support) = self.support_estimator.support() {
-            support.apply(&mut self.x);
+            support.zero_outside(&mut self.scratch);
         }
     }
 
     fn residual(&self, data: &dyn DataTerm) -> Vec<f32> {
-        data.measured()
+        data.measurements()
             .iter()
             .zip(&self.az)
             .map(|(b, a)| b - a)
@@ -478,14 +509,14 @@ impl State {
     }
 
     pub fn residual_rms(&self, data: &dyn DataTerm) -> f64 {
-        (distance_squared(data.measured(), &self.az) / data.measurement_count() as f64).sqrt()
+        (distance_squared(data.measurements(), &self.az) / data.measurement_count() as f64).sqrt()
     }
 
     pub fn objective(&self, data: &dyn DataTerm, prior: &dyn Prox) -> f64 {
-        0.5 * distance_squared(data.measured(), &self.az) + self.tau() * prior.value(&self.z)
+        0.5 * distance_squared(data.measurements(), &self.az) + self.tau() * prior.value(&self.z)
     }
 
-    /// What there is; afterwards it can go on, if the video is [returned](Self::restore_video).
+    /// The result. It takes the video out; a run that continues needs [`Self::restore_video`] first.
     pub fn finish(
         &mut self,
         data: &dyn DataTerm,
@@ -499,21 +530,23 @@ impl State {
             tau: self.tau(),
             iterations: self.iterations,
             stop_reason,
-            support: self.support_estimator.fraction(),
+            support_fraction: self.support_estimator.fraction(),
             video: std::mem::take(&mut self.z),
         }
     }
 
-    /// Puts the video of [`Self::finish`] back.
+    /// Puts the video that [`Self::finish`] took out back.
     pub fn restore_video(&mut self, video: &[f32]) {
         self.z = video.to_vec();
     }
 }
 
-/// Lanes of sums.
+/// Independent sums that [`relax`] adds up side by side, for vector instructions.
 const LANES: usize = 16;
 
-/// `q ← z + (1−α)u + αx`, and with the old `u = q − z` `Σ (x − u)²` and `Σ z²`.
+/// `q ← z + (1−α)u + αx`, where `u = q − z` has the old `q` and `x` holds `x − p`.
+///
+/// Returns `Σ (x − u)²` and `Σ z²`; `q` moved by `α (x − u)`.
 fn relax(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32) -> [f32; 2] {
     simd(
         #[inline(always)]
@@ -525,7 +558,7 @@ fn relax(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32) -> [f32; 2] {
             for ((q, z), x) in q.iter_mut().zip(z).zip(x) {
                 relax_part(q, z, x, alpha, &mut sums);
             }
-            // A pair of rows seldom fills all lanes to its end.
+            // A part is seldom a multiple of 16 elements long: the rest takes vectors of four.
             let (q, q_rest) = q_rest.as_chunks_mut::<4>();
             let (z, z_rest) = z_rest.as_chunks::<4>();
             let (x, x_rest) = x_rest.as_chunks::<4>();
@@ -545,7 +578,7 @@ fn relax(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32) -> [f32; 2] {
     )
 }
 
-/// [`relax`] of as many as there are lanes, or fewer.
+/// [`relax`] of at most [`LANES`] elements.
 #[inline(always)]
 fn relax_part(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32, sums: &mut [[f32; LANES]; 2]) {
     let (z, x) = (&z[..q.len()], &x[..q.len()]);
@@ -560,8 +593,8 @@ fn relax_part(q: &mut [f32], z: &[f32], x: &[f32], alpha: f32, sums: &mut [[f32;
 /// Elements of one parallel task.
 const CHUNK: usize = 1 << 14;
 
-/// Brightness of what is lit, `√(Σ v⁴ / Σ v²)` over the positive part: a mean in which
-/// faint haze has no say.
+/// Brightness of the active voxels, `√(Σ v⁴ / Σ v²)` over the positive part: a mean on which faint haze has little
+/// influence. It is 0 where no voxel is positive.
 pub(crate) fn brightness(video: &[f32]) -> f64 {
     let parts: Vec<(f64, f64)> = video
         .par_chunks(CHUNK)

@@ -1,157 +1,181 @@
-//! Where light may be.
+//! Estimates the support: the set of active voxels (docs/design/007).
 
 use crate::{Shape, Support};
 use rayon::prelude::*;
 
-/// Threshold of the support over the brightness of the video.
-const THRESHOLD: f64 = 0.12;
-/// Misfit of a bin over the bound at which its support is widened. The misfit of a bin
-/// of 216 pixels scatters by 5 %.
+/// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze (docs/design/007).
+const SUPPORT_THRESHOLD: f64 = 0.12;
+/// Bin residual over the bound that widens its support; smaller reacts to noise (docs/design/007).
 const UNDERFIT_RATIO: f64 = 1.3;
-/// Misfit of a bin over that at the last look, below which it is still falling: a support that was
-/// just found needs some iterations before it can be said to lack light.
+/// Residual over that of the last update above which it has stalled; smaller widens bins sooner (docs/design/007).
 const STALL_RATIO: f64 = 0.85;
-/// What the threshold of a bin is multiplied by each time its support is widened, and
-/// the level at which every voxel is allowed.
-const THRESHOLD_FACTOR: f64 = 0.125;
-const OPEN_LEVEL: usize = 5;
-/// Looks for which a bin of a wide sensor is opened that its support cannot explain: its light takes
-/// long to show, and the block of half of its voxels as long to factor as that of all.
-const OPEN_UPDATES: usize = 5;
+/// Factor on a bin's threshold at each widening; smaller makes bins unrestricted in fewer steps (docs/design/007).
+const WIDENING_FACTOR: f64 = 0.125;
+/// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer (docs/design/007).
+const UNRESTRICTED_LEVEL: usize = 5;
+/// Updates for which an underfit bin with a large block is unrestricted; fewer lose light, more cost time
+/// (docs/design/008).
+const UNRESTRICTED_UPDATES: usize = 5;
 
-/// The bright voxels of a video and their neighbours, found anew every few iterations.
+/// The bright voxels of a video and their neighbours, updated every few iterations.
+///
+/// A bin is unrestricted if all of its voxels are active. It is underfit if its support cannot explain its
+/// measurements: the root mean square of its residual is too large and no longer falls.
 pub(super) struct SupportEstimator {
     shape: Shape,
+    /// `None` before the first update.
     support: Option<Support>,
-    /// The same, but for bins that are left open in the data step.
+    /// The support with more unrestricted bins, see [`Self::data_support`].
     data_support: Option<Support>,
     fraction: f64,
-    is_settled: bool,
-    /// Most voxels of a bin that the data step is restricted to.
-    max_active: usize,
-    /// How often the support of each bin has been widened, and its misfit at the last look.
+    is_stable: bool,
+    /// Most active voxels of a bin that is restricted in the data step; `usize::MAX` without large blocks.
+    max_restricted: usize,
+    /// How often each bin has been widened. A level above [`UNRESTRICTED_LEVEL`] counts the updates down for which the
+    /// bin stays unrestricted.
     levels: Vec<usize>,
-    misfits: Vec<f64>,
-    /// Bins of which every voxel is allowed: no support of theirs lacks light.
-    is_open: Vec<bool>,
+    /// Root mean square of each bin's residual at the last update; infinite before the first one, and after a widening.
+    residual_rms: Vec<f64>,
+    /// Whether each bin is unrestricted.
+    is_unrestricted: Vec<bool>,
 }
 
 impl SupportEstimator {
-    /// Iteration at which the support is found first: the video has taken shape.
+    /// Iteration of the first update; smaller may lose shapes that the video does not show yet.
     pub const FIRST_UPDATE: usize = 20;
 
-    /// Iterations from one look to the next.
+    /// Iterations between updates; smaller rebuilds more Gram blocks.
     pub const UPDATE_INTERVAL: usize = 10;
 
-    /// All of videos of `shape`; later at most `max_active` of a bin, or all.
-    pub fn new(shape: Shape, max_active: usize) -> Self {
+    /// All voxels of videos of `shape` are active at first.
+    ///
+    /// A bin with more than `max_restricted` active voxels is never restricted in the data step.
+    pub fn new(shape: Shape, max_restricted: usize) -> Self {
         Self {
             shape,
             support: None,
             data_support: None,
             fraction: 1.0,
-            is_settled: false,
-            max_active,
+            is_stable: false,
+            max_restricted,
             levels: vec![0; shape.bins],
-            misfits: vec![f64::INFINITY; shape.bins],
-            is_open: vec![true; shape.bins],
+            residual_rms: vec![f64::INFINITY; shape.bins],
+            is_unrestricted: vec![true; shape.bins],
         }
     }
 
-    /// Whether iteration `k` looks.
+    /// Whether an update is due in iteration `k` of the schedule.
     pub fn is_due(k: usize) -> bool {
         k >= Self::FIRST_UPDATE && (k - Self::FIRST_UPDATE).is_multiple_of(Self::UPDATE_INTERVAL)
     }
 
-    /// `None`: every voxel.
+    /// The support; `None`: every voxel.
     pub fn support(&self) -> Option<&Support> {
         self.support.as_ref()
     }
 
-    /// The places that the data step knows of: where a bin has too many for a block of them all of it,
-    /// and the prior alone keeps the rest dark.
+    /// The support of the data step, in which bins with more than `max_restricted` active voxels are unrestricted:
+    /// their restricted blocks would take longer. The prior alone keeps the other voxels of such a bin at zero.
     pub fn data_support(&self) -> Option<&Support> {
         self.data_support.as_ref()
     }
 
-    /// Part of the voxels that may be lit.
+    /// Part of the voxels that are active, from 0 to 1.
     pub fn fraction(&self) -> f64 {
         self.fraction
     }
 
-    /// Whether every voxel of a bin is allowed, so that another `ρ` costs a factor of all its measurements.
-    pub fn has_open_bin(&self) -> bool {
-        self.is_open.contains(&true)
+    /// Whether some bin is unrestricted; a change of `ρ` then costs a factor of the bin's whole block.
+    pub fn has_unrestricted_bin(&self) -> bool {
+        self.is_unrestricted.contains(&true)
     }
 
-    /// Whether the last look changed little.
-    pub fn is_settled(&self) -> bool {
-        self.is_settled
+    /// Whether the last update changed little and no bin is temporarily unrestricted.
+    pub fn is_stable(&self) -> bool {
+        self.is_stable
     }
 
-    /// Another frame is to be explained, from the places of the last one.
+    /// Prepares for another frame, which starts from the support of the last one.
     pub fn reset(&mut self) {
-        self.is_settled = false;
+        self.is_stable = false;
         self.levels.fill(0);
-        self.misfits.fill(f64::INFINITY);
+        self.residual_rms.fill(f64::INFINITY);
     }
 
-    /// Bins that the support cannot explain: their misfit is above `expected` and no longer falls.
-    pub fn underfit_bins(&mut self, misfits: Vec<f64>, expected: f64) -> Vec<usize> {
+    /// The underfit bins: their `residual_rms` is above `reference` by [`UNDERFIT_RATIO`] and above [`STALL_RATIO`] of
+    /// the last one.
+    ///
+    /// Unrestricted bins are never underfit. `residual_rms` is kept for the next call.
+    pub fn underfit_bins(&mut self, residual_rms: Vec<f64>, reference: f64) -> Vec<usize> {
         let is_underfit = |t: &usize| {
-            let (now, before) = (misfits[*t], self.misfits[*t]);
-            now > UNDERFIT_RATIO * expected && now > STALL_RATIO * before && !self.is_open[*t]
+            let (now, before) = (residual_rms[*t], self.residual_rms[*t]);
+            now > UNDERFIT_RATIO * reference
+                && now > STALL_RATIO * before
+                && !self.is_unrestricted[*t]
         };
-        let underfit_bins: Vec<usize> = (0..misfits.len()).filter(is_underfit).collect();
-        self.misfits = misfits;
+        let underfit_bins: Vec<usize> = (0..residual_rms.len()).filter(is_underfit).collect();
+        self.residual_rms = residual_rms;
         for &t in &underfit_bins {
-            self.misfits[t] = f64::INFINITY;
+            self.residual_rms[t] = f64::INFINITY;
         }
         underfit_bins
     }
 
-    /// The bright voxels of `video` with neighbours. The threshold of the bins `underfit_bins` falls, and the
-    /// brightest places of `correlation` are added to them.
+    /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
+    ///
+    /// The threshold is [`SUPPORT_THRESHOLD`] of `brightness`. In the `underfit_bins` it is lowered, and the voxels with
+    /// the largest `correlation`, `Aᵀ(b − A v)`, are added.
     pub fn update(
         &mut self,
         video: &[f32],
         brightness: f64,
-        (correlation, underfit_bins): (&[f32], &[usize]),
+        correlation: &[f32],
+        underfit_bins: &[usize],
     ) -> Support {
         self.widen(underfit_bins);
         let threshold = |level: &usize| match *level {
-            OPEN_LEVEL.. => 0.0,
-            level => THRESHOLD * brightness * THRESHOLD_FACTOR.powi(level as i32),
+            UNRESTRICTED_LEVEL.. => 0.0,
+            level => SUPPORT_THRESHOLD * brightness * WIDENING_FACTOR.powi(level as i32),
         };
         let thresholds: Vec<f64> = self.levels.iter().map(threshold).collect();
         let support = Support::above(video, self.shape, &thresholds)
             .with_correlated(correlation, underfit_bins);
         let fraction = support.fraction();
-        self.is_settled = self.support.is_some()
+        self.is_stable = self.support.is_some()
             && underfit_bins.is_empty()
             && fraction > 0.9 * self.fraction
-            && self.levels.iter().all(|level| *level <= OPEN_LEVEL);
+            && self.levels.iter().all(|level| *level <= UNRESTRICTED_LEVEL);
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
-        self.is_open = bins.map(|bin| !bin.contains(&0)).collect();
-        self.data_support = Some(support.clone().with_crowded_bins_open(self.max_active));
+        self.is_unrestricted = bins.map(|bin| !bin.contains(&0)).collect();
+        self.data_support = Some(
+            support
+                .clone()
+                .with_crowded_bins_unrestricted(self.max_restricted),
+        );
         self.support = Some(support.clone());
         support
     }
 
-    /// Allows more of the bins `underfit_bins`. Levels above [`OPEN_LEVEL`] count the looks of a bin that is open
-    /// for a while.
+    /// Widens the `underfit_bins` by one level, or makes them unrestricted for [`UNRESTRICTED_UPDATES`] updates
+    /// where blocks are large.
+    ///
+    /// The remaining updates of a temporarily unrestricted bin are counted down; after the last one its level is 0.
     fn widen(&mut self, underfit_bins: &[usize]) {
-        for level in self.levels.iter_mut().filter(|level| **level > OPEN_LEVEL) {
+        for level in self
+            .levels
+            .iter_mut()
+            .filter(|level| **level > UNRESTRICTED_LEVEL)
+        {
             *level -= 1;
-            if *level == OPEN_LEVEL {
+            if *level == UNRESTRICTED_LEVEL {
                 *level = 0;
             }
         }
-        let has_large_blocks = self.max_active < usize::MAX;
+        let has_large_blocks = self.max_restricted < usize::MAX;
         for &t in underfit_bins {
             self.levels[t] = if has_large_blocks {
-                OPEN_LEVEL + OPEN_UPDATES
+                UNRESTRICTED_LEVEL + UNRESTRICTED_UPDATES
             } else {
                 self.levels[t] + 1
             };
@@ -164,30 +188,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bin_is_widened_once_its_misfit_no_longer_falls() {
+    fn a_bin_is_widened_once_its_residual_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
         let mut estimator = SupportEstimator::new(shape, usize::MAX);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
         faint[81 + 10] = 0.1;
-        let support = estimator.update(&video, 1.0, (&video, &[]));
+        let support = estimator.update(&video, 1.0, &video, &[]);
         assert_eq!(support.fraction(), 2.0 * 9.0 / 162.0);
-        assert!(!estimator.is_settled());
-        // No look before, still falling, no longer: only then, and not at once again.
+        assert!(!estimator.is_stable());
+        // A first residual, one that falls, and one that has stalled: only the last is underfit, and not twice in a
+        // row.
         assert!(estimator.underfit_bins(vec![1.0, 8.0], 1.0).is_empty());
         assert!(estimator.underfit_bins(vec![1.0, 4.0], 1.0).is_empty());
         assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-        let support = estimator.update(&faint, 1.0, (&faint, &[1]));
+        let support = estimator.update(&faint, 1.0, &faint, &[1]);
         assert_eq!(support.mask()[81 + 10], 1);
-        assert!(!estimator.is_settled());
+        assert!(!estimator.is_stable());
         assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
-        estimator.update(&faint, 1.0, (&faint, &[]));
-        assert!(estimator.is_settled());
-        // Widened five times, a bin is open, and is not widened further.
+        estimator.update(&faint, 1.0, &faint, &[]);
+        assert!(estimator.is_stable());
+        // After five widenings a bin is unrestricted and is not widened further.
         for _ in 0..4 {
             assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-            estimator.update(&faint, 1.0, (&faint, &[1]));
+            estimator.update(&faint, 1.0, &faint, &[1]);
             estimator.underfit_bins(vec![1.0, 3.9], 1.0);
         }
         assert_eq!(estimator.support().unwrap().pixels_of(1), None);
@@ -195,24 +220,24 @@ mod tests {
     }
 
     #[test]
-    fn a_bin_of_a_large_sensor_is_opened_for_a_while() {
+    fn a_bin_of_a_large_sensor_is_unrestricted_for_a_while() {
         let shape = Shape::new(2, 9, 9);
         let mut estimator = SupportEstimator::new(shape, 50);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
-        estimator.update(&video, 1.0, (&video, &[]));
+        estimator.update(&video, 1.0, &video, &[]);
         estimator.underfit_bins(vec![1.0, 4.0], 1.0);
         assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-        estimator.update(&video, 1.0, (&video, &[1]));
-        for _ in 1..OPEN_UPDATES {
+        estimator.update(&video, 1.0, &video, &[1]);
+        for _ in 1..UNRESTRICTED_UPDATES {
             assert_eq!(estimator.support().unwrap().pixels_of(1), None);
             assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
-            estimator.update(&video, 1.0, (&video, &[]));
-            assert!(!estimator.is_settled());
+            estimator.update(&video, 1.0, &video, &[]);
+            assert!(!estimator.is_stable());
         }
-        estimator.update(&video, 1.0, (&video, &[]));
+        estimator.update(&video, 1.0, &video, &[]);
         assert_eq!(estimator.support().unwrap().pixels_of(1).unwrap().len(), 9);
-        estimator.update(&video, 1.0, (&video, &[]));
-        assert!(estimator.is_settled());
+        estimator.update(&video, 1.0, &video, &[]);
+        assert!(estimator.is_stable());
     }
 }

@@ -1,4 +1,4 @@
-//! The clock beside the solver: its time, its budget and its course.
+//! Measures the time of a run, ends it at its time budget, and records its convergence.
 
 use crate::task::IterationMetrics;
 use rowburst::Video;
@@ -9,32 +9,33 @@ use rowburst_report::Iteration;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-/// Every iteration up to this one is a point of the convergence curve; most of the quality is
-/// gained in these.
+/// Last iteration up to which every iteration is a point of the convergence curve; larger records more and
+/// compares more often with the truth.
 const DENSE_RECORD_ITERATIONS: usize = 50;
-/// Iterations between two points after these.
+/// Iterations between two later points; smaller records more.
 const RECORD_INTERVAL: usize = 5;
 
-/// Watches a run.
+/// The clock and the recorder of a run. The observer of the solver calls [`Self::observe`].
 pub struct RunClock<'a> {
-    start: Instant,
+    solver_start: Instant,
     budget: Option<Duration>,
     sigma: f64,
     truth: Option<&'a Video>,
-    /// Iterations of all runs.
+    /// Iterations so far, with those of candidates of the prior.
     iterations: usize,
-    /// Time spent on comparing with the truth and on showing, which is not the solver's.
+    /// Time of comparisons with the truth and of [`Self::untimed`], which is not the solver's.
     untimed: Duration,
+    /// Metrics of the last iteration.
     metrics: IterationMetrics,
     /// The points of the convergence curve.
-    pub curve: Vec<Iteration>,
+    pub convergence: Vec<Iteration>,
 }
 
 impl<'a> RunClock<'a> {
-    /// Starts the clock of the solver, which `budget` counts from.
+    /// Starts the clock. `sigma` is the noise level in counts; `budget` limits the time of the solver from now on.
     pub fn new(sigma: f64, truth: Option<&'a Video>, budget: Option<Duration>) -> Self {
         Self {
-            start: Instant::now(),
+            solver_start: Instant::now(),
             budget,
             sigma,
             truth,
@@ -45,35 +46,35 @@ impl<'a> RunClock<'a> {
                 residual_over_sigma: f64::NAN,
                 psnr_db: None,
             },
-            curve: Vec::new(),
+            convergence: Vec::new(),
         }
     }
 
-    /// Seconds from `began` to the start of the solver's clock.
-    pub fn start_offset_s(&self, began: Instant) -> f64 {
-        (self.start - began).as_secs_f64()
+    /// Time from `process_start` to the start of the clock, in seconds.
+    pub fn start_offset_s(&self, process_start: Instant) -> f64 {
+        (self.solver_start - process_start).as_secs_f64()
     }
 
-    /// Seconds of the solver so far.
+    /// Time of the solver so far, in seconds.
     pub fn seconds(&self) -> f64 {
-        (self.start.elapsed() - self.untimed).as_secs_f64()
+        (self.solver_start.elapsed() - self.untimed).as_secs_f64()
     }
 
-    /// Does with the last iteration what takes no time of the solver's.
-    pub fn untimed<T>(&mut self, what: impl FnOnce(&IterationMetrics) -> T) -> T {
-        let began = Instant::now();
-        let done = what(&self.metrics);
-        self.untimed += began.elapsed();
-        done
+    /// Calls `act` with the metrics of the last iteration, and does not count its time as the solver's.
+    pub fn untimed<T>(&mut self, act: impl FnOnce(&IterationMetrics) -> T) -> T {
+        let untimed_start = Instant::now();
+        let result = act(&self.metrics);
+        self.untimed += untimed_start.elapsed();
+        result
     }
 
-    /// Sees one iteration.
+    /// Records an iteration. Breaks where the next iteration would exceed the time budget.
     pub fn observe(&mut self, progress: &Progress) -> ControlFlow<StopReason> {
         let seconds = self.seconds();
         self.iterations += 1;
         if progress.iteration == 1 {
-            // Another run: the curve is that of the last one.
-            self.curve.clear();
+            // Another run has begun; the curve holds the last run alone.
+            self.convergence.clear();
         }
         self.metrics = IterationMetrics {
             seconds,
@@ -86,7 +87,7 @@ impl<'a> RunClock<'a> {
             let compared = Instant::now();
             let truth = self.truth;
             self.metrics.psnr_db = truth.map(|truth| psnr_db(progress.video, truth.data()));
-            self.curve.push(Iteration {
+            self.convergence.push(Iteration {
                 iteration: progress.iteration,
                 seconds,
                 objective: progress.objective,
@@ -98,7 +99,6 @@ impl<'a> RunClock<'a> {
         }
         let per_iteration = seconds / self.iterations as f64;
         match self.budget {
-            // The next iteration would end beyond the budget.
             Some(budget) if seconds + per_iteration > budget.as_secs_f64() => {
                 ControlFlow::Break(StopReason::TimeBudget)
             }
@@ -106,10 +106,10 @@ impl<'a> RunClock<'a> {
         }
     }
 
-    /// Takes `sigma` for the noise level, which was found meanwhile.
+    /// Replaces the noise level by `sigma`, which the run has determined, also in the convergence curve.
     pub fn rescale(&mut self, sigma: f64) {
         let factor = self.sigma / sigma;
-        for point in &mut self.curve {
+        for point in &mut self.convergence {
             point.residual_over_sigma *= factor;
         }
         self.sigma = sigma;
