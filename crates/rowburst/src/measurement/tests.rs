@@ -21,6 +21,28 @@ fn ramp(rows: usize, columns: usize) -> Image {
 }
 
 #[test]
+fn frames_without_light_in_usable_pixels_are_refused() {
+    let mask = Image::from_fn(4, 6, |y, _| if y == 0 { 255.0 } else { 0.0 });
+    let saturating = Corrections {
+        saturation_counts: Some(255.0),
+        ..Corrections::default()
+    };
+    let refused = |raw: &Image, corrections: &Corrections| {
+        let error = correct(raw, &camera(Sensor::default()), corrections);
+        error.unwrap_err().to_string()
+    };
+    let message = refused(&mask, &saturating);
+    assert!(message.contains("but 6 saturated and 0 bad"), "{message}");
+    assert!(correct(&mask, &camera(Sensor::default()), &Corrections::default()).is_ok());
+    let own_dark = Corrections {
+        dark: Some(ramp(4, 6)),
+        ..Corrections::default()
+    };
+    let message = refused(&ramp(4, 6), &own_dark);
+    assert!(message.contains("less the dark"), "{message}");
+}
+
+#[test]
 fn dark_flat_and_bad_pixels() {
     let raw = ramp(4, 6);
     let corrections = Corrections {
