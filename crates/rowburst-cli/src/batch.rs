@@ -8,8 +8,8 @@ use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
 use rowburst_batch::{
-    Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
-    load_batch, name_correction_file,
+    Batch, BatchFiles, BatchInputs, ChosenPrior, Event, FrameRow, RetryPolicy, Status,
+    ThreadAllocation, load_batch, name_correction_file,
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{parse_prior, parse_tau};
@@ -17,6 +17,7 @@ use rowburst_run::{MetadataNumbers, peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -182,21 +183,7 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
         .or(args.time_budget_s.map(|_| 1));
     let allocation = ThreadAllocation::new(threads, pending.len(), &batch.inputs().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
-    let started = Instant::now();
-    bar.reset_eta();
-    let ran = batch.run(&pending, &prior, allocation, stop, &|event| {
-        show(&bar, &batch, event);
-    });
-    let seconds = started.elapsed().as_secs_f64();
-    bar.finish_and_clear();
-    // On a full disk the first error is the one that helps.
-    let table = match ran {
-        Ok(()) => batch.write_table()?,
-        Err(error) => {
-            let _ = batch.write_table();
-            return Err(error);
-        }
-    };
+    let (table, seconds) = run_pending(&batch, &pending, &prior, allocation, stop, &bar)?;
     if stop.load(Ordering::Relaxed) {
         return Err(stopped(args));
     }
@@ -240,7 +227,33 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
     Ok((summary, rows))
 }
 
-/// The plan, and the files that it is from.
+/// Reconstructs the pending frames and writes the table of all: its path, and the seconds of the reconstructions.
+fn run_pending(
+    batch: &Batch,
+    pending: &[usize],
+    prior: &ChosenPrior,
+    allocation: ThreadAllocation,
+    stop: &AtomicBool,
+    bar: &ProgressBar,
+) -> Result<(PathBuf, f64)> {
+    let started = Instant::now();
+    bar.reset_eta();
+    let ran = batch.run(pending, prior, allocation, stop, &|event| {
+        show(bar, batch, event);
+    });
+    let seconds = started.elapsed().as_secs_f64();
+    bar.finish_and_clear();
+    // On a full disk the first error is the one that helps.
+    match ran {
+        Ok(()) => Ok((batch.write_table()?, seconds)),
+        Err(error) => {
+            let _ = batch.write_table();
+            Err(error)
+        }
+    }
+}
+
+/// The inputs of the batch, with the calibration and the metadata that they come from.
 fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadata)> {
     let loaded = load_batch(&BatchFiles {
         experiment: &args.experiment,
@@ -307,9 +320,9 @@ fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
                 batch.inputs().frames.name(frame)
             );
             if bar.is_hidden() {
-                eprintln!("{words}")
+                eprintln!("{words}");
             } else {
-                bar.set_message(words)
+                bar.set_message(words);
             }
         }
         Event::FrameFinished(row) => {
@@ -376,7 +389,7 @@ fn missing_words(missing: &[(usize, u64, u64)], frames: &dyn Frames) -> Vec<Stri
         return Vec::new();
     };
     vec![format!(
-        "the numbers in the names skip {count} frames, the first after {}; the time axis includes them",
+        "{count} frames are missing by the numbers in the names, the first after {}; the time axis includes them",
         frames.name(before)
     )]
 }

@@ -144,9 +144,9 @@ pub fn run(
     let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
     folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
     if args.json {
-        print_line(json)
+        print_line(json);
     } else {
-        print_summary(&summary, args)
+        print_summary(&summary, args);
     }
     Ok(())
 }

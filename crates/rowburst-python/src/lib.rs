@@ -71,9 +71,9 @@ mod _rowburst {
             rowburst_io::SampleFormat::Counts { bits } => match bits {
                 1 => "bool",
                 7 => "int8",
-                ..=8 => "uint8",
                 15 => "int16",
-                ..=16 => "uint16",
+                _ if bits <= 8 => "uint8",
+                _ if bits <= 16 => "uint16",
                 _ => "int64",
             },
         };

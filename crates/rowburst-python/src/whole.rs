@@ -45,7 +45,7 @@ impl<'py> FromPyObject<'_, 'py> for Whole {
             .import("operator")?
             .call_method1("index", (value,))?;
         let number = index.extract::<usize>();
-        Ok(Self(number.or_else(|_| Err(index.to_string()))))
+        Ok(Self(number.map_err(|_| index.to_string())))
     }
 }
 

@@ -20,24 +20,7 @@ pub(super) fn draw(
 ) -> CaptionedFigure {
     let shape = videos.video.shape();
     let mut figure = Figure::new(800.0, 0.0);
-    let mut panels: Vec<Panel> = [
-        ("reconstruction", Some(&videos.projection)),
-        ("truth", truth.as_ref()),
-    ]
-    .into_iter()
-    .filter_map(|(name, projection)| {
-        Some(Panel {
-            name,
-            pixels: projection?.picture(videos.high),
-            is_field: true,
-        })
-    })
-    .collect();
-    panels.extend(input.direct.map(|direct| Panel {
-        name: "without the diffuser",
-        pixels: grey(direct.image),
-        is_field: false,
-    }));
+    let panels = panels_of(input, videos, truth);
     // Side by side, but wide pictures one below the other.
     let across = if panels.iter().all(|p| p.pixels.columns < 2 * p.pixels.rows) {
         panels.len()
@@ -100,6 +83,29 @@ pub(super) fn draw(
             unit.stamp(total_us, 0.1 * unit.us)
         ),
     }
+}
+
+/// The pictures of the figure: the reconstruction, the truth and the frame without the diffuser, as far as they are known.
+fn panels_of(input: &ReportInput, videos: &Videos, truth: Option<Projection>) -> Vec<Panel> {
+    let mut panels: Vec<Panel> = [
+        ("reconstruction", Some(&videos.projection)),
+        ("truth", truth.as_ref()),
+    ]
+    .into_iter()
+    .filter_map(|(name, projection)| {
+        Some(Panel {
+            name,
+            pixels: projection?.picture(videos.high),
+            is_field: true,
+        })
+    })
+    .collect();
+    panels.extend(input.direct.map(|direct| Panel {
+        name: "without the diffuser",
+        pixels: grey(direct.image),
+        is_field: false,
+    }));
+    panels
 }
 
 /// A picture beside the others.

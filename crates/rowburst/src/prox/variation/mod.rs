@@ -338,7 +338,7 @@ impl Stencil for DualSteps<'_> {
         }
         match bin_view.space.take() {
             Some(space) if !is_last_level => {
-                self.write_and_step(&bin, bin_view, space, rows.clone())
+                self.write_and_step(&bin, bin_view, space, rows.clone());
             }
             space => self.write(&bin, bin_view, space, rows.clone()),
         }
