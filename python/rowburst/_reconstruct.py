@@ -110,6 +110,31 @@ class Result:
         return self._native.noise_sigma
 
     @property
+    def effective_sigma(self) -> float:
+        """Noise and error of the model together, in counts: ``noise_sigma`` where the model explains the frame."""
+        return self._native.effective_sigma
+
+    @property
+    def excluded(self) -> NDArray[np.uint8]:
+        """1 at the foreign pixels ``[y, x]`` that no video explains and that were left out, such as hot pixels."""
+        return self._native.excluded
+
+    @property
+    def excluded_fraction(self) -> float:
+        """Part of the pixels that are foreign."""
+        return self._native.excluded_fraction
+
+    @property
+    def coverage(self) -> NDArray[np.uint8]:
+        """1 at the voxels ``[t, y, x]`` that the frame observes; the video is zero at all others."""
+        return self._native.coverage
+
+    @property
+    def coverage_fraction(self) -> float:
+        """Part of the voxels that the frame observes."""
+        return self._native.coverage_fraction
+
+    @property
     def residual_over_sigma(self) -> float:
         """Rms of the residual over sigma: about 1 where the video explains the frame."""
         return self._native.residual_over_sigma
@@ -257,6 +282,7 @@ def reconstruct(
     direct: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | bool | None = None,
     seed: int = 0,
+    keep_all_pixels: bool = False,
 ) -> Result:
     """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``.
 
@@ -271,6 +297,9 @@ def reconstruct(
     that the command line reads. As on the command line a file is a raw capture, even one of floating-point
     numbers: dark or bias is subtracted. Masked pixels of masked arrays (frame, dark, flat and bad pixels)
     are bad pixels.
+
+    Foreign pixels, such as hot pixels, dust or a printed caption, are looked for where the video does not explain the
+    frame, and are left out: see :attr:`Result.excluded`. ``keep_all_pixels=True`` uses every pixel that is not bad.
 
     ``progress`` is ``True`` for a tqdm bar, or a function that is given a :class:`Progress` after
     every iteration; where it returns ``False`` the run stops with the current result. Ctrl-C raises
@@ -304,6 +333,7 @@ def reconstruct(
             progress=callback,
             seed=seed,
             experiment=experiment,
+            keep_all_pixels=keep_all_pixels,
         )
     finally:
         if bar is not None:

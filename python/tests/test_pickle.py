@@ -84,6 +84,9 @@ def test_results(options, camera, psf, capture, tmp_path):
         np.testing.assert_array_equal(same.video, original.video)
         assert not same.video.flags.writeable and same.video.dtype == np.float32
         np.testing.assert_array_equal(same.residual, original.residual)
+        np.testing.assert_array_equal(same.excluded, original.excluded)
+        np.testing.assert_array_equal(same.coverage, original.coverage)
+        assert same.effective_sigma == original.effective_sigma
         assert (same.background is None) == (original.background is None)
         assert same.numbers == numbers and repr(same) == repr(original)
         for a, b in zip(same.traces([(8, 9)]), traces, strict=True):

@@ -1,6 +1,7 @@
 """What results look like and cost to look at."""
 
 import numpy as np
+import pytest
 
 import rowburst as rb
 
@@ -26,6 +27,60 @@ def test_numbers_are_computed_once(capture, camera, psf, monkeypatch):
     assert result.numbers == first and not calls
     first["tau"] = None
     assert result.numbers["tau"] is not None
+
+
+@pytest.fixture(scope="module")
+def hot():
+    """A capture with 1 % hot pixels: camera, PSF, frame and the mask of the hot pixels."""
+    camera = rb.Camera(rows=64, columns=64, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
+    rng = np.random.default_rng(5)
+    psf = rb.Psf(rng.exponential(size=(127, 127)).astype(np.float32))
+    scene = np.zeros(camera.video_shape, np.float32)
+    for t in range(len(scene)):
+        scene[t, 10 + t : 14 + t, 8 + t : 12 + t] = 1
+    frame = rb.simulate(camera, scene, psf, snr=256, seed=2).frame.copy()
+    is_hot = np.zeros(frame.shape, bool)
+    is_hot.flat[rng.choice(frame.size, frame.size // 100, replace=False)] = True
+    frame[is_hot] += frame.max()
+    return camera, psf, frame, is_hot
+
+
+def test_hot_pixels_are_found(hot):
+    camera, psf, frame, is_hot = hot
+    result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support")
+    excluded = result.excluded
+    assert excluded.shape == camera.frame_shape and excluded.dtype == np.uint8
+    found = excluded == 1
+    assert (found & is_hot).sum() >= 0.9 * is_hot.sum()
+    assert (found & ~is_hot).sum() <= 0.005 * is_hot.size
+    assert np.isclose(result.excluded_fraction, found.mean())
+    np.testing.assert_array_equal(result.residual[found], 0)
+    numbers = result.numbers
+    assert numbers["excluded_fraction"] == result.excluded_fraction
+    assert numbers["effective_sigma"] == result.effective_sigma
+    assert any(f"{found.sum()} foreign pixels" in warning for warning in numbers["warnings"])
+    assert "Yellow: " in result.report()
+
+
+def test_all_pixels_are_kept_on_request(hot):
+    camera, psf, frame, _ = hot
+    result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support", keep_all_pixels=True)
+    assert result.excluded_fraction == 0 and not result.excluded.any()
+    assert not any("foreign" in warning for warning in result.numbers["warnings"])
+
+
+def test_a_video_is_zero_where_the_frame_does_not_observe_it(camera, psf, capture, result):
+    assert result.coverage.shape == camera.video_shape and result.coverage.dtype == np.uint8
+    assert result.coverage_fraction == result.numbers["coverage_fraction"] == result.coverage.mean()
+    # This PSF reaches 8 pixels, so the corners of the wide field are out of sight.
+    wide = rb.Camera(rows=24, columns=30, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6, field=(64, 70))
+    small = rb.Psf(psf.array[15:32, 21:38])
+    seen = rb.reconstruct(capture.frame, wide, small, prior="tv", max_iterations=10)
+    assert 0 < seen.coverage_fraction < 1 and seen.coverage[:, 0, 0].max() == 0
+    assert not seen.video[seen.coverage == 0].any()
+    assert any("not observed" in warning for warning in seen.numbers["warnings"])
+    corner, *_ = seen.traces([(1, 1)])
+    assert np.isnan(corner.standard_error).all() and not corner.debiased.any()
 
 
 def test_the_video_of_a_look_may_not_be_written_to(camera, psf, capture):

@@ -1,11 +1,14 @@
 // The clip as it is saved: each bin as numbers of colours, the same for GIF and MP4.
 
-import { colourOf, type Rgb } from "./colour";
+import { colourOf, stripe, STRIPES, type Rgb } from "./colour";
 import type { Pane } from "./pane";
 import type { Store } from "./store";
 
-/** Colours: brightness, signed differences, then ink and paper. 256 in all, as a GIF may have. */
+/** Colours: brightness, signed differences, stripes of a hatching, then ink and paper. 256 in all, as a GIF may have. */
 const SHADES = 127;
+/** Shades where two colours are for a hatching. */
+const SHADES_BESIDE_STRIPES = 126;
+const FIRST_STRIPE = 252;
 const [WHITE, BLACK] = [254, 255];
 /** Width of a saved picture at least, in pixels; small videos are enlarged by whole numbers. */
 const MIN_WIDTH = 480;
@@ -34,6 +37,7 @@ export class Clip {
   private readonly limits: [number, number];
   private readonly otherLimits: [number, number];
   private readonly isStamped: boolean;
+  private readonly shades: number;
 
   /** What the panes show now: colours, limits and zoom. */
   constructor(
@@ -43,9 +47,12 @@ export class Clip {
     this.limits = [store.state.low, store.state.high];
     this.otherLimits = store.otherLimits;
     this.isStamped = store.state.stamp;
+    const isHatched = panes.some((pane) => pane.coverage);
+    this.shades = isHatched ? SHADES_BESIDE_STRIPES : SHADES;
     for (const map of [store.state.map, "signed"] as const) {
-      for (let i = 0; i < SHADES; i++) this.palette.push(colourOf(map, i / (SHADES - 1)));
+      for (let i = 0; i < this.shades; i++) this.palette.push(colourOf(map, i / (this.shades - 1)));
     }
+    if (isHatched) this.palette.push(...STRIPES);
     this.palette.push([255, 255, 255], [0, 0, 0]);
     let left = 0;
     for (const pane of panes) {
@@ -71,22 +78,25 @@ export class Clip {
   }
 
   private paint(index: Uint8Array, { pane, left, width, height, window }: PanePlacement, t: number): void {
-    const { store } = this;
-    const { volume } = pane;
+    const { store, shades } = this;
+    const { volume, coverage } = pane;
     const [x0, y0, w, hgt] = window;
     const [low, high] = pane.role === "other" ? this.otherLimits : this.limits;
     const bin = pane.role === "other" ? (store.otherClock?.bin(store.clock.at(t)) ?? t) : t;
+    const isUnobserved = coverage?.unobservedIn(bin) ?? (() => false);
     for (let y = 0; y < height; y++) {
       const row = Math.min(volume.rows - 1, Math.floor(y0 + (y / height) * hgt));
       for (let x = 0; x < width; x++) {
         const column = Math.min(volume.columns - 1, Math.floor(x0 + (x / width) * w));
         const value = volume.value(bin, row, column);
         let shade: number;
-        if (pane.role === "difference") {
+        if (isUnobserved(row * volume.columns + column)) {
+          shade = FIRST_STRIPE + stripe(row, column);
+        } else if (pane.role === "difference") {
           const truth = store.truth!.value(bin, row, column);
-          shade = SHADES + clamp(0.5 + (value - truth) / (high - low));
+          shade = shades + shadeOf(0.5 + (value - truth) / (high - low), shades);
         } else {
-          shade = clamp((value - low) / (high - low || 1));
+          shade = shadeOf((value - low) / (high - low || 1), shades);
         }
         index[y * this.width + left + x] = shade;
       }
@@ -94,8 +104,8 @@ export class Clip {
   }
 }
 
-function clamp(f: number): number {
-  return Number.isFinite(f) ? Math.round(Math.min(1, Math.max(0, f)) * (SHADES - 1)) : 0;
+function shadeOf(f: number, shades: number): number {
+  return Number.isFinite(f) ? Math.round(Math.min(1, Math.max(0, f)) * (shades - 1)) : 0;
 }
 
 /** The time in white on black, at the lower left. */

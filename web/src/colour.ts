@@ -52,6 +52,17 @@ export function pack([r, g, b]: Rgb): number {
 /** Grey with a hint of green: no value. */
 export const MISSING = pack([120, 130, 120]);
 
+/** Muted browns, which no colour map has: the hatching of voxels that the frame does not observe. */
+export const STRIPES: readonly [Rgb, Rgb] = [
+  [84, 78, 66],
+  [128, 119, 100],
+];
+
+/** Which of the stripes a pixel is on: every fourth diagonal is light. */
+export function stripe(y: number, x: number): 0 | 1 {
+  return (y + x) % 4 === 0 ? 1 : 0;
+}
+
 /** Linear-light RGB of time, `fraction` 0 to 1, from blue over green to red (Ottosson 2020). */
 export function timeHue(fraction: number): Rgb {
   const f = Math.min(1, Math.max(0, fraction));

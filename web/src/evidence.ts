@@ -3,6 +3,7 @@
 import { Chart } from "./chart";
 import { css, fit, h } from "./dom";
 import { number } from "./format";
+import { ExcludedOverlay } from "./masks";
 import { Bitmap } from "./picture";
 import type { Store } from "./store";
 import type { HistoryPoint, Meta, Picture } from "./types";
@@ -47,20 +48,37 @@ export class Evidence {
       );
     }
     const grid = h("div", { class: "pictures" });
+    const excluded = this.excluded(at);
+    if (excluded) this.element.append(excluded.legend);
     this.element.append(grid);
-    this.picture(grid, at, "frame", "Captured frame; the rows that measure this bin are marked", (p) => this.drawFrame(p, meta));
+    this.picture(
+      grid,
+      at,
+      "frame",
+      "Captured frame; the rows that measure this bin are marked",
+      (p) => this.drawFrame(p, meta),
+      excluded,
+    );
     this.picture(grid, at, "psf", "PSF, square root of its light", (p) => {
       const root = p.data.map(Math.sqrt);
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.values(root, "magma", 0, highest(root));
       return (ctx, w, hgt) => ctx.drawImage(bitmap.canvas, 0, 0, w, hgt);
     });
-    this.picture(grid, at, "residual", "Residual in σ, blue −4 to red +4: structureless where the fit is good", (p) => {
+    const drawResidual = (p: Picture) => {
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.signed((i) => p.data[i], 4);
       this.statistics(grid, p);
-      return (ctx, w, hgt) => ctx.drawImage(bitmap.canvas, 0, 0, w, hgt);
-    });
+      return (ctx: CanvasRenderingContext2D, w: number, hgt: number) => ctx.drawImage(bitmap.canvas, 0, 0, w, hgt);
+    };
+    this.picture(
+      grid,
+      at,
+      "residual",
+      "Residual in σ, blue −4 to red +4: structureless where the fit is good",
+      drawResidual,
+      excluded,
+    );
     this.picture(grid, at, "direct", "The scene without the diffuser", (p) => {
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.values(p.data, "grey", 0, highest(p.data));
@@ -69,12 +87,22 @@ export class Evidence {
     if (view.course && view.course.length > 1) this.element.append(convergenceFigure(view.course));
   }
 
+  /** The pixels that were left out of the frame; null where there is no mask. */
+  private excluded(at: number): ExcludedOverlay | null {
+    const { source } = this.store;
+    if (!source.results[at].images.excluded) return null;
+    const overlay = new ExcludedOverlay(`over-excluded-${at}`, () => this.draw());
+    void source.picture(at, "excluded").then((mask) => mask && overlay.set(mask));
+    return overlay;
+  }
+
   private picture(
     grid: HTMLElement,
     at: number,
     name: string,
     caption: string,
     prepare: (picture: Picture) => (ctx: CanvasRenderingContext2D, width: number, height: number) => void,
+    overlay: ExcludedOverlay | null = null,
   ): void {
     const size = this.store.source.results[at].images[name];
     if (!size) return;
@@ -89,6 +117,7 @@ export class Evidence {
         const { ctx, width, height } = fit(canvas);
         ctx.imageSmoothingEnabled = false;
         paint(ctx, width, height);
+        overlay?.drawOn(ctx, width, height);
       };
       this.redraw.push(draw);
       new ResizeObserver(draw).observe(canvas);

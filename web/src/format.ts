@@ -14,6 +14,12 @@ export function grouped(value: number): string {
   return Math.round(value).toLocaleString("en-GB");
 }
 
+/** A part of a whole. */
+export function percent(fraction: number): string {
+  if (fraction > 0 && fraction < 0.001) return "below 0.1 %";
+  return `${(100 * fraction).toFixed(1)} %`;
+}
+
 /** A frequency with its unit. */
 export function hertz(value: number, error?: number | null): string {
   const [unit, scale] = value >= 1e6 ? ["MHz", 1e6] : value >= 1e3 ? ["kHz", 1e3] : ["Hz", 1];

@@ -2,6 +2,7 @@
 
 import { timeHue } from "./colour";
 import { fit, h } from "./dom";
+import type { Coverage } from "./masks";
 import { Bitmap, drawProjection, project, type Projection } from "./picture";
 import type { Store } from "./store";
 import type { Volume } from "./volume";
@@ -24,13 +25,19 @@ export class Pane {
     private readonly name: string,
   ) {
     this.canvas = h("canvas", { class: "picture", tabindex: 0, role: "img", "data-role": role });
-    this.element = h("figure", { class: "pane" }, this.canvas, h("figcaption", {}, name));
+    this.element = h("figure", { class: "pane" }, this.canvas, h("figcaption", {}, name, this.coverage?.legend()));
   }
 
   /** The video that is seen here. */
   get volume(): Volume {
     const { video, truth, other } = this.store;
     return this.role === "truth" ? truth! : this.role === "other" ? other! : video;
+  }
+
+  /** What the frame observes of the video; null where that is all. */
+  get coverage(): Coverage | null {
+    const { coverage, otherCoverage } = this.store;
+    return this.role === "truth" ? null : this.role === "other" ? otherCoverage : coverage;
   }
 
   get bin(): number {
@@ -74,7 +81,14 @@ export class Pane {
     } else {
       this.bitmap.bin(volume, this.bin, state.map, low, high);
     }
+    if (this.coverage) this.bitmap.hatch(this.unobserved(this.coverage));
     return this.bitmap;
+  }
+
+  /** Which pixels of what is shown are not observed. */
+  private unobserved(coverage: Coverage): (pixel: number) => boolean {
+    const isOneBin = this.role === "difference" || this.store.state.layer === "video" || !this.volume.isWhole;
+    return isOneBin ? coverage.unobservedIn(this.bin) : coverage.unobservedThroughout();
   }
 
   /** Part of the video that is seen: left, top, width and height in its pixels. */

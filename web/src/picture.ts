@@ -1,6 +1,6 @@
 // Numbers into pixels.
 
-import { MISSING, pack, srgb, table, timeHue, type MapName } from "./colour";
+import { MISSING, pack, srgb, stripe, STRIPES, table, timeHue, type MapName } from "./colour";
 import { yieldToBrowser, type Volume } from "./volume";
 
 /** A picture of a video's own size, to be drawn at any other. */
@@ -52,6 +52,16 @@ export class Bitmap {
       this.pixels[i] = Number.isFinite(v)
         ? colours[Math.min(255, Math.max(0, Math.round(127.5 + (127.5 * v) / most)))]
         : MISSING;
+    }
+    this.done();
+  }
+
+  /** Hatches the pixels that are not observed, over what was drawn. */
+  hatch(isUnobserved: (pixel: number) => boolean): void {
+    const { columns, pixels } = this;
+    const colours = STRIPES.map(pack);
+    for (let i = 0; i < pixels.length; i++) {
+      if (isUnobserved(i)) pixels[i] = colours[stripe(Math.floor(i / columns), i % columns)];
     }
     this.done();
   }

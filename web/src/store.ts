@@ -3,6 +3,7 @@
 import type { MapName } from "./colour";
 import type { Meta, Rect } from "./types";
 import { Clock } from "./format";
+import { Coverage } from "./masks";
 import type { Source } from "./source";
 import type { Volume } from "./volume";
 
@@ -53,6 +54,9 @@ export class Store {
   readonly truth: Volume | null;
   readonly other: Volume | null;
   readonly otherClock: Clock | null;
+  /** What the frame observes, and the other result's; null where that is all. */
+  readonly coverage: Coverage | null;
+  readonly otherCoverage: Coverage | null;
   state: State;
   private readonly listeners: ((what: Change) => void)[] = [];
   private dirty = new Set<Change>();
@@ -60,6 +64,7 @@ export class Store {
   constructor(
     readonly source: Source,
     volumes: { video: Volume; truth: Volume | null; other: Volume | null },
+    masks: { coverage: Volume | null; otherCoverage: Volume | null },
   ) {
     const [meta, second] = source.results;
     this.meta = meta;
@@ -67,6 +72,8 @@ export class Store {
     this.video = volumes.video;
     this.truth = volumes.truth;
     this.other = volumes.other;
+    this.coverage = masks.coverage && new Coverage(masks.coverage, meta.view?.coverage_fraction ?? null);
+    this.otherCoverage = masks.otherCoverage && new Coverage(masks.otherCoverage, second.view?.coverage_fraction ?? null);
     // A video alone has no clock of its own: with as many bins it takes that of the result.
     this.otherClock = second
       ? new Clock(

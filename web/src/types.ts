@@ -45,6 +45,8 @@ export interface View {
   fit?: { verdict: string; reason: string };
   warnings?: string[];
   command?: string;
+  /** Part of the voxels that the frame observes; absent where it observes all. */
+  coverage_fraction?: number | null;
 }
 
 export interface Meta {

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { cp, mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
@@ -375,6 +375,65 @@ test("a run that is killed is seen to have ended, and leaves no half result to l
   const { status, stderr } = spawnSync(program, ["view", folder, "--no-open", "--port", "0"], { encoding: "utf8" });
   assert.equal(status, 2);
   assert.match(stderr, /no result\.json/);
+});
+
+/** A mask as `.npy` of bytes. */
+function npy(shape, data) {
+  const header = Buffer.alloc(128, " ");
+  header.write("\x93NUMPY\x01\x00", 0, "latin1");
+  header.writeUInt16LE(118, 8);
+  header.write(`{'descr': '|u1', 'fortran_order': False, 'shape': (${shape.join(", ")}), }`, 10, "latin1");
+  header.write("\n", 127);
+  return Buffer.concat([header, Buffer.from(data)]);
+}
+
+test("pixels that were left out and voxels that are not observed are marked, and said to be", async () => {
+  const folder = join(results, "masked");
+  await rm(folder, { recursive: true, force: true });
+  await cp(join(results, "leds"), folder, { recursive: true });
+  const shape = [54, 108, 108];
+  const excluded = new Uint8Array(108 * 108);
+  excluded.fill(1, 50 * 108 + 40, 50 * 108 + 60);
+  // The first half of each bin.
+  const coverage = new Uint8Array(54 * 108 * 108).map((_, i) => (i % (108 * 108) < 54 * 108 ? 0 : 1));
+  await writeFile(join(folder, "excluded.npy"), npy(shape.slice(1), excluded));
+  await writeFile(join(folder, "coverage.npy"), npy(shape, coverage));
+  const file = join(folder, "view.json");
+  const masks = { excluded: "excluded.npy", coverage: "coverage.npy", coverage_fraction: 0.5 };
+  await writeFile(file, JSON.stringify({ ...JSON.parse(await readFile(file, "utf8")), ...masks }));
+
+  const masked = await serve(["view", folder, "--port", "0", "--no-open"]);
+  const { page, faults } = await open(browser, masked.url);
+  await loaded(page);
+  await page.select("#beside", "none");
+  assert.equal(await page.$eval(".pane .mask", (e) => e.textContent.trim()), "not observed by the frame (50.0 % of the voxels)");
+  /** Part of a canvas that has one of these colours. */
+  const part = (selector, ...colours) =>
+    page.$eval(
+      selector,
+      (canvas, colours) => {
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let count = 0;
+        for (let i = 0; i < data.length; i += 4) count += colours.some((c) => c.every((v, k) => v === data[i + k])) ? 1 : 0;
+        return count / (canvas.width * canvas.height);
+      },
+      colours,
+    );
+  const hatching = () => part("canvas.picture", [84, 78, 66], [128, 119, 100]);
+  // The frames of regions and the words lie over it.
+  await until(async () => (await hatching()) > 0.4);
+  assert.ok((await hatching()) < 0.51);
+
+  await page.click("#tab-evidence");
+  await page.waitForSelector("#over-excluded-0");
+  assert.match(await page.$eval(".evidence .overlays", (e) => e.textContent), /20 pixels left out \(0\.2 %\)/);
+  const green = (name) => part(`canvas[data-picture="${name}"]`, [0, 163, 58]);
+  for (const name of ["frame", "residual"]) await until(async () => (await green(name)) > 0.0005);
+  await page.click("#over-excluded-0");
+  for (const name of ["frame", "residual"]) assert.equal(await green(name), 0);
+  assert.deepEqual(faults, []);
+  await page.close();
+  masked.stop();
 });
 
 test("light, dark and on a phone it looks as it did", async () => {

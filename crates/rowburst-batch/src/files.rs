@@ -27,6 +27,8 @@ pub struct BatchFiles<'a> {
     pub tau: Option<&'a str>,
     /// Noise in counts.
     pub noise_sigma: Option<f64>,
+    /// Uses every pixel that is not marked as bad.
+    pub keep_all_pixels: bool,
     /// Most iterations of a frame.
     pub max_iterations: Option<usize>,
     /// Seconds for each frame.
@@ -77,6 +79,8 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
         tau: resolve_tau(files.tau, &experiment)?,
         noise_sigma: files.noise_sigma,
         max_iterations: files.max_iterations,
+        keep_all_pixels: files.keep_all_pixels,
+        is_preview: budget.is_some(),
     };
     let own_period = files.frame_period_us;
     let frame_period_us = own_period.or(experiment.recording.frame_period_us);

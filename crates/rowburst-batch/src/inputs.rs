@@ -68,6 +68,7 @@ impl BatchInputs {
                 "noise sigma",
                 or_auto(options.noise_sigma.map(|s| s.to_string())),
             ),
+            ("keep all pixels", options.keep_all_pixels.to_string()),
             (
                 "most iterations",
                 or_auto(options.max_iterations.map(|n| n.to_string())),

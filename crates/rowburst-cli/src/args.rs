@@ -208,6 +208,10 @@ pub struct ReconstructArgs {
     /// Standard deviation of the noise in counts [default: from the calibration, or the frame]
     #[arg(long, allow_hyphen_values = true)]
     pub noise_sigma: Option<f64>,
+    /// Use every pixel that is not marked as bad: do not look for foreign pixels, such as hot pixels or a
+    /// printed caption
+    #[arg(long)]
+    pub keep_all_pixels: bool,
     /// Stop after this time and keep the current result
     #[arg(long, allow_hyphen_values = true)]
     pub time_budget_s: Option<f64>,
@@ -342,6 +346,10 @@ pub struct BatchArgs {
     /// Standard deviation of the noise in counts [default: from the calibration, or each frame]
     #[arg(long, allow_hyphen_values = true)]
     pub noise_sigma: Option<f64>,
+    /// Use every pixel that is not marked as bad: do not look for foreign pixels, such as hot pixels or a
+    /// printed caption
+    #[arg(long)]
+    pub keep_all_pixels: bool,
     /// Stop each frame after this many iterations
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub max_iterations: Option<u32>,

@@ -262,6 +262,7 @@ fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadat
         prior: args.prior.as_deref(),
         tau: args.tau.as_deref(),
         noise_sigma: args.noise_sigma,
+        keep_all_pixels: args.keep_all_pixels,
         max_iterations: args.max_iterations.map(|n| n as usize),
         time_budget_s: args.time_budget_s,
         frame_period_us: args.frame_period_us,

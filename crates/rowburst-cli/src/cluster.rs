@@ -91,6 +91,9 @@ fn dask_arguments(args: &BatchArgs, scheduler: &str) -> Vec<OsString> {
         args.max_iterations.map(|n| n.to_string().into()),
     );
     option("frame-period-us", number(args.frame_period_us));
+    if args.keep_all_pixels {
+        arguments.push("--keep-all-pixels".into());
+    }
     if args.retry_failed {
         arguments.push("--retry-failed".into());
     }

@@ -5,7 +5,7 @@ use crate::args::ReconstructArgs;
 use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::Bar;
-use crate::reconstruct::{command_line, movie_style};
+use crate::reconstruct::{command_line, movie_style, options};
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::{Corrections, correct};
 use rowburst::reconstruct::Options;
@@ -14,7 +14,7 @@ use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
 };
 use rowburst_run::inputs::{check_memory, naming_file, psf_path, read_corrections, read_frame};
-use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
+use rowburst_run::options::parse_time_budget;
 use rowburst_run::{
     MetadataNumbers, ReconstructionSummary, ResultMeta, Task, TraceRequest, player_of, solve,
     thousands,
@@ -48,6 +48,8 @@ struct PlaneSummary {
     prior: String,
     tau: f64,
     residual_over_sigma: f64,
+    /// Part of the plane's pixels that are foreign and were left out.
+    excluded_fraction: f64,
     fit: &'static str,
     seconds: f64,
 }
@@ -72,12 +74,7 @@ pub fn run(
     refuse_options(args)?;
     let folder = OutputFolder::create(&args.output)?;
     let shared = SharedInputs::read(args, &experiment)?;
-    let mut options = Options {
-        prior: resolve_prior(args.prior.as_deref(), &experiment)?,
-        tau: resolve_tau(args.tau.as_deref(), &experiment)?,
-        noise_sigma: args.noise_sigma,
-        max_iterations: args.max_iterations.map(|n| n as usize),
-    };
+    let mut options = options(args, &experiment)?;
     folder.remove("result.json")?;
     // Green has half of the pixels: the prior is chosen on it, for all.
     let mut sites = mosaic.sites();
@@ -289,6 +286,7 @@ impl PlaneSummary {
             prior: summary.prior.clone(),
             tau: summary.tau,
             residual_over_sigma: summary.residual_over_sigma,
+            excluded_fraction: summary.excluded_fraction,
             fit: summary.fit,
             seconds: summary.setup_seconds + summary.seconds,
         }
@@ -318,8 +316,16 @@ fn print_summary(summary: &ColourSummary, args: &ReconstructArgs) {
         summary.bayer
     ));
     for plane in &summary.planes {
+        let left_out = if plane.excluded_fraction > 0.0 {
+            format!(
+                ", {:.1} % of the pixels left out",
+                100.0 * plane.excluded_fraction
+            )
+        } else {
+            String::new()
+        };
         print_line(format_args!(
-            "{}: prior {}, residual/σ {:.3}, the fit is {}, {:.2} s",
+            "{}: prior {}, residual/σ {:.3}, the fit is {}{left_out}, {:.2} s",
             plane.name, plane.prior, plane.residual_over_sigma, plane.fit, plane.seconds
         ));
     }

@@ -58,6 +58,7 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         prior: None,
         tau: None,
         noise_sigma: None,
+        keep_all_pixels: false,
         time_budget_s: None,
         max_iterations: None,
         debias: args.debias,

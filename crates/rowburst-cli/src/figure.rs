@@ -73,6 +73,8 @@ pub fn run(args: &FigureArgs) -> Result<()> {
         .then(|| image("view-direct.npy"))
         .transpose()?;
     let video = read_video(&folder.join("video.npy"))?;
+    let excluded = read_mask(folder, "excluded.npy")?;
+    let coverage = read_mask(folder, "coverage.npy")?;
     let truth = view.truth.as_deref();
     let truth = truth.map(|name| read_truth(folder, name)).transpose()?;
     let time = view
@@ -92,6 +94,8 @@ pub fn run(args: &FigureArgs) -> Result<()> {
                 origin: DirectOrigin::Given,
             }),
             residual: &residual,
+            excluded: excluded.as_deref(),
+            coverage: coverage.as_deref(),
             traces: &traces,
             instants: &view.shutter.instants,
             time: &time,
@@ -165,6 +169,18 @@ fn read_view(path: &Path) -> Result<ViewRecord> {
     };
     let text = std::fs::read(path).map_err(|e| bad(e.to_string()))?;
     serde_json::from_slice(&text).map_err(|e| bad(e.to_string()))
+}
+
+/// A mask of the folder; `None` for a result of 0.1, which has none.
+fn read_mask(folder: &Path, name: &str) -> Result<Option<Vec<u8>>> {
+    let path = folder.join(name);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let mask = read_video(&path)?;
+    Ok(Some(
+        mask.data().iter().map(|&v| u8::from(v > 0.0)).collect(),
+    ))
 }
 
 /// The true video, which lies in the folder.

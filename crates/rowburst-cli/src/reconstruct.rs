@@ -182,15 +182,22 @@ struct Inputs {
     from_metadata: FromMetadata,
 }
 
+/// The options of the command line, and of the experiment file where it leaves them open.
+pub fn options(args: &ReconstructArgs, experiment: &Experiment) -> Result<Options> {
+    Ok(Options {
+        prior: resolve_prior(args.prior.as_deref(), experiment)?,
+        tau: resolve_tau(args.tau.as_deref(), experiment)?,
+        noise_sigma: args.noise_sigma,
+        max_iterations: args.max_iterations.map(|n| n as usize),
+        keep_all_pixels: args.keep_all_pixels,
+        is_preview: false,
+    })
+}
+
 /// Parses the options, then reads and corrects the frame. With `--bins` camera and frame are those of these bins.
 fn load(args: &ReconstructArgs, experiment: Experiment) -> Result<Inputs> {
     let camera = experiment.camera()?;
-    let options = Options {
-        prior: resolve_prior(args.prior.as_deref(), &experiment)?,
-        tau: resolve_tau(args.tau.as_deref(), &experiment)?,
-        noise_sigma: args.noise_sigma,
-        max_iterations: args.max_iterations.map(|n| n as usize),
-    };
+    let options = options(args, &experiment)?;
     let budget = parse_time_budget(args.time_budget_s)?;
     let calibration = resolve_calibration(&args.calibration, &experiment);
     let psf_path = psf_path(&calibration, &experiment)?;
@@ -377,7 +384,11 @@ pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     option("--max-iterations", max_iterations);
     option("--bins", args.bins.clone());
     option("--part-bins", args.part_bins.map(|v| v.to_string()));
-    let flags = [("--debias", args.debias), ("--no-stamp", args.no_stamp)];
+    let flags = [
+        ("--keep-all-pixels", args.keep_all_pixels),
+        ("--debias", args.debias),
+        ("--no-stamp", args.no_stamp),
+    ];
     let flags = flags.iter().filter(|(_, is_set)| *is_set);
     words.extend(flags.map(|(flag, _)| flag.to_string()));
     words.extend(["-o".to_string(), path(&args.output)]);
@@ -402,8 +413,13 @@ fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces
             "PSNR {psnr:.2} dB, SSIM {ssim:.4} against the truth"
         ));
     }
+    let effective_sigma = if summary.effective_sigma == summary.noise_sigma {
+        String::new()
+    } else {
+        format!(", effective σ {}", short(summary.effective_sigma))
+    };
     print_line(format_args!(
-        "residual/σ {:.3}, τ {} ({}), σ {} ({}), prior {}",
+        "residual/σ {:.3}, τ {} ({}), σ {} ({}){effective_sigma}, prior {}",
         summary.residual_over_sigma,
         short(summary.tau),
         summary.tau_rule,

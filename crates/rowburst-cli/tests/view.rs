@@ -16,6 +16,13 @@ fn small() -> Lab {
 fn a_result_keeps_what_the_viewer_shows() {
     let lab = small();
     let view: Value = serde_json::from_slice(&lab.read("out/view.json")).unwrap();
+    // A mask is named where it marks anything.
+    for (key, marked) in [("excluded", 1), ("coverage", 0)] {
+        let bytes = lab.read(&format!("out/{key}.npy"));
+        let header = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+        let is_marked = bytes[10 + header..].contains(&marked);
+        assert_eq!(view.get(key).is_some(), is_marked, "{key}");
+    }
     assert_eq!(view["bin_duration_us"], 9.6);
     assert_eq!(view["truth"], Value::Null);
     // The middle rows are read first.

@@ -48,7 +48,9 @@ pub use folder::OutputFolder;
 pub use metadata::{Metadata, read_metadata};
 #[cfg(feature = "mp4")]
 pub use mp4::{StampRenderer, write_mp4};
-pub use npy::{write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_video};
+pub use npy::{
+    write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_u8, write_npy_video,
+};
 pub use npy_chunked::ChunkedVideoFile;
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};

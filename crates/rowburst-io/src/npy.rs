@@ -366,6 +366,17 @@ pub fn write_npy_i64(w: &mut impl Write, shape: &[usize], data: &[i64]) -> Resul
     write(w, "<i8", shape, data, |v| v.to_le_bytes())
 }
 
+/// Writes bytes in C order as a uint8 array of the given shape, such as a mask.
+///
+/// # Errors
+/// A failed write.
+///
+/// # Panics
+/// If `data` does not have one number for each element of `shape`.
+pub fn write_npy_u8(w: &mut impl Write, shape: &[usize], data: &[u8]) -> Result<()> {
+    write(w, "|u1", shape, data, |v| [v])
+}
+
 /// What stands before the numbers of an array in C order.
 pub(crate) fn header_of(dtype: &str, shape: &[usize]) -> Vec<u8> {
     let lengths: String = shape.iter().map(|d| format!("{d}, ")).collect();

@@ -49,7 +49,7 @@ impl PyBatch {
     #[new]
     #[pyo3(signature = (experiment, frames, out, *, psf=None, dark=None, flat=None,
         bad_pixels=None, prior=None, tau=None, noise_sigma=None, max_iterations=None,
-        frame_period_us=None))]
+        frame_period_us=None, keep_all_pixels=false))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -65,6 +65,7 @@ impl PyBatch {
         noise_sigma: Option<f64>,
         max_iterations: Option<usize>,
         frame_period_us: Option<f64>,
+        keep_all_pixels: bool,
     ) -> PyResult<Self> {
         let files = BatchFiles {
             experiment: &experiment,
@@ -78,6 +79,7 @@ impl PyBatch {
             prior: prior.as_deref(),
             tau: tau.as_deref(),
             noise_sigma,
+            keep_all_pixels,
             max_iterations,
             time_budget_s: None,
             frame_period_us,

@@ -207,6 +207,40 @@ impl PyReconstruction {
     }
 
     #[getter]
+    fn effective_sigma(&self, py: Python<'_>) -> f64 {
+        self.state(py).completed.reconstruction.effective_sigma
+    }
+
+    #[getter]
+    fn excluded<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u8>>> {
+        let state = self.state(py);
+        let frame = state.completed.task.measurement.image();
+        let excluded = &state.completed.reconstruction.excluded;
+        PyArray1::from_slice(py, excluded).reshape([frame.rows(), frame.columns()])
+    }
+
+    #[getter]
+    fn excluded_fraction(&self, py: Python<'_>) -> f64 {
+        self.state(py).completed.reconstruction.excluded_fraction()
+    }
+
+    #[getter]
+    fn coverage<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let shape = self.shape;
+        let state = self.state(py);
+        PyArray1::from_slice(py, &state.completed.reconstruction.coverage).reshape([
+            shape.bins,
+            shape.rows,
+            shape.columns,
+        ])
+    }
+
+    #[getter]
+    fn coverage_fraction(&self, py: Python<'_>) -> f64 {
+        self.state(py).completed.reconstruction.coverage_fraction()
+    }
+
+    #[getter]
     fn residual_over_sigma(&self, py: Python<'_>) -> f64 {
         self.state(py).completed.reconstruction.residual_over_sigma
     }

@@ -69,6 +69,8 @@ impl PySequence {
             tau: tau_from(tau)?,
             noise_sigma,
             max_iterations: None,
+            keep_all_pixels: true,
+            is_preview: true,
         };
         let grey = camera.grey()?;
         let psfs = psfs_of(psf, grey, None)?;

@@ -88,6 +88,9 @@ pub fn of_completed<'py>(
     )?;
     state.set_item("weights", found.weights.as_ref().map(floats))?;
     state.set_item("sigma", found.sigma)?;
+    state.set_item("effective_sigma", found.effective_sigma)?;
+    state.set_item("foreign", PyArray1::from_slice(py, &found.excluded))?;
+    state.set_item("coverage", PyArray1::from_slice(py, &found.coverage))?;
     state.set_item("sigma_source", found.sigma_source.name())?;
     state.set_item("iterations", found.iterations)?;
     state.set_item("stop_reason", found.stop_reason.name())?;
@@ -144,6 +147,7 @@ fn of_task<'py>(py: Python<'py>, task: &Task) -> PyResult<Bound<'py, PyDict>> {
     }
     state.set_item("requested_sigma", options.noise_sigma)?;
     state.set_item("max_iterations", options.max_iterations)?;
+    state.set_item("keep_all_pixels", options.keep_all_pixels)?;
     state.set_item("budget_s", task.budget.map(|b| b.as_secs_f64()))?;
     let truth = task.truth.clone().map(|truth| from_video(py, truth));
     state.set_item("truth", truth.transpose()?)?;
@@ -234,6 +238,8 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
             tau: tau_from(Some(&entry(state, "requested_tau")?))?,
             noise_sigma: entry(state, "requested_sigma")?.extract()?,
             max_iterations: entry(state, "max_iterations")?.extract()?,
+            keep_all_pixels: entry(state, "keep_all_pixels")?.extract()?,
+            is_preview: false,
         },
         budget: budget.map(Duration::from_secs_f64),
         truth: truth.map(|truth| video(&truth, "truth")).transpose()?,
@@ -282,6 +288,9 @@ fn to_reconstruction(state: &Bound<'_, PyDict>) -> PyResult<Reconstruction> {
         certificate: Certificate { primal, dual },
         weights: to_weights(state, "weights")?,
         sigma: number("sigma")?,
+        effective_sigma: number("effective_sigma")?,
+        excluded: to_mask(state, "foreign")?,
+        coverage: to_mask(state, "coverage")?,
         sigma_source: named(&sources, SigmaSource::name, &text("sigma_source")?)?,
         iterations: entry(state, "iterations")?.extract()?,
         stop_reason: named(&reasons, StopReason::name, &text("stop_reason")?)?,
@@ -358,6 +367,15 @@ fn to_weights(state: &Bound<'_, PyDict>, name: &str) -> PyResult<Option<Vec<f32>
             .to_vec())
     };
     weights.map(values).transpose()
+}
+
+fn to_mask(state: &Bound<'_, PyDict>, name: &str) -> PyResult<Vec<u8>> {
+    let value = entry(state, name)?;
+    Ok(value
+        .cast::<PyArray1<u8>>()?
+        .readonly()
+        .as_slice()?
+        .to_vec())
 }
 
 fn to_prior(name: &str) -> PyResult<Prior> {

@@ -25,8 +25,8 @@ use std::time::Instant;
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
     time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
-    direct=None, progress=None, seed=Whole::of(0), experiment=None),
-    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None)")]
+    direct=None, progress=None, seed=Whole::of(0), experiment=None, keep_all_pixels=false),
+    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, keep_all_pixels=False)")]
 #[allow(clippy::too_many_arguments)]
 pub fn reconstruct(
     py: Python<'_>,
@@ -46,6 +46,7 @@ pub fn reconstruct(
     progress: Option<Py<PyAny>>,
     seed: Whole,
     experiment: Option<&PyExperiment>,
+    keep_all_pixels: bool,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
     let camera = camera.grey()?.clone();
@@ -62,6 +63,8 @@ pub fn reconstruct(
             }
             most => most,
         },
+        keep_all_pixels,
+        is_preview: false,
     };
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
     let corrections = corrections_of(dark, flat, bad_pixels)?;

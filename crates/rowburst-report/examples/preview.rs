@@ -94,6 +94,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             origin: DirectOrigin::Truth,
         }),
         residual: &residual,
+        excluded: None,
+        coverage: None,
         traces: &traces,
         instants: &instants,
         time: &time,

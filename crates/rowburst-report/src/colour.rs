@@ -8,6 +8,12 @@ pub(crate) type Srgb = [u8; 3];
 /// Grey that stands for a value that is not finite.
 pub(crate) const NOT_FINITE: Srgb = [120, 130, 120];
 
+/// Yellow that stands for a pixel that was left out; neither [`Map::Grey`] nor [`Map::Signed`] has it.
+pub(crate) const LEFT_OUT: Srgb = [240, 196, 0];
+
+/// Slate that stands for a voxel that the frame does not observe; [`Map::Light`] does not have it.
+pub(crate) const UNOBSERVED: Srgb = [58, 74, 92];
+
 /// Maps of one value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Map {

@@ -51,6 +51,10 @@ pub struct ReportInput<'a> {
     pub traces: &'a [AnnotatedTrace],
     /// `(b − A v)/σ`, dimensionless, of the frame's size. Values that are not finite are shown grey.
     pub residual: &'a Image,
+    /// 1 at the pixels `[y, x]` of the frame that were left out, else 0; `None`: no pixel was.
+    pub excluded: Option<&'a [u8]>,
+    /// 1 at the voxels `[t, y, x]` that the frame observes, else 0; `None`: it observes all.
+    pub coverage: Option<&'a [u8]>,
     /// Instant `k[r]` at which row `r` of the frame is read.
     pub instants: &'a [usize],
     /// The time axis of the video: bin duration, and which bins each instant integrates.
@@ -229,6 +233,21 @@ fn check(input: &ReportInput) -> Result<()> {
             "residual map",
             format!("{}×{} pixels", residual.0, residual.1),
             format!("it has the size of the frame, {}×{}", frame.0, frame.1),
+        );
+    }
+    let pixels = frame.0 * frame.1;
+    if let Some(other) = input.excluded.filter(|mask| mask.len() != pixels) {
+        return mismatch(
+            "mask of excluded pixels",
+            format!("{} values", other.len()),
+            format!("there is one for each of the {pixels} pixels of the frame"),
+        );
+    }
+    if let Some(other) = input.coverage.filter(|mask| mask.len() != shape.voxels()) {
+        return mismatch(
+            "coverage",
+            format!("{} values", other.len()),
+            format!("there is one for each voxel of the video of {shape}"),
         );
     }
     if input.instants.len() != frame.0 {

@@ -101,6 +101,29 @@ impl Pixels {
         }
     }
 
+    /// The raster with `colour` in the pixels that hold a 1 of `mask`. The mask has the size `(rows, columns)` of the plane
+    /// before its reduction to at most `limit` pixels a side.
+    pub(crate) fn marked(
+        self,
+        mask: &[u8],
+        (rows, columns): (usize, usize),
+        limit: usize,
+        colour: Srgb,
+    ) -> Self {
+        if !mask.contains(&1) {
+            return self;
+        }
+        let mask: Vec<f32> = mask.iter().map(|&value| f32::from(value)).collect();
+        let mask = Plane::reduced(rows, columns, &mask, limit);
+        Self::from_rgb(self.rows, self.columns, |i| {
+            if mask.values[i] > 0.0 {
+                colour
+            } else {
+                self.at(i / self.columns, i % self.columns)
+            }
+        })
+    }
+
     /// The colour of pixel `(y, x)`.
     pub(crate) fn at(&self, y: usize, x: usize) -> Srgb {
         let at = y * self.columns + x;
@@ -154,6 +177,26 @@ mod tests {
             Plane::reduced(3, 3, &values, 3).values,
             Cow::Borrowed(_)
         ));
+    }
+
+    #[test]
+    fn marks_cover_every_pixel_with_a_one_of_the_mask() {
+        let values = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
+        let colour = [9, 8, 7];
+        for (limit, mask, expected) in [
+            (3, [0, 0, 0, 0, 1, 0, 0, 0, 0], vec![4]),
+            (2, [0, 0, 0, 0, 1, 0, 0, 0, 1], vec![0, 3]),
+            (2, [0_u8; 9], vec![]),
+        ] {
+            let pixels = Plane::reduced(3, 3, &values, limit).coloured(Map::Grey, 0.0, 8.0);
+            let marked = pixels.clone().marked(&mask, (3, 3), limit, colour);
+            for i in 0..pixels.rows * pixels.columns {
+                let (y, x) = (i / pixels.columns, i % pixels.columns);
+                let is_marked = expected.contains(&i);
+                let expected = if is_marked { colour } else { pixels.at(y, x) };
+                assert_eq!(marked.at(y, x), expected, "{limit} {i}");
+            }
+        }
     }
 
     #[test]

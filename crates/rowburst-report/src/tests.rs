@@ -66,6 +66,8 @@ impl Case {
                 origin: DirectOrigin::Truth,
             }),
             residual: &self.residual,
+            excluded: None,
+            coverage: None,
             traces: &self.traces,
             instants: &self.instants,
             time: &self.time,
@@ -155,6 +157,96 @@ fn size(png: &[u8]) -> (u32, u32) {
     let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
     reader.next_frame(&mut pixels).expect("its pixels");
     reader.info().size()
+}
+
+/// How many pixels of the picture `name` have this colour.
+fn count(report: &Report, name: &str, colour: [u8; 3]) -> usize {
+    let png = &picture(report, name).png;
+    let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+        .read_info()
+        .expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
+    reader.next_frame(&mut pixels).expect("its pixels");
+    let is_it = |pixel: &&[u8]| **pixel == colour;
+    pixels.chunks_exact(3).filter(is_it).count()
+}
+
+fn picture<'a>(report: &'a Report, name: &str) -> &'a Picture {
+    let found = report.pictures.iter().find(|p| p.name == name);
+    found.expect("the picture")
+}
+
+#[test]
+fn pixels_that_were_left_out_are_yellow() {
+    use crate::colour::LEFT_OUT;
+    let mut case = Case::new(Shape::new(20, 24, 30), 24, 30);
+    let mut mask = vec![0_u8; 24 * 30];
+    let left_out = [3, 100, 101, 400];
+    left_out.iter().for_each(|&i| mask[i] = 1);
+    let masked = |case: &Case| {
+        let input = ReportInput {
+            excluded: Some(&mask),
+            ..case.input()
+        };
+        let report = render(&input).expect("a report");
+        check_page(&report);
+        report
+    };
+    let report = masked(&case);
+    // A pixel of the frame is drawn by 33 × 33 pixels, one of the residual by 22 × 22, less the frame about it.
+    assert_eq!(count(&report, "frame.png", LEFT_OUT), 4 * 33 * 33);
+    let of_residual = count(&report, "residual.png", LEFT_OUT);
+    assert!((4 * 20 * 20..=4 * 22 * 22).contains(&of_residual));
+    for name in ["frame.png", "residual.png"] {
+        let caption = &picture(&report, name).caption;
+        assert!(caption.contains("Yellow: 4 pixels (0.56 %)"), "{caption}");
+    }
+    // What they hold sets no range and is in no histogram.
+    for i in left_out {
+        case.frame.data_mut()[i] = 1e6;
+        case.residual.data_mut()[i] = 1e6;
+    }
+    let bright = masked(&case);
+    for name in ["frame.png", "residual.png"] {
+        assert_eq!(picture(&bright, name), picture(&report, name));
+    }
+    let plain = render(&case.input()).expect("a report");
+    assert_eq!(count(&plain, "frame.png", LEFT_OUT), 0);
+    assert!(!plain.html.contains("Yellow: "));
+}
+
+#[test]
+fn voxels_that_the_frame_does_not_observe_are_slate() {
+    use crate::colour::UNOBSERVED;
+    for bins in [20, 1] {
+        let mut case = Case::new(Shape::new(bins, 24, 30), 24, 30);
+        let mut coverage = vec![1_u8; bins * 24 * 30];
+        // The last row of every bin.
+        coverage
+            .chunks_exact_mut(24 * 30)
+            .for_each(|bin| bin[23 * 30..].fill(0));
+        for has_truth in [true, false] {
+            if !has_truth {
+                case.truth = None;
+            }
+            let input = ReportInput {
+                coverage: Some(&coverage),
+                ..case.input()
+            };
+            let report = render(&input).expect("a report");
+            check_page(&report);
+            let name = match bins {
+                1 => "reconstruction.png",
+                _ => "frames.png",
+            };
+            let plain = render(&case.input()).expect("a report");
+            let marked = |report| count(report, name, UNOBSERVED);
+            assert!(marked(&report) > 30 && marked(&plain) == 0, "{bins}");
+            let sentence = "The frame does not observe 4.2 % of the voxels; they are zero (slate";
+            assert!(picture(&report, name).caption.contains(sentence));
+            assert!(!plain.html.contains("does not observe"));
+        }
+    }
 }
 
 #[test]
@@ -293,6 +385,14 @@ fn sizes_that_contradict_each_other_are_errors() {
         },
         ReportInput {
             residual: &other.frame,
+            ..case.input()
+        },
+        ReportInput {
+            excluded: Some(&[0]),
+            ..case.input()
+        },
+        ReportInput {
+            coverage: Some(&[1]),
             ..case.input()
         },
         ReportInput {

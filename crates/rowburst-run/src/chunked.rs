@@ -2,6 +2,9 @@
 //!
 //! Until all chunks are complete the output folder holds `video.npy.part` and `parts.json`. A run that was
 //! stopped or killed is resumed from these files.
+//!
+//! A chunk keeps all pixels that are not marked as bad: it has too few to tell foreign ones. Neither its foreign pixels
+//! nor its coverage are written.
 
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 

@@ -5,7 +5,7 @@ use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage};
 use crate::summary::{
     FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
-    peak_memory_bytes,
+    peak_memory_bytes, percent,
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
@@ -15,7 +15,7 @@ use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Image, Result};
-use rowburst_io::{OutputFolder, TiffScale, write_npy_video, write_tiff_video};
+use rowburst_io::{OutputFolder, TiffScale, write_npy_u8, write_npy_video, write_tiff_video};
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
 
@@ -34,6 +34,14 @@ const FILES: &[(&str, &str)] = &[
         "traces.csv",
         "brightness over time of the brightest spots and regions, with standard errors",
     ),
+    (
+        "excluded.npy",
+        "1 at the foreign pixels that were left out, u8 [y, x]",
+    ),
+    (
+        "coverage.npy",
+        "0 at the voxels that the frame does not observe, u8 [t, y, x]",
+    ),
     ("report.html", "this page"),
     (
         "view.json, view-*.npy",
@@ -41,6 +49,10 @@ const FILES: &[(&str, &str)] = &[
     ),
     ("result.json", "the numbers, for programs"),
 ];
+
+/// Part of the pixels left out, and of the voxels not observed, from which there is a warning; smaller warns of a few hot
+/// pixels.
+const MIN_WARNED_FRACTION: f64 = 0.005;
 
 /// The further file of a prior with a background.
 const BACKGROUND_FILE: (&str, &str) = (
@@ -109,7 +121,12 @@ impl CompletedTask {
         let Some(debiased) = traces.debiased.take() else {
             return;
         };
-        let before = std::mem::replace(&mut self.reconstruction.video, debiased.video);
+        let mut video = debiased.video;
+        let coverage = &self.reconstruction.coverage;
+        for (voxel, observed) in video.data_mut().iter_mut().zip(coverage) {
+            *voxel *= f32::from(*observed);
+        }
+        let before = std::mem::replace(&mut self.reconstruction.video, video);
         let truth = self.task.truth.as_ref();
         self.debias = Some(DebiasNumbers {
             light_ratio: debiased.light_ratio,
@@ -144,6 +161,7 @@ impl CompletedTask {
             },
             noise_sigma: reconstruction.sigma,
             noise_sigma_source: reconstruction.sigma_source.name(),
+            effective_sigma: reconstruction.effective_sigma,
             residual_over_sigma: reconstruction.residual_over_sigma,
             objective: reconstruction.certificate.primal,
             objective_excess: Some(reconstruction.certificate.excess()).filter(|e| e.is_finite()),
@@ -161,6 +179,8 @@ impl CompletedTask {
             metadata: MetadataNumbers::from(&self.task.from_metadata),
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
+            excluded_fraction: reconstruction.excluded_fraction(),
+            coverage_fraction: reconstruction.coverage_fraction(),
             threads: rayon::current_num_threads(),
             simd: instruction_set(),
             seed: self.task.seed,
@@ -223,12 +243,36 @@ impl CompletedTask {
         if missing > 0 {
             warnings.push(format!("{missing} saturated pixels were excluded"));
         }
+        warnings.extend(self.coverage_warnings());
         warnings.extend(traces.warnings());
         if let (true, Some(why)) = (
             traces.debias_was_wanted,
             &traces.standard_errors.missing_because,
         ) {
             warnings.push(format!("--debias had no effect: {why}"));
+        }
+        warnings
+    }
+
+    /// Warnings of pixels that were left out and of voxels that the frame does not observe.
+    fn coverage_warnings(&self) -> Vec<String> {
+        let reconstruction = &self.reconstruction;
+        let mut warnings = Vec::new();
+        let excluded_fraction = reconstruction.excluded_fraction();
+        if excluded_fraction >= MIN_WARNED_FRACTION {
+            let excluded = reconstruction.excluded.iter().filter(|&&e| e == 1);
+            warnings.push(format!(
+                "{} foreign pixels ({} of the frame) belong to no video and were left out; see the report",
+                excluded.count(),
+                percent(excluded_fraction)
+            ));
+        }
+        let unobserved_fraction = 1.0 - reconstruction.coverage_fraction();
+        if unobserved_fraction >= MIN_WARNED_FRACTION {
+            warnings.push(format!(
+                "{} of the voxels are not observed by the frame and are zero",
+                percent(unobserved_fraction)
+            ));
         }
         warnings
     }
@@ -254,6 +298,19 @@ impl CompletedTask {
         if let Some(background) = &self.reconstruction.background {
             folder.write("background.npy", |w| write_npy_video(w, background))?;
         }
+        let frame = self.task.measurement.image();
+        folder.write("excluded.npy", |w| {
+            write_npy_u8(
+                w,
+                &[frame.rows(), frame.columns()],
+                &self.reconstruction.excluded,
+            )
+        })?;
+        let shape = video.shape();
+        folder.write("coverage.npy", |w| {
+            let shape = [shape.bins, shape.rows, shape.columns];
+            write_npy_u8(w, &shape, &self.reconstruction.coverage)
+        })?;
         let scale = TiffScale {
             frame_interval_s: camera.time().bin_duration_us() * 1e-6,
             pixel_pitch_um: camera.sensor().pixel_pitch_um,
@@ -363,6 +420,8 @@ impl CompletedTask {
             frame: task.measurement.image(),
             psf: task.psfs.central().image(),
             residual: &self.reconstruction.normalised_residual,
+            excluded: &self.reconstruction.excluded,
+            coverage: &self.reconstruction.coverage,
             direct: direct.as_ref().map(|(image, _)| image.as_ref()),
             traces: &traces.annotated(),
             convergence: &self.convergence,
@@ -410,6 +469,8 @@ impl CompletedTask {
                 origin: *origin,
             }),
             residual: &self.reconstruction.normalised_residual,
+            excluded: Some(&self.reconstruction.excluded),
+            coverage: Some(&self.reconstruction.coverage),
             traces: &annotated,
             instants: task.camera.instants(),
             time: task.camera.time(),

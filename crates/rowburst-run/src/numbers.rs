@@ -1,6 +1,6 @@
 //! The numbers of a run in the report: the headline, and the table of all settings.
 
-use crate::summary::{ReconstructionSummary, short};
+use crate::summary::{ReconstructionSummary, percent, short};
 use crate::task::Task;
 use crate::traces::StandardErrorNumbers;
 
@@ -65,7 +65,7 @@ fn camera_settings(task: &Task) -> Vec<(String, String)> {
 /// The settings of the reconstruction, and its numbers.
 fn reconstruction_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<(String, String)> {
     let psf = task.psfs.central().image();
-    vec![
+    let mut lines = vec![
         pair("objective", "½‖W(b − Av)‖² + τ R(v), v ≥ 0".into()),
         pair("prior R", summary.prior.clone()),
         pair(
@@ -84,6 +84,46 @@ fn reconstruction_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<
                 summary.noise_sigma_source
             ),
         ),
+        pair(
+            "effective σ",
+            format!(
+                "{} counts (noise and error of the model)",
+                short(summary.effective_sigma)
+            ),
+        ),
+    ];
+    lines.extend(fit_settings(summary));
+    lines.extend([
+        pair(
+            "objective at the end",
+            format!("{}; {}", short(summary.objective), summary.certificate),
+        ),
+        pair(
+            "active voxels (support)",
+            format!("{:.2} %", 100.0 * summary.support_fraction),
+        ),
+        pair(
+            "standard errors of traces",
+            trace_errors_text(&summary.trace_errors),
+        ),
+        pair("debiased", debias_text(summary)),
+        pair("iterations", summary.iterations.to_string()),
+        pair("stopped", summary.stop_reason.into()),
+        pair(
+            "PSF",
+            match task.psfs.psfs().len() {
+                1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
+                n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
+            },
+        ),
+    ]);
+    lines.extend(coverage_settings(task, summary));
+    lines
+}
+
+/// The statistics of the fit.
+fn fit_settings(summary: &ReconstructionSummary) -> Vec<(String, String)> {
+    vec![
         pair("residual/σ", format!("{:.4}", summary.residual_over_sigma)),
         pair("fit", format!("{}: {}", summary.fit, summary.fit_reason)),
         pair(
@@ -112,31 +152,28 @@ fn reconstruction_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<
             "degrees of freedom per measurement",
             format!("{:.2}", summary.fit_statistics.freedom),
         ),
-        pair(
-            "objective at the end",
-            format!("{}; {}", short(summary.objective), summary.certificate),
-        ),
-        pair(
-            "active voxels (support)",
-            format!("{:.2} %", 100.0 * summary.support_fraction),
-        ),
-        pair(
-            "standard errors of traces",
-            trace_errors_text(&summary.trace_errors),
-        ),
-        pair("debiased", debias_text(summary)),
-        pair("iterations", summary.iterations.to_string()),
-        pair("stopped", summary.stop_reason.into()),
-        pair(
-            "PSF",
-            match task.psfs.psfs().len() {
-                1 => format!("{} × {} pixels", psf.rows(), psf.columns()),
-                n => format!("{n} patches of {} × {} pixels", psf.rows(), psf.columns()),
-            },
-        ),
+    ]
+}
+
+/// The pixels that were left out, and the voxels that the frame observes.
+fn coverage_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<(String, String)> {
+    let pixels = task.measurement.image().data().len() as f64;
+    let fraction = summary.excluded_fraction;
+    let is_searched = !task.options.keep_all_pixels && task.budget.is_none();
+    let foreign = if is_searched {
+        format!("{:.0} ({})", fraction * pixels, percent(fraction))
+    } else {
+        "not looked for".into()
+    };
+    vec![
         pair(
             "bad and saturated pixels",
             format!("{} and {}", summary.bad_pixels, summary.saturated_pixels),
+        ),
+        pair("foreign pixels left out", foreign),
+        pair(
+            "voxels that the frame observes",
+            percent(summary.coverage_fraction),
         ),
     ]
 }
@@ -211,6 +248,12 @@ pub(crate) fn headline(summary: &ReconstructionSummary) -> Vec<(String, String)>
             "Residual/σ".to_string(),
             format!("{:.2}", summary.residual_over_sigma),
         ),
+    ]);
+    if summary.excluded_fraction > 0.0 {
+        let left_out = format!("{} of pixels", percent(summary.excluded_fraction));
+        lines.push(("Left out".to_string(), left_out));
+    }
+    lines.extend([
         (
             "Frame rate".to_string(),
             format!("{} fps", thousands(summary.frame_rate_hz)),

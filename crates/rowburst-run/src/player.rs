@@ -21,6 +21,7 @@ pub struct PlayerPage {
 /// Makes the viewer's page of a result, with the name of the folder `result`. `None` in a build without the page.
 #[cfg(feature = "page")]
 pub fn player_of(result: &Path) -> Option<MakePlayer> {
+    use rowburst::Image;
     use rowburst_view::{Offline, bundle};
 
     let bundle = bundle()?;
@@ -29,17 +30,24 @@ pub fn player_of(result: &Path) -> Option<MakePlayer> {
     Some(Box::new(move |files, view| {
         let mut videos = vec![("video", files.video)];
         videos.extend(files.truth.map(|(truth, _)| ("truth", truth)));
+        let excluded = files.has_excluded().then(|| {
+            let mask = files.excluded.iter().copied().map(f32::from).collect();
+            Image::new(files.frame.rows(), files.frame.columns(), mask)
+                .expect("the mask has the size of the frame")
+        });
         let mut pictures = vec![
             ("frame", files.frame),
             ("psf", files.psf),
             ("residual", files.residual),
         ];
         pictures.extend(files.direct.map(|image| ("direct", image)));
+        pictures.extend(excluded.as_ref().map(|image| ("excluded", image)));
         let offline = Offline {
             name: &name,
             view,
             videos: &videos,
             pictures: &pictures,
+            coverage: files.has_unobserved().then_some(files.coverage),
         };
         Some(PlayerPage {
             script: bundle.script.clone(),

@@ -20,6 +20,8 @@ pub struct ReconstructionSummary {
     pub tau_rule: &'static str,
     pub noise_sigma: f64,
     pub noise_sigma_source: &'static str,
+    /// Noise and error of the model together; `noise_sigma` where the model explains the frame.
+    pub effective_sigma: f64,
     pub residual_over_sigma: f64,
     pub objective: f64,
     /// Upper bound of the objective's excess over its minimum, relative to its lower bound; null without a bound.
@@ -42,6 +44,10 @@ pub struct ReconstructionSummary {
     pub metadata: MetadataNumbers,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
+    /// Part of the pixels that are foreign and were left out.
+    pub excluded_fraction: f64,
+    /// Part of the voxels that the frame observes.
+    pub coverage_fraction: f64,
     pub threads: usize,
     /// Instruction set of the vector loops. Results of different sets agree to rounding, not to the bit.
     pub simd: &'static str,
@@ -204,6 +210,16 @@ pub fn peak_memory_bytes() -> Option<u64> {
     Some(kib * 1024)
 }
 
+/// A fraction in percent, with one decimal.
+pub(crate) fn percent(fraction: f64) -> String {
+    let percent = 100.0 * fraction;
+    if percent > 0.0 && percent < 0.1 {
+        "under 0.1 %".into()
+    } else {
+        format!("{percent:.1} %")
+    }
+}
+
 /// A number with about four significant digits.
 pub fn short(value: f64) -> String {
     if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
@@ -211,5 +227,18 @@ pub fn short(value: f64) -> String {
         format!("{value:.digits$}")
     } else {
         format!("{value:.3e}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_fractions_are_not_zero_percent() {
+        assert_eq!(percent(0.0), "0.0 %");
+        assert_eq!(percent(1e-6), "under 0.1 %");
+        assert_eq!(percent(0.0623), "6.2 %");
+        assert_eq!(percent(1.0), "100.0 %");
     }
 }

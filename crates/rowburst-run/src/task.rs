@@ -61,6 +61,7 @@ pub fn solve(
     let options = Options {
         // A choice of the prior takes a run for each candidate, so a time budget excludes it.
         prior: task.options.prior.or(task.budget.map(|_| Prior::STANDARD)),
+        is_preview: task.budget.is_some(),
         ..task.options
     };
     let setup_start = Instant::now();

@@ -94,6 +94,8 @@ pub struct Traces {
     pub debiased: Option<rowburst::traces::DebiasedVideo>,
     /// Whether the refitted video was requested.
     pub debias_was_wanted: bool,
+    /// The number of bins of each trace that the frame does not observe. They have no standard error.
+    unobserved_bins: Vec<usize>,
 }
 
 /// The estimate of the standard errors, in `result.json`.
@@ -219,13 +221,17 @@ pub fn find(
         (Ok(_), _) => None,
     };
     let refit = refit.ok().filter(|_| missing_because.is_none());
-    let traces = match &refit {
+    let mut traces: Vec<Trace> = match &refit {
         Some(refit) => refit.traces(&regions),
         None => {
             let without = |r: &Region| Trace::without_errors(*r, video);
             regions.iter().map(without).collect()
         }
     };
+    let unobserved_bins = traces
+        .iter_mut()
+        .map(|trace| clear_unobserved_bins(trace, &reconstruction.coverage, video.shape()))
+        .collect();
     let rate = time.frame_rate_hz();
     let frequency = |t: &Trace| frequency_of(&t.debiased, &t.standard_error, rate);
     let photodiodes = request.photodiodes.into_iter();
@@ -239,6 +245,7 @@ pub fn find(
         photodiodes,
         debiased: refit.as_ref().filter(|_| debias).map(Refit::video),
         debias_was_wanted: debias,
+        unobserved_bins,
         standard_errors: StandardErrorNumbers {
             missing_because,
             prior_amplitude: refit.as_ref().map(Refit::amplitude),
@@ -251,10 +258,37 @@ pub fn find(
     }
 }
 
+/// Removes the estimate and its standard error from the bins in which the frame does not observe all of the trace's
+/// region. Returns their number.
+fn clear_unobserved_bins(trace: &mut Trace, coverage: &[u8], shape: Shape) -> usize {
+    let mut count = 0;
+    for (t, coverage) in coverage.chunks_exact(shape.pixels()).enumerate() {
+        let mut pixels = trace.region.indices(shape.columns);
+        if pixels.any(|i| coverage[i] == 0) {
+            trace.debiased[t] = trace.value[t];
+            trace.standard_error[t] = f64::NAN;
+            count += 1;
+        }
+    }
+    count
+}
+
 impl Traces {
-    /// Warnings: photodiodes that match no trace, and standard errors that were increased.
+    /// Warnings: bins that the frame does not observe, photodiodes that match no trace, and standard errors that were
+    /// increased.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
+        for (trace, &count) in self.traces.iter().zip(&self.unobserved_bins) {
+            if count > 0 {
+                let region = trace.region;
+                warnings.push(format!(
+                    "the frame does not observe all of the region at row {}, column {} in {count} of {} bins: there its trace has no standard error",
+                    region.y + region.rows / 2,
+                    region.x + region.columns / 2,
+                    trace.value.len()
+                ));
+            }
+        }
         for (name, _, aligned) in &self.photodiodes {
             if aligned.is_none() {
                 warnings.push(format!(
@@ -459,4 +493,29 @@ pub struct DebiasNumbers {
     pub psnr_db_before: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim_before: Option<f64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_that_the_frame_does_not_observe_have_no_standard_error() {
+        let shape = Shape::new(3, 4, 5);
+        let mut trace = Trace {
+            region: Region::centred_at(1, 1, 3, shape),
+            value: vec![1.0, 2.0, 3.0],
+            debiased: vec![1.5, 2.5, 3.5],
+            standard_error: vec![0.1; 3],
+        };
+        let mut coverage = vec![1_u8; shape.voxels()];
+        assert_eq!(clear_unobserved_bins(&mut trace, &coverage, shape), 0);
+        // A pixel of the region in bin 1, and one outside of it in bin 2.
+        coverage[shape.pixels() + 2 * shape.columns] = 0;
+        coverage[2 * shape.pixels() + 4] = 0;
+        assert_eq!(clear_unobserved_bins(&mut trace, &coverage, shape), 1);
+        assert_eq!(trace.debiased, [1.5, 2.0, 3.5]);
+        let is_known: Vec<bool> = trace.standard_error.iter().map(|e| e.is_finite()).collect();
+        assert_eq!(is_known, [true, false, true]);
+    }
 }

@@ -12,6 +12,12 @@ const MAX_SIGNAL_POINTS: usize = 5000;
 /// The file to which the true video is copied.
 pub(crate) const TRUTH: &str = "view-truth.npy";
 
+/// The file of [`ViewFiles::excluded`].
+const EXCLUDED: &str = "excluded.npy";
+
+/// The file of [`ViewFiles::coverage`].
+const COVERAGE: &str = "coverage.npy";
+
 /// The values that the viewer shows, borrowed.
 pub struct ViewFiles<'a> {
     /// Title of the page.
@@ -28,6 +34,10 @@ pub struct ViewFiles<'a> {
     pub psf: &'a Image,
     /// `W(b − A v)/σ`.
     pub residual: &'a Image,
+    /// 1 at the foreign pixels of the frame, which were left out; `[y, x]`.
+    pub excluded: &'a [u8],
+    /// 1 at the voxels that the frame observes; `[t, y, x]`.
+    pub coverage: &'a [u8],
     /// The frame of the scene without the diffuser.
     pub direct: Option<&'a Image>,
     /// The traces, whose regions are drawn over the video.
@@ -44,6 +54,18 @@ pub struct ViewFiles<'a> {
     pub warnings: &'a [String],
     /// The command that reproduces the result.
     pub command: &'a str,
+}
+
+impl ViewFiles<'_> {
+    /// Whether any pixel of the frame was left out.
+    pub(crate) fn has_excluded(&self) -> bool {
+        self.excluded.contains(&1)
+    }
+
+    /// Whether the frame does not observe some voxel.
+    pub(crate) fn has_unobserved(&self) -> bool {
+        self.coverage.contains(&0)
+    }
 }
 
 /// Writes the pictures, then `view.json`, and returns the content of `view.json`.
@@ -102,7 +124,7 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         ranges["truth"] = json!(range(truth));
     }
     let convergence = files.convergence.iter();
-    json!({
+    let mut view = json!({
         "version": 1,
         "title": files.title,
         "bin_duration_us": time.bin_duration_us(),
@@ -132,7 +154,17 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         "fit": { "verdict": files.fit.0, "reason": files.fit.1 },
         "warnings": files.warnings,
         "command": files.command,
-    })
+    });
+    // A mask is named where it marks anything; the result has both files in any case.
+    if files.has_excluded() {
+        view["excluded"] = json!(EXCLUDED);
+    }
+    if files.has_unobserved() {
+        let observed = files.coverage.iter().filter(|&&voxel| voxel != 0).count();
+        view["coverage"] = json!(COVERAGE);
+        view["coverage_fraction"] = json!(observed as f64 / files.coverage.len() as f64);
+    }
+    view
 }
 
 /// A trace in `view.json`.
@@ -159,4 +191,59 @@ fn trace(annotated: &AnnotatedTrace) -> Value {
 fn range(video: &Video) -> (f32, f32) {
     let values = video.data().iter().filter(|v| v.is_finite());
     values.fold((0.0, 0.0), |(low, high), &v| (v.min(low), v.max(high)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowburst::camera::CameraParams;
+    use rowburst::{Sensor, Shape};
+
+    /// `view.json` of a frame of 2×2 pixels with these masks.
+    fn view_of(excluded: &[u8], coverage: &[u8]) -> Value {
+        let camera = Camera::new(CameraParams {
+            rows: 2,
+            columns: 2,
+            shutter: Shutter::Global,
+            row_time_us: 1.0,
+            exposure_us: 1.0,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let image = Image::new(2, 2, vec![1.0; 4]).unwrap();
+        let files = ViewFiles {
+            title: "",
+            camera: &camera,
+            video: &Video::zeros(Shape::new(1, 2, 2)),
+            truth: None,
+            frame: &image,
+            psf: &image,
+            residual: &image,
+            excluded,
+            coverage,
+            direct: None,
+            traces: &[],
+            convergence: &[],
+            headline: &[],
+            settings: &[],
+            fit: ("good", ""),
+            warnings: &[],
+            command: "",
+        };
+        describe(&files, None)
+    }
+
+    #[test]
+    fn masks_are_named_where_they_mark_anything() {
+        let plain = view_of(&[0; 4], &[1; 4]);
+        for key in ["excluded", "coverage", "coverage_fraction"] {
+            assert!(plain.get(key).is_none(), "{key}");
+        }
+        let marked = view_of(&[0, 0, 1, 0], &[0, 1, 1, 1]);
+        assert_eq!(marked["excluded"], "excluded.npy");
+        assert_eq!(marked["coverage"], "coverage.npy");
+        assert_eq!(marked["coverage_fraction"], 0.75);
+    }
 }

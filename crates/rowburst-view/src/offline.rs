@@ -29,6 +29,8 @@ pub struct Offline<'a> {
     pub videos: &'a [(&'static str, &'a Video)],
     /// The pictures by name.
     pub pictures: &'a [(&'static str, &'a Image)],
+    /// 1 at the voxels that the frame observes, else 0; `None` where it observes all.
+    pub coverage: Option<&'a [u8]>,
 }
 
 impl Offline<'_> {
@@ -38,7 +40,8 @@ impl Offline<'_> {
     /// If there is no video.
     pub fn json(&self) -> Option<String> {
         let shape = self.videos[0].1.shape();
-        if shape.voxels() * self.videos.len() > MAX_VOXELS {
+        let arrays = self.videos.len() + usize::from(self.coverage.is_some());
+        if shape.voxels() * arrays > MAX_VOXELS {
             return None;
         }
         let (mut videos, mut ranges) = (Map::new(), Map::new());
@@ -47,6 +50,12 @@ impl Offline<'_> {
             let (numbers, range) = quantise8(video);
             videos.insert(name.to_string(), packed(&numbers).into());
             ranges.insert(name.to_string(), json!(range));
+        }
+        if let Some(coverage) = self.coverage {
+            // On the scale of a video: 254 is 1.
+            let numbers: Vec<u8> = coverage.iter().map(|&voxel| 254 * voxel.min(1)).collect();
+            videos.insert("coverage".into(), packed(&numbers).into());
+            ranges.insert("coverage".into(), json!([0.0, 1.0]));
         }
         for (name, image) in self.pictures {
             if image.data().len() > MAX_PIXELS {
@@ -97,6 +106,7 @@ mod tests {
             view: &json!({ "bin_duration_us": 9.6 }),
             videos: &[("video", &video)],
             pictures: &[("frame", &frame)],
+            coverage: Some(&[1, 1, 0, 1, 1, 0]),
         };
         let json: Value = serde_json::from_str(&offline.json().unwrap()).unwrap();
         let bytes = |value: &Value| {
@@ -110,6 +120,11 @@ mod tests {
             bytes(&json["pictures"]["frame"]),
             [0, 0, 192, 63, 0, 0, 32, 192]
         );
+        assert_eq!(
+            bytes(&json["videos"]["coverage"]),
+            [254, 254, 0, 254, 254, 0]
+        );
+        assert_eq!(json["meta"]["ranges"]["coverage"], json!([0.0, 1.0]));
         assert_eq!(json["meta"]["shape"], json!([2, 1, 3]));
         assert_eq!(json["meta"]["images"]["frame"], json!([1, 2]));
         assert_eq!(json["meta"]["bin_duration_us"], 9.6);
@@ -125,9 +140,11 @@ mod tests {
             view: &Value::Null,
             videos: &[("video", &video)],
             pictures: &[("frame", &frame)],
+            coverage: None,
         };
         let json: Value = serde_json::from_str(&offline.json().unwrap()).unwrap();
         assert_eq!(json["pictures"], json!({}));
+        assert_eq!(json["videos"].get("coverage"), None);
         offline.view = &view;
         assert_eq!(offline.json(), None);
     }

@@ -34,6 +34,12 @@ pub const IMAGES: [(&str, &str); 4] = [
 /// Files that the true video may be in: a copy, or the file itself where it lies in the folder.
 pub const TRUTHS: [&str; 2] = ["view-truth.npy", "truth.npy"];
 
+/// The mask of the frame's pixels that were left out.
+const EXCLUDED: &str = "excluded.npy";
+
+/// The mask of the voxels that the frame observes.
+const COVERAGE: &str = "coverage.npy";
+
 /// A description of more than this is none.
 const MAX_JSON_BYTES: u64 = 64 << 20;
 
@@ -103,6 +109,14 @@ impl ResultFiles {
                 arrays.push(("truth", truth));
             }
         }
+        // `view.json` names a mask that marks anything.
+        let is_named = |key: &str, file: &str| view[key].as_str() == Some(file) && there(file);
+        if is_named("coverage", COVERAGE) {
+            let coverage = Array::open(&path.join(COVERAGE), Some((0.0, 1.0)))?;
+            if coverage.shape() == shape {
+                arrays.push(("coverage", coverage));
+            }
+        }
         let mut images = Vec::new();
         let mut sizes = Map::new();
         for (name, file) in IMAGES {
@@ -110,6 +124,14 @@ impl ResultFiles {
                 let image = read_image(&path.join(file))?.image;
                 sizes.insert(name.into(), json!([image.rows(), image.columns()]));
                 images.push((name, path.join(file)));
+            }
+        }
+        if is_named("excluded", EXCLUDED) {
+            let mask = read_image(&path.join(EXCLUDED))?.image;
+            let size = json!([mask.rows(), mask.columns()]);
+            if sizes.get("frame") == Some(&size) {
+                sizes.insert("excluded".into(), size);
+                images.push(("excluded", path.join(EXCLUDED)));
             }
         }
         let step = view["bin_duration_us"]

@@ -1,7 +1,7 @@
 //! The server as a browser, another page and another program meet it.
 
-use rowburst::{Shape, Video};
-use rowburst_io::{OutputFolder, write_npy_video};
+use rowburst::{Image, Shape, Video};
+use rowburst_io::{OutputFolder, write_npy_image, write_npy_u8, write_npy_video};
 use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server};
 use std::fs;
 use std::io::{Read, Write};
@@ -83,6 +83,48 @@ fn bins_come_with_their_scale_and_a_policy() {
         let (head, _) = get(&server, &format!("{none}?from=0&to=1"));
         assert!(head.starts_with("http/1.1 404"), "{none}: {head}");
     }
+}
+
+#[test]
+fn masks_are_served_where_the_description_names_them() {
+    let base = folder();
+    let result = base.path().join("result");
+    let out = OutputFolder::create(&result).unwrap();
+    let frame = Image::new(2, 2, vec![1.0; 4]).unwrap();
+    out.write("view-frame.npy", |w| write_npy_image(w, &frame))
+        .unwrap();
+    let mut coverage = [1u8; 60];
+    coverage[20] = 0;
+    out.write("coverage.npy", |w| write_npy_u8(w, &[3, 4, 5], &coverage))
+        .unwrap();
+    let write_excluded = |shape: &[usize], mask: &[u8]| {
+        out.write("excluded.npy", |w| write_npy_u8(w, shape, mask))
+            .unwrap();
+    };
+    let meta_of = |view: &[u8]| {
+        out.write_bytes("view.json", view).unwrap();
+        ResultFiles::open(&result).unwrap().meta().clone()
+    };
+    let named: &[u8] = br#"{"excluded": "excluded.npy", "coverage": "coverage.npy"}"#;
+
+    // The description of an earlier version, or of a result without anything to mark.
+    write_excluded(&[2, 2], &[0, 0, 1, 0]);
+    let meta = meta_of(b"{}");
+    assert!(meta["images"].get("excluded").is_none() && meta["ranges"].get("coverage").is_none());
+    // A mask of another result's size.
+    write_excluded(&[1, 4], &[0, 0, 1, 0]);
+    assert!(meta_of(named)["images"].get("excluded").is_none());
+
+    write_excluded(&[2, 2], &[0, 0, 1, 0]);
+    let meta = meta_of(named);
+    assert_eq!(meta["images"]["excluded"], meta["images"]["frame"]);
+    assert_eq!(meta["ranges"]["coverage"], serde_json::json!([0.0, 1.0]));
+    let server = served(base.path());
+    let (head, body) = get(&server, "/api/result/0/image/excluded");
+    assert!(head.contains("x-shape: 2 2"), "{head}");
+    assert_eq!(body[8..12], 1.0f32.to_le_bytes());
+    let (_, body) = get(&server, "/api/result/0/bins/coverage?from=1&to=2");
+    assert_eq!(body[..4], [0, 0, 254, 255]);
 }
 
 #[test]

@@ -126,6 +126,7 @@ fn main() {
     );
     let options = Options {
         prior: Some(Prior::STANDARD),
+        is_preview: true,
         ..Options::default()
     };
     println!(

@@ -111,6 +111,7 @@ fn problem(camera: &Camera, psf: &Psf, measurement: &Measurement, options: Optio
 fn standard() -> Options {
     Options {
         prior: Some(Prior::STANDARD),
+        is_preview: true,
         ..Options::default()
     }
 }
@@ -120,6 +121,7 @@ fn bare() -> Options {
     Options {
         prior: Some("tv+0.5*tdiff".parse().expect("a prior")),
         tau: Tau::Given(1e-6),
+        is_preview: true,
         ..Options::default()
     }
 }

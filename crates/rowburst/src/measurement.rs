@@ -81,6 +81,29 @@ impl Measurement {
         }
     }
 
+    /// The same measurement with the pixels of `is_excluded`, `[y, x]`, at weight 0.
+    ///
+    /// # Panics
+    /// If the length is not that of the frame.
+    #[must_use]
+    pub fn without(&self, is_excluded: &[bool]) -> Self {
+        let pixels = self.image.data().len();
+        assert_eq!(is_excluded.len(), pixels, "one flag for each pixel");
+        if !is_excluded.contains(&true) {
+            return self.clone();
+        }
+        let mut weights = self.weights.clone().unwrap_or_else(|| vec![1.0; pixels]);
+        let excluded = weights.iter_mut().zip(is_excluded);
+        excluded
+            .filter(|(_, excluded)| **excluded)
+            .for_each(|(weight, _)| *weight = 0.0);
+        Self {
+            weights: Some(weights),
+            noise: self.noise.as_ref().map(|noise| noise.without(is_excluded)),
+            ..self.clone()
+        }
+    }
+
     /// The measurement with these stored values, without a noise model. It serves to look at a completed
     /// reconstruction; a new one needs [`correct`].
     ///

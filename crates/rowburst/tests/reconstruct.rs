@@ -343,8 +343,8 @@ fn what_is_stopped_while_priors_are_tried_is_the_best_so_far() {
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let whole = case.psnr(&case.solve(Options::default()));
     let measurement = Measurement::new(case.frame.clone()).unwrap();
-    // Three trials, then the run on the whole frame.
-    for stopped in [2, 4] {
+    // The check of the model, three trials, then the run on the whole frame.
+    for stopped in [3, 5] {
         let options = Options::default();
         let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
         let mut run = 0;

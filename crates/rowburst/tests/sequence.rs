@@ -53,6 +53,8 @@ fn moved(video: &Video) -> Video {
 fn options() -> Options {
     Options {
         prior: Some(Prior::STANDARD),
+        // A sequence does not check the model.
+        is_preview: true,
         ..Options::default()
     }
 }

@@ -96,6 +96,8 @@ impl Case {
         let measurement = Measurement::new(recorded.frame).unwrap();
         let options = Options {
             prior: Some(Prior::STANDARD),
+            // Frames of the model: its check would doubt one in many of such small ones.
+            is_preview: true,
             ..Options::default()
         };
         let problem = Problem::new(&measurement, &self.camera, &self.psf, options);

@@ -2,13 +2,13 @@
 
 use rowburst::{Shape, TimeGrid, Video};
 
-use super::{CaptionedFigure, Section, Videos};
+use super::{CaptionedFigure, Section, Videos, unobserved, unobserved_text};
 use crate::ReportInput;
-use crate::colour::Map;
+use crate::colour::{Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, rows};
 use crate::panel::{colour_bar, fit, put};
-use crate::pixels::Plane;
+use crate::pixels::{Pixels, Plane};
 
 /// Longest side of a frame of the sheet, in pixels.
 const FRAME_SIDE: usize = 512;
@@ -44,6 +44,17 @@ fn rows_of_bin(instants: &[usize], time: &TimeGrid, bin: usize) -> Vec<usize> {
         })
     };
     (0..instants.len()).filter(sees).collect()
+}
+
+/// The picture of bin `bin` of the reconstruction, in which voxels that the frame does not observe are marked.
+fn reconstructed(input: &ReportInput, videos: &Videos, bin: usize) -> Pixels {
+    let shape = videos.video.shape();
+    let plane = Plane::reduced(shape.rows, shape.columns, videos.video.bin(bin), FRAME_SIDE);
+    let pixels = plane.coloured(Map::Light, 0.0, videos.high);
+    match unobserved(input, bin) {
+        Some(mask) => pixels.marked(&mask, (shape.rows, shape.columns), FRAME_SIDE, UNOBSERVED),
+        None => pixels,
+    }
 }
 
 fn stamp(figure: &mut Figure, input: &ReportInput, place: Rect, bin: usize) {
@@ -94,22 +105,20 @@ fn compared(
             let mut last = available;
             for (i, &bin) in bins.iter().enumerate() {
                 let available = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
-                let difference: Vec<f32>;
-                let values = match row {
-                    0 => truth.bin(bin),
-                    1 => videos.video.bin(bin),
+                let coloured = |values: &[f32]| {
+                    let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
+                    plane.coloured(map, range.0, range.1)
+                };
+                let pixels = match row {
+                    0 => coloured(truth.bin(bin)),
+                    1 => reconstructed(input, videos, bin),
                     _ => {
                         let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
-                        difference = pairs.map(|(v, truth)| v - truth).collect();
-                        &difference
+                        let difference: Vec<f32> = pairs.map(|(v, truth)| v - truth).collect();
+                        coloured(&difference)
                     }
                 };
-                let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
-                last = put(
-                    &mut figure,
-                    available,
-                    plane.coloured(map, range.0, range.1),
-                );
+                last = put(&mut figure, available, pixels);
                 if row == 0 {
                     stamp(&mut figure, input, last, bin);
                 }
@@ -128,9 +137,10 @@ fn compared(
             "{} of {} frames: truth, reconstruction and their difference (reconstruction − truth, \
              on a quarter of the scale). Above each, the time at which its bin begins and the \
              rows that see it. Brightness in the units of the frame per unit of PSF sum. In a good \
-             result the two upper rows look the same and the third is blank.",
+             result the two upper rows look the same and the third is blank.{}",
             bins.len(),
-            shape.bins
+            shape.bins,
+            unobserved_text(input, " (slate in the reconstruction)")
         ),
         alt:
             "Contact sheet of frames: truth above, reconstruction in the middle, difference below."
@@ -151,12 +161,7 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigur
     for (i, &bin) in bins.iter().enumerate() {
         let (column, line) = ((i % across) as f64, (i / across) as f64);
         let available = Rect::new(column * (cell + gap), HEAD + line * pitch, cell, 1.4 * cell);
-        let plane = Plane::reduced(shape.rows, shape.columns, videos.video.bin(bin), FRAME_SIDE);
-        let place = put(
-            &mut figure,
-            available,
-            plane.coloured(Map::Light, 0.0, videos.high),
-        );
+        let place = put(&mut figure, available, reconstructed(input, videos, bin));
         stamp(&mut figure, input, place, bin);
         if (i + 1) % across == 0 || i + 1 == bins.len() {
             colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "");
@@ -169,9 +174,10 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigur
         caption: format!(
             "{} of {} reconstructed frames. Above each, the time at which its bin begins and the \
              rows that see it. Brightness in the units of the frame per unit of PSF sum. A good \
-             one shows sharp objects on a dark, quiet ground.",
+             one shows sharp objects on a dark, quiet ground.{}",
             bins.len(),
-            shape.bins
+            shape.bins,
+            unobserved_text(input, " (slate)")
         ),
         alt: "Contact sheet of reconstructed frames.".into(),
     }

@@ -3,7 +3,8 @@
 use rowburst::Image;
 
 use super::{CaptionedFigure, Section, Videos};
-use crate::colour::Map;
+use super::{excluded, excluded_text, unobserved, unobserved_text, without};
+use crate::colour::{LEFT_OUT, Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::panel::{colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
@@ -17,16 +18,23 @@ pub(super) fn frame(input: &ReportInput) -> CaptionedFigure {
     CaptionedFigure {
         name: "frame",
         section: Section::Measurement,
-        figure: picture(image, Map::Grey, "recorded signal", input.pixel_pitch_um),
+        figure: picture(
+            image,
+            excluded(input),
+            Map::Grey,
+            "recorded signal",
+            input.pixel_pitch_um,
+        ),
         caption: format!(
             "The captured frame, {size} pixels, in the units of the measurement. {} A good one \
-             uses the range well and is nowhere saturated.",
+             uses the range well and is nowhere saturated.{}",
             match input.video.shape().bins {
                 1 => "All rows integrate the same light.",
                 _ =>
                     "Every row is read at its own instant, so that behind a diffuser it looks \
                      like noise that changes from row to row.",
-            }
+            },
+            excluded_text(input)
         ),
         alt: format!("Grey-scale image of the captured frame, {size} pixels."),
     }
@@ -41,6 +49,7 @@ pub(super) fn psf(input: &ReportInput) -> CaptionedFigure {
         section: Section::Measurement,
         figure: picture(
             image,
+            None,
             Map::Light,
             "share of the light",
             input.pixel_pitch_um,
@@ -78,7 +87,7 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     CaptionedFigure {
         name: "direct",
         section: Section::Measurement,
-        figure: picture(image, Map::Grey, "recorded signal", pitch_um),
+        figure: picture(image, None, Map::Grey, "recorded signal", pitch_um),
         caption,
         alt: "Grey-scale image of the scene as the camera records it without diffuser.".into(),
     }
@@ -100,11 +109,12 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
     for (i, (name, video)) in panels.iter().enumerate() {
         let available = Rect::new(i as f64 * (width + 10.0), 22.0, width, 560.0);
         let plane = Plane::reduced(shape.rows, shape.columns, video.bin(0), LONGEST_SIDE);
-        last = put(
-            &mut figure,
-            available,
-            plane.coloured(Map::Light, 0.0, videos.high),
-        );
+        let mut pixels = plane.coloured(Map::Light, 0.0, videos.high);
+        if let (0, Some(mask)) = (i, unobserved(input, 0)) {
+            let size = (shape.rows, shape.columns);
+            pixels = pixels.marked(&mask, size, LONGEST_SIDE, UNOBSERVED);
+        }
+        last = put(&mut figure, available, pixels);
         let middle = last.x + last.width / 2.0;
         figure.text(middle, 14.0, Anchor::Middle, "strong", name);
     }
@@ -116,22 +126,36 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
         name: "reconstruction",
         section: Section::Video,
         figure,
-        caption: "The reconstruction: a single time bin, since every row integrates the same \
-                  light. Brightness in the units of the frame per unit of PSF sum. A good one \
-                  shows sharp objects on a dark, quiet ground."
-            .into(),
+        caption: format!(
+            "The reconstruction: a single time bin, since every row integrates the same light. \
+             Brightness in the units of the frame per unit of PSF sum. A good one shows sharp \
+             objects on a dark, quiet ground.{}",
+            unobserved_text(input, " (slate)")
+        ),
         alt: "Image of the reconstructed scene.".into(),
     }
 }
 
-/// An image with its colour bar and a scale bar.
-fn picture(image: &Image, map: Map, unit: &str, pitch_um: Option<f64>) -> Figure {
-    let high = display_high(image.data());
-    let low = display_low(image.data(), high);
+/// An image with its colour bar and a scale bar. The `excluded` pixels are marked and do not set the range.
+fn picture(
+    image: &Image,
+    excluded: Option<&[u8]>,
+    map: Map,
+    unit: &str,
+    pitch_um: Option<f64>,
+) -> Figure {
+    let values = without(image.data(), excluded);
+    let high = display_high(&values);
+    let low = display_low(&values, high);
     let mut figure = Figure::new(330.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
+    let mut pixels = plane.coloured(map, low, high);
+    if let Some(mask) = excluded {
+        let size = (image.rows(), image.columns());
+        pixels = pixels.marked(mask, size, LONGEST_SIDE, LEFT_OUT);
+    }
     let available = Rect::new(0.0, 2.0, 250.0, 320.0);
-    let place = put(&mut figure, available, plane.coloured(map, low, high));
+    let place = put(&mut figure, available, pixels);
     colour_bar(&mut figure, place, map, (low, high), unit);
     scale_bar(&mut figure, place, image.columns(), pitch_um);
     figure.set_height(place.bottom().max(100.0) + 22.0);

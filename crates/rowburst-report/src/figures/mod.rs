@@ -9,9 +9,11 @@ mod time_colour;
 mod traces;
 
 use rowburst::Video;
+use std::borrow::Cow;
 
 use crate::ReportInput;
 use crate::figure::Figure;
+use crate::format::number;
 use crate::projection::Projection;
 use crate::stats::display_high;
 
@@ -46,6 +48,50 @@ struct Videos<'a> {
     projection: Projection,
     /// White point of the reconstruction and the truth.
     high: f32,
+}
+
+/// The mask of the pixels that were left out; `None` where there are none.
+fn excluded<'a>(input: &ReportInput<'a>) -> Option<&'a [u8]> {
+    input.excluded.filter(|mask| mask.contains(&1))
+}
+
+/// The `values` of the pixels that are not in the mask `excluded`.
+fn without<'a>(values: &'a [f32], excluded: Option<&[u8]>) -> Cow<'a, [f32]> {
+    match excluded {
+        None => Cow::Borrowed(values),
+        Some(mask) => {
+            let kept = values.iter().zip(mask).filter(|(_, value)| **value == 0);
+            Cow::Owned(kept.map(|(value, _)| *value).collect())
+        }
+    }
+}
+
+/// The sentence of a caption on the pixels that were left out; empty where there are none.
+fn excluded_text(input: &ReportInput) -> String {
+    excluded(input).map_or(String::new(), |mask| {
+        let count = mask.iter().filter(|&&value| value == 1).count();
+        let percent = number(100.0 * count as f64 / mask.len() as f64, 2);
+        format!(" Yellow: {count} pixels ({percent} %) that were left out, since no video explains them.")
+    })
+}
+
+/// A mask of the voxels of bin `t` that the frame does not observe; `None` where it observes all of the video.
+fn unobserved(input: &ReportInput, t: usize) -> Option<Vec<u8>> {
+    let coverage = input.coverage.filter(|mask| mask.contains(&0))?;
+    let pixels = input.video.shape().pixels();
+    let bin = &coverage[t * pixels..(t + 1) * pixels];
+    Some(bin.iter().map(|&value| 1 - value.min(1)).collect())
+}
+
+/// The sentence of a caption on the voxels that the frame does not observe, with `mark` for their colour; empty where it
+/// observes all.
+fn unobserved_text(input: &ReportInput, mark: &str) -> String {
+    let mask = input.coverage.filter(|mask| mask.contains(&0));
+    mask.map_or(String::new(), |mask| {
+        let count = mask.iter().filter(|&&value| value == 0).count();
+        let percent = number(100.0 * count as f64 / mask.len() as f64, 2);
+        format!(" The frame does not observe {percent} % of the voxels; they are zero{mark}.")
+    })
 }
 
 /// All figures, in the order of the page; each is drawn when it is asked for, so that

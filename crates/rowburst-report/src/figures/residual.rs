@@ -1,9 +1,9 @@
 //! The residual: its map, and its histogram against the unit Gaussian.
 
-use super::{CaptionedFigure, Section};
+use super::{CaptionedFigure, Section, excluded, excluded_text, without};
 use crate::ReportInput;
 use crate::chart::{Axis, Chart, Labels};
-use crate::colour::Map;
+use crate::colour::{LEFT_OUT, Map};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{fixed, number};
 use crate::panel::{colour_bar, put, scale_bar};
@@ -14,12 +14,17 @@ use crate::stats::moments;
 const MAP_LIMIT_SIGMAS: f32 = 4.0;
 const HISTOGRAM_LIMIT_SIGMAS: f64 = 5.0;
 
-/// Draws the map and the histogram.
+/// Draws the map and the histogram. Pixels that were left out are marked, and are not in the histogram.
 pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     let image = input.residual;
     let mut figure = Figure::new(800.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
-    let pixels = plane.coloured(Map::Signed, -MAP_LIMIT_SIGMAS, MAP_LIMIT_SIGMAS);
+    let mut pixels = plane.coloured(Map::Signed, -MAP_LIMIT_SIGMAS, MAP_LIMIT_SIGMAS);
+    if let Some(mask) = excluded(input) {
+        let size = (image.rows(), image.columns());
+        pixels = pixels.marked(mask, size, LONGEST_SIDE, LEFT_OUT);
+    }
+    let values = without(image.data(), excluded(input));
     let place = put(&mut figure, Rect::new(0.0, 4.0, 340.0, 420.0), pixels);
     figure.rect(place, "axis", "");
     colour_bar(
@@ -31,14 +36,10 @@ pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     );
     scale_bar(&mut figure, place, image.columns(), input.pixel_pitch_um);
     let height = place.height.clamp(200.0, 300.0);
-    histogram(
-        &mut figure,
-        Rect::new(500.0, 10.0, 290.0, height),
-        image.data(),
-    );
+    histogram(&mut figure, Rect::new(500.0, 10.0, 290.0, height), &values);
     figure.set_height((place.bottom() + 22.0).max(10.0 + height + 42.0));
 
-    let m = moments(image.data());
+    let m = moments(&values);
     let mut caption = format!(
         "The residual (b − A v)/σ of each pixel, dimensionless, and its histogram against the \
          unit Gaussian (line): mean {}, standard deviation {}, {} % beyond ±4. Structureless \
@@ -51,6 +52,7 @@ pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     if m.non_finite > 0 {
         caption += &format!(" {} pixels that are not finite are grey.", m.non_finite);
     }
+    caption += &excluded_text(input);
     CaptionedFigure {
         name: "residual",
         section: Section::Fit,

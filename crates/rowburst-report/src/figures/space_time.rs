@@ -9,7 +9,7 @@
 
 use rowburst::Video;
 
-use super::{CaptionedFigure, Section, Videos};
+use super::{CaptionedFigure, Section, Videos, unobserved_text};
 use crate::ReportInput;
 use crate::chart::Axis;
 use crate::colour::{Map, srgb, time_hue};
@@ -73,7 +73,8 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
              colour the time as above, its opacity the brightness. {drawn} voxels above a quarter \
              of the white point. Right, the x–t slice: the brightest value over all rows, in the \
              units of the frame per unit of PSF sum. Blinking points are broken lines along time, \
-             moving points slanted ones. In a good result the space between them is empty."
+             moving points slanted ones. In a good result the space between them is empty.{}",
+            unobserved_text(input, "")
         ),
         alt: "Bright voxels of the video in a box of x, y and time, and a picture of the largest \
               value over y against x and time."

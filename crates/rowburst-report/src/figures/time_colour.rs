@@ -2,7 +2,7 @@
 
 use rowburst::Image;
 
-use super::{CaptionedFigure, Section, Videos};
+use super::{CaptionedFigure, Section, Videos, unobserved_text};
 use crate::ReportInput;
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
@@ -64,7 +64,7 @@ pub(super) fn draw(
         caption: format!(
             "The whole video of {} bins in one picture: hue is time (equal steps of time are \
              equal steps of hue, blue first, red last), brightness the largest value over time. \
-             Constant light is grey.{}{} In a good result each object has one pure colour on \
+             Constant light is grey.{}{}{} In a good result each object has one pure colour on \
              black; mixed colours are events that were not separated.",
             shape.bins,
             if is_larger(input) {
@@ -76,7 +76,8 @@ pub(super) fn draw(
                 " In grey, the frame without the diffuser, in which each row shows its own instant only."
             } else {
                 ""
-            }
+            },
+            unobserved_text(input, "")
         ),
         alt: format!(
             "Projection of the video over time with time shown as hue from blue at 0 to red at {}.",

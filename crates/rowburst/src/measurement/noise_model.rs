@@ -51,6 +51,16 @@ impl NoiseModel {
         }
     }
 
+    /// The same law with the pixels of `is_excluded` without information.
+    pub(super) fn without(&self, is_excluded: &[bool]) -> Self {
+        let mut model = self.clone();
+        let floors = model.dark_variance.iter_mut().zip(is_excluded);
+        floors
+            .filter(|(_, excluded)| **excluded)
+            .for_each(|(floor, _)| *floor = f32::INFINITY);
+        model
+    }
+
     /// Standard deviation of a pixel with weight 1, in counts.
     pub fn sigma(&self) -> f64 {
         self.reference

@@ -5,6 +5,7 @@
 pub mod composite;
 pub mod dual;
 pub mod lowrank;
+pub mod restricted;
 mod rows;
 pub mod sparse;
 pub mod sum_prior;
@@ -15,6 +16,7 @@ mod wavefront;
 pub use composite::Composite;
 pub use dual::DualTerm;
 pub use lowrank::LowRank;
+pub use restricted::Restricted;
 pub use sparse::Sparse;
 pub use sum_prior::SumPrior;
 pub use variation::{Variation, VariationWeights};

@@ -74,6 +74,8 @@ impl Chunked {
         Ok(Self {
             options: Options {
                 prior: Some(prior),
+                // A chunk alone has too few pixels to tell foreign ones.
+                keep_all_pixels: true,
                 ..options
             },
             camera,

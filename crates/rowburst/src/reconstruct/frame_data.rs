@@ -2,12 +2,14 @@
 
 use super::held_out::HeldOut;
 use super::model::Model;
+use super::prior::Prior;
 use crate::camera::CameraParams;
 use crate::linop::{
     Background, LinearOperator, Scalar, WeightedOperator, WithBackground, WritePart, sum_of_bins,
     write_parts,
 };
 use crate::measurement::{Measurement, NoiseModel};
+use crate::prox::{Prox, Restricted};
 use crate::solve::blocks::{BlockSource, Blocks};
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
 use crate::solve::coupled_blocks::{CoupledBlocks, CoupledSystem};
@@ -19,6 +21,10 @@ use std::sync::Arc;
 
 /// Measurements of an instant above which a factor costs more than ten iterations (docs/design/008).
 const LARGE_BLOCK: usize = 1024;
+
+/// Sensitivity of a voxel over the largest one, below which the frame does not observe it; larger leaves more of the
+/// edges of a field dark (docs/design/020).
+const MIN_SENSITIVITY: f64 = 0.01;
 
 /// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where no blocks are built; smaller is not stable.
 const MIN_RHO: f64 = 1e-9;
@@ -49,6 +55,8 @@ pub(super) struct FrameData {
     measurement_count: usize,
     /// The largest `w²` of the operator.
     max_squared_weight: f64,
+    /// The voxels that the frame observes; `None`: all.
+    covered: Option<Support>,
     support: Option<Support>,
     gram: Gram,
     /// Whether blocks are f64 from the start.
@@ -155,6 +163,7 @@ impl FrameData {
             always_f64,
             noise: measurement.noise().cloned(),
             held_out: None,
+            covered: None,
             support: None,
             model: model.clone(),
             whole_field_operator: None,
@@ -167,7 +176,16 @@ impl FrameData {
             gram,
         };
         data.apply_weights_to_frame();
+        data.set_coverage();
         data
+    }
+
+    fn set_coverage(&mut self) {
+        let coverage = self.coverage();
+        let shape = self.shape();
+        self.covered = coverage
+            .contains(&0)
+            .then(|| Support::from_mask(coverage, shape));
     }
 
     /// The present `W` of all pixels; held-out pixels keep their weights here. `None`: all 1.
@@ -253,7 +271,56 @@ impl FrameData {
         self.noise = measurement.noise().cloned();
         self.initial_weights = weights.clone();
         self.weights = weights;
+        self.set_coverage();
         self.apply_weights(false);
+    }
+
+    /// The voxels that the frame observes: their sensitivity, the sum of `Aᵀ1` over the usable pixels, is at least
+    /// [`MIN_SENSITIVITY`] of the largest one.
+    pub fn coverage(&self) -> Vec<u8> {
+        let is_usable = |i: usize| self.initial_weights.as_ref().is_none_or(|w| w[i] > 0.0);
+        let usable: Vec<f32> = (0..self.frame.len())
+            .map(|i| f32::from(u8::from(is_usable(i))))
+            .collect();
+        let mut sensitivity = vec![0.0; self.shape().voxels()];
+        self.shutter().adjoint(&usable, &mut sensitivity);
+        let largest = sensitivity.iter().copied().fold(0.0, f32::max);
+        let is_covered = |s: &f32| f64::from(*s) >= MIN_SENSITIVITY * f64::from(largest);
+        sensitivity
+            .iter()
+            .map(|s| u8::from(is_covered(s)))
+            .collect()
+    }
+
+    /// The proximal operator of `prior`, for videos that are zero in voxels that the frame does not observe: a prior
+    /// would fill them with light of their neighbours.
+    pub fn prox(&self, prior: &Prior) -> Box<dyn Prox> {
+        let prox = prior.prox(self.shape());
+        match &self.covered {
+            Some(covered) => Box::new(Restricted::new(prox, covered.clone())),
+            None => prox,
+        }
+    }
+
+    /// Replaces `W b` until the next change of frame or weights.
+    pub fn set_measurements(&mut self, measurements: Vec<f32>) {
+        self.measurements = measurements;
+    }
+
+    /// Whether the present weight of each pixel is above zero.
+    pub fn usable(&self) -> Vec<bool> {
+        let weights = self.operator.weights();
+        (0..self.frame.len())
+            .map(|i| weights.is_none_or(|w| w[i] > 0.0))
+            .collect()
+    }
+
+    /// `A v`, the light of foreground and background at all pixels.
+    pub fn predicted(&self, video: &[f32]) -> Vec<f32> {
+        let mut light = vec![0.0; self.frame.len()];
+        self.shutter()
+            .apply(&self.background.sum(self.shape(), video), &mut light);
+        light
     }
 
     /// `σ` in counts of a pixel with weight 1 under the noise model of the weights; `None` without a noise model.
@@ -279,9 +346,7 @@ impl FrameData {
         let Some(held_out) = &self.held_out else {
             return Vec::new();
         };
-        let mut light = vec![0.0; self.frame.len()];
-        self.shutter()
-            .apply(&self.background.sum(self.shape(), video), &mut light);
+        let light = self.predicted(video);
         let pixels = held_out.pixels().iter();
         pixels
             .map(|&i| {
@@ -524,10 +589,7 @@ impl DataTerm for FrameData {
         let Some(noise) = &self.noise else {
             return false;
         };
-        let mut light = vec![0.0; self.frame.len()];
-        self.shutter()
-            .apply(&self.background.sum(self.shape(), video), &mut light);
-        self.weights = Some(noise.weights(&light));
+        self.weights = Some(noise.weights(&self.predicted(video)));
         self.apply_weights(false);
         true
     }

@@ -8,15 +8,17 @@ mod choose;
 mod chunked;
 mod data_step;
 mod fit;
+mod foreign;
 mod frame_data;
 mod held_out;
+mod held_out_check;
 mod model;
 mod prior;
 mod sequence;
 mod sigma;
 
 use choose::BestTrial;
-pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES};
+pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
 pub use chunked::Chunked;
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
@@ -38,7 +40,7 @@ use std::ops::ControlFlow;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 6;
+pub const ALGORITHM_REVISION: u32 = 7;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -56,6 +58,10 @@ pub struct Options {
     pub noise_sigma: Option<f64>,
     /// Limit of the number of iterations; `None`: the solver's default.
     pub max_iterations: Option<usize>,
+    /// Uses every pixel with a weight above zero: no search for foreign pixels.
+    pub keep_all_pixels: bool,
+    /// Takes the frame and `σ` as they are: no search for foreign pixels and no effective `σ`, which take time.
+    pub is_preview: bool,
 }
 
 /// The rule for `τ` of `½‖W(b − A v)‖² + τ R(v)`.
@@ -99,8 +105,15 @@ impl SigmaSource {
 /// The reconstruction of one frame, set up and ready to run.
 pub struct Problem {
     data: FrameData,
+    measurement: Measurement,
+    /// Whether each pixel is foreign and left out.
+    excluded: Vec<bool>,
     options: Options,
     sigma: f64,
+    /// The noise of a pixel with weight 1 together with the error of the model.
+    effective_sigma: f64,
+    /// Whether the support of the check of the model exceeds a third of the voxels.
+    is_dense: bool,
     sigma_source: SigmaSource,
     tau_factor: f64,
     camera: Camera,
@@ -131,6 +144,13 @@ pub struct Reconstruction {
     pub weights: Option<Vec<f32>>,
     /// Noise of a pixel with weight 1, in counts.
     pub sigma: f64,
+    /// Noise and error of the model at a pixel with weight 1, in counts: `τ` follows from it. It is `sigma` where the
+    /// model explains the frame, and where `sigma` is given.
+    pub effective_sigma: f64,
+    /// 1 at the foreign pixels, which were left out, else 0; `[y, x]`.
+    pub excluded: Vec<u8>,
+    /// 1 at the voxels that the frame observes, else 0; `[t, y, x]`. The others are zero in `video`.
+    pub coverage: Vec<u8>,
     /// The source of `sigma`.
     pub sigma_source: SigmaSource,
     /// Number of iterations.
@@ -141,6 +161,18 @@ pub struct Reconstruction {
     pub support_fraction: f64,
     /// Whether the model explains the frame.
     pub fit: Fit,
+}
+
+impl Reconstruction {
+    /// Part of the pixels that are foreign and were left out.
+    pub fn excluded_fraction(&self) -> f64 {
+        ones(&self.excluded)
+    }
+
+    /// Part of the voxels that the frame observes.
+    pub fn coverage_fraction(&self) -> f64 {
+        ones(&self.coverage)
+    }
 }
 
 impl Problem {
@@ -196,8 +228,12 @@ impl Problem {
             camera: camera.clone(),
             bands,
             data: FrameData::new(model, measurement),
+            excluded: vec![false; measurement.image().data().len()],
+            measurement: measurement.clone(),
             options,
             sigma,
+            effective_sigma: sigma,
+            is_dense: false,
             sigma_source,
             tau_factor: 1.0,
         })
@@ -278,17 +314,9 @@ impl Problem {
             columns,
             normalised_residual,
         )?;
-        let background = match prior.background() {
-            Background::None => None,
-            background => {
-                let mut stacked = solution.video.clone();
-                stacked[..shape.voxels()].fill(0.0);
-                Some(Video::new(
-                    shape,
-                    background.sum(shape, &stacked).into_owned(),
-                )?)
-            }
-        };
+        let background = self.background_of(prior, &solution.video)?;
+        let coverage = self.data.coverage();
+        let excluded: Vec<u8> = self.excluded.iter().map(|&e| u8::from(e)).collect();
         let video = Video::new(shape, self.data.sum(solution.video))?;
         let scaled = self.data.measurements().iter();
         let measured: Vec<f32> = scaled
@@ -304,6 +332,8 @@ impl Problem {
             degrees_of_freedom,
             residual_history,
             sigma: self.sigma,
+            effective_sigma: self.effective_sigma,
+            excluded_fraction: ones(&excluded),
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.options.tau, Tau::Given(_)),
             stop_reason: solution.stop_reason,
@@ -320,12 +350,27 @@ impl Problem {
             prior,
             choice,
             sigma: self.sigma,
+            effective_sigma: self.effective_sigma,
+            excluded,
+            coverage,
             sigma_source: self.sigma_source,
             iterations: solution.iterations,
             stop_reason: solution.stop_reason,
             support_fraction: solution.support_fraction,
             fit,
         })
+    }
+
+    /// The background of a stacked video; `None` for a prior without one.
+    fn background_of(&self, prior: Prior, stacked: &[f32]) -> Result<Option<Video>> {
+        let shape = self.data.shape();
+        let background = prior.background();
+        if background == Background::None {
+            return Ok(None);
+        }
+        let mut alone = stacked.to_vec();
+        alone[..shape.voxels()].fill(0.0);
+        Video::new(shape, background.sum(shape, &alone).into_owned()).map(Some)
     }
 
     /// Chooses the prior and its factor on `τ`, as [`Problem::solve`] does where no prior is given, and
@@ -338,7 +383,10 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Option<Choice>, StopReason> {
         let stopped = |found: Box<RunResult>| found.solution.stop_reason;
-        let rule = self.resolve_tau_rule(observer).map_err(stopped)?;
+        self.resolve_tau_rule(observer).map_err(stopped)?;
+        self.check_model(Prior::STANDARD, observer)
+            .map_err(stopped)?;
+        let rule = self.tau_rule();
         let chosen = self.compare_priors(rule, observer).map_err(stopped)?;
         Ok(chosen.map(|(choice, _)| choice))
     }
@@ -356,11 +404,19 @@ impl Problem {
             self.sigma =
                 choose::noise_level(&mut self.data, default_prior, max_iterations, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
+            self.effective_sigma = self.sigma;
         }
-        Ok(match self.options.tau {
+        Ok(self.tau_rule())
+    }
+
+    /// The rule for `τ` at the present effective noise level.
+    fn tau_rule(&self) -> TauRule {
+        match self.options.tau {
             Tau::Given(tau) => TauRule::Fixed(tau),
-            Tau::Auto | Tau::HeldOut => TauRule::Discrepancy { sigma: self.sigma },
-        })
+            Tau::Auto | Tau::HeldOut => TauRule::Discrepancy {
+                sigma: self.effective_sigma,
+            },
+        }
     }
 
     /// Compares the candidates on held-out pixels. Returns the choice and the best trial; `None` for one bin or too few
@@ -375,7 +431,15 @@ impl Problem {
             return Ok(None);
         }
         let max_iterations = self.options.max_iterations;
-        choose::choose_prior(&mut self.data, rule, self.sigma, max_iterations, observer).map(Some)
+        choose::choose_prior(
+            &mut self.data,
+            rule,
+            self.sigma,
+            max_iterations,
+            self.is_dense,
+            observer,
+        )
+        .map(Some)
     }
 
     /// Makes the choices that are left open, then runs the solver. The error is the result so far of a
@@ -384,7 +448,10 @@ impl Problem {
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<RunResult, Box<RunResult>> {
-        let rule = self.resolve_tau_rule(observer)?;
+        self.resolve_tau_rule(observer)?;
+        let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
+        self.check_model(default_prior, observer)?;
+        let rule = self.tau_rule();
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
             None => match self.compare_priors(rule, observer)? {
@@ -392,16 +459,15 @@ impl Problem {
                 None => (None, None),
             },
         };
-        let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
         let (prior, tau_factor) = choice
             .as_ref()
             .map_or((default_prior, self.tau_factor), |c| {
                 (c.best().prior, c.best().tau_factor)
             });
         let shape = self.data.shape();
-        self.data.reset(prior.background(), None);
-        let mut prox = prior.prox(shape);
         let params = prior.admm_params(shape, rule, self.options.max_iterations);
+        self.data.reset(prior.background(), None);
+        let mut prox = self.data.prox(&prior);
         let mut run = Admm::new(&self.data, shape, params);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
@@ -428,19 +494,34 @@ impl Problem {
         let stop_reason = stop_reason
             .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
         let solution = run.into_solution(&self.data, &*prox, stop_reason);
-        // A run that was stopped early may fit worse than the trial of its prior; then the trial counts.
+        let result = RunResult::new(prior, &*prox, shape, solution);
+        Ok(self.better_result(result, choice, best_trial))
+    }
+
+    /// `result` with the choice that led to it. A run that was stopped early may fit worse than the trial of its prior;
+    /// then the trial counts.
+    fn better_result(
+        &self,
+        result: RunResult,
+        choice: Option<Choice>,
+        best_trial: Option<BestTrial>,
+    ) -> RunResult {
+        let stop_reason = result.solution.stop_reason;
         if let (StopReason::Interrupted | StopReason::TimeBudget, Some(best_trial)) =
             (stop_reason, best_trial)
-            && best_trial.misfit() < crate::vecmath::norm(&solution.residual)
+            && best_trial.misfit() < crate::vecmath::norm(&result.solution.residual)
         {
             let found = best_trial.stopped(&self.data, stop_reason);
-            return Ok(RunResult { choice, ..*found });
+            return RunResult { choice, ..*found };
         }
-        Ok(RunResult {
-            choice,
-            ..RunResult::new(prior, &*prox, shape, solution)
-        })
+        RunResult { choice, ..result }
     }
+}
+
+/// Part of the values that are 1.
+fn ones(mask: &[u8]) -> f64 {
+    let count: usize = mask.iter().map(|&v| usize::from(v)).sum();
+    count as f64 / mask.len().max(1) as f64
 }
 
 /// Calls `observer` with the sum of foreground and background as the video.

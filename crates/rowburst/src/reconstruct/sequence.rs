@@ -118,7 +118,7 @@ impl Sequence {
         let params = prior.admm_params(shape, rule, self.options.max_iterations);
         Ok(Start::Ready(Box::new(FrameRun {
             run: Admm::new(&problem.data, shape, params),
-            prox: prior.prox(shape),
+            prox: problem.data.prox(&prior),
             problem,
         })))
     }

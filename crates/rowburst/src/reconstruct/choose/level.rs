@@ -53,7 +53,7 @@ pub(in crate::reconstruct) fn noise_level(
         tolerance: 0.0,
         ..prior.admm_params(shape, rule(sigma), max_iterations)
     };
-    let mut prox = prior.prox(shape);
+    let mut prox = data.prox(&prior);
     let mut run = Admm::new(data, shape, params);
     let mut path: Vec<(f64, f64)> = Vec::new();
     let mut selected = None;

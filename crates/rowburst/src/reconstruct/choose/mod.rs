@@ -2,7 +2,7 @@
 //!
 //! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). The one with the
 //! smallest error at these pixels is then run on the whole frame. Candidates that are far behind the best
-//! one are stopped early.
+//! one are stopped early. Where the scene is dense [`OPEN_CANDIDATES`] take their place.
 //!
 //! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
 //! weaker than on average changes `τ` by a factor of 2 and more. So each candidate continues from the end of its
@@ -24,7 +24,7 @@ use std::ops::ControlFlow;
 use trial::Trial;
 
 /// A callback after every iteration, which may stop the run.
-type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
+pub(super) type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
 
 /// Priors of `auto`; an earlier one is kept where later ones are no better. More candidates cost a run each
 /// (`docs/design/011`).
@@ -34,11 +34,15 @@ pub const CANDIDATES: [&str; 3] = [
     "group+support",
 ];
 
-/// Priors that `auto` also tries where the support of the best of [`CANDIDATES`] exceeds a third of the
-/// voxels: much of the light may be a background then (`docs/design/011`).
+/// Priors of `auto` in place of [`CANDIDATES`] where the support exceeds a third of the voxels: it tells nothing there.
+/// More weight on time suits scenes that change slowly (`docs/design/020`).
+pub const OPEN_CANDIDATES: [&str; 3] = ["tv+2*tdiff", "tv+8*tdiff", "tv+32*tdiff"];
+
+/// Priors that `auto` also tries where the support of the best candidate exceeds a third of the voxels: much of the
+/// light may be a background then (`docs/design/011`).
 pub const DENSE_CANDIDATES: [&str; 1] = ["tv+0.5*tdiff+0.3*l1+background+support"];
 /// Part of the voxels in the support above which [`DENSE_CANDIDATES`] are tried; smaller tries them on more scenes.
-const DENSE_SUPPORT: f64 = 1.0 / 3.0;
+pub(super) const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 
 /// Held-out error over the best up to which other `τ` are tried; larger costs time (docs/design/011).
 const MAX_TUNING_ERROR_RATIO: f64 = 1.06;
@@ -160,7 +164,7 @@ impl BestTrial {
     /// prior.
     pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
         self.solution.stop_reason = reason;
-        let prox = self.prior.prox(data.shape());
+        let prox = data.prox(&self.prior);
         Box::new(RunResult::new(
             self.prior,
             &*prox,
@@ -170,13 +174,14 @@ impl BestTrial {
     }
 }
 
-/// Tries the candidates without the held-out pixels. Returns the choice and the best trial. The error is the
+/// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. Returns the choice and the best trial. The error is the
 /// result so far where the observer stopped it: the best trial, or the first one.
 pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
     sigma: f64,
     max_iterations: Option<usize>,
+    is_dense: bool,
     observer: &mut Observer,
 ) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
     let held_out = data.held_out();
@@ -216,7 +221,11 @@ pub(super) fn choose_prior(
         }
         Ok(())
     };
-    for name in CANDIDATES {
+    for name in if is_dense {
+        OPEN_CANDIDATES
+    } else {
+        CANDIDATES
+    } {
         run(&mut choice, name)?;
     }
     if choice.best().support_fraction > DENSE_SUPPORT {
@@ -227,7 +236,7 @@ pub(super) fn choose_prior(
     Ok((choice, best_trial))
 }
 
-fn rms(values: &[f64]) -> f64 {
+pub(super) fn rms(values: &[f64]) -> f64 {
     let squares: f64 = values.iter().map(|v| v * v).sum();
     (squares / values.len().max(1) as f64).sqrt()
 }

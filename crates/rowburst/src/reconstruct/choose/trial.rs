@@ -22,6 +22,9 @@ const LATE_FROM: usize = 200;
 /// Iterations between two comparisons; larger stops candidates later.
 const CHECK_INTERVAL: usize = 20;
 
+/// Relative fall of the held-out error over two checks below which it has settled; smaller takes longer.
+const SETTLED_CHANGE: f64 = 0.01;
+
 /// Factor from one tried `τ` to the next; smaller is finer and takes more runs (docs/design/011).
 const TAU_STEP: f64 = 2.0;
 /// Largest factor on the `τ` of the discrepancy principle, up and down; larger tries more values.
@@ -54,6 +57,14 @@ pub(super) struct Trial {
     sigma: f64,
 }
 
+/// Whether the held-out error no longer falls.
+fn is_settled(errors: &[f64]) -> bool {
+    match errors {
+        [.., before, _, last] => *last > (1.0 - SETTLED_CHANGE) * before,
+        _ => false,
+    }
+}
+
 impl Trial {
     /// A run from a zero video. `data` holds out its pixels already; held-out errors are divided by `sigma`.
     pub fn new(
@@ -69,7 +80,7 @@ impl Trial {
         };
         Self {
             prior,
-            prox: prior.prox(data.shape()),
+            prox: data.prox(&prior),
             run: Admm::new(data, data.shape(), params),
             params,
             sigma,
@@ -101,6 +112,7 @@ impl Trial {
                 LATE_ERROR_RATIO
             };
             errors.push(error);
+            let ended = ended || (!self.prior.support && is_settled(&errors));
             if ended || best_error.is_some_and(|best_error| error > limit * best_error) {
                 break !ended;
             }

@@ -37,10 +37,26 @@ const FALLING_RATIO: f64 = 0.85;
 const FAR_FROM_FRAME: f64 = 0.3;
 /// Power of the light in the frame over that of the noise, below which it is little but noise.
 const MIN_LIGHT_OVER_NOISE: f64 = 0.1;
+/// Residual over the frame itself from which a misfit is bad, although the reconstruction allows for it.
+const LARGE_MISFIT: f64 = 0.1;
+/// Part of the pixels that were left out as foreign from which the verdict says so.
+const MANY_EXCLUDED: f64 = 0.005;
 /// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
 const DIVERGED: f64 = 1.5;
 
 pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
+    let (verdict, mut reason) = of_kept_pixels(evidence, s);
+    if evidence.excluded_fraction >= MANY_EXCLUDED {
+        reason += &format!(
+            "; {} % of the pixels belong to no video (a caption? hot pixels? see the report) and were left out",
+            digits(100.0 * evidence.excluded_fraction)
+        );
+    }
+    (verdict, reason)
+}
+
+/// The verdict on the pixels that were not left out as foreign.
+fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     if evidence.video.max() <= 0.0 {
         return (
             Verdict::Bad,
@@ -185,7 +201,9 @@ fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, Strin
             possible_causes(evidence, s)
         ));
     }
-    let verdict = if s.chi_squared > BAD {
+    let is_small =
+        evidence.effective_sigma > evidence.sigma && s.residual_over_frame < LARGE_MISFIT;
+    let verdict = if s.chi_squared > BAD && !is_small {
         Verdict::Bad
     } else {
         Verdict::Suspicious
@@ -199,7 +217,9 @@ fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, Strin
     (
         verdict,
         format!(
-            "the residual is {ratio} times the noise{place}: {}",
+            "the model explains the frame to {} % of its light; sensor noise alone would be {} %{place}: {}",
+            digits(100.0 * s.residual_over_frame),
+            digits(100.0 * s.residual_over_frame / s.chi_squared.sqrt()),
             possible_causes(evidence, s)
         ),
     )

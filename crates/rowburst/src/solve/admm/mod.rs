@@ -269,6 +269,11 @@ impl Admm {
         self.state.video()
     }
 
+    /// `A v` of that video.
+    pub fn fitted(&self) -> &[f32] {
+        self.state.fitted()
+    }
+
     /// Continues with `data`, which hold another frame, from the end of the last frame's run.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
         self.state.warm_start(data);

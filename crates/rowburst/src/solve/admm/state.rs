@@ -169,8 +169,12 @@ impl State {
         self.paused_iterations = 0;
         self.inexact_steps = 0;
         self.support_estimator.reset();
+        self.change_weights(data);
+    }
+
+    /// Brings all that depends on the weights of the measurements up to date: `A` contains them.
+    fn change_weights(&mut self, data: &dyn DataTerm) {
         self.set_tau_rule(self.rule, data);
-        // `A` contains the weights, which may have changed.
         data.operator().apply(&self.z, &mut self.az);
         data.operator().apply(&self.q, &mut self.aq);
     }
@@ -188,6 +192,11 @@ impl State {
     /// The video, `[t, y, x]`.
     pub fn video(&self) -> &[f32] {
         &self.z
+    }
+
+    /// `A v` of the video.
+    pub fn fitted(&self) -> &[f32] {
+        &self.az
     }
 
     /// Part of the voxels that are active, from 0 to 1.

@@ -1,0 +1,286 @@
+//! Frames that the model does not explain: foreign pixels, a wrong PSF, voxels that the frame does not observe.
+
+use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Measurement;
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Verdict};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
+use std::ops::ControlFlow;
+
+const ROWS: usize = 64;
+const COLUMNS: usize = 60;
+
+struct Case {
+    camera: Camera,
+    psf: Psf,
+    truth: Video,
+    frame: Image,
+}
+
+fn camera(shutter: Shutter, field: Option<(usize, usize)>) -> Camera {
+    Camera::new(CameraParams {
+        rows: ROWS,
+        columns: COLUMNS,
+        shutter,
+        row_time_us: 10.0,
+        exposure_us: 10.0,
+        bins_per_row: 1,
+        field,
+        sensor: Sensor::default(),
+    })
+    .unwrap()
+}
+
+fn psf(camera: &Camera, seed: u64) -> Psf {
+    let optics = SpeckleOptics {
+        diffuser_fwhm_deg: 0.6,
+        ..SpeckleOptics::demo()
+    };
+    let (rows, columns) = camera.field();
+    speckle_psf(&optics, ROWS + rows - 1, COLUMNS + columns - 1, seed).unwrap()
+}
+
+fn recorded(camera: &Camera, psf: &Psf, truth: &Video) -> Image {
+    let operator = RollingShutter::new(camera, psf);
+    let mut light = vec![0.0; operator.range_len()];
+    operator.apply(truth.data(), &mut light);
+    // The transforms leave rounding errors where there is no light.
+    light.iter_mut().for_each(|v| *v = v.max(0.0));
+    let noiseless = Image::new(ROWS, COLUMNS, light).unwrap();
+    let noise = Noise::Gaussian { snr: 256.0 };
+    noise.apply(&noiseless, camera.sensor(), 7).unwrap().frame
+}
+
+impl Case {
+    /// A moving digit.
+    fn new() -> Self {
+        let camera = camera(Shutter::DualInsideOut, None);
+        let psf = psf(&camera, 5);
+        let truth = scene::moving_digit(camera.video_shape(), 10, 1, 3).unwrap();
+        let frame = recorded(&camera, &psf, &truth);
+        Self {
+            camera,
+            psf,
+            truth,
+            frame,
+        }
+    }
+
+    fn solve(&self, frame: &Image, options: Options) -> Reconstruction {
+        let measurement = Measurement::new(frame.clone()).unwrap();
+        let options = Options {
+            prior: Some(Prior::STANDARD),
+            ..options
+        };
+        let problem = Problem::new(&measurement, &self.camera, &self.psf, options).unwrap();
+        problem.solve(&mut |_| ControlFlow::Continue(())).unwrap()
+    }
+
+    fn psnr(&self, found: &Reconstruction) -> f64 {
+        psnr_db(found.video.data(), self.truth.data())
+    }
+}
+
+/// The frame with `value` at the pixels `is_planted(y, x)`, and their mask.
+fn planted(
+    frame: &Image,
+    value: f32,
+    is_planted: impl Fn(usize, usize) -> bool,
+) -> (Image, Vec<u8>) {
+    let at = |y, x| {
+        if is_planted(y, x) {
+            value
+        } else {
+            frame.at(y, x)
+        }
+    };
+    let mask = Image::from_fn(ROWS, COLUMNS, |y, x| f32::from(u8::from(is_planted(y, x))));
+    let mask = mask.data().iter().map(|v| *v as u8).collect();
+    (Image::from_fn(ROWS, COLUMNS, at), mask)
+}
+
+/// A value that changes without a pattern, from 0 to 99.
+fn scatter(y: usize, x: usize) -> usize {
+    (y.wrapping_mul(7919) ^ x.wrapping_mul(104_729) ^ (y * x).wrapping_mul(31)) % 100
+}
+
+/// A frame of the model keeps all pixels and its noise level, and the video is as good as without the check.
+#[test]
+fn nothing_is_left_out_of_a_frame_of_the_model() {
+    let case = Case::new();
+    let found = case.solve(&case.frame, Options::default());
+    let unchecked = Options {
+        is_preview: true,
+        ..Options::default()
+    };
+    let before = case.solve(&case.frame, unchecked);
+    assert_eq!(found.excluded_fraction(), 0.0);
+    assert_eq!(found.effective_sigma, found.sigma);
+    assert_eq!(found.fit.verdict, Verdict::Good, "{}", found.fit.reason);
+    let (now, before) = (case.psnr(&found), case.psnr(&before));
+    assert!(now > before - 0.2, "{now} dB, {before} without the check");
+}
+
+/// Hot and dead pixels, a caption and a dead row are found, and the video is as good as with them masked by hand.
+#[test]
+fn foreign_pixels_are_left_out() {
+    let case = Case::new();
+    let bright = 1.3 * case.frame.max();
+    let hot = |y: usize, x: usize| scatter(y, x) == 3;
+    let caption =
+        |y: usize, x: usize| (5..11).contains(&y) && (4..50).contains(&x) && scatter(y, x) < 40;
+    let faults: [(&str, (Image, Vec<u8>)); 4] = [
+        ("hot", planted(&case.frame, bright, hot)),
+        ("dead", planted(&case.frame, 0.0, hot)),
+        ("caption", planted(&case.frame, bright, caption)),
+        ("dead row", planted(&case.frame, 0.0, |y, _| y == 20)),
+    ];
+    for (name, (frame, mask)) in faults {
+        let found = case.solve(&frame, Options::default());
+        let missed = mask
+            .iter()
+            .zip(&found.excluded)
+            .filter(|(m, e)| m > e)
+            .count();
+        let wrong = mask
+            .iter()
+            .zip(&found.excluded)
+            .filter(|(m, e)| m < e)
+            .count();
+        assert_eq!(
+            missed,
+            0,
+            "{name}: of {}",
+            mask.iter().filter(|m| **m == 1).count()
+        );
+        assert!(wrong <= 4, "{name}: {wrong} other pixels");
+        let is_masked: Vec<bool> = mask.iter().map(|m| *m == 1).collect();
+        let kept = Measurement::new(frame.clone()).unwrap().without(&is_masked);
+        let options = Options {
+            prior: Some(Prior::STANDARD),
+            keep_all_pixels: true,
+            ..Options::default()
+        };
+        let by_hand = Problem::new(&kept, &case.camera, &case.psf, options).unwrap();
+        let by_hand = by_hand.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+        let (db, hand) = (case.psnr(&found), case.psnr(&by_hand));
+        assert!(db > hand - 0.3, "{name}: {db} dB, {hand} masked by hand");
+        let keep = Options {
+            keep_all_pixels: true,
+            ..Options::default()
+        };
+        let kept = case.solve(&frame, keep);
+        assert_eq!(kept.excluded_fraction(), 0.0);
+        assert!(
+            case.psnr(&kept) < db - 5.0,
+            "{name}: {} dB with all pixels",
+            case.psnr(&kept)
+        );
+        if found.excluded_fraction() > 0.005 {
+            assert!(
+                found.fit.reason.contains("belong to no video"),
+                "{}",
+                found.fit.reason
+            );
+        }
+    }
+}
+
+/// With a PSF of another capture the noise level includes the error of the model; a noise level that is given does not.
+#[test]
+fn a_wrong_psf_has_an_effective_noise_level() {
+    let case = Case::new();
+    // A PSF with some of another speckle pattern.
+    let other = psf(&case.camera, 6);
+    let mixed = Image::from_fn(
+        case.psf.image().rows(),
+        case.psf.image().columns(),
+        |y, x| 0.9 * case.psf.image().at(y, x) + 0.1 * other.image().at(y, x),
+    );
+    let wrong = Case {
+        psf: Psf::new(mixed).unwrap(),
+        camera: case.camera.clone(),
+        truth: case.truth.clone(),
+        frame: case.frame.clone(),
+    };
+    let found = wrong.solve(&wrong.frame, Options::default());
+    assert!(
+        found.effective_sigma > 2.0 * found.sigma,
+        "{}",
+        found.effective_sigma / found.sigma
+    );
+    assert!(
+        found.residual_over_sigma > 1.5,
+        "{}",
+        found.residual_over_sigma
+    );
+    assert_eq!(
+        found.fit.verdict,
+        Verdict::Suspicious,
+        "{}",
+        found.fit.reason
+    );
+    assert!(
+        found.fit.reason.contains("of its light"),
+        "{}",
+        found.fit.reason
+    );
+    assert!(
+        found.excluded_fraction() <= 0.002,
+        "{}",
+        found.excluded_fraction()
+    );
+    let given = Options {
+        noise_sigma: Some(found.sigma),
+        ..Options::default()
+    };
+    let at_sigma = wrong.solve(&wrong.frame, given);
+    assert_eq!(at_sigma.effective_sigma, at_sigma.sigma);
+    assert!(
+        wrong.psnr(&found) > wrong.psnr(&at_sigma),
+        "{}",
+        wrong.psnr(&at_sigma)
+    );
+}
+
+/// Voxels whose light reaches no pixel are marked and dark: of a field larger than the light of the PSF.
+#[test]
+fn voxels_that_are_not_observed_are_dark() {
+    for shutter in [Shutter::DualInsideOut, Shutter::DualOutsideIn] {
+        let field = (ROWS + 40, COLUMNS + 40);
+        let camera = camera(shutter, Some(field));
+        // A PSF of 25×25 pixels: light from farther than 12 pixels outside does not reach the sensor.
+        let small = Psf::new(Image::from_fn(25, 25, |y, x| (1 + scatter(y, x)) as f32)).unwrap();
+        let truth = scene::moving_digit(camera.video_shape(), 10, 1, 3).unwrap();
+        let frame = recorded(&camera, &small, &truth);
+        let measurement = Measurement::new(frame).unwrap();
+        for prior in ["tv+0.5*tdiff", "tv+0.5*tdiff+support"] {
+            let options = Options {
+                prior: Some(prior.parse().unwrap()),
+                max_iterations: Some(60),
+                ..Options::default()
+            };
+            let problem = Problem::new(&measurement, &camera, &small, options).unwrap();
+            let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+            let fraction = found.coverage_fraction();
+            assert!((0.01..0.9).contains(&fraction), "{fraction}");
+            let pairs = found.video.data().iter().zip(&found.coverage);
+            let unseen_light = pairs.filter(|(v, c)| **c == 0 && **v != 0.0).count();
+            assert_eq!(unseen_light, 0, "{prior}");
+            // A corner of the field is farther from each row than the PSF reaches.
+            assert_eq!(found.coverage[0], 0);
+        }
+    }
+    let whole = Case::new();
+    let found = whole.solve(
+        &whole.frame,
+        Options {
+            is_preview: true,
+            ..Options::default()
+        },
+    );
+    assert_eq!(found.coverage_fraction(), 1.0);
+}
