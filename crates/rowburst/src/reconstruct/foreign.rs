@@ -14,11 +14,13 @@ use crate::solve::StopReason;
 use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
 use std::ops::ControlFlow;
 
-/// Last noise level over the light of the frame; smaller costs time.
-const LAST_LEVEL: f64 = 0.006;
+/// Last noise level over the light of the frame; smaller takes what has not settled for foreign.
+const LAST_LEVEL: f64 = 0.05;
 /// Noise level over the light of the frame below which a video must reach it; larger stops before faint pixels are found,
 /// smaller takes what has not settled for foreign.
-const FINE_LEVEL: f64 = 0.02;
+const FINE_LEVEL: f64 = 0.2;
+/// Scale of the residual over the noise level up to which the video has reached it.
+const REACHED_RATIO: f64 = 1.2;
 /// Noise level over the residual that the last one left; smaller absorbs foreign pixels.
 const LEVEL_RATIO: f64 = 0.5;
 /// Iterations between two looks at the residual.
@@ -39,7 +41,7 @@ const MIN_FOREIGN_NEIGHBOURS: usize = 2;
 const MAX_EXCLUDED: f64 = 0.3;
 /// Standard deviation of Gaussian noise over its median magnitude.
 const SIGMA_OVER_MEDIAN: f64 = 1.4826;
-/// Part of a row's pixels whose residuals give its scale; smaller stands more foreign pixels in a row and is less exact.
+/// Part of an instant's pixels whose residuals give its scale; smaller stands more foreign pixels and is less exact.
 const LOW_QUANTILE: f64 = 0.3;
 /// That quantile of the magnitude of Gaussian noise over its standard deviation.
 const LOW_QUANTILE_OVER_SIGMA: f64 = 0.3853;
@@ -48,8 +50,10 @@ const DARK_PART: f64 = 0.2;
 /// That quantile over the median light of the frame from which a row is bright; smaller takes more rows for bright, in
 /// which faint foreign pixels are missed.
 const BRIGHT_ROW: f64 = 2.0;
-/// Fewest pixels of a row that give it a scale.
-const MIN_ROW_PIXELS: usize = 20;
+/// Scale of an instant over the noise level above which its video has not settled; larger bounds the light of the scene.
+const UNSETTLED_RATIO: f64 = 3.0;
+/// Fewest pixels of an instant that give it a scale.
+const MIN_INSTANT_PIXELS: usize = 20;
 
 /// The prior of the search: it assumes little, so that it suits any scene.
 const PRIOR: Prior = Prior {
@@ -57,25 +61,39 @@ const PRIOR: Prior = Prior {
     ..Prior::STANDARD
 };
 
-/// Finds the foreign pixels of the frame in `data`, down to the noise level `least_level`. The error is the result so
-/// far of a run that the observer stopped.
+/// Foreign pixels, and the noise level at which they were found.
+pub(super) struct Foreign {
+    /// Whether each pixel is foreign.
+    pub pixels: Vec<bool>,
+    /// In counts.
+    pub level: f64,
+}
+
+/// Finds the bright foreign pixels of the frame in `data`, down to the noise level `least_level`, with the faint pixels
+/// at their edges. `instants` has the instant of each row. The error is the result so far of a run that the observer stopped.
 pub(super) fn find(
     data: &mut FrameData,
+    instants: &[usize],
     lines: &BrokenLines,
     least_level: f64,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> Result<Vec<bool>, Box<RunResult>> {
+) -> Result<Foreign, Box<RunResult>> {
     let shape = data.shape();
     data.reset(PRIOR.background(), None);
     let measured = data.measurements().to_vec();
     let (is_usable, columns) = (data.usable(), data.shutter().frame_shape().1);
     let factors = row_factors(&measured, columns, &is_usable);
+    let pixels = Pixels {
+        measured: &measured,
+        is_usable: &is_usable,
+        instants,
+    };
     let judge = |fitted: &[f32], excluded: &[bool], level: f64| {
-        let scales = RowScales::Unsettled {
+        let scales = Scales::Loose {
             level,
             factors: &factors,
         };
-        let mut residual = Residual::new(&measured, fitted, columns, &is_usable, excluded, scales);
+        let mut residual = Residual::new(pixels, fitted, excluded, scales);
         lines.apply(&mut residual.is_foreign);
         residual
     };
@@ -117,7 +135,8 @@ pub(super) fn find(
             robust = judge(run.fitted(), &robust.is_foreign, level);
         }
         let has_diverged = robust.typical_scale > best.0.max(level);
-        let is_unsettled = robust.typical_scale > level && level < FINE_LEVEL * light;
+        let is_unsettled =
+            robust.typical_scale > REACHED_RATIO * level && level < FINE_LEVEL * light;
         if has_diverged || is_unsettled {
             break;
         }
@@ -128,12 +147,14 @@ pub(super) fn find(
         level = last_level.max(LEVEL_RATIO * level.min(robust.typical_scale));
     }
     data.set_measurements(measured.clone());
-    let (_, found) = best;
+    let (level, found) = best;
     let count = found.iter().filter(|foreign| **foreign).count();
-    if count as f64 > MAX_EXCLUDED * measured.len() as f64 {
-        return Ok(vec![false; measured.len()]);
-    }
-    Ok(with_edges(&found, columns))
+    let pixels = if count as f64 > MAX_EXCLUDED * measured.len() as f64 {
+        vec![false; measured.len()]
+    } else {
+        with_edges(&found, columns)
+    };
+    Ok(Foreign { pixels, level })
 }
 
 /// Adds the neighbours of foreign pixels that are not alone: the edges of printed letters are faint.
@@ -191,26 +212,39 @@ pub(super) struct Residual<'a> {
     pub is_foreign: Vec<bool>,
 }
 
-/// How the scale of a residual depends on its row.
+/// A weighted frame.
 #[derive(Clone, Copy)]
-pub(super) enum RowScales<'a> {
-    /// Of a video that takes shape: at least [`MIN_SCALE`] of the noise level `level`, times the factor of the row.
-    Unsettled { level: f64, factors: &'a [f64] },
-    /// Of a video that has settled: at least that of its row's residuals, and for excluded pixels `excluded_scale`, since
-    /// a video predicts pixels that it has not seen less exactly.
-    Settled { excluded_scale: f64 },
+pub(super) struct Pixels<'a> {
+    /// `W b`.
+    pub measured: &'a [f32],
+    /// Whether each pixel has a weight above zero.
+    pub is_usable: &'a [bool],
+    /// The instant of each row.
+    pub instants: &'a [usize],
+}
+
+/// How the scale of a residual depends on the place of its pixel.
+#[derive(Clone, Copy)]
+pub(super) enum Scales<'a> {
+    /// Of a loose fit: at least [`MIN_SCALE`] of the noise level `level`, times the factor of the row.
+    Loose { level: f64, factors: &'a [f64] },
+    /// Of a fit to the noise level `level`: at least [`MIN_SCALE`] of it, and that of the pixels of the same instant;
+    /// infinite where the video of the instant has not settled.
+    Fitting { level: f64 },
+    /// Of a video that has settled: at least that of the same instant, and for excluded pixels `excluded_scale`, since a
+    /// video predicts pixels that it has not seen less exactly. The scale of excluded pixels is multiplied by `factor`.
+    Settled { excluded_scale: f64, factor: f64 },
 }
 
 impl<'a> Residual<'a> {
-    /// The scale of a pixel is that of the pixels of similar light that are not `excluded`, adapted to its row.
-    pub fn new(
-        measured: &'a [f32],
-        fitted: &[f32],
-        columns: usize,
-        is_usable: &[bool],
-        excluded: &[bool],
-        row_scales: RowScales,
-    ) -> Self {
+    /// The scale of a pixel is that of the pixels of similar light that are not `excluded`, adapted to its place.
+    pub fn new(pixels: Pixels<'a>, fitted: &[f32], excluded: &[bool], scales: Scales) -> Self {
+        let Pixels {
+            measured,
+            is_usable,
+            instants,
+        } = pixels;
+        let columns = measured.len() / instants.len();
         let pairs = measured.iter().zip(fitted);
         let residual: Vec<f64> = pairs.map(|(b, a)| f64::from(*b) - f64::from(*a)).collect();
         let sizes_of = |pixels: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
@@ -218,30 +252,23 @@ impl<'a> Residual<'a> {
             kept.map(|i| residual[i].abs()).collect()
         };
         let (mut scale, typical_scale) = scales_by_light(fitted, is_usable, &sizes_of);
-        for (row, scales) in scale.chunks_mut(columns).enumerate() {
-            let first = row * columns;
-            match row_scales {
-                RowScales::Unsettled { level, factors } => {
-                    scales
-                        .iter_mut()
-                        .for_each(|s| *s = s.max(MIN_SCALE * level) * factors[row]);
+        let of_instants = scales_of_instants(instants, columns, &sizes_of);
+        for (i, scale) in scale.iter_mut().enumerate() {
+            let row = i / columns;
+            *scale = match scales {
+                Scales::Loose { level, factors } => scale.max(MIN_SCALE * level) * factors[row],
+                Scales::Fitting { level } => match of_instants[instants[row]] {
+                    of_instant if of_instant > UNSETTLED_RATIO * level => f64::INFINITY,
+                    of_instant => scale.max(MIN_SCALE * level).max(of_instant),
+                },
+                Scales::Settled {
+                    excluded_scale,
+                    factor,
+                } if excluded[i] => {
+                    factor * scale.max(of_instants[instants[row]]).max(excluded_scale)
                 }
-                RowScales::Settled { excluded_scale } => {
-                    let mut sizes = sizes_of(&mut (first..first + columns));
-                    let of_row = match sizes.len() {
-                        0..MIN_ROW_PIXELS => 0.0,
-                        _ => quantile(&mut sizes, LOW_QUANTILE) / LOW_QUANTILE_OVER_SIGMA,
-                    };
-                    for (x, s) in scales.iter_mut().enumerate() {
-                        let of_pixel = if excluded[first + x] {
-                            excluded_scale
-                        } else {
-                            0.0
-                        };
-                        *s = s.max(of_row).max(of_pixel);
-                    }
-                }
-            }
+                Scales::Settled { .. } => scale.max(of_instants[instants[row]]),
+            };
         }
         let is_foreign = (0..residual.len())
             .map(|i| is_usable[i] && residual[i].abs() > FOREIGN_RESIDUAL * scale[i]);
@@ -256,7 +283,7 @@ impl<'a> Residual<'a> {
 
     /// The measurements with the influence of large residuals bounded (Huber 1964), and foreign ones replaced by what
     /// the video predicts. A fit to these is a robust fit to the measurements.
-    fn bounded(&self) -> Vec<f32> {
+    pub fn bounded(&self) -> Vec<f32> {
         let bounded = |i: usize| {
             let (size, scale) = (self.residual[i].abs(), self.scale[i]);
             // All of a small residual counts, less of a larger one, nothing of a foreign one (Hampel 1974).
@@ -273,6 +300,24 @@ impl<'a> Residual<'a> {
     }
 }
 
+/// The scale of each instant by a low quantile of its residuals; 0 where it has few pixels.
+fn scales_of_instants(
+    instants: &[usize],
+    columns: usize,
+    sizes_of: &dyn Fn(&mut dyn Iterator<Item = usize>) -> Vec<f64>,
+) -> Vec<f64> {
+    let count = instants.iter().max().map_or(0, |last| last + 1);
+    let scale_of = |instant: usize| {
+        let rows = (0..instants.len()).filter(|&row| instants[row] == instant);
+        let mut sizes = sizes_of(&mut rows.flat_map(|row| row * columns..(row + 1) * columns));
+        match sizes.len() {
+            0..MIN_INSTANT_PIXELS => 0.0,
+            _ => quantile(&mut sizes, LOW_QUANTILE) / LOW_QUANTILE_OVER_SIGMA,
+        }
+    };
+    (0..count).map(scale_of).collect()
+}
+
 /// The scale of each pixel by those of similar light, and that of all pixels. It grows at most with the root of the
 /// light, as shot noise does: a caption that a video has begun to fit would raise its own scale.
 fn scales_by_light(
@@ -282,10 +327,7 @@ fn scales_by_light(
 ) -> (Vec<f64>, f64) {
     let mut order: Vec<usize> = (0..light.len()).filter(|&i| is_usable[i]).collect();
     order.sort_unstable_by(|&i, &j| light[i].total_cmp(&light[j]).then(i.cmp(&j)));
-    let scale_of = |pixels: &[usize]| {
-        let mut sizes = sizes_of(&mut pixels.iter().copied());
-        SIGMA_OVER_MEDIAN * quantile(&mut sizes, 0.5)
-    };
+    let scale_of = |pixels: &[usize]| robust_scale(&mut sizes_of(&mut pixels.iter().copied()));
     let light_of = |pixels: &[usize]| {
         pixels
             .get(pixels.len() / 2)
@@ -360,6 +402,11 @@ impl BrokenLines {
     }
 }
 
+/// Standard deviation of Gaussian residuals of these `sizes`, by their median.
+pub(super) fn robust_scale(sizes: &mut [f64]) -> f64 {
+    SIGMA_OVER_MEDIAN * quantile(sizes, 0.5)
+}
+
 /// The value below which this part of `values` lies; 0 without values.
 fn quantile(values: &mut [f64], part: f64) -> f64 {
     if values.is_empty() {
@@ -422,13 +469,18 @@ mod tests {
         let is_usable = vec![true; measured.len()];
         let factors = row_factors(&measured, COLUMNS, &is_usable);
         assert!(factors[5] > 3.0 && factors.iter().enumerate().all(|(y, f)| y == 5 || *f == 1.0));
-        let scales = RowScales::Unsettled {
+        let scales = Scales::Loose {
             level: 0.0,
             factors: &factors,
         };
         let none = vec![false; measured.len()];
         let dark = vec![0.0; measured.len()];
-        let residual = Residual::new(&measured, &dark, COLUMNS, &is_usable, &none, scales);
+        let pixels = Pixels {
+            measured: &measured,
+            is_usable: &is_usable,
+            instants: &[0; 20],
+        };
+        let residual = Residual::new(pixels, &dark, &none, scales);
         let found: Vec<usize> = (0..measured.len())
             .filter(|&i| residual.is_foreign[i])
             .collect();

@@ -5,16 +5,20 @@
 //! foreign pixels are looked for (docs/design/020).
 
 use super::choose::{self, Observer, rms};
-use super::foreign::{self, BrokenLines, Residual, RowScales};
+use super::foreign::{self, BrokenLines, Foreign, Pixels, Residual, Scales};
 use super::frame_data::FrameData;
 use super::sigma::Bands;
 use super::{Prior, Problem, RunResult, SigmaSource, noise_of, observe_sum};
-use crate::measurement::Measurement;
-use crate::solve::StopReason;
+use crate::prox::Prox;
 use crate::solve::admm::{Admm, TauRule};
+use crate::solve::{DataTerm, StopReason};
 
-/// Iterations of a check; fewer compare a video that has not settled.
+/// Most iterations of a check; fewer compare a video that has not settled.
 const CHECK_ITERATIONS: usize = 100;
+/// Iteration at which a check may end early; smaller judges a video that has not taken shape.
+const FIRST_CHECK_ITERATION: usize = 30;
+/// Iterations between two such moments; larger ends checks later.
+const CHECK_STEP: usize = 10;
 /// Residual over `σ` above which the model does not explain the frame.
 const MAX_RESIDUAL: f64 = 1.06;
 /// Held-out error over `σ` above which the model does not explain the frame; smaller doubts good models.
@@ -26,77 +30,108 @@ const EFFECTIVE_SIGMA: f64 = 0.85;
 /// Part of the pixels with a residual far above the others that noise explains.
 const MAX_OUTLIERS: f64 = 2e-4;
 
-/// How often foreign pixels are judged again by the video without them; more find few further ones.
-const REJUDGEMENTS: usize = 4;
-/// Factor on the held-out error up to which the first judgement takes excluded pixels back: where many are excluded, the
-/// video predicts them poorly. A foreign one is found again.
-const FIRST_READMISSION: f64 = 4.0;
-/// Part of the pixels that a new judgement changes below which it no longer counts; smaller costs time.
-const FEW_PIXELS: f64 = 1e-3;
+/// Noise level of a round over that of the one before; smaller absorbs foreign pixels that are not found yet.
+const LEVEL_RATIO: f64 = 0.5;
+/// Noise level over `σ` below which it is the last one: the estimate of `σ` differs a little from round to round.
+const LAST_LEVEL_RATIO: f64 = 1.1;
+/// Most rounds at the noise of the sensor; more find few further pixels.
+const MAX_LAST_ROUNDS: usize = 4;
+/// Noise level over `σ` from which pixels come back between rounds; larger takes faint foreign pixels back.
+const FINE_LEVEL: f64 = 4.0;
+/// Factor on the limit of a residual below which a pixel comes back between rounds; larger takes faint foreign pixels back.
+const EARLY_READMISSION: f64 = 0.4;
+/// Factors on that limit at the end, one after the other: where many pixels are excluded, the video predicts them poorly.
+const READMISSIONS: [f64; 3] = [4.0, 1.0, 1.0];
+/// Part of the pixels that come back below which another check is not worth its time.
+const FEW_PIXELS: f64 = 1e-4;
+/// Held-out error over that before above which a readmission is undone.
+const READMISSION_ERROR_RATIO: f64 = 1.02;
 /// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
 
-/// Held-out error over the best of the judgements above which that one counts instead of the last one.
-const BEST_ERROR_RATIO: f64 = 1.1;
+/// A run on the pixels that are not held out.
+struct HeldOutRun {
+    prior: Prior,
+    prox: Box<dyn Prox>,
+    admm: Admm,
+    residual_rms: f64,
+}
 
-/// A run on the pixels that are not held out, with its error at the held-out ones.
+impl HeldOutRun {
+    /// A run from a zero video.
+    fn new(
+        data: &mut FrameData,
+        prior: Prior,
+        rule: TauRule,
+        max_iterations: Option<usize>,
+    ) -> Self {
+        let held_out = data.held_out();
+        data.reset(prior.background(), Some(held_out));
+        let params = prior.admm_params(data.shape(), rule, max_iterations);
+        Self {
+            prior,
+            prox: data.prox(&prior),
+            admm: Admm::new(data, data.shape(), params),
+            residual_rms: 0.0,
+        }
+    }
+
+    /// Iterates up to iteration `until` or until it converges, and returns whether it has. The error is the result so far
+    /// of a run that the observer stopped.
+    fn run(
+        &mut self,
+        data: &mut FrameData,
+        until: usize,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        let (prior, shape) = (self.prior, data.shape());
+        let residual_rms = &mut self.residual_rms;
+        let reason = self
+            .admm
+            .run(data, &mut *self.prox, until, &mut |progress| {
+                *residual_rms = progress.residual_rms;
+                observe_sum(prior.background(), shape, progress, observer)
+            });
+        if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
+            let solution = self.admm.snapshot(data, &*self.prox, reason);
+            return Err(Box::new(RunResult::new(
+                prior,
+                &*self.prox,
+                shape,
+                solution,
+            )));
+        }
+        Ok(reason == StopReason::Converged)
+    }
+}
+
+/// How well a run on the pixels that are not held out explains the frame.
 pub(super) struct HeldOutCheck {
     /// `A v` of its video, at all pixels.
     light: Vec<f32>,
     residual_rms: f64,
     held_out_rms: f64,
+    /// Standard deviation of most held-out residuals, by their median.
+    held_out_scale: f64,
     held_out_count: usize,
     support_fraction: f64,
 }
 
 impl HeldOutCheck {
-    /// Runs the solver. The error is the result so far of a run that the observer stopped.
-    pub fn new(
-        data: &mut FrameData,
-        prior: Prior,
-        rule: TauRule,
-        max_iterations: Option<usize>,
-        observer: &mut Observer,
-    ) -> Result<Self, Box<RunResult>> {
-        let shape = data.shape();
-        let held_out = data.held_out();
-        data.reset(prior.background(), Some(held_out));
-        let mut prox = data.prox(&prior);
-        let params = prior.admm_params(shape, rule, max_iterations);
-        let mut run = Admm::new(data, shape, params);
-        let mut residual_rms = 0.0;
-        let reason = run.run(data, &mut *prox, CHECK_ITERATIONS, &mut |progress| {
-            residual_rms = progress.residual_rms;
-            observe_sum(prior.background(), shape, progress, observer)
-        });
-        if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
-            let solution = run.into_solution(data, &*prox, reason);
-            return Err(Box::new(RunResult::new(prior, &*prox, shape, solution)));
-        }
-        Ok(Self {
-            light: data.predicted(run.video()),
-            residual_rms,
-            held_out_rms: rms(&data.held_out_residuals(run.video())),
+    /// The check of a run so far.
+    fn of(run: &HeldOutRun, data: &FrameData) -> Self {
+        let video = run.admm.video();
+        let held_out = data.held_out_residuals(video);
+        Self {
+            light: data.predicted(video),
+            residual_rms: run.residual_rms,
+            held_out_rms: rms(&held_out),
+            held_out_scale: foreign::robust_scale(
+                &mut held_out.iter().map(|r| r.abs()).collect::<Vec<_>>(),
+            ),
             held_out_count: data.held_out_count(),
-            support_fraction: run.support_fraction(),
-        })
-    }
-
-    /// Whether the model explains the pixels of `measurement` that are not `excluded` to the noise `sigma`.
-    pub fn is_explained(&self, sigma: f64, measurement: &Measurement, excluded: &[bool]) -> bool {
-        let foreign = self.foreign(measurement, excluded, 1.0);
-        let pairs = foreign.iter().zip(excluded);
-        let count = pairs
-            .filter(|(foreign, excluded)| **foreign && !**excluded)
-            .count();
-        self.residual_rms <= MAX_RESIDUAL * sigma
-            && self.held_out_rms <= MAX_HELD_OUT_ERROR * (1.0 + self.allowed_deviation()) * sigma
-            && count as f64 <= (MAX_OUTLIERS * excluded.len() as f64).max(1.0)
-    }
-
-    /// Part of the voxels that are active, from 0 to 1.
-    pub fn support_fraction(&self) -> f64 {
-        self.support_fraction
+            support_fraction: run.admm.support_fraction(),
+        }
     }
 
     /// How far the held-out error of few pixels may lie above its mean by chance, in parts of it.
@@ -104,34 +139,9 @@ impl HeldOutCheck {
         DEVIATIONS / (2.0 * self.held_out_count.max(1) as f64).sqrt()
     }
 
-    /// The foreign pixels of `measurement` by this run's video, which was made without those `excluded`. Their scale is at
-    /// least `readmission` times the held-out error.
-    pub fn foreign(
-        &self,
-        measurement: &Measurement,
-        excluded: &[bool],
-        readmission: f64,
-    ) -> Vec<bool> {
-        let weight = |i: usize| measurement.weights().map_or(1.0, |w| w[i]);
-        let weigh = |values: &[f32]| -> Vec<f32> {
-            values
-                .iter()
-                .enumerate()
-                .map(|(i, v)| weight(i) * v)
-                .collect()
-        };
-        let is_usable: Vec<bool> = (0..excluded.len()).map(|i| weight(i) > 0.0).collect();
-        let (measured, fitted) = (weigh(measurement.image().data()), weigh(&self.light));
-        let columns = measurement.image().columns();
-        let scales = RowScales::Settled {
-            excluded_scale: readmission * self.held_out_rms,
-        };
-        Residual::new(&measured, &fitted, columns, &is_usable, excluded, scales).is_foreign
-    }
-
     /// The noise level that serves the reconstruction best where the model does not explain the frame, at least
     /// `sigma`.
-    pub fn effective_sigma(&self, sigma: f64) -> f64 {
+    fn effective_sigma(&self, sigma: f64) -> f64 {
         (EFFECTIVE_SIGMA * self.held_out_rms).max(sigma)
     }
 }
@@ -148,7 +158,7 @@ impl Problem {
             return Ok(());
         }
         let mut check = self.held_out_check(prior, observer)?;
-        if check.is_explained(self.sigma, &self.measurement, &self.excluded) {
+        if self.is_explained(&check) {
             return Ok(());
         }
         if !self.options.keep_all_pixels {
@@ -157,9 +167,10 @@ impl Problem {
                 SigmaSource::Given | SigmaSource::Calibration => self.sigma,
                 SigmaSource::Frame | SigmaSource::HeldOut => 0.0,
             };
-            let lines = BrokenLines::new(&self.measurement, self.camera.instants());
-            let found = foreign::find(&mut self.data, &lines, least_level, observer)?;
-            if found.contains(&true) {
+            let instants = self.camera.instants();
+            let lines = BrokenLines::new(&self.measurement, instants);
+            let found = foreign::find(&mut self.data, instants, &lines, least_level, observer)?;
+            if found.pixels.contains(&true) {
                 let without = self.check_without(found, &lines.is_broken, prior, observer)?;
                 if without.held_out_rms < MAX_ERROR_RATIO * check.held_out_rms {
                     check = without;
@@ -173,56 +184,133 @@ impl Problem {
                 }
             }
         }
-        let is_explained = check.is_explained(self.sigma, &self.measurement, &self.excluded);
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
-        if is_estimated && !is_explained {
+        if is_estimated && !self.is_explained(&check) {
             self.effective_sigma = check.effective_sigma(self.sigma);
         }
         Ok(())
     }
 
-    /// Leaves the pixels `found` out and checks the model again, which judges all pixels anew, until they stay the same.
+    /// Leaves the pixels `found` out, and others that prove to be foreign; takes those back that the video predicts.
     fn check_without(
         &mut self,
-        mut found: Vec<bool>,
+        found: Foreign,
+        broken: &[bool],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let (mut level, mut excluded) = (found.level, found.pixels);
+        let few = (FEW_PIXELS * excluded.len() as f64) as usize;
+        let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
+        for factor in READMISSIONS {
+            let before = self.excluded.clone();
+            excluded = self.without_predicted(&check, factor, broken);
+            if count(&before) - count(&excluded) <= few {
+                continue;
+            }
+            let was_explained = self.is_explained(&check);
+            let next = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
+            let is_better = next.held_out_rms <= READMISSION_ERROR_RATIO * check.held_out_rms;
+            if self.is_explained(&next) || (!was_explained && is_better) {
+                check = next;
+            } else {
+                self.exclude(before);
+            }
+        }
+        if level > self.sigma {
+            // The effective noise level is that of a run at the noise of the sensor.
+            check = self.held_out_check(prior, observer)?;
+        }
+        Ok(check)
+    }
+
+    /// Checks the model without the pixels `excluded`, at the noise level `level` and then at smaller ones down to that
+    /// of the sensor, as long as the video reaches them. Leaves further pixels out that prove to be foreign. A fit to
+    /// the noise of the sensor at once would absorb them.
+    fn exclude_from_level(
+        &mut self,
+        level: &mut f64,
+        mut excluded: Vec<bool>,
         broken: &[bool],
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let mut rounds = 0;
-        // The smallest held-out error, and the pixels that were left out for it.
-        let mut best = (f64::INFINITY, Vec::new());
         loop {
-            self.exclude(found);
-            let check = self.held_out_check(prior, observer)?;
-            let is_explained = check.is_explained(self.sigma, &self.measurement, &self.excluded);
-            let readmission = if rounds == 0 && is_explained {
-                FIRST_READMISSION
-            } else {
-                1.0
-            };
-            found = check.foreign(&self.measurement, &self.excluded, readmission);
-            found.iter_mut().zip(broken).for_each(|(f, b)| *f |= b);
-            let pairs = || found.iter().zip(&self.excluded);
-            let new = pairs().filter(|(new, old)| **new && !**old).count() as f64;
-            let returned = pairs().filter(|(new, old)| !**new && **old).count() as f64;
-            let few = FEW_PIXELS * found.len() as f64;
-            // A wrong model has pixels at the edge of being foreign; else every foreign pixel counts.
-            let max_new = if is_explained { 0.0 } else { few };
-            rounds += 1;
-            let error = check.held_out_rms;
-            if error < best.0 {
-                best = (error, self.excluded.clone());
+            self.exclude(excluded);
+            if *level < LAST_LEVEL_RATIO * self.sigma {
+                *level = self.sigma;
             }
-            if (new <= max_new && returned <= few) || rounds > REJUDGEMENTS {
-                if error <= BEST_ERROR_RATIO * best.0 {
-                    return Ok(check);
+            let check = self.robust_check(*level, prior, observer)?;
+            let is_last_level = *level <= self.sigma;
+            rounds += usize::from(is_last_level);
+            if is_last_level && self.is_explained(&check) {
+                return Ok(check);
+            }
+            let is_reached = check.residual_rms <= MAX_RESIDUAL * *level;
+            let new = self.foreign(&check, 1.0);
+            let is_complete = !new.iter().zip(&self.excluded).any(|(n, e)| *n && !e);
+            if is_last_level && (is_complete || rounds >= MAX_LAST_ROUNDS)
+                || !is_last_level && !is_reached
+            {
+                return Ok(check);
+            }
+            excluded = self.excluded.clone();
+            if !is_last_level {
+                *level = (LEVEL_RATIO * *level).max(self.sigma);
+                if *level < FINE_LEVEL * self.sigma {
+                    excluded = self.without_predicted(&check, EARLY_READMISSION, broken);
                 }
-                self.exclude(best.1);
-                return self.held_out_check(prior, observer);
             }
+            let found = excluded.iter_mut().zip(new.iter().zip(&self.excluded));
+            found.for_each(|(excluded, (new, old))| *excluded |= *new && !old);
         }
+    }
+
+    /// The excluded pixels without those whose residual is below `factor` times the limit of foreign pixels.
+    fn without_predicted(&self, check: &HeldOutCheck, factor: f64, broken: &[bool]) -> Vec<bool> {
+        let foreign = self.foreign(check, factor);
+        let pixels = foreign.iter().zip(&self.excluded).zip(broken);
+        pixels
+            .map(|((foreign, excluded), broken)| *broken || *excluded && *foreign)
+            .collect()
+    }
+
+    /// Whether the model explains the pixels that are not left out to the noise of the sensor.
+    fn is_explained(&self, check: &HeldOutCheck) -> bool {
+        let foreign = self.foreign(check, 1.0);
+        let pairs = foreign.iter().zip(&self.excluded);
+        let outliers = pairs.filter(|(foreign, excluded)| **foreign && !**excluded);
+        check.residual_rms <= MAX_RESIDUAL * self.sigma
+            && check.held_out_rms
+                <= MAX_HELD_OUT_ERROR * (1.0 + check.allowed_deviation()) * self.sigma
+            && outliers.count() as f64 <= (MAX_OUTLIERS * foreign.len() as f64).max(1.0)
+    }
+
+    /// The foreign pixels by the video of `check`; the limit of excluded ones is multiplied by `factor`.
+    fn foreign(&self, check: &HeldOutCheck, factor: f64) -> Vec<bool> {
+        let weights = self.measurement.weights();
+        let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
+        let weigh = |values: &[f32]| -> Vec<f32> {
+            values
+                .iter()
+                .enumerate()
+                .map(|(i, v)| weight(i) * v)
+                .collect()
+        };
+        let is_usable: Vec<bool> = (0..self.excluded.len()).map(|i| weight(i) > 0.0).collect();
+        let measured = weigh(self.measurement.image().data());
+        let pixels = Pixels {
+            measured: &measured,
+            is_usable: &is_usable,
+            instants: self.camera.instants(),
+        };
+        let scales = Scales::Settled {
+            excluded_scale: check.held_out_scale,
+            factor,
+        };
+        Residual::new(pixels, &weigh(&check.light), &self.excluded, scales).is_foreign
     }
 
     /// Whether the model is checked on held-out pixels before the run.
@@ -235,17 +323,61 @@ impl Problem {
         has_use && is_long && !self.options.is_preview && choose::can_choose(&self.data)
     }
 
-    /// Runs `prior` on the pixels that are not held out.
+    /// Runs `prior` on the pixels that are not held out, at most until the model explains the frame.
     pub(super) fn held_out_check(
         &mut self,
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let rule = self.tau_rule();
-        let max_iterations = self.options.max_iterations;
-        let check = HeldOutCheck::new(&mut self.data, prior, rule, max_iterations, observer)?;
-        self.is_dense = prior.support && check.support_fraction() > choose::DENSE_SUPPORT;
-        Ok(check)
+        let (rule, max_iterations) = (self.tau_rule(), self.options.max_iterations);
+        let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
+        let mut until = FIRST_CHECK_ITERATION;
+        loop {
+            let has_converged = run.run(&mut self.data, until, observer)?;
+            let check = HeldOutCheck::of(&run, &self.data);
+            if has_converged || until >= CHECK_ITERATIONS || self.is_explained(&check) {
+                self.is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+                return Ok(check);
+            }
+            until += CHECK_STEP;
+        }
+    }
+
+    /// The same at the noise level `level`, with the influence of large residuals bounded: foreign pixels that are not
+    /// found yet disturb their whole instant otherwise. Ends once the video reaches the level.
+    fn robust_check(
+        &mut self,
+        level: f64,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        self.effective_sigma = level;
+        let (rule, max_iterations) = (self.tau_rule(), self.options.max_iterations);
+        let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
+        let (measured, is_usable) = (self.data.measurements().to_vec(), self.data.usable());
+        let none = vec![false; measured.len()];
+        let mut until = FIRST_CHECK_ITERATION;
+        loop {
+            let has_converged = run.run(&mut self.data, until, observer)?;
+            let check = HeldOutCheck::of(&run, &self.data);
+            let is_reached = until > FIRST_CHECK_ITERATION
+                && level > self.sigma
+                && check.residual_rms <= MAX_RESIDUAL * level;
+            let is_explained = || level <= self.sigma && self.is_explained(&check);
+            if has_converged || until >= CHECK_ITERATIONS || is_reached || is_explained() {
+                self.is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+                return Ok(check);
+            }
+            let pixels = Pixels {
+                measured: &measured,
+                is_usable: &is_usable,
+                instants: self.camera.instants(),
+            };
+            let fitted = run.admm.fitted();
+            let robust = Residual::new(pixels, fitted, &none, Scales::Fitting { level });
+            self.data.set_measurements(robust.bounded());
+            until += CHECK_STEP;
+        }
     }
 
     /// Leaves the pixels `excluded` out. They may have disturbed the estimate of the noise level.
@@ -260,4 +392,8 @@ impl Problem {
             self.effective_sigma = sigma;
         }
     }
+}
+
+fn count(mask: &[bool]) -> usize {
+    mask.iter().filter(|m| **m).count()
 }
