@@ -218,8 +218,9 @@ impl Problem {
                 self.exclude(before);
             }
         }
-        if level > self.sigma {
-            // The effective noise level is that of a run at the noise of the sensor.
+        if !self.is_explained(&check) {
+            // The effective noise level is that of a plain fit to the noise of the sensor.
+            self.effective_sigma = self.sigma;
             check = self.held_out_check(prior, observer)?;
         }
         Ok(check)
