@@ -5,7 +5,7 @@ from docutils.utils.math import latex2mathml
 project = "Rowburst"
 author = "the Rowburst developers"
 extensions = ["myst_parser", "autoapi.extension", "sphinx_copybutton"]
-source_suffix = {".md": "markdown"}
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
 
 # Markdown, as GitHub shows it: a heading is a place to link to, $…$ is mathematics.
