@@ -170,7 +170,7 @@ def check(page, program, interpreter, captures, default):
         for language, body in blocks:
             if language == "sh":
                 count += shell(body, folder, page, program)
-            elif language == "python" and interpreter and "# run" not in body.splitlines()[0]:
+            elif language == "python" and interpreter:
                 count += 1
                 python(body, folder, page, program, interpreter)
         if "matlab" in languages:

@@ -38,7 +38,7 @@ RECORD = DOCS / "shown.json"
 PSNR_TOLERANCE, RESIDUAL_TOLERANCE, LEVELS_TOLERANCE = 0.3, 0.03, 3.0
 BEGIN, END = "<!-- shown: begin -->", "<!-- shown: end -->"
 SIDE, BINS, BIN_US = 108, 54, 9.6
-SCALE, GAP, TOP, BOTTOM = 3, 14, 30, 34
+SCALE, GAP, TOP, BOTTOM = 3, 14, 36, 36
 INK, PAPER, YELLOW = "#1b2130", "#ffffff", (255, 214, 0)
 # Black, purple, orange, white; and blue, green, yellow, red for time.
 HEAT = [(0, 0, 0), (60, 15, 110), (170, 40, 100), (240, 110, 30), (250, 200, 60), (255, 255, 230)]
@@ -178,7 +178,7 @@ def trace_panel(run):
         top = first[:, column].max()
         points = [(12 + (side - 24) * t / (len(first) - 1), base - height * v / top) for t, v in enumerate(first[:, column])]
         draw.line(points, fill=colour, width=2, joint="curve")
-    draw.text((side - 12, side - 10), f"0 to {0.027 * BIN_US:.2f} ms", INK, ImageFont.load_default(12), anchor="rm")
+    draw.text((side - 12, side - 10), f"0 to {0.027 * BIN_US:.2f} ms", INK, ImageFont.load_default(16), anchor="rm")
     return np.asarray(panel)
 
 
@@ -192,7 +192,7 @@ def row_of(panels, bar=None, notes=()):
     """Panels with their titles; `bar`: the duration that a bar of time colours below the last panel stands for."""
     side, below = SIDE * SCALE, BOTTOM if bar or notes else GAP
     picture = Image.new("RGB", (len(panels) * (side + GAP) + GAP, TOP + side + below), PAPER)
-    draw, font, small = ImageDraw.Draw(picture), ImageFont.load_default(15), ImageFont.load_default(13)
+    draw, font, small = ImageDraw.Draw(picture), ImageFont.load_default(20), ImageFont.load_default(16)
     for i, (title, pixels) in enumerate(panels):
         x = GAP + i * (side + GAP)
         draw.text((x + side / 2, TOP / 2), title, INK, font, anchor="mm")
@@ -202,7 +202,7 @@ def row_of(panels, bar=None, notes=()):
         x, y = GAP + place * (side + GAP), TOP + side + BOTTOM // 2
         strip = colours(np.linspace(0, 1, side - 130), TIME)[None].repeat(10, 0)
         picture.paste(Image.fromarray(strip), (x + 40, y - 5))
-        draw.text((x + 34, y), "0", INK, small, anchor="rm")
+        draw.text((x + 32, y), "0", INK, small, anchor="rm")
         draw.text((x + side - 84, y), duration, INK, small, anchor="lm")
     return picture
 
@@ -236,8 +236,8 @@ def gallery(run):
 
 def demo(run):
     """docs/demo.png: what is recorded, and what comes out."""
-    return row_of([("without the diffuser", grey(run.direct)), ("with the diffuser: the captured frame", grey(run.frame)),
-                   ("the video recovered from it, time as colour", time_colour(run.video))], bar=(2, duration(run)))
+    return row_of([("without the diffuser", grey(run.direct)), ("with it: the captured frame", grey(run.frame)),
+                   ("the video from it, time as colour", time_colour(run.video))], bar=(2, duration(run)))
 
 
 def rows_read(t):
@@ -265,7 +265,7 @@ def method(run):
     light = light[y : y + SIDE, x : x + SIDE]
     middle = psf[y - SIDE // 2 : y + SIDE // 2, x - SIDE // 2 : x + SIDE // 2]
     return row_of([("the scene in one bin", heat(scene, run.truth.max())), ("the PSF", grey(middle)),
-                   ("the light on the sensor, and the rows read", with_rows(grey(light), t)),
+                   ("light on the sensor, rows read", with_rows(grey(light), t)),
                    ("the frame: such rows of all bins", grey(run.frame))])
 
 
@@ -274,7 +274,7 @@ def tutorial(run):
     at = [5, 26, 48]
     top = run.truth.max()
     rows = [[("without the diffuser", grey(run.direct)), ("the captured frame", grey(run.frame)),
-             ("all bins of the video, time as colour", time_colour(run.video))],
+             ("the video, time as colour", time_colour(run.video))],
             [(f"video at {moment(t)}", heat(run.video[t], top)) for t in at],
             [(f"truth at {moment(t)}", heat(run.truth[t], top)) for t in at]]
     return stacked([row_of(row) for row in rows])
@@ -296,7 +296,7 @@ def film(run):
 
     direct, frame = (index(i, *np.quantile(i, [0.005, 0.998]), 0) for i in (run.direct, run.frame))
     titles = ["without the diffuser", "with it: the one frame that is captured", "the video computed from it"]
-    font, small = ImageFont.load_default(16), ImageFont.load_default(14)
+    font, small = ImageFont.load_default(18), ImageFont.load_default(16)
     pictures, seen = [], np.zeros((SIDE, SIDE))
     # The last picture stays for a moment.
     for t in range(BINS):

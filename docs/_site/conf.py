@@ -1,5 +1,6 @@
 """Settings of the documentation site. scripts/docs stages the pages and runs Sphinx with this file."""
 
+from docutils.nodes import SkipNode
 from docutils.utils.math import latex2mathml
 
 project = "Rowburst"
@@ -20,6 +21,7 @@ autoapi_add_toctree_entry = False
 autoapi_python_class_content = "class"
 add_module_names = False
 python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 70
 
 html_theme = "furo"
 html_title = "Rowburst"
@@ -28,6 +30,8 @@ html_css_files = ["site.css"]
 # Formulas as MathML, which browsers draw without a script from elsewhere.
 html_math_renderer = "mathml"
 html_copy_source = False
+# Excerpts are fetched, which a browser refuses to pages from the disk: titles and headings are found without them.
+html_show_search_summary = False
 html_show_sphinx = False
 html_show_copyright = False
 html_domain_indices = False
@@ -39,17 +43,11 @@ pygments_dark_style = "monokai"
 
 def inline_math(translator, node):
     translator.body.append(latex2mathml.tex2mathml(node.astext()))
-    raise_skip()
+    raise SkipNode
 
 
 def display_math(translator, node):
     translator.body.append(f'<div class="math">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>')
-    raise_skip()
-
-
-def raise_skip():
-    from docutils.nodes import SkipNode
-
     raise SkipNode
 
 
