@@ -6,7 +6,7 @@
     python3 scripts/check_pages.py target/release/rowburst README.md docs/tutorial.md
 
 Blocks marked `sh`, `python` and `matlab` are run, a page at a time and in its order, in an empty folder of its own: of
-`sh` the lines that run Rowburst, `python` with --python, `matlab` in GNU Octave where it is installed. The folder has
+`sh` the lines that run Rowburst, but for `view`; `python` with --python, `matlab` in GNU Octave where it is installed. The folder has
 the first `toml` block of the page as `experiment.toml` (or that of the tutorial) and the files that a page names
 without making them, such as `capture.tif` or `darks/`: simulated captures. Write `text` above what cannot run.
 Needs numpy and Pillow: what is missing is installed by pip into a virtual environment.
@@ -123,6 +123,9 @@ def shell(block, folder, page, program):
             continue
         say(f"  {line}")
         words = shlex.split(line[len(start):], comments=True)
+        if words[0] == "view":
+            # It serves until Ctrl-C; tests/view.rs runs it.
+            continue
         run([str(program), *words], folder, f"{page}: {line}", program)
         for option in ("-o", "--output"):
             if option in words and not (folder / words[words.index(option) + 1]).exists():
@@ -160,9 +163,11 @@ def check(page, program, interpreter, captures, default):
     count = 0
     with tempfile.TemporaryDirectory(prefix="rowburst-page-") as folder:
         folder = Path(folder)
-        toml = next((body for language, body in blocks if language == "toml" and "rows" in body), default)
-        (folder / "experiment.toml").write_text(toml, encoding="utf-8")
         wanted = [name for name in NAMES if re.search(rf"\b{re.escape(name)}\b", text)]
+        toml = next((body for language, body in blocks if language == "toml" and "rows" in body), None)
+        if toml is None:
+            toml = default + ('\n[calibration]\npsf = "psf.tif"\n' if "psf.tif" in wanted else "")
+        (folder / "experiment.toml").write_text(toml, encoding="utf-8")
         if "matlab" in languages:
             wanted += ["frame.csv", "psf.csv"]
         for name in wanted:
