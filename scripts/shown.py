@@ -9,8 +9,9 @@ Each scene below is simulated and reconstructed by the commands that the gallery
 docs/shown.json, and README.md and docs/gallery.md repeat it between the lines `<!-- shown: begin -->` and `end`. A
 PSNR may differ by 0.3 dB, a residual by 0.03, verdict and prior not at all; pictures have the same size and differ by
 at most 3 of 256 levels in the mean. Processor times depend on the machine and are only renewed. The times to a quality
-beside those of other toolboxes are those of docs/speed.md. Needs numpy and Pillow: what
-is missing is installed by pip into a virtual environment.
+beside those of other toolboxes are those of docs/speed.md. The pictures of docs/raw-frames.md, which
+scripts/raw_frames_pictures.py makes, are checked likewise. Needs numpy, scipy and Pillow: what is missing is installed
+by pip into a virtual environment.
 """
 
 import argparse
@@ -28,13 +29,14 @@ from common import ROOT, commit, machine, say, table, with_packages
 
 if __name__ == "__main__":
     # The packages have to be there before the next lines.
-    with_packages(ROOT / "target/shown", __file__, ["numpy", "PIL"])
+    with_packages(ROOT / "target/shown", __file__, ["numpy", "scipy", "PIL"])
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
 DOCS = ROOT / "docs"
 RECORD = DOCS / "shown.json"
+RAW_FRAMES = "raw-frames"
 PSNR_TOLERANCE, RESIDUAL_TOLERANCE, LEVELS_TOLERANCE = 0.3, 0.03, 3.0
 BEGIN, END = "<!-- shown: begin -->", "<!-- shown: end -->"
 SIDE, BINS, BIN_US = 108, 54, 9.6
@@ -345,16 +347,21 @@ def frames(path):
 
 def picture_drift(path, picture, folder):
     """What a stored picture and that of now differ in."""
-    name = path.relative_to(ROOT)
-    if not path.exists():
-        return [f"{name} is missing"]
     made = folder / path.name
     write(picture, made)
+    return difference(path, made)
+
+
+def difference(path, made):
+    """What two pictures differ in."""
+    name = path.relative_to(ROOT)
+    if not (path.exists() and made.exists()):
+        return [f"{name} is missing"]
     before, now = frames(path), frames(made)
     if [f.shape for f in before] != [f.shape for f in now]:
         return [f"{name}: the size or number of pictures is another"]
-    difference = max(np.abs(a - b).mean() for a, b in zip(before, now))
-    return [f"{name} differs by {difference:.1f} levels in the mean"] if difference > LEVELS_TOLERANCE else []
+    levels = max(np.abs(a - b).mean() for a, b in zip(before, now))
+    return [f"{name} differs by {levels:.1f} levels in the mean"] if levels > LEVELS_TOLERANCE else []
 
 
 # Picture, of which scene, by which function.
@@ -363,6 +370,30 @@ PICTURES = [
     ("pictures/tutorial.png", "tutorial", tutorial),
     *((f"gallery/{name}.png", name, gallery) for name in SCENES),
 ]
+
+
+def raw_frames(program, folder):
+    """Makes the pictures of docs/raw-frames.md; what the script says of each run, `NAME: words: 47.8 dB, fit good`."""
+    script = ROOT / "scripts/raw_frames_pictures.py"
+    done = subprocess.run([sys.executable, script, "--program", program, "-o", folder], capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"shown.py: {script.name}\n{done.stderr.strip()}")
+    runs, name = {}, None
+    for line in done.stderr.splitlines():
+        if found := re.match(r"  (\S.*): ([\d.-]+) dB, fit (\w+)$", line):
+            # The option alone: a value may change in its last digits.
+            runs[f"{name}: {found[1].split()[0]}"] = {"psnr_db": round(float(found[2]), 1), "fit": found[3]}
+        elif re.fullmatch(r"[\w-]+", line):
+            name = line
+    return runs
+
+
+def raw_frames_drift(kept, now, folder):
+    faults = [f"raw-frames, {name}: {now.get(name)}, shown is {run}" for name, run in kept.items()
+              if name not in now or abs(run["psnr_db"] - now[name]["psnr_db"]) > PSNR_TOLERANCE or run["fit"] != now[name]["fit"]]
+    for path in sorted((DOCS / "raw-frames").glob("*.png")):
+        faults += difference(path, folder / path.name)
+    return faults
 
 
 # ---------------------------------------------------------------- text
@@ -421,8 +452,8 @@ def main():
     options = parser.parse_args()
     record = json.loads(RECORD.read_text()) if RECORD.exists() else {"scenes": {}}
     scenes = {name: scene for name, scene in (SCENES | TUTORIAL).items() if options.only in (None, name)}
-    if not scenes:
-        parser.error(f"no scene {options.only}; there are {', '.join(SCENES | TUTORIAL)}")
+    if not scenes and options.only != RAW_FRAMES:
+        parser.error(f"no scene {options.only}; there are {', '.join([*SCENES, *TUTORIAL, RAW_FRAMES])}")
     faults = []
     with tempfile.TemporaryDirectory(prefix="rowburst-shown-") as folder:
         folder = Path(folder)
@@ -444,6 +475,14 @@ def main():
                     say(f"  {path}: {(DOCS / path).stat().st_size / 1000:.0f} kB")
                 else:
                     faults += picture_drift(DOCS / path, make(run), folder)
+        if options.only in (None, RAW_FRAMES):
+            target = DOCS / RAW_FRAMES if options.renew else folder / RAW_FRAMES
+            now = raw_frames(options.program.resolve(), target)
+            say(f"{RAW_FRAMES}: {len(now)} runs")
+            if options.renew:
+                record[RAW_FRAMES] = now
+            else:
+                faults += raw_frames_drift(record[RAW_FRAMES], now, target)
     if options.renew:
         record |= {"machine": machine(), "program": f"{commit()}"}
         RECORD.write_text(json.dumps(record, indent=1) + "\n")
