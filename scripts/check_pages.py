@@ -193,7 +193,7 @@ def main():
     parser.add_argument("program", type=Path)
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="README.md and all pages of docs/ where none is named")
     parser.add_argument("--python", type=Path, help="an interpreter that has the package: runs the blocks of Python")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     pages = options.pages or ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
     default = dict(BLOCK.findall((ROOT / "docs/tutorial.md").read_text(encoding="utf-8")))["toml"]
     program = options.program.resolve()
