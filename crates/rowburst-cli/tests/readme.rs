@@ -49,9 +49,10 @@ fn commands_of_the_readme_run() {
         let output = folder
             .path()
             .join(named.map_or("rowburst-demo", |at| command[at + 1]));
-        let last = match command[0] {
-            "simulate" => "experiment.toml",
-            _ => "result.json",
+        let last = if command[0] == "simulate" {
+            "experiment.toml"
+        } else {
+            "result.json"
         };
         assert!(output.join(last).is_file(), "{last} of {command:?}");
     }
