@@ -1,4 +1,4 @@
-//! The README's commands run, one after another, in one folder.
+//! The README's commands run, one after another, in one folder. Those of the site: `scripts/check_pages.py`.
 
 use assert_cmd::Command;
 use std::fs;
@@ -34,23 +34,11 @@ fn commands_of_the_readme_run() {
         .flat_map(str::lines)
         .filter_map(arguments)
         .collect();
-    for verb in ["demo", "simulate", "reconstruct", "batch"] {
+    for verb in ["demo", "simulate", "reconstruct"] {
         assert!(commands.iter().any(|c| c[0] == verb), "{verb} is shown");
     }
     for command in commands {
         eprintln!("rowburst {}", command.join(" "));
-        if command[0] == "batch" {
-            // The user's recording: here the frame that was just made, twice.
-            let recording = folder.path().join("recording");
-            fs::create_dir(&recording).unwrap();
-            for name in ["frame-1.npy", "frame-2.npy"] {
-                fs::copy(
-                    folder.path().join("capture/frame.npy"),
-                    recording.join(name),
-                )
-                .unwrap();
-            }
-        }
         Command::cargo_bin("rowburst")
             .unwrap()
             .current_dir(folder.path())
@@ -61,11 +49,10 @@ fn commands_of_the_readme_run() {
         let output = folder
             .path()
             .join(named.map_or("rowburst-demo", |at| command[at + 1]));
-        let last = match command[0] {
-            "simulate" => "experiment.toml",
-            "design" => "design.json",
-            "batch" => "rowburst/frames.csv",
-            _ => "result.json",
+        let last = if command[0] == "simulate" {
+            "experiment.toml"
+        } else {
+            "result.json"
         };
         assert!(output.join(last).is_file(), "{last} of {command:?}");
     }
