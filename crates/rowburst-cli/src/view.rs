@@ -4,11 +4,9 @@ use crate::args::{BrowserArgs, ReconstructArgs, ViewArgs};
 use crate::output::print_line;
 use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
-use rowburst::{Camera, Error, Result};
+use rowburst::{Camera, Result};
 use rowburst_run::IterationMetrics;
-use rowburst_view::{
-    Live, LiveStart, MISSING_PAGE_HELP, ProgressPoint, ResultFiles, RunStatus, Server, bundle,
-};
+use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -17,24 +15,12 @@ use std::time::{Duration, Instant};
 pub fn run(args: &ViewArgs) -> Result<()> {
     let results = args.results.iter().map(|path| ResultFiles::open(path));
     let results = results.collect::<Result<Vec<_>>>()?;
-    check_page()?;
     let server = Server::start(args.browser.port, results, None)?;
     print_line(server.url());
     open(&server, &args.browser);
     eprintln!("Ctrl-C ends it");
     loop {
         std::thread::park();
-    }
-}
-
-fn check_page() -> Result<()> {
-    match bundle() {
-        Some(_) => Ok(()),
-        None => Err(Error::work(
-            "the viewer",
-            "it has no page",
-            MISSING_PAGE_HELP,
-        )),
     }
 }
 
@@ -70,7 +56,6 @@ pub fn open_live_page(
     if !args.view {
         return Ok(None);
     }
-    check_page()?;
     let shape = camera.video_shape();
     let start = LiveStart {
         title: args.output.display().to_string(),

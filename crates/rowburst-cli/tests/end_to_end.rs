@@ -140,6 +140,10 @@ fn demo(scene: &str) -> f64 {
     assert!(said.contains("the fit is good"), "{said}");
     let page = String::from_utf8(lab.read("out/report.html")).unwrap();
     assert!(page.contains("Fit: good. "), "the report says it");
+    assert!(
+        page.contains("id=\"rowburst-data\"") && page.contains("script-src 'sha256-"),
+        "the viewer's page is in the report"
+    );
     assert_eq!(result["frames"], 54);
     assert_eq!(lab.array("out/video.npy").shape(), [54, 108, 108]);
     assert!((result["frame_rate_hz"].as_f64().unwrap() - 104_166.7).abs() < 1.0);

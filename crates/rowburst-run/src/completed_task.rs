@@ -84,8 +84,8 @@ pub struct ResultMeta<'a> {
     pub title: &'a str,
     /// The command that reproduces the result.
     pub reproduce: Option<&'a str>,
-    /// Makes the viewer's page inside the report; `None` for a report without it.
-    pub player: Option<MakePlayer>,
+    /// Makes the viewer's page inside the report.
+    pub player: MakePlayer,
     /// Whether `video.mp4` shows the time of each bin.
     pub movie: MovieStyle,
 }
@@ -366,7 +366,7 @@ impl CompletedTask {
         &self,
         traces: &Traces,
         report_meta: ReportMeta,
-        player: Option<MakePlayer>,
+        player: MakePlayer,
     ) -> Result<Report> {
         let mut summary = self.summary(traces);
         summary.peak_memory_bytes = peak_memory_bytes();
@@ -375,7 +375,7 @@ impl CompletedTask {
         let (title, command) = (report_meta.title, report_meta.reproduce);
         let page = self.with_view(traces, &summary, title, command, |files| {
             let truth = files.truth.map(|_| TRUTH);
-            player.and_then(|make| make(files, &view_files::describe(files, truth)))
+            player(files, &view_files::describe(files, truth))
         });
         self.report_of(traces, &summary, report_meta, mp4.as_deref(), page.as_ref())
     }
@@ -395,8 +395,7 @@ impl CompletedTask {
             result_meta.reproduce,
             |files| {
                 let view = view_files::write(folder, files)?;
-                let make = result_meta.player.as_ref();
-                Ok(make.and_then(|make| make(files, &view)))
+                Ok((result_meta.player)(files, &view))
             },
         )
     }
@@ -484,8 +483,8 @@ impl CompletedTask {
             pixel_pitch_um: task.camera.sensor().pixel_pitch_um,
             mp4,
             player: page.map(|page| Player {
-                script: &page.script,
-                style: &page.style,
+                script: page.script,
+                style: page.style,
                 data: &page.data,
             }),
             files: report_meta.files,

@@ -1,6 +1,8 @@
 //! The viewer's page inside a report.
 
 use crate::view_files::ViewFiles;
+use rowburst::Image;
+use rowburst_view::{BUNDLE, Offline};
 use serde_json::Value;
 use std::path::Path;
 
@@ -11,23 +13,18 @@ pub type MakePlayer = Box<dyn Fn(&ViewFiles, &Value) -> Option<PlayerPage>>;
 /// The viewer's page for a report in one file.
 pub struct PlayerPage {
     /// JavaScript.
-    pub script: String,
+    pub script: &'static str,
     /// CSS.
-    pub style: String,
+    pub style: &'static str,
     /// The videos, pictures and values that it shows, as JSON.
     pub data: String,
 }
 
-/// Makes the viewer's page of a result, with the name of the folder `result`. `None` in a build without the page.
-#[cfg(feature = "page")]
-pub fn player_of(result: &Path) -> Option<MakePlayer> {
-    use rowburst::Image;
-    use rowburst_view::{Offline, bundle};
-
-    let bundle = bundle()?;
+/// Makes the viewer's page of a result, with the name of the folder `result`.
+pub fn player_of(result: &Path) -> MakePlayer {
     let name = result.file_name().unwrap_or(result.as_os_str());
     let name = name.to_string_lossy().into_owned();
-    Some(Box::new(move |files, view| {
+    Box::new(move |files, view| {
         let mut videos = vec![("video", files.video)];
         videos.extend(files.truth.map(|(truth, _)| ("truth", truth)));
         let excluded = files.has_excluded().then(|| {
@@ -50,15 +47,9 @@ pub fn player_of(result: &Path) -> Option<MakePlayer> {
             coverage: files.has_unobserved().then_some(files.coverage),
         };
         Some(PlayerPage {
-            script: bundle.script.clone(),
-            style: bundle.style.clone(),
+            script: BUNDLE.script,
+            style: BUNDLE.style,
             data: offline.json()?,
         })
-    }))
-}
-
-/// The viewer's page; `None` in a build without the feature `page`.
-#[cfg(not(feature = "page"))]
-pub fn player_of(_: &Path) -> Option<MakePlayer> {
-    None
+    })
 }

@@ -3,7 +3,7 @@
 //! ```text
 //! folder, .npy ─▶ Opened (description + arrays read bin by bin) ─┐
 //! solver ─▶ Live (latest video, course, stop) ───────────────────┼─▶ Server ─▶ page
-//! web/dist ─▶ page (embedded at build)  ─────────────────────────┘
+//! page/ (made from web/) ────────────────────────────────────────┘
 //! ```
 //!
 //! The server listens on 127.0.0.1, answers only requests whose `Host` is this machine, serves only
@@ -27,7 +27,7 @@ pub use array::{Array, QuantisedBins, quantise8, range_of_video};
 #[cfg(feature = "server")]
 pub use live::{Live, LiveStart, ProgressPoint, RunStatus};
 pub use offline::Offline;
-pub use page::{Bundle, MISSING_PAGE_HELP, bundle};
+pub use page::{BUNDLE, Bundle};
 #[cfg(feature = "server")]
 pub use result_files::ResultFiles;
 #[cfg(feature = "server")]

@@ -7,7 +7,7 @@ use crate::result_files::ResultFiles;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, StatusCode, header};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use rowburst::{Error, Result};
@@ -166,15 +166,16 @@ fn binary(
 }
 
 async fn index() -> Response {
-    match page::file("index.html") {
-        Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
-        None => (StatusCode::NOT_FOUND, Html(page::missing_page())).into_response(),
-    }
+    page_file("index.html")
 }
 
 async fn page_asset(Path(name): Path<String>) -> Response {
-    match page::file(&name) {
-        Some((kind, bytes)) => ([(header::CONTENT_TYPE, kind)], bytes).into_response(),
+    page_file(&name)
+}
+
+fn page_file(name: &str) -> Response {
+    match page::file(name) {
+        Some((kind, text)) => ([(header::CONTENT_TYPE, kind)], text).into_response(),
         None => not_found(),
     }
 }

@@ -49,6 +49,25 @@ fn get(server: &Server, path: &str) -> (String, Vec<u8>) {
 }
 
 #[test]
+fn the_page_and_the_files_that_it_names_are_served() {
+    let base = folder();
+    let server = served(base.path());
+    let (head, page) = get(&server, "/");
+    assert!(head.contains("content-type: text/html"), "{head}");
+    let page = String::from_utf8(page).unwrap();
+    for (name, kind, begins) in [
+        ("app.js", "text/javascript", "\"use strict\";"),
+        ("app.css", "text/css", ".uplot"),
+    ] {
+        assert!(page.contains(&format!("\"{name}\"")), "{name} in {page}");
+        let (head, body) = get(&server, &format!("/{name}"));
+        assert!(head.starts_with("http/1.1 200"), "{head}");
+        assert!(head.contains(&format!("content-type: {kind}")), "{head}");
+        assert!(body.starts_with(begins.as_bytes()), "{name}");
+    }
+}
+
+#[test]
 fn bins_come_with_their_scale_and_a_policy() {
     let base = folder();
     let server = served(base.path());
