@@ -20,6 +20,8 @@ pub struct Cli {
 pub enum Verb {
     /// Simulate the paper's experiment, reconstruct it and show how good it is
     Demo(DemoArgs),
+    /// Write an experiment file for a known camera
+    Init(InitArgs),
     /// Make the frame that a camera would record of a scene
     Simulate(SimulateArgs),
     /// Recover the video from one frame
@@ -36,6 +38,10 @@ pub enum Verb {
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
     Design(DesignArgs),
+    /// Print the script that completes commands in a shell
+    Completions(CompletionsArgs),
+    /// Write manual pages for `man`
+    Man(ManArgs),
 }
 
 /// Simulate the paper's experiment, reconstruct it and show how good it is.
@@ -82,6 +88,43 @@ impl DemoScene {
             Self::Moving => "moving",
         }
     }
+}
+
+/// Write an experiment file for a known camera.
+///
+/// Each number has its source in the comment beside it. What no public document says is left open, with the
+/// command that measures it.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst init zyla-4.2\n  rowburst init \"ORCA-Flash4.0 V3\" -o orca.toml\nKnown: iris-9, orca-flash4.0-v3, pco.edge-4.2, pco.edge-5.5, prime-bsi, zyla-4.2, zyla-5.5"
+)]
+pub struct InitArgs {
+    /// The camera's name
+    pub camera: String,
+    /// The file; one that exists is not replaced
+    #[arg(short, long, default_value = "experiment.toml")]
+    pub output: PathBuf,
+}
+
+/// Print the script that completes commands in a shell.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst completions bash > ~/.local/share/bash-completion/completions/rowburst\n  rowburst completions zsh > ~/.zfunc/_rowburst\n  rowburst completions fish > ~/.config/fish/completions/rowburst.fish"
+)]
+pub struct CompletionsArgs {
+    /// The shell
+    pub shell: clap_complete::Shell,
+}
+
+/// Write manual pages for `man`, one for each verb.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst man -o ~/.local/share/man/man1\n  man rowburst-reconstruct"
+)]
+pub struct ManArgs {
+    /// Folder for rowburst.1, rowburst-demo.1 and so on
+    #[arg(short, long)]
+    pub output: PathBuf,
 }
 
 /// Make the frame that a camera would record of a scene.

@@ -15,10 +15,12 @@ mod colour;
 mod demo;
 mod design;
 mod figure;
+mod init;
 mod inputs;
 mod output;
 mod progress;
 mod reconstruct;
+mod shell;
 mod simulate;
 mod sweep;
 #[cfg(feature = "view")]
@@ -43,6 +45,7 @@ fn main() -> ExitCode {
     }
     let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
         Verb::Demo(args) => demo::run(&args, process_start),
+        Verb::Init(args) => init::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Reconstruct(args) => reconstruct::run(&args, process_start),
         #[cfg(feature = "batch")]
@@ -52,6 +55,8 @@ fn main() -> ExitCode {
         Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
+        Verb::Completions(args) => shell::completions(&args),
+        Verb::Man(args) => shell::man(&args),
     });
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -14,9 +14,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Every verb.
-const VERBS: [&str; 11] = [
+const VERBS: [&str; 14] = [
     "",
     "demo",
+    "init",
     "simulate",
     "reconstruct",
     "batch",
@@ -26,6 +27,8 @@ const VERBS: [&str; 11] = [
     "calibrate psf",
     "calibrate sensor",
     "calibrate timing",
+    "completions",
+    "man",
 ];
 
 #[test]
