@@ -76,8 +76,12 @@ fn each_number_names_a_source_that_the_file_lists() {
             let source = format!("[{}]", comment.split(']').next().unwrap());
             assert!(head.contains(&source), "{camera}: {line}");
         }
-        for line in keys.lines().filter(|line| line.ends_with('=')) {
-            panic!("{camera}: {line} says neither a number nor how to get it");
+        // A line that is left open says how its number is found.
+        for line in keys.lines().filter(|line| line.starts_with("# ")) {
+            assert!(
+                line.contains("measure it: rowburst calibrate") || line.contains("[yours]"),
+                "{camera}: {line}"
+            );
         }
     }
 }
