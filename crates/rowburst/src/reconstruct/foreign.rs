@@ -37,6 +37,9 @@ const MIN_SCALE: f64 = 0.3;
 const LIGHT_GROUPS: usize = 8;
 /// Foreign neighbours of a foreign pixel from which its other neighbours are left out, too; fewer grow hot pixels.
 const MIN_FOREIGN_NEIGHBOURS: usize = 2;
+/// Part of an instant's pixels above which its light is new to the video rather than foreign; smaller misses large
+/// captions.
+const MAX_EXCLUDED_OF_INSTANT: f64 = 0.4;
 /// Part of the pixels above which the model is wrong rather than the pixels.
 const MAX_EXCLUDED: f64 = 0.3;
 /// Standard deviation of Gaussian noise over its median magnitude.
@@ -94,6 +97,7 @@ pub(super) fn find(
             factors: &factors,
         };
         let mut residual = Residual::new(pixels, fitted, excluded, scales);
+        keep_bright_instants(&mut residual.is_foreign, pixels);
         lines.apply(&mut residual.is_foreign);
         residual
     };
@@ -155,6 +159,24 @@ pub(super) fn find(
         with_edges(&found, columns)
     };
     Ok(Foreign { pixels, level })
+}
+
+/// Takes the pixels of instants back of which most are foreign: a loose fit has not reached the light of a flash.
+fn keep_bright_instants(is_foreign: &mut [bool], pixels: Pixels) {
+    let instants = pixels.instants;
+    let columns = is_foreign.len() / instants.len();
+    let count = instants.iter().max().map_or(0, |last| last + 1);
+    let (mut foreign, mut usable) = (vec![0usize; count], vec![0usize; count]);
+    for (i, is_foreign) in is_foreign.iter().enumerate() {
+        foreign[instants[i / columns]] += usize::from(*is_foreign);
+        usable[instants[i / columns]] += usize::from(pixels.is_usable[i]);
+    }
+    for (i, is_foreign) in is_foreign.iter_mut().enumerate() {
+        let instant = instants[i / columns];
+        if foreign[instant] as f64 > MAX_EXCLUDED_OF_INSTANT * usable[instant] as f64 {
+            *is_foreign = false;
+        }
+    }
 }
 
 /// Adds the neighbours of foreign pixels that are not alone: the edges of printed letters are faint.
