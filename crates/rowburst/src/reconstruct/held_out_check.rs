@@ -48,6 +48,10 @@ const FEW_PIXELS: f64 = 1e-4;
 const READMISSION_ERROR_RATIO: f64 = 1.02;
 /// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
+/// The same where many are left out: the error falls by that alone, since they are no longer held out.
+const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
+/// Part of the pixels from which they are many.
+const MANY_EXCLUDED: f64 = 0.01;
 
 /// A run on the pixels that are not held out.
 struct HeldOutRun {
@@ -172,7 +176,13 @@ impl Problem {
             let found = foreign::find(&mut self.data, instants, &lines, least_level, observer)?;
             if found.pixels.contains(&true) {
                 let without = self.check_without(found, &lines.is_broken, prior, observer)?;
-                if without.held_out_rms < MAX_ERROR_RATIO * check.held_out_rms {
+                let max_ratio = match count(&self.excluded) as f64 / self.excluded.len() as f64 {
+                    few if few < MANY_EXCLUDED => MAX_ERROR_RATIO,
+                    _ => MAX_ERROR_RATIO_OF_MANY,
+                };
+                if self.is_explained(&without)
+                    || without.held_out_rms < max_ratio * check.held_out_rms
+                {
                     check = without;
                     if self.sigma_source == SigmaSource::HeldOut {
                         // Foreign pixels have disturbed the noise level.
