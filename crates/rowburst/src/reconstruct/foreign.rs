@@ -1,10 +1,11 @@
 //! Foreign pixels: pixels of the frame that no video explains, such as hot pixels, dust or a printed caption.
 //!
 //! A fit to the noise level absorbs them, and then no residual stands out. A loose fit cannot: so the noise level of
-//! the discrepancy principle falls from half the light of the frame towards that of the sensor, each run continues from
-//! the last one, and a pixel with a large residual is replaced by what the video predicts. All pixels are judged anew
-//! every few iterations, so a pixel may come back. Other large residuals are bounded, as in a robust fit (Huber 1964):
-//! foreign pixels that are not found yet would force a loose fit to absorb them, too (docs/design/020).
+//! the discrepancy principle falls from half the light of the frame to a twentieth of it, each run continues from the
+//! last one, and a pixel with a large residual is replaced by what the video predicts. All pixels are judged anew every
+//! few iterations, so a pixel may come back. Other large residuals are bounded, as in a robust fit (Hampel 1974):
+//! foreign pixels that are not found yet would force a loose fit to absorb them, too. Fainter ones are found by the
+//! rounds of `exclusion` (docs/design/020).
 
 use super::frame_data::FrameData;
 use super::{Prior, RunResult, observe_sum};
@@ -303,12 +304,12 @@ impl<'a> Residual<'a> {
         }
     }
 
-    /// The measurements with the influence of large residuals bounded (Huber 1964), and foreign ones replaced by what
+    /// The measurements with the influence of large residuals bounded (Hampel 1974), and foreign ones replaced by what
     /// the video predicts. A fit to these is a robust fit to the measurements.
     pub fn bounded(&self) -> Vec<f32> {
         let bounded = |i: usize| {
             let (size, scale) = (self.residual[i].abs(), self.scale[i]);
-            // All of a small residual counts, less of a larger one, nothing of a foreign one (Hampel 1974).
+            // All of a small residual counts, less of a larger one, nothing of a foreign one.
             let fading = (FOREIGN_RESIDUAL * scale - size) / (FOREIGN_RESIDUAL - BOUNDED_RESIDUAL);
             let counted = if self.is_foreign[i] || size >= FOREIGN_RESIDUAL * scale {
                 0.0
@@ -511,6 +512,31 @@ mod tests {
         assert_eq!(bounded[3 * COLUMNS + 11], 0.0);
         assert_eq!(bounded[0], measured[0]);
         assert!(bounded.iter().zip(&measured).all(|(b, m)| b <= m));
+    }
+
+    #[test]
+    fn a_flash_is_not_foreign_and_the_edges_of_letters_are() {
+        let rows = 6;
+        let (measured, is_usable) = (vec![1.0; rows * COLUMNS], vec![true; rows * COLUMNS]);
+        let pixels = Pixels {
+            measured: &measured,
+            is_usable: &is_usable,
+            instants: &[2, 1, 0, 0, 1, 2],
+        };
+        // Both rows of instant 1 are lit; a letter stands in row 0, a hot pixel in row 5.
+        let mut is_foreign: Vec<bool> = (0..rows * COLUMNS)
+            .map(|i| matches!(i / COLUMNS, 1 | 4) || (8..11).contains(&i) || i == 5 * COLUMNS + 30)
+            .collect();
+        keep_bright_instants(&mut is_foreign, pixels);
+        let found: Vec<usize> = (0..is_foreign.len()).filter(|&i| is_foreign[i]).collect();
+        assert_eq!(found, [8, 9, 10, 5 * COLUMNS + 30]);
+        let grown = with_edges(&is_foreign, COLUMNS);
+        let found: Vec<usize> = (0..grown.len()).filter(|&i| grown[i]).collect();
+        let below = [COLUMNS + 8, COLUMNS + 9, COLUMNS + 10];
+        assert_eq!(
+            found,
+            [&[8, 9, 10], &below[..], &[5 * COLUMNS + 30]].concat()
+        );
     }
 
     #[test]

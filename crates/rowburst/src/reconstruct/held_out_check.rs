@@ -5,22 +5,22 @@
 //! foreign pixels are looked for (docs/design/020).
 
 use super::choose::{self, Observer, rms};
-use super::foreign::{self, BrokenLines, Foreign, Pixels, Residual, Scales};
+use super::exclusion::count;
+use super::foreign::{self, BrokenLines};
 use super::frame_data::FrameData;
-use super::sigma::Bands;
-use super::{Prior, Problem, RunResult, SigmaSource, noise_of, observe_sum};
+use super::{Prior, Problem, RunResult, SigmaSource, observe_sum};
 use crate::prox::Prox;
+use crate::solve::StopReason;
 use crate::solve::admm::{Admm, TauRule};
-use crate::solve::{DataTerm, StopReason};
 
 /// Most iterations of a check; fewer compare a video that has not settled.
-const CHECK_ITERATIONS: usize = 100;
+pub(super) const CHECK_ITERATIONS: usize = 100;
 /// Iteration at which a check may end early; smaller judges a video that has not taken shape.
-const FIRST_CHECK_ITERATION: usize = 30;
+pub(super) const FIRST_CHECK_ITERATION: usize = 30;
 /// Iterations between two such moments; larger ends checks later.
-const CHECK_STEP: usize = 10;
+pub(super) const CHECK_STEP: usize = 10;
 /// Residual over `σ` above which the model does not explain the frame.
-const MAX_RESIDUAL: f64 = 1.06;
+pub(super) const MAX_RESIDUAL: f64 = 1.06;
 /// Held-out error over `σ` above which the model does not explain the frame; smaller doubts good models.
 const MAX_HELD_OUT_ERROR: f64 = 1.35;
 /// Standard deviations by which the limit of the held-out error is widened; smaller doubts small frames.
@@ -30,22 +30,6 @@ const EFFECTIVE_SIGMA: f64 = 0.85;
 /// Part of the pixels with a residual far above the others that noise explains.
 const MAX_OUTLIERS: f64 = 2e-4;
 
-/// Noise level of a round over that of the one before; smaller absorbs foreign pixels that are not found yet.
-const LEVEL_RATIO: f64 = 0.5;
-/// Noise level over `σ` below which it is the last one: the estimate of `σ` differs a little from round to round.
-const LAST_LEVEL_RATIO: f64 = 1.1;
-/// Most rounds at the noise of the sensor; more find few further pixels.
-const MAX_LAST_ROUNDS: usize = 4;
-/// Noise level over `σ` from which pixels come back between rounds; larger takes faint foreign pixels back.
-const FINE_LEVEL: f64 = 4.0;
-/// Factor on the limit of a residual below which a pixel comes back between rounds; larger takes faint foreign pixels back.
-const EARLY_READMISSION: f64 = 0.4;
-/// Factors on that limit at the end, one after the other: where many pixels are excluded, the video predicts them poorly.
-const READMISSIONS: [f64; 3] = [4.0, 1.0, 1.0];
-/// Part of the pixels that come back below which another check is not worth its time.
-const FEW_PIXELS: f64 = 1e-4;
-/// Held-out error over that before above which a readmission is undone.
-const READMISSION_ERROR_RATIO: f64 = 1.02;
 /// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
 /// The same where many are left out: the error falls by that alone, since they are no longer held out.
@@ -54,16 +38,16 @@ const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
 const MANY_EXCLUDED: f64 = 0.01;
 
 /// A run on the pixels that are not held out.
-struct HeldOutRun {
+pub(super) struct HeldOutRun {
     prior: Prior,
     prox: Box<dyn Prox>,
-    admm: Admm,
+    pub admm: Admm,
     residual_rms: f64,
 }
 
 impl HeldOutRun {
     /// A run from a zero video.
-    fn new(
+    pub fn new(
         data: &mut FrameData,
         prior: Prior,
         rule: TauRule,
@@ -82,7 +66,7 @@ impl HeldOutRun {
 
     /// Iterates up to iteration `until` or until it converges, and returns whether it has. The error is the result so far
     /// of a run that the observer stopped.
-    fn run(
+    pub fn run(
         &mut self,
         data: &mut FrameData,
         until: usize,
@@ -112,18 +96,18 @@ impl HeldOutRun {
 /// How well a run on the pixels that are not held out explains the frame.
 pub(super) struct HeldOutCheck {
     /// `A v` of its video, at all pixels.
-    light: Vec<f32>,
-    residual_rms: f64,
-    held_out_rms: f64,
+    pub light: Vec<f32>,
+    pub residual_rms: f64,
+    pub held_out_rms: f64,
     /// Standard deviation of most held-out residuals, by their median.
-    held_out_scale: f64,
+    pub held_out_scale: f64,
     held_out_count: usize,
-    support_fraction: f64,
+    pub support_fraction: f64,
 }
 
 impl HeldOutCheck {
     /// The check of a run so far.
-    fn of(run: &HeldOutRun, data: &FrameData) -> Self {
+    pub fn of(run: &HeldOutRun, data: &FrameData) -> Self {
         let video = run.admm.video();
         let held_out = data.held_out_residuals(video);
         Self {
@@ -202,94 +186,8 @@ impl Problem {
         Ok(())
     }
 
-    /// Leaves the pixels `found` out, and others that prove to be foreign; takes those back that the video predicts.
-    fn check_without(
-        &mut self,
-        found: Foreign,
-        broken: &[bool],
-        prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let (mut level, mut excluded) = (found.level, found.pixels);
-        let few = (FEW_PIXELS * excluded.len() as f64) as usize;
-        let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
-        for factor in READMISSIONS {
-            let before = self.excluded.clone();
-            excluded = self.without_predicted(&check, factor, broken);
-            if count(&before) - count(&excluded) <= few {
-                continue;
-            }
-            let was_explained = self.is_explained(&check);
-            let next = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
-            let is_better = next.held_out_rms <= READMISSION_ERROR_RATIO * check.held_out_rms;
-            if self.is_explained(&next) || (!was_explained && is_better) {
-                check = next;
-            } else {
-                self.exclude(before);
-            }
-        }
-        if !self.is_explained(&check) {
-            // The effective noise level is that of a plain fit to the noise of the sensor.
-            self.effective_sigma = self.sigma;
-            check = self.held_out_check(prior, observer)?;
-        }
-        Ok(check)
-    }
-
-    /// Checks the model without the pixels `excluded`, at the noise level `level` and then at smaller ones down to that
-    /// of the sensor, as long as the video reaches them. Leaves further pixels out that prove to be foreign. A fit to
-    /// the noise of the sensor at once would absorb them.
-    fn exclude_from_level(
-        &mut self,
-        level: &mut f64,
-        mut excluded: Vec<bool>,
-        broken: &[bool],
-        prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let mut rounds = 0;
-        loop {
-            self.exclude(excluded);
-            if *level < LAST_LEVEL_RATIO * self.sigma {
-                *level = self.sigma;
-            }
-            let check = self.robust_check(*level, prior, observer)?;
-            let is_last_level = *level <= self.sigma;
-            rounds += usize::from(is_last_level);
-            if is_last_level && self.is_explained(&check) {
-                return Ok(check);
-            }
-            let is_reached = check.residual_rms <= MAX_RESIDUAL * *level;
-            let new = self.foreign(&check, 1.0);
-            let is_complete = !new.iter().zip(&self.excluded).any(|(n, e)| *n && !e);
-            if is_last_level && (is_complete || rounds >= MAX_LAST_ROUNDS)
-                || !is_last_level && !is_reached
-            {
-                return Ok(check);
-            }
-            excluded = self.excluded.clone();
-            if !is_last_level {
-                *level = (LEVEL_RATIO * *level).max(self.sigma);
-                if *level < FINE_LEVEL * self.sigma {
-                    excluded = self.without_predicted(&check, EARLY_READMISSION, broken);
-                }
-            }
-            let found = excluded.iter_mut().zip(new.iter().zip(&self.excluded));
-            found.for_each(|(excluded, (new, old))| *excluded |= *new && !old);
-        }
-    }
-
-    /// The excluded pixels without those whose residual is below `factor` times the limit of foreign pixels.
-    fn without_predicted(&self, check: &HeldOutCheck, factor: f64, broken: &[bool]) -> Vec<bool> {
-        let foreign = self.foreign(check, factor);
-        let pixels = foreign.iter().zip(&self.excluded).zip(broken);
-        pixels
-            .map(|((foreign, excluded), broken)| *broken || *excluded && *foreign)
-            .collect()
-    }
-
     /// Whether the model explains the pixels that are not left out to the noise of the sensor.
-    fn is_explained(&self, check: &HeldOutCheck) -> bool {
+    pub(super) fn is_explained(&self, check: &HeldOutCheck) -> bool {
         let foreign = self.foreign(check, 1.0);
         let pairs = foreign.iter().zip(&self.excluded);
         let outliers = pairs.filter(|(foreign, excluded)| **foreign && !**excluded);
@@ -297,31 +195,6 @@ impl Problem {
             && check.held_out_rms
                 <= MAX_HELD_OUT_ERROR * (1.0 + check.allowed_deviation()) * self.sigma
             && outliers.count() as f64 <= (MAX_OUTLIERS * foreign.len() as f64).max(1.0)
-    }
-
-    /// The foreign pixels by the video of `check`; the limit of excluded ones is multiplied by `factor`.
-    fn foreign(&self, check: &HeldOutCheck, factor: f64) -> Vec<bool> {
-        let weights = self.measurement.weights();
-        let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
-        let weigh = |values: &[f32]| -> Vec<f32> {
-            values
-                .iter()
-                .enumerate()
-                .map(|(i, v)| weight(i) * v)
-                .collect()
-        };
-        let is_usable: Vec<bool> = (0..self.excluded.len()).map(|i| weight(i) > 0.0).collect();
-        let measured = weigh(self.measurement.image().data());
-        let pixels = Pixels {
-            measured: &measured,
-            is_usable: &is_usable,
-            instants: self.camera.instants(),
-        };
-        let scales = Scales::Settled {
-            excluded_scale: check.held_out_scale,
-            factor,
-        };
-        Residual::new(pixels, &weigh(&check.light), &self.excluded, scales).is_foreign
     }
 
     /// Whether the model is checked on held-out pixels before the run.
@@ -353,58 +226,4 @@ impl Problem {
             until += CHECK_STEP;
         }
     }
-
-    /// The same at the noise level `level`, with the influence of large residuals bounded: foreign pixels that are not
-    /// found yet disturb their whole instant otherwise. Ends once the video reaches the level.
-    fn robust_check(
-        &mut self,
-        level: f64,
-        prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
-        self.effective_sigma = level;
-        let (rule, max_iterations) = (self.tau_rule(), self.options.max_iterations);
-        let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
-        let (measured, is_usable) = (self.data.measurements().to_vec(), self.data.usable());
-        let none = vec![false; measured.len()];
-        let mut until = FIRST_CHECK_ITERATION;
-        loop {
-            let has_converged = run.run(&mut self.data, until, observer)?;
-            let check = HeldOutCheck::of(&run, &self.data);
-            let is_reached = until > FIRST_CHECK_ITERATION
-                && level > self.sigma
-                && check.residual_rms <= MAX_RESIDUAL * level;
-            let is_explained = || level <= self.sigma && self.is_explained(&check);
-            if has_converged || until >= CHECK_ITERATIONS || is_reached || is_explained() {
-                self.is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
-                return Ok(check);
-            }
-            let pixels = Pixels {
-                measured: &measured,
-                is_usable: &is_usable,
-                instants: self.camera.instants(),
-            };
-            let fitted = run.admm.fitted();
-            let robust = Residual::new(pixels, fitted, &none, Scales::Fitting { level });
-            self.data.set_measurements(robust.bounded());
-            until += CHECK_STEP;
-        }
-    }
-
-    /// Leaves the pixels `excluded` out. They may have disturbed the estimate of the noise level.
-    fn exclude(&mut self, excluded: Vec<bool>) {
-        let kept = self.measurement.without(&excluded);
-        self.excluded = excluded;
-        self.data.set_frame(&kept);
-        self.bands = Bands::new(&kept, self.data.psfs().central());
-        let (sigma, source) = noise_of(&kept, &self.bands, &self.options);
-        if source != SigmaSource::HeldOut {
-            (self.sigma, self.sigma_source) = (sigma, source);
-            self.effective_sigma = sigma;
-        }
-    }
-}
-
-fn count(mask: &[bool]) -> usize {
-    mask.iter().filter(|m| **m).count()
 }

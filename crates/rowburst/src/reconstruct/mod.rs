@@ -7,6 +7,7 @@
 mod choose;
 mod chunked;
 mod data_step;
+mod exclusion;
 mod fit;
 mod foreign;
 mod frame_data;
