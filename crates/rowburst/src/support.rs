@@ -141,6 +141,16 @@ impl Support {
         self.mask[voxels.clone()] == other.mask[voxels]
     }
 
+    /// Part of the voxels of each bin that are active, from 0 to 1.
+    pub fn fractions(&self) -> Vec<f64> {
+        let pixels = self.shape.pixels();
+        let bins = self.mask.par_chunks_exact(pixels);
+        bins.map(|bin| {
+            bin.iter().map(|&active| usize::from(active)).sum::<usize>() as f64 / pixels as f64
+        })
+        .collect()
+    }
+
     /// Part of the voxels that are active, from 0 to 1.
     pub fn fraction(&self) -> f64 {
         let active: usize = self

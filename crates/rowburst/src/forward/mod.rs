@@ -17,6 +17,7 @@
 
 mod engine;
 pub(crate) mod gram;
+pub(crate) mod mean_field;
 mod planar;
 mod rowwise;
 #[cfg(test)]
@@ -133,6 +134,11 @@ impl<T: Scalar> RollingShutter<T> {
     /// The time axis of the video.
     pub fn time(&self) -> &TimeGrid {
         &self.time
+    }
+
+    /// Whether it convolves whole planes, and not the rows that are read alone.
+    pub(crate) fn convolves_planes(&self) -> bool {
+        matches!(self.layers[0].engine, Engine::Planar(_))
     }
 
     /// An approximate `(A Aᵀ + ρI)⁻¹ r`, as if the sensor had no edge: a preconditioner.

@@ -16,19 +16,18 @@ use std::sync::Arc;
 pub struct Cosine {
     rows: usize,
     columns: usize,
-    along_y: Arc<dyn TransformType2And3<f32>>,
-    along_x: Arc<dyn TransformType2And3<f32>>,
+    along_y: CosineLines,
+    along_x: CosineLines,
 }
 
 impl Cosine {
     /// The transform of bins of `rows` × `columns` pixels.
     pub fn new(rows: usize, columns: usize) -> Self {
-        let mut planner = DctPlanner::new();
         Self {
             rows,
             columns,
-            along_y: planner.plan_dct2(rows),
-            along_x: planner.plan_dct2(columns),
+            along_y: CosineLines::new(rows),
+            along_x: CosineLines::new(columns),
         }
     }
 }
@@ -48,44 +47,54 @@ impl BinTransform for Cosine {
 
     fn analyse(&self, bin: &[f32], coefficients: &mut [f32]) {
         let mut lines = bin.to_vec();
-        forward(&*self.along_x, &mut lines);
+        self.along_x.forward(&mut lines);
         transpose(&lines, self.columns, coefficients);
-        forward(&*self.along_y, coefficients);
+        self.along_y.forward(coefficients);
     }
 
     fn synthesise(&self, coefficients: &[f32], bin: &mut [f32]) {
         let mut lines = coefficients.to_vec();
-        inverse(&*self.along_y, &mut lines);
+        self.along_y.inverse(&mut lines);
         transpose(&lines, self.rows, bin);
-        inverse(&*self.along_x, bin);
+        self.along_x.inverse(bin);
     }
 }
 
-/// The factors `a_0` and `a_k`.
-fn factors(length: usize) -> (f32, f32) {
-    let n = length as f32;
-    ((1.0 / n).sqrt(), (2.0 / n).sqrt())
-}
+/// The orthonormal DCT-II of lines of one length, with the factors `a_0` and `a_k` of [`Cosine`].
+#[derive(Clone)]
+pub(crate) struct CosineLines(Arc<dyn TransformType2And3<f32>>);
 
-/// The orthonormal DCT-II of every line.
-fn forward(transform: &dyn TransformType2And3<f32>, lines: &mut [f32]) {
-    let (first, others) = factors(transform.len());
-    let mut scratch = vec![0.0; transform.get_scratch_len()];
-    for line in lines.chunks_exact_mut(transform.len()) {
-        transform.process_dct2_with_scratch(line, &mut scratch);
-        line.iter_mut().for_each(|c| *c *= others);
-        line[0] *= first / others;
+impl CosineLines {
+    /// For lines of `length` elements.
+    pub fn new(length: usize) -> Self {
+        Self(DctPlanner::new().plan_dct2(length))
     }
-}
 
-/// The inverse of [`forward`]. The DCT-III takes half of its first element.
-fn inverse(transform: &dyn TransformType2And3<f32>, lines: &mut [f32]) {
-    let (first, others) = factors(transform.len());
-    let mut scratch = vec![0.0; transform.get_scratch_len()];
-    for line in lines.chunks_exact_mut(transform.len()) {
-        line.iter_mut().for_each(|c| *c *= others);
-        line[0] *= 2.0 * first / others;
-        transform.process_dct3_with_scratch(line, &mut scratch);
+    fn factors(&self) -> (f32, f32) {
+        let n = self.0.len() as f32;
+        ((1.0 / n).sqrt(), (2.0 / n).sqrt())
+    }
+
+    /// Transforms each of the lines, which follow one another.
+    pub fn forward(&self, lines: &mut [f32]) {
+        let (first, others) = self.factors();
+        let mut scratch = vec![0.0; self.0.get_scratch_len()];
+        for line in lines.chunks_exact_mut(self.0.len()) {
+            self.0.process_dct2_with_scratch(line, &mut scratch);
+            line.iter_mut().for_each(|c| *c *= others);
+            line[0] *= first / others;
+        }
+    }
+
+    /// The inverse of [`Self::forward`]. The DCT-III takes half of its first element.
+    pub fn inverse(&self, lines: &mut [f32]) {
+        let (first, others) = self.factors();
+        let mut scratch = vec![0.0; self.0.get_scratch_len()];
+        for line in lines.chunks_exact_mut(self.0.len()) {
+            line.iter_mut().for_each(|c| *c *= others);
+            line[0] *= 2.0 * first / others;
+            self.0.process_dct3_with_scratch(line, &mut scratch);
+        }
     }
 }
 

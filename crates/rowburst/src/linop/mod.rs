@@ -15,6 +15,7 @@ mod weighted;
 pub use background::{Background, WithBackground, sum_of_bins};
 pub use bins::{Band, BinTransform, OverBins};
 pub use cosine::Cosine;
+pub(crate) use cosine::CosineLines;
 pub use differences::{Axis, Differences};
 pub use norm::operator_norm;
 pub use wavelet::Wavelet;

@@ -4,6 +4,7 @@
 //! consecutive frames of one scene, and [`Chunked`] for videos that do not fit into memory. [`Model`]
 //! holds `A`, [`Prior`] is `R`, and [`Fit`] says whether the result explains the frame.
 
+mod active_system;
 mod choose;
 mod chunked;
 mod data_step;
@@ -14,6 +15,7 @@ mod frame_data;
 mod held_out;
 mod held_out_check;
 mod model;
+mod preconditioner;
 mod prior;
 mod sequence;
 mod sigma;

@@ -2,10 +2,11 @@
 
 use crate::forward::RollingShutter;
 use crate::forward::gram::element_bytes;
+use crate::forward::mean_field::MeanField;
 use crate::{Camera, PatchSet};
 use faer::Mat;
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Measurements of a block above which no blocks are built; then conjugate gradients solve the data step
 /// (docs/design/004).
@@ -25,6 +26,7 @@ pub struct Model {
     scale: f64,
     /// The cached blocks of `A Aᵀ`, one for each instant.
     gram: Option<Arc<Vec<Mat<f64>>>>,
+    mean_field: Arc<OnceLock<Arc<MeanField>>>,
 }
 
 impl Model {
@@ -45,6 +47,7 @@ impl Model {
             shutter,
             scale,
             gram: None,
+            mean_field: Arc::default(),
         }
     }
 
@@ -105,6 +108,12 @@ impl Model {
             .sum();
         let is_small = sizes().all(|size| size <= MAX_BLOCK_SIZE) && bytes <= MAX_GRAM_BYTES;
         is_small.then_some(bytes)
+    }
+
+    /// The mean field of `A Aᵀ`; the first call computes it.
+    pub(super) fn mean_field(&self) -> Arc<MeanField> {
+        let mean_field = || Arc::new(self.shutter.mean_field());
+        Arc::clone(self.mean_field.get_or_init(mean_field))
     }
 
     /// The cached block of `A Aᵀ` of an instant.

@@ -8,21 +8,28 @@ use crate::vecmath::{dot, norm};
 
 /// An approximate inverse of `A Aᵀ + ρI`, symmetric and positive definite.
 pub trait Preconditioner: Send {
+    /// Most iterations of a call for videos that are restricted to a support or not. Larger makes fewer data steps
+    /// inexact and costs time (docs/design/025).
+    fn max_iterations(&self, is_restricted: bool) -> usize;
+
     /// Writes the approximation of `(A Aᵀ + ρI)⁻¹ r` to `out`.
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]);
 }
 
-/// Most iterations of a call; larger makes fewer data steps inexact and costs time (docs/design/004).
-const ITERATIONS: usize = 100;
-
 /// Residual over `ρ‖y‖` at which a call stops; larger drives `ρ` to nothing, smaller costs time (docs/design/004).
 const TOLERANCE: f64 = 0.1;
+
+/// Calls after which `A P Aᵀ y` is computed afresh; more let rounding errors add up.
+const RENEWAL_INTERVAL: usize = 25;
 
 /// The solver; it starts each call from the last solution.
 pub struct ConjugateGradient {
     preconditioner: Box<dyn Preconditioner>,
-    /// The last solution.
+    /// The last solution `y`, and `A P Aᵀ y`.
     y: Vec<f32>,
+    gram_y: Vec<f32>,
+    /// Calls since `gram_y` was computed afresh.
+    calls: usize,
     support: Option<Support>,
 }
 
@@ -32,16 +39,17 @@ impl ConjugateGradient {
         Self {
             preconditioner,
             y: vec![0.0; length],
+            gram_y: vec![0.0; length],
+            calls: 0,
             support: None,
         }
     }
 
-    /// Restricts videos to `support` from now on. A `preconditioner` replaces the present one; `None` keeps it.
-    pub fn restrict(&mut self, support: &Support, preconditioner: Option<Box<dyn Preconditioner>>) {
+    /// Restricts videos to `support` from now on.
+    pub fn restrict(&mut self, support: &Support, preconditioner: Box<dyn Preconditioner>) {
         self.support = Some(support.clone());
-        if let Some(preconditioner) = preconditioner {
-            self.preconditioner = preconditioner;
-        }
+        self.calls = RENEWAL_INTERVAL;
+        self.preconditioner = preconditioner;
     }
 
     /// Prepares for another operator: the next call starts from zero.
@@ -49,6 +57,8 @@ impl ConjugateGradient {
     /// Videos are restricted to `support` (`None`: every voxel).
     pub fn restart(&mut self, support: Option<&Support>, preconditioner: Box<dyn Preconditioner>) {
         self.y.fill(0.0);
+        self.gram_y.fill(0.0);
+        self.calls = 0;
         self.support = support.cloned();
         self.preconditioner = preconditioner;
     }
@@ -73,7 +83,12 @@ impl ConjugateGradient {
             operator.apply(&video, out);
         };
         y.copy_from_slice(&self.y);
-        gram(y, gram_y);
+        self.calls += 1;
+        if self.calls > RENEWAL_INTERVAL {
+            gram(y, &mut self.gram_y);
+            self.calls = 0;
+        }
+        gram_y.copy_from_slice(&self.gram_y);
         let mut residual: Vec<f32> = (0..r.len())
             .map(|i| r[i] - gram_y[i] - rho as f32 * y[i])
             .collect();
@@ -85,7 +100,8 @@ impl ConjugateGradient {
         // rᵀ M⁻¹ r with the residual r and the preconditioner M⁻¹.
         let mut residual_product = dot(&residual, &preconditioned);
         let is_reached = |residual: &[f32], y: &[f32]| norm(residual) <= TOLERANCE * rho * norm(y);
-        for _ in 0..ITERATIONS {
+        let max_iterations = self.preconditioner.max_iterations(self.support.is_some());
+        for _ in 0..max_iterations {
             if is_reached(&residual, y) || residual_product <= 0.0 {
                 break;
             }
@@ -107,6 +123,7 @@ impl ConjugateGradient {
             }
         }
         self.y.copy_from_slice(y);
+        self.gram_y.copy_from_slice(gram_y);
         is_reached(&residual, y)
     }
 }

@@ -3,6 +3,7 @@
 //! They work on operators and know no optics.
 
 pub mod admm;
+pub mod block_band;
 pub mod blocks;
 pub mod certificate;
 pub mod conjugate_gradient;

@@ -57,8 +57,6 @@ const LARGE_INITIAL_RHO: f64 = 0.0015;
 const MIN_RHO_RATIO: f64 = 0.3;
 /// The same for large blocks, whose `ρ` is farther from its end then (docs/design/008).
 const LARGE_MIN_RHO_RATIO: f64 = 0.1;
-/// Inexact data steps in a row after which `ρ` is doubled; larger may let `ρ` fall to nothing (docs/design/004).
-const MAX_INEXACT_STEPS: usize = 3;
 /// Brightest voxel that the certificate admits over the brightest found; larger loosens the bound (docs/design/009).
 const BRIGHTNESS_BOUND: f64 = 2.0;
 /// Iterations credited to a warm start; smaller repeats more of the warm-up (docs/design/014).
@@ -84,8 +82,6 @@ pub(super) struct State {
     rho_floor: f64,
     /// See [`DataTerm::min_rho`].
     stable_rho: f64,
-    /// Data steps in a row that did not reach their accuracy.
-    inexact_steps: usize,
     beta: f64,
     /// Brightness of each bin at the last call of [`Self::brightness_is_rising`]; 0 once it has declined.
     rising_brightness: Vec<f64>,
@@ -129,7 +125,6 @@ impl State {
             rho: first_rho * data.scale(),
             rho_floor: (1e-7 * data.scale()).max(data.min_rho()),
             stable_rho: data.min_rho(),
-            inexact_steps: 0,
             beta: 0.0,
             rising_brightness: vec![f64::MIN_POSITIVE; shape.bins],
             rule: params.tau,
@@ -167,7 +162,6 @@ impl State {
             + iterations_past_credit % SupportEstimator::UPDATE_INTERVAL;
         self.iterations = 0;
         self.paused_iterations = 0;
-        self.inexact_steps = 0;
         self.support_estimator.reset();
         self.change_weights(data);
     }
@@ -229,8 +223,13 @@ impl State {
         let rhs: Vec<f32> = products.map(|((b, az), aq)| b - az + (aq - az)).collect();
         let mut gram_y = vec![0.0f32; m];
         let is_exact = data.solve_gram(&rhs, self.rho, &mut self.y, &mut gram_y);
-        self.inexact_steps = if is_exact { 0 } else { self.inexact_steps + 1 };
-        self.x_residual_norm = distance_squared(&rhs, &gram_y).sqrt();
+        // Both are the same for an exact step. The error of an inexact one is larger for a smaller `ρ`, which it would
+        // drive to nothing.
+        self.x_residual_norm = if is_exact {
+            distance_squared(&rhs, &gram_y).sqrt()
+        } else {
+            self.rho * norm_squared(&self.y).sqrt()
+        };
         let z = &self.z;
         let slot = self.shape.columns.min(WRITE_PART_LEN);
         // Each part has a slot of its own for its two sums, as two f32 in a u64. So the order of the threads does not
@@ -294,12 +293,6 @@ impl State {
         }
         let (schedule_iteration, rho) = (self.schedule_iteration(), self.rho);
         if let TauRule::Discrepancy { sigma } = self.rule {
-            if self.inexact_steps >= MAX_INEXACT_STEPS {
-                // Inexact steps leave a residual that a smaller ρ makes worse: without this ρ would fall without end.
-                self.rho_floor = self.rho_floor.max(2.0 * self.rho);
-                self.rho = self.rho_floor;
-                self.inexact_steps = 0;
-            }
             // ‖b − A x‖ grows with ρ, at most in proportion.
             let correction = (self.bound / self.x_residual_norm.max(1e-30)).clamp(0.5, 2.0);
             let has_large_blocks = data.has_large_blocks();
