@@ -74,6 +74,7 @@ pub fn of_completed<'py>(
             c.error,
             c.support_fraction,
             c.stopped_early,
+            c.gain,
         )
     };
     let choice = found.choice.as_ref().map(|choice| {
@@ -304,18 +305,19 @@ fn to_reconstruction(state: &Bound<'_, PyDict>) -> PyResult<Reconstruction> {
 }
 
 fn to_choice(value: &Bound<'_, PyAny>) -> PyResult<Option<Choice>> {
-    type Stored = (Vec<(String, f64, f64, f64, bool)>, usize);
+    type Stored = (Vec<(String, f64, f64, f64, bool, Option<f64>)>, usize);
     let Some((candidates, held_out)) = value.extract::<Option<Stored>>()? else {
         return Ok(None);
     };
     let candidates = candidates.into_iter().map(
-        |(prior, tau_factor, error, support_fraction, stopped_early)| {
+        |(prior, tau_factor, error, support_fraction, stopped_early, gain)| {
             Ok(Candidate {
                 prior: to_prior(&prior)?,
                 tau_factor,
                 error,
                 support_fraction,
                 stopped_early,
+                gain,
             })
         },
     );

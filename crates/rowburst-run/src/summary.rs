@@ -133,6 +133,8 @@ pub struct PriorCandidate {
     pub old_tau_factor: f64,
     /// Root mean square of the residual over σ at held-out pixels.
     pub held_out_error: f64,
+    /// How far its square lies below that of the best candidate before it, in standard errors of the paired differences.
+    pub gain_in_standard_errors: Option<f64>,
     #[serde(rename = "given_up")]
     pub stopped_early: bool,
 }
@@ -144,6 +146,7 @@ impl From<&Candidate> for PriorCandidate {
             tau_factor: candidate.tau_factor,
             old_tau_factor: candidate.tau_factor,
             held_out_error: candidate.error,
+            gain_in_standard_errors: candidate.gain,
             stopped_early: candidate.stopped_early,
         }
     }

@@ -41,8 +41,8 @@ pub(crate) struct MeanField {
 }
 
 impl RollingShutter {
-    /// The mean field of the operator.
-    pub(crate) fn mean_field(&self) -> MeanField {
+    /// The mean field of the operator, for all pairs of rows where `is_whole`, else for those that share a bin.
+    pub(crate) fn mean_field(&self, is_whole: bool) -> MeanField {
         let order: Vec<(usize, usize)> = (0..self.sensor_rows_of.len())
             .flat_map(|i| (0..self.sensor_rows_of[i].len()).map(move |k| (i, k)))
             .collect();
@@ -53,7 +53,11 @@ impl RollingShutter {
             .map(|&(i, k)| self.sensor_rows_of[i][k])
             .collect();
         let instants: Vec<usize> = order.iter().map(|&(i, _)| i).collect();
-        let reach = self.reach(&instants);
+        let reach = if is_whole {
+            instants.len() - 1
+        } else {
+            self.reach(&instants)
+        };
         let spectra = self.spectra(&cosine);
         let groups = (0..columns.div_ceil(LANES)).into_par_iter();
         let groups = groups.map(|group| spectra.band(group, &sensor_rows, reach));
@@ -220,6 +224,14 @@ fn add_products<'a>(
     }
 }
 
+/// The voxels that may be active.
+pub(crate) struct MeanLight {
+    /// Part of the voxels of each bin.
+    pub fractions: Vec<f64>,
+    /// Whether a static background is added.
+    pub is_static: bool,
+}
+
 /// The mean field of a weighted operator on a support, with the factors of `M_k + ρI` for the last `ρ`.
 pub(crate) struct MeanFieldSolver {
     field: Arc<MeanField>,
@@ -231,12 +243,11 @@ pub(crate) struct MeanFieldSolver {
 }
 
 impl MeanFieldSolver {
-    /// For videos whose bin `t` has the part `fractions[t]` of its voxels active, and rows of the frame with the
-    /// weights `row_weights`.
+    /// For videos with this light, and rows of the frame with the weights `row_weights`.
     pub fn new(
         field: Arc<MeanField>,
         shutter: &RollingShutter,
-        fractions: &[f64],
+        light: &MeanLight,
         row_weights: &[f64],
     ) -> Self {
         let grid = shutter.time.instants();
@@ -248,9 +259,12 @@ impl MeanFieldSolver {
                 let shared = |(k, weight): (usize, &f64)| {
                     let bin = a.first_bin + k;
                     let other = bin.checked_sub(b.first_bin)?;
-                    Some(weight * b.weights.get(other)? * fractions[bin])
+                    Some(weight * b.weights.get(other)? * light.fractions[bin])
                 };
-                let sum: f64 = a.weights.iter().enumerate().filter_map(shared).sum();
+                let mut sum: f64 = a.weights.iter().enumerate().filter_map(shared).sum();
+                if light.is_static {
+                    sum += a.weights.iter().sum::<f64>() * b.weights.iter().sum::<f64>();
+                }
                 let weights =
                     row_weights[field.frame_rows[r]] * row_weights[field.frame_rows[r + o]];
                 coupling[r * width + o] = weights * sum;
@@ -443,11 +457,14 @@ mod tests {
         for (camera, psfs) in cameras().flat_map(|c| sets().map(|psfs| (c.clone(), psfs))) {
             let operator = RollingShutter::new(&camera, psfs);
             let gram = brute_force(&operator, None);
-            let field = Arc::new(operator.mean_field());
+            let field = Arc::new(operator.mean_field(false));
             let (rows, columns) = operator.frame_shape();
-            let fractions = vec![1.0; operator.video_shape().bins];
+            let light = MeanLight {
+                fractions: vec![1.0; operator.video_shape().bins],
+                is_static: false,
+            };
             let row_weights = vec![1.0; rows];
-            let mut solver = MeanFieldSolver::new(field, &operator, &fractions, &row_weights);
+            let mut solver = MeanFieldSolver::new(field, &operator, &light, &row_weights);
             let cosine = CosineLines::new(columns);
             let unit = |k: usize| {
                 let mut line = vec![0.0; columns];

@@ -40,7 +40,7 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let (mut level, mut excluded) = (found.level, found.pixels);
-        let few = (FEW_PIXELS * excluded.len() as f64) as usize;
+        let few = few(&excluded);
         let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
         for factor in READMISSIONS {
             let before = self.excluded.clone();
@@ -90,7 +90,9 @@ impl Problem {
             }
             let is_reached = check.residual_rms <= MAX_RESIDUAL * *level;
             let new = self.foreign(&check, 1.0);
-            let is_complete = !new.iter().zip(&self.excluded).any(|(n, e)| *n && !e);
+            let added = new.iter().zip(&self.excluded).filter(|(n, e)| **n && !**e);
+            // In a dense scene each round finds a few others.
+            let is_complete = added.count() <= if self.is_dense { few(&new) } else { 0 };
             if is_last_level && (is_complete || rounds >= MAX_LAST_ROUNDS)
                 || !is_last_level && !is_reached
             {
@@ -156,15 +158,18 @@ impl Problem {
         let (measured, is_usable) = (self.data.measurements().to_vec(), self.data.usable());
         let none = vec![false; measured.len()];
         let mut until = FIRST_CHECK_ITERATION;
+        let mut errors = Vec::new();
         loop {
             let has_converged = run.run(&mut self.data, until, observer)?;
             let check = HeldOutCheck::of(&run, &self.data);
+            errors.push(check.held_out_rms);
+            let has_converged = has_converged || self.has_settled(&check, &errors);
             let is_reached = until > FIRST_CHECK_ITERATION
                 && level > self.sigma
                 && check.residual_rms <= MAX_RESIDUAL * level;
             let is_explained = || level <= self.sigma && self.is_explained(&check);
             if has_converged || until >= CHECK_ITERATIONS || is_reached || is_explained() {
-                self.is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+                self.is_dense |= prior.support && check.support_fraction > choose::DENSE_SUPPORT;
                 return Ok(check);
             }
             let pixels = Pixels {
@@ -191,6 +196,11 @@ impl Problem {
             self.effective_sigma = sigma;
         }
     }
+}
+
+/// Number of pixels that are not worth another check.
+fn few(mask: &[bool]) -> usize {
+    (FEW_PIXELS * mask.len() as f64) as usize
 }
 
 /// Number of pixels in `mask`.

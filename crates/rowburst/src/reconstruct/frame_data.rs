@@ -700,17 +700,10 @@ impl GramSource<'_> {
                 scale: self.model.scale(),
             });
         }
-        let mut fractions = match support {
-            Some(support) => support.fractions(),
-            None => vec![1.0; shutter.video_shape().bins],
-        };
-        if background == Background::PerBin {
-            fractions.iter_mut().for_each(|f| *f += 1.0);
-        }
-        let mean_field = self.model.mean_field();
+        let mean_field = self.model.mean_field(background);
         let weights = self.operator.weights();
         Box::new(MeanFieldPreconditioner::new(
-            mean_field, shutter, &fractions, weights,
+            mean_field, shutter, background, support, weights,
         ))
     }
 }

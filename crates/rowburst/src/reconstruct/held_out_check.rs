@@ -19,6 +19,9 @@ pub(super) const CHECK_ITERATIONS: usize = 100;
 pub(super) const FIRST_CHECK_ITERATION: usize = 30;
 /// Iterations between two such moments; larger ends checks later.
 pub(super) const CHECK_STEP: usize = 10;
+/// Iteration from which a support of many voxels tells that the scene is dense; smaller takes the first support for
+/// the last.
+const FIRST_DENSE_ITERATION: usize = 50;
 /// Residual over `σ` above which the model does not explain the frame.
 pub(super) const MAX_RESIDUAL: f64 = 1.06;
 /// Held-out error over `σ` above which the model does not explain the frame; smaller doubts good models.
@@ -139,13 +142,17 @@ impl Problem {
     /// effective noise level. The error is the result so far of a run that the observer stopped.
     pub(super) fn check_model(
         &mut self,
-        prior: Prior,
+        mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<(), Box<RunResult>> {
         if !self.is_checked() {
             return Ok(());
         }
         let mut check = self.held_out_check(prior, observer)?;
+        if self.is_dense && self.options.prior.is_none() {
+            prior = choose::open_prior();
+            check = self.held_out_check(prior, observer)?;
+        }
         if self.is_explained(&check) {
             return Ok(());
         }
@@ -197,6 +204,13 @@ impl Problem {
             && outliers.count() as f64 <= (MAX_OUTLIERS * foreign.len() as f64).max(1.0)
     }
 
+    /// Whether a check of a dense scene, which may never explain the frame, would learn little from more iterations.
+    pub(super) fn has_settled(&self, check: &HeldOutCheck, errors: &[f64]) -> bool {
+        self.is_dense
+            && check.residual_rms <= MAX_RESIDUAL * self.effective_sigma
+            && choose::is_settled(errors)
+    }
+
     /// Whether the model is checked on held-out pixels before the run.
     fn is_checked(&self) -> bool {
         let has_use = !self.options.keep_all_pixels || self.options.noise_sigma.is_none();
@@ -216,11 +230,16 @@ impl Problem {
         let (rule, max_iterations) = (self.tau_rule(), self.options.max_iterations);
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
         let mut until = FIRST_CHECK_ITERATION;
+        let mut errors = Vec::new();
         loop {
             let has_converged = run.run(&mut self.data, until, observer)?;
             let check = HeldOutCheck::of(&run, &self.data);
-            if has_converged || until >= CHECK_ITERATIONS || self.is_explained(&check) {
-                self.is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+            errors.push(check.held_out_rms);
+            let has_converged = has_converged || self.has_settled(&check, &errors);
+            let is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+            let is_dense = is_dense && until >= FIRST_DENSE_ITERATION;
+            if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {
+                self.is_dense |= is_dense;
                 return Ok(check);
             }
             until += CHECK_STEP;

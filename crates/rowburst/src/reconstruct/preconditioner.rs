@@ -1,8 +1,9 @@
 //! Preconditioners of the conjugate gradients: the mean field of the operator.
 
-use crate::RollingShutter;
-use crate::forward::mean_field::{MeanField, MeanFieldSolver};
+use crate::forward::mean_field::{MeanField, MeanFieldSolver, MeanLight};
+use crate::linop::Background;
 use crate::solve::conjugate_gradient::Preconditioner;
+use crate::{RollingShutter, Support};
 use std::sync::Arc;
 
 /// Solves with the mean field along the rows; pixels with weight 0 are coupled to no others.
@@ -12,12 +13,12 @@ pub(super) struct MeanFieldPreconditioner {
 }
 
 impl MeanFieldPreconditioner {
-    /// For videos whose bin `t` has the part `fractions[t]` of its voxels active, and for the weights of the frame's
-    /// pixels.
+    /// For videos on `support` with this background, and for the weights of the frame's pixels.
     pub fn new(
         mean_field: Arc<MeanField>,
         shutter: &RollingShutter,
-        fractions: &[f64],
+        background: Background,
+        support: Option<&Support>,
         weights: Option<&[f32]>,
     ) -> Self {
         let (rows, columns) = shutter.frame_shape();
@@ -30,8 +31,19 @@ impl MeanFieldPreconditioner {
                 .map(|row| f64::from(row_weight(row)))
                 .collect(),
         };
+        let mut fractions = match support {
+            Some(support) => support.fractions(),
+            None => vec![1.0; shutter.video_shape().bins],
+        };
+        if background == Background::PerBin {
+            fractions.iter_mut().for_each(|f| *f += 1.0);
+        }
+        let light = MeanLight {
+            fractions,
+            is_static: background == Background::Static,
+        };
         Self {
-            solver: MeanFieldSolver::new(mean_field, shutter, fractions, &row_weights),
+            solver: MeanFieldSolver::new(mean_field, shutter, &light, &row_weights),
             weights: weights.map(<[f32]>::to_vec),
         }
     }

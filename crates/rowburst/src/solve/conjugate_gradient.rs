@@ -28,7 +28,9 @@ pub struct ConjugateGradient {
     /// The last solution `y`, and `A P Aᵀ y`.
     y: Vec<f32>,
     gram_y: Vec<f32>,
-    /// Calls since `gram_y` was computed afresh.
+    /// Whether `gram_y` is that of another support.
+    is_stale: bool,
+    /// Calls since the last change of the operator.
     calls: usize,
     support: Option<Support>,
 }
@@ -40,6 +42,7 @@ impl ConjugateGradient {
             preconditioner,
             y: vec![0.0; length],
             gram_y: vec![0.0; length],
+            is_stale: false,
             calls: 0,
             support: None,
         }
@@ -48,7 +51,7 @@ impl ConjugateGradient {
     /// Restricts videos to `support` from now on.
     pub fn restrict(&mut self, support: &Support, preconditioner: Box<dyn Preconditioner>) {
         self.support = Some(support.clone());
-        self.calls = RENEWAL_INTERVAL;
+        self.is_stale = true;
         self.preconditioner = preconditioner;
     }
 
@@ -58,6 +61,7 @@ impl ConjugateGradient {
     pub fn restart(&mut self, support: Option<&Support>, preconditioner: Box<dyn Preconditioner>) {
         self.y.fill(0.0);
         self.gram_y.fill(0.0);
+        self.is_stale = false;
         self.calls = 0;
         self.support = support.cloned();
         self.preconditioner = preconditioner;
@@ -83,11 +87,11 @@ impl ConjugateGradient {
             operator.apply(&video, out);
         };
         y.copy_from_slice(&self.y);
-        self.calls += 1;
-        if self.calls > RENEWAL_INTERVAL {
+        if self.is_stale || self.calls % RENEWAL_INTERVAL == RENEWAL_INTERVAL - 1 {
             gram(y, &mut self.gram_y);
-            self.calls = 0;
+            self.is_stale = false;
         }
+        self.calls += 1;
         gram_y.copy_from_slice(&self.gram_y);
         let mut residual: Vec<f32> = (0..r.len())
             .map(|i| r[i] - gram_y[i] - rho as f32 * y[i])

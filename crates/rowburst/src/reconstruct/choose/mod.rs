@@ -1,8 +1,9 @@
 //! Automatic choice of the prior and of `τ` by held-out pixels.
 //!
-//! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). The one with the
-//! smallest error at these pixels is then run on the whole frame. Candidates that are far behind the best
-//! one are stopped early. Where the scene is dense [`OPEN_CANDIDATES`] take their place.
+//! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). A later one replaces the best
+//! before it where its squared error at these pixels is smaller by more than [`MIN_GAIN`] standard errors of the paired
+//! differences. The best is then run on the whole frame. Candidates that are far behind it are stopped early. Where the
+//! scene is dense [`OPEN_CANDIDATES`] take their place.
 //!
 //! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
 //! weaker than on average changes `τ` by a factor of 2 and more. So each candidate continues from the end of its
@@ -13,7 +14,7 @@ mod level;
 mod trial;
 
 pub(super) use level::noise_level;
-pub(super) use trial::TOLERANCE;
+pub(super) use trial::{TOLERANCE, is_settled};
 
 use super::frame_data::FrameData;
 use super::{Prior, RunResult};
@@ -35,8 +36,8 @@ pub const CANDIDATES: [&str; 3] = [
 ];
 
 /// Priors of `auto` in place of [`CANDIDATES`] where the support exceeds a third of the voxels: it tells nothing there.
-/// More weight on time suits scenes that change slowly (`docs/design/020`).
-pub const OPEN_CANDIDATES: [&str; 3] = ["tv+2*tdiff", "tv+8*tdiff", "tv+32*tdiff"];
+/// The stillest comes first: the frame says little of what a dense scene does meanwhile (`docs/design/020`).
+pub const OPEN_CANDIDATES: [&str; 3] = ["tv+32*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
 
 /// Priors that `auto` also tries where the support of the best candidate exceeds a third of the voxels: much of the
 /// light may be a background then (`docs/design/011`).
@@ -47,12 +48,32 @@ pub(super) const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 /// Held-out error over the best up to which other `τ` are tried; larger costs time (docs/design/011).
 const MAX_TUNING_ERROR_RATIO: f64 = 1.06;
 
-/// Relative gain that counts, times the root of the held-out pixels; smaller follows chance (docs/design/011).
-const SIGNIFICANCE: f64 = 0.12;
+/// Gain in standard errors that counts; smaller follows chance (docs/design/011).
+const MIN_GAIN: f64 = 1.0;
 
-/// Relative gain of the held-out error that counts; see [`SIGNIFICANCE`].
-fn margin(held_out: usize) -> f64 {
-    SIGNIFICANCE / (held_out.max(1) as f64).sqrt()
+/// Fall of the mean square from `before` to `after`, two errors of each pixel, in standard errors of the paired
+/// differences; NaN where an error is.
+fn gain(before: &[f64], after: &[f64]) -> f64 {
+    let differences: Vec<f64> = before
+        .iter()
+        .zip(after)
+        .map(|(b, a)| b * b - a * a)
+        .collect();
+    let n = differences.len().max(2) as f64;
+    let mean = differences.iter().sum::<f64>() / n;
+    let squares: f64 = differences.iter().map(|d| (d - mean).powi(2)).sum();
+    let standard_error = (squares / (n * (n - 1.0))).sqrt();
+    if mean == 0.0 {
+        0.0
+    } else {
+        mean / standard_error
+    }
+}
+
+/// The one of [`OPEN_CANDIDATES`] that assumes least: what moves must not look foreign.
+pub(super) fn open_prior() -> Prior {
+    let [.., last] = OPEN_CANDIDATES;
+    last.parse().expect("a candidate is a prior")
 }
 
 /// The candidates of `auto` with their held-out errors.
@@ -77,6 +98,9 @@ pub struct Candidate {
     pub support_fraction: f64,
     /// Whether it was stopped early because it was far behind the best.
     pub stopped_early: bool,
+    /// How far its squared error lies below that of the best candidate before it, in standard errors of the paired
+    /// differences; `None` for the first.
+    pub gain: Option<f64>,
 }
 
 impl Candidate {
@@ -91,16 +115,14 @@ impl Candidate {
 }
 
 impl Choice {
-    /// The best candidate. A candidate replaces the best one before it where its error is smaller by more
-    /// than chance: by a factor that falls with the root of the number of held-out pixels.
+    /// The best candidate. A candidate replaces the best one before it where its error is smaller by more than chance.
     ///
     /// # Panics
     /// If there are no candidates.
     pub fn best(&self) -> Candidate {
-        let margin = margin(self.held_out);
         let better = |best: Candidate, next: &Candidate| {
             // A candidate whose error is NaN is never the best.
-            if next.error < (1.0 - margin) * best.error || best.error.is_nan() {
+            if next.gain.is_none_or(|gain| gain > MIN_GAIN) || best.error.is_nan() {
                 *next
             } else {
                 best
@@ -123,8 +145,13 @@ impl Choice {
         });
         let smallest = self.candidates.iter().all(|c| c.error >= best.error);
         format!(
-            "{} has the smallest error on {} held-out pixels: {:.3} σ; {}{}",
+            "{} {} on {} held-out pixels: {:.3} σ; {}{}",
             best.name(),
+            if smallest {
+                "has the smallest error"
+            } else {
+                "is not clearly worse than others"
+            },
             self.held_out,
             best.error,
             others.collect::<Vec<_>>().join("; "),
@@ -132,8 +159,7 @@ impl Choice {
                 String::new()
             } else {
                 format!(
-                    "; differences below {:.1} % are not significant, so the earlier prior is kept",
-                    100.0 * margin(self.held_out)
+                    "; a smaller error is within {MIN_GAIN} standard errors, so the earlier prior is kept"
                 )
             }
         )
@@ -174,8 +200,8 @@ impl BestTrial {
     }
 }
 
-/// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. Returns the choice and the best trial. The error is the
-/// result so far where the observer stopped it: the best trial, or the first one.
+/// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. Returns the choice and the
+/// best trial. The error is the result so far where the observer stopped it: the best trial, or the first one.
 pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
@@ -191,6 +217,7 @@ pub(super) fn choose_prior(
     };
     // The held-out errors of the best candidate at each check.
     let mut best_errors: Vec<f64> = Vec::new();
+    let mut best_residuals: Option<Vec<f64>> = None;
     let mut best_trial: Option<BestTrial> = None;
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
@@ -211,8 +238,15 @@ pub(super) fn choose_prior(
                 return Err(best_trial.stopped(data, stopped.solution.stop_reason));
             }
         };
-        choice.candidates.push(trial_result.candidate);
-        if choice.best() == trial_result.candidate {
+        let candidate = Candidate {
+            gain: best_residuals
+                .as_ref()
+                .map(|before| gain(before, &trial_result.residuals)),
+            ..trial_result.candidate
+        };
+        choice.candidates.push(candidate);
+        if choice.best() == candidate {
+            best_residuals = Some(trial_result.residuals);
             best_errors = trial_result.errors;
             best_trial = Some(BestTrial {
                 prior,
@@ -247,35 +281,53 @@ mod tests {
 
     #[test]
     fn chance_does_not_choose_another_prior() {
-        let candidate = |prior: &str, error: f64| Candidate {
+        let candidate = |prior: &str, error: f64, gain: Option<f64>| Candidate {
             prior: prior.parse().unwrap(),
             tau_factor: 1.0,
             error,
             support_fraction: 0.03,
             stopped_early: false,
+            gain,
         };
         let mut choice = Choice {
             candidates: vec![
-                candidate("tv+support", 1.120),
-                candidate("group+support", 1.117),
+                candidate("tv+support", 1.120, None),
+                candidate("group+support", 1.117, Some(1.2)),
             ],
             held_out: 583,
         };
         assert_eq!(choice.best(), choice.candidates[0]);
         assert!(
-            choice.reason().contains("not significant"),
+            choice.reason().contains("standard errors"),
             "{}",
             choice.reason()
         );
-        choice.candidates.push(candidate("l1+support", 1.06));
+        choice
+            .candidates
+            .push(candidate("l1+support", 1.06, Some(4.0)));
         assert_eq!(choice.best(), choice.candidates[2]);
         assert!(
-            !choice.reason().contains("significant"),
+            !choice.reason().contains("standard errors"),
             "{}",
             choice.reason()
         );
         // A run that overflowed is never the best.
-        choice.candidates.push(candidate("tv+support", f64::NAN));
+        choice
+            .candidates
+            .push(candidate("tv+support", f64::NAN, Some(f64::NAN)));
         assert_eq!(choice.best(), choice.candidates[2]);
+    }
+
+    /// Errors that differ in the same sense at every pixel are told apart where their mean squares are not.
+    #[test]
+    fn gains_are_those_of_pairs() {
+        let before: Vec<f64> = (0..200).map(|i| (f64::from(i) * 1.3).sin() * 2.0).collect();
+        let after: Vec<f64> = before.iter().map(|b| 0.99 * b).collect();
+        assert!(gain(&before, &after) > MIN_GAIN);
+        assert!(gain(&after, &before) < -MIN_GAIN);
+        assert_eq!(gain(&before, &before), 0.0);
+        // The same errors in another order.
+        let other: Vec<f64> = (0..200).map(|i| before[(i + 71) % 200]).collect();
+        assert!(gain(&before, &other).abs() < MIN_GAIN);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, observe_sum};
-use super::{Candidate, Observer, margin, rms};
+use super::{Candidate, MIN_GAIN, Observer, gain, rms};
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
@@ -32,11 +32,11 @@ const MAX_TAU_FACTOR: f64 = 8.0;
 /// Iterations for each tried `τ`; fewer compare videos that have not settled.
 const TUNING_ITERATIONS: usize = 30;
 
-/// A factor on `τ`, with the held-out error and the fraction of voxels in the support at this factor.
-#[derive(Clone, Copy)]
+/// A factor on `τ`, with the held-out residuals and the fraction of voxels in the support at this factor.
 struct TauTrial {
     tau_factor: f64,
-    error: f64,
+    /// The held-out residuals over `σ`.
+    residuals: Vec<f64>,
     support_fraction: f64,
 }
 
@@ -45,6 +45,8 @@ pub(super) struct TrialResult {
     pub candidate: Candidate,
     /// The held-out error at each check.
     pub errors: Vec<f64>,
+    /// The held-out residuals over `σ` at the end.
+    pub residuals: Vec<f64>,
     pub run_result: Box<RunResult>,
 }
 
@@ -58,7 +60,7 @@ pub(super) struct Trial {
 }
 
 /// Whether the held-out error no longer falls.
-fn is_settled(errors: &[f64]) -> bool {
+pub(in crate::reconstruct) fn is_settled(errors: &[f64]) -> bool {
     match errors {
         [.., before, _, last] => *last > (1.0 - SETTLED_CHANGE) * before,
         _ => false,
@@ -98,10 +100,10 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<TrialResult, Box<RunResult>> {
         let mut errors = Vec::new();
-        let stopped_early = loop {
+        let (residuals, stopped_early) = loop {
             // The run pauses for each check, since an observer has no access to the held-out pixels.
             let until = (self.run.iterations() + CHECK_INTERVAL).max(FIRST_CHECK);
-            let (error, ended) = match self.run_until(data, until, observer) {
+            let (residuals, ended) = match self.run_until(data, until, observer) {
                 Ok(check) => check,
                 Err(reason) => return Err(self.into_result(data, reason)),
             };
@@ -111,19 +113,20 @@ impl Trial {
             } else {
                 LATE_ERROR_RATIO
             };
+            let error = rms(&residuals);
             errors.push(error);
             let ended = ended || (!self.prior.support && is_settled(&errors));
             if ended || best_error.is_some_and(|best_error| error > limit * best_error) {
-                break !ended;
+                break (residuals, !ended);
             }
         };
         let mut found = TauTrial {
             tau_factor: 1.0,
-            error: errors[errors.len() - 1],
+            residuals,
             support_fraction: self.run.support_fraction(),
         };
         let is_tunable = matches!(self.params.tau, TauRule::Discrepancy { .. });
-        if is_tunable && !stopped_early && found.error <= max_error {
+        if is_tunable && !stopped_early && rms(&found.residuals) <= max_error {
             found = match self.tune(data, found, observer) {
                 Ok(found) => found,
                 Err(reason) => return Err(self.into_result(data, reason)),
@@ -132,19 +135,22 @@ impl Trial {
         let candidate = Candidate {
             prior: self.prior,
             tau_factor: found.tau_factor,
-            error: found.error,
+            error: rms(&found.residuals),
             support_fraction: found.support_fraction,
             stopped_early,
+            gain: None,
         };
         Ok(TrialResult {
             candidate,
             errors,
+            residuals: found.residuals,
             run_result: self.into_result(data, StopReason::IterationLimit),
         })
     }
 
     /// Continues with half of `τ`, then of that, as long as the held-out error falls; where the first half does
-    /// not help, with twice of it. Returns the best factor.
+    /// not help, with twice of it. Returns the best factor. A video without support follows the noise at a smaller `τ`,
+    /// so only a larger one is tried.
     fn tune(
         &mut self,
         data: &mut FrameData,
@@ -152,19 +158,24 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<TauTrial, StopReason> {
         let tau = self.run.tau();
-        let margin = margin(data.held_out_count());
-        for direction in [1.0 / TAU_STEP, TAU_STEP] {
+        let directions: &[f64] = if self.prior.support {
+            &[1.0 / TAU_STEP, TAU_STEP]
+        } else {
+            &[TAU_STEP]
+        };
+        for &direction in directions {
             let mut factor = direction;
             while (1.0 / MAX_TAU_FACTOR..=MAX_TAU_FACTOR).contains(&factor) {
                 self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
                 let until = self.run.iterations() + TUNING_ITERATIONS;
-                let (error, _) = self.run_until(data, until, observer)?;
-                if error >= (1.0 - margin) * best.error || error.is_nan() {
+                let (residuals, _) = self.run_until(data, until, observer)?;
+                let gain = gain(&best.residuals, &residuals);
+                if gain.is_nan() || gain <= MIN_GAIN {
                     break;
                 }
                 best = TauTrial {
                     tau_factor: factor,
-                    error,
+                    residuals,
                     support_fraction: self.run.support_fraction(),
                 };
                 factor *= direction;
@@ -176,13 +187,14 @@ impl Trial {
         Ok(best)
     }
 
-    /// Iterates until iteration `until` or the end. Returns the held-out error, and whether the run has ended.
+    /// Iterates until iteration `until` or the end. Returns the held-out residuals over `σ`, and whether the run has
+    /// ended.
     fn run_until(
         &mut self,
         data: &mut FrameData,
         until: usize,
         observer: &mut Observer,
-    ) -> Result<(f64, bool), StopReason> {
+    ) -> Result<(Vec<f64>, bool), StopReason> {
         let until = until.min(self.params.max_iterations);
         let (background, shape) = (self.prior.background(), data.shape());
         let label = format!("testing prior {}", self.prior);
@@ -196,9 +208,10 @@ impl Trial {
         match reason {
             StopReason::TimeBudget | StopReason::Interrupted => Err(reason),
             reason => {
-                let error = rms(&data.held_out_residuals(self.run.video())) / self.sigma;
+                let residuals = data.held_out_residuals(self.run.video()).into_iter();
+                let residuals = residuals.map(|r| r / self.sigma).collect();
                 let ended = reason == StopReason::Converged || until == self.params.max_iterations;
-                Ok((error, ended))
+                Ok((residuals, ended))
             }
         }
     }
