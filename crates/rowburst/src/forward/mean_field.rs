@@ -41,8 +41,8 @@ pub(crate) struct MeanField {
 }
 
 impl RollingShutter {
-    /// The mean field of the operator, for all pairs of rows where `is_whole`, else for those that share a bin.
-    pub(crate) fn mean_field(&self, is_whole: bool) -> MeanField {
+    /// The mean field of the operator.
+    pub(crate) fn mean_field(&self) -> MeanField {
         let order: Vec<(usize, usize)> = (0..self.sensor_rows_of.len())
             .flat_map(|i| (0..self.sensor_rows_of[i].len()).map(move |k| (i, k)))
             .collect();
@@ -53,11 +53,7 @@ impl RollingShutter {
             .map(|&(i, k)| self.sensor_rows_of[i][k])
             .collect();
         let instants: Vec<usize> = order.iter().map(|&(i, _)| i).collect();
-        let reach = if is_whole {
-            instants.len() - 1
-        } else {
-            self.reach(&instants)
-        };
+        let reach = self.reach(&instants);
         let spectra = self.spectra(&cosine);
         let groups = (0..columns.div_ceil(LANES)).into_par_iter();
         let groups = groups.map(|group| spectra.band(group, &sensor_rows, reach));
@@ -224,14 +220,6 @@ fn add_products<'a>(
     }
 }
 
-/// The voxels that may be active.
-pub(crate) struct MeanLight {
-    /// Part of the voxels of each bin.
-    pub fractions: Vec<f64>,
-    /// Whether a static background is added.
-    pub is_static: bool,
-}
-
 /// The mean field of a weighted operator on a support, with the factors of `M_k + ρI` for the last `ρ`.
 pub(crate) struct MeanFieldSolver {
     field: Arc<MeanField>,
@@ -243,11 +231,12 @@ pub(crate) struct MeanFieldSolver {
 }
 
 impl MeanFieldSolver {
-    /// For videos with this light, and rows of the frame with the weights `row_weights`.
+    /// For videos whose bin `t` has the part `fractions[t]` of its voxels active, and rows of the frame with the
+    /// weights `row_weights`.
     pub fn new(
         field: Arc<MeanField>,
         shutter: &RollingShutter,
-        light: &MeanLight,
+        fractions: &[f64],
         row_weights: &[f64],
     ) -> Self {
         let grid = shutter.time.instants();
@@ -259,12 +248,9 @@ impl MeanFieldSolver {
                 let shared = |(k, weight): (usize, &f64)| {
                     let bin = a.first_bin + k;
                     let other = bin.checked_sub(b.first_bin)?;
-                    Some(weight * b.weights.get(other)? * light.fractions[bin])
+                    Some(weight * b.weights.get(other)? * fractions[bin])
                 };
-                let mut sum: f64 = a.weights.iter().enumerate().filter_map(shared).sum();
-                if light.is_static {
-                    sum += a.weights.iter().sum::<f64>() * b.weights.iter().sum::<f64>();
-                }
+                let sum: f64 = a.weights.iter().enumerate().filter_map(shared).sum();
                 let weights =
                     row_weights[field.frame_rows[r]] * row_weights[field.frame_rows[r + o]];
                 coupling[r * width + o] = weights * sum;
@@ -349,13 +335,9 @@ fn factorise_band(band: &mut [Lanes], reach: usize, rho: f64) {
         || {
             for r in 0..rows {
                 let (column, rest) = band[r * width..].split_at_mut(width);
-                for k in 0..LANES {
-                    let pivot = if column[0][k] > 0.5 * rho {
-                        column[0][k]
-                    } else {
-                        rho
-                    };
-                    column[0][k] = 1.0 / pivot.sqrt();
+                for pivot in &mut column[0] {
+                    let safe = if *pivot > 0.5 * rho { *pivot } else { rho };
+                    *pivot = 1.0 / safe.sqrt();
                 }
                 let inverse = column[0];
                 let below = reach.min(rows - 1 - r);
@@ -457,14 +439,11 @@ mod tests {
         for (camera, psfs) in cameras().flat_map(|c| sets().map(|psfs| (c.clone(), psfs))) {
             let operator = RollingShutter::new(&camera, psfs);
             let gram = brute_force(&operator, None);
-            let field = Arc::new(operator.mean_field(false));
+            let field = Arc::new(operator.mean_field());
             let (rows, columns) = operator.frame_shape();
-            let light = MeanLight {
-                fractions: vec![1.0; operator.video_shape().bins],
-                is_static: false,
-            };
+            let fractions = vec![1.0; operator.video_shape().bins];
             let row_weights = vec![1.0; rows];
-            let mut solver = MeanFieldSolver::new(field, &operator, &light, &row_weights);
+            let mut solver = MeanFieldSolver::new(field, &operator, &fractions, &row_weights);
             let cosine = CosineLines::new(columns);
             let unit = |k: usize| {
                 let mut line = vec![0.0; columns];

@@ -116,10 +116,10 @@ impl ActiveSystem {
         operator
             .inner()
             .adjoint_on(&weighted, &self.support, &mut video);
-        let mut values: Vec<f32> = self.voxels.iter().map(|&i| f32::from(video[i])).collect();
+        let mut values: Vec<f32> = self.voxels.iter().map(|&i| video[i]).collect();
         self.band.solve(&mut values, rho);
         for (&i, value) in self.voxels.iter().zip(&values) {
-            video[i] = *value as f32;
+            video[i] = *value;
         }
         let mut light = vec![0.0; r.len()];
         operator.apply(&video, &mut light);

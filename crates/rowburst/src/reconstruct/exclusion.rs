@@ -40,7 +40,7 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let (mut level, mut excluded) = (found.level, found.pixels);
-        let few = few(&excluded);
+        let few = negligible_count(&excluded);
         let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
         for factor in READMISSIONS {
             let before = self.excluded.clone();
@@ -92,7 +92,12 @@ impl Problem {
             let new = self.foreign(&check, 1.0);
             let added = new.iter().zip(&self.excluded).filter(|(n, e)| **n && !**e);
             // In a dense scene each round finds a few others.
-            let is_complete = added.count() <= if self.is_dense { few(&new) } else { 0 };
+            let is_complete = added.count()
+                <= if self.is_dense {
+                    negligible_count(&new)
+                } else {
+                    0
+                };
             if is_last_level && (is_complete || rounds >= MAX_LAST_ROUNDS)
                 || !is_last_level && !is_reached
             {
@@ -163,7 +168,7 @@ impl Problem {
             let has_converged = run.run(&mut self.data, until, observer)?;
             let check = HeldOutCheck::of(&run, &self.data);
             errors.push(check.held_out_rms);
-            let has_converged = has_converged || self.has_settled(&check, &errors);
+            let has_converged = has_converged || self.is_stationary(&check, &errors);
             let is_reached = until > FIRST_CHECK_ITERATION
                 && level > self.sigma
                 && check.residual_rms <= MAX_RESIDUAL * level;
@@ -199,7 +204,7 @@ impl Problem {
 }
 
 /// Number of pixels that are not worth another check.
-fn few(mask: &[bool]) -> usize {
+fn negligible_count(mask: &[bool]) -> usize {
     (FEW_PIXELS * mask.len() as f64) as usize
 }
 

@@ -700,7 +700,7 @@ impl GramSource<'_> {
                 scale: self.model.scale(),
             });
         }
-        let mean_field = self.model.mean_field(background);
+        let mean_field = self.model.mean_field();
         let weights = self.operator.weights();
         Box::new(MeanFieldPreconditioner::new(
             mean_field, shutter, background, support, weights,

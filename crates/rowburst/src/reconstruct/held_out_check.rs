@@ -205,7 +205,7 @@ impl Problem {
     }
 
     /// Whether a check of a dense scene, which may never explain the frame, would learn little from more iterations.
-    pub(super) fn has_settled(&self, check: &HeldOutCheck, errors: &[f64]) -> bool {
+    pub(super) fn is_stationary(&self, check: &HeldOutCheck, errors: &[f64]) -> bool {
         self.is_dense
             && check.residual_rms <= MAX_RESIDUAL * self.effective_sigma
             && choose::is_settled(errors)
@@ -235,7 +235,7 @@ impl Problem {
             let has_converged = run.run(&mut self.data, until, observer)?;
             let check = HeldOutCheck::of(&run, &self.data);
             errors.push(check.held_out_rms);
-            let has_converged = has_converged || self.has_settled(&check, &errors);
+            let has_converged = has_converged || self.is_stationary(&check, &errors);
             let is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
             let is_dense = is_dense && until >= FIRST_DENSE_ITERATION;
             if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {

@@ -3,7 +3,6 @@
 use crate::forward::RollingShutter;
 use crate::forward::gram::element_bytes;
 use crate::forward::mean_field::MeanField;
-use crate::linop::Background;
 use crate::{Camera, PatchSet};
 use faer::Mat;
 use rayon::prelude::*;
@@ -14,9 +13,6 @@ use std::sync::{Arc, OnceLock};
 const MAX_BLOCK_SIZE: usize = 4096;
 /// Bytes of all blocks above which none are built; larger allows exact steps on larger sensors (docs/design/004).
 const MAX_GRAM_BYTES: usize = 4 << 30;
-
-/// Rows above which the mean field leaves a static background out; larger takes more memory (docs/design/025).
-const MAX_COUPLED_ROWS: usize = 512;
 
 /// Camera and PSF, with the values that depend on them alone: the operator `A` with the spectra of the
 /// PSF and, if cached, the blocks of `A Aᵀ`.
@@ -30,8 +26,7 @@ pub struct Model {
     scale: f64,
     /// The cached blocks of `A Aᵀ`, one for each instant.
     gram: Option<Arc<Vec<Mat<f64>>>>,
-    /// The mean field of rows that share bins, and that of all rows.
-    mean_fields: Arc<[OnceLock<Arc<MeanField>>; 2]>,
+    mean_field: Arc<OnceLock<Arc<MeanField>>>,
 }
 
 impl Model {
@@ -52,7 +47,7 @@ impl Model {
             shutter,
             scale,
             gram: None,
-            mean_fields: Arc::default(),
+            mean_field: Arc::default(),
         }
     }
 
@@ -115,13 +110,10 @@ impl Model {
         is_small.then_some(bytes)
     }
 
-    /// The mean field of `A Aᵀ` for videos with this background; the first call computes it. A static background couples
-    /// all rows.
-    pub(super) fn mean_field(&self, background: Background) -> Arc<MeanField> {
-        let (rows, _) = self.shutter.frame_shape();
-        let is_whole = background == Background::Static && rows <= MAX_COUPLED_ROWS;
-        let mean_field = || Arc::new(self.shutter.mean_field(is_whole));
-        Arc::clone(self.mean_fields[usize::from(is_whole)].get_or_init(mean_field))
+    /// The mean field of `A Aᵀ`; the first call computes it.
+    pub(super) fn mean_field(&self) -> Arc<MeanField> {
+        let mean_field = || Arc::new(self.shutter.mean_field());
+        Arc::clone(self.mean_field.get_or_init(mean_field))
     }
 
     /// The cached block of `A Aᵀ` of an instant.

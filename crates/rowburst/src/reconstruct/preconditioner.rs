@@ -1,6 +1,6 @@
 //! Preconditioners of the conjugate gradients: the mean field of the operator.
 
-use crate::forward::mean_field::{MeanField, MeanFieldSolver, MeanLight};
+use crate::forward::mean_field::{MeanField, MeanFieldSolver};
 use crate::linop::Background;
 use crate::solve::conjugate_gradient::Preconditioner;
 use crate::{RollingShutter, Support};
@@ -35,15 +35,12 @@ impl MeanFieldPreconditioner {
             Some(support) => support.fractions(),
             None => vec![1.0; shutter.video_shape().bins],
         };
+        // A static background would couple all rows, which helps little (docs/design/025).
         if background == Background::PerBin {
             fractions.iter_mut().for_each(|f| *f += 1.0);
         }
-        let light = MeanLight {
-            fractions,
-            is_static: background == Background::Static,
-        };
         Self {
-            solver: MeanFieldSolver::new(mean_field, shutter, &light, &row_weights),
+            solver: MeanFieldSolver::new(mean_field, shutter, &fractions, &row_weights),
             weights: weights.map(<[f32]>::to_vec),
         }
     }
@@ -51,8 +48,14 @@ impl MeanFieldPreconditioner {
 
 impl Preconditioner for MeanFieldPreconditioner {
     fn max_iterations(&self, is_restricted: bool) -> usize {
-        // Inexact steps on a support leave bins without light, which are then taken for underfit.
-        if is_restricted { 40 } else { 6 }
+        let has_unused = self.weights.as_ref().is_some_and(|w| w.contains(&0.0));
+        match (is_restricted, has_unused) {
+            // Inexact steps on a support leave bins without light, which are then taken for underfit.
+            (true, _) => 40,
+            // The mean field knows no single pixels, so a mask takes more iterations.
+            (false, true) => 20,
+            (false, false) => 6,
+        }
     }
 
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]) {

@@ -159,7 +159,7 @@ impl Choice {
                 String::new()
             } else {
                 format!(
-                    "; a smaller error is within {MIN_GAIN} standard errors, so the earlier prior is kept"
+                    "; differences of at most {MIN_GAIN} standard error are not significant, so the earlier prior is kept"
                 )
             }
         )
@@ -292,13 +292,13 @@ mod tests {
         let mut choice = Choice {
             candidates: vec![
                 candidate("tv+support", 1.120, None),
-                candidate("group+support", 1.117, Some(1.2)),
+                candidate("group+support", 1.117, Some(0.8)),
             ],
             held_out: 583,
         };
         assert_eq!(choice.best(), choice.candidates[0]);
         assert!(
-            choice.reason().contains("standard errors"),
+            choice.reason().contains("not significant"),
             "{}",
             choice.reason()
         );
@@ -307,7 +307,7 @@ mod tests {
             .push(candidate("l1+support", 1.06, Some(4.0)));
         assert_eq!(choice.best(), choice.candidates[2]);
         assert!(
-            !choice.reason().contains("standard errors"),
+            !choice.reason().contains("not significant"),
             "{}",
             choice.reason()
         );
