@@ -15,6 +15,7 @@
 
 mod chunked;
 mod completed_task;
+mod figure;
 pub mod inputs;
 mod movie;
 mod numbers;
@@ -29,6 +30,7 @@ mod view_files;
 
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
+pub use figure::figure_of_folder;
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
@@ -37,7 +39,7 @@ pub use summary::{
     FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
     peak_memory_bytes, short,
 };
-pub use task::{IterationMetrics, Task, solve};
+pub use task::{IterationMetrics, Observer, Task, solve, solve_with_model};
 pub use traces::{
     DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,
     TraceNumbers, TraceRequest, Traces, TruthNumbers,
