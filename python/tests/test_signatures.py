@@ -11,7 +11,7 @@ import rowburst as rb
 
 HERE = Path(__file__).parent
 PINNED = HERE / "signatures.txt"
-PACKAGE = HERE.parent / "rowburst"
+PACKAGE = HERE.parent / "src" / "rowburst"
 
 
 def is_public(name):

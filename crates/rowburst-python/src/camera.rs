@@ -315,6 +315,11 @@ impl PyCamera {
             self.frame_rate_hz()
         )
     }
+
+    /// What notebooks show.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        crate::html::of(slf, "camera_html")
+    }
 }
 
 fn mosaic_of(name: &str) -> rowburst::Result<Bayer> {

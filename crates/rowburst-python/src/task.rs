@@ -4,29 +4,56 @@ use crate::array::{finite_image, is_array, masked_capture, masked_image, video, 
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::experiment::PyExperiment;
+use crate::interrupt::{Answer, OnProgress, interruptibly};
+use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
-use crate::threads::detached;
+use crate::threads::pool_of;
 use crate::whole::{Whole, is_bool, optional};
 use pyo3::prelude::*;
+use rayon::ThreadPool;
 use rowburst::camera::CameraParams;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Options, Prior, Tau};
+use rowburst::reconstruct::{Model, Options, Prior, Tau};
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Error, Image, Sensor};
+use rowburst::solve::admm::Progress;
+use rowburst::{Camera, Error, Image, PatchSet, Sensor};
 use rowburst_io::{FromMetadata, SampleFormat};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_prior, parse_tau, parse_time_budget};
-use rowburst_run::{Task, solve};
+use rowburst_run::{IterationMetrics, Task, TraceRequest, solve, solve_with_model};
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::time::Instant;
+
+/// What the frames of a camera share: calibration and options.
+#[derive(Clone)]
+pub struct Setup {
+    camera: Camera,
+    psfs: PatchSet,
+    corrections: Corrections,
+    options: Options,
+    from_metadata: FromMetadata,
+    /// The threads of these frames alone, if they have some.
+    pool: Option<Arc<ThreadPool>>,
+}
+
+/// A frame, and what it is compared with.
+struct FrameInputs<'a, 'py> {
+    frame: &'a Bound<'py, PyAny>,
+    truth: Option<&'a Bound<'py, PyAny>>,
+    direct: Option<&'a Bound<'py, PyAny>>,
+    time_budget_s: Option<f64>,
+    seed: Whole,
+    debias: bool,
+}
 
 /// The video of a frame.
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
     time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
-    direct=None, progress=None, seed=Whole::of(0), experiment=None, keep_all_pixels=false),
-    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, keep_all_pixels=False)")]
+    direct=None, progress=None, seed=Whole::of(0), experiment=None, keep_all_pixels=false, debias=false, threads=None),
+    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, keep_all_pixels=False, debias=False, threads=None)")]
 #[allow(clippy::too_many_arguments)]
 pub fn reconstruct(
     py: Python<'_>,
@@ -47,11 +74,206 @@ pub fn reconstruct(
     seed: Whole,
     experiment: Option<&PyExperiment>,
     keep_all_pixels: bool,
+    debias: bool,
+    threads: Option<Whole>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
-    let camera = camera.grey()?.clone();
-    let seed = seed.named("seed")? as u64;
-    let options = Options {
+    let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+    let corrections = corrections_of(dark, flat, bad_pixels)?;
+    let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
+    let inputs = FrameInputs {
+        frame,
+        truth,
+        direct,
+        time_budget_s,
+        seed,
+        debias,
+    };
+    setup.reconstruct(py, None, &inputs, progress, began)
+}
+
+/// A set-up whose operator and Gram blocks all frames share.
+#[pyclass(name = "_Reconstructor", module = "rowburst._rowburst", frozen)]
+pub struct PyReconstructor {
+    setup: Setup,
+    model: Model,
+}
+
+#[pymethods]
+impl PyReconstructor {
+    #[new]
+    #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None, max_iterations=None, dark=None,
+        flat=None, bad_pixels=None, experiment=None, keep_all_pixels=false, threads=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        py: Python<'_>,
+        camera: &PyCamera,
+        psf: &Bound<'_, PyAny>,
+        prior: &str,
+        tau: Option<&Bound<'_, PyAny>>,
+        noise_sigma: Option<f64>,
+        max_iterations: Option<Whole>,
+        dark: Option<&Bound<'_, PyAny>>,
+        flat: Option<&Bound<'_, PyAny>>,
+        bad_pixels: Option<&Bound<'_, PyAny>>,
+        experiment: Option<&PyExperiment>,
+        keep_all_pixels: bool,
+        threads: Option<Whole>,
+    ) -> PyResult<Self> {
+        let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+        let corrections = corrections_of(dark, flat, bad_pixels)?;
+        let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
+        crate::memory::check(&setup.camera)?;
+        let model = model_of(
+            py,
+            &setup.camera,
+            &setup.psfs,
+            setup.pool.clone(),
+            Gram::Cached,
+        )?;
+        Ok(Self { setup, model })
+    }
+
+    /// The video of a frame.
+    #[pyo3(signature = (frame, *, truth=None, direct=None, progress=None, seed=Whole::of(0), time_budget_s=None,
+        debias=false))]
+    #[allow(clippy::too_many_arguments)]
+    fn reconstruct(
+        &self,
+        py: Python<'_>,
+        frame: &Bound<'_, PyAny>,
+        truth: Option<&Bound<'_, PyAny>>,
+        direct: Option<&Bound<'_, PyAny>>,
+        progress: Option<Py<PyAny>>,
+        seed: Whole,
+        time_budget_s: Option<f64>,
+        debias: bool,
+    ) -> PyResult<PyReconstruction> {
+        let inputs = FrameInputs {
+            frame,
+            truth,
+            direct,
+            time_budget_s,
+            seed,
+            debias,
+        };
+        let model = Some(self.model.clone());
+        let began = Instant::now();
+        self.setup.reconstruct(py, model, &inputs, progress, began)
+    }
+}
+
+impl Setup {
+    fn new(
+        camera: &PyCamera,
+        psf: &Bound<'_, PyAny>,
+        corrections: Corrections,
+        options: Options,
+        experiment: Option<&PyExperiment>,
+        threads: Option<Whole>,
+    ) -> PyResult<Self> {
+        let camera = camera.grey()?.clone();
+        Ok(Self {
+            psfs: psfs_of(psf, &camera, corrections.dark.as_ref())?,
+            camera,
+            corrections,
+            options,
+            from_metadata: experiment
+                .map(|e| e.from_metadata.clone())
+                .unwrap_or_default(),
+            pool: optional(threads, "threads")?.map(pool_of).transpose()?,
+        })
+    }
+
+    /// The video of a frame, with `model` if the frames share one.
+    fn reconstruct(
+        &self,
+        py: Python<'_>,
+        model: Option<Model>,
+        inputs: &FrameInputs<'_, '_>,
+        progress: Option<Py<PyAny>>,
+        began: Instant,
+    ) -> PyResult<PyReconstruction> {
+        let task = self.task(inputs)?;
+        let debias = inputs.debias;
+        let call = |py: Python<'_>, iteration: PyProgress| {
+            progress
+                .as_ref()
+                .map_or(Ok(Answer::Continue), |f| answer_of(py, f, iteration))
+        };
+        let on_progress: Option<OnProgress<PyProgress>> = match progress {
+            Some(_) => Some(&call),
+            None => None,
+        };
+        let completed = interruptibly(py, self.pool.clone(), on_progress, move |reporter| {
+            let mut show = |iteration: &Progress, metrics: &IterationMetrics| {
+                let level = metrics.residual_over_sigma;
+                let seconds = began.elapsed().as_secs_f64();
+                match reporter.ask(|| PyProgress::new(iteration, level, seconds)) {
+                    Answer::Continue => ControlFlow::Continue(()),
+                    Answer::Finish | Answer::Abandon => ControlFlow::Break(StopReason::Interrupted),
+                }
+            };
+            let mut completed = match model {
+                Some(model) => solve_with_model(&model, task, began, &mut show)?,
+                None => solve(task, began, &mut show)?,
+            };
+            let traces = (debias && !reporter.is_abandoned()).then(|| {
+                let mut traces = completed.traces(TraceRequest::default(), true);
+                completed.take_debiased(&mut traces);
+                traces
+            });
+            Ok((completed, traces, rayon::current_num_threads()))
+        })?;
+        let (completed, traces, threads) = completed.map_err(to_py_err)?;
+        Ok(PyReconstruction::new(completed, traces, threads))
+    }
+
+    fn task(&self, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
+        let seed = inputs.seed.clone().named("seed")? as u64;
+        let budget = parse_time_budget(inputs.time_budget_s).map_err(to_py_err)?;
+        let measurement = measured(inputs.frame, &self.camera, self.corrections.clone())?;
+        crate::memory::check(&self.camera)?;
+        let truth = inputs.truth.map(|value| {
+            let video = video(value, "truth")?;
+            checked_truth(video, "truth", &self.camera).map_err(to_py_err)
+        });
+        let direct = inputs.direct.map(|v| finite_image(v, "direct"));
+        Ok(Task {
+            camera: self.camera.clone(),
+            psfs: self.psfs.clone(),
+            measurement,
+            options: self.options,
+            budget,
+            truth: truth.transpose()?,
+            truth_file: None,
+            direct: direct.transpose()?,
+            seed,
+            from_metadata: self.from_metadata.clone(),
+        })
+    }
+}
+
+/// What a progress function answers: `None` goes on; `False`, of Python or numpy, asks for the best so far.
+fn answer_of(py: Python<'_>, progress: &Py<PyAny>, iteration: PyProgress) -> PyResult<Answer> {
+    let answer = progress.call1(py, (iteration,))?;
+    let answer = answer.bind(py);
+    let goes_on = answer.is_none() || !is_bool(answer)? || answer.is_truthy()?;
+    Ok(if goes_on {
+        Answer::Continue
+    } else {
+        Answer::Finish
+    })
+}
+
+pub fn options_from(
+    prior: &str,
+    tau: Option<&Bound<'_, PyAny>>,
+    noise_sigma: Option<f64>,
+    max_iterations: Option<Whole>,
+    keep_all_pixels: bool,
+) -> PyResult<Options> {
+    Ok(Options {
         prior: prior_from(prior)?,
         tau: tau_from(tau)?,
         noise_sigma,
@@ -65,69 +287,11 @@ pub fn reconstruct(
         },
         keep_all_pixels,
         is_preview: false,
-    };
-    let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-    let corrections = corrections_of(dark, flat, bad_pixels)?;
-    let psfs = psfs_of(psf, &camera, corrections.dark.as_ref())?;
-    let measurement = measured(frame, &camera, corrections)?;
-    crate::memory::check(&camera)?;
-    let truth = match truth {
-        Some(value) => {
-            let video = video(value, "truth")?;
-            Some(checked_truth(video, "truth", &camera).map_err(to_py_err)?)
-        }
-        None => None,
-    };
-    let direct = direct.map(|v| finite_image(v, "direct")).transpose()?;
-    let task = Task {
-        camera,
-        psfs,
-        measurement,
-        options,
-        budget,
-        truth,
-        truth_file: None,
-        direct,
-        seed,
-        from_metadata: match experiment {
-            Some(experiment) => experiment.from_metadata.clone(),
-            None => FromMetadata::default(),
-        },
-    };
-    // Raised by the callback, or Ctrl-C: the run is given up.
-    let mut interruption: Option<PyErr> = None;
-    let completed = detached(py, || {
-        solve(task, began, &mut |iteration, metrics| {
-            let asked = Python::attach(|py| {
-                py.check_signals()?;
-                let Some(progress) = &progress else {
-                    return Ok(true);
-                };
-                let level = metrics.residual_over_sigma;
-                let py_progress = PyProgress::new(iteration, level, began.elapsed().as_secs_f64());
-                let answer = progress.call1(py, (py_progress,))?;
-                // `None` goes on; `False`, of Python or numpy, asks for the best so far.
-                let answer = answer.bind(py);
-                Ok(answer.is_none() || !is_bool(answer)? || answer.is_truthy()?)
-            });
-            match asked {
-                Ok(true) => ControlFlow::Continue(()),
-                Ok(false) => ControlFlow::Break(StopReason::Interrupted),
-                Err(error) => {
-                    interruption = Some(error);
-                    ControlFlow::Break(StopReason::Interrupted)
-                }
-            }
-        })
-    })?;
-    match interruption {
-        Some(error) => Err(error),
-        None => Ok(PyReconstruction::new(completed.map_err(to_py_err)?)),
-    }
+    })
 }
 
 /// Dark, flat and bad pixels. Masked pixels of each are bad pixels.
-fn corrections_of(
+pub fn corrections_of(
     dark: Option<&Bound<'_, PyAny>>,
     flat: Option<&Bound<'_, PyAny>>,
     bad_pixels: Option<&Bound<'_, PyAny>>,

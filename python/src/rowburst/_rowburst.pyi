@@ -99,6 +99,7 @@ class Camera:
         """The middle of each bin of the video, from the start of the first, in microseconds."""
     def row_time_weights(self) -> NDArray[np.float32]:
         """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times."""
+    def _repr_html_(self) -> str: ...
 
 @final
 class Psf:
@@ -123,6 +124,7 @@ class Psf:
     def offsets_px(self) -> list[tuple[float, float]]: ...
     @property
     def shape(self) -> tuple[int, int]: ...
+    def _repr_html_(self) -> str: ...
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
 
 @final
@@ -156,12 +158,6 @@ class Experiment:
     def metadata_warnings(self) -> list[str]:
         """Contradictions between metadata and file, and metadata that cannot be used."""
 
-def read_frames(path: str | PathLike[str]) -> NDArray[Any]:
-    """The frames of a file, ``[frame, y, x]``: every format that the command line reads.
-
-    Integers where the file holds integers, else float32, so that each frame is what it was in the file.
-    """
-
 @final
 class Simulation:
     """A simulated capture with all that is known of it."""
@@ -190,6 +186,7 @@ class Simulation:
     @property
     def leds(self) -> list[tuple[float, float, float, float]]:
         """``(y, x, frequency_hz, phase)`` of each LED."""
+    def _repr_html_(self) -> str: ...
 
 @final
 class Progress:
@@ -219,7 +216,7 @@ class LiveView:
     A frame that was stopped early is not lost: the next one continues from its state. Where the last
     video explains less than half of the variance of the frame, the solver starts from zero. Videos
     depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
-    standard prior ``tv+0.5*tdiff+support`` here.
+    standard prior ``tv+0.5*tdiff+support`` here. ``dark``, ``flat`` and ``bad_pixels`` are those of :func:`reconstruct`.
 
         live = rowburst.LiveView(camera, psf)
         look = live.next(frame, time_budget_s=0.1)
@@ -234,6 +231,9 @@ class LiveView:
         prior: str = "auto",
         tau: float | str | None = None,
         noise_sigma: float | None = None,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
     ) -> LiveView: ...
     def next(self, frame: ArrayLike | PathLike[str], *, time_budget_s: float | None = None) -> Look:
         """The video of the next frame; the budget limits the iterations, not the evaluation after them.
@@ -305,7 +305,53 @@ class Result:
     def _json(self) -> str: ...
     def _traces(self, regions: list[str], photodiodes: list[str]) -> tuple[list[dict[str, Any]], str]: ...
     def _report(self, title: str) -> str: ...
+    def _figure(self, layout: str) -> tuple[str, bytes]: ...
     def _save(self, folder: str | PathLike[str], title: str) -> None: ...
+
+@final
+class _Reconstructor:
+    def __new__(
+        cls,
+        camera: Camera,
+        psf: Psf | ArrayLike | PathLike[str] | None,
+        *,
+        prior: str = "auto",
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
+        experiment: Experiment | None = None,
+        keep_all_pixels: bool = False,
+        threads: int | None = None,
+    ) -> _Reconstructor: ...
+    def reconstruct(
+        self,
+        frame: ArrayLike | PathLike[str],
+        *,
+        truth: ArrayLike | PathLike[str] | None = None,
+        direct: ArrayLike | PathLike[str] | None = None,
+        progress: Callable[[Progress], object] | None = None,
+        seed: int = 0,
+        time_budget_s: float | None = None,
+        debias: bool = False,
+    ) -> Result: ...
+
+@final
+class _Frames:
+    def __new__(cls, path: str | PathLike[str]) -> _Frames: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int) -> NDArray[Any]: ...
+    def name(self, index: int) -> str: ...
+    def read(self) -> NDArray[Any]: ...
+
+@final
+class _View:
+    def __new__(cls, results: Sequence[str | PathLike[str]], port: int | None = None) -> _View: ...
+    @property
+    def url(self) -> str: ...
+    def close(self) -> None: ...
 
 @final
 class _Operator:
@@ -347,6 +393,23 @@ class _Batch:
         frame_period_us: float | None = None,
         keep_all_pixels: bool = False,
     ) -> _Batch: ...
+    @staticmethod
+    def of_values(
+        camera: Camera,
+        psf: Psf | ArrayLike | PathLike[str] | None,
+        frames: Any,
+        out: str | PathLike[str],
+        *,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
+        prior: str = "auto",
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+        frame_period_us: float | None = None,
+        keep_all_pixels: bool = False,
+    ) -> _Batch: ...
     @property
     def count(self) -> int: ...
     def left(self, first: int, end: int, retry_failed: bool = False) -> list[int]: ...
@@ -356,6 +419,7 @@ class _Batch:
     def write_table(self) -> str | PathLike[str]: ...
     def video(self, frame: int) -> NDArray[np.float32]: ...
 
+def _figure_of_folder(folder: str | PathLike[str], layout: str) -> tuple[str, bytes]: ...
 def reconstruct(
     frame: ArrayLike | PathLike[str],
     camera: Camera,
@@ -375,6 +439,8 @@ def reconstruct(
     seed: int = 0,
     experiment: Experiment | None = None,
     keep_all_pixels: bool = False,
+    debias: bool = False,
+    threads: int | None = None,
 ) -> Result: ...
 def simulate(
     camera: Camera,
