@@ -13,8 +13,10 @@
 //! The crate writes nothing to the terminal. Messages are return values, and an observer is called after
 //! every iteration and may stop the run.
 
+pub mod calibrate;
 mod chunked;
 mod completed_task;
+pub mod design;
 mod figure;
 pub mod inputs;
 mod movie;
