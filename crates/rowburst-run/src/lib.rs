@@ -15,6 +15,7 @@
 
 pub mod calibrate;
 mod chunked;
+mod colour;
 mod completed_task;
 pub mod design;
 mod figure;
@@ -31,6 +32,7 @@ mod traces;
 mod view_files;
 
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
+pub use colour::{ColourInputs, Plane, check_raw_frame, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
 pub use figure::figure_of_folder;
 pub use movie::MovieStyle;

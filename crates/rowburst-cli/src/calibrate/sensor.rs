@@ -4,9 +4,9 @@ use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use clap::Args;
 use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate};
-use rowburst::{Error, Image, Result};
-use rowburst_io::{Experiment, IMAGE_ENDINGS, OutputFolder, is_image, read_stack};
-use rowburst_run::calibrate::sensor::{summary, write};
+use rowburst::{Error, Result};
+use rowburst_io::{Experiment, OutputFolder};
+use rowburst_run::calibrate::sensor::{read_frames, summary, write};
 use rowburst_run::short;
 use std::path::{Path, PathBuf};
 
@@ -70,62 +70,6 @@ pub fn run(args: &SensorArgs) -> Result<()> {
         print_summary(&calibration, &folder);
     }
     Ok(())
-}
-
-/// The frames of `paths`, with names for messages; those of a folder by file name.
-fn read_frames(option: &str, paths: &[PathBuf]) -> Result<Vec<(String, Image)>> {
-    let mut frames = Vec::new();
-    for path in paths {
-        let files = if path.is_dir() {
-            files_of(option, path)?
-        } else {
-            vec![path.clone()]
-        };
-        for file in files {
-            let pages = read_stack(&file)?;
-            let several = pages.len() > 1;
-            for (page, image) in pages.into_iter().enumerate() {
-                let mut name = file.display().to_string();
-                if several {
-                    name += &format!(" page {}", page + 1);
-                }
-                frames.push((name, image));
-            }
-        }
-    }
-    Ok(frames)
-}
-
-/// The images in `folder`, by name.
-fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder).map_err(|error| {
-        Error::work(
-            folder.display().to_string(),
-            format!("cannot read: {error}"),
-            "Check its permissions.",
-        )
-    })?;
-    let is_image = |path: &PathBuf| {
-        let hidden = path
-            .file_name()
-            .is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        !hidden && path.is_file() && is_image(path)
-    };
-    let mut files: Vec<PathBuf> = entries
-        .flatten()
-        .map(|e| e.path())
-        .filter(is_image)
-        .collect();
-    files.sort();
-    if files.is_empty() {
-        return Err(Error::input(
-            folder.display().to_string(),
-            "a folder without images",
-            format!("{option} takes frames as {IMAGE_ENDINGS}, or folders of them"),
-            "Name the folder that the frames lie in.",
-        ));
-    }
-    Ok(files)
 }
 
 /// Calibration frames are raw: they have the sensor's pixels before binning.

@@ -272,7 +272,8 @@ impl DesignArgs {
     /// The command line that repeats the run.
     pub fn command_line(&self) -> String {
         // What was typed, but for the way to the program.
-        let typed: Vec<String> = std::env::args().skip(1).collect();
+        let typed = crate::typed(Vec::new()).iter().skip(1);
+        let typed: Vec<_> = typed.map(|word| word.to_string_lossy()).collect();
         format!("rowburst {}", typed.join(" "))
     }
 }

@@ -1,13 +1,15 @@
 //! From arguments to the PSF and its files.
 
 use super::PsfArgs;
-use super::captures::{self, File};
+use super::captures::read_positions;
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use rowburst::calibrate::psf::MemoryEffect;
 use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder, read_image};
-use rowburst_run::calibrate::psf::{CaptureGroup, PsfFolder, PsfInputs, PsfSummary};
+use rowburst_run::calibrate::psf::{
+    CaptureFile, CaptureGroup, PsfFolder, PsfInputs, PsfSummary, read_captures,
+};
 use rowburst_run::short;
 
 pub fn run(args: &PsfArgs) -> Result<()> {
@@ -57,11 +59,11 @@ fn inputs(args: &PsfArgs, experiment: Option<&Experiment>) -> Result<PsfInputs> 
         }
     }
     let dark = dark.map(|path| Ok(read_image(path)?.image)).transpose()?;
-    let files = captures::read(args)?;
+    let files = read_captures(&args.captures)?;
     let positions_mm = args
         .positions_mm
         .as_deref()
-        .map(|csv| captures::read_positions(csv, &files))
+        .map(|csv| read_positions(csv, &files))
         .transpose()?;
     Ok(PsfInputs {
         groups: groups(files, positions_mm.is_some()),
@@ -87,7 +89,7 @@ fn field_of(args: &PsfArgs, experiment: Option<&Experiment>) -> Option<(usize, u
     field.or(experiment.map(|e| (e.params.rows, e.params.columns)))
 }
 
-fn groups(files: Vec<File>, by_file: bool) -> Vec<CaptureGroup> {
+fn groups(files: Vec<CaptureFile>, by_file: bool) -> Vec<CaptureGroup> {
     let groups = files.into_iter().map(|file| CaptureGroup {
         shots: file.shots,
         saturation_limit: file.saturation_limit,

@@ -1,8 +1,10 @@
 //! The PSF of captures of a point source: numbers, report and folder.
 
+mod captures;
 mod report;
 mod summary;
 
+pub use captures::{CaptureFile, read_captures};
 pub use summary::{MemorySummary, PsfSummary, RowReach};
 
 use report::{PsfReportInput, render};

@@ -3,10 +3,72 @@
 mod report;
 
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack};
-use rowburst::{Result, Sensor};
-use rowburst_io::{Calibration, Experiment, OutputFolder, write_npy_image, write_png8};
+use rowburst::{Error, Image, Result, Sensor};
+use rowburst_io::{
+    Calibration, Experiment, IMAGE_ENDINGS, OutputFolder, is_image, read_stack, write_npy_image,
+    write_png8,
+};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// The frames of `paths`, with names for messages; those of a folder by file name. `option` names them in errors.
+///
+/// # Errors
+/// Files that cannot be read, and folders without images.
+pub fn read_frames(option: &str, paths: &[PathBuf]) -> Result<Vec<(String, Image)>> {
+    let mut frames = Vec::new();
+    for path in paths {
+        let files = if path.is_dir() {
+            files_of(option, path)?
+        } else {
+            vec![path.clone()]
+        };
+        for file in files {
+            let pages = read_stack(&file)?;
+            let several = pages.len() > 1;
+            for (page, image) in pages.into_iter().enumerate() {
+                let mut name = file.display().to_string();
+                if several {
+                    name += &format!(" page {}", page + 1);
+                }
+                frames.push((name, image));
+            }
+        }
+    }
+    Ok(frames)
+}
+
+/// The images in `folder`, by name.
+fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|error| {
+        Error::work(
+            folder.display().to_string(),
+            format!("cannot read: {error}"),
+            "Check its permissions.",
+        )
+    })?;
+    let is_image = |path: &PathBuf| {
+        let hidden = path
+            .file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        !hidden && path.is_file() && is_image(path)
+    };
+    let mut files: Vec<PathBuf> = entries
+        .flatten()
+        .map(|e| e.path())
+        .filter(is_image)
+        .collect();
+    files.sort();
+    if files.is_empty() {
+        return Err(Error::input(
+            folder.display().to_string(),
+            "a folder without images",
+            format!("{option} takes frames as {IMAGE_ENDINGS}, or folders of them"),
+            "Name the folder that the frames lie in.",
+        ));
+    }
+    Ok(files)
+}
 
 /// The content of `sensor.json`.
 pub fn summary(calibration: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {

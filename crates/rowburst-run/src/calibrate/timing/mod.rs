@@ -7,9 +7,10 @@ mod report;
 pub use report::write_report;
 
 use crate::short;
-use rowburst::Image;
 use rowburst::calibrate::timing::{Lamp, Timing};
+use rowburst::{Camera, Error, Image, Result, Shutter};
 use serde::Serialize;
+use std::path::Path;
 
 /// Everything that `timing.json` says.
 #[derive(Debug, Serialize)]
@@ -115,4 +116,74 @@ pub fn exposure(timing: &Timing) -> String {
         Some((value, error)) => with_error(value, error),
         None => "not shown".into(),
     }
+}
+
+/// What a camera says of the row time of frames.
+pub struct KnownRowTime {
+    /// Rows of the frames in a row of the camera.
+    pub binning: usize,
+    /// The row time of the frames; `None` for a global shutter.
+    pub row_time_us: Option<f64>,
+    /// A warning where frames and camera differ in rows.
+    pub warning: Option<String>,
+}
+
+impl KnownRowTime {
+    /// Of frames of `rows` rows.
+    pub fn new(camera: &Camera, rows: usize) -> Self {
+        let (mut binning, mut warning) = (1, None);
+        let camera_binning = camera.sensor().binning;
+        if rows == camera.rows() * camera_binning {
+            binning = camera_binning;
+        } else if rows != camera.rows() {
+            warning = Some(format!(
+                "the frames have {rows} rows, the experiment {}: the row time is taken to be that of both",
+                camera.rows()
+            ));
+        }
+        let is_rolling = !matches!(camera.shutter(), Shutter::Global);
+        Self {
+            binning,
+            row_time_us: is_rolling.then(|| camera.params().row_time_us / binning as f64),
+            warning,
+        }
+    }
+}
+
+/// Lines `time_us,value`; empty ones, those that begin with # and a heading are passed over.
+///
+/// # Errors
+/// A file that cannot be read, or a line that has not two numbers.
+pub fn read_waveform(path: &Path) -> Result<Vec<(f64, f64)>> {
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Error::input(
+            path.display().to_string(),
+            format!("a file that cannot be read ({error})"),
+            "the waveform of the light is a text file",
+            "Check the path and the permissions.",
+        )
+    })?;
+    let mut points = Vec::new();
+    for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let number = |part: Option<&str>| part.and_then(|p| p.trim().parse::<f64>().ok());
+        let mut parts = line.split([',', ';', '\t']);
+        let pair = (number(parts.next()), number(parts.next()), parts.next());
+        match pair {
+            (Some(time), Some(value), None) => points.push((time, value)),
+            _ if points.is_empty() && line.starts_with(|c: char| c.is_alphabetic()) => {}
+            _ => {
+                return Err(Error::input(
+                    format!("{}, line {}", path.display(), i + 1),
+                    format!("\"{line}\""),
+                    "a line has two numbers, time_us,value",
+                    "Write the time in microseconds, a comma and the light, with a point for decimals.",
+                ));
+            }
+        }
+    }
+    Ok(points)
 }
