@@ -5,7 +5,10 @@
 
 mod array;
 mod batch;
+mod calibrate;
 mod camera;
+mod command;
+mod design;
 mod error;
 mod experiment;
 mod frames;
@@ -37,7 +40,13 @@ mod _rowburst {
     #[pymodule_export]
     use crate::batch::PyBatch;
     #[pymodule_export]
+    use crate::calibrate::{PyPsfCalibration, PySensorCalibration, PyTimingCalibration};
+    #[pymodule_export]
     use crate::camera::PyCamera;
+    #[pymodule_export]
+    use crate::command::_command;
+    #[pymodule_export]
+    use crate::design::PyDesign;
     #[pymodule_export]
     use crate::error::{InputError, WorkError};
     #[pymodule_export]
@@ -55,7 +64,7 @@ mod _rowburst {
     #[pymodule_export]
     use crate::simulation::{PySimulation, simulate};
     #[pymodule_export]
-    use crate::task::{PyReconstructor, reconstruct};
+    use crate::task::{_reconstruct_chunked, _reconstruct_colour, PyReconstructor, reconstruct};
     #[pymodule_export]
     use crate::threads::{set_threads, threads};
     #[pymodule_export]

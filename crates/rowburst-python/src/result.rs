@@ -1,6 +1,7 @@
 //! `rowburst.Result` and what a progress callback is given.
 
 use crate::array::{from_image, from_video, make_read_only};
+use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::state::{self, State as Stored, entry};
 use crate::threads::{self, detached};
@@ -8,6 +9,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict, PyType};
+use rowburst::reconstruct::Prior;
 use rowburst::solve::admm::Progress;
 use rowburst::{Error, Shape, Video};
 use rowburst_io::OutputFolder;
@@ -90,6 +92,16 @@ impl PyReconstruction {
         }
     }
 
+    /// The prior of the reconstruction.
+    pub fn prior_used(&self, py: Python<'_>) -> Option<Prior> {
+        Some(self.state(py).completed.reconstruction.prior)
+    }
+
+    /// A copy of the video, of a reconstruction whose video numpy does not own yet.
+    pub fn copied_video(&self, py: Python<'_>) -> Video {
+        self.state(py).completed.reconstruction.video.clone()
+    }
+
     fn state<'a>(&'a self, py: Python<'_>) -> MutexGuard<'a, State> {
         let state = self.state.lock_py_attached(py);
         state.unwrap_or_else(PoisonError::into_inner)
@@ -155,6 +167,12 @@ impl PyReconstruction {
         make_read_only(&array)?;
         state.video = Some(array.clone().unbind());
         Ok(array)
+    }
+
+    /// The camera of the frame, or of its plane.
+    #[getter]
+    fn _camera(&self, py: Python<'_>) -> PyCamera {
+        self.state(py).completed.task.camera.clone().into()
     }
 
     #[getter]

@@ -5,7 +5,11 @@ shutter scans. Errors are :class:`InputError` (a ``ValueError``) where something
 and :class:`WorkError` (a ``RuntimeError``) where the work itself failed.
 """
 
+from . import calibrate
 from ._batch import batch
+from ._chunked import reconstruct_chunked
+from ._colour import ColourResult, reconstruct_colour
+from ._design import Design, design
 from ._figure import Figure
 from ._frames import read_frames
 from ._load import SavedResult, load
@@ -32,7 +36,9 @@ from ._view import View
 
 __all__ = [
     "Camera",
+    "ColourResult",
     "DataTerm",
+    "Design",
     "Experiment",
     "Figure",
     "InputError",
@@ -51,10 +57,14 @@ __all__ = [
     "WorkError",
     "__version__",
     "batch",
+    "calibrate",
+    "design",
     "load",
     "operator",
     "read_frames",
     "reconstruct",
+    "reconstruct_chunked",
+    "reconstruct_colour",
     "set_threads",
     "simulate",
     "speckle_psf",

@@ -45,9 +45,10 @@ def _image(picture: NDArray[Any], caption: str) -> str:
     )
 
 
-def _table(title: str, rows: Mapping[str, object]) -> str:
+def table_html(title: str, rows: Mapping[Any, object]) -> str:
+    """A table of names and values."""
     lines = "".join(
-        f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:left">{escape(str(value))}</td></tr>'
+        f'<tr><th style="text-align:left">{escape(str(name))}</th><td style="text-align:left">{escape(str(value))}</td></tr>'
         for name, value in rows.items()
         if value is not None
     )
@@ -70,7 +71,7 @@ def camera_html(camera: Camera) -> str:
         "read noise": _with_unit(camera.read_noise_electrons, "electrons"),
         "full well": _with_unit(camera.full_well_counts, "counts"),
     }
-    return _table("rowburst.Camera", rows_of_table)
+    return table_html("rowburst.Camera", rows_of_table)
 
 
 def _with_unit(value: float | None, unit: str) -> str | None:
@@ -82,14 +83,14 @@ def psf_html(psf: Psf) -> str:
     rows, columns = psf.shape
     count = len(psf.offsets_px)
     what = f"{count} patches of {rows}×{columns}" if count > 1 else f"{rows}×{columns}"
-    return _table("rowburst.Psf", {"size": what}) + _image(psf.array, "PSF" if count == 1 else "PSF of the middle")
+    return table_html("rowburst.Psf", {"size": what}) + _image(psf.array, "PSF" if count == 1 else "PSF of the middle")
 
 
 def simulation_html(simulation: Simulation) -> str:
     """A simulation: its frame and its true video."""
     table = {"noise": f"{simulation.noise_sigma:.4g} counts", "LEDs": len(simulation.leds) or None}
     pictures = _image(simulation.frame, "frame") + _image(simulation.truth.max(axis=0), "truth, maximum over time")
-    return _table("rowburst.Simulation", table) + pictures
+    return table_html("rowburst.Simulation", table) + pictures
 
 
 def result_html(result: VideoResult, kind: str) -> str:
@@ -106,4 +107,4 @@ def result_html(result: VideoResult, kind: str) -> str:
         "iterations": f"{numbers['iterations']} ({numbers['stop_reason']})",
         "warnings": "; ".join(numbers["warnings"]) or None,
     }
-    return _table(f"rowburst.{kind}", table) + _image(result.video.max(axis=0), "maximum over time")
+    return table_html(f"rowburst.{kind}", table) + _image(result.video.max(axis=0), "maximum over time")

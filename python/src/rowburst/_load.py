@@ -81,6 +81,12 @@ class SavedResult(VideoResult):
         return self._array("view-residual.npy")
 
     @property
+    def _sensor_shape(self) -> tuple[int, int]:
+        # A video in chunks has no residual; its report has a map of it.
+        shape = self.residual.shape if (self.folder / "view-residual.npy").is_file() else self.video.shape[1:]
+        return shape[0], shape[1]
+
+    @property
     def frame(self) -> NDArray[np.float32]:
         """The corrected frame ``[y, x]`` in counts."""
         return self._array("view-frame.npy")

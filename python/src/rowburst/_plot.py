@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._extras import need
+from ._rowburst import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,9 +34,13 @@ def overview(result: VideoResult) -> NDArray[Any]:
     axes[1, 0].plot(result.time_us, video.sum(axis=(1, 2), dtype=float), color="tab:blue")
     axes[1, 0].set(xlabel="time (µs)", ylabel="light of all pixels (counts)", title="light over time")
     axes[1, 0].set_ylim(bottom=0)
-    residual = axes[1, 1].imshow(result.residual, cmap="RdBu", vmin=-4, vmax=4)
-    axes[1, 1].set_title(f"residual/σ (rms {numbers['residual_over_sigma']:.2f})")
-    figure.colorbar(residual, ax=axes[1, 1])
+    try:
+        residual = axes[1, 1].imshow(result.residual, cmap="RdBu", vmin=-4, vmax=4)
+        axes[1, 1].set_title(f"residual/σ (rms {numbers['residual_over_sigma']:.2f})")
+        figure.colorbar(residual, ax=axes[1, 1])
+    except InputError:
+        # A video in chunks has none.
+        axes[1, 1].set_axis_off()
     bins, rows, columns = video.shape
     figure.suptitle(
         f"{bins} frames of {rows}×{columns} at {result.frame_rate_hz:,.0f} fps, {numbers['prior']}, the fit is {numbers['fit']}"

@@ -24,7 +24,7 @@ class Camera:
 
     The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
     instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
-    reconstructed by the command line alone.
+    reconstructed by :func:`reconstruct_colour`.
     """
 
     def __new__(
@@ -47,6 +47,11 @@ class Camera:
         full_well_counts: float | None = None,
         bayer: Literal["rggb", "bggr", "grbg", "gbrg"] | None = None,
     ) -> Camera: ...
+    def replace(self, **changes: Any) -> Camera:
+        """A camera that differs in the given arguments of the constructor.
+
+            camera = camera.replace(**sensor.camera_fields)
+        """
     @staticmethod
     def from_file(path: str | PathLike[str]) -> Camera:
         """The camera of an experiment file."""
@@ -302,6 +307,8 @@ class Result:
     def setup_seconds(self) -> float: ...
     @property
     def frame_rate_hz(self) -> float: ...
+    @property
+    def _camera(self) -> Camera: ...
     def _json(self) -> str: ...
     def _traces(self, regions: list[str], photodiodes: list[str]) -> tuple[list[dict[str, Any]], str]: ...
     def _report(self, title: str) -> str: ...
@@ -419,6 +426,133 @@ class _Batch:
     def write_table(self) -> str | PathLike[str]: ...
     def video(self, frame: int) -> NDArray[np.float32]: ...
 
+@final
+class _SensorCalibration:
+    def __new__(cls, darks: Any, flats: Any) -> _SensorCalibration: ...
+    def json(self) -> str: ...
+    @property
+    def dark(self) -> NDArray[np.float32]: ...
+    @property
+    def flat(self) -> NDArray[np.float32]: ...
+    @property
+    def response(self) -> NDArray[np.float32]: ...
+    @property
+    def read_noise(self) -> NDArray[np.float32]: ...
+    @property
+    def bad_pixels(self) -> NDArray[np.bool_]: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+@final
+class _PsfCalibration:
+    def __new__(
+        cls,
+        captures: Any,
+        *,
+        dark: ArrayLike | PathLike[str] | None = None,
+        camera: Camera | None = None,
+        exposures_ms: list[float] = ...,
+        positions_mm: list[tuple[float, float]] | None = None,
+        binning: int | None = None,
+        saturation_counts: float | None = None,
+        field: tuple[int, int] | None = None,
+        expected_grain_px: float | None = None,
+        all_patches: bool = False,
+    ) -> _PsfCalibration: ...
+    def json(self) -> str: ...
+    @property
+    def psf(self) -> Psf: ...
+    @property
+    def patches(self) -> Psf | None: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+@final
+class _TimingCalibration:
+    def __new__(
+        cls,
+        frames: Any,
+        *,
+        frequency_hz: float | None = None,
+        duty: float | None = None,
+        signal: Any = None,
+        repeat: bool = False,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        camera: Camera | None = None,
+    ) -> _TimingCalibration: ...
+    def json(self) -> str: ...
+    @property
+    def binning(self) -> int: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+@final
+class _Design:
+    def __new__(
+        cls,
+        camera: Camera | None = None,
+        psf: Psf | ArrayLike | PathLike[str] | None = None,
+        *,
+        wavelength_nm: float,
+        pupil_mm: float,
+        focal_length_mm: float,
+        magnification: float,
+        na: float | None,
+        diffuser_deg: float,
+        photons: float,
+        bright_pixels: int,
+        quantum_efficiency: float,
+        read_noise_electrons: float | None,
+        full_well_electrons: float | None,
+        source_bandwidth_nm: float,
+        diffuser_path_rms_nm: float | None,
+        trials: bool,
+        trial_snrs: list[float],
+        seed: int,
+        progress: Callable[[float], object] | None = None,
+    ) -> _Design: ...
+    def json(self) -> str: ...
+    def sections(self) -> list[tuple[str, list[tuple[str, str]]]]: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+def _command(arguments: list[str]) -> int: ...
+def _reconstruct_colour(
+    frame: ArrayLike | PathLike[str],
+    camera: Camera,
+    psf: Psf | ArrayLike | PathLike[str] | None,
+    *,
+    prior: str = "auto",
+    tau: str | float | None = None,
+    noise_sigma: float | None = None,
+    time_budget_s: float | None = None,
+    max_iterations: int | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    seed: int = 0,
+    experiment: Experiment | None = None,
+    keep_all_pixels: bool = False,
+    debias: bool = False,
+    threads: int | None = None,
+) -> tuple[NDArray[np.float32], list[tuple[str, float, Result]]]: ...
+def _reconstruct_chunked(
+    frame: ArrayLike | PathLike[str],
+    camera: Camera,
+    psf: Psf | ArrayLike | PathLike[str] | None,
+    folder: str | PathLike[str],
+    *,
+    bins_per_chunk: int | None = None,
+    bins: tuple[int, int] | None = None,
+    prior: str = "auto",
+    tau: str | float | None = None,
+    noise_sigma: float | None = None,
+    max_iterations: int | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    experiment: Experiment | None = None,
+    threads: int | None = None,
+) -> str: ...
 def _figure_of_folder(folder: str | PathLike[str], layout: str) -> tuple[str, bytes]: ...
 def reconstruct(
     frame: ArrayLike | PathLike[str],

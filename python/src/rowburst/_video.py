@@ -43,6 +43,12 @@ class VideoResult:
         """The content of ``result.json`` of the command line."""
         raise NotImplementedError
 
+    @property
+    def _sensor_shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        rows, columns = self.residual.shape
+        return rows, columns
+
     def to_xarray(self) -> DataArray:
         """The video with the axes ``time`` (microseconds), ``y`` and ``x`` (pixels of the sensor).
 
@@ -67,7 +73,7 @@ class VideoResult:
         """
         xarray = need("xarray", "to_xarray")
         _, rows, columns = self.video.shape
-        sensor_rows, sensor_columns = self.residual.shape
+        sensor_rows, sensor_columns = self._sensor_shape
         numbers = self.numbers
         kept = ("prior", "tau", "noise_sigma", "effective_sigma", "residual_over_sigma", "fit", "frame_rate_hz", "version")
         array: DataArray = xarray.DataArray(
