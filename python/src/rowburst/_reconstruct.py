@@ -481,8 +481,8 @@ def reconstruct(
     Examples
     --------
     >>> result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support")
-    >>> result.video.shape, result.fit
-    ((12, 24, 30), 'good')
+    >>> result.video.shape, result.prior
+    ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
     settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
     bar, callback = _callback(progress)

@@ -149,9 +149,9 @@ class Reconstructor:
         Examples
         --------
         >>> for result in reconstructor.map("frames.npy"):
-        ...     print(result.fit)
-        good
-        good
+        ...     print(result.video.shape)
+        (12, 24, 30)
+        (12, 24, 30)
         """
         if workers < 1:
             raise InputError(f"workers: found {workers}; at least one works. Leave it out.")

@@ -7,6 +7,7 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__: list[str]
 __version__: str
 
 # frame, name, whether it has its video, residual/sigma, fit, seconds, message
@@ -340,7 +341,7 @@ class _Reconstructor:
         truth: ArrayLike | PathLike[str] | None = None,
         direct: ArrayLike | PathLike[str] | None = None,
         progress: Callable[[Progress], object] | None = None,
-        seed: int = 0,
+        seed: int = ...,
         time_budget_s: float | None = None,
         debias: bool = False,
     ) -> Result: ...
@@ -349,7 +350,7 @@ class _Reconstructor:
 class _Frames:
     def __new__(cls, path: str | PathLike[str]) -> _Frames: ...
     def __len__(self) -> int: ...
-    def __getitem__(self, index: int) -> NDArray[Any]: ...
+    def __getitem__(self, index: int, /) -> NDArray[Any]: ...
     def name(self, index: int) -> str: ...
     def read(self) -> NDArray[Any]: ...
 
@@ -528,7 +529,7 @@ def _reconstruct_colour(
     flat: ArrayLike | PathLike[str] | None = None,
     bad_pixels: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | None = None,
-    seed: int = 0,
+    seed: int = ...,
     experiment: Experiment | None = None,
     keep_all_pixels: bool = False,
     debias: bool = False,
