@@ -22,6 +22,15 @@ def without(numbers, *names):
     return {name: value for name, value in numbers.items() if name not in names}
 
 
+def rounded(value):
+    """The same with twelve digits of each number."""
+    if isinstance(value, dict):
+        return {name: rounded(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [rounded(part) for part in value]
+    return float(f"{value:.12g}") if isinstance(value, float) else value
+
+
 @pytest.fixture(scope="module")
 def captures():
     """20 darks and 16 flats at four levels, with a gain of 0.5 electrons per count, and ten hot pixels."""
@@ -67,7 +76,8 @@ def test_frames_of_files_lists_and_arrays_are_the_same(sensor, captures, tmp_pat
         theirs = numbers_of(["calibrate", "sensor", "--darks", tmp_path / "darks.npy", "--flats", tmp_path / "flats", "-o", tmp_path / "out"])
         assert theirs == sensor.numbers
         sensor.save(tmp_path / "ours")
-        for name in ("dark.npy", "flat.npy", "response.npy", "bad_pixels.png", "sensor.toml", "sensor.json"):
+        np.testing.assert_array_equal(rb.read_frames(tmp_path / "ours" / "bad_pixels.png")[0] > 0, sensor.bad_pixels)
+        for name in ("dark.npy", "flat.npy", "response.npy", "sensor.toml", "sensor.json"):
             assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
         assert "Rowburst: sensor" in (tmp_path / "ours" / "report.html").read_text(encoding="utf-8")
     with pytest.raises(rb.InputError, match="darks: found 1 frame"):
@@ -122,7 +132,8 @@ def test_positions_give_the_memory_effect(speckle, tmp_path):
         (tmp_path / "scan.csv").write_text("".join(f"{i}.npy,{x},{y}\n" for i, (y, x) in enumerate(positions)))
         files = [tmp_path / f"{i}.npy" for i in range(5)]
         theirs = numbers_of(["calibrate", "psf", *files, "--dark", tmp_path / "dark.npy", "--positions-mm", tmp_path / "scan.csv", "-o", tmp_path / "out"])
-        assert without(theirs, "left_out") == without(found.numbers, "left_out")
+        # The sums of the memory effect differ in the last bit from run to run, on the command line too.
+        assert rounded(without(theirs, "left_out")) == rounded(without(found.numbers, "left_out"))
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 import urllib.request
@@ -154,7 +155,9 @@ def test_the_figure_is_that_of_the_command_line(result, saved, folder, tmp_path)
         if program:
             out = tmp_path / f"{layout}.svg"
             subprocess.run([program, "figure", folder, "--layout", layout, "-o", out], check=True, capture_output=True)
-            assert out.read_text(encoding="utf-8") == figure.svg
+            # Pictures are compressed by another library in a build of its own.
+            drawn = [re.sub("base64,[^\"]*", "", text) for text in (out.read_text(encoding="utf-8"), figure.svg)]
+            assert drawn[0] == drawn[1] and len(drawn[0]) > 5000
     with pytest.raises(rb.InputError, match="layout"):
         result.figure(layout="fig9")
     with pytest.raises(rb.InputError, match="svg or a .png"):

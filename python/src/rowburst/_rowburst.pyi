@@ -7,7 +7,39 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__: list[str]
+__all__ = [
+    "Camera",
+    "Experiment",
+    "InputError",
+    "LiveView",
+    "Look",
+    "Progress",
+    "Psf",
+    "Result",
+    "Simulation",
+    "WorkError",
+    "_Batch",
+    "_DataTerm",
+    "_Design",
+    "_Frames",
+    "_Operator",
+    "_PsfCalibration",
+    "_Reconstructor",
+    "_SensorCalibration",
+    "_TimingCalibration",
+    "_View",
+    "__version__",
+    "_command",
+    "_figure_of_folder",
+    "_reconstruct_chunked",
+    "_reconstruct_colour",
+    "reconstruct",
+    "set_threads",
+    "simulate",
+    "speckle_psf",
+    "threads",
+]
+
 __version__: str
 
 # frame, name, whether it has its video, residual/sigma, fit, seconds, message
