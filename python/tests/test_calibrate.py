@@ -13,7 +13,7 @@ PROGRAM = os.environ.get("ROWBURST")
 NEEDS_PROGRAM = pytest.mark.skipif(not PROGRAM, reason="ROWBURST does not name the program")
 
 
-def numbers_of(arguments):
+def numbers_from_command(arguments):
     done = subprocess.run([PROGRAM, *map(str, arguments), "--json"], check=True, capture_output=True)
     return json.loads(done.stdout)
 
@@ -73,7 +73,7 @@ def test_frames_of_files_lists_and_arrays_are_the_same(sensor, captures, tmp_pat
     for given in ((tmp_path / "darks.npy", str(tmp_path / "flats")), (list(darks), [flats[:8], *flats[8:]])):
         assert rb.calibrate.sensor(*given).numbers == sensor.numbers
     if PROGRAM:
-        theirs = numbers_of(["calibrate", "sensor", "--darks", tmp_path / "darks.npy", "--flats", tmp_path / "flats", "-o", tmp_path / "out"])
+        theirs = numbers_from_command(["calibrate", "sensor", "--darks", tmp_path / "darks.npy", "--flats", tmp_path / "flats", "-o", tmp_path / "out"])
         assert theirs == sensor.numbers
         sensor.save(tmp_path / "ours")
         np.testing.assert_array_equal(rb.read_frames(tmp_path / "ours" / "bad_pixels.png")[0] > 0, sensor.bad_pixels)
@@ -107,7 +107,7 @@ def test_a_psf_is_that_of_the_capture_and_of_the_command_line(speckle, tmp_path)
     if PROGRAM:
         np.save(tmp_path / "point.npy", capture)
         np.save(tmp_path / "dark.npy", dark)
-        theirs = numbers_of(["calibrate", "psf", tmp_path / "point.npy", "--dark", tmp_path / "dark.npy", "-o", tmp_path / "out"])
+        theirs = numbers_from_command(["calibrate", "psf", tmp_path / "point.npy", "--dark", tmp_path / "dark.npy", "-o", tmp_path / "out"])
         assert theirs == found.numbers
         np.testing.assert_array_equal(np.load(found.save(tmp_path / "ours") / "psf.npy"), np.load(tmp_path / "out" / "psf.npy"))
     with pytest.raises(rb.InputError, match="expected_grain_px"):
@@ -131,7 +131,7 @@ def test_positions_give_the_memory_effect(speckle, tmp_path):
         np.save(tmp_path / "dark.npy", dark)
         (tmp_path / "scan.csv").write_text("".join(f"{i}.npy,{x},{y}\n" for i, (y, x) in enumerate(positions)))
         files = [tmp_path / f"{i}.npy" for i in range(5)]
-        theirs = numbers_of(["calibrate", "psf", *files, "--dark", tmp_path / "dark.npy", "--positions-mm", tmp_path / "scan.csv", "-o", tmp_path / "out"])
+        theirs = numbers_from_command(["calibrate", "psf", *files, "--dark", tmp_path / "dark.npy", "--positions-mm", tmp_path / "scan.csv", "-o", tmp_path / "out"])
         # The sums of the memory effect differ in the last bit from run to run, on the command line too.
         assert rounded(without(theirs, "left_out")) == rounded(without(found.numbers, "left_out"))
 
@@ -159,7 +159,7 @@ def test_timing_is_that_of_the_light_and_of_the_command_line(stripes, tmp_path):
     assert abs(by_waveform.row_time_us - 9.6) < 0.05
     if PROGRAM:
         np.save(tmp_path / "led.npy", stripes)
-        theirs = numbers_of(["calibrate", "timing", tmp_path / "led.npy", "--frequency-hz", "2000"])
+        theirs = numbers_from_command(["calibrate", "timing", tmp_path / "led.npy", "--frequency-hz", "2000"])
         assert theirs == found.numbers
         found.save(tmp_path / "ours")
         assert json.loads((tmp_path / "ours" / "timing.json").read_text()) == theirs
@@ -167,7 +167,7 @@ def test_timing_is_that_of_the_light_and_of_the_command_line(stripes, tmp_path):
         rb.calibrate.timing(stripes)
 
 
-def test_a_design_has_the_numbers_of_the_command_line(tmp_path):
+def test_a_design_has_the_numbers_from_command_the_command_line(tmp_path):
     plain = rb.design(trials=False)
     assert round(plain.numbers["frame_rate_hz"]) == 104167 and "Speckle" in str(plain)
     camera = rb.Camera(rows=24, columns=24, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
@@ -178,8 +178,8 @@ def test_a_design_has_the_numbers_of_the_command_line(tmp_path):
     assert "Rowburst: design" in (page / "report.html").read_text(encoding="utf-8")
     assert "Sparsity" in tried._repr_html_() and "warnings" in repr(tried)
     if PROGRAM:
-        assert without(numbers_of(["design", "--quick"]), "seconds") == without(plain.numbers, "seconds")
-        theirs = numbers_of(["design", "--rows", "24", "--columns", "24", "--diffuser-deg", "2", "--trial-snr", "16,64"])
+        assert without(numbers_from_command(["design", "--quick"]), "seconds") == without(plain.numbers, "seconds")
+        theirs = numbers_from_command(["design", "--rows", "24", "--columns", "24", "--diffuser-deg", "2", "--trial-snr", "16,64"])
         assert without(theirs, "seconds") == without(tried.numbers, "seconds")
     with pytest.raises(rb.InputError, match="trial_snr"):
         rb.design(trial_snr=[-1])
