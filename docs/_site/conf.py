@@ -5,7 +5,8 @@ from docutils.utils.math import latex2mathml
 
 project = "Rowburst"
 author = "the Rowburst developers"
-extensions = ["myst_parser", "autoapi.extension", "sphinx_copybutton"]
+extensions = ["myst_parser", "autoapi.extension", "sphinx.ext.napoleon", "sphinx_copybutton"]
+napoleon_google_docstring = False
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
 

@@ -39,7 +39,7 @@ def test_a_mosaic_is_refused_and_kept(tmp_path, camera, psf, capture):
             lambda: rb.operator(mosaic, psf),
             lambda: rb.LiveView(mosaic, psf),
         ):
-            with pytest.raises(rb.InputError, match="bayer: found \"rggb\".*rowburst reconstruct"):
+            with pytest.raises(rb.InputError, match="bayer: found \"rggb\".*rowburst.reconstruct_colour"):
                 call()
     with pytest.raises(rb.InputError, match="bayer.*rggb, bggr"):
         rb.Camera(**CAMERA, bayer="rgb")

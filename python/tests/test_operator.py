@@ -177,3 +177,25 @@ def test_scico_runs_with_it_as_it_stands(operator, capture):
     )
     by_admm = objective(operator, flat, tau, np.asarray(admm.solve()).ravel())
     assert by_admm < 1.1 * by_pgm
+
+
+def test_scico_functional_has_a_gradient_and_maps(operator, capture):
+    pytest.importorskip("scico.numpy")
+    import jax
+    import jax.numpy as jnp
+
+    term = operator.data_term(capture.frame)
+    functional, a = term.to_scico(), operator.to_scico()
+    videos = np.random.default_rng(8).random((2, *operator.video_shape), np.float32)
+    expected = [term.grad(video) for video in videos]
+    np.testing.assert_allclose(functional.grad(jnp.asarray(videos[0])), expected[0], rtol=1e-5, atol=1e-5 * np.abs(expected[0]).max())
+    # Of a composition, under jit.
+    scaled = jax.jit(jax.grad(lambda v: 3.0 * functional(2.0 * v)))(videos[0] / 2)
+    np.testing.assert_allclose(scaled, 6 * expected[0], rtol=1e-4, atol=1e-4 * np.abs(expected[0]).max())
+    for mapped, of_one in (
+        (jax.vmap(functional)(videos), [term(v) for v in videos]),
+        (jax.vmap(jax.grad(functional))(videos), expected),
+        (jax.vmap(lambda v: functional.prox(v, 0.5))(videos), [term.prox(v, 0.5) for v in videos]),
+        (jax.vmap(a)(videos), [np.asarray(a(v)) for v in videos]),
+    ):
+        np.testing.assert_allclose(mapped, np.stack(of_one), rtol=1e-4, atol=1e-4 * np.abs(np.stack(of_one)).max())

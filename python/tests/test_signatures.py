@@ -5,13 +5,17 @@ Where a change is meant, ``UPDATE_SIGNATURES=1 pytest python/tests/test_signatur
 
 import ast
 import os
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 import rowburst as rb
 
 HERE = Path(__file__).parent
 PINNED = HERE / "signatures.txt"
-PACKAGE = HERE.parent / "rowburst"
+PACKAGE = HERE.parent / "src" / "rowburst"
 
 
 def is_public(name):
@@ -52,3 +56,9 @@ def test_the_stub_has_what_the_extension_has():
     extension = rb._rowburst
     there = {n for n in dir(extension) if is_public(n) and callable(getattr(extension, n))}
     assert named == there
+
+
+def test_the_stub_agrees_with_the_extension_in_every_signature(tmp_path):
+    pytest.importorskip("mypy")
+    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "rowburst._rowburst"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout

@@ -6,18 +6,18 @@ use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::Bar;
 use crate::reconstruct::{command_line, movie_style, options};
-use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
-use rowburst::measurement::{Corrections, correct};
+use rowburst::bayer::{Bayer, Site};
+use rowburst::measurement::correct;
 use rowburst::reconstruct::Options;
-use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
+use rowburst::{Error, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
 };
 use rowburst_run::inputs::{check_memory, naming_file, psf_path, read_corrections, read_frame};
 use rowburst_run::options::parse_time_budget;
 use rowburst_run::{
-    MetadataNumbers, ReconstructionSummary, ResultMeta, Task, TraceRequest, player_of, solve,
-    thousands,
+    ColourInputs, MetadataNumbers, Plane, ReconstructionSummary, ResultMeta, Task, TraceRequest,
+    check_raw_frame, merge_planes, player_of, solve, thousands,
 };
 use serde::Serialize;
 use std::sync::Arc;
@@ -56,10 +56,7 @@ struct PlaneSummary {
 
 /// What all planes share.
 struct SharedInputs {
-    raw: Image,
-    camera: Camera,
-    psfs: PatchSet,
-    corrections: Corrections,
+    colour: ColourInputs,
     calibration: Calibration,
     budget: Option<Duration>,
 }
@@ -73,55 +70,42 @@ pub fn run(
 ) -> Result<()> {
     refuse_options(args)?;
     let folder = OutputFolder::create(&args.output)?;
-    let shared = SharedInputs::read(args, &experiment)?;
+    let shared = SharedInputs::read(args, &experiment, mosaic)?;
     let mut options = options(args, &experiment)?;
     folder.remove("result.json")?;
-    // Green has half of the pixels: the prior is chosen on it, for all.
-    let mut sites = mosaic.sites();
-    sites.sort_by_key(|site| (site.colour != Colour::Green, site.row));
     let mut planes: Vec<(Site, PlaneSummary, Video)> = Vec::new();
     let mut bin_us = 0.0;
-    for site in sites {
+    for site in shared.colour.sites() {
         eprintln!("{}", site.name());
-        let plane = plane_camera(&shared.camera, site);
+        let plane = shared.colour.plane_camera(site);
         let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
-        let (summary, video) = shared.solve(args, &plane, site, options, process_start, stop)?;
-        options.prior = options.prior.or(summary.prior.parse().ok());
+        let start_us = plane.start_us;
         bin_us = plane.camera.time().bin_duration_us();
-        let listed = PlaneSummary::of(&summary, site, plane.start_us, args);
+        let plane = shared.colour.plane(site, plane)?;
+        let (summary, video) = shared.solve(args, plane, options, process_start, stop)?;
+        options.prior = options.prior.or(summary.prior.parse().ok());
+        let listed = PlaneSummary::of(&summary, site, start_us, args);
         planes.push((site, listed, video));
     }
     let mut warnings = experiment.from_metadata.warnings.clone();
     warnings.extend(offset_warning(&planes));
-    let video = |site: &Site| {
-        let mut all = planes.iter();
-        &all.find(|(s, ..)| s == site).expect("all sites are done").2
-    };
-    let of = |colour: Colour| {
-        mosaic
-            .sites()
-            .into_iter()
-            .filter(move |s| s.colour == colour)
-    };
-    let mean = |colour: Colour| -> Vec<f32> {
-        let videos: Vec<&[f32]> = of(colour).map(|site| video(&site).data()).collect();
-        match videos[..] {
-            [one, other] => one.iter().zip(other).map(|(a, b)| 0.5 * (a + b)).collect(),
-            _ => videos[0].to_vec(),
-        }
-    };
     let shape = planes[0].2.shape();
-    if planes.iter().any(|(.., video)| video.shape() != shape) {
+    let videos: Vec<(Site, &Video)> = planes.iter().map(|(site, _, v)| (*site, v)).collect();
+    let Some(colours) = merge_planes(&videos) else {
         return Err(Error::work(
             args.output.display().to_string(),
             "planes of different lengths: there is no video in colour",
             "The planes' own folders are whole.",
         ));
-    }
-    let colours = [Colour::Red, Colour::Green, Colour::Blue].map(mean);
+    };
     let scale = TiffScale {
         frame_interval_s: bin_us * 1e-6,
-        pixel_pitch_um: shared.camera.sensor().pixel_pitch_um.map(|p| 2.0 * p),
+        pixel_pitch_um: shared
+            .colour
+            .camera
+            .sensor()
+            .pixel_pitch_um
+            .map(|p| 2.0 * p),
     };
     folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
     folder.write("colour.tif", |w| {
@@ -176,43 +160,25 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
 }
 
 impl SharedInputs {
-    fn read(args: &ReconstructArgs, experiment: &Experiment) -> Result<Self> {
+    fn read(args: &ReconstructArgs, experiment: &Experiment, mosaic: Bayer) -> Result<Self> {
         let camera = experiment.camera()?;
         let calibration = resolve_calibration(&args.calibration, experiment);
         let psf_path = psf_path(&calibration, experiment)?.to_path_buf();
         let (raw, saturation_limit) = read_frame(&args.frame)?;
-        if (raw.rows(), raw.columns()) != (camera.rows(), camera.columns()) {
-            return Err(Error::input(
-                args.frame.display().to_string(),
-                format!("{}×{} pixels", raw.rows(), raw.columns()),
-                format!("the camera has {}×{}", camera.rows(), camera.columns()),
-                "Give the raw frame, before any colours are made of it.",
-            ));
-        }
+        check_raw_frame(&args.frame.display().to_string(), &raw, &camera)?;
         let corrections = read_corrections(&calibration, saturation_limit)?;
-        let psfs = read_psfs(&psf_path, &camera, corrections.dark.as_ref())?;
-        for (name, image) in [
-            ("dark", &corrections.dark),
-            ("flat", &corrections.flat),
-            ("bad_pixels", &corrections.bad_pixels),
-        ] {
-            let size = image.as_ref().map(|i| (i.rows(), i.columns()));
-            if size.is_some_and(|size| size != (raw.rows(), raw.columns())) {
-                let error = Error::input(
-                    name,
-                    format!("{size:?} pixels"),
-                    format!("it has the frame's {}×{} pixels", raw.rows(), raw.columns()),
-                    "Record it with the camera settings of the frame.",
-                );
-                return Err(naming_file(error, &args.frame, &calibration));
-            }
-        }
-        check_memory(&args.experiment, &camera)?;
-        Ok(Self {
+        let colour = ColourInputs {
             raw,
+            psfs: read_psfs(&psf_path, &camera, corrections.dark.as_ref())?,
             camera,
-            psfs,
+            mosaic,
             corrections,
+        };
+        let check = colour.check_corrections();
+        check.map_err(|e| naming_file(e, &args.frame, &calibration))?;
+        check_memory(&args.experiment, &colour.camera)?;
+        Ok(Self {
+            colour,
             calibration,
             budget: parse_time_budget(args.time_budget_s)?.map(|budget| budget / 4),
         })
@@ -222,24 +188,18 @@ impl SharedInputs {
     fn solve(
         &self,
         args: &ReconstructArgs,
-        plane: &PlaneCamera,
-        site: Site,
+        plane: Plane,
         options: Options,
         process_start: Instant,
         stop: &Arc<AtomicBool>,
     ) -> Result<(ReconstructionSummary, Video)> {
-        let of = |image: &Option<Image>| image.as_ref().map(|image| plane_image(image, site));
-        let corrections = Corrections {
-            dark: of(&self.corrections.dark),
-            flat: of(&self.corrections.flat),
-            bad_pixels: of(&self.corrections.bad_pixels),
-            saturation_counts: self.corrections.saturation_counts,
-        };
-        let measurement = correct(&plane_image(&self.raw, site), &plane.camera, &corrections)
+        let (site, camera) = (plane.site, plane.camera.camera);
+        let measurement = correct(&plane.raw, &camera, &plane.corrections)
             .map_err(|e| naming_file(e, &args.frame, &self.calibration))?;
+        let shape = camera.video_shape();
         let task = Task {
-            camera: plane.camera.clone(),
-            psfs: plane_psfs(&self.psfs, site)?,
+            camera,
+            psfs: plane.psfs,
             measurement,
             options,
             budget: self.budget,
@@ -255,7 +215,7 @@ impl SharedInputs {
         });
         bar.finish();
         let mut completed = completed?;
-        let request = TraceRequest::read(&[], &[], plane.camera.video_shape())?;
+        let request = TraceRequest::read(&[], &[], shape)?;
         let mut traces = completed.traces(request, args.debias);
         completed.take_debiased(&mut traces);
         let folder = OutputFolder::create(&args.output.join(site.name()))?;

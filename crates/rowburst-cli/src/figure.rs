@@ -2,127 +2,25 @@
 
 use crate::args::{FigureArgs, FigureLayout};
 use crate::output::print_line;
-use rowburst::traces::{Region, Trace, frequency_of};
-use rowburst::{Error, Image, Result, TimeGrid, Video};
-use rowburst_io::{OutputFolder, read_image, read_video};
-use rowburst_report::{
-    AlignedSignal, AnnotatedTrace, Direct, DirectOrigin, Layout, ReportInput, compose,
-};
-use serde::Deserialize;
+use rowburst::{Error, Result};
+use rowburst_io::OutputFolder;
+use rowburst_report::Layout;
+use rowburst_run::figure_of_folder;
 use std::path::{Path, PathBuf};
-
-/// What a figure needs of `view.json`.
-#[derive(Deserialize)]
-struct ViewRecord {
-    title: String,
-    pixel_pitch_um: Option<f64>,
-    bin_duration_us: f64,
-    truth: Option<String>,
-    shutter: ShutterRecord,
-    traces: Vec<TraceRecord>,
-}
-
-#[derive(Deserialize)]
-struct ShutterRecord {
-    instants: Vec<usize>,
-    is_global: bool,
-    row_time_us: f64,
-    exposure_us: f64,
-    bins_per_row: usize,
-}
-
-#[derive(Deserialize)]
-struct TraceRecord {
-    region: RegionRecord,
-    value: Vec<f64>,
-    debiased: Vec<Option<f64>>,
-    /// Null where it is not known.
-    standard_error: Vec<Option<f64>>,
-    photodiodes: Vec<PhotodiodeRecord>,
-}
-
-#[derive(Deserialize)]
-struct RegionRecord {
-    y: usize,
-    x: usize,
-    rows: usize,
-    columns: usize,
-}
-
-#[derive(Deserialize)]
-struct PhotodiodeRecord {
-    name: String,
-    correlation: f64,
-    points: Vec<(f64, f64)>,
-}
 
 pub fn run(args: &FigureArgs) -> Result<()> {
     let is_svg = is_svg(&args.output)?;
-    let folder = &args.result;
-    check_complete(folder)?;
-    let view = read_view(&folder.join("view.json"))?;
-    let image = |name: &str| -> Result<Image> { Ok(read_image(&folder.join(name))?.image) };
-    let (frame, psf, residual) = (
-        image("view-frame.npy")?,
-        image("view-psf.npy")?,
-        image("view-residual.npy")?,
-    );
-    let direct = folder.join("view-direct.npy");
-    let direct = direct
-        .is_file()
-        .then(|| image("view-direct.npy"))
-        .transpose()?;
-    let video = read_video(&folder.join("video.npy"))?;
-    let excluded = read_mask(folder, "excluded.npy")?;
-    let coverage = read_mask(folder, "coverage.npy")?;
-    let truth = view.truth.as_deref();
-    let truth = truth.map(|name| read_truth(folder, name)).transpose()?;
-    let time = view
-        .shutter
-        .time(view.bin_duration_us, &folder.join("view.json"))?;
-    let rate = time.frame_rate_hz();
-    let traces: Vec<AnnotatedTrace> = view.traces.into_iter().map(|t| t.annotated(rate)).collect();
-    let composed = compose(
-        &ReportInput {
-            title: &view.title,
-            frame: &frame,
-            psf: &psf,
-            video: &video,
-            truth: truth.as_ref(),
-            direct: direct.as_ref().map(|image| Direct {
-                image,
-                origin: DirectOrigin::Given,
-            }),
-            residual: &residual,
-            excluded: excluded.as_deref(),
-            coverage: coverage.as_deref(),
-            traces: &traces,
-            instants: &view.shutter.instants,
-            time: &time,
-            convergence: &[],
-            headline: Vec::new(),
-            fit: None,
-            settings: Vec::new(),
-            pixel_pitch_um: view.pixel_pitch_um,
-            mp4: None,
-            player: None,
-            files: Vec::new(),
-            reproduce: None,
-        },
-        match args.layout {
-            FigureLayout::Fig2 => Layout::Fig2,
-            FigureLayout::Fig3 => Layout::Fig3,
-        },
-    )
-    .map_err(|e| e.within(folder.display()))?;
-    write(
-        &args.output,
-        if is_svg {
-            composed.svg.as_bytes()
-        } else {
-            &composed.png
-        },
-    )?;
+    let layout = match args.layout {
+        FigureLayout::Fig2 => Layout::Fig2,
+        FigureLayout::Fig3 => Layout::Fig3,
+    };
+    let figure = figure_of_folder(&args.result, layout)?;
+    let bytes = if is_svg {
+        figure.svg.as_bytes()
+    } else {
+        &figure.png
+    };
+    write(&args.output, bytes)?;
     print_line(args.output.display());
     Ok(())
 }
@@ -139,110 +37,6 @@ fn is_svg(path: &Path) -> Result<bool> {
             "a figure is an .svg or a .png file",
             "Give the file one of these endings.",
         )),
-    }
-}
-
-/// Refuses a folder that lacks the files of a complete result.
-fn check_complete(folder: &Path) -> Result<()> {
-    let missing = ["result.json", "view.json"]
-        .iter()
-        .find(|name| !folder.join(name).is_file());
-    match missing {
-        Some(missing) => Err(Error::input(
-            folder.display().to_string(),
-            format!("no {missing}"),
-            "a figure is drawn from a whole result, which has view.json and result.json",
-            "Run rowburst reconstruct with -o, and give its folder.",
-        )),
-        None => Ok(()),
-    }
-}
-
-fn read_view(path: &Path) -> Result<ViewRecord> {
-    let bad = |found: String| {
-        Error::input(
-            path.display().to_string(),
-            found,
-            "it is written by rowburst reconstruct of this version",
-            "Run the reconstruction again.",
-        )
-    };
-    let text = std::fs::read(path).map_err(|e| bad(e.to_string()))?;
-    serde_json::from_slice(&text).map_err(|e| bad(e.to_string()))
-}
-
-/// A mask of the folder; `None` for a result of 0.1, which has none.
-fn read_mask(folder: &Path, name: &str) -> Result<Option<Vec<u8>>> {
-    let path = folder.join(name);
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let mask = read_video(&path)?;
-    Ok(Some(
-        mask.data().iter().map(|&v| u8::from(v > 0.0)).collect(),
-    ))
-}
-
-/// The true video, which lies in the folder.
-fn read_truth(folder: &Path, name: &str) -> Result<Video> {
-    let name = Path::new(name).file_name().unwrap_or_default();
-    read_video(&folder.join(name))
-}
-
-impl ShutterRecord {
-    fn time(&self, bin_duration_us: f64, path: &Path) -> Result<TimeGrid> {
-        let instants = self.instants.iter().max().map_or(0, |last| last + 1);
-        let positive = |v: f64| v.is_finite() && v > 0.0;
-        let times = [self.row_time_us, self.exposure_us, bin_duration_us];
-        if instants == 0 || self.bins_per_row == 0 || !times.into_iter().all(positive) {
-            return Err(Error::input(
-                format!("{}: shutter", path.display()),
-                format!("{instants} instants, times {times:?} µs"),
-                "there are instants, and times are above zero",
-                "Run the reconstruction again.",
-            ));
-        }
-        Ok(if self.is_global {
-            TimeGrid::single(bin_duration_us)
-        } else {
-            let exposure = self.exposure_us / self.row_time_us;
-            TimeGrid::rolling(instants, self.row_time_us, exposure, self.bins_per_row)
-        })
-    }
-}
-
-impl TraceRecord {
-    fn annotated(self, rate_hz: f64) -> AnnotatedTrace {
-        let numbers = |values: Vec<Option<f64>>| -> Vec<f64> {
-            values.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect()
-        };
-        let trace = Trace {
-            region: Region {
-                y: self.region.y,
-                x: self.region.x,
-                rows: self.region.rows,
-                columns: self.region.columns,
-            },
-            value: self.value,
-            debiased: numbers(self.debiased),
-            standard_error: numbers(self.standard_error),
-        };
-        let same = trace.debiased.len() == trace.standard_error.len();
-        let frequency = same
-            .then(|| frequency_of(&trace.debiased, &trace.standard_error, rate_hz))
-            .flatten();
-        let diodes = self.photodiodes.into_iter();
-        AnnotatedTrace {
-            trace,
-            frequency,
-            photodiodes: diodes
-                .map(|d| AlignedSignal {
-                    name: d.name,
-                    correlation: d.correlation,
-                    points: d.points,
-                })
-                .collect(),
-        }
     }
 }
 

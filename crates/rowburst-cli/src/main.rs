@@ -1,71 +1,7 @@
 //! `rowburst`: one rolling-shutter frame in, a 100,000 fps video out.
-//!
-//! Turns arguments into calls of the library and writes files; it holds no maths. Results go to
-//! standard output, messages to standard error. Exit status: 0 success, 1 the work failed, 2 the
-//! input or the command line is wrong.
 
-mod args;
-#[cfg(feature = "batch")]
-mod batch;
-mod calibrate;
-mod chunked;
-#[cfg(feature = "batch")]
-mod cluster;
-mod colour;
-mod demo;
-mod design;
-mod figure;
-mod init;
-mod inputs;
-mod output;
-mod progress;
-mod reconstruct;
-mod shell;
-mod simulate;
-mod sweep;
-#[cfg(feature = "view")]
-mod view;
-
-use args::{Cli, Verb};
-use clap::Parser;
-use rowburst::Error;
 use std::process::ExitCode;
-use std::time::Instant;
 
 fn main() -> ExitCode {
-    let process_start = Instant::now();
-    let cli = Cli::parse();
-    if let Some(threads) = cli.threads
-        && let Err(error) = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads.into())
-            .build_global()
-    {
-        eprintln!("error: --threads {threads}: {error}");
-        return ExitCode::from(1);
-    }
-    let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
-        Verb::Demo(args) => demo::run(&args, process_start),
-        Verb::Init(args) => init::run(&args),
-        Verb::Simulate(args) => simulate::run(&args),
-        Verb::Reconstruct(args) => reconstruct::run(&args, process_start),
-        #[cfg(feature = "batch")]
-        Verb::Batch(args) => batch::run(&args, cli.threads),
-        #[cfg(feature = "view")]
-        Verb::View(args) => view::run(&args),
-        Verb::Figure(args) => figure::run(&args),
-        Verb::Calibrate(args) => calibrate::run(&args),
-        Verb::Design(args) => design::run(&args),
-        Verb::Completions(args) => shell::completions(&args),
-        Verb::Man(args) => shell::man(&args),
-    });
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(match error {
-                Error::Input { .. } => 2,
-                Error::Work { .. } => 1,
-            })
-        }
-    }
+    ExitCode::from(rowburst_cli::run(std::env::args_os().collect()))
 }

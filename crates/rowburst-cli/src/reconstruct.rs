@@ -245,7 +245,7 @@ fn run_in_chunks(
         tau: options.tau,
         bins_per_chunk: args.part_bins.filter(|n| *n > 0),
         title: &format!("Rowburst: {}", args.frame.display()),
-        reproduce: &command_line(args),
+        reproduce: Some(&command_line(args)),
         movie: movie_style(args),
         from_metadata: &inputs.from_metadata,
     };

@@ -1,6 +1,7 @@
 //! TIFF: single images, and stacks that ImageJ and Fiji open as a time series.
 
 use crate::fault;
+use crate::metadata::ome_sizes;
 use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::{Error, Image, Result, Shape, Video};
@@ -21,6 +22,7 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
     let mut pages = decoder(source, file)?;
     let first = kind(source, &mut pages)?;
     let promised = images_of_image_j(&mut pages);
+    let planes = planes_of_frame(&mut pages);
     let mut count = 1;
     while pages.more_images() {
         pages.next_image().map_err(|e| fault_of(source, e))?;
@@ -28,6 +30,7 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
         count += 1;
     }
     check_count(source, count, promised)?;
+    check_planes(source, count, planes)?;
     let (rows, columns, _) = first;
     let mut data = source.reserve_pixels(count, rows, columns)?;
     let mut format = SampleFormat::Float;
@@ -88,12 +91,14 @@ impl Stack {
     pub fn open(source: &Source, file: BufReader<File>) -> Result<Self> {
         let mut pages = decoder(source, file)?;
         let promised = images_of_image_j(&mut pages);
+        let planes = planes_of_frame(&mut pages);
         let mut count = 1;
         while pages.more_images() {
             pages.next_image().map_err(|e| fault_of(source, e))?;
             count += 1;
         }
         check_count(source, count, promised)?;
+        check_planes(source, count, planes)?;
         Ok(Self { pages, count })
     }
 }
@@ -136,6 +141,44 @@ fn check_count(source: &Source, count: usize, promised: Option<usize>) -> Result
             format!("one page, where ImageJ wrote {promised} images"),
             "every image has a page: ImageJ leaves them out beyond 4 GB",
             "Save it as BigTIFF or OME-TIFF (Bio-Formats), or as .npy from Python.",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Channels and planes in depth of the frames, as ImageJ or OME-XML says. Depth alone is taken for time: programs that
+/// know no time call it so.
+fn planes_of_frame<R: Read + Seek>(pages: &mut Decoder<R>) -> Option<(usize, usize)> {
+    if !matches!(pages.colortype().ok()?, ColorType::Gray(_)) {
+        // A page holds all channels.
+        return None;
+    }
+    let text = pages.get_tag_ascii_string(Tag::ImageDescription).ok()?;
+    let (channels, depths, frames) = match text.strip_prefix("ImageJ=") {
+        Some(text) => {
+            let size = |name: &str| {
+                let mut lines = text.lines();
+                lines.find_map(|line| line.strip_prefix(name)?.trim().parse().ok())
+            };
+            (size("channels="), size("slices="), size("frames="))
+        }
+        None => ome_sizes(&text)?,
+    };
+    let depths = if frames.unwrap_or(1) > 1 {
+        depths
+    } else {
+        None
+    };
+    Some((channels.unwrap_or(1), depths.unwrap_or(1)))
+}
+
+/// Refuses pages of other channels or depths between those of one frame and the next.
+fn check_planes(source: &Source, count: usize, planes: Option<(usize, usize)>) -> Result<()> {
+    match planes {
+        Some((channels, depths)) if count > 1 && (channels > 1 || depths > 1) => Err(source.error(
+            format!("a stack of {channels} channels and {depths} planes in depth"),
+            "the pages of a recording are frames of one channel and one depth, one after the other",
+            "Save the channel as a file of its own (in Fiji: Image > Color > Split Channels).",
         )),
         _ => Ok(()),
     }
@@ -538,6 +581,49 @@ mod tests {
         ] {
             let message = error.to_string();
             assert!(message.contains("ImageJ wrote 9 images"), "{message}");
+        }
+    }
+
+    /// A stack of four grey pages with the text `description`.
+    fn described(description: &str) -> (tempfile::TempDir, std::path::PathBuf) {
+        let mut bytes = Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
+        for page in 0..4u8 {
+            let mut image = encoder.new_image::<colortype::Gray8>(2, 1).unwrap();
+            if page == 0 {
+                let tag = Tag::ImageDescription;
+                image.encoder().write_tag(tag, description).unwrap();
+            }
+            image.write_data(&[page, page]).unwrap();
+        }
+        saved(bytes.get_ref())
+    }
+
+    #[test]
+    fn channels_are_not_taken_for_frames() {
+        let ome = |c: usize, z: usize, t: usize| {
+            format!(
+                "<?xml version=\"1.0\"?><OME><Image><Pixels SizeX=\"2\" SizeY=\"1\" SizeC=\"{c}\" \
+                 SizeZ=\"{z}\" SizeT=\"{t}\" Type=\"uint8\"/></Image></OME>"
+            )
+        };
+        let image_j = "ImageJ=1.54f\nimages=4\nchannels=2\nframes=2\nhyperstack=true\n";
+        for text in [ome(2, 1, 2), ome(1, 2, 2), image_j.into()] {
+            let (_folder, path) = described(&text);
+            for error in [
+                read_video(&path).unwrap_err(),
+                crate::open_recording(&path).err().unwrap(),
+            ] {
+                assert!(error.to_string().contains("channels and"), "{error}");
+            }
+        }
+        for text in [
+            ome(1, 1, 4),
+            ome(1, 4, 1),
+            "ImageJ=1.54f\nslices=4\n".into(),
+        ] {
+            let (_folder, path) = described(&text);
+            assert_eq!(read_video(&path).unwrap().shape().bins, 4);
         }
     }
 

@@ -28,9 +28,14 @@ fn floats<'py, T: Element>(
             "Replace them: array.filled(0).",
         )));
     }
-    let array = numpy.call_method1(intern!(py, "asarray"), (value,))?;
-    let dtype = array.getattr(intern!(py, "dtype"))?;
-    let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
+    let mut array = numpy.call_method1(intern!(py, "asarray"), (value,))?;
+    let mut dtype = array.getattr(intern!(py, "dtype"))?;
+    let mut kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
+    if kind == "O" && value.hasattr(intern!(py, "__dlpack__"))? {
+        array = from_dlpack(value, name)?;
+        dtype = array.getattr(intern!(py, "dtype"))?;
+        kind = dtype.getattr(intern!(py, "kind"))?.extract()?;
+    }
     let bytes: u32 = dtype.getattr(intern!(py, "itemsize"))?.extract()?;
     let format = match kind.as_str() {
         "b" => SampleFormat::Counts { bits: 1 },
@@ -75,8 +80,23 @@ fn floats<'py, T: Element>(
     Ok((converted?, format))
 }
 
+/// The array of an object that speaks DLPack and nothing else.
+fn from_dlpack<'py>(value: &Bound<'py, PyAny>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+    let numpy = value.py().import(intern!(value.py(), "numpy"))?;
+    numpy
+        .call_method1("from_dlpack", (value,))
+        .map_err(|error| {
+            to_py_err(Error::input(
+                name,
+                format!("a DLPack object that numpy cannot take ({error})"),
+                "arrays lie in the memory of the processor",
+                "Copy it there first, such as by array.get() or tensor.cpu().",
+            ))
+        })
+}
+
 /// The path that `value` is, if it is text or an `os.PathLike`.
-fn path_of(value: &Bound<'_, PyAny>) -> Option<PathBuf> {
+pub fn path_of(value: &Bound<'_, PyAny>) -> Option<PathBuf> {
     let py = value.py();
     let is_path = value.is_instance_of::<PyString>()
         || value.hasattr(intern!(py, "__fspath__")).unwrap_or(false);
@@ -214,6 +234,30 @@ pub fn vector<'py, T: Element>(
 pub fn from_video(py: Python<'_>, video: Video) -> PyResult<Bound<'_, PyArray3<f32>>> {
     let shape = video.shape();
     PyArray1::from_vec(py, video.into_data()).reshape([shape.bins, shape.rows, shape.columns])
+}
+
+/// A capture as an array `[y, x]` of the type that its file holds.
+pub fn from_capture<'py>(py: Python<'py>, capture: Capture) -> PyResult<Bound<'py, PyAny>> {
+    let array = from_image(py, capture.image)?;
+    match dtype_of(capture.format) {
+        None => Ok(array.into_any()),
+        Some(dtype) => array.call_method1("astype", (dtype,)),
+    }
+}
+
+/// The name of the type of integers in numpy; `None` for floating-point numbers.
+pub fn dtype_of(format: SampleFormat) -> Option<&'static str> {
+    let SampleFormat::Counts { bits } = format else {
+        return None;
+    };
+    Some(match bits {
+        1 => "bool",
+        7 => "int8",
+        15 => "int16",
+        _ if bits <= 8 => "uint8",
+        _ if bits <= 16 => "uint16",
+        _ => "int64",
+    })
 }
 
 /// Forbids writing to `array`.

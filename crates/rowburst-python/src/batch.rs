@@ -1,18 +1,24 @@
 //! `rowburst._rowburst._Batch`: a recording on its way into an archive.
 
+use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::frames::{ArrayFrames, PyFrames};
+use crate::operator::{Gram, model_of};
+use crate::psf::psfs_of;
+use crate::task::{corrections_of, options_from};
 use crate::threads::{self, detached};
+use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
 use rowburst_batch::{
-    Batch, BatchFiles, Event, FrameRow, RetryPolicy, Status, ThreadAllocation, load_batch,
-    name_correction_file,
+    Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
+    load_batch, name_correction_file,
 };
-use rowburst_io::Calibration;
-use std::path::PathBuf;
-use std::sync::Mutex;
+use rowburst_io::{Calibration, Capture, Frames};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// A batch, begun or taken up again; any number of processes may have the same one.
@@ -91,6 +97,54 @@ impl PyBatch {
                 .map_err(|e| name_correction_file(e, &frames, &loaded.calibration))
         };
         let batch = detached(py, open)?.map_err(to_py_err)?;
+        Ok(Self { batch })
+    }
+
+    /// The batch of a recording in memory or on disk, with the calibration as values.
+    #[staticmethod]
+    #[pyo3(signature = (camera, psf, frames, out, *, dark=None, flat=None, bad_pixels=None, prior="auto", tau=None,
+        noise_sigma=None, max_iterations=None, frame_period_us=None, keep_all_pixels=false))]
+    #[allow(clippy::too_many_arguments)]
+    fn of_values(
+        py: Python<'_>,
+        camera: &PyCamera,
+        psf: &Bound<'_, PyAny>,
+        frames: &Bound<'_, PyAny>,
+        out: PathBuf,
+        dark: Option<&Bound<'_, PyAny>>,
+        flat: Option<&Bound<'_, PyAny>>,
+        bad_pixels: Option<&Bound<'_, PyAny>>,
+        prior: &str,
+        tau: Option<&Bound<'_, PyAny>>,
+        noise_sigma: Option<f64>,
+        max_iterations: Option<Whole>,
+        frame_period_us: Option<f64>,
+        keep_all_pixels: bool,
+    ) -> PyResult<Self> {
+        let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+        let corrections = corrections_of(dark, flat, bad_pixels)?;
+        let camera = camera.grey()?;
+        let psfs = psfs_of(psf, camera, corrections.dark.as_ref())?;
+        let frames: Box<dyn Frames> = match frames.cast::<PyFrames>() {
+            Ok(recording) => Box::new(SharedFrames(Arc::clone(&recording.get().frames))),
+            Err(_) => Box::new(ArrayFrames {
+                count: frames.len()?,
+                array: frames.clone().unbind(),
+                has_bias: corrections.dark.is_none()
+                    && camera.sensor().bias_counts.is_some_and(|bias| bias > 0.0),
+            }),
+        };
+        crate::memory::check(camera)?;
+        let inputs = BatchInputs {
+            model: model_of(py, camera, &psfs, None, Gram::Cached)?,
+            corrections,
+            options,
+            budget: None,
+            frames,
+            frame_period_us,
+            version: env!("CARGO_PKG_VERSION").into(),
+        };
+        let batch = detached(py, || Batch::open(inputs, &out))?.map_err(to_py_err)?;
         Ok(Self { batch })
     }
 
@@ -180,6 +234,31 @@ impl PyBatch {
         }
         let video = detached(py, || self.batch.video(frame))?.map_err(to_py_err)?;
         crate::array::from_video(py, video)
+    }
+}
+
+/// A recording that Python holds as well.
+struct SharedFrames(Arc<dyn Frames>);
+
+impl Frames for SharedFrames {
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    fn count(&self) -> usize {
+        self.0.count()
+    }
+
+    fn name(&self, index: usize) -> String {
+        self.0.name(index)
+    }
+
+    fn number(&self, index: usize) -> u64 {
+        self.0.number(index)
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        self.0.read(index)
     }
 }
 

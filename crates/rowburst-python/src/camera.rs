@@ -15,7 +15,7 @@ use std::path::PathBuf;
 ///
 /// The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
 /// instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
-/// reconstructed by the command line alone.
+/// reconstructed by :func:`reconstruct_colour`.
 #[pyclass(name = "Camera", module = "rowburst", frozen, eq, from_py_object)]
 #[derive(Clone, PartialEq)]
 pub struct PyCamera {
@@ -45,8 +45,8 @@ impl PyCamera {
             Some(mosaic) => Err(to_py_err(Error::input(
                 "bayer",
                 format!("\"{}\"", mosaic.name()),
-                "a raw Bayer frame has four planes, and Python reconstructs one grey video",
-                "Use the command line, which gives a video in colour: rowburst reconstruct EXPERIMENT.toml. For a sensor without a mosaic, leave bayer out.",
+                "a raw Bayer frame has four planes, and this function reconstructs one grey video",
+                "Call rowburst.reconstruct_colour, which gives a video in colour. For a sensor without a mosaic, leave bayer out.",
             ))),
         }
     }
@@ -293,6 +293,21 @@ impl PyCamera {
         Ok((slf.get_type().getattr("_restore")?, (keys,)))
     }
 
+    /// A camera that differs in the given arguments of the constructor.
+    ///
+    ///     camera = camera.replace(**sensor.camera_fields)
+    #[pyo3(signature = (**changes))]
+    fn replace<'py>(
+        slf: &Bound<'py, Self>,
+        changes: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let (_, (keys,)) = Self::__reduce__(slf)?;
+        if let Some(changes) = changes {
+            keys.update(changes.as_mapping())?;
+        }
+        slf.get_type().call((), Some(&keys))
+    }
+
     /// The camera of what `__reduce__` gives.
     #[classmethod]
     fn _restore<'py>(
@@ -314,6 +329,11 @@ impl PyCamera {
             shape.bins,
             self.frame_rate_hz()
         )
+    }
+
+    /// What notebooks show.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        crate::html::of(slf, "camera_html")
     }
 }
 

@@ -32,7 +32,7 @@ const PHRASES: [(&str, &str); 5] = [
     ("Give --psf FILE", "Give psf=FILE"),
     ("as in --region 40,52", "as in (40, 52)"),
     ("as in --region 36,48,9,9", "as in (36, 48, 9, 9)"),
-    ("(--bins)", "(by the command line's --bins)"),
+    ("(--bins)", "(bins)"),
 ];
 
 /// Names of tables of the experiment file, where no such file is at fault.
@@ -58,7 +58,7 @@ fn to_python_words(text: &str) -> String {
     }
     let parts = text.split('`').enumerate().map(|(i, part)| {
         let is_command = i % 2 == 1 && part.starts_with("rowburst ");
-        if is_command || part.contains("the command line's --") {
+        if is_command {
             part.to_string()
         } else {
             to_python_names(part)

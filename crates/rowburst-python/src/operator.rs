@@ -3,6 +3,7 @@
 use crate::array::vector;
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
 use crate::psf::{PyPsf, psfs_of};
 use crate::state::State2;
 use crate::task::measured;
@@ -10,11 +11,41 @@ use crate::threads::detached;
 use numpy::{Element, PyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
+use rayon::ThreadPool;
 use rowburst::linop::{LinearOperator, Scalar};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{DataStep, Model};
-use rowburst::{Error, RollingShutter};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use rowburst::{Camera, Error, PatchSet, RollingShutter};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// Whether the blocks of `A Aᵀ` are computed with a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Gram {
+    Absent,
+    Cached,
+}
+
+/// The model of a camera with its PSFs.
+///
+/// # Errors
+/// Those of [`interruptibly`].
+pub fn model_of(
+    py: Python<'_>,
+    camera: &Camera,
+    psfs: &PatchSet,
+    pool: Option<Arc<ThreadPool>>,
+    gram: Gram,
+) -> PyResult<Model> {
+    let (camera, psfs) = (camera.clone(), psfs.clone());
+    interruptibly::<(), _>(py, pool, None, move |reporter| {
+        let model = Model::new(&camera, psfs);
+        if gram == Gram::Cached && !reporter.is_abandoned() {
+            model.with_cached_gram()
+        } else {
+            model
+        }
+    })
+}
 
 type Vector<'py, T = f32> = PyResult<Bound<'py, PyArray1<T>>>;
 
@@ -44,7 +75,7 @@ impl PyOperator {
     fn new(py: Python<'_>, camera: &PyCamera, psf: &Bound<'_, PyAny>) -> PyResult<Self> {
         let camera = camera.grey()?;
         let psfs = psfs_of(psf, camera, None)?;
-        let model = detached(py, || Model::new(camera, psfs))?;
+        let model = model_of(py, camera, &psfs, None, Gram::Absent)?;
         Ok(Self {
             model,
             double: OnceLock::new(),
@@ -150,7 +181,9 @@ impl PyDataTerm {
     fn new(py: Python<'_>, operator: &PyOperator, frame: &Bound<'_, PyAny>) -> PyResult<Self> {
         let camera = operator.model.camera();
         let measurement = measured(frame, camera, Corrections::default())?;
-        let step = detached(py, || DataStep::new(&operator.model, &measurement))?;
+        let model = operator.model.clone();
+        let step =
+            interruptibly::<(), _>(py, None, None, move |_| DataStep::new(&model, &measurement))?;
         Ok(Self {
             length: operator.shutter().domain_len(),
             step: Mutex::new(step),

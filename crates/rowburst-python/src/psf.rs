@@ -125,6 +125,11 @@ impl PyPsf {
             n => format!("Psf({n} patches of {rows}×{columns})"),
         }
     }
+
+    /// What notebooks show.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        crate::html::of(slf, "psf_html")
+    }
 }
 
 /// A `Psf`, or an array: as the command line takes a file of such numbers.

@@ -1,18 +1,22 @@
 //! `rowburst.Result` and what a progress callback is given.
 
 use crate::array::{from_image, from_video, make_read_only};
+use crate::camera::PyCamera;
 use crate::error::to_py_err;
-use crate::state::{self, State as Stored};
+use crate::state::{self, State as Stored, entry};
 use crate::threads::{self, detached};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
-use pyo3::types::{PyDict, PyType};
+use pyo3::types::{PyBytes, PyDict, PyType};
+use rowburst::reconstruct::Prior;
 use rowburst::solve::admm::Progress;
-use rowburst::{Shape, Video};
+use rowburst::{Error, Shape, Video};
 use rowburst_io::OutputFolder;
+use rowburst_report::Layout;
 use rowburst_run::{
-    CompletedTask, MovieStyle, ReportMeta, ResultMeta, TraceRequest, Traces, player_of,
+    CompletedTask, MovieStyle, ReportMeta, ResultMeta, TraceRequest, Traces, figure_of_folder,
+    player_of,
 };
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -62,6 +66,8 @@ impl PyProgress {
 pub struct PyReconstruction {
     state: Mutex<State>,
     shape: Shape,
+    /// Number of threads that reconstructed it.
+    threads: usize,
 }
 
 struct State {
@@ -73,15 +79,27 @@ struct State {
 }
 
 impl PyReconstruction {
-    pub fn new(completed: CompletedTask) -> Self {
+    /// `traces` are those of the brightest spots, where they are known already.
+    pub fn new(completed: CompletedTask, traces: Option<Traces>, threads: usize) -> Self {
         Self {
             shape: completed.reconstruction.video.shape(),
+            threads,
             state: Mutex::new(State {
                 completed,
                 video: None,
-                traces: None,
+                traces,
             }),
         }
+    }
+
+    /// The prior of the reconstruction.
+    pub fn prior_used(&self, py: Python<'_>) -> Option<Prior> {
+        Some(self.state(py).completed.reconstruction.prior)
+    }
+
+    /// A copy of the video, of a reconstruction whose video numpy does not own yet.
+    pub fn copied_video(&self, py: Python<'_>) -> Video {
+        self.state(py).completed.reconstruction.video.clone()
     }
 
     fn state<'a>(&'a self, py: Python<'_>) -> MutexGuard<'a, State> {
@@ -151,6 +169,12 @@ impl PyReconstruction {
         Ok(array)
     }
 
+    /// The camera of the frame, or of its plane.
+    #[getter]
+    fn _camera(&self, py: Python<'_>) -> PyCamera {
+        self.state(py).completed.task.camera.clone().into()
+    }
+
     #[getter]
     fn background<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<f32>>>> {
         let background = self.state(py).completed.reconstruction.background.clone();
@@ -173,20 +197,24 @@ impl PyReconstruction {
         // The video goes to numpy first, so that it is not copied for the state.
         let video = this.video(py)?;
         let state = state::of_completed(py, &this.state(py).completed, video)?;
+        state.set_item("threads", this.threads)?;
         Ok((slf.get_type().getattr("_restore")?, (state,)))
     }
 
     /// The result of what `__reduce__` gives.
     #[classmethod]
     fn _restore(_cls: &Bound<'_, PyType>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
-        state::to_completed(state).map(Self::new)
+        let threads = entry(state, "threads")?.extract()?;
+        let completed = state::to_completed(state)?;
+        Ok(Self::new(completed, None, threads))
     }
 
     /// The numbers of `result.json`, as its text.
     fn _json(&self, py: Python<'_>) -> PyResult<String> {
         self.with(py, |completed, traces| {
             let traces = traces.get_or_insert_with(|| spots(completed));
-            let summary = completed.summary(traces);
+            let mut summary = completed.summary(traces);
+            summary.threads = self.threads;
             serde_json::to_string(&summary).expect("plain numbers and text")
         })
     }
@@ -332,6 +360,21 @@ impl PyReconstruction {
         page.map_err(to_py_err)
     }
 
+    /// The figure of `rowburst figure`: SVG and PNG.
+    fn _figure<'py>(
+        &self,
+        py: Python<'py>,
+        layout: &str,
+    ) -> PyResult<(String, Bound<'py, PyBytes>)> {
+        let layout = layout_of(layout).map_err(to_py_err)?;
+        let figure = self.with(py, |completed, traces| {
+            let traces = traces.get_or_insert_with(|| spots(completed));
+            completed.figure(traces, "Rowburst", layout)
+        })?;
+        let figure = figure.map_err(to_py_err)?;
+        Ok((figure.svg, PyBytes::new(py, &figure.png)))
+    }
+
     /// Writes all files of `rowburst reconstruct` into a folder.
     fn _save(&self, py: Python<'_>, folder: PathBuf, title: String) -> PyResult<()> {
         let saved = self.with(py, |completed, traces| {
@@ -348,6 +391,32 @@ impl PyReconstruction {
             }
         })?;
         saved.map_err(to_py_err)
+    }
+}
+
+/// The figure of a result folder: SVG and PNG.
+#[pyfunction]
+#[pyo3(name = "_figure_of_folder")]
+pub fn figure_from_folder<'py>(
+    py: Python<'py>,
+    folder: PathBuf,
+    layout: &str,
+) -> PyResult<(String, Bound<'py, PyBytes>)> {
+    let layout = layout_of(layout).map_err(to_py_err)?;
+    let figure = detached(py, || figure_of_folder(&folder, layout))?.map_err(to_py_err)?;
+    Ok((figure.svg, PyBytes::new(py, &figure.png)))
+}
+
+fn layout_of(name: &str) -> rowburst::Result<Layout> {
+    match name {
+        "fig2" => Ok(Layout::Fig2),
+        "fig3" => Ok(Layout::Fig3),
+        _ => Err(Error::input(
+            "layout",
+            format!("\"{name}\""),
+            "a layout is \"fig2\" or \"fig3\"",
+            "Leave it out for \"fig2\".",
+        )),
     }
 }
 

@@ -3,18 +3,19 @@
 use crate::array::{from_video, make_read_only};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
+use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
-use crate::task::{measured, prior_from, tau_from};
-use crate::threads::detached;
+use crate::task::{corrections_of, measured, prior_from, tau_from};
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use rowburst::measurement::Corrections;
-use rowburst::reconstruct::{Model, Options, Sequence};
+use rowburst::reconstruct::{Options, Sequence};
 use rowburst::solve::StopReason;
 use rowburst_run::options::parse_time_budget;
 use std::ops::ControlFlow;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// A live view: frames of one scene, each warm-started from the previous one.
@@ -22,7 +23,7 @@ use std::time::Instant;
 /// A frame that was stopped early is not lost: the next one continues from its state. Where the last
 /// video explains less than half of the variance of the frame, the solver starts from zero. Videos
 /// depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
-/// standard prior ``tv+0.5*tdiff+support`` here.
+/// standard prior ``tv+0.5*tdiff+support`` here. ``dark``, ``flat`` and ``bad_pixels`` are those of :func:`reconstruct`.
 ///
 ///     live = rowburst.LiveView(camera, psf)
 ///     look = live.next(frame, time_budget_s=0.1)
@@ -30,7 +31,8 @@ use std::time::Instant;
 #[pyclass(name = "LiveView", module = "rowburst", frozen)]
 pub struct PySequence {
     camera: PyCamera,
-    sequence: Mutex<Sequence>,
+    corrections: Corrections,
+    sequence: Arc<Mutex<Sequence>>,
 }
 
 /// A frame of a :class:`LiveView`.
@@ -55,7 +57,9 @@ pub struct PyLook {
 #[pymethods]
 impl PySequence {
     #[new]
-    #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None))]
+    #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None, dark=None, flat=None,
+        bad_pixels=None))]
+    #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         camera: &PyCamera,
@@ -63,6 +67,9 @@ impl PySequence {
         prior: &str,
         tau: Option<&Bound<'_, PyAny>>,
         noise_sigma: Option<f64>,
+        dark: Option<&Bound<'_, PyAny>>,
+        flat: Option<&Bound<'_, PyAny>>,
+        bad_pixels: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let options = Options {
             prior: prior_from(prior)?,
@@ -73,12 +80,14 @@ impl PySequence {
             is_preview: true,
         };
         let grey = camera.grey()?;
-        let psfs = psfs_of(psf, grey, None)?;
+        let corrections = corrections_of(dark, flat, bad_pixels)?;
+        let psfs = psfs_of(psf, grey, corrections.dark.as_ref())?;
         crate::memory::check(grey)?;
-        let model = detached(py, || Model::new(grey, psfs).with_cached_gram())?;
+        let model = model_of(py, grey, &psfs, None, Gram::Cached)?;
         Ok(Self {
             camera: camera.clone(),
-            sequence: Mutex::new(Sequence::new(model, options)),
+            corrections,
+            sequence: Arc::new(Mutex::new(Sequence::new(model, options))),
         })
     }
 
@@ -94,24 +103,24 @@ impl PySequence {
     ) -> PyResult<PyLook> {
         let began = Instant::now();
         let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-        let measurement = measured(frame, &self.camera.camera, Corrections::default())?;
-        let mut interruption: Option<PyErr> = None;
-        let found = detached(py, || {
-            let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
-            sequence.reconstruct(&measurement, &mut |_| {
-                if let Err(error) = Python::attach(|py| py.check_signals()) {
-                    interruption = Some(error);
-                    return ControlFlow::Break(StopReason::Interrupted);
+        let measurement = measured(frame, &self.camera.camera, self.corrections.clone())?;
+        let sequence = Arc::clone(&self.sequence);
+        let found = interruptibly::<(), _>(py, None, None, move |reporter| {
+            let mut sequence = sequence.lock().unwrap_or_else(PoisonError::into_inner);
+            if reporter.is_abandoned() {
+                return None;
+            }
+            Some(sequence.reconstruct(&measurement, &mut |_| {
+                if reporter.is_abandoned() {
+                    ControlFlow::Break(StopReason::Interrupted)
+                } else if budget.is_some_and(|budget| began.elapsed() > budget) {
+                    ControlFlow::Break(StopReason::TimeBudget)
+                } else {
+                    ControlFlow::Continue(())
                 }
-                match budget.is_some_and(|budget| began.elapsed() > budget) {
-                    true => ControlFlow::Break(StopReason::TimeBudget),
-                    false => ControlFlow::Continue(()),
-                }
-            })
+            }))
         })?;
-        if let Some(error) = interruption {
-            return Err(error);
-        }
+        let found = found.expect("somebody waits for it");
         let (found, went_on) = found.map_err(to_py_err)?;
         let video = from_video(py, found.video)?;
         make_read_only(&video)?;

@@ -128,6 +128,11 @@ impl PySimulation {
             leds: entry(state, "leds")?.extract()?,
         })
     }
+
+    /// What notebooks show.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        crate::html::of(slf, "simulation_html")
+    }
 }
 
 /// The frame that ``camera`` records of a scene.

@@ -5,9 +5,10 @@
 
 use crate::error::{WorkError, to_py_err};
 use pyo3::prelude::*;
+use rayon::ThreadPool;
 use rowburst::Error;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// The process that started the threads; 0 before they are started.
 static OWNER: AtomicU32 = AtomicU32::new(0);
@@ -42,6 +43,23 @@ pub fn start() -> PyResult<()> {
     });
     pool.clone().map_err(|reason| {
         let remedy = "Call rowburst.set_threads with a smaller number before anything is computed.";
+        to_py_err(Error::work("threads", reason, remedy))
+    })
+}
+
+/// Threads for one caller alone.
+///
+/// # Errors
+/// No thread, or more than the system allows.
+pub fn pool_of(threads: usize) -> PyResult<Arc<ThreadPool>> {
+    if threads == 0 {
+        let rule = "there is at least one";
+        let error = Error::input("threads", 0, rule, "Leave it out for all threads.");
+        return Err(to_py_err(error));
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map(Arc::new).map_err(|reason| {
+        let remedy = "Give a smaller number.";
         to_py_err(Error::work("threads", reason, remedy))
     })
 }

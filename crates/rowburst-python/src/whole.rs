@@ -7,6 +7,7 @@ use pyo3::types::PyBool;
 use rowburst::Error;
 
 /// A whole number from 0. It is checked by [`Whole::named`], which knows the name of the argument.
+#[derive(Clone)]
 pub struct Whole(Result<usize, String>);
 
 impl Whole {

@@ -39,7 +39,7 @@ pub struct ChunkedTask<'a> {
     /// Title of the report.
     pub title: &'a str,
     /// The command that reproduces the result.
-    pub reproduce: &'a str,
+    pub reproduce: Option<&'a str>,
     /// Whether `video.mp4` shows the time of each bin.
     pub movie: MovieStyle,
     /// The values of the camera that came from the metadata of the frame's file.
@@ -487,6 +487,6 @@ fn report_sheet<'a>(
         .filter(|(name, _)| cfg!(feature = "mp4") || *name != "video.mp4")
         .map(|(name, what)| pair(name, (*what).into()))
         .collect(),
-        reproduce: Some(task.reproduce),
+        reproduce: task.reproduce,
     }
 }

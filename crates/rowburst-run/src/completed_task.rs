@@ -433,7 +433,7 @@ impl CompletedTask {
     }
 
     /// The frame of the scene without the diffuser: given, or computed from the truth.
-    fn direct(&self) -> Option<(Cow<'_, Image>, DirectOrigin)> {
+    pub(crate) fn direct(&self) -> Option<(Cow<'_, Image>, DirectOrigin)> {
         let task = &self.task;
         match (&task.direct, &task.truth) {
             (Some(image), _) => Some((Cow::Borrowed(image), DirectOrigin::Given)),

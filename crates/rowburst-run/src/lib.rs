@@ -13,8 +13,12 @@
 //! The crate writes nothing to the terminal. Messages are return values, and an observer is called after
 //! every iteration and may stop the run.
 
+pub mod calibrate;
 mod chunked;
+mod colour;
 mod completed_task;
+pub mod design;
+mod figure;
 pub mod inputs;
 mod movie;
 mod numbers;
@@ -28,7 +32,9 @@ mod traces;
 mod view_files;
 
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
+pub use colour::{ColourInputs, Plane, check_raw_frame, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
+pub use figure::figure_of_folder;
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
@@ -37,7 +43,7 @@ pub use summary::{
     FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
     peak_memory_bytes, short,
 };
-pub use task::{IterationMetrics, Task, solve};
+pub use task::{IterationMetrics, Observer, Task, solve, solve_with_model};
 pub use traces::{
     DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,
     TraceNumbers, TraceRequest, Traces, TruthNumbers,

@@ -3,7 +3,7 @@
 use crate::completed_task::CompletedTask;
 use crate::run_clock::RunClock;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Options, Prior, Problem};
+use rowburst::reconstruct::{Model, Options, Prior, Problem};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Image, PatchSet, Result, Video};
@@ -47,16 +47,41 @@ pub struct IterationMetrics {
     pub psnr_db: Option<f64>,
 }
 
+/// A callback after every iteration, which may stop the run.
+pub type Observer<'o> = &'o mut dyn FnMut(&Progress, &IterationMetrics) -> ControlFlow<StopReason>;
+
 /// Reconstructs the frame of `task`. `process_start` is the start of the program, the zero of the convergence curve's
 /// time axis. `show` is called after every iteration and may stop the run; its time is not counted
 /// as the solver's.
 ///
 /// # Errors
 /// Those of [`Problem::new`] and [`Problem::solve`].
-pub fn solve(
+pub fn solve(task: Task, process_start: Instant, show: Observer) -> Result<CompletedTask> {
+    let setup_start = Instant::now();
+    let model = Model::new(&task.camera, &task.psfs);
+    solve_since(setup_start, &model, task, process_start, show)
+}
+
+/// Like [`solve`], for one of several frames that share `model`, which is that of the task's camera and PSFs. The video
+/// is the same.
+///
+/// # Errors
+/// Those of [`solve`].
+pub fn solve_with_model(
+    model: &Model,
     task: Task,
     process_start: Instant,
-    show: &mut dyn FnMut(&Progress, &IterationMetrics) -> ControlFlow<StopReason>,
+    show: Observer,
+) -> Result<CompletedTask> {
+    solve_since(Instant::now(), model, task, process_start, show)
+}
+
+fn solve_since(
+    setup_start: Instant,
+    model: &Model,
+    task: Task,
+    process_start: Instant,
+    show: Observer,
 ) -> Result<CompletedTask> {
     let options = Options {
         // A choice of the prior takes a run for each candidate, so a time budget excludes it.
@@ -64,8 +89,7 @@ pub fn solve(
         is_preview: task.budget.is_some(),
         ..task.options
     };
-    let setup_start = Instant::now();
-    let problem = Problem::new(&task.measurement, &task.camera, &task.psfs, options)?;
+    let problem = Problem::with_model(model, &task.measurement, options)?;
     let setup = setup_start.elapsed();
     let remaining = task.budget.map(|b| b.saturating_sub(setup));
     let mut clock = RunClock::new(problem.sigma(), task.truth.as_ref(), remaining);

@@ -15,7 +15,7 @@ use serde::Deserialize;
 use serde_json::json;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::{Arc, PoisonError, RwLock};
-use tokio::sync::Semaphore;
+use tokio::sync::{Notify, Semaphore};
 
 /// Ports that are tried, from this one on, where none was asked for.
 const FIRST_PORT: u16 = 8787;
@@ -31,10 +31,11 @@ struct ServerState {
     turns: Semaphore,
 }
 
-/// A server that runs on a thread of its own until the program ends.
+/// A server that runs on a thread of its own until it is stopped or the program ends.
 pub struct Server {
     address: SocketAddr,
     shared: Arc<ServerState>,
+    stop: Arc<Notify>,
 }
 
 impl Server {
@@ -77,16 +78,29 @@ impl Server {
             .enable_all()
             .build()
             .map_err(failed)?;
+        let stop = Arc::new(Notify::new());
+        let stopped = Arc::clone(&stop);
         std::thread::spawn(move || {
             let served = runtime.block_on(async {
                 let listener = tokio::net::TcpListener::from_std(listener)?;
-                axum::serve(listener, routes).await
+                axum::serve(listener, routes)
+                    .with_graceful_shutdown(async move { stopped.notified().await })
+                    .await
             });
             if let Err(error) = served {
                 eprintln!("the viewer's server stopped: {error}");
             }
         });
-        Ok(Self { address, shared })
+        Ok(Self {
+            address,
+            shared,
+            stop,
+        })
+    }
+
+    /// Ends the server, once the answers that are being made are sent.
+    pub fn stop(&self) {
+        self.stop.notify_one();
     }
 
     /// What to open in a browser.

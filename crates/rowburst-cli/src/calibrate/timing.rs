@@ -1,17 +1,18 @@
 //! `rowburst calibrate timing`: frames of a blinking light into row time, shutter and exposure.
 
 mod files;
-mod sheet;
 
 use crate::output::print_line;
 use clap::{Args, ValueHint};
 use files::TimingInputs;
-use rowburst::calibrate::timing::{Lamp, Timing, TimingParams, calibrate};
+use rowburst::calibrate::timing::{Timing, TimingParams, calibrate};
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
+use rowburst_run::calibrate::timing::{
+    TimingSummary, exposure, row_time, shutter_names, write_report,
+};
 use rowburst_run::inputs::naming_file;
 use rowburst_run::short;
-use serde::Serialize;
 use std::path::PathBuf;
 
 /// Row time, shutter and exposure from frames of a blinking light.
@@ -61,44 +62,6 @@ pub struct TimingArgs {
     pub output: Option<PathBuf>,
 }
 
-/// Everything that `timing.json` says.
-#[derive(Debug, Serialize)]
-struct TimingSummary {
-    version: &'static str,
-    row_time_us: f64,
-    row_time_us_error: f64,
-    shutters: Vec<&'static str>,
-    exposure_us: Option<f64>,
-    exposure_us_error: Option<f64>,
-    exposure_basis: String,
-    readout_ms: f64,
-    /// Periods of the light during the readout; null for a course from a file.
-    periods: Option<f64>,
-    /// Of each frame, the part of a period since the light's maximum when row time 0 ends;
-    /// null for a course from a file.
-    phases: Option<Vec<f64>>,
-    /// The same moment on the clock of the file; null for a light of known frequency.
-    time_offsets_us: Option<Vec<f64>>,
-    modulation_depth: f64,
-    explained_variance: f64,
-    candidates: Vec<CandidateSummary>,
-    frames: usize,
-    rows: usize,
-    columns: usize,
-    warnings: Vec<String>,
-    /// The light that would decide between the shutters left; null where one is left.
-    advice: Option<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct CandidateSummary {
-    shutter: &'static str,
-    row_time_us: f64,
-    chi2_per_freedom: f64,
-    chi2_excess: f64,
-    left: bool,
-}
-
 pub fn run(args: &TimingArgs) -> Result<()> {
     let folder = args
         .output
@@ -123,12 +86,13 @@ pub fn run(args: &TimingArgs) -> Result<()> {
     if let Some((_, notes)) = &written {
         timing.warnings.extend(notes.iter().cloned());
     }
-    let summary = summary(&timing, &inputs);
+    let summary = TimingSummary::new(&timing, &inputs.frames, &inputs.light);
     let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
     if let Some(folder) = &folder {
         // That of an earlier run would vouch for files that are no longer its own.
         folder.remove("timing.json")?;
-        sheet::write(folder, args, &timing, written.is_some())?;
+        let reproduce = Some(command_line(args));
+        write_report(folder, &timing, written.is_some(), reproduce.as_deref())?;
         if let Some((experiment, _)) = &written {
             inputs.write_experiment(folder, experiment)?;
         }
@@ -183,70 +147,9 @@ fn naming(mut error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
     error
 }
 
-fn summary(timing: &Timing, inputs: &TimingInputs) -> TimingSummary {
-    let periodic = matches!(inputs.light, Lamp::Periodic { .. });
-    let phases = timing.phases.clone();
-    TimingSummary {
-        version: env!("CARGO_PKG_VERSION"),
-        row_time_us: timing.row_time_us,
-        row_time_us_error: timing.row_time_us_error,
-        shutters: timing.shutters.iter().map(|s| s.name()).collect(),
-        exposure_us: timing.exposure_us.map(|e| e.0),
-        exposure_us_error: timing.exposure_us.map(|e| e.1),
-        exposure_basis: timing.exposure_basis.clone(),
-        readout_ms: timing.readout_ms,
-        periods: timing.periods,
-        phases: periodic.then(|| phases.clone()),
-        time_offsets_us: (!periodic).then_some(phases),
-        modulation_depth: timing.modulation_depth,
-        explained_variance: timing.explained,
-        candidates: timing
-            .candidates
-            .iter()
-            .map(|c| CandidateSummary {
-                shutter: c.shutter.name(),
-                row_time_us: c.row_time_us,
-                chi2_per_freedom: c.chi2,
-                chi2_excess: c.excess,
-                left: c.is_consistent,
-            })
-            .collect(),
-        frames: inputs.frames.len(),
-        rows: inputs.frames[0].rows(),
-        columns: inputs.frames[0].columns(),
-        warnings: timing.warnings.clone(),
-        advice: timing.advice.clone(),
-    }
-}
-
-fn names(timing: &Timing) -> String {
-    let names: Vec<&str> = timing.shutters.iter().map(|s| s.name()).collect();
-    names.join(" or ")
-}
-
-fn row_time(timing: &Timing) -> String {
-    with_error(timing.row_time_us, timing.row_time_us_error)
-}
-
-/// A value with the digits that its error leaves.
-fn with_error(value: f64, error: f64) -> String {
-    if !error.is_finite() {
-        return format!("{} µs", short(value));
-    }
-    let digits = (1.0 - error.max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
-    format!("{value:.digits$} ± {error:.digits$} µs")
-}
-
-fn exposure(timing: &Timing) -> String {
-    match timing.exposure_us {
-        Some((value, error)) => with_error(value, error),
-        None => "not shown".into(),
-    }
-}
-
 fn print(timing: &Timing, args: &TimingArgs) {
     print_line(format!("row time  {}", row_time(timing)));
-    print_line(format!("shutter   {}", names(timing)));
+    print_line(format!("shutter   {}", shutter_names(timing)));
     if let Some(advice) = &timing.advice {
         print_line(format!("          {advice}"));
     }
@@ -259,4 +162,33 @@ fn print(timing: &Timing, args: &TimingArgs) {
             output.join("report.html").display()
         ));
     }
+}
+
+fn command_line(args: &TimingArgs) -> String {
+    let mut line = "rowburst calibrate timing".to_string();
+    for frame in &args.frames {
+        line += &format!(" {}", frame.display());
+    }
+    let numbers = [("--frequency-hz", args.frequency_hz), ("--duty", args.duty)];
+    for (flag, number) in numbers {
+        if let Some(number) = number {
+            line += &format!(" {flag} {number}");
+        }
+    }
+    let paths = [
+        ("--signal", &args.signal),
+        ("--dark", &args.dark),
+        ("--flat", &args.flat),
+        ("--experiment", &args.experiment),
+        ("-o", &args.output),
+    ];
+    for (flag, path) in paths {
+        if let Some(path) = path {
+            line += &format!(" {flag} {}", path.display());
+        }
+    }
+    if args.repeat {
+        line += " --repeat";
+    }
+    line
 }

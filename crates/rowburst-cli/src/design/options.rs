@@ -7,6 +7,7 @@ use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
 use rowburst::{Camera, Error, Result, Sensor, Shutter};
 use rowburst_io::Experiment;
+use rowburst_run::design::{DesignInputs, checked_snrs, light_of, paper_camera};
 use rowburst_run::simulate::LensOptics;
 use std::path::PathBuf;
 
@@ -117,17 +118,6 @@ pub struct LightArgs {
     pub diffuser_path_rms_nm: Option<f64>,
 }
 
-/// What is to be assessed.
-pub struct DesignInputs {
-    pub camera: Camera,
-    pub optics: SpeckleOptics,
-    pub light: LightParams,
-    pub psf: Option<PathBuf>,
-    /// SNR of the trials, ascending; empty for the usual ones.
-    pub trial_snrs: Vec<f64>,
-    pub seed: u64,
-}
-
 /// Longest side of a sensor or field; the largest chips have 20,000.
 const MAX_SIDE: usize = 32_768;
 
@@ -139,60 +129,35 @@ impl DesignArgs {
             None => None,
         };
         let of_file = experiment.as_ref().map(|e| e.params.clone());
-        let params = self.params(of_file.unwrap_or_else(paper))?;
+        let params = self.params(of_file.unwrap_or_else(paper_camera))?;
         let camera = Camera::new(params).map_err(|e| self.naming_option(e))?;
         let sensor = camera.sensor();
-        let gain = sensor.gain_electrons_per_count;
-        let of_counts = sensor
-            .full_well_counts
-            .zip(gain)
-            .map(|(counts, gain)| counts * gain);
-        let usual = LightParams::default();
-        let well = self
-            .light
-            .full_well_electrons
-            .or(of_counts)
-            .or(usual.full_well_electrons);
-        let bits = sensor.bit_depth.unwrap_or(16);
+        let from_sensor = light_of(
+            &camera,
+            self.light.read_noise_electrons,
+            self.light.full_well_electrons,
+        );
         let light = LightParams {
             photons: self.light.photons,
             bright_pixels: self.light.bright_pixels,
             quantum_efficiency: self.light.quantum_efficiency,
-            read_noise_electrons: self
-                .light
-                .read_noise_electrons
-                .or(sensor.read_noise_electrons)
-                .unwrap_or(usual.read_noise_electrons),
-            electrons_per_count: gain.or(well.map(|well| well / f64::from(bits).exp2())),
-            full_well_electrons: well,
             source_bandwidth_nm: self.light.source_bandwidth_nm,
             diffuser_path_rms_nm: self.light.diffuser_path_rms_nm,
+            ..from_sensor
         };
         light.check().map_err(|e| self.naming_option(e))?;
-        let mut trial_snrs = self.trial_snr.clone();
-        if let Some(bad) = trial_snrs.iter().find(|s| !(s.is_finite() && **s > 0.0)) {
-            return Err(Error::input(
-                "--trial-snr",
-                bad,
-                "a signal-to-noise ratio is a number above zero",
-                "Leave it out for 8 to 256.",
-            ));
-        }
-        trial_snrs.sort_by(f64::total_cmp);
-        trial_snrs.dedup();
+        let trial_snrs = checked_snrs(&self.trial_snr)?;
         let pitch = sensor.pixel_pitch_um;
         let optics = self
             .optics
             .optics(pitch.unwrap_or(SpeckleOptics::demo().pixel_pitch_um));
         optics.check().map_err(|e| self.naming_option(e))?;
+        let psf_file = self.psf.clone();
         Ok(DesignInputs {
             camera,
             optics,
             light,
-            psf: self
-                .psf
-                .clone()
-                .or(experiment.and_then(|e| e.calibration.psf)),
+            psf_file: psf_file.or(experiment.and_then(|e| e.calibration.psf)),
             trial_snrs,
             seed: self.seed,
         })
@@ -307,22 +272,9 @@ impl DesignArgs {
     /// The command line that repeats the run.
     pub fn command_line(&self) -> String {
         // What was typed, but for the way to the program.
-        let typed: Vec<String> = std::env::args().skip(1).collect();
+        let typed = crate::typed(Vec::new()).iter().skip(1);
+        let typed: Vec<_> = typed.map(|word| word.to_string_lossy()).collect();
         format!("rowburst {}", typed.join(" "))
-    }
-}
-
-/// The camera of the paper: the Zyla's middle 108 rows.
-fn paper() -> CameraParams {
-    CameraParams {
-        rows: 108,
-        columns: 108,
-        shutter: Shutter::DualInsideOut,
-        row_time_us: 9.6,
-        exposure_us: 9.6,
-        bins_per_row: 1,
-        field: None,
-        sensor: Sensor::default(),
     }
 }
 

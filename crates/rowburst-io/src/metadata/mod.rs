@@ -7,6 +7,8 @@ mod andor;
 mod micro_manager;
 mod ome;
 
+pub(crate) use ome::ome_sizes;
+
 use crate::recording::images_in;
 use crate::source::{ArrayPath, Colour, Format, Source};
 use crate::{fits, photron, tiff};

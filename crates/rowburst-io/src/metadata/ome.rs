@@ -13,6 +13,20 @@ pub(super) fn is_ome(description: &str) -> bool {
     start.starts_with('<') && start.contains("<OME")
 }
 
+/// `SizeC`, `SizeZ` and `SizeT` of the first image, where the text is OME-XML.
+pub(crate) fn ome_sizes(
+    description: &str,
+) -> Option<(Option<usize>, Option<usize>, Option<usize>)> {
+    if !is_ome(description) {
+        return None;
+    }
+    let document = Document::parse(description.trim_start_matches('\u{feff}').trim()).ok()?;
+    let mut elements = document.descendants();
+    let pixels = elements.find(|n| n.has_tag_name_of("Pixels"))?;
+    let size = |key: &str| pixels.attribute(key)?.trim().parse().ok();
+    Some((size("SizeC"), size("SizeZ"), size("SizeT")))
+}
+
 /// What the first image of the text says.
 pub(super) fn parse(xml: &str, source: &str) -> Metadata {
     let text = xml.trim_start_matches('\u{feff}').trim();

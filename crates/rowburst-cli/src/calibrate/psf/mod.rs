@@ -1,9 +1,7 @@
 //! `rowburst calibrate psf`: captures of a point source in, a PSF and its quality out.
 
 mod captures;
-mod report;
 mod run;
-mod summary;
 
 use clap::Args;
 use std::path::PathBuf;

@@ -5,7 +5,7 @@ use crate::calibrate::experiment_of;
 use rowburst::calibrate::timing::{Extension, Lamp, Timing, Waveform};
 use rowburst::{Error, Image, Result, Shutter};
 use rowburst_io::{Calibration, Experiment, OutputFolder, read_colour_image, write_npy_i64};
-use std::path::Path;
+use rowburst_run::calibrate::timing::{KnownRowTime, read_waveform};
 
 /// What the command line asks for, read.
 pub struct TimingInputs {
@@ -55,19 +55,9 @@ impl TimingInputs {
         let mut warnings = Vec::new();
         let (mut binning, mut expected) = (1, None);
         if let Some(camera) = &camera {
-            let rows = frames[0].rows();
-            let camera_binning = camera.sensor().binning;
-            if rows == camera.rows() * camera_binning {
-                binning = camera_binning;
-            } else if rows != camera.rows() {
-                warnings.push(format!(
-                    "the frames have {rows} rows, the experiment {}: the row time is taken to be that of both",
-                    camera.rows()
-                ));
-            }
-            if !matches!(camera.shutter(), Shutter::Global) {
-                expected = Some(camera.params().row_time_us / binning as f64);
-            }
+            let known = KnownRowTime::new(camera, frames[0].rows());
+            (binning, expected) = (known.binning, known.row_time_us);
+            warnings.extend(known.warning);
         }
         let of_sensor = camera.and_then(|c| c.sensor().saturation_counts());
         Ok(Self {
@@ -136,7 +126,7 @@ fn light(args: &TimingArgs) -> Result<Lamp> {
             } else {
                 Extension::Holds
             };
-            let points = read_points(path)?;
+            let points = read_waveform(path)?;
             let waveform =
                 Waveform::new(&points, extension).map_err(|e| e.within(path.display()))?;
             Ok(Lamp::Waveform(waveform))
@@ -152,39 +142,4 @@ fn light(args: &TimingArgs) -> Result<Lamp> {
             "Give --frequency-hz F or --signal FILE.csv.",
         )),
     }
-}
-
-/// Lines `time_us,value`; empty ones, those that begin with # and a heading are passed over.
-fn read_points(path: &Path) -> Result<Vec<(f64, f64)>> {
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        Error::input(
-            path.display().to_string(),
-            format!("a file that cannot be read ({error})"),
-            "the waveform of the light is a text file",
-            "Check the path and the permissions.",
-        )
-    })?;
-    let mut points = Vec::new();
-    for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let number = |part: Option<&str>| part.and_then(|p| p.trim().parse::<f64>().ok());
-        let mut parts = line.split([',', ';', '\t']);
-        let pair = (number(parts.next()), number(parts.next()), parts.next());
-        match pair {
-            (Some(time), Some(value), None) => points.push((time, value)),
-            _ if points.is_empty() && line.starts_with(|c: char| c.is_alphabetic()) => {}
-            _ => {
-                return Err(Error::input(
-                    format!("{}, line {}", path.display(), i + 1),
-                    format!("\"{line}\""),
-                    "a line has two numbers, time_us,value",
-                    "Write the time in microseconds, a comma and the light, with a point for decimals.",
-                ));
-            }
-        }
-    }
-    Ok(points)
 }

@@ -23,7 +23,7 @@ def linear_operator(operator: RollingShutterOperator) -> Any:
         def on_host(x: Any) -> Any:
             return function(np.asarray(x, dtype=np.float32).reshape(-1)).reshape(shape)
 
-        return lambda x: jax.pure_callback(on_host, result, x)
+        return lambda x: jax.pure_callback(on_host, result, x, vmap_method="sequential")
 
     def differentiable(forward: Any, adjoint: Any) -> Any:
         linear = jax.custom_vjp(forward)
@@ -42,19 +42,31 @@ def linear_operator(operator: RollingShutterOperator) -> Any:
 
 
 def functional(term: DataTerm) -> Any:
-    """``½‖W(b - A v)‖²`` with its prox."""
+    """``½‖W(b - A v)‖²`` with its gradient and its prox."""
+
+    def value(v: Any) -> Any:
+        scalar = jax.ShapeDtypeStruct((), np.float32)
+        on_host = lambda v: np.float32(term(np.asarray(v)))
+        return jax.pure_callback(on_host, scalar, v, vmap_method="sequential")
+
+    def gradient(v: Any) -> Any:
+        same = jax.ShapeDtypeStruct(v.shape, np.float32)
+        on_host = lambda v: term.grad(np.asarray(v, dtype=np.float32))
+        return jax.pure_callback(on_host, same, v, vmap_method="sequential")
+
+    differentiable = jax.custom_vjp(value)
+    differentiable.defvjp(lambda v: (value(v), v), lambda v, y: (y * gradient(v),))
 
     class RollingShutterData(scico_functional.Functional):  # type: ignore[misc]
         has_eval = True
         has_prox = True
 
         def __call__(self, x: Any) -> Any:
-            value = jax.ShapeDtypeStruct((), np.float32)
-            return jax.pure_callback(lambda v: np.float32(term(np.asarray(v))), value, x)
+            return differentiable(x)
 
         def prox(self, v: Any, lam: float = 1.0, **kwargs: Any) -> Any:
             same = jax.ShapeDtypeStruct(v.shape, np.float32)
             step = lambda p, s: term.prox(np.asarray(p, dtype=np.float32), float(s))
-            return jax.pure_callback(step, same, v, lam)
+            return jax.pure_callback(step, same, v, lam, vmap_method="sequential")
 
     return RollingShutterData()

@@ -1,7 +1,6 @@
 //! The page of a design, its pictures and `design.json`.
 
-use super::options::DesignInputs;
-use super::summary::DesignSummary;
+use super::{DesignInputs, DesignSummary};
 use rowburst::design::sparsity::SuccessMap;
 use rowburst::design::{Assessment, LightParams, signal};
 use rowburst::{Image, Psf, Result};
@@ -10,12 +9,18 @@ use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
 /// What the page is made of.
 pub struct Page<'a> {
+    /// What is assessed.
     pub inputs: &'a DesignInputs,
+    /// The closed forms.
     pub assessment: &'a Assessment,
+    /// The trials, if there were some.
     pub map: Option<&'a SuccessMap>,
+    /// The PSF that is shown.
     pub psf: Option<&'a Psf>,
+    /// The numbers of `design.json`.
     pub summary: &'a DesignSummary,
-    pub reproduce: &'a str,
+    /// The command that repeats it.
+    pub reproduce: Option<&'a str>,
 }
 
 /// Pictures that a run without trials, or without a PSF, does not write.
@@ -75,7 +80,7 @@ impl Page<'_> {
                 ("report.html".into(), "this page".into()),
                 ("design.json".into(), "the numbers, for programs".into()),
             ],
-            reproduce: Some(self.reproduce),
+            reproduce: self.reproduce,
         }
         .render()?;
         for picture in &report.pictures {
@@ -108,7 +113,7 @@ impl Page<'_> {
                 quantity: "part of the light",
                 range: None,
             },
-            caption: match &self.inputs.psf {
+            caption: match &self.inputs.psf_file {
                 Some(path) => format!("The PSF of {}.", path.display()),
                 None => format!(
                     "One random speckle PSF of these optics, of every displacement from field to sensor: grains of {:.1} px in an envelope of {:.0} px. Light that falls outside of it is not shown.",

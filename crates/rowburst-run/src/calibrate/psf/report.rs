@@ -1,15 +1,13 @@
 //! The page of a PSF: what its numbers look like.
 
-use super::PsfArgs;
 use super::summary::PsfSummary;
+use crate::short;
 use rowburst::calibrate::psf::{HISTOGRAM_BIN_WIDTH, MemoryEffect, Reach, SpeckleStatistics};
 use rowburst::{Image, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
-use rowburst_run::short;
 
 /// What the page shows.
 pub struct PsfReportInput<'a> {
-    pub args: &'a PsfArgs,
     pub psf: &'a Image,
     pub speckle: &'a SpeckleStatistics,
     pub reach: &'a Reach,
@@ -18,7 +16,12 @@ pub struct PsfReportInput<'a> {
     pub summary: &'a PsfSummary,
 }
 
-pub fn render(input: &PsfReportInput, patches: bool) -> Result<Report> {
+pub fn render(
+    input: &PsfReportInput,
+    patches: bool,
+    has_experiment: bool,
+    reproduce: Option<&str>,
+) -> Result<Report> {
     let summary = input.summary;
     let highest = input.psf.max();
     let relative = Image::from_fn(input.psf.rows(), input.psf.columns(), |y, x| {
@@ -42,7 +45,6 @@ pub fn render(input: &PsfReportInput, patches: bool) -> Result<Report> {
             vec![memory(effect), shifts(effect, positions)],
         ));
     }
-    let command = command_line(input.args);
     let mut files = vec![
         ("psf.npy", "the PSF, float32, sums to 1"),
         ("psf.json", "the numbers, for programs"),
@@ -54,7 +56,7 @@ pub fn render(input: &PsfReportInput, patches: bool) -> Result<Report> {
         ));
         files.push(("psf-patches.npy", "its PSFs, float32 [patch, y, x]"));
     }
-    if input.args.experiment.is_some() {
+    if has_experiment {
         files.push(("experiment.toml", "the experiment with this PSF"));
     }
     let files = files
@@ -73,7 +75,7 @@ pub fn render(input: &PsfReportInput, patches: bool) -> Result<Report> {
         sections,
         tables: tables(summary),
         files,
-        reproduce: Some(&command),
+        reproduce,
     }
     .render()
 }
@@ -366,44 +368,4 @@ fn shifts(effect: &MemoryEffect, positions: &[(f64, f64)]) -> Drawing<'static> {
         ),
         alt: "Dots about zero".into(),
     }
-}
-
-fn command_line(args: &PsfArgs) -> String {
-    let mut line = "rowburst calibrate psf".to_string();
-    for path in &args.captures {
-        line += &format!(" {}", path.display());
-    }
-    for (flag, path) in [
-        ("--dark", &args.dark),
-        ("--positions-mm", &args.positions_mm),
-        ("--experiment", &args.experiment),
-    ] {
-        if let Some(path) = path {
-            line += &format!(" {flag} {}", path.display());
-        }
-    }
-    if !args.exposures_ms.is_empty() {
-        let list: Vec<String> = args.exposures_ms.iter().map(f64::to_string).collect();
-        line += &format!(" --exposures-ms {}", list.join(","));
-    }
-    for (flag, value) in [
-        ("--binning", args.binning.map(|b| b.to_string())),
-        (
-            "--saturation-counts",
-            args.saturation_counts.map(|v| v.to_string()),
-        ),
-        (
-            "--expected-grain-px",
-            args.expected_grain_px.map(|v| v.to_string()),
-        ),
-        ("--field", args.field.map(|(r, c)| format!("{r}x{c}"))),
-    ] {
-        if let Some(value) = value {
-            line += &format!(" {flag} {value}");
-        }
-    }
-    if args.all_patches {
-        line += " --all-patches";
-    }
-    line + &format!(" -o {}", args.output.display())
 }

@@ -1,20 +1,22 @@
 //! The page and the plots of `calibrate timing`.
 
-use super::{TimingArgs, exposure, names, row_time};
+use super::{exposure, row_time, shutter_names};
+use crate::short;
 use rowburst::Result;
 use rowburst::calibrate::timing::{CLEAR_MARGIN, Timing};
 use rowburst_io::OutputFolder;
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
-use rowburst_run::short;
 
-/// Writes report.html and its pictures.
-pub fn write(
+/// Writes report.html and its pictures. `reproduce` is the command that repeats the calibration.
+///
+/// # Errors
+/// Failed writes.
+pub fn write_report(
     folder: &OutputFolder,
-    args: &TimingArgs,
     timing: &Timing,
-    experiment: bool,
+    has_experiment: bool,
+    reproduce: Option<&str>,
 ) -> Result<()> {
-    let command = command_line(args);
     let mut files = vec![
         (
             "timing.json".to_string(),
@@ -22,7 +24,7 @@ pub fn write(
         ),
         ("report.html".to_string(), "this page".to_string()),
     ];
-    if experiment {
+    if has_experiment {
         files.push((
             "experiment.toml".into(),
             "the experiment with these numbers".into(),
@@ -33,13 +35,13 @@ pub fn write(
         title: "Rowburst: timing of a camera",
         summary: format!(
             "{} of {rows} rows of a light that changes",
-            plural(args.frames.len(), "frame")
+            plural(timing.profiles.len(), "frame")
         ),
         warnings: timing.warnings.clone(),
         notes: timing.advice.clone().into_iter().collect(),
         headline: vec![
             ("row time".into(), row_time(timing)),
-            ("shutter".into(), names(timing)),
+            ("shutter".into(), shutter_names(timing)),
             ("exposure".into(), exposure(timing)),
             ("readout".into(), format!("{} ms", short(timing.readout_ms))),
         ],
@@ -52,7 +54,7 @@ pub fn write(
         ],
         tables: tables(timing),
         files,
-        reproduce: Some(&command),
+        reproduce,
     }
     .render()?;
     for picture in &report.pictures {
@@ -201,7 +203,7 @@ fn tables(timing: &Timing) -> Vec<(String, Vec<(String, String)>)> {
     let pair = |name: &str, value: String| (name.to_string(), value);
     let mut found = vec![
         pair("row time", row_time(timing)),
-        pair("consistent shutters", names(timing)),
+        pair("consistent shutters", shutter_names(timing)),
         pair("exposure", exposure(timing)),
         pair("exposure from", timing.exposure_basis.clone()),
         pair(
@@ -243,33 +245,4 @@ fn tables(timing: &Timing) -> Vec<(String, Vec<(String, String)>)> {
         ("Timing".into(), found),
         ("Readout orders".into(), orders.collect()),
     ]
-}
-
-fn command_line(args: &TimingArgs) -> String {
-    let mut line = "rowburst calibrate timing".to_string();
-    for frame in &args.frames {
-        line += &format!(" {}", frame.display());
-    }
-    let numbers = [("--frequency-hz", args.frequency_hz), ("--duty", args.duty)];
-    for (flag, number) in numbers {
-        if let Some(number) = number {
-            line += &format!(" {flag} {number}");
-        }
-    }
-    let paths = [
-        ("--signal", &args.signal),
-        ("--dark", &args.dark),
-        ("--flat", &args.flat),
-        ("--experiment", &args.experiment),
-        ("-o", &args.output),
-    ];
-    for (flag, path) in paths {
-        if let Some(path) = path {
-            line += &format!(" {flag} {}", path.display());
-        }
-    }
-    if args.repeat {
-        line += " --repeat";
-    }
-    line
 }

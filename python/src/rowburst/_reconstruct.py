@@ -8,16 +8,24 @@ from dataclasses import dataclass
 from html import escape
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
+from ._display import result_html
+from ._figure import Figure, save_figure
 from ._rowburst import Camera, Experiment, InputError, Progress, Psf
+from ._video import VideoResult
+from ._view import View
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trace:
     """The light of a region over time, with standard errors.
 
@@ -44,6 +52,39 @@ class Trace:
         """Its standard error."""
         return self.numbers.get("frequency_error_hz")
 
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws the trace over time, with its standard error as a band.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default into a figure of its own.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes: microseconds and counts.
+
+        Raises
+        ------
+        InputError
+            matplotlib is not installed.
+
+        Examples
+        --------
+        >>> ax = result.traces()[0].plot()
+        >>> ax.get_xlabel()
+        'time (µs)'
+        """
+        from . import _plot
+
+        return _plot.trace(self, ax)
+
+    def __repr__(self) -> str:
+        y, x, rows, columns = self.region
+        frequency = "" if self.frequency_hz is None else f", {self.frequency_hz:.0f} Hz"
+        return f"<rowburst.Trace of {rows}×{columns} pixels at ({y}, {x}): {len(self.value)} bins{frequency}>"
+
 
 class Report(str):
     """The report as the text of one HTML page, which fetches nothing; notebooks show it."""
@@ -61,8 +102,8 @@ class Report(str):
         return f'<iframe srcdoc="{escape(self)}" style="width:100%;height:45em;border:0"></iframe>'
 
 
-class Result:
-    """A reconstructed video with what is needed to judge it."""
+class Result(VideoResult):
+    """A reconstructed video with what is needed to judge it. :func:`reconstruct` makes it."""
 
     def __init__(self, found: _rowburst.Result, camera: Camera) -> None:
         self._native = found
@@ -205,6 +246,69 @@ class Result:
         self._native._save(folder, title)
         return Path(folder)
 
+    def figure(self, path: str | PathLike[str] | None = None, layout: str = "fig2") -> Figure:
+        """Draws the figure of ``rowburst figure``.
+
+        Parameters
+        ----------
+        path : path, optional
+            A .svg or .png file that is written.
+        layout : str
+            ``"fig2"`` or ``"fig3"``, after the figures of the paper.
+
+        Returns
+        -------
+        Figure
+            The figure as SVG and PNG; notebooks show it.
+
+        Raises
+        ------
+        InputError
+            The layout is unknown, or the file has another ending.
+
+        Examples
+        --------
+        >>> result.figure("figure.svg").save("figure.png").name
+        'figure.png'
+        """
+        return save_figure(Figure(*self._native._figure(layout)), path)
+
+    def view(self, port: int | None = None, open_browser: bool = True) -> View:
+        """Opens the viewer of ``rowburst view`` on this result.
+
+        The page is served by this process, on 127.0.0.1 alone. The files of the result are written to a temporary folder,
+        which goes with the view.
+
+        Parameters
+        ----------
+        port : int, optional
+            The port; by default 8787, or one of the next that is free. 0 is any.
+        open_browser : bool
+            Whether a browser is opened, where there is a screen.
+
+        Returns
+        -------
+        View
+            Its ``url``, and ``close()``.
+
+        Raises
+        ------
+        WorkError
+            The port is taken.
+
+        Examples
+        --------
+        >>> with result.view(port=0, open_browser=False) as view:
+        ...     print(view.url[:17])
+        http://127.0.0.1:
+        """
+        folder = TemporaryDirectory(prefix="rowburst-")
+        self.save(folder.name)
+        return View([Path(folder.name)], port, open_browser, folder)
+
+    def _repr_html_(self) -> str:
+        return result_html(self, "Result")
+
     def __repr__(self) -> str:
         bins, rows, columns = self.camera.video_shape
         return (
@@ -265,6 +369,37 @@ def _callback(progress: object) -> tuple[_Bar | None, Callable[[Progress], objec
     )
 
 
+def _settings(
+    camera: Camera | Experiment,
+    psf: Psf | ArrayLike | PathLike[str] | None,
+    prior: str | None,
+    tau: str | float | None,
+    dark: ArrayLike | PathLike[str] | None,
+    flat: ArrayLike | PathLike[str] | None,
+    bad_pixels: ArrayLike | PathLike[str] | None,
+) -> dict[str, Any]:
+    """The arguments that an experiment gives where they are left out, and the experiment."""
+    experiment = None
+    if isinstance(camera, Experiment):
+        experiment, camera = camera, camera.camera
+        psf = experiment.psf if psf is None else psf
+        dark = experiment.dark if dark is None else dark
+        flat = experiment.flat if flat is None else flat
+        bad_pixels = experiment.bad_pixels if bad_pixels is None else bad_pixels
+        prior = experiment.prior if prior is None else prior
+        tau = experiment.tau if tau is None else tau
+    return {
+        "camera": camera,
+        "psf": psf,
+        "prior": "auto" if prior is None else prior,
+        "tau": tau,
+        "dark": dark,
+        "flat": flat,
+        "bad_pixels": bad_pixels,
+        "experiment": experiment,
+    }
+
+
 def reconstruct(
     frame: ArrayLike | PathLike[str],
     camera: Camera | Experiment,
@@ -283,59 +418,90 @@ def reconstruct(
     progress: Callable[[Progress], object] | bool | None = None,
     seed: int = 0,
     keep_all_pixels: bool = False,
+    debias: bool = False,
+    threads: int | None = None,
 ) -> Result:
-    """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``.
+    """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``, bit for bit.
 
-    An :class:`Experiment` in the place of ``camera`` gives the camera and every one of ``psf``, ``dark``,
-    ``flat``, ``bad_pixels``, ``prior`` and ``tau`` that is left out. Without an experiment a PSF is needed,
-    and ``prior`` and ``tau`` are ``"auto"``. They have the values of the command line.
+    Other Python threads run meanwhile. Ctrl-C raises ``KeyboardInterrupt`` at once.
 
-    A frame (and a PSF given as an array) of integers is a raw capture: dark or bias is subtracted,
-    and the largest value of its type is saturation. An array of floating-point numbers is a frame without
-    bias: ``bias_counts`` of the camera is not subtracted from it, while a ``dark`` that is given is. A
-    ``flat`` always includes its dark level. Arrays may also be given as the name of a file, in any format
-    that the command line reads. As on the command line a file is a raw capture, even one of floating-point
-    numbers: dark or bias is subtracted. Masked pixels of masked arrays (frame, dark, flat and bad pixels)
-    are bad pixels.
+    Parameters
+    ----------
+    frame : array or path
+        The frame ``[y, x]``. Integers are a raw capture: dark or bias is subtracted, and the largest value of their type is
+        saturation. Floating-point numbers are a frame without bias: ``bias_counts`` of the camera is not subtracted from
+        them, while a ``dark`` that is given is. A file is a raw capture, as on the command line, even one of floating-point
+        numbers. Masked pixels of masked arrays (frame, dark, flat and bad pixels) are bad pixels.
+    camera : Camera or Experiment
+        The camera. An experiment also gives each of ``psf``, ``dark``, ``flat``, ``bad_pixels``, ``prior`` and ``tau`` that
+        is left out.
+    psf : Psf, array or path, optional
+        The point-spread function ``[y, x]``; needed where there is no experiment. An array of integers is a raw capture.
+    prior : str, optional
+        The prior, such as ``"tv"`` or ``"tv+0.5*tdiff+support"``; ``"auto"``, the default, chooses one on held-out pixels.
+    tau : float or str, optional
+        The weight of the prior: a number, ``"auto"`` (the default) or ``"held-out"``.
+    noise_sigma : float, optional
+        Standard deviation of the noise in counts; by default it is estimated.
+    time_budget_s : float, optional
+        Limit of set-up and solver together, in seconds.
+    max_iterations : int, optional
+        Most iterations of each run of the solver.
+    dark, flat, bad_pixels : array or path, optional
+        A frame without light, a frame of even light (with its dark level) and a mask, ``[y, x]``.
+    truth : array or path, optional
+        The true video ``[t, y, x]``, for PSNR and SSIM.
+    direct : array or path, optional
+        A frame of the scene without the diffuser, for the report.
+    progress : bool or callable, optional
+        ``True`` for a tqdm bar, or a function that is given a :class:`Progress` after every iteration, on the calling
+        thread; where it returns ``False`` the run stops with the current result.
+    seed : int
+        The seed of the simulation that made the frame; only reported.
+    keep_all_pixels : bool
+        Whether every pixel is used that is not bad. By default foreign pixels, such as hot pixels, dust or a printed
+        caption, are looked for where the video does not explain the frame, and are left out: see :attr:`Result.excluded`.
+    debias : bool
+        Whether the active voxels are estimated anew without the bias of the prior, as by ``--debias`` of the command line.
+    threads : int, optional
+        Threads of this call alone; by default all those of the process (:func:`threads`). The video is the same.
 
-    Foreign pixels, such as hot pixels, dust or a printed caption, are looked for where the video does not explain the
-    frame, and are left out: see :attr:`Result.excluded`. ``keep_all_pixels=True`` uses every pixel that is not bad.
+    Returns
+    -------
+    Result
+        The video with the evidence for it.
 
-    ``progress`` is ``True`` for a tqdm bar, or a function that is given a :class:`Progress` after
-    every iteration; where it returns ``False`` the run stops with the current result. Ctrl-C raises
-    ``KeyboardInterrupt``. Other Python threads run meanwhile.
+    Raises
+    ------
+    InputError
+        An argument breaks a rule; the message names it, its value, the rule and the remedy.
+    WorkError
+        The work failed, such as for lack of memory.
+
+    Examples
+    --------
+    >>> result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support")
+    >>> result.video.shape, result.prior
+    ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
-    experiment = None
-    if isinstance(camera, Experiment):
-        experiment, camera = camera, camera.camera
-        psf = experiment.psf if psf is None else psf
-        dark = experiment.dark if dark is None else dark
-        flat = experiment.flat if flat is None else flat
-        bad_pixels = experiment.bad_pixels if bad_pixels is None else bad_pixels
-        prior = experiment.prior if prior is None else prior
-        tau = experiment.tau if tau is None else tau
+    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
     bar, callback = _callback(progress)
     try:
         found = _rowburst.reconstruct(
             frame,
-            camera,
-            psf,
-            prior="auto" if prior is None else prior,
-            tau=tau,
             noise_sigma=noise_sigma,
             time_budget_s=time_budget_s,
             max_iterations=max_iterations,
-            dark=dark,
-            flat=flat,
-            bad_pixels=bad_pixels,
             truth=truth,
             direct=direct,
             progress=callback,
             seed=seed,
-            experiment=experiment,
             keep_all_pixels=keep_all_pixels,
+            debias=debias,
+            threads=threads,
+            **settings,
         )
     finally:
         if bar is not None:
             bar.close()
-    return Result(found, camera)
+    return Result(found, settings["camera"])

@@ -5,8 +5,17 @@ shutter scans. Errors are :class:`InputError` (a ``ValueError``) where something
 and :class:`WorkError` (a ``RuntimeError``) where the work itself failed.
 """
 
+from . import calibrate
+from ._batch import batch
+from ._chunked import reconstruct_chunked
+from ._colour import ColourResult, reconstruct_colour
+from ._design import Design, design
+from ._figure import Figure
+from ._frames import read_frames
+from ._load import SavedResult, load
 from ._operator import DataTerm, RollingShutterOperator, operator
 from ._reconstruct import Report, Result, Trace, reconstruct
+from ._reconstructor import Reconstructor
 from ._rowburst import (
     Camera,
     Experiment,
@@ -18,32 +27,44 @@ from ._rowburst import (
     Simulation,
     WorkError,
     __version__,
-    read_frames,
     set_threads,
     simulate,
     speckle_psf,
     threads,
 )
+from ._view import View
 
 __all__ = [
     "Camera",
+    "ColourResult",
     "DataTerm",
+    "Design",
     "Experiment",
+    "Figure",
     "InputError",
     "LiveView",
     "Look",
     "Progress",
     "Psf",
+    "Reconstructor",
     "Report",
     "Result",
     "RollingShutterOperator",
+    "SavedResult",
     "Simulation",
     "Trace",
+    "View",
     "WorkError",
     "__version__",
+    "batch",
+    "calibrate",
+    "design",
+    "load",
     "operator",
     "read_frames",
     "reconstruct",
+    "reconstruct_chunked",
+    "reconstruct_colour",
     "set_threads",
     "simulate",
     "speckle_psf",

@@ -1,14 +1,16 @@
 //! The page of a calibrated sensor.
 
-use super::SensorArgs;
+use crate::short;
 use rowburst::calibrate::sensor::SensorCalibration;
 use rowburst::{Image, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
-use rowburst_run::short;
 
 /// The page and its pictures.
-pub fn render(calibration: &SensorCalibration, args: &SensorArgs) -> Result<Report> {
-    let reproduce = command_line(args);
+pub(super) fn render(
+    calibration: &SensorCalibration,
+    has_experiment: bool,
+    reproduce: Option<&str>,
+) -> Result<Report> {
     let spot = spot_px(calibration);
     let faults = fault_map(calibration, spot);
     let usable = UsablePixels::new(calibration);
@@ -35,8 +37,8 @@ pub fn render(calibration: &SensorCalibration, args: &SensorArgs) -> Result<Repo
         headline: headline(calibration),
         sections,
         tables: tables(calibration),
-        files: files(args),
-        reproduce: Some(&reproduce),
+        files: files(has_experiment),
+        reproduce,
     }
     .render()
 }
@@ -406,7 +408,7 @@ fn fault_map(calibration: &SensorCalibration, spot: usize) -> Image {
     map
 }
 
-fn files(args: &SensorArgs) -> Vec<(String, String)> {
+fn files(has_experiment: bool) -> Vec<(String, String)> {
     let mut files = vec![
         pair("dark.npy", "mean dark, counts".into()),
         pair("flat.npy", "flat frame, counts, dark level included".into()),
@@ -418,7 +420,7 @@ fn files(args: &SensorArgs) -> Vec<(String, String)> {
         pair("bad_pixels.png", "255 where a pixel is bad".into()),
         pair("sensor.toml", "keys for an experiment file".into()),
     ];
-    if args.experiment.is_some() {
+    if has_experiment {
         files.push(pair(
             "experiment.toml",
             "your experiment with these keys".into(),
@@ -426,19 +428,4 @@ fn files(args: &SensorArgs) -> Vec<(String, String)> {
     }
     files.push(pair("sensor.json", "the numbers, for programs".into()));
     files
-}
-
-fn command_line(args: &SensorArgs) -> String {
-    let mut line = String::from("rowburst calibrate sensor --darks");
-    for path in &args.darks {
-        line += &format!(" {}", path.display());
-    }
-    line += " --flats";
-    for path in &args.flats {
-        line += &format!(" {}", path.display());
-    }
-    if let Some(path) = &args.experiment {
-        line += &format!(" --experiment {}", path.display());
-    }
-    line + &format!(" -o {}", args.output.display())
 }

@@ -7,6 +7,39 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = [
+    "Camera",
+    "Experiment",
+    "InputError",
+    "LiveView",
+    "Look",
+    "Progress",
+    "Psf",
+    "Result",
+    "Simulation",
+    "WorkError",
+    "_Batch",
+    "_DataTerm",
+    "_Design",
+    "_Frames",
+    "_Operator",
+    "_PsfCalibration",
+    "_Reconstructor",
+    "_SensorCalibration",
+    "_TimingCalibration",
+    "_View",
+    "__version__",
+    "_command",
+    "_figure_of_folder",
+    "_reconstruct_chunked",
+    "_reconstruct_colour",
+    "reconstruct",
+    "set_threads",
+    "simulate",
+    "speckle_psf",
+    "threads",
+]
+
 __version__: str
 
 # frame, name, whether it has its video, residual/sigma, fit, seconds, message
@@ -24,7 +57,7 @@ class Camera:
 
     The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
     instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
-    reconstructed by the command line alone.
+    reconstructed by :func:`reconstruct_colour`.
     """
 
     def __new__(
@@ -47,6 +80,11 @@ class Camera:
         full_well_counts: float | None = None,
         bayer: Literal["rggb", "bggr", "grbg", "gbrg"] | None = None,
     ) -> Camera: ...
+    def replace(self, **changes: Any) -> Camera:
+        """A camera that differs in the given arguments of the constructor.
+
+            camera = camera.replace(**sensor.camera_fields)
+        """
     @staticmethod
     def from_file(path: str | PathLike[str]) -> Camera:
         """The camera of an experiment file."""
@@ -99,6 +137,7 @@ class Camera:
         """The middle of each bin of the video, from the start of the first, in microseconds."""
     def row_time_weights(self) -> NDArray[np.float32]:
         """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times."""
+    def _repr_html_(self) -> str: ...
 
 @final
 class Psf:
@@ -123,6 +162,7 @@ class Psf:
     def offsets_px(self) -> list[tuple[float, float]]: ...
     @property
     def shape(self) -> tuple[int, int]: ...
+    def _repr_html_(self) -> str: ...
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
 
 @final
@@ -156,12 +196,6 @@ class Experiment:
     def metadata_warnings(self) -> list[str]:
         """Contradictions between metadata and file, and metadata that cannot be used."""
 
-def read_frames(path: str | PathLike[str]) -> NDArray[Any]:
-    """The frames of a file, ``[frame, y, x]``: every format that the command line reads.
-
-    Integers where the file holds integers, else float32, so that each frame is what it was in the file.
-    """
-
 @final
 class Simulation:
     """A simulated capture with all that is known of it."""
@@ -190,6 +224,7 @@ class Simulation:
     @property
     def leds(self) -> list[tuple[float, float, float, float]]:
         """``(y, x, frequency_hz, phase)`` of each LED."""
+    def _repr_html_(self) -> str: ...
 
 @final
 class Progress:
@@ -219,7 +254,7 @@ class LiveView:
     A frame that was stopped early is not lost: the next one continues from its state. Where the last
     video explains less than half of the variance of the frame, the solver starts from zero. Videos
     depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
-    standard prior ``tv+0.5*tdiff+support`` here.
+    standard prior ``tv+0.5*tdiff+support`` here. ``dark``, ``flat`` and ``bad_pixels`` are those of :func:`reconstruct`.
 
         live = rowburst.LiveView(camera, psf)
         look = live.next(frame, time_budget_s=0.1)
@@ -234,6 +269,9 @@ class LiveView:
         prior: str = "auto",
         tau: float | str | None = None,
         noise_sigma: float | None = None,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
     ) -> LiveView: ...
     def next(self, frame: ArrayLike | PathLike[str], *, time_budget_s: float | None = None) -> Look:
         """The video of the next frame; the budget limits the iterations, not the evaluation after them.
@@ -302,10 +340,58 @@ class Result:
     def setup_seconds(self) -> float: ...
     @property
     def frame_rate_hz(self) -> float: ...
+    @property
+    def _camera(self) -> Camera: ...
     def _json(self) -> str: ...
     def _traces(self, regions: list[str], photodiodes: list[str]) -> tuple[list[dict[str, Any]], str]: ...
     def _report(self, title: str) -> str: ...
+    def _figure(self, layout: str) -> tuple[str, bytes]: ...
     def _save(self, folder: str | PathLike[str], title: str) -> None: ...
+
+@final
+class _Reconstructor:
+    def __new__(
+        cls,
+        camera: Camera,
+        psf: Psf | ArrayLike | PathLike[str] | None,
+        *,
+        prior: str = "auto",
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
+        experiment: Experiment | None = None,
+        keep_all_pixels: bool = False,
+        threads: int | None = None,
+    ) -> _Reconstructor: ...
+    def reconstruct(
+        self,
+        frame: ArrayLike | PathLike[str],
+        *,
+        truth: ArrayLike | PathLike[str] | None = None,
+        direct: ArrayLike | PathLike[str] | None = None,
+        progress: Callable[[Progress], object] | None = None,
+        seed: int = ...,
+        time_budget_s: float | None = None,
+        debias: bool = False,
+    ) -> Result: ...
+
+@final
+class _Frames:
+    def __new__(cls, path: str | PathLike[str]) -> _Frames: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> NDArray[Any]: ...
+    def name(self, index: int) -> str: ...
+    def read(self) -> NDArray[Any]: ...
+
+@final
+class _View:
+    def __new__(cls, results: Sequence[str | PathLike[str]], port: int | None = None) -> _View: ...
+    @property
+    def url(self) -> str: ...
+    def close(self) -> None: ...
 
 @final
 class _Operator:
@@ -347,6 +433,23 @@ class _Batch:
         frame_period_us: float | None = None,
         keep_all_pixels: bool = False,
     ) -> _Batch: ...
+    @staticmethod
+    def of_values(
+        camera: Camera,
+        psf: Psf | ArrayLike | PathLike[str] | None,
+        frames: Any,
+        out: str | PathLike[str],
+        *,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
+        prior: str = "auto",
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+        frame_period_us: float | None = None,
+        keep_all_pixels: bool = False,
+    ) -> _Batch: ...
     @property
     def count(self) -> int: ...
     def left(self, first: int, end: int, retry_failed: bool = False) -> list[int]: ...
@@ -356,6 +459,134 @@ class _Batch:
     def write_table(self) -> str | PathLike[str]: ...
     def video(self, frame: int) -> NDArray[np.float32]: ...
 
+@final
+class _SensorCalibration:
+    def __new__(cls, darks: Any, flats: Any) -> _SensorCalibration: ...
+    def json(self) -> str: ...
+    @property
+    def dark(self) -> NDArray[np.float32]: ...
+    @property
+    def flat(self) -> NDArray[np.float32]: ...
+    @property
+    def response(self) -> NDArray[np.float32]: ...
+    @property
+    def read_noise(self) -> NDArray[np.float32]: ...
+    @property
+    def bad_pixels(self) -> NDArray[np.bool_]: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+@final
+class _PsfCalibration:
+    def __new__(
+        cls,
+        captures: Any,
+        *,
+        dark: ArrayLike | PathLike[str] | None = None,
+        camera: Camera | None = None,
+        exposures_ms: list[float] = ...,
+        positions_mm: list[tuple[float, float]] | None = None,
+        binning: int | None = None,
+        saturation_counts: float | None = None,
+        field: tuple[int, int] | None = None,
+        expected_grain_px: float | None = None,
+        all_patches: bool = False,
+    ) -> _PsfCalibration: ...
+    def json(self) -> str: ...
+    @property
+    def psf(self) -> Psf: ...
+    @property
+    def patches(self) -> Psf | None: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+@final
+class _TimingCalibration:
+    def __new__(
+        cls,
+        frames: Any,
+        *,
+        frequency_hz: float | None = None,
+        duty: float | None = None,
+        signal: Any = None,
+        repeat: bool = False,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        camera: Camera | None = None,
+    ) -> _TimingCalibration: ...
+    def json(self) -> str: ...
+    @property
+    def binning(self) -> int: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+@final
+class _Design:
+    def __new__(
+        cls,
+        camera: Camera | None = None,
+        psf: Psf | ArrayLike | PathLike[str] | None = None,
+        *,
+        wavelength_nm: float,
+        pupil_mm: float,
+        focal_length_mm: float,
+        magnification: float,
+        na: float | None,
+        diffuser_deg: float,
+        photons: float,
+        bright_pixels: int,
+        quantum_efficiency: float,
+        read_noise_electrons: float | None,
+        full_well_electrons: float | None,
+        source_bandwidth_nm: float,
+        diffuser_path_rms_nm: float | None,
+        trials: bool,
+        trial_snrs: list[float],
+        seed: int,
+        progress: Callable[[float], object] | None = None,
+    ) -> _Design: ...
+    def json(self) -> str: ...
+    def sections(self) -> list[tuple[str, list[tuple[str, str]]]]: ...
+    def save(self, folder: str | PathLike[str]) -> None: ...
+
+def _command(arguments: list[str]) -> int: ...
+def _reconstruct_colour(
+    frame: ArrayLike | PathLike[str],
+    camera: Camera,
+    psf: Psf | ArrayLike | PathLike[str] | None,
+    *,
+    prior: str = "auto",
+    tau: str | float | None = None,
+    noise_sigma: float | None = None,
+    time_budget_s: float | None = None,
+    max_iterations: int | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    seed: int = ...,
+    experiment: Experiment | None = None,
+    keep_all_pixels: bool = False,
+    debias: bool = False,
+    threads: int | None = None,
+) -> tuple[NDArray[np.float32], list[tuple[str, float, Result]]]: ...
+def _reconstruct_chunked(
+    frame: ArrayLike | PathLike[str],
+    camera: Camera,
+    psf: Psf | ArrayLike | PathLike[str] | None,
+    folder: str | PathLike[str],
+    *,
+    bins_per_chunk: int | None = None,
+    bins: tuple[int, int] | None = None,
+    prior: str = "auto",
+    tau: str | float | None = None,
+    noise_sigma: float | None = None,
+    max_iterations: int | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    progress: Callable[[Progress], object] | None = None,
+    experiment: Experiment | None = None,
+    threads: int | None = None,
+) -> str: ...
+def _figure_of_folder(folder: str | PathLike[str], layout: str) -> tuple[str, bytes]: ...
 def reconstruct(
     frame: ArrayLike | PathLike[str],
     camera: Camera,
@@ -375,6 +606,8 @@ def reconstruct(
     seed: int = 0,
     experiment: Experiment | None = None,
     keep_all_pixels: bool = False,
+    debias: bool = False,
+    threads: int | None = None,
 ) -> Result: ...
 def simulate(
     camera: Camera,

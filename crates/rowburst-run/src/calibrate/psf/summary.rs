@@ -1,5 +1,7 @@
 //! `psf.json`: the numbers of a PSF and of the memory effect, and what to make of them.
 
+#![allow(missing_docs, reason = "the fields are the keys of psf.json")]
+
 use rowburst::calibrate::psf::{
     Core, MIN_REACH, MemoryEffect, PointSourceImage, Reach, SpeckleStatistics,
 };

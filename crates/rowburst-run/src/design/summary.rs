@@ -1,12 +1,12 @@
 //! `design.json` and the summary: the numbers of a design.
 
-use super::options::DesignInputs;
-use crate::output::print_line;
+#![allow(missing_docs, reason = "the fields are the keys of design.json")]
+
+use super::DesignInputs;
+use crate::short;
 use rowburst::design::sparsity::{SuccessMap, recoverable, usual_constant};
 use rowburst::design::{Assessment, fits_full_well, shortcomings};
-use rowburst_run::short;
 use serde::Serialize;
-use std::path::Path;
 
 /// Everything that `design.json` says.
 #[derive(Debug, Clone, Serialize)]
@@ -336,26 +336,4 @@ impl DesignSummary {
 fn short_angle(degrees: f64) -> String {
     let text = format!("{degrees:.3}");
     text.trim_end_matches('0').trim_end_matches('.').to_string()
-}
-
-/// The sections, the shortcomings and where to look.
-pub fn print_summary(summary: &DesignSummary, folder: Option<&Path>) {
-    for (heading, lines) in summary.sections() {
-        print_line(heading);
-        for (name, value) in lines {
-            print_line(format_args!("  {name:<31} {value}"));
-        }
-    }
-    for warning in &summary.warnings {
-        print_line(format_args!("warning: {warning}"));
-    }
-    if summary.warnings.is_empty() {
-        print_line("nothing falls short");
-    }
-    if let Some(folder) = folder {
-        print_line(format_args!(
-            "open {}",
-            folder.join("report.html").display()
-        ));
-    }
 }

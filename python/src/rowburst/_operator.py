@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy.sparse.linalg import LinearOperator
 
 from . import _rowburst
+from ._extras import need
 from ._rowburst import Camera, Psf
 
 
@@ -48,6 +49,20 @@ class RollingShutterOperator(LinearOperator):
         adjoint = self._native.adjoint if _like(x) == np.float32 else self._native.adjoint_double
         return adjoint(x.reshape(-1))
 
+    def __call__(self, x: Any) -> Any:
+        """``A x``: of a video ``[t, y, x]`` the frame ``[y, x]``; of a flattened one, the flattened frame.
+
+        Examples
+        --------
+        >>> A = rb.operator(camera, psf)
+        >>> A(np.ones(camera.video_shape, np.float32)).shape
+        (24, 30)
+        """
+        x = np.asarray(x) if hasattr(x, "__array__") or isinstance(x, (list, tuple)) else x
+        if isinstance(x, np.ndarray) and x.shape == self.video_shape:
+            return self.matvec(x.reshape(-1)).reshape(self.frame_shape)
+        return super().__call__(x)
+
     def data_term(self, frame: ArrayLike) -> DataTerm:
         """``½‖W(b - A v)‖²`` of a raw frame ``b``, with its exact prox."""
         return DataTerm(self, frame)
@@ -57,6 +72,33 @@ class RollingShutterOperator(LinearOperator):
         from ._scico import linear_operator
 
         return linear_operator(self)
+
+    def to_torch(self) -> Any:
+        """The same on torch tensors, videos ``[..., t, y, x]`` to frames ``[..., y, x]``, with gradients.
+
+        Returns
+        -------
+        TorchOperator
+            A function of tensors with ``adjoint``, and ``deepinv()``: a ``deepinv.physics.LinearPhysics``. Tensors of
+            float64 are computed in float64, all others in float32, on the host.
+
+        Raises
+        ------
+        InputError
+            torch is not installed.
+
+        Examples
+        --------
+        ::
+
+            A = rb.operator(camera, psf).to_torch()
+            video = torch.zeros(A.video_shape, requires_grad=True)
+            torch.sum((A(video) - frame) ** 2).backward()
+        """
+        need("torch", "to_torch")
+        from ._torch import TorchOperator
+
+        return TorchOperator(self)
 
 
 class DataTerm:
@@ -109,7 +151,29 @@ class DataTerm:
 def operator(camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> RollingShutterOperator:
     """The forward operator ``A`` of a camera behind a diffuser.
 
-    ``dtype`` is the type that solvers see, and in which most of them work: with ``numpy.float32`` they are
-    about twice as fast.
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    psf : Psf or array
+        The point-spread function.
+    dtype : dtype
+        The type that solvers see, and in which most of them work: with ``numpy.float32`` they are about twice as fast.
+
+    Returns
+    -------
+    RollingShutterOperator
+        A ``scipy.sparse.linalg.LinearOperator`` from the flattened video ``[t, y, x]`` to the flattened frame ``[y, x]``.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule.
+
+    Examples
+    --------
+    >>> A = rb.operator(camera, psf)
+    >>> A.shape == (24 * 30, 12 * 24 * 30)
+    True
     """
     return RollingShutterOperator(camera, psf, dtype)

@@ -1,0 +1,406 @@
+//! `rowburst.calibrate`: captures into the numbers of a sensor, a PSF and a shutter.
+
+use crate::array::{capture, finite_image, from_image, path_of};
+use crate::camera::PyCamera;
+use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
+use crate::psf::PyPsf;
+use crate::threads::detached;
+use crate::whole::{Whole, optional};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyList, PyTuple};
+use rowburst::calibrate::psf::NamedCapture;
+use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate as calibrate_sensor};
+use rowburst::calibrate::timing::{
+    Extension, Lamp, Timing, TimingParams, Waveform, calibrate as calibrate_timing,
+};
+use rowburst::{Error, Image};
+use rowburst_io::{OutputFolder, read_colour_image};
+use rowburst_run::calibrate::psf::{
+    CaptureGroup, PsfCalibration, PsfFolder, PsfInputs, read_captures,
+};
+use rowburst_run::calibrate::sensor;
+use rowburst_run::calibrate::timing::{KnownRowTime, TimingSummary, read_waveform, write_report};
+use serde_json::Value;
+use std::path::PathBuf;
+
+type Picture<'py> = PyResult<Bound<'py, PyArray2<f32>>>;
+
+/// The parts of a list, a tuple or an array `[frame, y, x]`, with names for messages; a path and an array `[y, x]` are one
+/// part.
+fn parts<'py>(value: &Bound<'py, PyAny>, name: &str) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
+    let is_list = value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>();
+    let axes = || -> Option<usize> { value.getattr("ndim").ok()?.extract().ok() };
+    if path_of(value).is_some() || !(is_list || axes() == Some(3)) {
+        return Ok(vec![(name.to_string(), value.clone())]);
+    }
+    (0..value.len()?)
+        .map(|i| Ok((format!("{name}[{i}]"), value.get_item(i)?)))
+        .collect()
+}
+
+/// Frames of paths and arrays, as the command line reads them.
+fn frames_of(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<(String, Image)>> {
+    let mut frames = Vec::new();
+    for (part, value) in parts(value, name)? {
+        if let Some(path) = path_of(&value) {
+            let files = detached(value.py(), || sensor::read_frames(name, &[path]))?;
+            frames.extend(files.map_err(to_py_err)?);
+            continue;
+        }
+        for (page, value) in parts(&value, &part)? {
+            frames.push((page, capture(&value, &part)?.image));
+        }
+    }
+    Ok(frames)
+}
+
+/// A calibrated sensor.
+#[pyclass(name = "_SensorCalibration", module = "rowburst._rowburst", frozen)]
+pub struct PySensorCalibration {
+    calibration: SensorCalibration,
+    summary: Value,
+}
+
+#[pymethods]
+impl PySensorCalibration {
+    #[new]
+    fn new(py: Python<'_>, darks: &Bound<'_, PyAny>, flats: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let (darks, flats) = (frames_of(darks, "darks")?, frames_of(flats, "flats")?);
+        let made = interruptibly::<(), _>(py, None, None, move |_| {
+            let darks = Stack::new("darks", darks)?;
+            let flats = Stack::new("flats", flats)?;
+            let calibration = calibrate_sensor(&darks, &flats)?;
+            let summary = sensor::summary(&calibration, &darks, &flats);
+            Ok(Self {
+                calibration,
+                summary,
+            })
+        })?;
+        made.map_err(to_py_err)
+    }
+
+    fn json(&self) -> String {
+        self.summary.to_string()
+    }
+
+    #[getter]
+    fn dark<'py>(&self, py: Python<'py>) -> Picture<'py> {
+        from_image(py, self.calibration.dark.clone())
+    }
+
+    #[getter]
+    fn flat<'py>(&self, py: Python<'py>) -> Picture<'py> {
+        from_image(py, self.calibration.flat.clone())
+    }
+
+    #[getter]
+    fn response<'py>(&self, py: Python<'py>) -> Picture<'py> {
+        from_image(py, self.calibration.response.clone())
+    }
+
+    #[getter]
+    fn read_noise<'py>(&self, py: Python<'py>) -> Picture<'py> {
+        from_image(py, self.calibration.read_noise.clone())
+    }
+
+    #[getter]
+    fn bad_pixels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let dark = &self.calibration.dark;
+        let faults = &self.calibration.faults;
+        let bad = (0..dark.data().len()).map(|i| faults.is_bad(i));
+        PyArray1::from_iter(py, bad).reshape([dark.rows(), dark.columns()])
+    }
+
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        let write = || {
+            let folder = OutputFolder::create(&folder)?;
+            sensor::write(&folder, &self.calibration, None, &self.summary, None)
+        };
+        detached(py, write)?.map_err(to_py_err)
+    }
+}
+
+/// The PSF of captures.
+#[pyclass(name = "_PsfCalibration", module = "rowburst._rowburst", frozen)]
+pub struct PyPsfCalibration {
+    calibration: PsfCalibration,
+}
+
+/// The captures of one group or of one for each place.
+fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<CaptureGroup>> {
+    let mut groups = Vec::new();
+    for (part, value) in parts(captures, "captures")? {
+        if let Some(path) = path_of(&value) {
+            let files = detached(value.py(), || read_captures(&[path]))?;
+            groups.extend(
+                files
+                    .map_err(to_py_err)?
+                    .into_iter()
+                    .map(|file| CaptureGroup {
+                        shots: file.shots,
+                        saturation_limit: file.saturation_limit,
+                    }),
+            );
+            continue;
+        }
+        let (mut shots, mut limits) = (Vec::new(), Vec::new());
+        for (name, value) in parts(&value, &part)? {
+            let found = capture(&value, &part)?;
+            limits.push(found.format.saturation_limit());
+            shots.push(NamedCapture {
+                name,
+                image: found.image,
+            });
+        }
+        groups.push(CaptureGroup {
+            shots,
+            // As of a file of several pages, whose kind is not asked.
+            saturation_limit: limits.pop().flatten().filter(|_| limits.is_empty()),
+        });
+    }
+    if has_positions {
+        return Ok(groups);
+    }
+    let joined = groups.into_iter().reduce(|mut all, one| {
+        all.shots.extend(one.shots);
+        all.saturation_limit = all.saturation_limit.or(one.saturation_limit);
+        all
+    });
+    Ok(joined.into_iter().collect())
+}
+
+#[pymethods]
+impl PyPsfCalibration {
+    #[new]
+    #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Vec::new(), positions_mm=None, binning=None,
+        saturation_counts=None, field=None, expected_grain_px=None, all_patches=false))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        py: Python<'_>,
+        captures: &Bound<'_, PyAny>,
+        dark: Option<&Bound<'_, PyAny>>,
+        camera: Option<&PyCamera>,
+        exposures_ms: Vec<f64>,
+        positions_mm: Option<Vec<(f64, f64)>>,
+        binning: Option<Whole>,
+        saturation_counts: Option<f64>,
+        field: Option<(Whole, Whole)>,
+        expected_grain_px: Option<f64>,
+        all_patches: bool,
+    ) -> PyResult<Self> {
+        for (name, value) in [
+            ("saturation_counts", saturation_counts),
+            ("expected_grain_px", expected_grain_px),
+        ] {
+            if let Some(bad) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                let remedy = "Leave it out where it is not known.";
+                let error = Error::input(name, bad, "the value is a number above zero", remedy);
+                return Err(to_py_err(error));
+            }
+        }
+        let groups = groups_of(captures, positions_mm.is_some())?;
+        if let Some(positions) = positions_mm.as_ref().filter(|p| p.len() != groups.len()) {
+            return Err(to_py_err(Error::input(
+                "positions_mm",
+                format!("{} positions", positions.len()),
+                format!(
+                    "each of the {} captures has its position (y, x)",
+                    groups.len()
+                ),
+                "Give one for each file or array.",
+            )));
+        }
+        let camera = camera.map(|c| &c.camera);
+        let sensor = camera.map(|c| c.sensor());
+        let binning = optional(binning, "binning")?;
+        if binning.is_some_and(|b| !(1..=64).contains(&b)) {
+            let rule = "a pixel of the working grid has 1 to 64 raw pixels along a side";
+            let error = Error::input("binning", binning.unwrap_or(0), rule, "Leave it out.");
+            return Err(to_py_err(error));
+        }
+        let field =
+            field.map(|(rows, columns)| Ok((rows.named("field")?, columns.named("field")?)));
+        let inputs = PsfInputs {
+            groups,
+            positions_mm,
+            dark: dark.map(|dark| finite_image(dark, "dark")).transpose()?,
+            exposures_ms,
+            saturation_counts: saturation_counts.or(sensor.and_then(|s| s.saturation_counts())),
+            binning: binning.unwrap_or(sensor.map_or(1, |s| s.binning)),
+            field: field
+                .transpose()
+                .map(|field: Option<(usize, usize)>| field.or(camera.map(|c| c.field())))
+                .map_err(|e: PyErr| e)?,
+            sensor_rows: camera.map(|c| c.rows()),
+            expected_grain_px,
+            all_patches,
+        };
+        let calibration = interruptibly::<(), _>(py, None, None, move |_| inputs.calibrate())?;
+        Ok(Self {
+            calibration: calibration.map_err(to_py_err)?,
+        })
+    }
+
+    fn json(&self) -> String {
+        serde_json::to_string(&self.calibration.summary).expect("plain numbers and text")
+    }
+
+    #[getter]
+    fn psf(&self) -> PyPsf {
+        PyPsf {
+            psfs: self.calibration.psf.clone().into(),
+        }
+    }
+
+    #[getter]
+    fn patches(&self) -> Option<PyPsf> {
+        let patches = self.calibration.patches.clone();
+        patches.map(|psfs| PyPsf { psfs })
+    }
+
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        let beside = PsfFolder {
+            experiment: None,
+            dark: None,
+            field: None,
+            reproduce: None,
+        };
+        let write = || {
+            self.calibration
+                .write(&OutputFolder::create(&folder)?, beside)
+        };
+        detached(py, write)?.map_err(to_py_err)
+    }
+}
+
+/// The timing of a shutter.
+#[pyclass(name = "_TimingCalibration", module = "rowburst._rowburst", frozen)]
+pub struct PyTimingCalibration {
+    timing: Timing,
+    summary: TimingSummary,
+    /// Rows of the frames in a row of the camera.
+    binning: usize,
+}
+
+/// A frame of a path or an array; the channels of one in colour are averaged. And where its kind of numbers ends.
+fn light_frame(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(Image, Option<f64>)> {
+    let found = match path_of(value) {
+        Some(path) => read_colour_image(&path).map_err(to_py_err)?,
+        None => capture(value, name)?,
+    };
+    Ok((found.image, found.format.saturation_limit()))
+}
+
+fn lamp_of(
+    frequency_hz: Option<f64>,
+    duty: Option<f64>,
+    signal: Option<&Bound<'_, PyAny>>,
+    repeat: bool,
+) -> PyResult<Lamp> {
+    match (frequency_hz, signal) {
+        (Some(frequency_hz), None) => Ok(Lamp::Periodic { frequency_hz, duty }),
+        (None, Some(signal)) => {
+            let points: Vec<(f64, f64)> = match path_of(signal) {
+                Some(path) => read_waveform(&path).map_err(to_py_err)?,
+                None => signal
+                    .try_iter()?
+                    .map(|point| point?.extract::<(f64, f64)>())
+                    .collect::<PyResult<_>>()?,
+            };
+            let extension = if repeat {
+                Extension::Repeats
+            } else {
+                Extension::Holds
+            };
+            let waveform = Waveform::new(&points, extension).map_err(to_py_err)?;
+            Ok(Lamp::Waveform(waveform))
+        }
+        _ => Err(to_py_err(Error::input(
+            "frequency_hz",
+            if frequency_hz.is_some() {
+                "a signal as well"
+            } else {
+                "nothing"
+            },
+            "the light is given by its frequency or its waveform",
+            "Give frequency_hz or signal.",
+        ))),
+    }
+}
+
+#[pymethods]
+impl PyTimingCalibration {
+    #[new]
+    #[pyo3(signature = (frames, *, frequency_hz=None, duty=None, signal=None, repeat=false, dark=None, flat=None,
+        camera=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        py: Python<'_>,
+        frames: &Bound<'_, PyAny>,
+        frequency_hz: Option<f64>,
+        duty: Option<f64>,
+        signal: Option<&Bound<'_, PyAny>>,
+        repeat: bool,
+        dark: Option<&Bound<'_, PyAny>>,
+        flat: Option<&Bound<'_, PyAny>>,
+        camera: Option<&PyCamera>,
+    ) -> PyResult<Self> {
+        let light = lamp_of(frequency_hz, duty, signal, repeat)?;
+        let (mut images, mut end) = (Vec::new(), None);
+        for (name, frame) in parts(frames, "frames")? {
+            let (image, limit) = light_frame(&frame, &name)?;
+            end = limit.or(end);
+            images.push(image);
+        }
+        let other = |value: Option<&Bound<'_, PyAny>>, name: &str| {
+            value
+                .map(|v| Ok::<_, PyErr>(light_frame(v, name)?.0))
+                .transpose()
+        };
+        let camera = camera.map(|c| &c.camera);
+        let known = camera
+            .zip(images.first())
+            .map(|(c, i)| KnownRowTime::new(c, i.rows()));
+        let params = TimingParams {
+            dark: other(dark, "dark")?,
+            flat: other(flat, "flat")?,
+            saturation_counts: camera.and_then(|c| c.sensor().saturation_counts()).or(end),
+            expected_row_time_us: known.as_ref().and_then(|k| k.row_time_us),
+            ..TimingParams::default()
+        };
+        let found = interruptibly::<(), _>(py, None, None, move |_| {
+            let mut timing = calibrate_timing(&images, &light, &params)?;
+            let binning = known.as_ref().map_or(1, |k| k.binning);
+            timing.warnings.extend(known.and_then(|k| k.warning));
+            let summary = TimingSummary::new(&timing, &images, &light);
+            Ok(Self {
+                timing,
+                summary,
+                binning,
+            })
+        })?;
+        found.map_err(to_py_err)
+    }
+
+    fn json(&self) -> String {
+        serde_json::to_string(&self.summary).expect("plain numbers and text")
+    }
+
+    #[getter]
+    fn binning(&self) -> usize {
+        self.binning
+    }
+
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        let write = || {
+            let folder = OutputFolder::create(&folder)?;
+            folder.remove("timing.json")?;
+            write_report(&folder, &self.timing, false, None)?;
+            let json = serde_json::to_string_pretty(&self.summary).expect("plain numbers and text");
+            folder.write_bytes("timing.json", format!("{json}\n").as_bytes())
+        };
+        detached(py, write)?.map_err(to_py_err)
+    }
+}

@@ -1,0 +1,162 @@
+//! `rowburst.design`: what a planned set-up can do.
+
+use crate::camera::PyCamera;
+use crate::error::to_py_err;
+use crate::interrupt::{Answer, OnProgress, interruptibly};
+use crate::psf::psfs_of;
+use crate::threads::detached;
+use crate::whole::{Whole, is_bool};
+use pyo3::prelude::*;
+use rowburst::design::sparsity::SuccessMap;
+use rowburst::design::{Assessment, LightParams};
+use rowburst::simulate::SpeckleOptics;
+use rowburst::{Camera, Psf};
+use rowburst_io::OutputFolder;
+use rowburst_run::design::{
+    DesignInputs, DesignSummary, Page, checked_snrs, light_of, paper_camera,
+};
+use rowburst_run::simulate::LensOptics;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// A planned set-up and what it can do.
+#[pyclass(name = "_Design", module = "rowburst._rowburst", frozen)]
+pub struct PyDesign {
+    inputs: DesignInputs,
+    assessment: Assessment,
+    map: Option<SuccessMap>,
+    /// The recorded PSF.
+    psf: Option<Psf>,
+    summary: DesignSummary,
+}
+
+#[pymethods]
+impl PyDesign {
+    #[new]
+    #[pyo3(signature = (camera=None, psf=None, *, wavelength_nm, pupil_mm, focal_length_mm, magnification, na, diffuser_deg,
+        photons, bright_pixels, quantum_efficiency, read_noise_electrons, full_well_electrons, source_bandwidth_nm,
+        diffuser_path_rms_nm, trials, trial_snrs, seed, progress=None))]
+    #[allow(clippy::too_many_arguments, clippy::fn_params_excessive_bools)]
+    fn new(
+        py: Python<'_>,
+        camera: Option<&PyCamera>,
+        psf: Option<&Bound<'_, PyAny>>,
+        wavelength_nm: f64,
+        pupil_mm: f64,
+        focal_length_mm: f64,
+        magnification: f64,
+        na: Option<f64>,
+        diffuser_deg: f64,
+        photons: f64,
+        bright_pixels: Whole,
+        quantum_efficiency: f64,
+        read_noise_electrons: Option<f64>,
+        full_well_electrons: Option<f64>,
+        source_bandwidth_nm: f64,
+        diffuser_path_rms_nm: Option<f64>,
+        trials: bool,
+        trial_snrs: Vec<f64>,
+        seed: Whole,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Self> {
+        let began = Instant::now();
+        let camera = match camera {
+            Some(camera) => camera.camera.clone(),
+            None => Camera::new(paper_camera()).map_err(to_py_err)?,
+        };
+        let psf = psf.map(|psf| psfs_of(psf, &camera, None)).transpose()?;
+        let psf = psf.map(|psfs| psfs.central().clone());
+        let light = LightParams {
+            photons,
+            bright_pixels: bright_pixels.named("bright_pixels")?,
+            quantum_efficiency,
+            source_bandwidth_nm,
+            diffuser_path_rms_nm,
+            ..light_of(&camera, read_noise_electrons, full_well_electrons)
+        };
+        let optics = LensOptics {
+            wavelength_nm,
+            pupil_mm,
+            focal_length_mm,
+            magnification,
+            na,
+            diffuser_deg,
+        };
+        let pitch_um = camera.sensor().pixel_pitch_um;
+        let inputs = DesignInputs {
+            optics: optics.optics(pitch_um.unwrap_or(SpeckleOptics::demo().pixel_pitch_um)),
+            camera,
+            light,
+            psf_file: None,
+            trial_snrs: checked_snrs(&trial_snrs).map_err(to_py_err)?,
+            seed: seed.named("seed")? as u64,
+        };
+        let call = |py: Python<'_>, part: f64| {
+            let Some(progress) = &progress else {
+                return Ok(Answer::Continue);
+            };
+            let answer = progress.call1(py, (part,))?;
+            let answer = answer.bind(py);
+            let continues = answer.is_none() || !is_bool(answer)? || answer.is_truthy()?;
+            Ok(if continues {
+                Answer::Continue
+            } else {
+                Answer::Finish
+            })
+        };
+        let on_progress: Option<OnProgress<f64>> = match progress {
+            Some(_) => Some(&call),
+            None => None,
+        };
+        let found = interruptibly(py, None, on_progress, move |reporter| {
+            let assessment = inputs.assess(psf.as_ref())?;
+            let map = trials.then(|| {
+                inputs.success_map(&assessment, psf.as_ref(), &mut |_, part| match reporter
+                    .ask(|| part)
+                {
+                    Answer::Continue => ControlFlow::Continue(()),
+                    Answer::Finish | Answer::Abandon => ControlFlow::Break(()),
+                })
+            });
+            let map = map.transpose()?;
+            let seconds = began.elapsed().as_secs_f64();
+            let summary = DesignSummary::new(&inputs, &assessment, map.as_ref(), seconds);
+            Ok(Self {
+                inputs,
+                assessment,
+                map,
+                psf,
+                summary,
+            })
+        })?;
+        found.map_err(to_py_err)
+    }
+
+    fn json(&self) -> String {
+        self.summary.json()
+    }
+
+    /// The numbers in words: headings with pairs of quantity and value.
+    fn sections(&self) -> Vec<(String, Vec<(String, String)>)> {
+        self.summary.sections()
+    }
+
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        let write = || {
+            let folder = OutputFolder::create(&folder)?;
+            let psf = self.psf.clone();
+            let psf = psf.or_else(|| self.inputs.simulated_psf(&self.assessment));
+            let page = Page {
+                inputs: &self.inputs,
+                assessment: &self.assessment,
+                map: self.map.as_ref(),
+                psf: psf.as_ref(),
+                summary: &self.summary,
+                reproduce: None,
+            };
+            page.write(&folder)
+        };
+        detached(py, write)?.map_err(to_py_err)
+    }
+}

@@ -1,0 +1,143 @@
+//! `rowburst._rowburst._Frames`: a recording, read frame by frame.
+
+use crate::array::{capture, dtype_of, from_capture, from_video};
+use crate::error::to_py_err;
+use crate::threads::detached;
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+use rowburst::{Error, Result, Shape, Video};
+use rowburst_io::{Capture, Frames, open_recording};
+use rowburst_zarr::{is_zarr, open_zarr_recording};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A recording on disk: a folder, a stack or a Zarr array.
+#[pyclass(name = "_Frames", module = "rowburst._rowburst", frozen)]
+pub struct PyFrames {
+    pub frames: Arc<dyn Frames>,
+}
+
+#[pymethods]
+impl PyFrames {
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let open = || {
+            if is_zarr(&path) {
+                open_zarr_recording(&path)
+            } else {
+                open_recording(&path)
+            }
+        };
+        let frames = detached(py, open)?.map_err(to_py_err)?;
+        Ok(Self {
+            frames: frames.into(),
+        })
+    }
+
+    fn __len__(&self) -> usize {
+        self.frames.count()
+    }
+
+    /// A frame `[y, x]`, of the type that the file holds.
+    fn __getitem__<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
+        if index >= self.frames.count() {
+            return Err(PyIndexError::new_err(index));
+        }
+        let capture = detached(py, || self.frames.read(index))?.map_err(to_py_err)?;
+        from_capture(py, capture)
+    }
+
+    /// What a user calls a frame: the name of its file, or its page.
+    fn name(&self, index: usize) -> PyResult<String> {
+        if index >= self.frames.count() {
+            return Err(PyIndexError::new_err(index));
+        }
+        Ok(self.frames.name(index))
+    }
+
+    /// All frames, `[frame, y, x]`.
+    fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let read = detached(py, || all_frames(&*self.frames))?;
+        let (video, dtype) = read.map_err(to_py_err)?;
+        let array = from_video(py, video)?;
+        match dtype {
+            None => Ok(array.into_any()),
+            Some(dtype) => array.call_method1("astype", (dtype,)),
+        }
+    }
+}
+
+/// All frames as a video, and the type of their integers.
+fn all_frames(frames: &dyn Frames) -> Result<(Video, Option<&'static str>)> {
+    let first = frames.read(0)?;
+    let (rows, columns) = (first.image.rows(), first.image.columns());
+    let dtype = dtype_of(first.format);
+    let shape = Shape::new(frames.count(), rows, columns);
+    let mut data = Vec::new();
+    data.try_reserve_exact(shape.voxels()).map_err(|_| {
+        let found = format!(
+            "no memory for {} frames of {rows}×{columns}",
+            frames.count()
+        );
+        let remedy = "Read some of them, or use rowburst.batch, which holds one frame at a time.";
+        Error::work(frames.path().display().to_string(), found, remedy)
+    })?;
+    data.extend_from_slice(first.image.data());
+    for index in 1..frames.count() {
+        let frame = frames.read(index)?;
+        let size = (frame.image.rows(), frame.image.columns());
+        if size != (rows, columns) || dtype_of(frame.format) != dtype {
+            return Err(Error::input(
+                frames.name(index),
+                format!("{}×{} pixels, or numbers of another kind", size.0, size.1),
+                format!("it has the {rows}×{columns} pixels and the numbers of the first frame"),
+                "Take it out of the recording.",
+            ));
+        }
+        data.extend_from_slice(frame.image.data());
+    }
+    Ok((Video::new(shape, data)?, dtype))
+}
+
+/// The frames of an array of Python, `[frame, y, x]`: numpy, Dask, Zarr, HDF5, or a list.
+pub struct ArrayFrames {
+    pub array: Py<PyAny>,
+    pub count: usize,
+    /// Whether frames of floating-point numbers are refused, since their bias is taken off already.
+    pub has_bias: bool,
+}
+
+impl Frames for ArrayFrames {
+    fn path(&self) -> &Path {
+        "frames".as_ref()
+    }
+
+    fn count(&self) -> usize {
+        self.count
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("frame {index}")
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        let failed = |error: PyErr| {
+            let remedy = "Read the frame by itself: frames[i].";
+            Error::work(format!("frame {index}"), error, remedy)
+        };
+        let read = Python::attach(|py| {
+            let frame = self.array.bind(py).get_item(index)?;
+            capture(&frame, "frame")
+        });
+        let capture = read.map_err(failed)?;
+        if self.has_bias && dtype_of(capture.format).is_none() {
+            return Err(Error::input(
+                format!("frame {index}"),
+                "floating-point numbers",
+                "bias_counts of the camera is subtracted from raw frames, which are integers",
+                "Give integers, or leave bias_counts out where it is subtracted already.",
+            ));
+        }
+        Ok(capture)
+    }
+}

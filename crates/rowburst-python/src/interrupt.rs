@@ -1,0 +1,130 @@
+//! Work on a thread of its own, which Ctrl-C leaves at once.
+//!
+//! The calling thread waits and listens for signals, and calls the progress function, since programs with windows
+//! allow that on their own thread alone. The set-up of a reconstruction looks at no flag: after Ctrl-C it ends in the
+//! background, before the first iteration.
+
+use crate::error::to_py_err;
+use crate::threads;
+use pyo3::prelude::*;
+use rayon::ThreadPool;
+use rowburst::Error;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// Time between two looks for Ctrl-C; shorter costs processor time.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// A message from the thread that works.
+enum Message<P, T> {
+    Progress(P),
+    Done(thread::Result<T>),
+}
+
+/// Whether the caller wants the work to go on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    Continue,
+    /// End with the current result.
+    Finish,
+    /// The result is of no use any more.
+    Abandon,
+}
+
+/// The way of the thread that works to the one that waits.
+pub struct Reporter<P, T> {
+    is_abandoned: Arc<AtomicBool>,
+    messages: SyncSender<Message<P, T>>,
+    answers: Receiver<Answer>,
+    is_heard: bool,
+}
+
+impl<P, T> Reporter<P, T> {
+    /// Asks the caller, who sees `progress` where there is a progress function.
+    pub fn ask(&self, progress: impl FnOnce() -> P) -> Answer {
+        if self.is_abandoned() {
+            return Answer::Abandon;
+        }
+        if !self.is_heard {
+            return Answer::Continue;
+        }
+        let sent = self.messages.send(Message::Progress(progress()));
+        let answer = sent.ok().and_then(|()| self.answers.recv().ok());
+        answer.unwrap_or(Answer::Abandon)
+    }
+
+    /// Whether nobody waits for the result any more.
+    pub fn is_abandoned(&self) -> bool {
+        self.is_abandoned.load(Ordering::Relaxed)
+    }
+}
+
+/// A progress function: its answer, or the exception that it raised.
+pub type OnProgress<'f, P> = &'f dyn Fn(Python<'_>, P) -> PyResult<Answer>;
+
+/// Does `work` without the interpreter's lock, on the threads of `pool` or of this process.
+///
+/// # Errors
+/// Ctrl-C, an exception of `on_progress`, and those of [`threads::start`].
+pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
+    py: Python<'_>,
+    pool: Option<Arc<ThreadPool>>,
+    on_progress: Option<OnProgress<'_, P>>,
+    work: impl FnOnce(&Reporter<P, T>) -> T + Send + 'static,
+) -> PyResult<T> {
+    threads::start()?;
+    let is_abandoned = Arc::new(AtomicBool::new(false));
+    let (messages, inbox) = sync_channel(0);
+    // Only to lend it to the closure below: there is one receiver.
+    let inbox = Mutex::new(inbox);
+    let next = || {
+        let inbox = inbox.lock().unwrap_or_else(PoisonError::into_inner);
+        inbox.recv_timeout(POLL_INTERVAL)
+    };
+    let (answer, answers) = sync_channel(0);
+    let reporter = Reporter {
+        is_abandoned: Arc::clone(&is_abandoned),
+        messages,
+        answers,
+        is_heard: on_progress.is_some(),
+    };
+    let result = reporter.messages.clone();
+    let job = move || {
+        let done = catch_unwind(AssertUnwindSafe(move || match pool {
+            Some(pool) => pool.install(move || work(&reporter)),
+            None => work(&reporter),
+        }));
+        // Where nobody waits any more, the result is dropped.
+        let _ = result.send(Message::Done(done));
+    };
+    let spawned = thread::Builder::new().name("rowburst".into()).spawn(job);
+    spawned.map_err(|error| {
+        let remedy = "End other programs, or raise the limit of processes (ulimit -u).";
+        to_py_err(Error::work("threads", error, remedy))
+    })?;
+    let abandon = |error: PyErr| {
+        is_abandoned.store(true, Ordering::Relaxed);
+        error
+    };
+    loop {
+        match py.detach(next) {
+            Ok(Message::Done(Ok(done))) => return Ok(done),
+            Ok(Message::Done(Err(panic))) => resume_unwind(panic),
+            Ok(Message::Progress(progress)) => {
+                py.check_signals().map_err(abandon)?;
+                let on_progress = on_progress.expect("only a heard reporter sends progress");
+                let found = on_progress(py, progress).map_err(abandon)?;
+                // Not sent where the thread has ended, which the next message tells.
+                let _ = answer.send(found);
+            }
+            Err(RecvTimeoutError::Timeout) => py.check_signals().map_err(abandon)?,
+            Err(RecvTimeoutError::Disconnected) => {
+                unreachable!("the thread sends its result before it ends")
+            }
+        }
+    }
+}

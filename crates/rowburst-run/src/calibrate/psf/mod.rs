@@ -1,0 +1,387 @@
+//! The PSF of captures of a point source: numbers, report and folder.
+
+mod captures;
+mod report;
+mod summary;
+
+pub use captures::{CaptureFile, read_captures};
+pub use summary::{MemorySummary, PsfSummary, RowReach};
+
+use report::{PsfReportInput, render};
+use rowburst::calibrate::psf::{
+    Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
+    SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect, merge, noise_of,
+    patch_set, patches_needed, row_reach, select_patches, span_px, statistics, suppress_noise,
+};
+use rowburst::{Error, Image, PatchSet, Psf, Result};
+use rowburst_io::{Experiment, OutputFolder, write_npy_image, write_patch_set};
+use std::path::PathBuf;
+use summary::{remarks, warnings};
+
+/// Standard deviations of noise above which light is light.
+const NOISE_FLOOR_SIGMAS: f64 = 3.0;
+
+/// Captures of one place.
+pub struct CaptureGroup {
+    /// The captures with their names.
+    pub shots: Vec<NamedCapture>,
+    /// The count at which their kind of file ends, if it holds integers.
+    pub saturation_limit: Option<f64>,
+}
+
+/// Captures of a point source, with all that is known of them.
+pub struct PsfInputs {
+    /// The captures of each place; of one place where there are no positions.
+    pub groups: Vec<CaptureGroup>,
+    /// The place `(y, x)` of each group in millimetres.
+    pub positions_mm: Option<Vec<(f64, f64)>>,
+    /// A frame without light.
+    pub dark: Option<Image>,
+    /// The exposure of each capture in milliseconds, if they differ.
+    pub exposures_ms: Vec<f64>,
+    /// The count from which on a pixel is saturated.
+    pub saturation_counts: Option<f64>,
+    /// Raw pixels along a side of a pixel of the working grid.
+    pub binning: usize,
+    /// Rows and columns of the field; `None`: the span of the positions.
+    pub field: Option<(usize, usize)>,
+    /// Rows of the sensor; `None`: those of the captures.
+    pub sensor_rows: Option<usize>,
+    /// Diffraction-limited grain in pixels, to compare with.
+    pub expected_grain_px: Option<f64>,
+    /// Whether each position has a patch, not only as many as the field needs.
+    pub all_patches: bool,
+}
+
+/// The PSF of captures, and its quality.
+pub struct PsfCalibration {
+    /// The PSF of the reference capture.
+    pub psf: Psf,
+    /// A PSF for each patch of the field, where there are positions.
+    pub patches: Option<PatchSet>,
+    /// The memory effect, and the place `(y, x)` of each group in millimetres.
+    pub effect: Option<(MemoryEffect, Vec<(f64, f64)>)>,
+    /// The content of `psf.json`.
+    pub summary: PsfSummary,
+    speckle: SpeckleStatistics,
+    reach: Reach,
+}
+
+/// What a folder of [`PsfCalibration::write`] gets beside the PSF.
+pub struct PsfFolder<'a> {
+    /// An experiment, of which a copy with the PSF is written.
+    pub experiment: Option<Experiment>,
+    /// The dark frame that the copy names.
+    pub dark: Option<PathBuf>,
+    /// The field of the copy.
+    pub field: Option<(usize, usize)>,
+    /// The command that repeats the calibration.
+    pub reproduce: Option<&'a str>,
+}
+
+impl PsfInputs {
+    /// The PSF of the captures.
+    ///
+    /// # Errors
+    /// Captures that are too few, too small or of different sizes.
+    pub fn calibrate(self) -> Result<PsfCalibration> {
+        let lights = self.groups.iter().map(|group| self.light(group));
+        let lights = lights.collect::<Result<Vec<PointSourceImage>>>()?;
+        let memory = self
+            .positions_mm
+            .clone()
+            .map(|positions| MemoryMeasurement::new(&lights, positions))
+            .transpose()?;
+        let effect = memory.as_ref().map(|m| &m.effect);
+        let index = effect.map_or(0, |e| e.reference);
+        let reference = ReferencePsf::new(&lights[index])?;
+        let field = self.field;
+        let sensor_rows = self.sensor_rows.unwrap_or(reference.light.image.rows());
+        let field_rows = field.map_or(sensor_rows, |f| f.0);
+        let reach = reference.reach(sensor_rows, field_rows);
+        let row_reach = RowReach::new(&reach, sensor_rows, field_rows);
+        let patches = memory
+            .as_ref()
+            .map(|m| m.patches(&reference, field, self.all_patches))
+            .transpose()?;
+        let patch_count = patches.as_ref().map_or(0, |p| p.psfs().len());
+        let mut warned = warnings(
+            reference.light,
+            &reference.speckle,
+            reference.core.as_ref(),
+            &row_reach,
+            self.expected_grain_px,
+        );
+        warned.extend(saturated_captures(&lights, index, &self.groups));
+        let summary = reference.summary(
+            &lights,
+            self.binning,
+            row_reach,
+            effect,
+            memory.as_ref().map(|m| m.summary(field, patch_count)),
+            warned,
+        );
+        Ok(PsfCalibration {
+            psf: reference.psf,
+            speckle: reference.speckle,
+            patches,
+            effect: memory.map(|m| (m.effect, m.positions)),
+            summary,
+            reach,
+        })
+    }
+
+    /// The light of one place, on the working grid.
+    fn light(&self, group: &CaptureGroup) -> Result<PointSourceImage> {
+        let mut light = merge(
+            &group.shots,
+            &MergeParams {
+                dark: self.dark.clone(),
+                exposures_ms: self.exposures_ms.clone(),
+                saturation_counts: self.saturation_counts.or(group.saturation_limit),
+            },
+        )?;
+        let short = light.image.rows().min(light.image.columns());
+        if short < 16 * self.binning {
+            return Err(Error::input(
+                &group.shots[0].name,
+                format!(
+                    "{}×{} pixels, binned by {}",
+                    light.image.rows(),
+                    light.image.columns(),
+                    self.binning
+                ),
+                "a PSF has 16 pixels or more along each side",
+                "Record a larger region, or bin less.",
+            ));
+        }
+        if self.binning > 1 {
+            light.image = light.image.binned(self.binning);
+        }
+        Ok(light)
+    }
+}
+
+impl PsfCalibration {
+    /// Writes PSF, patches, report and, with an experiment, a copy of it. `psf.json` is written last: where it is, the result is
+    /// whole.
+    ///
+    /// # Errors
+    /// Failed writes, or a field that the experiment's camera cannot have.
+    pub fn write(&self, folder: &OutputFolder, beside: PsfFolder) -> Result<()> {
+        let patches = self.patches.as_ref();
+        let has_experiment = beside.experiment.is_some();
+        for stale in ["psf.json", "psf-patches.toml", "psf-patches.npy"] {
+            folder.remove(stale)?;
+        }
+        folder.write("psf.npy", |w| write_npy_image(w, self.psf.image()))?;
+        if let Some(set) = patches {
+            write_patch_set(folder, "psf-patches", set)?;
+        }
+        if let Some(mut experiment) = beside.experiment {
+            let several = patches.is_some_and(|p| p.psfs().len() > 1);
+            let file = if several {
+                "psf-patches.toml"
+            } else {
+                "psf.npy"
+            };
+            experiment.calibration.psf = Some(folder.path().join(file));
+            if beside.dark.is_some() {
+                experiment.calibration.dark = beside.dark;
+            }
+            experiment.params.sensor.binning = self.summary.binning;
+            experiment.params.field = beside.field.or(experiment.params.field);
+            experiment.camera()?;
+            let toml = experiment.to_toml(folder.path());
+            folder.write_bytes("experiment.toml", toml.as_bytes())?;
+        }
+        let input = PsfReportInput {
+            psf: self.psf.image(),
+            speckle: &self.speckle,
+            reach: &self.reach,
+            effect: self
+                .effect
+                .as_ref()
+                .map(|(effect, at)| (effect, at.as_slice())),
+            summary: &self.summary,
+        };
+        let report = render(&input, patches.is_some(), has_experiment, beside.reproduce)?;
+        for picture in &report.pictures {
+            folder.write_bytes(&picture.name, &picture.png)?;
+        }
+        folder.write_bytes("report.html", report.html.as_bytes())?;
+        let json = serde_json::to_string_pretty(&self.summary).expect("plain numbers and text");
+        folder.write_bytes("psf.json", format!("{json}\n").as_bytes())
+    }
+}
+
+/// The PSF of the reference capture, and the speckle that it was computed from.
+struct ReferencePsf<'a> {
+    light: &'a PointSourceImage,
+    speckle: SpeckleStatistics,
+    core: Option<Core>,
+    /// Centroid `(y, x)` of the envelope, which becomes zero displacement.
+    centre: (f64, f64),
+    psf: Psf,
+}
+
+impl<'a> ReferencePsf<'a> {
+    fn new(light: &'a PointSourceImage) -> Result<Self> {
+        let speckle = statistics(&light.image);
+        let core = ballistic_core(&light.image, speckle.grain_px);
+        let centre = centroid(&speckle.envelope);
+        let (rows, columns) = (light.image.rows(), light.image.columns());
+        let zero = ((rows / 2) as f64, (columns / 2) as f64);
+        let psf = centred_psfs(
+            &[&cleaned(&light.image, speckle.grain_px)],
+            &[(zero.0 - centre.0, zero.1 - centre.1)],
+        )?
+        .remove(0);
+        Ok(Self {
+            light,
+            speckle,
+            core,
+            centre,
+            psf,
+        })
+    }
+
+    /// The light that each sensor row gets from each row of the field.
+    fn reach(&self, sensor_rows: usize, field_rows: usize) -> Reach {
+        let covered = (
+            -self.centre.0.floor() as isize,
+            self.light.image.rows() as isize - 1 - self.centre.0.ceil() as isize,
+        );
+        row_reach(
+            &self.psf,
+            sensor_rows,
+            field_rows,
+            self.speckle.grain_px,
+            (self.speckle.lit_edge_fraction > 0.02).then_some(covered),
+        )
+    }
+
+    /// The numbers of `psf.json`; `lights` are those of all captures.
+    fn summary(
+        &self,
+        lights: &[PointSourceImage],
+        binning: usize,
+        row_reach: RowReach,
+        effect: Option<&MemoryEffect>,
+        memory: Option<MemorySummary>,
+        warnings: Vec<String>,
+    ) -> PsfSummary {
+        PsfSummary {
+            version: env!("CARGO_PKG_VERSION"),
+            rows: self.psf.image().rows(),
+            columns: self.psf.image().columns(),
+            binning,
+            captures: lights.iter().map(|l| l.used).sum(),
+            left_out: lights
+                .iter()
+                .flat_map(|l| &l.left_out)
+                .map(|o| o.0.clone())
+                .collect(),
+            contrast: self.speckle.contrast,
+            grain_px: self.speckle.grain_px,
+            grain_y_px: self.speckle.grain_y_px,
+            grain_x_px: self.speckle.grain_x_px,
+            ballistic_fraction: self.core.map_or(0.0, |c| c.fraction),
+            ballistic_at_px: self.core.map(|c| c.at_px),
+            saturated_fraction: self.light.saturated_fraction,
+            exponential_distance: self.speckle.exponential_distance,
+            noise_part: self.speckle.noise_fraction,
+            lit_fraction: self.speckle.lit_fraction,
+            floor_counts: self.light.black_level.map(|f| f.counts),
+            middle_px: self.centre,
+            remarks: remarks(self.light, &self.speckle, &row_reach, effect),
+            row_reach,
+            memory,
+            warnings,
+        }
+    }
+}
+
+/// `light` without its noise.
+fn cleaned(light: &Image, grain_px: f64) -> Image {
+    suppress_noise(light, grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
+}
+
+/// The memory effect between captures at known positions.
+struct MemoryMeasurement {
+    /// Positions `(y, x)` in millimetres.
+    positions: Vec<(f64, f64)>,
+    captures: Vec<PositionedCapture>,
+    effect: MemoryEffect,
+}
+
+impl MemoryMeasurement {
+    fn new(lights: &[PointSourceImage], positions: Vec<(f64, f64)>) -> Result<Self> {
+        let rough = statistics(&lights[lights.len() / 2].image).grain_px;
+        let captures = lights.iter().zip(&positions);
+        let captures: Vec<PositionedCapture> = captures
+            .map(|(light, at)| PositionedCapture {
+                light: light.image.clone(),
+                at_mm: *at,
+            })
+            .collect();
+        let effect = memory_effect(&captures, rough)?;
+        Ok(Self {
+            positions,
+            captures,
+            effect,
+        })
+    }
+
+    /// A PSF for each patch of the field, or for each position if `all` is set.
+    fn patches(
+        &self,
+        reference: &ReferencePsf,
+        field: Option<(usize, usize)>,
+        all: bool,
+    ) -> Result<PatchSet> {
+        let kept: Vec<usize> = if all {
+            (0..self.positions.len()).collect()
+        } else {
+            select_patches(&self.positions, &self.effect, field)
+        };
+        let captures = self.captures.iter();
+        let cleaned: Vec<Image> = captures
+            .map(|p| cleaned(&p.light, reference.speckle.grain_px))
+            .collect();
+        patch_set(
+            &cleaned,
+            &self.positions,
+            &self.effect,
+            &kept,
+            reference.centre,
+        )
+    }
+
+    /// The numbers of the memory effect; `patches` is the number of PSFs written.
+    fn summary(&self, field: Option<(usize, usize)>, patches: usize) -> MemorySummary {
+        let extent = field.map_or_else(
+            || span_px(&self.positions, &self.effect),
+            |f| (f.0 as f64, f.1 as f64),
+        );
+        let needed = patches_needed(&self.effect, extent);
+        MemorySummary::new(&self.effect, patches, needed)
+    }
+}
+
+/// Captures besides the reference that are saturated.
+fn saturated_captures(
+    lights: &[PointSourceImage],
+    reference: usize,
+    groups: &[CaptureGroup],
+) -> Option<String> {
+    let others = lights.iter().zip(groups).enumerate();
+    let mut names = others
+        .filter(|(i, (light, _))| *i != reference && light.saturated_fraction > 1e-3)
+        .map(|(_, (_, group))| group.shots[0].name.as_str());
+    let first = names.next()?;
+    Some(format!(
+        "{} more captures are saturated, such as {first}: shorten the exposure",
+        names.count() + 1
+    ))
+}

@@ -1,0 +1,128 @@
+"""``batch``: a recording into an archive of videos."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike, fspath
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from . import _rowburst
+from ._reconstruct import _settings
+from ._rowburst import Camera, Experiment, InputError, Psf, _Batch, __version__
+
+
+def batch(
+    frames: Any,
+    out: str | PathLike[str],
+    camera: Camera | Experiment | str | PathLike[str],
+    psf: Psf | ArrayLike | PathLike[str] | None = None,
+    *,
+    prior: str | None = None,
+    tau: str | float | None = None,
+    noise_sigma: float | None = None,
+    max_iterations: int | None = None,
+    dark: ArrayLike | PathLike[str] | None = None,
+    flat: ArrayLike | PathLike[str] | None = None,
+    bad_pixels: ArrayLike | PathLike[str] | None = None,
+    keep_all_pixels: bool = False,
+    frame_period_us: float | None = None,
+    threads: int | None = None,
+    retry_failed: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+) -> dict[str, Any]:
+    """Reconstructs every frame of a recording into one OME-Zarr archive, on this machine.
+
+    The archive is that of ``rowburst batch``, bit for bit. A frame counts as done once its line is written, after its
+    video: called again after Ctrl-C or a crash, it goes on where it was.
+
+    Parameters
+    ----------
+    frames : path or array
+        A recording as :func:`read_frames` takes it, or an array ``[frame, y, x]`` of numpy, Dask, Zarr or HDF5. One frame
+        at a time is in memory for each thread.
+    out : path
+        The archive, ``[frame, t, y, x]``, float32 counts. Its videos open with ``zarr`` or napari.
+    camera : Camera, Experiment or path
+        The camera; or an experiment, or its file, which gives each of the arguments that is left out.
+    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, keep_all_pixels
+        Those of :func:`reconstruct`. A prior ``"auto"`` is chosen once, for all frames.
+    frame_period_us : float, optional
+        Time from one frame to the next in microseconds.
+    threads : int, optional
+        Number of threads; by default all.
+    retry_failed : bool
+        Whether frames that failed before are tried again.
+    progress : callable, optional
+        Called as ``progress(done, of)`` after each group of frames.
+
+    Returns
+    -------
+    dict
+        ``archive``, ``table`` (a CSV file with a line for each frame), ``frames``, ``done``, ``failed``, ``left``,
+        ``frames_this_run``, ``prior``, ``prior_reason``, ``warnings``, ``version``.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule, or the archive was begun with other settings.
+    WorkError
+        The work failed, such as by a full disk.
+
+    Examples
+    --------
+    >>> summary = rb.batch(np.stack([frame, frame]), "videos.zarr", camera, psf, prior="tv", max_iterations=20)
+    >>> summary["done"], summary["left"]
+    (2, 0)
+    """
+    if threads is not None and threads < 1:
+        raise InputError(f"threads: found {threads}; there is at least one. Leave it out for all.")
+    if isinstance(camera, (str, PathLike)):
+        camera = Experiment(camera, frames if isinstance(frames, (str, PathLike)) else None)
+    if isinstance(camera, Experiment) and frame_period_us is None:
+        frame_period_us = camera.frame_period_us
+    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+    settings.pop("experiment")
+    if isinstance(frames, (str, PathLike)):
+        frames = _rowburst._Frames(fspath(frames))
+    job = _Batch.of_values(
+        frames=frames,
+        out=out,
+        noise_sigma=noise_sigma,
+        max_iterations=max_iterations,
+        keep_all_pixels=keep_all_pixels,
+        frame_period_us=frame_period_us,
+        **settings,
+    )
+    return _run(job, fspath(out), threads or _rowburst.threads(), retry_failed, progress)
+
+
+def _run(
+    job: _Batch, out: str, threads: int, retry_failed: bool, progress: Callable[[int, int], object] | None
+) -> dict[str, Any]:
+    """Runs what is left of a batch."""
+    left = job.left(0, job.count, retry_failed)
+    prior, reason = job.prior()
+    # Without a listener one group, since the threads wait for each other at its end.
+    group = 4 * threads if progress is not None else max(len(left), 1)
+    made = 0
+    for start in range(0, len(left), group):
+        made += len(job.run(left[start : start + group], threads))
+        if progress is not None:
+            progress(made, len(left))
+    table, rows = job.write_table(), job.rows()
+    failed = [row for row in rows if not row[2]]
+    return {
+        "version": __version__,
+        "archive": str(out),
+        "table": str(table),
+        "frames": job.count,
+        "done": len(rows) - len(failed),
+        "failed": len(failed),
+        "left": job.count - len(rows),
+        "frames_this_run": made,
+        "prior": prior,
+        "prior_reason": reason,
+        "warnings": [f"no video of {row[1]}: {row[6]}" for row in failed[:10]],
+    }

@@ -1,0 +1,150 @@
+"""``design``: what a camera, a lens and a diffuser can do before they are bought."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from . import _rowburst
+from ._display import table_html
+from ._rowburst import Camera, Psf
+
+
+class Design:
+    """A planned set-up and what it can do. :func:`design` makes it."""
+
+    def __init__(self, native: _rowburst._Design) -> None:
+        self._native = native
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The content of ``design.json`` of the command line."""
+        numbers: dict[str, Any] = json.loads(self._native.json())
+        return numbers
+
+    @property
+    def warnings(self) -> list[str]:
+        """What falls short."""
+        warnings: list[str] = self.numbers["warnings"]
+        return warnings
+
+    def save(self, folder: str | PathLike[str]) -> Path:
+        """Writes ``report.html``, its pictures and ``design.json`` into a folder."""
+        self._native.save(folder)
+        return Path(folder)
+
+    def __repr__(self) -> str:
+        n = self.numbers
+        return (
+            f"<rowburst.Design: {n['frames']} frames at {n['frame_rate_hz']:.0f} fps, SNR {n['snr_per_pixel']:.0f}, "
+            f"{n['recoverable_pixels_per_bin']:.0f} pixels a bin, {len(n['warnings'])} warnings>"
+        )
+
+    def __str__(self) -> str:
+        lines = []
+        for heading, pairs in self._native.sections():
+            lines += [heading, *(f"  {name:<31} {value}" for name, value in pairs)]
+        return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        tables = [table_html(heading, dict(pairs)) for heading, pairs in self._native.sections()]
+        return "".join(tables) + (table_html("Warnings", dict(enumerate(self.warnings, 1))) if self.warnings else "")
+
+
+def design(
+    camera: Camera | None = None,
+    psf: Psf | ArrayLike | PathLike[str] | None = None,
+    *,
+    wavelength_nm: float = 532.0,
+    pupil_mm: float = 1.71,
+    focal_length_mm: float = 50.0,
+    magnification: float = 1 / 22.5,
+    na: float | None = None,
+    diffuser_deg: float = 1.0,
+    photons: float = 2e7,
+    bright_pixels: int = 10,
+    quantum_efficiency: float = 0.6,
+    read_noise_electrons: float | None = None,
+    full_well_electrons: float | None = None,
+    source_bandwidth_nm: float = 1.0,
+    diffuser_path_rms_nm: float | None = None,
+    trials: bool = True,
+    trial_snr: Sequence[float] = (),
+    seed: int = 1,
+    progress: Callable[[float], object] | None = None,
+) -> Design:
+    """What a camera, a lens and a diffuser can do, with the numbers of ``rowburst design``.
+
+    Parameters
+    ----------
+    camera : Camera, optional
+        The camera and its field; by default the paper's.
+    psf : Psf, array or path, optional
+        A recorded PSF; without one, speckle of these optics is computed.
+    wavelength_nm, pupil_mm, focal_length_mm, magnification, na, diffuser_deg : float
+        Wavelength, diameter of the pupil, focal length, magnification from scene to sensor, image-side numerical aperture
+        (in place of the pupil), and full angle of the diffuser.
+    photons : float
+        Photons of one bright scene pixel in one bin that pass the lens.
+    bright_pixels : int
+        Bright pixels of the scene in a bin.
+    quantum_efficiency : float
+        Electrons per photon.
+    read_noise_electrons, full_well_electrons : float, optional
+        Of a raw pixel; by default the camera's, or 1.5 and 30000.
+    source_bandwidth_nm : float
+        Full width of the source's spectrum in nanometres.
+    diffuser_path_rms_nm : float, optional
+        Rms of the optical path through the diffuser in nanometres; by default 4 radians.
+    trials : bool
+        Whether trial reconstructions are made, which take most of a minute.
+    trial_snr : sequence of float
+        SNRs of the trials; by default 8 to 256, each twice the last.
+    seed : int
+        Seed of speckle, scenes and noise.
+    progress : callable, optional
+        Called with the part of the trials that is done, from 0 to 1. ``False`` from it ends them with an error.
+
+    Returns
+    -------
+    Design
+        The numbers, and what falls short.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule.
+
+    Examples
+    --------
+    >>> planned = rb.design(trials=False)
+    >>> round(planned.numbers["frame_rate_hz"])
+    104167
+    """
+    native = _rowburst._Design(
+        camera,
+        psf,
+        wavelength_nm=wavelength_nm,
+        pupil_mm=pupil_mm,
+        focal_length_mm=focal_length_mm,
+        magnification=magnification,
+        na=na,
+        diffuser_deg=diffuser_deg,
+        photons=photons,
+        bright_pixels=bright_pixels,
+        quantum_efficiency=quantum_efficiency,
+        read_noise_electrons=read_noise_electrons,
+        full_well_electrons=full_well_electrons,
+        source_bandwidth_nm=source_bandwidth_nm,
+        diffuser_path_rms_nm=diffuser_path_rms_nm,
+        trials=trials,
+        trial_snrs=[float(snr) for snr in trial_snr],
+        seed=seed,
+        progress=progress,
+    )
+    return Design(native)

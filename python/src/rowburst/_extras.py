@@ -1,0 +1,23 @@
+"""Packages that some functions need and the package does not install."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from ._rowburst import InputError
+
+# Name of the module: name on PyPI.
+_PACKAGES = {"matplotlib": "matplotlib", "xarray": "xarray", "tifffile": "tifffile", "torch": "torch", "deepinv": "deepinv"}
+
+
+def need(module: str, caller: str) -> Any:
+    """The module, or an error that says how to install its package."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = _PACKAGES.get(module.split(".")[0], module)
+        raise InputError(
+            f"{caller}: found no {package}; it needs this package, which rowburst does not install. "
+            f"Install it: pip install {package}"
+        ) from error

@@ -1,0 +1,43 @@
+"""The figure for a paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from ._rowburst import InputError
+
+
+@dataclass(frozen=True, repr=False)
+class Figure:
+    """A figure as text and as picture; notebooks show it."""
+
+    svg: str
+    """The figure as SVG."""
+    png: bytes
+    """The figure as PNG."""
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Writes the figure to a file, whose name ends in .svg or .png."""
+        target = Path(path)
+        if target.suffix.lower() == ".svg":
+            target.write_text(self.svg, encoding="utf-8")
+        elif target.suffix.lower() == ".png":
+            target.write_bytes(self.png)
+        else:
+            raise InputError(f"path: found {str(path)!r}; a figure is an .svg or a .png file. Give the file one of these endings.")
+        return target
+
+    def __repr__(self) -> str:
+        return f"<rowburst.Figure: SVG of {len(self.svg) / 1000:.0f} kB; figure.save(path) writes it>"
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+
+def save_figure(figure: Figure, path: str | PathLike[str] | None) -> Figure:
+    """Writes the figure where there is a path."""
+    if path is not None:
+        figure.save(path)
+    return figure

@@ -1,0 +1,77 @@
+"""``read_frames``: recordings as arrays."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _rowburst
+from ._extras import need
+from ._rowburst import InputError
+
+_TIFF = (".tif", ".tiff", ".btf", ".tf8")
+
+
+def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDArray[Any]:
+    """The frames of a recording.
+
+    Parameters
+    ----------
+    path : path
+        A stack (.tif, .npy, .h5, .mat, .fits, Photron .cihx), a folder of images or of stacks in the natural order of their
+        names, a Zarr array ``[frame, y, x]`` or an OME-Zarr image. ``run.h5:/frames`` names an array of a file.
+    channel : int, optional
+        The channel of an OME-TIFF or ImageJ stack that has several; counted from 0. It needs tifffile.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[frame, y, x]``: integers where the files hold integers, else float32, so that each frame is what it was in the
+        file.
+
+    Raises
+    ------
+    InputError
+        The path is missing, damaged or of another kind; the frames differ in size; or a stack has several channels and
+        ``channel`` is not given.
+    WorkError
+        The frames do not fit into memory.
+
+    Examples
+    --------
+    >>> np.save("frames.npy", np.stack([frame, frame]))
+    >>> rb.read_frames("frames.npy").shape
+    (2, 24, 30)
+    """
+    if channel is not None:
+        return _channel(Path(path), channel)
+    return _rowburst._Frames(path).read()
+
+
+def _channel(path: Path, channel: int) -> NDArray[Any]:
+    """One channel of a TIFF stack, in the order of time."""
+    if not path.name.lower().endswith(_TIFF):
+        raise InputError(f"{path}: found channel={channel}; only TIFF stacks have channels here. Leave it out.")
+    tifffile = need("tifffile", "read_frames(channel=)")
+    try:
+        with tifffile.TiffFile(path) as file:
+            series = file.series[0]
+            axes, array = series.axes, series.asarray()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: found a file that tifffile cannot read ({error}). Save or copy it again.") from error
+    channels = dict(zip(axes, array.shape, strict=True)).get("C", 1)
+    if not 0 <= channel < channels:
+        raise InputError(f"channel: found {channel}; {path} has {channels} channels, counted from 0. Give one of them.")
+    if "C" in axes:
+        array = np.take(array, channel, axis=axes.index("C"))
+        axes = axes.replace("C", "")
+    if array.ndim > 3 or not axes.endswith("YX"):
+        raise InputError(
+            f"{path}: found the axes {axes}; the frames of a recording have one channel and one depth. "
+            "Save the part that you mean as a file of its own."
+        )
+    return np.ascontiguousarray(array.reshape(-1, *array.shape[-2:]))

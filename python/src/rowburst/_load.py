@@ -1,0 +1,189 @@
+"""``load``: a result that was written to a folder."""
+
+from __future__ import annotations
+
+import json
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _rowburst
+from ._display import result_html
+from ._figure import Figure, save_figure
+from ._reconstruct import Trace
+from ._rowburst import InputError
+from ._video import VideoResult
+from ._view import View
+
+
+class SavedResult(VideoResult):
+    """A result from the folder of :meth:`Result.save` or ``rowburst reconstruct``. :func:`load` makes it.
+
+    Arrays are read when they are first used; the video is mapped into memory, not copied.
+    """
+
+    def __init__(self, folder: str | PathLike[str]) -> None:
+        self.folder = Path(folder)
+        if not (self.folder / "result.json").is_file():
+            raise InputError(
+                f"{self.folder}: found no result.json; a result is a folder that Result.save or `rowburst reconstruct` has "
+                "written whole. Check the path, or run the reconstruction again."
+            )
+        self._numbers: dict[str, Any] = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
+        self._arrays: dict[str, NDArray[Any]] = {}
+
+    def _array(self, name: str) -> NDArray[Any]:
+        if name not in self._arrays:
+            try:
+                self._arrays[name] = np.load(self.folder / name, mmap_mode="r")
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"{self.folder / name}: found a file that cannot be read ({error}); a whole result has it. "
+                    "Run the reconstruction again."
+                ) from error
+        return self._arrays[name]
+
+    def _optional(self, name: str) -> NDArray[Any] | None:
+        return self._array(name) if (self.folder / name).is_file() else None
+
+    @property
+    def _view(self) -> dict[str, Any]:
+        path = self.folder / "view.json"
+        view: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        return view
+
+    @property
+    def video(self) -> NDArray[np.float32]:
+        """The video ``[t, y, x]`` in counts. It may not be written to."""
+        return self._array("video.npy")
+
+    @property
+    def background(self) -> NDArray[np.float32] | None:
+        """The background component of the video ``[t, y, x]``, if the prior has one."""
+        return self._optional("background.npy")
+
+    @property
+    def excluded(self) -> NDArray[np.uint8] | None:
+        """1 at the foreign pixels ``[y, x]`` that were left out; None where the result has no such file."""
+        return self._optional("excluded.npy")
+
+    @property
+    def coverage(self) -> NDArray[np.uint8] | None:
+        """1 at the voxels ``[t, y, x]`` that the frame observes; None where the result has no such file."""
+        return self._optional("coverage.npy")
+
+    @property
+    def residual(self) -> NDArray[np.float32]:
+        """``W(b - A v) / sigma``, ``[y, x]``; 0 where a pixel holds no information."""
+        return self._array("view-residual.npy")
+
+    @property
+    def _sensor_shape(self) -> tuple[int, int]:
+        # A video in chunks has no residual; its report has a map of it.
+        shape = self.residual.shape if (self.folder / "view-residual.npy").is_file() else self.video.shape[1:]
+        return shape[0], shape[1]
+
+    @property
+    def frame(self) -> NDArray[np.float32]:
+        """The corrected frame ``[y, x]`` in counts."""
+        return self._array("view-frame.npy")
+
+    @property
+    def psf(self) -> NDArray[np.float32]:
+        """The PSF of the middle of the field, ``[y, x]``."""
+        return self._array("view-psf.npy")
+
+    @property
+    def time_us(self) -> NDArray[np.float64]:
+        """The middle of each bin in microseconds, from the start of the first bin."""
+        duration = float(self._view.get("bin_duration_us", 1e6 / self.frame_rate_hz))
+        return (np.arange(len(self.video), dtype=np.float64) + 0.5) * duration
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames of the video a second."""
+        return float(self._numbers["frame_rate_hz"])
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The content of ``result.json``."""
+        numbers: dict[str, Any] = json.loads(json.dumps(self._numbers))
+        return numbers
+
+    @property
+    def fit(self) -> str:
+        """good, suspicious or bad: whether the model explains the frame."""
+        return str(self._numbers["fit"])
+
+    @property
+    def fit_reason(self) -> str:
+        """The reason for the verdict ``fit``."""
+        return str(self._numbers["fit_reason"])
+
+    @property
+    def prior(self) -> str:
+        """The prior that was used."""
+        return str(self._numbers["prior"])
+
+    def traces(self) -> list[Trace]:
+        """The traces that were written: of the requested regions, then of the brightest spots.
+
+        Examples
+        --------
+        >>> saved.traces()[0].value.shape == saved.time_us.shape
+        True
+        """
+        time_us = self.time_us
+        traces = []
+        for trace, numbers in zip(self._view.get("traces", []), self._numbers.get("traces", []), strict=True):
+            at = trace["region"]
+            # Null where it is not known.
+            values = {name: np.array(trace[name], float) for name in ("value", "debiased", "standard_error")}
+            region = (at["y"], at["x"], at["rows"], at["columns"])
+            traces.append(Trace(region=region, time_us=time_us, numbers=numbers, **values))
+        return traces
+
+    def figure(self, path: str | PathLike[str] | None = None, layout: str = "fig2") -> Figure:
+        """The figure for a paper, as :meth:`Result.figure` draws it."""
+        return save_figure(Figure(*_rowburst._figure_of_folder(self.folder, layout)), path)
+
+    def view(self, port: int | None = None, open_browser: bool = True) -> View:
+        """Opens the viewer of ``rowburst view`` on this result, as :meth:`Result.view` does."""
+        return View([self.folder], port, open_browser)
+
+    def __repr__(self) -> str:
+        bins, rows, columns = self.video.shape
+        return f"<rowburst.SavedResult {str(self.folder)!r}: {bins} frames of {rows}×{columns}, the fit is {self.fit}>"
+
+    def _repr_html_(self) -> str:
+        return result_html(self, "SavedResult")
+
+
+def load(folder: str | PathLike[str]) -> SavedResult:
+    """Opens the folder of a result.
+
+    Parameters
+    ----------
+    folder : path
+        A folder that :meth:`Result.save` or ``rowburst reconstruct`` has written.
+
+    Returns
+    -------
+    SavedResult
+        Its video, masks, traces and numbers.
+
+    Raises
+    ------
+    InputError
+        The folder holds no whole result.
+
+    Examples
+    --------
+    >>> saved = rb.load(result.save("result"))
+    >>> bool((saved.video == result.video).all())
+    True
+    """
+    return SavedResult(folder)

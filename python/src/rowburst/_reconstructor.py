@@ -1,0 +1,200 @@
+"""``Reconstructor``: set up once, call many times."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from os import PathLike, fspath
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from . import _rowburst
+from ._reconstruct import Result, _callback, _settings
+from ._rowburst import Camera, Experiment, InputError, LiveView, Progress, Psf
+
+
+class Reconstructor:
+    """The reconstruction of frames of one camera: set up once, called for each frame.
+
+    The operator, the PSF's spectra and the Gram blocks are computed once. A call gives the video of :func:`reconstruct`,
+    bit for bit, and any number of Python threads may call at once. It can be pickled; the copy is set up anew.
+
+    Parameters
+    ----------
+    camera : Camera or Experiment
+        The camera, or an experiment, which gives each of the arguments that is left out.
+    psf : Psf, array or path, optional
+        The point-spread function; needed where there is no experiment.
+    prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, keep_all_pixels
+        Those of :func:`reconstruct`.
+    threads : int, optional
+        Threads of this reconstructor alone; by default all those of the process (:func:`threads`).
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule.
+    WorkError
+        The machine has too little memory.
+
+    Examples
+    --------
+    >>> reconstructor = rb.Reconstructor(camera, psf, prior="tv", max_iterations=20)
+    >>> reconstructor(frame).video.shape
+    (12, 24, 30)
+    >>> [r.fit for r in reconstructor.map(np.stack([frame, frame]))] == 2 * [reconstructor(frame).fit]
+    True
+    """
+
+    def __init__(
+        self,
+        camera: Camera | Experiment,
+        psf: Psf | ArrayLike | PathLike[str] | None = None,
+        *,
+        prior: str | None = None,
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+        dark: ArrayLike | PathLike[str] | None = None,
+        flat: ArrayLike | PathLike[str] | None = None,
+        bad_pixels: ArrayLike | PathLike[str] | None = None,
+        keep_all_pixels: bool = False,
+        threads: int | None = None,
+    ) -> None:
+        self._given = dict(
+            psf=psf,
+            prior=prior,
+            tau=tau,
+            noise_sigma=noise_sigma,
+            max_iterations=max_iterations,
+            dark=dark,
+            flat=flat,
+            bad_pixels=bad_pixels,
+            keep_all_pixels=keep_all_pixels,
+            threads=threads,
+        )
+        self._source = camera
+        settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+        self.camera: Camera = settings["camera"]
+        self._settings = settings
+        self._threads = threads
+        self._native = _rowburst._Reconstructor(
+            **settings,
+            noise_sigma=noise_sigma,
+            max_iterations=max_iterations,
+            keep_all_pixels=keep_all_pixels,
+            threads=threads,
+        )
+
+    def __call__(
+        self,
+        frame: ArrayLike | PathLike[str],
+        *,
+        truth: ArrayLike | PathLike[str] | None = None,
+        direct: ArrayLike | PathLike[str] | None = None,
+        time_budget_s: float | None = None,
+        progress: Callable[[Progress], object] | bool | None = None,
+        seed: int = 0,
+        debias: bool = False,
+    ) -> Result:
+        """The video of one frame; the arguments are those of :func:`reconstruct`."""
+        bar, callback = _callback(progress)
+        try:
+            found = self._native.reconstruct(
+                frame,
+                truth=truth,
+                direct=direct,
+                progress=callback,
+                seed=seed,
+                time_budget_s=time_budget_s,
+                debias=debias,
+            )
+        finally:
+            if bar is not None:
+                bar.close()
+        return Result(found, self.camera)
+
+    def map(
+        self,
+        frames: str | PathLike[str] | Iterable[Any],
+        *,
+        workers: int = 1,
+        debias: bool = False,
+    ) -> Iterator[Result]:
+        """The videos of many frames, one after the other.
+
+        Parameters
+        ----------
+        frames : path, array or iterable
+            A recording as :func:`read_frames` takes it, read frame by frame; an array ``[frame, y, x]`` of numpy, Dask,
+            Zarr or HDF5; or anything that gives frames.
+        workers : int
+            Frames that are reconstructed at the same time, by Python threads. More than one is faster on small sensors,
+            and takes the memory of as many reconstructions.
+        debias : bool
+            That of :func:`reconstruct`.
+
+        Yields
+        ------
+        Result
+            In the order of the frames. At most ``workers`` frames are ahead of the one that is taken.
+
+        Raises
+        ------
+        InputError
+            A frame breaks a rule, or ``workers`` is below 1.
+
+        Examples
+        --------
+        >>> for result in reconstructor.map("frames.npy"):
+        ...     print(result.video.shape)
+        (12, 24, 30)
+        (12, 24, 30)
+        """
+        if workers < 1:
+            raise InputError(f"workers: found {workers}; at least one works. Leave it out.")
+        recording: Any = _rowburst._Frames(fspath(frames)) if isinstance(frames, (str, PathLike)) else frames
+        return self._mapped(_each(recording), workers, debias)
+
+    def _mapped(self, frames: Iterator[Any], workers: int, debias: bool) -> Iterator[Result]:
+        if workers == 1:
+            for frame in frames:
+                yield self(frame, debias=debias)
+            return
+        pending: deque[Future[Result]] = deque()
+        with ThreadPoolExecutor(workers, thread_name_prefix="rowburst") as pool:
+            try:
+                for frame in frames:
+                    pending.append(pool.submit(self, frame, debias=debias))
+                    if len(pending) >= workers:
+                        yield pending.popleft().result()
+                while pending:
+                    yield pending.popleft().result()
+            finally:
+                for future in pending:
+                    future.cancel()
+
+    def live(self) -> LiveView:
+        """A live view with the camera, PSF, corrections, prior and tau of this reconstructor."""
+        settings = {name: value for name, value in self._settings.items() if name != "experiment"}
+        return LiveView(**settings, noise_sigma=self._given["noise_sigma"])  # type: ignore[arg-type]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (self._source, self._given)
+
+    def __repr__(self) -> str:
+        bins, rows, columns = self.camera.video_shape
+        return f"<rowburst.Reconstructor: {bins} frames of {rows}×{columns}, prior {self._settings['prior']}>"
+
+
+def _again(camera: Camera | Experiment, given: dict[str, Any]) -> Reconstructor:
+    return Reconstructor(camera, **given)
+
+
+def _each(frames: Any) -> Iterator[Any]:
+    """The frames of an array or an iterable, without an array's copy as a whole."""
+    if hasattr(frames, "__getitem__") and hasattr(frames, "__len__"):
+        return (frames[index] for index in range(len(frames)))
+    return iter(frames)

@@ -1,0 +1,176 @@
+"""What every reconstructed video offers: pictures of it, and labelled axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._extras import need
+from ._rowburst import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import DataArray
+
+
+class VideoResult:
+    """A video ``[t, y, x]`` in counts with the times of its bins: base of :class:`Result` and :class:`SavedResult`."""
+
+    @property
+    def video(self) -> NDArray[np.float32]:
+        """The video ``[t, y, x]`` in counts. It may not be written to."""
+        raise NotImplementedError
+
+    @property
+    def time_us(self) -> NDArray[np.float64]:
+        """The middle of each bin in microseconds, from the start of the first bin."""
+        raise NotImplementedError
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames of the video a second."""
+        raise NotImplementedError
+
+    @property
+    def residual(self) -> NDArray[np.float32]:
+        """``W(b - A v) / sigma``, ``[y, x]``; 0 where a pixel holds no information."""
+        raise NotImplementedError
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The content of ``result.json`` of the command line."""
+        raise NotImplementedError
+
+    @property
+    def _sensor_shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        rows, columns = self.residual.shape
+        return rows, columns
+
+    def to_xarray(self) -> DataArray:
+        """The video with the axes ``time`` (microseconds), ``y`` and ``x`` (pixels of the sensor).
+
+        Returns
+        -------
+        xarray.DataArray
+            float32 ``(time, y, x)`` in counts. ``time`` is the middle of each bin, from the start of the first one. Where
+            the field is larger than the sensor, ``y`` and ``x`` begin below 0. The attributes are prior, tau, noise, fit
+            and frame rate.
+
+        Raises
+        ------
+        InputError
+            xarray is not installed.
+
+        Examples
+        --------
+        >>> video = result.to_xarray()
+        >>> video.dims, video.time.attrs["units"]
+        (('time', 'y', 'x'), 'µs')
+        >>> bright = video.sel(time=slice(50, 150)).max("time")
+        """
+        xarray = need("xarray", "to_xarray")
+        _, rows, columns = self.video.shape
+        sensor_rows, sensor_columns = self._sensor_shape
+        numbers = self.numbers
+        kept = ("prior", "tau", "noise_sigma", "effective_sigma", "residual_over_sigma", "fit", "frame_rate_hz", "version")
+        array: DataArray = xarray.DataArray(
+            self.video,
+            dims=("time", "y", "x"),
+            coords={
+                "time": ("time", self.time_us, {"units": "µs", "long_name": "middle of the bin"}),
+                "y": ("y", np.arange(rows) - (rows - sensor_rows) / 2, {"units": "px", "long_name": "row of the sensor"}),
+                "x": ("x", np.arange(columns) - (columns - sensor_columns) / 2, {"units": "px", "long_name": "column"}),
+            },
+            name="video",
+            attrs={"units": "counts"} | {name: numbers[name] for name in kept if name in numbers},
+        )
+        return array
+
+    def plot(self) -> NDArray[Any]:
+        """Draws the result on one page: maximum over time, time as colour, light over time, residual.
+
+        Returns
+        -------
+        numpy.ndarray
+            The four ``matplotlib`` axes, ``[2, 2]``. The figure is ``axes[0, 0].figure``.
+
+        Raises
+        ------
+        InputError
+            matplotlib is not installed.
+
+        Examples
+        --------
+        >>> axes = result.plot()
+        >>> axes[0, 0].figure.savefig("result.png", dpi=150)
+        """
+        from . import _plot
+
+        return _plot.overview(self)
+
+    def montage(self, frames: int = 12, columns: int | None = None, cmap: str = "gray") -> NDArray[Any]:
+        """Draws bins of the video side by side, on one scale, each with its time.
+
+        Parameters
+        ----------
+        frames : int
+            Number of bins, evenly spaced from the first to the last.
+        columns : int, optional
+            Pictures in a row; by default about as many as there are rows, times 1.5.
+        cmap : str
+            Name of a matplotlib colour map.
+
+        Returns
+        -------
+        numpy.ndarray
+            The ``matplotlib`` axes, one for each bin that is shown.
+
+        Raises
+        ------
+        InputError
+            matplotlib is not installed, or ``frames`` or ``columns`` is below 1.
+
+        Examples
+        --------
+        >>> len(result.montage(6))
+        6
+        """
+        from . import _plot
+
+        for name, value in (("frames", frames), ("columns", 1 if columns is None else columns)):
+            if value < 1:
+                raise InputError(f"{name}: found {value}; there is at least one. Leave it out.")
+        return _plot.montage(self, frames, columns, cmap)
+
+    def time_colour(self, ax: Axes | None = None, cmap: str = "turbo") -> Axes:
+        """Draws the video as one picture, in which the colour is the time and the brightness the light.
+
+        Each bin is tinted with the colour of its time; each pixel shows the brightest of its tinted bins.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default into a figure of its own.
+        cmap : str
+            Name of a matplotlib colour map, from the first bin to the last.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, with a colour bar in microseconds.
+
+        Raises
+        ------
+        InputError
+            matplotlib is not installed.
+
+        Examples
+        --------
+        >>> ax = result.time_colour()
+        """
+        from . import _plot
+
+        return _plot.time_colour(self, ax, cmap)

@@ -1,0 +1,109 @@
+"""Colour, videos in chunks, and the command of the package: the bits of the command line."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import rowburst as rb
+
+PROGRAM = os.environ.get("ROWBURST")
+
+
+@pytest.fixture(scope="module")
+def files(capture, camera, psf, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    np.save(folder / "frame.npy", capture.frame)
+    np.save(folder / "psf.npy", psf.array)
+    (folder / "experiment.toml").write_text(camera.to_toml())
+    (folder / "colour.toml").write_text(camera.replace(bayer="grbg").to_toml())
+    return folder
+
+
+def command(files, experiment, *options):
+    subprocess.run(
+        [PROGRAM, "reconstruct", files / experiment, "--frame", files / "frame.npy", "--psf", files / "psf.npy", *map(str, options)],
+        check=True, capture_output=True)  # fmt: skip
+
+
+@pytest.mark.parametrize("prior", ["auto", "tv"])
+def test_colour_is_that_of_the_command_line(prior, files, camera, tmp_path):
+    psf = np.load(files / "psf.npy")
+    frame = np.load(files / "frame.npy")
+    colour = rb.reconstruct_colour(frame, camera.replace(bayer="grbg"), psf, prior=prior, max_iterations=20)
+    bins = colour.planes["red"].video.shape[0]
+    assert colour.video.shape == (bins, 12, 15, 3) and not colour.video.flags.writeable
+    planes = colour.planes
+    assert sorted(planes) == ["blue", "green-1", "green-2", "red"]
+    np.testing.assert_array_equal(colour.video[..., 0], planes["red"].video)
+    np.testing.assert_allclose(colour.video[..., 1], (planes["green-1"].video + planes["green-2"].video) / 2)
+    assert len({plane.prior for plane in planes.values()}) == 1
+    assert planes["red"].camera.frame_shape == (12, 15)
+    saved = colour.save(tmp_path / "ours")
+    np.testing.assert_array_equal(np.load(saved / "red" / "video.npy"), planes["red"].video)
+    if PROGRAM:
+        out = tmp_path / "out"
+        command(files, "colour.toml", "--prior", prior, "--max-iterations", 20, "-o", out)
+        np.testing.assert_array_equal(np.load(out / "colour.npy"), colour.video)
+        np.testing.assert_array_equal(np.load(saved / "colour.npy"), np.load(out / "colour.npy"))
+        listed = json.loads((out / "result.json").read_text())["planes"]
+        assert {p["name"]: p["start_us"] for p in listed} == colour.start_us
+        assert {p["name"]: p["tau"] for p in listed} == {name: plane.tau for name, plane in planes.items()}
+
+
+def test_colour_needs_a_mosaic_and_grey_has_none(files, camera, psf):
+    with pytest.raises(rb.InputError, match="bayer: found None"):
+        rb.reconstruct_colour(files / "frame.npy", camera, psf)
+    with pytest.raises(rb.InputError, match="reconstruct_colour"):
+        rb.reconstruct(files / "frame.npy", camera.replace(bayer="rggb"), psf)
+    with pytest.raises(rb.InputError, match="raw frame"):
+        rb.reconstruct_colour(np.zeros((10, 10)), camera.replace(bayer="rggb"), psf)
+
+
+def test_chunks_are_those_of_the_command_line_and_go_on(files, camera, tmp_path):
+    psf = np.load(files / "psf.npy")
+    frame = np.load(files / "frame.npy")
+    options = dict(bins_per_chunk=4, prior="tv", max_iterations=20)
+
+    def stop_in_the_second(progress, seen=[]):
+        seen.append(progress.iteration)
+        return seen.count(1) < 2
+
+    with pytest.raises(rb.WorkError, match="4 of 12 bins"):
+        rb.reconstruct_chunked(frame, tmp_path / "ours", camera, psf, progress=stop_in_the_second, **options)
+    saved = rb.reconstruct_chunked(frame, tmp_path / "ours", camera, psf, **options)
+    assert saved.video.shape == camera.video_shape and len(saved.numbers["parts"]) == 3
+    assert "good" in repr(saved) or saved.fit != "good"
+    part = rb.reconstruct_chunked(frame, tmp_path / "part", camera, psf, bins=(2, 8), **options)
+    assert part.video.shape[0] == 6 and part.numbers["first_bin"] == 2
+    if PROGRAM:
+        command(files, "experiment.toml", "--prior", "tv", "--max-iterations", 20, "--part-bins", 4, "-o", tmp_path / "out")
+        np.testing.assert_array_equal(np.load(tmp_path / "out" / "video.npy"), saved.video)
+    with pytest.raises(rb.InputError, match="tdiff couples bins"):
+        rb.reconstruct_chunked(frame, tmp_path / "no", camera, psf, prior="tdiff")
+    pytest.importorskip("matplotlib").use("Agg")
+    saved.plot()
+    saved.montage(3)
+
+
+@pytest.mark.parametrize("start", [[sys.executable, "-m", "rowburst"], [os.path.join(os.path.dirname(sys.executable), "rowburst")]])
+def test_the_command_comes_with_the_package(start, files, tmp_path):
+    version = subprocess.run([*start, "--version"], capture_output=True, text=True)
+    assert version.returncode == 0 and version.stdout.split() == ["rowburst", rb.__version__]
+    wrong = subprocess.run([*start, "reconstruct", "none.toml", "--frame", "none.npy", "-o", tmp_path], capture_output=True, text=True)
+    assert wrong.returncode == 2 and "none.toml" in wrong.stderr
+    done = subprocess.run(
+        [*start, "reconstruct", files / "experiment.toml", "--frame", files / "frame.npy", "--psf", files / "psf.npy", "--prior", "tv",
+         "--max-iterations", "20", "-o", tmp_path / "out", "--json"], capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    result = rb.reconstruct(
+        np.load(files / "frame.npy"), rb.Camera.from_file(files / "experiment.toml"), np.load(files / "psf.npy"), prior="tv", max_iterations=20)  # fmt: skip
+    np.testing.assert_array_equal(np.load(tmp_path / "out" / "video.npy"), result.video)
+    assert json.loads(done.stdout)["tau"] == result.tau
+    # A design's page repeats what was typed.
+    designed = subprocess.run([*start, "design", "--quick", "-o", tmp_path / "design"], capture_output=True)
+    assert designed.returncode == 0
+    assert "rowburst design --quick -o" in (tmp_path / "design" / "report.html").read_text(encoding="utf-8")
