@@ -295,7 +295,7 @@ impl PyCamera {
 
     /// A camera that differs in the given arguments of the constructor.
     ///
-    ///     camera = camera.replace(**sensor.camera_fields)
+    /// After a calibration of the sensor: ``camera.replace(**sensor.camera_fields)``.
     #[pyo3(signature = (**changes))]
     fn replace<'py>(
         slf: &Bound<'py, Self>,

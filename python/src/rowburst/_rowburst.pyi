@@ -83,7 +83,7 @@ class Camera:
     def replace(self, **changes: Any) -> Camera:
         """A camera that differs in the given arguments of the constructor.
 
-            camera = camera.replace(**sensor.camera_fields)
+        After a calibration of the sensor: ``camera.replace(**sensor.camera_fields)``.
         """
     @staticmethod
     def from_file(path: str | PathLike[str]) -> Camera:
