@@ -146,8 +146,8 @@ fn check_count(source: &Source, count: usize, promised: Option<usize>) -> Result
     }
 }
 
-/// Channels and planes in depth of the frames, as ImageJ or OME-XML says. Depth alone is taken for time: programs that
-/// know no time call it so.
+/// Channels and planes in depth of the frames, as ImageJ or OME-XML says. Channels alone and depth alone are taken for
+/// time: programs that know no time call it so.
 fn planes_of_frame<R: Read + Seek>(pages: &mut Decoder<R>) -> Option<(usize, usize)> {
     if !matches!(pages.colortype().ok()?, ColorType::Gray(_)) {
         // A page holds all channels.
@@ -164,12 +164,13 @@ fn planes_of_frame<R: Read + Seek>(pages: &mut Decoder<R>) -> Option<(usize, usi
         }
         None => ome_sizes(&text)?,
     };
-    let depths = if frames.unwrap_or(1) > 1 {
-        depths
+    let [channels, depths, frames] = [channels, depths, frames].map(|size| size.unwrap_or(1));
+    let axes = [channels, depths, frames].map(|size| usize::from(size > 1));
+    Some(if axes.iter().sum::<usize>() > 1 {
+        (channels, depths)
     } else {
-        None
-    };
-    Some((channels.unwrap_or(1), depths.unwrap_or(1)))
+        (1, 1)
+    })
 }
 
 /// Refuses pages of other channels or depths between those of one frame and the next.
