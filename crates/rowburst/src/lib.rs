@@ -18,6 +18,7 @@ pub mod calibrate;
 pub mod camera;
 pub mod design;
 pub mod error;
+mod fft2;
 pub mod forward;
 pub mod image;
 pub mod linop;

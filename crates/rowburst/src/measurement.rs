@@ -104,6 +104,33 @@ impl Measurement {
         }
     }
 
+    /// The light `(b − offset)/gain` of pixels that turn a light `l` into `gain·l + offset` counts; both `[y, x]`. A
+    /// pixel's noise is divided by its gain too, and its weight multiplied.
+    ///
+    /// # Panics
+    /// If a length is not that of the frame, or a gain is not above zero.
+    #[must_use]
+    pub fn adjusted(&self, gain: &[f32], offset: &[f32]) -> Self {
+        let pixels = self.image.data().len();
+        assert!(gain.len() == pixels && offset.len() == pixels, "one value for each pixel");
+        assert!(gain.iter().all(|g| *g > 0.0), "gains above zero");
+        let mut image = self.image.clone();
+        let values = image.data_mut().iter_mut().zip(gain.iter().zip(offset));
+        values.for_each(|(b, (g, o))| *b = (*b - o) / g);
+        let mut weights = self.weights.clone();
+        if gain.iter().any(|g| *g != 1.0) {
+            let weights = weights.get_or_insert_with(|| vec![1.0; pixels]);
+            weights.iter_mut().zip(gain).for_each(|(w, g)| *w *= g);
+        }
+        Self {
+            image,
+            weights,
+            noise: self.noise.as_ref().map(|noise| noise.adjusted(gain, offset)),
+            bad: self.bad,
+            saturated: self.saturated,
+        }
+    }
+
     /// The measurement with these stored values, without a noise model. It serves to look at a completed
     /// reconstruction; a new one needs [`correct`].
     ///

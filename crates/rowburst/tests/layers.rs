@@ -14,8 +14,9 @@ const fn module(name: &'static str, layer: usize, uses: &'static [&'static str])
     Module { name, layer, uses }
 }
 
-const MODULES: [Module; 24] = [
+const MODULES: [Module; 25] = [
     module("error", 0, &[]),
+    module("fft2", 0, &[]),
     module("shape", 0, &[]),
     module("vecmath", 0, &[]),
     // Values know no operators.

@@ -61,6 +61,17 @@ impl NoiseModel {
         model
     }
 
+    /// The law of the light `(counts − offset)/gain`.
+    pub(super) fn adjusted(&self, gain: &[f32], offset: &[f32]) -> Self {
+        let mut model = self.clone();
+        let slopes = model.slope.iter_mut().zip(&mut model.dark_variance);
+        for ((slope, variance), (g, o)) in slopes.zip(gain.iter().zip(offset)) {
+            *variance = (*variance + *slope * o).max(0.0) / (g * g);
+            *slope /= g;
+        }
+        model
+    }
+
     /// Standard deviation of a pixel with weight 1, in counts.
     pub fn sigma(&self) -> f64 {
         self.reference

@@ -5,7 +5,7 @@
 //! grain apart, the Nyquist rate of an intensity of band limit `D/(λz)`. The mean
 //! over a pixel is then exact: a product with sinc in the frequency domain.
 
-use super::fft2::{Fft2, smooth_length};
+use crate::fft2::{Fft2, smooth_length};
 use crate::{Error, Result};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;

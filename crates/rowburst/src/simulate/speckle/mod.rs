@@ -25,7 +25,6 @@
 //! chapters 3 to 5.
 
 mod diffraction;
-mod fft2;
 
 use super::require_positive;
 use crate::{Error, Image, Psf, Result};

@@ -6,14 +6,14 @@ use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// Forward and inverse transforms of `n × n` points, without normalisation.
-pub(super) struct Fft2 {
+pub(crate) struct Fft2 {
     n: usize,
     forward: Arc<dyn Fft<f32>>,
     inverse: Arc<dyn Fft<f32>>,
 }
 
 impl Fft2 {
-    pub(super) fn new(n: usize) -> Self {
+    pub(crate) fn new(n: usize) -> Self {
         let mut planner = FftPlanner::new();
         Self {
             n,
@@ -23,13 +23,13 @@ impl Fft2 {
     }
 
     /// `X[l, k] = Σ x[n, m] exp(−2πi(kn + lm)/N)`: the result is **transposed**.
-    pub(super) fn forward(&self, data: &mut [Complex32]) {
+    pub(crate) fn forward(&self, data: &mut [Complex32]) {
         self.apply(self.forward.as_ref(), data);
     }
 
     /// The transform with the other sign; transposes too, so that forward then
     /// inverse gives the array back in its order, times `n²`.
-    pub(super) fn inverse(&self, data: &mut [Complex32]) {
+    pub(crate) fn inverse(&self, data: &mut [Complex32]) {
         self.apply(self.inverse.as_ref(), data);
     }
 
@@ -65,7 +65,7 @@ impl Fft2 {
 }
 
 /// The smallest number of the form 2ᵃ3ᵇ5ᶜ that is at least `least`: these are fast.
-pub(super) fn smooth_length(least: usize) -> usize {
+pub(crate) fn smooth_length(least: usize) -> usize {
     let is_smooth = |mut n: usize| {
         for prime in [2, 3, 5] {
             while n.is_multiple_of(prime) {
