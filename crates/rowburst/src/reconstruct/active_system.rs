@@ -94,6 +94,11 @@ impl ActiveSystem {
         })
     }
 
+    /// Makes the next [`Self::solve`] the first one again.
+    pub fn reset(&mut self) {
+        self.previous = None;
+    }
+
     /// Solves `(B Bᵀ + ρI) y = r` for an `r` that converges over the iterations, and sets `gram_y = B Bᵀ y`. Returns
     /// whether the factor is well conditioned.
     ///

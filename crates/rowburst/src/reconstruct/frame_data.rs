@@ -212,7 +212,12 @@ impl FrameData {
 
     /// Draws the pixels to be held out.
     pub fn held_out(&self) -> HeldOut {
-        HeldOut::draw(self.shutter(), self.weights())
+        self.held_out_set(0)
+    }
+
+    /// Draws one of several sets of pixels to be held out.
+    pub fn held_out_set(&self, set: u64) -> HeldOut {
+        HeldOut::draw(self.shutter(), self.weights(), set)
     }
 
     /// Resets to the initial weights and to all voxels, for videos with this background, without the
@@ -329,6 +334,26 @@ impl FrameData {
         light
     }
 
+    /// `W values`.
+    pub fn weigh(&self, values: &[f32]) -> Vec<f32> {
+        self.operator.weigh(values).into_owned()
+    }
+
+    /// Solves `(B Bᵀ + ρI) y = r` for an `r` that has nothing to do with the one before; `B` is `W A` on the support.
+    pub fn solve_alone(&mut self, r: &[f32], rho: f64) -> Vec<f64> {
+        if matches!(self.gram, Gram::Exact(Precision::Single(_))) {
+            self.replace_blocks(true);
+        }
+        if let Gram::Iterative(_, Some(active)) = &mut self.gram {
+            active.reset();
+        }
+        let size = crate::vecmath::norm(r).max(f64::MIN_POSITIVE);
+        let unit: Vec<f32> = r.iter().map(|r| (f64::from(*r) / size) as f32).collect();
+        let (mut y, mut gram_y) = (vec![0.0; r.len()], vec![0.0; r.len()]);
+        self.solve_gram(&unit, rho, &mut y, &mut gram_y);
+        y.iter().map(|y| size * f64::from(*y)).collect()
+    }
+
     /// `σ` in counts of a pixel with weight 1 under the noise model of the weights; `None` without a noise model.
     pub fn calibrated_sigma(&self) -> Option<f64> {
         self.noise.as_ref().map(NoiseModel::sigma)
@@ -340,11 +365,6 @@ impl FrameData {
             Background::None => stacked,
             background => background.sum(self.shape(), &stacked).into_owned(),
         }
-    }
-
-    /// Number of pixels that are held out now.
-    pub fn held_out_count(&self) -> usize {
-        self.held_out.as_ref().map_or(0, |h| h.pixels().len())
     }
 
     /// `W(b − A v)` at the held-out pixels, with the weights that they would have.

@@ -23,9 +23,9 @@ pub(super) struct HeldOut {
 
 impl HeldOut {
     /// Draws from the pixels with a weight above zero: at least one for each instant that has 10 or more of
-    /// them, none for the others.
-    pub fn draw(shutter: &RollingShutter, weights: Option<&[f32]>) -> Self {
-        let mut rng = Pcg64::seed_from_u64(SEED);
+    /// them, none for the others. Each `set` is another draw.
+    pub fn draw(shutter: &RollingShutter, weights: Option<&[f32]>, set: u64) -> Self {
+        let mut rng = Pcg64::seed_from_u64(SEED + set);
         let mut pixels = Vec::new();
         for instant in 0..shutter.rows_of_instants().len() {
             let mut usable = shutter.indices_of(instant);
@@ -71,7 +71,7 @@ mod tests {
         let mut weights = vec![1.0f32; 400];
         // Half of the pixels of the first instant, which reads the middle rows, are bad.
         weights[150..200].fill(0.0);
-        let held_out = HeldOut::draw(&shutter, Some(&weights));
+        let held_out = HeldOut::draw(&shutter, Some(&weights), 0);
         for instant in 0..4 {
             let of_instant = shutter.indices_of(instant);
             let count = of_instant
@@ -81,6 +81,6 @@ mod tests {
             assert_eq!(count, if instant == 0 { 3 } else { 5 });
         }
         assert!(held_out.pixels().iter().all(|&i| weights[i] > 0.0));
-        assert_eq!(held_out, HeldOut::draw(&shutter, Some(&weights)));
+        assert_eq!(held_out, HeldOut::draw(&shutter, Some(&weights), 0));
     }
 }

@@ -6,9 +6,9 @@
 
 use super::choose::{self, Observer, rms};
 use super::exclusion::count;
-use super::foreign::{self, BrokenLines};
+use super::foreign::{self, BrokenLines, Foreign};
 use super::frame_data::FrameData;
-use super::{Prior, Problem, RunResult, SigmaSource, observe_sum};
+use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, observe_sum};
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, TauRule};
@@ -67,6 +67,11 @@ impl HeldOutRun {
         }
     }
 
+    /// Root mean square of the weighted residual at the last iteration.
+    pub fn residual_rms(&self) -> f64 {
+        self.residual_rms
+    }
+
     /// Iterates up to iteration `until` or until it converges, and returns whether it has. The error is the result so far
     /// of a run that the observer stopped.
     pub fn run(
@@ -101,10 +106,11 @@ pub(super) struct HeldOutCheck {
     /// `A v` of its video, at all pixels.
     pub light: Vec<f32>,
     pub residual_rms: f64,
+    /// Weighted residuals of the held-out pixels.
+    pub held_out: Vec<f64>,
     pub held_out_rms: f64,
     /// Standard deviation of most held-out residuals, by their median.
     pub held_out_scale: f64,
-    held_out_count: usize,
     pub support_fraction: f64,
 }
 
@@ -120,14 +126,14 @@ impl HeldOutCheck {
             held_out_scale: foreign::robust_scale(
                 &mut held_out.iter().map(|r| r.abs()).collect::<Vec<_>>(),
             ),
-            held_out_count: data.held_out_count(),
+            held_out,
             support_fraction: run.admm.support_fraction(),
         }
     }
 
     /// How far the held-out error of few pixels may lie above its mean by chance, in parts of it.
     fn allowed_deviation(&self) -> f64 {
-        DEVIATIONS / (2.0 * self.held_out_count.max(1) as f64).sqrt()
+        DEVIATIONS / (2.0 * self.held_out.len().max(1) as f64).sqrt()
     }
 
     /// The noise level that serves the reconstruction best where the model does not explain the frame, at least
@@ -153,44 +159,125 @@ impl Problem {
             prior = choose::open_prior();
             check = self.held_out_check(prior, observer)?;
         }
-        if self.is_explained(&check) {
+        if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
             return Ok(());
         }
-        if !self.options.keep_all_pixels {
-            // Foreign pixels may have raised an estimate from the frame.
-            let least_level = match self.sigma_source {
-                SigmaSource::Given | SigmaSource::Calibration => self.sigma,
-                SigmaSource::Frame | SigmaSource::HeldOut => 0.0,
-            };
-            let instants = self.camera.instants();
-            let lines = BrokenLines::new(&self.measurement, instants);
-            let found = foreign::find(&mut self.data, instants, &lines, least_level, observer)?;
-            if found.pixels.contains(&true) {
-                let without = self.check_without(found, &lines.is_broken, prior, observer)?;
-                let max_ratio = match count(&self.excluded) as f64 / self.excluded.len() as f64 {
-                    few if few < MANY_EXCLUDED => MAX_ERROR_RATIO,
-                    _ => MAX_ERROR_RATIO_OF_MANY,
-                };
-                if self.is_explained(&without)
-                    || without.held_out_rms < max_ratio * check.held_out_rms
-                {
-                    check = without;
-                    if self.sigma_source == SigmaSource::HeldOut {
-                        // Foreign pixels have disturbed the noise level.
-                        self.resolve_tau_rule(observer)?;
-                    }
-                } else {
-                    // The video predicts no better without them: it is the model that is wrong.
-                    self.exclude(vec![false; self.excluded.len()]);
-                }
-            }
-        }
+        check = self.correct_model(check, prior, observer)?;
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated && !self.is_explained(&check) {
             self.effective_sigma = check.effective_sigma(self.sigma);
         }
         Ok(())
+    }
+
+    /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, PSF or camera. Returns the
+    /// check after the corrections.
+    ///
+    /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. Without them PSF and
+    /// camera are corrected first: if that explains the frame, no pixel is foreign.
+    fn correct_model(
+        &mut self,
+        check: HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let found = self.find_foreign(observer)?;
+        if !self.calibrates() {
+            return self.exclude_foreign(found, check, prior, observer);
+        }
+        let none = vec![false; self.excluded.len()];
+        let mut pending = None;
+        let mut is_explained = false;
+        if found.pixels.contains(&true) {
+            self.exclude(found.pixels.clone());
+            let without = self.held_out_check(prior, observer)?;
+            is_explained = self.is_explained(&without);
+            if !is_explained {
+                pending = self.find_correction(prior, &without, observer)?;
+            }
+        } else {
+            pending = self.find_correction(prior, &check, observer)?;
+        }
+        self.exclude(none.clone());
+        if let Some(confirmed) = pending.take_if(|confirmed| confirmed.explains) {
+            self.apply_correction(confirmed, none);
+            let check = self.held_out_check(prior, observer)?;
+            if self.is_explained(&check) {
+                return Ok(check);
+            }
+            let found = self.find_foreign(observer)?;
+            return self.exclude_foreign(found, check, prior, observer);
+        }
+        let check = self.exclude_foreign(found, check, prior, observer)?;
+        if is_explained || self.is_explained(&check) {
+            return Ok(check);
+        }
+        if self.excluded.contains(&true) {
+            pending = self.find_correction(prior, &check, observer)?;
+        }
+        let Some(confirmed) = pending else {
+            return Ok(check);
+        };
+        self.apply_correction(confirmed, self.excluded.clone());
+        self.held_out_check(prior, observer)
+    }
+
+    /// Pixels that stand out at a loose fit, if foreign pixels are to be left out.
+    fn find_foreign(&mut self, observer: &mut Observer) -> Result<Foreign, Box<RunResult>> {
+        if self.options.keep_all_pixels {
+            return Ok(Foreign {
+                pixels: vec![false; self.excluded.len()],
+                level: self.sigma,
+            });
+        }
+        // Foreign pixels may have raised an estimate from the frame.
+        let least_level = match self.sigma_source {
+            SigmaSource::Given | SigmaSource::Calibration => self.sigma,
+            SigmaSource::Frame | SigmaSource::HeldOut => 0.0,
+        };
+        let instants = self.camera.instants();
+        let lines = BrokenLines::new(&self.measurement, instants);
+        foreign::find(&mut self.data, instants, &lines, least_level, observer)
+    }
+
+    /// Leaves the pixels `found`, and others that prove to be foreign, out where the video then predicts better than in
+    /// `check`. Returns the check that holds then.
+    fn exclude_foreign(
+        &mut self,
+        found: Foreign,
+        check: HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        if !found.pixels.contains(&true) {
+            return Ok(check);
+        }
+        let lines = BrokenLines::new(&self.measurement, self.camera.instants());
+        let without = self.check_without(found, &lines.is_broken, prior, observer)?;
+        let max_ratio = match count(&self.excluded) as f64 / self.excluded.len() as f64 {
+            few if few < MANY_EXCLUDED => MAX_ERROR_RATIO,
+            _ => MAX_ERROR_RATIO_OF_MANY,
+        };
+        if self.is_explained(&without) || without.held_out_rms < max_ratio * check.held_out_rms {
+            if self.sigma_source == SigmaSource::HeldOut {
+                // Foreign pixels have disturbed the noise level.
+                self.resolve_tau_rule(observer)?;
+            }
+            return Ok(without);
+        }
+        // The video predicts no better without them: it is the model that is wrong.
+        self.exclude(vec![false; self.excluded.len()]);
+        Ok(check)
+    }
+
+    /// Whether the frame may correct PSF and camera.
+    fn calibrates(&self) -> bool {
+        match self.options.self_calibration {
+            SelfCalibration::Off => false,
+            SelfCalibration::Auto => !self.is_dense,
+            SelfCalibration::On => true,
+        }
     }
 
     /// Whether the model explains the pixels that are not left out to the noise of the sensor.

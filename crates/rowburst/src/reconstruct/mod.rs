@@ -17,6 +17,7 @@ mod held_out_check;
 mod model;
 mod preconditioner;
 mod prior;
+mod self_calibration;
 mod sequence;
 mod sigma;
 
@@ -27,6 +28,7 @@ pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
 pub use prior::{Prior, UnfusedWeights};
+pub use self_calibration::{Calibration, FoundParameter, Parameter, SelfCalibration};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
@@ -61,6 +63,8 @@ pub struct Options {
     pub noise_sigma: Option<f64>,
     /// Limit of the number of iterations; `None`: the solver's default.
     pub max_iterations: Option<usize>,
+    /// Whether the frame corrects its PSF and its camera.
+    pub self_calibration: SelfCalibration,
     /// Uses every pixel with a weight above zero: no search for foreign pixels.
     pub keep_all_pixels: bool,
     /// Takes the frame and `σ` as they are: no search for foreign pixels and no effective `σ`, which take time.
@@ -118,6 +122,7 @@ pub struct Problem {
     /// Whether the support of the check of the model exceeds a third of the voxels.
     is_dense: bool,
     sigma_source: SigmaSource,
+    calibration: Option<Calibration>,
     tau_factor: f64,
     camera: Camera,
     bands: Bands,
@@ -156,6 +161,8 @@ pub struct Reconstruction {
     pub coverage: Vec<u8>,
     /// The source of `sigma`.
     pub sigma_source: SigmaSource,
+    /// The correction of PSF and camera that the video is made with; `None`: as given.
+    pub calibration: Option<Calibration>,
     /// Number of iterations.
     pub iterations: usize,
     /// Why the solver stopped.
@@ -238,6 +245,7 @@ impl Problem {
             effective_sigma: sigma,
             is_dense: false,
             sigma_source,
+            calibration: None,
             tau_factor: 1.0,
         })
     }
@@ -357,6 +365,7 @@ impl Problem {
             excluded,
             coverage,
             sigma_source: self.sigma_source,
+            calibration: self.calibration.clone(),
             iterations: solution.iterations,
             stop_reason: solution.stop_reason,
             support_fraction: solution.support_fraction,

@@ -1,0 +1,289 @@
+//! A Gauss–Newton step in the parameters, with the brightness of the lit voxels marginalised.
+//!
+//! The video is known only to within errors that a wrong model has caused. So the brightness of each lit voxel is given
+//! a Gaussian prior of standard deviation `a`, and the residual `r = W(b − A v)` has the covariance
+//!
+//! ```text
+//! K = σ² I + a² B Bᵀ,    B = W A on the lit voxels
+//! ```
+//!
+//! The step `δ` of the parameters `θ` with priors of variance `Λ⁻¹` solves
+//!
+//! ```text
+//! (Jᵀ K⁻¹ J + Λ) δ = Jᵀ K⁻¹ r − Λ θ,    J = ∂r/∂θ with the opposite sign
+//! ```
+//!
+//! It is variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10, 413, 1973) on the lit voxels, with a prior.
+
+use super::calibrator::{Calibrator, Correction, Trial};
+use super::parameters::Parameter;
+use crate::solve::DataTerm;
+use crate::solve::admm::brightness;
+use crate::{RollingShutter, Support};
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+
+/// Threshold of a lit voxel over the brightness; larger leaves voxels out whose light then counts as an error.
+const LIT: f64 = 0.05;
+/// Standard deviation `a` over the brightness; smaller trusts a wrong video.
+const AMPLITUDE: f64 = 0.3;
+/// Largest step over the width of a parameter's prior; larger leaves the range where the model is linear.
+const MAX_STEP: f64 = 1.5;
+/// Standard deviation of the stray light of a row, over the mean of the frame.
+const ROW_OFFSET: f64 = 0.01;
+/// Least part of the measurements that the lit voxels leave over.
+const MIN_REMAINDER: f64 = 0.2;
+
+/// The parameters that a step changes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Free<'a> {
+    pub parameters: &'a [Parameter],
+    /// Whether each row has an offset of its own.
+    pub has_row_offsets: bool,
+}
+
+/// What a step found.
+pub(super) struct StepReport {
+    /// Standard error of each free parameter.
+    pub standard_errors: Vec<f64>,
+    /// Noise level that explains what the step leaves of the residual, in counts.
+    pub remaining_sigma: f64,
+}
+
+/// `K⁻¹` of a trial.
+struct Marginal<'t> {
+    trial: &'t mut Trial,
+    /// `σ²/a²`.
+    rho: f64,
+}
+
+impl<'t> Marginal<'t> {
+    fn new(trial: &'t mut Trial, sigma: f64) -> Self {
+        let shape = trial.data.shape();
+        let lit = LIT * brightness(&trial.video);
+        let support = Support::above(&trial.video, shape, &vec![lit; shape.bins]);
+        trial.data.restrict(&support);
+        let amplitude = AMPLITUDE / LIT * lit;
+        Self {
+            trial,
+            rho: (sigma / amplitude.max(f64::MIN_POSITIVE)).powi(2),
+        }
+    }
+
+    /// `σ² K⁻¹ z` for a weighted `z`.
+    fn solve(&mut self, z: &[f32]) -> Vec<f64> {
+        let mut y = self.trial.data.solve_alone(z, self.rho);
+        y.iter_mut().for_each(|y| *y *= self.rho);
+        y
+    }
+}
+
+/// Changes the `free` parameters of `correction` towards the frame; `trial` is the reconstruction under it at the noise
+/// level `sigma`.
+pub(super) fn step(
+    calibrator: &mut Calibrator,
+    correction: &mut Correction,
+    trial: &mut Trial,
+    sigma: f64,
+    free: Free,
+) -> StepReport {
+    let light = trial.data.predicted(&trial.video);
+    let mut columns: Vec<Vec<f32>> = Vec::new();
+    for &parameter in free.parameters {
+        let column = calibrator.derivative(correction, parameter, &trial.video, &light);
+        columns.push(trial.data.weigh(&column));
+    }
+    let weighted_light = trial.data.weigh(&light);
+    let measured = trial.data.measurements().iter();
+    let residual: Vec<f32> = measured.zip(&weighted_light).map(|(b, a)| b - a).collect();
+    let rows = if free.has_row_offsets {
+        let unit = calibrator.offset_derivative(correction);
+        let unit = trial.data.weigh(&unit);
+        RowColumns::new(trial.data.shutter(), unit)
+    } else {
+        None
+    };
+    let mut marginal = Marginal::new(trial, sigma);
+    let solved: Vec<Vec<f64>> = columns.iter().map(|c| marginal.solve(c)).collect();
+    let solved_residual = marginal.solve(&residual);
+    let solved_rows = rows.as_ref().map(|rows| rows.solve(&mut marginal));
+    let variance = sigma * sigma;
+    let count = columns.len();
+    let row_count = rows.as_ref().map_or(0, |_| correction.row_offsets.len());
+    let mut normal = Mat::<f64>::zeros(count + row_count, count + row_count);
+    let mut right = Mat::<f64>::zeros(count + row_count, 1);
+    for (i, &parameter) in free.parameters.iter().enumerate() {
+        for j in 0..count {
+            normal[(i, j)] = dot(&columns[i], &solved[j]) / variance;
+        }
+        let precision = parameter.prior_width().powi(-2);
+        normal[(i, i)] += precision;
+        right[(i, 0)] = dot(&columns[i], &solved_residual) / variance
+            - precision * correction.parameters[parameter];
+    }
+    if let (Some(rows), Some(solved_rows)) = (&rows, &solved_rows) {
+        let precision = (ROW_OFFSET * calibrator.mean()).powi(-2);
+        for row in 0..row_count {
+            let at = count + row;
+            for j in 0..count {
+                let product = rows.dot(row, &solved[j]) / variance;
+                normal[(at, j)] = product;
+                normal[(j, at)] = product;
+            }
+            for &other in rows.partners(row) {
+                normal[(at, count + other)] = rows.dot(row, solved_rows.of(other)) / variance;
+            }
+            normal[(at, at)] += precision;
+            right[(at, 0)] = rows.dot(row, &solved_residual) / variance
+                - precision * correction.row_offsets[row];
+        }
+    }
+    if normal.nrows() == 0 {
+        return StepReport {
+            standard_errors: Vec::new(),
+            remaining_sigma: remaining_sigma(&mut marginal, &solved_residual),
+        };
+    }
+    let factor = normal.llt(Side::Lower).expect("a positive definite matrix");
+    let change = factor.solve(&right);
+    let covariance = factor.solve(Mat::<f64>::identity(count + row_count, count + row_count));
+    let mut unexplained: Vec<f64> = solved_residual;
+    for (j, solved) in solved.iter().enumerate() {
+        let pairs = unexplained.iter_mut().zip(solved);
+        pairs.for_each(|(u, s)| *u -= change[(j, 0)] * s);
+    }
+    if let (Some(rows), Some(solved_rows)) = (&rows, &solved_rows) {
+        for row in 0..row_count {
+            rows.subtract(row, change[(count + row, 0)], solved_rows, &mut unexplained);
+        }
+    }
+    let remaining_sigma = remaining_sigma(&mut marginal, &unexplained);
+    let widths = free.parameters.iter().map(|p| MAX_STEP * p.prior_width());
+    let largest = (0..count)
+        .zip(widths)
+        .map(|(i, width)| change[(i, 0)].abs() / width)
+        .fold(1.0, f64::max);
+    for (i, &parameter) in free.parameters.iter().enumerate() {
+        correction.parameters[parameter] += change[(i, 0)] / largest;
+    }
+    for row in 0..row_count {
+        correction.row_offsets[row] += change[(count + row, 0)] / largest;
+    }
+    StepReport {
+        standard_errors: (0..count).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect(),
+        remaining_sigma,
+    }
+}
+
+/// The noise level of `unexplained`, the residual that lit voxels and parameters leave over, for each measurement that
+/// is left over. The number of these, `σ² tr K⁻¹`, is estimated with a random vector (Hutchinson, Commun. Stat. 19, 433,
+/// 1990).
+fn remaining_sigma(marginal: &mut Marginal, unexplained: &[f64]) -> f64 {
+    let signs: Vec<f32> = (0..unexplained.len() as u64)
+        .map(|i| if (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 1 == 0 { 1.0 } else { -1.0 })
+        .collect();
+    let usable = marginal.trial.data.usable();
+    let probe: Vec<f32> = signs.iter().zip(&usable).map(|(s, u)| if *u { *s } else { 0.0 }).collect();
+    let solved = marginal.solve(&probe);
+    let count = usable.iter().filter(|u| **u).count() as f64;
+    let remainder = dot(&probe, &solved).clamp(MIN_REMAINDER * count, count);
+    let usable_values = unexplained.iter().zip(&usable).filter(|(_, u)| **u);
+    let power: f64 = usable_values.map(|(e, _)| e * e).sum();
+    (power / remainder).sqrt()
+}
+
+fn dot(a: &[f32], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| f64::from(*a) * b).sum()
+}
+
+/// The columns of `J` that belong to the offsets of the rows: each is `unit` on its row. Where no bin is seen by two
+/// instants, the rows of different instants do not disturb each other, so one solve serves a row of every instant.
+struct RowColumns {
+    unit: Vec<f32>,
+    columns: usize,
+    /// The rows of each instant.
+    instants: Vec<Vec<usize>>,
+    /// Instant of each row, and its place there.
+    place: Vec<(usize, usize)>,
+}
+
+/// `σ² K⁻¹` of the columns, one vector for the rows at one place of all instants.
+struct SolvedRows<'r> {
+    rows: &'r RowColumns,
+    solved: Vec<Vec<f64>>,
+}
+
+impl RowColumns {
+    /// `None` where exposures are longer than a row: the rows of all instants are then coupled.
+    fn new(shutter: &RollingShutter, unit: Vec<f32>) -> Option<Self> {
+        if !shutter.time().is_disjoint() {
+            return None;
+        }
+        let (rows, columns) = shutter.frame_shape();
+        let mut place = vec![(0, 0); rows];
+        let instants: Vec<Vec<usize>> = (0..shutter.rows_of_instants().len())
+            .map(|i| {
+                let pixels = shutter.indices_of(i);
+                pixels.chunks(columns).map(|line| line[0] / columns).collect()
+            })
+            .collect();
+        for (i, rows) in instants.iter().enumerate() {
+            for (k, &row) in rows.iter().enumerate() {
+                place[row] = (i, k);
+            }
+        }
+        Some(Self {
+            unit,
+            columns,
+            instants,
+            place,
+        })
+    }
+
+    fn pixels(&self, row: usize) -> std::ops::Range<usize> {
+        row * self.columns..(row + 1) * self.columns
+    }
+
+    /// The rows that are read at the same instant.
+    fn partners(&self, row: usize) -> &[usize] {
+        &self.instants[self.place[row].0]
+    }
+
+    fn dot(&self, row: usize, values: &[f64]) -> f64 {
+        let pixels = self.pixels(row);
+        dot(&self.unit[pixels.clone()], &values[pixels])
+    }
+
+    fn solve(&self, marginal: &mut Marginal) -> SolvedRows<'_> {
+        let most = self.instants.iter().map(Vec::len).max().unwrap_or(0);
+        let probe = |place: usize| {
+            let mut probe = vec![0.0; self.unit.len()];
+            for row in self.instants.iter().filter_map(|rows| rows.get(place)) {
+                let pixels = self.pixels(*row);
+                probe[pixels.clone()].copy_from_slice(&self.unit[pixels]);
+            }
+            probe
+        };
+        SolvedRows {
+            rows: self,
+            solved: (0..most).map(|place| marginal.solve(&probe(place))).collect(),
+        }
+    }
+
+    /// `values −= factor · σ² K⁻¹` of the column of `row`.
+    fn subtract(&self, row: usize, factor: f64, solved: &SolvedRows, values: &mut [f64]) {
+        let column = solved.of(row);
+        for &partner in self.partners(row) {
+            for at in self.pixels(partner) {
+                values[at] -= factor * column[at];
+            }
+        }
+    }
+}
+
+impl SolvedRows<'_> {
+    /// `σ² K⁻¹` of the column of `row`, at the pixels of its instant.
+    fn of(&self, row: usize) -> &[f64] {
+        &self.solved[self.rows.place[row].1]
+    }
+}
