@@ -3,7 +3,7 @@
 use crate::choice::CORRECTIONS;
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
-use rowburst::reconstruct::{Model, Options, Prior};
+use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::inputs::{
@@ -80,6 +80,7 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
         noise_sigma: files.noise_sigma,
         max_iterations: files.max_iterations,
         keep_all_pixels: files.keep_all_pixels,
+        self_calibration: SelfCalibration::Off,
         is_preview: budget.is_some(),
     };
     let own_period = files.frame_period_us;

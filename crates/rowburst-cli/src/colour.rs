@@ -8,7 +8,7 @@ use crate::progress::Bar;
 use crate::reconstruct::{command_line, movie_style, options};
 use rowburst::bayer::{Bayer, Site};
 use rowburst::measurement::correct;
-use rowburst::reconstruct::Options;
+use rowburst::reconstruct::{Options, SelfCalibration};
 use rowburst::{Error, Result, Video};
 use rowburst_io::{
     Calibration, Experiment, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
@@ -72,6 +72,8 @@ pub fn run(
     let folder = OutputFolder::create(&args.output)?;
     let shared = SharedInputs::read(args, &experiment, mosaic)?;
     let mut options = options(args, &experiment)?;
+    // Each plane would correct the PSF in its own way.
+    options.self_calibration = SelfCalibration::Off;
     folder.remove("result.json")?;
     let mut planes: Vec<(Site, PlaneSummary, Video)> = Vec::new();
     let mut bin_us = 0.0;

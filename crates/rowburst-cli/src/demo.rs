@@ -59,6 +59,7 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         tau: None,
         noise_sigma: None,
         keep_all_pixels: false,
+        self_calibrate: None,
         time_budget_s: None,
         max_iterations: None,
         debias: args.debias,

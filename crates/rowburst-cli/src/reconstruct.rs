@@ -14,7 +14,9 @@ use rowburst_io::{Experiment, FromMetadata, OutputFolder, read_metadata};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_path, read_corrections, read_frame, read_truth,
 };
-use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
+use rowburst_run::options::{
+    parse_self_calibration, parse_time_budget, resolve_prior, resolve_tau,
+};
 use rowburst_run::{
     ChunkedSummary, ChunkedTask, CompletedTask, MovieStyle, ReconstructionSummary, ResultMeta,
     Task, TraceRequest, Traces, player_of, short, solve, thousands,
@@ -190,6 +192,7 @@ pub fn options(args: &ReconstructArgs, experiment: &Experiment) -> Result<Option
         noise_sigma: args.noise_sigma,
         max_iterations: args.max_iterations.map(|n| n as usize),
         keep_all_pixels: args.keep_all_pixels,
+        self_calibration: parse_self_calibration(args.self_calibrate.as_deref())?,
         is_preview: false,
     })
 }
@@ -379,6 +382,7 @@ pub(crate) fn command_line(args: &ReconstructArgs) -> String {
     option("--tau", args.tau.clone());
     let number = |value: Option<f64>| value.map(|v| v.to_string());
     option("--noise-sigma", number(args.noise_sigma));
+    option("--self-calibrate", args.self_calibrate.clone());
     option("--time-budget-s", number(args.time_budget_s));
     let max_iterations = args.max_iterations.map(|v| v.to_string());
     option("--max-iterations", max_iterations);
@@ -429,6 +433,9 @@ fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces
     ));
     if summary.prior_choice.held_out_pixels.is_some() {
         print_line(format_args!("prior: {}", summary.prior_choice.reason));
+    }
+    if let Some(found) = &summary.self_calibration {
+        print_line(format_args!("corrected by the frame: {found}"));
     }
     print_line(&summary.certificate);
     if summary.fit == Verdict::Good.name() {

@@ -11,7 +11,7 @@ use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use rowburst::measurement::Corrections;
-use rowburst::reconstruct::{Options, Sequence};
+use rowburst::reconstruct::{Options, SelfCalibration, Sequence};
 use rowburst::solve::StopReason;
 use rowburst_run::options::parse_time_budget;
 use std::ops::ControlFlow;
@@ -76,6 +76,7 @@ impl PySequence {
             tau: tau_from(tau)?,
             noise_sigma,
             max_iterations: None,
+            self_calibration: SelfCalibration::Off,
             keep_all_pixels: true,
             is_preview: true,
         };

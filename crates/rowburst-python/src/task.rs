@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use rayon::ThreadPool;
 use rowburst::camera::CameraParams;
 use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Chunked, Model, Options, Prior, Tau};
+use rowburst::reconstruct::{Chunked, Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Image, PatchSet, Sensor};
@@ -299,6 +299,7 @@ pub fn options_from(
     keep_all_pixels: bool,
 ) -> PyResult<Options> {
     Ok(Options {
+        self_calibration: SelfCalibration::Off,
         prior: prior_from(prior)?,
         tau: tau_from(tau)?,
         noise_sigma,

@@ -94,6 +94,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             origin: DirectOrigin::Truth,
         }),
         residual: &residual,
+        given_psf: None,
         excluded: None,
         coverage: None,
         traces: &traces,

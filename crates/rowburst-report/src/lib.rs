@@ -41,6 +41,8 @@ pub struct ReportInput<'a> {
     pub frame: &'a Image,
     /// The point spread function `[y, x]`, of any size.
     pub psf: &'a Image,
+    /// The point spread function before self-calibration, of the same size; `None`: it was not corrected.
+    pub given_psf: Option<&'a Image>,
     /// The reconstruction `[t, y, x]`; its field may be larger than the sensor.
     pub video: &'a Video,
     /// The true video, of the reconstruction's shape (simulations).

@@ -66,6 +66,7 @@ impl Case {
                 origin: DirectOrigin::Truth,
             }),
             residual: &self.residual,
+            given_psf: None,
             excluded: None,
             coverage: None,
             traces: &self.traces,

@@ -4,8 +4,8 @@ use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage};
 use crate::summary::{
-    FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
-    peak_memory_bytes, percent,
+    CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
+    ReconstructionSummary, peak_memory_bytes, percent,
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
@@ -14,8 +14,11 @@ use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Image, Result};
-use rowburst_io::{OutputFolder, TiffScale, write_npy_u8, write_npy_video, write_tiff_video};
+use rowburst::{Image, PatchSet, Result};
+use rowburst_io::{
+    OutputFolder, TiffScale, write_npy_image, write_npy_u8, write_npy_video, write_patch_set,
+    write_tiff_video,
+};
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
 
@@ -54,6 +57,13 @@ const FILES: &[(&str, &str)] = &[
 /// pixels.
 const MIN_WARNED_FRACTION: f64 = 0.005;
 
+/// The further file of a run that corrected its PSF.
+const CORRECTED_PSF: &str = "psf-corrected.npy";
+const CORRECTED_PSF_FILE: (&str, &str) = (
+    CORRECTED_PSF,
+    "the PSF as the frame has corrected it, float32 [y, x]; give it with --psf for the next frames",
+);
+
 /// The further file of a prior with a background.
 const BACKGROUND_FILE: (&str, &str) = (
     "background.npy",
@@ -62,8 +72,10 @@ const BACKGROUND_FILE: (&str, &str) = (
 
 /// A task with its reconstruction.
 pub struct CompletedTask {
-    /// The task.
+    /// The task. After self-calibration it has the corrected PSFs and the corrected frame.
     pub task: Task,
+    /// The PSFs as given; `None`: they were not corrected.
+    pub given_psfs: Option<PatchSet>,
     /// The reconstruction. After [`Self::take_debiased`] its video is the refitted one.
     pub reconstruction: Reconstruction,
     /// The effect of debiasing; `None` without it.
@@ -179,6 +191,10 @@ impl CompletedTask {
             metadata: MetadataNumbers::from(&self.task.from_metadata),
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
+            self_calibration: reconstruction
+                .calibration
+                .as_ref()
+                .map(|found| CalibrationNumbers::new(found, reconstruction.sigma)),
             excluded_fraction: reconstruction.excluded_fraction(),
             coverage_fraction: reconstruction.coverage_fraction(),
             threads: rayon::current_num_threads(),
@@ -243,6 +259,12 @@ impl CompletedTask {
         if missing > 0 {
             warnings.push(format!("{missing} saturated pixels were excluded"));
         }
+        if let Some(found) = &reconstruction.calibration {
+            let numbers = CalibrationNumbers::new(found, reconstruction.sigma);
+            warnings.push(format!(
+                "the frame has corrected its PSF and camera: {numbers}; {CORRECTED_PSF} is the PSF for the next frames"
+            ));
+        }
         warnings.extend(self.coverage_warnings());
         warnings.extend(traces.warnings());
         if let (true, Some(why)) = (
@@ -295,6 +317,10 @@ impl CompletedTask {
         folder.write("video.npy", |w| write_npy_video(w, video))?;
         folder.remove("video.mp4")?;
         folder.remove("background.npy")?;
+        folder.remove(CORRECTED_PSF)?;
+        if let Some(found) = &self.reconstruction.calibration {
+            write_corrected_psf(folder, &found.psfs)?;
+        }
         if let Some(background) = &self.reconstruction.background {
             folder.write("background.npy", |w| write_npy_video(w, background))?;
         }
@@ -341,6 +367,7 @@ impl CompletedTask {
                         .as_ref()
                         .map(|_| &BACKGROUND_FILE),
                 )
+                .chain(self.given_psfs.as_ref().map(|_| &CORRECTED_PSF_FILE))
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
@@ -461,6 +488,7 @@ impl CompletedTask {
             title: report_meta.title,
             frame: task.measurement.image(),
             psf: task.psfs.central().image(),
+            given_psf: self.given_psfs.as_ref().map(|psfs| psfs.central().image()),
             video: &self.reconstruction.video,
             truth: task.truth.as_ref(),
             direct: direct.as_ref().map(|(image, origin)| Direct {
@@ -490,5 +518,13 @@ impl CompletedTask {
             files: report_meta.files,
             reproduce: report_meta.reproduce,
         })
+    }
+}
+
+/// Writes the PSF that the frame has corrected, or one for each patch of the field.
+fn write_corrected_psf(folder: &OutputFolder, psfs: &PatchSet) -> Result<()> {
+    match psfs.psfs() {
+        [psf] => folder.write(CORRECTED_PSF, |w| write_npy_image(w, psf.image())),
+        _ => write_patch_set(folder, CORRECTED_PSF.trim_end_matches(".npy"), psfs),
     }
 }

@@ -90,6 +90,7 @@ pub fn figure_of_folder(folder: &Path, layout: Layout) -> Result<ComposedFigure>
             title: &view.title,
             frame: &frame,
             psf: &psf,
+            given_psf: None,
             video: &video,
             truth: truth.as_ref(),
             direct: direct.as_ref().map(|image| Direct {
@@ -234,6 +235,7 @@ impl CompletedTask {
                 title,
                 frame: task.measurement.image(),
                 psf: task.psfs.central().image(),
+                given_psf: None,
                 video: &found.video,
                 truth: task.truth.as_ref(),
                 direct: direct.as_ref().map(|(image, _)| Direct {

@@ -118,6 +118,7 @@ fn reconstruction_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<
         ),
     ]);
     lines.extend(coverage_settings(task, summary));
+    lines.extend(calibration_settings(summary));
     lines
 }
 
@@ -176,6 +177,23 @@ fn coverage_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<(Strin
             percent(summary.coverage_fraction),
         ),
     ]
+}
+
+/// What the frame has corrected of its PSF and camera.
+fn calibration_settings(summary: &ReconstructionSummary) -> Vec<(String, String)> {
+    let Some(found) = &summary.self_calibration else {
+        return vec![pair("self-calibration", "nothing was corrected".into())];
+    };
+    let mut lines = vec![pair(
+        "self-calibration",
+        format!(
+            "held-out error {:.2} σ before, {:.2} σ after",
+            found.held_out_before, found.held_out_after
+        ),
+    )];
+    let parameters = found.lines().into_iter();
+    lines.extend(parameters.map(|(name, value)| (format!("  {name}"), value)));
+    lines
 }
 
 /// How the standard errors of the traces were computed.

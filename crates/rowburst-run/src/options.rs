@@ -1,6 +1,6 @@
 //! Parses the options of the user: prior, `τ` and time budget.
 
-use rowburst::reconstruct::{Prior, Tau};
+use rowburst::reconstruct::{Prior, SelfCalibration, Tau};
 use rowburst::{Error, Result};
 use rowburst_io::Experiment;
 use std::time::Duration;
@@ -61,6 +61,25 @@ pub fn parse_prior(name: &str) -> Result<Option<Prior>> {
         "auto" => Ok(None),
         name => name.parse().map(Some),
     }
+}
+
+/// Parses when a frame corrects its PSF and its camera: `off`, `auto` or `on`; `None` is `auto`.
+///
+/// # Errors
+/// Another text.
+pub fn parse_self_calibration(text: Option<&str>) -> Result<SelfCalibration> {
+    let Some(text) = text else {
+        return Ok(SelfCalibration::default());
+    };
+    let known = SelfCalibration::ALL.into_iter().find(|s| s.name() == text);
+    known.ok_or_else(|| {
+        Error::input(
+            "--self-calibrate",
+            format!("\"{text}\""),
+            "self-calibration is off, auto or on",
+            "Leave it out: a frame that the model does not explain corrects its PSF and camera.",
+        )
+    })
 }
 
 /// A time budget of `seconds`.

@@ -4,11 +4,12 @@
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
 use crate::traces::{DebiasNumbers, StandardErrorNumbers, TraceNumbers};
-use rowburst::reconstruct::{Candidate, FitStatistics};
+use rowburst::reconstruct::{Calibration, Candidate, FitStatistics};
 use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::fmt;
 
 /// The content of `result.json`.
 #[derive(Debug, Clone, Serialize)]
@@ -44,6 +45,8 @@ pub struct ReconstructionSummary {
     pub metadata: MetadataNumbers,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,
+    /// The correction of PSF and camera by the frame; null where they were used as given.
+    pub self_calibration: Option<CalibrationNumbers>,
     /// Part of the pixels that are foreign and were left out.
     pub excluded_fraction: f64,
     /// Part of the voxels that the frame observes.
@@ -86,6 +89,86 @@ impl From<&FromMetadata> for MetadataNumbers {
             sources: from_metadata.sources.clone(),
             taken: from_metadata.values.iter().cloned().collect(),
         }
+    }
+}
+
+/// The correction of PSF and camera by the frame.
+#[derive(Debug, Clone, Serialize)]
+pub struct CalibrationNumbers {
+    /// The parameters that were found, by their names.
+    #[serde(flatten)]
+    pub parameters: BTreeMap<&'static str, ParameterNumbers>,
+    /// Stray light of each row of the frame; null where rows have none of their own.
+    pub row_offsets_counts: Option<Vec<f64>>,
+    /// Root mean square of the held-out residuals over σ before.
+    pub held_out_before: f64,
+    /// The same after.
+    pub held_out_after: f64,
+}
+
+/// A parameter that was found.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct ParameterNumbers {
+    pub value: f64,
+    /// Its standard error.
+    pub error: f64,
+}
+
+impl CalibrationNumbers {
+    /// The numbers of `calibration`, with `sigma` the noise of a pixel with weight 1.
+    pub fn new(calibration: &Calibration, sigma: f64) -> Self {
+        let parameters = calibration.parameters.iter().map(|found| {
+            let numbers = ParameterNumbers {
+                value: found.value,
+                error: found.standard_error,
+            };
+            (found.parameter.name(), numbers)
+        });
+        let rows = &calibration.row_offsets;
+        Self {
+            parameters: parameters.collect(),
+            row_offsets_counts: (!rows.is_empty()).then(|| rows.clone()),
+            held_out_before: calibration.held_out_before / sigma,
+            held_out_after: calibration.held_out_after / sigma,
+        }
+    }
+
+    /// What was found, as pairs of name and value.
+    pub fn lines(&self) -> Vec<(String, String)> {
+        let parameters = self.parameters.iter();
+        let mut lines: Vec<_> = parameters
+            .map(|(name, p)| {
+                (
+                    name.replace('_', " "),
+                    format!("{} ± {}", short(p.value), short(p.error)),
+                )
+            })
+            .collect();
+        if let Some(rows) = &self.row_offsets_counts {
+            let rms = (rows.iter().map(|r| r * r).sum::<f64>() / rows.len() as f64).sqrt();
+            lines.push((
+                "stray light of rows".into(),
+                format!("{} counts rms", short(rms)),
+            ));
+        }
+        lines
+    }
+}
+
+impl fmt::Display for CalibrationNumbers {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let lines = self.lines();
+        let found: Vec<String> = lines
+            .iter()
+            .map(|(name, value)| format!("{name} {value}"))
+            .collect();
+        write!(
+            f,
+            "{} (held-out error {:.2} σ before, {:.2} σ after)",
+            found.join(", "),
+            self.held_out_before,
+            self.held_out_after
+        )
     }
 }
 

@@ -79,7 +79,7 @@ pub fn solve_with_model(
 fn solve_since(
     setup_start: Instant,
     model: &Model,
-    task: Task,
+    mut task: Task,
     process_start: Instant,
     show: Observer,
 ) -> Result<CompletedTask> {
@@ -103,8 +103,14 @@ fn solve_since(
     clock.rescale(reconstruction.sigma);
     let start_offset_s = clock.start_offset_s(process_start);
     let convergence = clock.convergence;
+    // What follows, such as traces and report, is made with the corrected PSF and frame.
+    let given_psfs = reconstruction.calibration.as_ref().map(|calibration| {
+        task.measurement = calibration.measurement.clone();
+        std::mem::replace(&mut task.psfs, calibration.psfs.clone())
+    });
     Ok(CompletedTask {
         task,
+        given_psfs,
         reconstruction,
         debias: None,
         setup_seconds: setup.as_secs_f64(),

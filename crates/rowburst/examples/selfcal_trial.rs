@@ -51,8 +51,20 @@ fn main() {
         })
         .unwrap();
     if let Some(c) = &r.calibration {
-        for f in &c.parameters { print!("{} {:.5} ± {:.5}, ", f.parameter.name(), f.value, f.standard_error); }
-        println!("rows {} held {:.2} -> {:.2}", c.row_offsets.len(), c.held_out_before / r.sigma, c.held_out_after / r.sigma);
+        for f in &c.parameters {
+            print!(
+                "{} {:.5} ± {:.5}, ",
+                f.parameter.name(),
+                f.value,
+                f.standard_error
+            );
+        }
+        println!(
+            "rows {} held {:.2} -> {:.2}",
+            c.row_offsets.len(),
+            c.held_out_before / r.sigma,
+            c.held_out_after / r.sigma
+        );
     }
     println!("{labels:?}");
     let seconds = start.elapsed().as_secs_f64();
@@ -60,16 +72,30 @@ fn main() {
     if let Ok(truth) = truth {
         let v: Vec<f64> = truth.iter().map(|v| f64::from(*v)).collect();
         let x: Vec<f64> = r.video.data().iter().map(|v| f64::from(*v)).collect();
-        let g = x.iter().zip(&v).map(|(a, b)| a * b).sum::<f64>() / x.iter().map(|a| a * a).sum::<f64>();
+        let g = x.iter().zip(&v).map(|(a, b)| a * b).sum::<f64>()
+            / x.iter().map(|a| a * a).sum::<f64>();
         let max = v.iter().copied().fold(0.0, f64::max);
         let db = |g: f64| {
-            let e = x.iter().zip(&v).map(|(a, b)| (g * a - b).powi(2)).sum::<f64>() / v.len() as f64;
+            let e = x
+                .iter()
+                .zip(&v)
+                .map(|(a, b)| (g * a - b).powi(2))
+                .sum::<f64>()
+                / v.len() as f64;
             10.0 * (max * max / e).log10()
         };
         println!(
             "{dir} {:.2} dB ({:.2} scaled {:.3}) r/σ {:.2} σe/σ {:.2} excluded {} its {} of {} {:.1} s {}",
-            db(1.0), db(g), g, r.residual_over_sigma, r.effective_sigma / r.sigma,
-            r.excluded.iter().filter(|e| **e == 1).count(), r.iterations, total, seconds, r.stop_reason.name()
+            db(1.0),
+            db(g),
+            g,
+            r.residual_over_sigma,
+            r.effective_sigma / r.sigma,
+            r.excluded.iter().filter(|e| **e == 1).count(),
+            r.iterations,
+            total,
+            seconds,
+            r.stop_reason.name()
         );
     }
 }

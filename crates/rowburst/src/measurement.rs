@@ -112,7 +112,10 @@ impl Measurement {
     #[must_use]
     pub fn adjusted(&self, gain: &[f32], offset: &[f32]) -> Self {
         let pixels = self.image.data().len();
-        assert!(gain.len() == pixels && offset.len() == pixels, "one value for each pixel");
+        assert!(
+            gain.len() == pixels && offset.len() == pixels,
+            "one value for each pixel"
+        );
         assert!(gain.iter().all(|g| *g > 0.0), "gains above zero");
         let mut image = self.image.clone();
         let values = image.data_mut().iter_mut().zip(gain.iter().zip(offset));
@@ -125,7 +128,10 @@ impl Measurement {
         Self {
             image,
             weights,
-            noise: self.noise.as_ref().map(|noise| noise.adjusted(gain, offset)),
+            noise: self
+                .noise
+                .as_ref()
+                .map(|noise| noise.adjusted(gain, offset)),
             bad: self.bad,
             saturated: self.saturated,
         }

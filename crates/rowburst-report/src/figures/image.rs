@@ -63,6 +63,35 @@ pub(super) fn psf(input: &ReportInput) -> CaptionedFigure {
     }
 }
 
+/// How self-calibration has changed the point spread function.
+pub(super) fn psf_correction(input: &ReportInput, given: &Image) -> CaptionedFigure {
+    let image = input.psf;
+    let pairs = image.data().iter().zip(given.data());
+    let change: Vec<f32> = pairs.map(|(after, before)| after - before).collect();
+    let largest = change.iter().fold(0.0f32, |most, c| most.max(c.abs()));
+    let limit = largest.max(f32::MIN_POSITIVE);
+    let mut figure = Figure::new(800.0, 0.0);
+    let plane = Plane::reduced(image.rows(), image.columns(), &change, LONGEST_SIDE);
+    let pixels = plane.coloured(Map::Signed, -limit, limit);
+    let place = put(&mut figure, Rect::new(0.0, 4.0, 640.0, 560.0), pixels);
+    figure.rect(place, "axis", "");
+    let range = (-limit, limit);
+    colour_bar(&mut figure, place, Map::Signed, range, "share of the light");
+    scale_bar(&mut figure, place, image.columns(), input.pixel_pitch_um);
+    figure.set_height(place.bottom().max(120.0) + 22.0);
+    let percent = 100.0 * f64::from(largest) / f64::from(given.max().max(f32::MIN_POSITIVE));
+    CaptionedFigure {
+        name: "psf-correction",
+        section: Section::Measurement,
+        figure,
+        caption: format!(
+            "How the frame has corrected the point spread function: after less before, at most {percent:.0} % of its \
+             maximum. Rings or spokes about the centre mean another size or angle, single grains noise of the capture."
+        ),
+        alt: "Map of the change of the point spread function by self-calibration.".into(),
+    }
+}
+
 /// The scene as the camera sees it without the diffuser.
 pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     let image = direct.image;

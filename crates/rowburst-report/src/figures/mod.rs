@@ -108,7 +108,7 @@ pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = Captio
     };
     let moving = input.video.shape().bins > 1;
     let mut truth = truth;
-    (0..9).filter_map(move |figure| match figure {
+    (0..10).filter_map(move |figure| match figure {
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
         1 if moving => space_time::draw(input, &videos),
@@ -116,9 +116,12 @@ pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = Captio
         3 if moving => traces::draw(input, &videos),
         4 => Some(image::frame(input)),
         5 => Some(image::psf(input)),
-        6 => input.direct.map(|direct| image::direct(input, direct)),
-        7 => Some(residual::draw(input)),
-        8 => convergence::draw(input.convergence),
+        6 => input
+            .given_psf
+            .map(|given| image::psf_correction(input, given)),
+        7 => input.direct.map(|direct| image::direct(input, direct)),
+        8 => Some(residual::draw(input)),
+        9 => convergence::draw(input.convergence),
         _ => None,
     })
 }

@@ -300,7 +300,9 @@ impl Problem {
 
     /// Whether the model is checked on held-out pixels before the run.
     fn is_checked(&self) -> bool {
-        let has_use = !self.options.keep_all_pixels || self.options.noise_sigma.is_none();
+        let has_use = !self.options.keep_all_pixels
+            || self.options.noise_sigma.is_none()
+            || self.options.self_calibration != SelfCalibration::Off;
         let is_long = self
             .options
             .max_iterations

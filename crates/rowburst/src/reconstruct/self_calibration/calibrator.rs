@@ -5,8 +5,8 @@ use super::super::held_out_check::HeldOutRun;
 use super::super::{Model, Prior, RunResult, choose};
 use super::parameters::{Parameter, Parameters};
 use super::psf_model::PsfModel;
-use crate::measurement::Measurement;
 use crate::linop::LinearOperator;
+use crate::measurement::Measurement;
 use crate::solve::admm::{Progress, TauRule};
 use crate::{Camera, PatchSet, Psf, RollingShutter};
 
@@ -56,7 +56,12 @@ pub(super) struct Trial {
 }
 
 impl<'p> Calibrator<'p> {
-    pub fn new(camera: &'p Camera, psfs: &PatchSet, measurement: Measurement, prior: Prior) -> Self {
+    pub fn new(
+        camera: &'p Camera,
+        psfs: &PatchSet,
+        measurement: Measurement,
+        prior: Prior,
+    ) -> Self {
         let values = measurement.image().data();
         let weight = |i: usize| measurement.weights().is_none_or(|w| w[i] > 0.0);
         let usable = (0..values.len()).filter(|&i| weight(i));
@@ -117,7 +122,8 @@ impl<'p> Calibrator<'p> {
         }
         let columns = self.measurement.image().columns();
         for (row, line) in offset.chunks_exact_mut(columns).enumerate() {
-            line.iter_mut().for_each(|o| *o += correction.row_offsets[row]);
+            line.iter_mut()
+                .for_each(|o| *o += correction.row_offsets[row]);
         }
         let single = |values: Vec<f64>| values.iter().map(|&v| v as f32).collect();
         gain.iter_mut().for_each(|g: &mut f64| *g = g.max(MIN_GAIN));

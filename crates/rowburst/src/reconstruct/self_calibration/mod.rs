@@ -19,7 +19,8 @@ use super::held_out_check::HeldOutCheck;
 use super::{Model, Prior, Problem, RunResult};
 use crate::PatchSet;
 use crate::linop::Background;
-use calibrator::{Calibrator, Correction};
+use crate::measurement::Measurement;
+use calibrator::Calibrator;
 use search::{BLUR_STEPS, Candidate, Search};
 use step::Free;
 
@@ -35,6 +36,20 @@ pub enum SelfCalibration {
     On,
 }
 
+impl SelfCalibration {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Off, Self::Auto, Self::On];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Auto => "auto",
+            Self::On => "on",
+        }
+    }
+}
+
 /// A correction of PSF and camera that held-out pixels have confirmed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
@@ -44,6 +59,8 @@ pub struct Calibration {
     pub row_offsets: Vec<f64>,
     /// The corrected PSFs.
     pub psfs: PatchSet,
+    /// The frame as an ideal camera would have measured it, all pixels included.
+    pub measurement: Measurement,
     /// Root mean square of the weighted residuals of held-out pixels before, in counts.
     pub held_out_before: f64,
     /// The same after.
@@ -99,7 +116,6 @@ const MIN_GAIN_ELSEWHERE: f64 = 2.0;
 
 /// A correction that held-out pixels confirm, not applied yet.
 pub(super) struct Confirmed {
-    correction: Correction,
     calibration: Calibration,
     /// Whether the model then explains the frame.
     pub explains: bool,
@@ -162,23 +178,17 @@ impl Problem {
                     Vec::new()
                 },
                 psfs: search.calibrator.psfs(&correction.parameters),
+                measurement: search.calibrator.corrected(&self.measurement, &correction),
                 held_out_before: given.error(),
                 held_out_after: found.error(),
             },
             explains: found.error() < EXPLAINED * self.sigma,
-            correction,
         }))
     }
 
     /// Applies a correction to PSF and frame, with the pixels `excluded` left out.
     pub(super) fn apply_correction(&mut self, confirmed: Confirmed, excluded: Vec<bool>) {
-        let calibrator = Calibrator::new(
-            &self.camera,
-            self.data.psfs(),
-            self.measurement.without(&self.excluded),
-            Prior::STANDARD,
-        );
-        self.measurement = calibrator.corrected(&self.measurement, &confirmed.correction);
+        self.measurement = confirmed.calibration.measurement.clone();
         let model = Model::new(&self.camera, confirmed.calibration.psfs.clone());
         self.data = FrameData::new(&model, &self.measurement);
         self.calibration = Some(confirmed.calibration);
@@ -255,7 +265,11 @@ fn is_confirmed(before: &[f64], after: &[f64]) -> bool {
 
 /// Whether the squares of paired residuals fall clearly.
 fn is_clearly_better(before: &[f64], after: &[f64]) -> bool {
-    let falls: Vec<f64> = before.iter().zip(after).map(|(b, a)| b * b - a * a).collect();
+    let falls: Vec<f64> = before
+        .iter()
+        .zip(after)
+        .map(|(b, a)| b * b - a * a)
+        .collect();
     let count = falls.len().max(2) as f64;
     let mean = falls.iter().sum::<f64>() / count;
     let variance = falls.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (count - 1.0);
@@ -266,6 +280,10 @@ fn is_clearly_better(before: &[f64], after: &[f64]) -> bool {
 fn mean_square(residuals: &[f64]) -> (f64, f64) {
     let count = residuals.len().max(2) as f64;
     let mean = residuals.iter().map(|r| r * r).sum::<f64>() / count;
-    let variance = residuals.iter().map(|r| (r * r - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let variance = residuals
+        .iter()
+        .map(|r| (r * r - mean).powi(2))
+        .sum::<f64>()
+        / (count - 1.0);
     (mean, (variance / count).sqrt())
 }

@@ -114,7 +114,11 @@ impl PsfModel {
         // Both transforms transpose, and all factors are symmetric in the two frequencies.
         let position = |k: usize| if 2 * k < small { k } else { k + side - small };
         let frequency = |k: usize| {
-            let signed = if 2 * k < small { k as f64 } else { k as f64 - small as f64 };
+            let signed = if 2 * k < small {
+                k as f64
+            } else {
+                k as f64 - small as f64
+            };
             signed / small as f64
         };
         let gain = 1.0 / (small * small) as f64;
@@ -122,7 +126,8 @@ impl PsfModel {
             for l in 0..small {
                 let (f, g) = (frequency(k), frequency(l));
                 let exponent = (-2.0 * PI * PI * blur * (f * f + g * g)).min(MAX_SHARPENING);
-                let basis = spline_spectrum(f / UPSAMPLING as f64) * spline_spectrum(g / UPSAMPLING as f64);
+                let basis =
+                    spline_spectrum(f / UPSAMPLING as f64) * spline_spectrum(g / UPSAMPLING as f64);
                 let factor = (gain * exponent.exp() / basis) as f32;
                 coefficients[position(k) * side + position(l)] =
                     self.spectrum[k * small + l] * factor;
@@ -142,7 +147,8 @@ impl Spline {
     fn at(&self, y: f64, x: f64) -> f32 {
         let (first_y, weights_y) = taps(y);
         let (first_x, weights_x) = taps(x);
-        let wrap = |first: isize, k: usize| (first + k as isize).rem_euclid(self.side as isize) as usize;
+        let wrap =
+            |first: isize, k: usize| (first + k as isize).rem_euclid(self.side as isize) as usize;
         let columns: [usize; 6] = std::array::from_fn(|k| wrap(first_x, k));
         let mut sum = 0.0;
         for (k, weight) in weights_y.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! The search for a correction: reconstructions that leave pixels out, and steps between them.
 
-use super::super::choose::{self, Observer};
 use super::super::RunResult;
+use super::super::choose::{self, Observer};
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::Parameter;
 use super::step::{Free, StepReport, step};
@@ -55,7 +55,11 @@ impl Candidate {
 
     /// The one with the smaller error.
     pub fn better(self, other: Self) -> Self {
-        if other.error() < self.error() { other } else { self }
+        if other.error() < self.error() {
+            other
+        } else {
+            self
+        }
     }
 }
 
@@ -74,15 +78,16 @@ impl Search<'_, '_, '_> {
         level: f64,
         iterations: usize,
     ) -> Result<Trial, Box<RunResult>> {
-        let trial = self.calibrator.run(correction, level, iterations, self.observer)?;
-        if std::env::var_os("SELFCAL").is_some() {
-            eprintln!("  σe {:.2} r {:.2} held {:.3} {:.4?} rows {:.5}", level / self.sigma, trial.residual_rms / self.sigma, choose::rms(&trial.held_out) / self.sigma, correction.parameters, choose::rms(&correction.row_offsets) / self.calibrator.mean());
-        }
-        Ok(trial)
+        self.calibrator
+            .run(correction, level, iterations, self.observer)
     }
 
     /// Judges `correction` at the noise level `level`.
-    pub fn judge(&mut self, correction: &Correction, level: f64) -> Result<Candidate, Box<RunResult>> {
+    pub fn judge(
+        &mut self,
+        correction: &Correction,
+        level: f64,
+    ) -> Result<Candidate, Box<RunResult>> {
         let trial = self.run(correction, level, JUDGED_ITERATIONS)?;
         Ok(Candidate {
             correction: correction.clone(),
@@ -102,7 +107,11 @@ impl Search<'_, '_, '_> {
         let mut level = start;
         let mut last_error = f64::INFINITY;
         for round in 1.. {
-            let iterations = if level > LOOSE_LEVEL * self.sigma { LOOSE_ITERATIONS } else { ITERATIONS };
+            let iterations = if level > LOOSE_LEVEL * self.sigma {
+                LOOSE_ITERATIONS
+            } else {
+                ITERATIONS
+            };
             let trial = self.run(&correction, level, iterations)?;
             let candidate = Candidate {
                 correction: correction.clone(),
@@ -110,10 +119,16 @@ impl Search<'_, '_, '_> {
                 held_out: trial.held_out.clone(),
             };
             let error = candidate.error();
-            if round == MAX_ROUNDS || self.is_last_level(level) && error > (1.0 - MIN_FALL) * last_error {
+            if round == MAX_ROUNDS
+                || self.is_last_level(level) && error > (1.0 - MIN_FALL) * last_error
+            {
                 return Ok(candidate);
             }
-            last_error = if self.is_last_level(level) { error } else { f64::INFINITY };
+            last_error = if self.is_last_level(level) {
+                error
+            } else {
+                f64::INFINITY
+            };
             let residual_rms = trial.residual_rms;
             let report = self.steps(&mut correction, trial, level, free);
             let is_found = is_found(&candidate.correction, &correction, free, &report)
@@ -163,7 +178,12 @@ impl Search<'_, '_, '_> {
     ///
     /// The error is not linear in the blur, and at a level well above the noise it hardly changes, so steps of
     /// [`Self::parameters`] do not find it (docs/design/026).
-    pub fn blur(&mut self, start: &Candidate, first_steps: &[f64], descent: f64) -> Result<Candidate, Box<RunResult>> {
+    pub fn blur(
+        &mut self,
+        start: &Candidate,
+        first_steps: &[f64],
+        descent: f64,
+    ) -> Result<Candidate, Box<RunResult>> {
         let blur = |c: &Candidate| c.correction.parameters[Parameter::Blur];
         for &first in first_steps {
             let mut tried = vec![start.clone()];
@@ -187,9 +207,15 @@ impl Search<'_, '_, '_> {
                 let best = (0..tried.len())
                     .min_by(|a, b| tried[*a].error().total_cmp(&tried[*b].error()))
                     .expect("blurs were tried");
-                let sides = [best.checked_sub(1), Some(best + 1).filter(|i| *i < tried.len())];
+                let sides = [
+                    best.checked_sub(1),
+                    Some(best + 1).filter(|i| *i < tried.len()),
+                ];
                 let gap = |i: &usize| (blur(&tried[*i]) - blur(&tried[best])).abs();
-                let widest = sides.into_iter().flatten().max_by(|a, b| gap(a).total_cmp(&gap(b)));
+                let widest = sides
+                    .into_iter()
+                    .flatten()
+                    .max_by(|a, b| gap(a).total_cmp(&gap(b)));
                 let other = widest.expect("two blurs were tried");
                 if gap(&other) < 2.0 * BLUR_RESOLUTION {
                     return Ok(tried.swap_remove(best));
@@ -226,7 +252,13 @@ impl Search<'_, '_, '_> {
             has_row_offsets: candidate.correction.has_row_offsets(),
         };
         let mut correction = candidate.correction.clone();
-        let report = step(&mut self.calibrator, &mut correction, &mut trial, candidate.level, free);
+        let report = step(
+            &mut self.calibrator,
+            &mut correction,
+            &mut trial,
+            candidate.level,
+            free,
+        );
         Ok((repeated, report.standard_errors))
     }
 }

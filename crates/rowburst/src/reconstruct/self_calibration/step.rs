@@ -87,91 +87,155 @@ pub(super) fn step(
     sigma: f64,
     free: Free,
 ) -> StepReport {
+    let jacobian = Jacobian::new(calibrator, correction, trial, free);
     let light = trial.data.predicted(&trial.video);
-    let mut columns: Vec<Vec<f32>> = Vec::new();
-    for &parameter in free.parameters {
-        let column = calibrator.derivative(correction, parameter, &trial.video, &light);
-        columns.push(trial.data.weigh(&column));
-    }
     let weighted_light = trial.data.weigh(&light);
     let measured = trial.data.measurements().iter();
     let residual: Vec<f32> = measured.zip(&weighted_light).map(|(b, a)| b - a).collect();
-    let rows = if free.has_row_offsets {
-        let unit = calibrator.offset_derivative(correction);
-        let unit = trial.data.weigh(&unit);
-        RowColumns::new(trial.data.shutter(), unit)
-    } else {
-        None
-    };
     let mut marginal = Marginal::new(trial, sigma);
-    let solved: Vec<Vec<f64>> = columns.iter().map(|c| marginal.solve(c)).collect();
-    let solved_residual = marginal.solve(&residual);
-    let solved_rows = rows.as_ref().map(|rows| rows.solve(&mut marginal));
-    let variance = sigma * sigma;
-    let count = columns.len();
-    let row_count = rows.as_ref().map_or(0, |_| correction.row_offsets.len());
-    let mut normal = Mat::<f64>::zeros(count + row_count, count + row_count);
-    let mut right = Mat::<f64>::zeros(count + row_count, 1);
-    for (i, &parameter) in free.parameters.iter().enumerate() {
-        for j in 0..count {
-            normal[(i, j)] = dot(&columns[i], &solved[j]) / variance;
+    let solved = SolvedJacobian::new(&jacobian, &mut marginal);
+    let mut unexplained = marginal.solve(&residual);
+    let count = jacobian.columns.len();
+    let prior: Vec<(f64, f64)> = free
+        .parameters
+        .iter()
+        .map(|&p| (p.prior_width(), correction.parameters[p]))
+        .chain(
+            correction.row_offsets[..jacobian.row_count()]
+                .iter()
+                .map(|&offset| (ROW_OFFSET * calibrator.mean(), offset)),
+        )
+        .collect();
+    let mut standard_errors = Vec::new();
+    if !prior.is_empty() {
+        let mut normal = solved.products(sigma * sigma);
+        let mut right = jacobian.project(&unexplained, sigma * sigma);
+        for (i, (width, value)) in prior.iter().enumerate() {
+            normal[(i, i)] += width.powi(-2);
+            right[(i, 0)] -= value * width.powi(-2);
         }
-        let precision = parameter.prior_width().powi(-2);
-        normal[(i, i)] += precision;
-        right[(i, 0)] = dot(&columns[i], &solved_residual) / variance
-            - precision * correction.parameters[parameter];
-    }
-    if let (Some(rows), Some(solved_rows)) = (&rows, &solved_rows) {
-        let precision = (ROW_OFFSET * calibrator.mean()).powi(-2);
-        for row in 0..row_count {
-            let at = count + row;
-            for j in 0..count {
-                let product = rows.dot(row, &solved[j]) / variance;
-                normal[(at, j)] = product;
-                normal[(j, at)] = product;
-            }
-            for &other in rows.partners(row) {
-                normal[(at, count + other)] = rows.dot(row, solved_rows.of(other)) / variance;
-            }
-            normal[(at, at)] += precision;
-            right[(at, 0)] = rows.dot(row, &solved_residual) / variance
-                - precision * correction.row_offsets[row];
+        let factor = normal.llt(Side::Lower).expect("a positive definite matrix");
+        let change = factor.solve(&right);
+        let covariance = factor.solve(Mat::<f64>::identity(prior.len(), prior.len()));
+        standard_errors = (0..count)
+            .map(|i| covariance[(i, i)].max(0.0).sqrt())
+            .collect();
+        solved.subtract(&change, &mut unexplained);
+        let largest = (0..count)
+            .map(|i| change[(i, 0)].abs() / (MAX_STEP * prior[i].0))
+            .fold(1.0, f64::max);
+        for (i, &parameter) in free.parameters.iter().enumerate() {
+            correction.parameters[parameter] += change[(i, 0)] / largest;
         }
-    }
-    if normal.nrows() == 0 {
-        return StepReport {
-            standard_errors: Vec::new(),
-            remaining_sigma: remaining_sigma(&mut marginal, &solved_residual),
-        };
-    }
-    let factor = normal.llt(Side::Lower).expect("a positive definite matrix");
-    let change = factor.solve(&right);
-    let covariance = factor.solve(Mat::<f64>::identity(count + row_count, count + row_count));
-    let mut unexplained: Vec<f64> = solved_residual;
-    for (j, solved) in solved.iter().enumerate() {
-        let pairs = unexplained.iter_mut().zip(solved);
-        pairs.for_each(|(u, s)| *u -= change[(j, 0)] * s);
-    }
-    if let (Some(rows), Some(solved_rows)) = (&rows, &solved_rows) {
-        for row in 0..row_count {
-            rows.subtract(row, change[(count + row, 0)], solved_rows, &mut unexplained);
+        for row in 0..jacobian.row_count() {
+            correction.row_offsets[row] += change[(count + row, 0)] / largest;
         }
-    }
-    let remaining_sigma = remaining_sigma(&mut marginal, &unexplained);
-    let widths = free.parameters.iter().map(|p| MAX_STEP * p.prior_width());
-    let largest = (0..count)
-        .zip(widths)
-        .map(|(i, width)| change[(i, 0)].abs() / width)
-        .fold(1.0, f64::max);
-    for (i, &parameter) in free.parameters.iter().enumerate() {
-        correction.parameters[parameter] += change[(i, 0)] / largest;
-    }
-    for row in 0..row_count {
-        correction.row_offsets[row] += change[(count + row, 0)] / largest;
     }
     StepReport {
-        standard_errors: (0..count).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect(),
-        remaining_sigma,
+        standard_errors,
+        remaining_sigma: remaining_sigma(&mut marginal, &unexplained),
+    }
+}
+
+/// `J`, weighted: a column for each free parameter, and those of the offsets of the rows.
+struct Jacobian {
+    columns: Vec<Vec<f32>>,
+    rows: Option<RowColumns>,
+}
+
+impl Jacobian {
+    fn new(
+        calibrator: &mut Calibrator,
+        correction: &Correction,
+        trial: &Trial,
+        free: Free,
+    ) -> Self {
+        let light = trial.data.predicted(&trial.video);
+        let mut column = |&parameter: &Parameter| {
+            let column = calibrator.derivative(correction, parameter, &trial.video, &light);
+            trial.data.weigh(&column)
+        };
+        let columns = free.parameters.iter().map(&mut column).collect();
+        let unit = || trial.data.weigh(&calibrator.offset_derivative(correction));
+        Self {
+            columns,
+            rows: if free.has_row_offsets {
+                RowColumns::new(trial.data.shutter(), unit())
+            } else {
+                None
+            },
+        }
+    }
+
+    /// Number of rows with an offset of their own.
+    fn row_count(&self) -> usize {
+        self.rows.as_ref().map_or(0, |rows| rows.place.len())
+    }
+
+    /// `Jᵀ z` over `variance`.
+    fn project(&self, z: &[f64], variance: f64) -> Mat<f64> {
+        let columns = self.columns.len();
+        Mat::from_fn(columns + self.row_count(), 1, |i, _| {
+            let product = match (i.checked_sub(columns), &self.rows) {
+                (Some(row), Some(rows)) => rows.dot(row, z),
+                _ => dot(&self.columns[i], z),
+            };
+            product / variance
+        })
+    }
+}
+
+/// `σ² K⁻¹ J`.
+struct SolvedJacobian<'j> {
+    jacobian: &'j Jacobian,
+    columns: Vec<Vec<f64>>,
+    rows: Option<SolvedRows<'j>>,
+}
+
+impl<'j> SolvedJacobian<'j> {
+    fn new(jacobian: &'j Jacobian, marginal: &mut Marginal) -> Self {
+        let columns = jacobian.columns.iter();
+        Self {
+            columns: columns.map(|column| marginal.solve(column)).collect(),
+            rows: jacobian.rows.as_ref().map(|rows| rows.solve(marginal)),
+            jacobian,
+        }
+    }
+
+    /// `Jᵀ σ² K⁻¹ J` over `variance`.
+    fn products(&self, variance: f64) -> Mat<f64> {
+        let columns = self.columns.len();
+        let size = columns + self.jacobian.row_count();
+        let mut products = Mat::<f64>::zeros(size, size);
+        for (j, column) in self.columns.iter().enumerate() {
+            let projected = self.jacobian.project(column, variance);
+            for i in 0..size {
+                products[(i, j)] = projected[(i, 0)];
+                products[(j, i)] = projected[(i, 0)];
+            }
+        }
+        if let (Some(rows), Some(solved)) = (&self.jacobian.rows, &self.rows) {
+            for row in 0..self.jacobian.row_count() {
+                for &other in rows.partners(row) {
+                    products[(columns + row, columns + other)] =
+                        rows.dot(row, solved.of(other)) / variance;
+                }
+            }
+        }
+        products
+    }
+
+    /// `z −= σ² K⁻¹ J change`.
+    fn subtract(&self, change: &Mat<f64>, z: &mut [f64]) {
+        for (j, column) in self.columns.iter().enumerate() {
+            let pairs = z.iter_mut().zip(column);
+            pairs.for_each(|(z, c)| *z -= change[(j, 0)] * c);
+        }
+        if let (Some(rows), Some(solved)) = (&self.jacobian.rows, &self.rows) {
+            for row in 0..self.jacobian.row_count() {
+                rows.subtract(row, change[(self.columns.len() + row, 0)], solved, z);
+            }
+        }
     }
 }
 
@@ -180,10 +244,20 @@ pub(super) fn step(
 /// 1990).
 fn remaining_sigma(marginal: &mut Marginal, unexplained: &[f64]) -> f64 {
     let signs: Vec<f32> = (0..unexplained.len() as u64)
-        .map(|i| if (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 1 == 0 { 1.0 } else { -1.0 })
+        .map(|i| {
+            if (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 1 == 0 {
+                1.0
+            } else {
+                -1.0
+            }
+        })
         .collect();
     let usable = marginal.trial.data.usable();
-    let probe: Vec<f32> = signs.iter().zip(&usable).map(|(s, u)| if *u { *s } else { 0.0 }).collect();
+    let probe: Vec<f32> = signs
+        .iter()
+        .zip(&usable)
+        .map(|(s, u)| if *u { *s } else { 0.0 })
+        .collect();
     let solved = marginal.solve(&probe);
     let count = usable.iter().filter(|u| **u).count() as f64;
     let remainder = dot(&probe, &solved).clamp(MIN_REMAINDER * count, count);
@@ -224,7 +298,10 @@ impl RowColumns {
         let instants: Vec<Vec<usize>> = (0..shutter.rows_of_instants().len())
             .map(|i| {
                 let pixels = shutter.indices_of(i);
-                pixels.chunks(columns).map(|line| line[0] / columns).collect()
+                pixels
+                    .chunks(columns)
+                    .map(|line| line[0] / columns)
+                    .collect()
             })
             .collect();
         for (i, rows) in instants.iter().enumerate() {
@@ -266,7 +343,9 @@ impl RowColumns {
         };
         SolvedRows {
             rows: self,
-            solved: (0..most).map(|place| marginal.solve(&probe(place))).collect(),
+            solved: (0..most)
+                .map(|place| marginal.solve(&probe(place)))
+                .collect(),
         }
     }
 
