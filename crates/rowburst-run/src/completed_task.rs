@@ -318,6 +318,7 @@ impl CompletedTask {
         folder.remove("video.mp4")?;
         folder.remove("background.npy")?;
         folder.remove(CORRECTED_PSF)?;
+        folder.remove("psf-correction.png")?;
         if let Some(found) = &self.reconstruction.calibration {
             write_corrected_psf(folder, &found.psfs)?;
         }

@@ -100,6 +100,8 @@ pub struct CalibrationNumbers {
     pub parameters: BTreeMap<&'static str, ParameterNumbers>,
     /// Stray light of each row of the frame; null where rows have none of their own.
     pub row_offsets_counts: Option<Vec<f64>>,
+    /// Rms change of the PSF's pixels by its refinement over the PSF's rms; null where it was not refined.
+    pub psf_refinement: Option<f64>,
     /// Root mean square of the held-out residuals over σ before.
     pub held_out_before: f64,
     /// The same after.
@@ -128,6 +130,7 @@ impl CalibrationNumbers {
         Self {
             parameters: parameters.collect(),
             row_offsets_counts: (!rows.is_empty()).then(|| rows.clone()),
+            psf_refinement: calibration.psf_refinement,
             held_out_before: calibration.held_out_before / sigma,
             held_out_after: calibration.held_out_after / sigma,
         }
@@ -144,6 +147,9 @@ impl CalibrationNumbers {
                 )
             })
             .collect();
+        if let Some(change) = self.psf_refinement {
+            lines.push(("PSF refined by".into(), percent(change)));
+        }
         if let Some(rows) = &self.row_offsets_counts {
             let rms = (rows.iter().map(|r| r * r).sum::<f64>() / rows.len() as f64).sqrt();
             lines.push((

@@ -6,6 +6,7 @@ use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// Forward and inverse transforms of `n × n` points, without normalisation.
+#[derive(Clone)]
 pub(crate) struct Fft2 {
     n: usize,
     forward: Arc<dyn Fft<f32>>,

@@ -19,6 +19,7 @@ mod engine;
 pub(crate) mod gram;
 pub(crate) mod mean_field;
 mod planar;
+pub(crate) mod psf_map;
 mod rowwise;
 #[cfg(test)]
 mod tests;

@@ -20,6 +20,8 @@ const MIN_GAIN: f64 = 0.1;
 #[derive(Debug, Clone)]
 pub(super) struct Correction {
     pub parameters: Parameters,
+    /// The PSF in place of that of `parameters`; `None`: it was not refined.
+    pub refined: Option<Psf>,
     /// Stray counts of each row of the frame.
     pub row_offsets: Vec<f64>,
 }
@@ -88,6 +90,7 @@ impl<'p> Calibrator<'p> {
     pub fn uncorrected(&self) -> Correction {
         Correction {
             parameters: Parameters::default(),
+            refined: None,
             row_offsets: vec![0.0; self.measurement.image().rows()],
         }
     }
@@ -97,8 +100,16 @@ impl<'p> Calibrator<'p> {
         self.mean
     }
 
-    /// The PSFs with `parameters`.
-    pub fn psfs(&mut self, parameters: &Parameters) -> PatchSet {
+    /// The PSFs under `correction`.
+    pub fn psfs(&mut self, correction: &Correction) -> PatchSet {
+        match &correction.refined {
+            Some(refined) => PatchSet::from(refined),
+            None => self.model_psfs(&correction.parameters),
+        }
+    }
+
+    /// The PSFs with `parameters`, not refined.
+    pub fn model_psfs(&mut self, parameters: &Parameters) -> PatchSet {
         let psfs: Vec<Psf> = self.models.iter_mut().map(|m| m.psf(parameters)).collect();
         PatchSet::new(psfs, self.offsets_px.clone()).expect("the offsets of a patch set")
     }
@@ -160,7 +171,7 @@ impl<'p> Calibrator<'p> {
 
     /// Operator and frame under `correction`, without the held-out pixels.
     pub fn data(&mut self, correction: &Correction) -> FrameData {
-        let model = Model::new(self.camera, self.psfs(&correction.parameters));
+        let model = Model::new(self.camera, self.psfs(correction));
         let mut data = FrameData::new(&model, &self.measurement(correction));
         let held_out = data.held_out_set(self.held_out_set);
         data.reset(self.prior.background(), Some(held_out));
@@ -208,7 +219,7 @@ impl<'p> Calibrator<'p> {
             let mut at = |sign: f64| {
                 let mut parameters = correction.parameters;
                 parameters[parameter] += sign * step;
-                let shutter = RollingShutter::new(self.camera, self.psfs(&parameters));
+                let shutter = RollingShutter::new(self.camera, self.model_psfs(&parameters));
                 let mut light = vec![0.0; light.len()];
                 shutter.apply(video, &mut light);
                 light

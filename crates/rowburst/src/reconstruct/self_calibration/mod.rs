@@ -7,7 +7,9 @@
 
 mod calibrator;
 mod parameters;
+mod psf_error;
 mod psf_model;
+mod refine;
 mod search;
 mod step;
 
@@ -17,10 +19,11 @@ use super::choose::Observer;
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Prior, Problem, RunResult};
-use crate::PatchSet;
 use crate::linop::Background;
 use crate::measurement::Measurement;
+use crate::{Image, PatchSet, Psf};
 use calibrator::Calibrator;
+use psf_error::Capture;
 use search::{BLUR_STEPS, Candidate, Search};
 use step::Free;
 
@@ -57,6 +60,8 @@ pub struct Calibration {
     pub parameters: Vec<FoundParameter>,
     /// Stray light of each row of the frame, in counts; empty: none.
     pub row_offsets: Vec<f64>,
+    /// Rms change of the PSF's pixels by its refinement over the PSF's rms; `None`: it was not refined.
+    pub psf_refinement: Option<f64>,
     /// The corrected PSFs.
     pub psfs: PatchSet,
     /// The frame as an ideal camera would have measured it, all pixels included.
@@ -104,6 +109,8 @@ const BLUR_BESIDE: f64 = 0.93;
 const BLUR_LEVEL: f64 = 0.6;
 /// Held-out error of a simpler correction over that of the full one, up to which it is preferred.
 const SIMPLER: f64 = 1.01;
+/// Held-out error of a refined PSF over that before below which the refinement is kept.
+const WORTH_REFINING: f64 = 0.97;
 /// Rms of the stray light of rows over the mean of the frame below which there is none.
 const NEGLIGIBLE_ROW_OFFSET: f64 = 0.005;
 /// Held-out error after over that before, above which a correction is not worth it: a real capture has a small gain by a
@@ -136,8 +143,21 @@ impl Problem {
         };
         let camera = self.camera.clone();
         let kept = self.measurement.without(&self.excluded);
+        let (psfs, capture) = match self.data.psfs().psfs() {
+            [psf] => {
+                let capture = Capture::new(psf.image());
+                let (rows, columns) = (psf.image().rows(), psf.image().columns());
+                let anchor = Image::new(rows, columns, capture.anchor.clone());
+                let psf = Psf::new(anchor.expect("the size of the capture"));
+                (
+                    psf.map_or_else(|_| self.data.psfs().clone(), |psf| (&psf).into()),
+                    Some(capture),
+                )
+            }
+            _ => (self.data.psfs().clone(), None),
+        };
         let mut search = Search {
-            calibrator: Calibrator::new(&camera, self.data.psfs(), kept, prior),
+            calibrator: Calibrator::new(&camera, &psfs, kept, prior),
             sigma: self.sigma,
             observer,
         };
@@ -147,7 +167,7 @@ impl Problem {
             held_out: before.held_out.clone(),
         };
         let light = super::rms(self.measurement.image().data());
-        let found = search.find(&given, light)?;
+        let found = search.find(&given, light, capture.as_ref())?;
         if found.error() > MIN_GAIN * given.error()
             || !is_clearly_better(&given.held_out, &found.held_out)
         {
@@ -177,7 +197,13 @@ impl Problem {
                 } else {
                     Vec::new()
                 },
-                psfs: search.calibrator.psfs(&correction.parameters),
+                psf_refinement: correction.refinement(
+                    search
+                        .calibrator
+                        .model_psfs(&correction.parameters)
+                        .central(),
+                ),
+                psfs: search.calibrator.psfs(&correction),
                 measurement: search.calibrator.corrected(&self.measurement, &correction),
                 held_out_before: given.error(),
                 held_out_after: found.error(),
@@ -198,7 +224,40 @@ impl Problem {
 
 impl Search<'_, '_, '_> {
     /// The correction that predicts held-out pixels best; `light` is the root mean square of the frame.
-    fn find(&mut self, given: &Candidate, light: f64) -> Result<Candidate, Box<RunResult>> {
+    fn find(
+        &mut self,
+        given: &Candidate,
+        light: f64,
+        capture: Option<&Capture>,
+    ) -> Result<Candidate, Box<RunResult>> {
+        let Some(capture) = capture else {
+            return self.find_parameters(given, light);
+        };
+        if capture.noise.is_some()
+            && let Some(refined) = self.refine(given, capture, true)?
+            && refined.error() < WORTH_REFINING * given.error()
+        {
+            return Ok(refined);
+        }
+        let mut found = self.find_parameters(given, light)?;
+        if found.error() > EXPLAINED * self.sigma {
+            for start in [found.clone(), given.clone()] {
+                if let Some(refined) = self.refine(&start, capture, false)?
+                    && refined.error() < WORTH_REFINING * found.error()
+                {
+                    found = refined;
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// The parameters that predict held-out pixels best.
+    fn find_parameters(
+        &mut self,
+        given: &Candidate,
+        light: f64,
+    ) -> Result<Candidate, Box<RunResult>> {
         let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
         if blurred.error() < EXPLAINED * self.sigma {
             return Ok(blurred);

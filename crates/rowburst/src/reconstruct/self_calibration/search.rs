@@ -7,7 +7,7 @@ use super::parameters::Parameter;
 use super::step::{Free, StepReport, step};
 
 /// Most iterations of a reconstruction between two steps.
-const ITERATIONS: usize = 120;
+pub(super) const ITERATIONS: usize = 120;
 /// Most iterations of a reconstruction that is only judged; fewer compare videos that have not settled.
 const JUDGED_ITERATIONS: usize = 100;
 /// Most iterations of a reconstruction well above the noise of the sensor.
@@ -72,7 +72,8 @@ pub(super) struct Search<'p, 'o, 'c> {
 }
 
 impl Search<'_, '_, '_> {
-    fn run(
+    /// Reconstructs under `correction` at the noise level `level`.
+    pub fn run(
         &mut self,
         correction: &Correction,
         level: f64,

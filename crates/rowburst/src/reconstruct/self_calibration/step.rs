@@ -51,19 +51,20 @@ pub(super) struct StepReport {
 }
 
 /// `K⁻¹` of a trial.
-struct Marginal<'t> {
-    trial: &'t mut Trial,
+pub(super) struct Marginal<'t> {
+    pub trial: &'t mut Trial,
     /// `σ²/a²`.
     rho: f64,
 }
 
 impl<'t> Marginal<'t> {
-    fn new(trial: &'t mut Trial, sigma: f64) -> Self {
+    /// `K` at the noise level `sigma`; `amplitude` is `a` over the brightness.
+    pub fn new(trial: &'t mut Trial, sigma: f64, amplitude: f64) -> Self {
         let shape = trial.data.shape();
         let lit = LIT * brightness(&trial.video);
         let support = Support::above(&trial.video, shape, &vec![lit; shape.bins]);
         trial.data.restrict(&support);
-        let amplitude = AMPLITUDE / LIT * lit;
+        let amplitude = amplitude / LIT * lit;
         Self {
             trial,
             rho: (sigma / amplitude.max(f64::MIN_POSITIVE)).powi(2),
@@ -71,7 +72,7 @@ impl<'t> Marginal<'t> {
     }
 
     /// `σ² K⁻¹ z` for a weighted `z`.
-    fn solve(&mut self, z: &[f32]) -> Vec<f64> {
+    pub fn solve(&mut self, z: &[f32]) -> Vec<f64> {
         let mut y = self.trial.data.solve_alone(z, self.rho);
         y.iter_mut().for_each(|y| *y *= self.rho);
         y
@@ -92,7 +93,7 @@ pub(super) fn step(
     let weighted_light = trial.data.weigh(&light);
     let measured = trial.data.measurements().iter();
     let residual: Vec<f32> = measured.zip(&weighted_light).map(|(b, a)| b - a).collect();
-    let mut marginal = Marginal::new(trial, sigma);
+    let mut marginal = Marginal::new(trial, sigma, AMPLITUDE);
     let solved = SolvedJacobian::new(&jacobian, &mut marginal);
     let mut unexplained = marginal.solve(&residual);
     let count = jacobian.columns.len();
