@@ -149,6 +149,10 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
         ("--bins", args.bins.is_some()),
         ("--part-bins", args.part_bins.is_some()),
         ("--sweep", !args.sweep.is_empty()),
+        (
+            "--self-calibrate",
+            args.self_calibrate.as_deref() == Some(SelfCalibration::On.name()),
+        ),
     ];
     match given.iter().find(|(_, given)| *given) {
         None => Ok(()),
