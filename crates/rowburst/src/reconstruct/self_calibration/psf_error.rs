@@ -308,3 +308,72 @@ impl Spectrum {
         (1.0 - part) * self.speckle[first] + part * self.speckle[next]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulate::{SpeckleOptics, speckle_psf};
+    use crate::vecmath::{dot, norm};
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn speckle() -> Image {
+        let psf = speckle_psf(&SpeckleOptics::demo(), 120, 140, 3).unwrap();
+        psf.image().clone()
+    }
+
+    /// The image with noise as if its mean pixel had so many electrons.
+    fn photographed(image: &Image, electrons: f64) -> Image {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
+        let unit = electrons * image.data().len() as f64;
+        let mut capture = image.clone();
+        for p in capture.data_mut() {
+            let mean = f64::from(*p) * unit;
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            *p = ((mean + noise * mean.sqrt()).max(0.0) / unit) as f32;
+        }
+        capture
+    }
+
+    #[test]
+    fn adjoints_are_exact() {
+        let capture = Capture::new(&photographed(&speckle(), 100.0));
+        for error in [capture.change, capture.noise.expect("noise")] {
+            let z: Vec<f32> = (0..error.unknowns())
+                .map(|i| (i * i % 19) as f32 - 9.0)
+                .collect();
+            let x: Vec<f32> = (0..120 * 140).map(|i| (i * 7 % 23) as f32 - 11.0).collect();
+            let (left, right) = (dot(&error.apply(&z), &x), dot(&z, &error.adjoint(&x)));
+            let size = norm(&error.apply(&z)) * norm(&x);
+            assert!((left - right).abs() < 1e-6 * size, "{left} {right}");
+        }
+    }
+
+    /// A simulated PSF has no noise; that of a capture is known to 10 %, and taking what is outside the pass band away
+    /// lowers it.
+    #[test]
+    fn knows_the_noise_of_a_capture() {
+        let image = speckle();
+        assert!(Capture::new(&image).noise.is_none());
+        let noisy = photographed(&image, 100.0);
+        let capture = Capture::new(&noisy);
+        let plane = Plane::new(120, 140);
+        let mean = plane.smoothed(noisy.data(), LOCAL_MEAN_PX);
+        let found = Spectrum::new(&plane, noisy.data(), &mean).noise_per_light;
+        let expected = 1.0 / (100.0 * (120.0 * 140.0));
+        assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
+        let error = |values: &[f32]| {
+            let pairs = values.iter().zip(image.data());
+            norm(&pairs.map(|(a, b)| a - b).collect::<Vec<_>>())
+        };
+        assert!(error(&capture.anchor) < 0.9 * error(noisy.data()));
+        // The prior of what is left has its size.
+        let noise = capture.noise.expect("noise");
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(2);
+        let z: Vec<f32> = (0..noise.unknowns())
+            .map(|_| StandardNormal.sample(&mut rng))
+            .collect();
+        let ratio = norm(&noise.apply(&z)) / error(&capture.anchor);
+        assert!((0.7..1.4).contains(&ratio), "{ratio}");
+    }
+}

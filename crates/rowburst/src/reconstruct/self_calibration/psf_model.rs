@@ -7,7 +7,7 @@
 //! `P` is the captured PSF, `d` a displacement and `N` scales to a sum of 1. The blur is a Gaussian whose variance may
 //! be negative: the capture is then sharpened. Values between pixels are those of the quintic spline through the PSF
 //! at half pixels, found by Fourier transform (Unser, IEEE Signal Proc. Mag. 16(6), 22, 1999). Beyond the capture it
-//! continues as a mirror image.
+//! continues as its mirror image.
 
 use super::parameters::{Parameter, Parameters};
 use crate::fft2::{Fft2, smooth_length};
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::{PI, TAU};
 
-/// Pixels of the mirror image around the capture; larger admits larger corrections.
+/// Pixels of the mirror image on each side of the capture; larger admits larger corrections.
 const BORDER: usize = 16;
 /// Grid points of the spline for each pixel; larger is more exact and takes more memory.
 const UPSAMPLING: usize = 2;
@@ -51,8 +51,11 @@ impl PsfModel {
         let mut spectrum = vec![Complex32::default(); side * side];
         for (y, line) in spectrum.chunks_exact_mut(side).enumerate() {
             for (x, value) in line.iter_mut().enumerate() {
-                let at = (mirrored(y, image.rows()), mirrored(x, image.columns()));
-                value.re = image.at(at.0, at.1);
+                for (row, row_weight) in continued(y, image.rows(), side) {
+                    for (column, weight) in continued(x, image.columns(), side) {
+                        value.re += (row_weight * weight) as f32 * image.at(row, column);
+                    }
+                }
             }
         }
         Fft2::new(side).forward(&mut spectrum);
@@ -93,15 +96,14 @@ impl PsfModel {
         let (rows, columns) = (self.capture.image().rows(), self.capture.image().columns());
         let (centre_y, centre_x) = ((rows / 2) as f64, (columns / 2) as f64);
         let inverse = inverse(distortion(parameters));
-        let border = BORDER as f64;
         let mut values = vec![0.0; rows * columns];
         let lines = values.par_chunks_exact_mut(columns).enumerate();
         lines.for_each(|(y, line)| {
             let dy = y as f64 - centre_y;
             for (x, value) in line.iter_mut().enumerate() {
                 let dx = x as f64 - centre_x;
-                let from_y = inverse[0][0] * dy + inverse[0][1] * dx + centre_y + border;
-                let from_x = inverse[1][0] * dy + inverse[1][1] * dx + centre_x + border;
+                let from_y = inverse[0][0] * dy + inverse[0][1] * dx + centre_y;
+                let from_x = inverse[1][0] * dy + inverse[1][1] * dx + centre_x;
                 *value = spline.at(from_y * UPSAMPLING as f64, from_x * UPSAMPLING as f64);
             }
         });
@@ -207,9 +209,92 @@ fn inverse(m: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
     ]
 }
 
-/// Index in `0..length` of the mirror image of position `at − BORDER`.
-fn mirrored(at: usize, length: usize) -> usize {
-    let period = 2 * length as isize;
-    let at = (at as isize - BORDER as isize).rem_euclid(period);
-    at.min(period - 1 - at) as usize
+/// Pixels of an image of `length` that make up position `at` of a ring of `side`, with their weights: the image, and
+/// between its ends a cross-fade of its mirror images.
+fn continued(at: usize, length: usize, side: usize) -> [(usize, f64); 2] {
+    let Some(beyond) = at.checked_sub(length) else {
+        return [(at, 1.0), (at, 0.0)];
+    };
+    let phase = PI * (beyond as f64 + 0.5) / (side - length) as f64;
+    let weight = (1.0 - phase.cos()) / 2.0;
+    let (after_end, before_start) = (length.saturating_sub(1 + beyond), side - 1 - at);
+    [
+        (after_end, 1.0 - weight),
+        (before_start.min(length - 1), weight),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A Gaussian of these variances along two axes, the first turned from y towards x.
+    fn gaussian(variances: (f64, f64), degrees: f64) -> Psf {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let value = |y: usize, x: usize| {
+            let (dy, dx) = (y as f64 - 20.0, x as f64 - 25.0);
+            let (a, b) = (cos * dy + sin * dx, cos * dx - sin * dy);
+            (-0.5 * (a * a / variances.0 + b * b / variances.1)).exp() as f32
+        };
+        Psf::new(Image::from_fn(41, 51, value)).unwrap()
+    }
+
+    fn with(pairs: &[(Parameter, f64)]) -> Parameters {
+        let mut parameters = Parameters::default();
+        pairs.iter().for_each(|(p, value)| parameters[*p] = *value);
+        parameters
+    }
+
+    /// Each parameter against the formula for Gaussians.
+    #[test]
+    fn moves_gaussians_as_their_formula() {
+        let cases = [
+            (with(&[(Parameter::Blur, 1e-12)]), gaussian((9.0, 4.0), 0.0)),
+            (
+                with(&[(Parameter::Scale, 0.05)]),
+                gaussian((9.9225, 4.41), 0.0),
+            ),
+            (
+                with(&[(Parameter::Anisotropy, 0.05)]),
+                gaussian((9.9225, 3.61), 0.0),
+            ),
+            (with(&[(Parameter::Blur, 0.5)]), gaussian((9.5, 4.5), 0.0)),
+            (with(&[(Parameter::Blur, -0.5)]), gaussian((8.5, 3.5), 0.0)),
+            (
+                with(&[(Parameter::Rotation, 3.0)]),
+                gaussian((9.0, 4.0), -3.0),
+            ),
+            (
+                with(&[(Parameter::Rotation, 3.0), (Parameter::Scale, 0.05)]),
+                gaussian((9.9225, 4.41), -3.0),
+            ),
+        ];
+        let capture = gaussian((9.0, 4.0), 0.0);
+        let mut model = PsfModel::new(&capture);
+        for (parameters, expected) in cases {
+            let found = model.psf(&parameters);
+            let limit = 2e-4 * expected.image().max();
+            for (found, expected) in found.image().data().iter().zip(expected.image().data()) {
+                assert!(
+                    (found - expected).abs() < limit,
+                    "{parameters:?}: {found} {expected}"
+                );
+            }
+        }
+    }
+
+    /// A floor is even light under the capture, in units of its mean.
+    #[test]
+    fn takes_a_floor_away() {
+        let expected = gaussian((9.0, 4.0), 0.0);
+        let floor = 0.25 / (41.0 * 51.0) as f32;
+        let mut image = expected.image().clone();
+        image.data_mut().iter_mut().for_each(|p| *p += floor);
+        let mut model = PsfModel::new(&Psf::new(image).unwrap());
+        // The floor holds a fifth of the light.
+        let found = model.psf(&with(&[(Parameter::Floor, 0.2)]));
+        for (found, expected) in found.image().data().iter().zip(expected.image().data()) {
+            assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+        }
+    }
 }

@@ -1,0 +1,233 @@
+//! A frame corrects its PSF and its camera.
+
+use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
+use rowburst::measurement::Measurement;
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{
+    Options, Parameter, Prior, Problem, Reconstruction, SelfCalibration, Verdict,
+};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
+use std::ops::ControlFlow;
+
+const ROWS: usize = 64;
+const COLUMNS: usize = 60;
+
+struct Case {
+    camera: Camera,
+    psf: Psf,
+    truth: Video,
+    light: Image,
+}
+
+impl Case {
+    /// A moving digit, exposed for so many rows.
+    fn new(exposure: f64) -> Self {
+        let camera = Camera::new(CameraParams {
+            rows: ROWS,
+            columns: COLUMNS,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 10.0,
+            exposure_us: 10.0 * exposure,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let optics = SpeckleOptics {
+            diffuser_fwhm_deg: 0.6,
+            ..SpeckleOptics::demo()
+        };
+        let psf = speckle_psf(&optics, 2 * ROWS - 1, 2 * COLUMNS - 1, 5).unwrap();
+        let truth = scene::moving_digit(camera.video_shape(), 10, 1, 3).unwrap();
+        let operator = RollingShutter::new(&camera, &psf);
+        let mut light = vec![0.0; operator.range_len()];
+        operator.apply(truth.data(), &mut light);
+        // The transforms leave rounding errors where there is no light.
+        light.iter_mut().for_each(|v| *v = v.max(0.0));
+        Self {
+            light: Image::new(ROWS, COLUMNS, light).unwrap(),
+            camera,
+            psf,
+            truth,
+        }
+    }
+
+    /// The reconstruction of the frame of `light` with the PSF `psf`, and its PSNR.
+    fn solve(&self, light: &Image, psf: &Psf, when: SelfCalibration) -> (Reconstruction, f64) {
+        let noise = Noise::Gaussian { snr: 256.0 };
+        let frame = noise.apply(light, self.camera.sensor(), 7).unwrap().frame;
+        let measurement = Measurement::new(frame).unwrap();
+        let options = Options {
+            prior: Some(Prior::STANDARD),
+            self_calibration: when,
+            ..Options::default()
+        };
+        let problem = Problem::new(&measurement, &self.camera, psf, options).unwrap();
+        let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+        let psnr = psnr_db(found.video.data(), self.truth.data());
+        (found, psnr)
+    }
+}
+
+/// The value of the image at `(y, x)` by the cubic convolution of Keys, which self-calibration does not use.
+fn cubic(image: &Image, y: f64, x: f64) -> f64 {
+    let kernel = |t: f64| match t.abs() {
+        t if t < 1.0 => (1.5 * t - 2.5) * t * t + 1.0,
+        t if t < 2.0 => ((-0.5 * t + 2.5) * t - 4.0) * t + 2.0,
+        _ => 0.0,
+    };
+    let mut sum = 0.0;
+    for row in y.floor() as isize - 1..=y.floor() as isize + 2 {
+        for column in x.floor() as isize - 1..=x.floor() as isize + 2 {
+            let row_inside = (0..image.rows() as isize).contains(&row);
+            if row_inside && (0..image.columns() as isize).contains(&column) {
+                let value = f64::from(image.at(row as usize, column as usize));
+                sum += value * kernel(y - row as f64) * kernel(x - column as f64);
+            }
+        }
+    }
+    sum
+}
+
+/// The PSF from a capture that is `scale` times as large and turned by `degrees`.
+fn distorted(psf: &Psf, scale: f64, degrees: f64) -> Psf {
+    let image = psf.image();
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let (centre_y, centre_x) = ((image.rows() / 2) as f64, (image.columns() / 2) as f64);
+    let at = |y: usize, x: usize| {
+        let (dy, dx) = ((y as f64 - centre_y) / scale, (x as f64 - centre_x) / scale);
+        let value = cubic(
+            image,
+            cos * dy - sin * dx + centre_y,
+            sin * dy + cos * dx + centre_x,
+        );
+        value.max(0.0) as f32
+    };
+    Psf::new(Image::from_fn(image.rows(), image.columns(), at)).unwrap()
+}
+
+fn value_of(found: &Reconstruction, parameter: Parameter) -> f64 {
+    let calibration = found.calibration.as_ref().expect("a correction");
+    let of = |p: &&rowburst::reconstruct::FoundParameter| p.parameter == parameter;
+    calibration
+        .parameters
+        .iter()
+        .find(of)
+        .map_or(0.0, |p| p.value)
+}
+
+/// A frame of the model is left as it is, also where it is asked to correct it.
+#[test]
+fn a_right_model_stays() {
+    let case = Case::new(1.0);
+    let (off, expected) = case.solve(&case.light, &case.psf, SelfCalibration::Off);
+    for when in [SelfCalibration::Auto, SelfCalibration::On] {
+        let (found, psnr) = case.solve(&case.light, &case.psf, when);
+        assert!(found.calibration.is_none());
+        assert_eq!(found.video, off.video);
+        assert_eq!(psnr, expected);
+    }
+}
+
+/// A PSF of another size and angle, vignetting and stray light are found, one by one and at exposures longer than a row.
+#[test]
+fn parameters_are_found() {
+    for exposure in [1.0, 2.5] {
+        let case = Case::new(exposure);
+        let (_, perfect) = case.solve(&case.light, &case.psf, SelfCalibration::Off);
+        let mean = case.light.data().iter().sum::<f32>() / case.light.data().len() as f32;
+        let vignetted = Image::from_fn(ROWS, COLUMNS, |y, x| {
+            let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
+            let (y_part, x_part) = (place(y, ROWS), place(x, COLUMNS));
+            case.light.at(y, x) * (1.0 - 0.1 * (y_part * y_part + x_part * x_part))
+        });
+        let stray = Image::from_fn(ROWS, COLUMNS, |y, x| case.light.at(y, x) + 0.08 * mean);
+        let faults = [
+            (
+                distorted(&case.psf, 1.01, 0.0),
+                &case.light,
+                Parameter::Scale,
+                -0.0099,
+                5e-4,
+            ),
+            (
+                distorted(&case.psf, 1.0, 0.4),
+                &case.light,
+                Parameter::Rotation,
+                0.4,
+                0.02,
+            ),
+            (
+                case.psf.clone(),
+                &vignetted,
+                Parameter::Vignetting,
+                -0.2,
+                0.02,
+            ),
+            (case.psf.clone(), &stray, Parameter::Offset, 0.08, 0.02),
+        ];
+        for (psf, light, parameter, expected, tolerance) in faults {
+            let name = format!("{} at {exposure} rows", parameter.name());
+            let (_, before) = case.solve(light, &psf, SelfCalibration::Off);
+            let (found, after) = case.solve(light, &psf, SelfCalibration::Auto);
+            println!("{name}: {before:.2} -> {after:.2} dB, perfect {perfect:.2}");
+            assert!(found.calibration.is_some(), "{name}: nothing was corrected");
+            let value = value_of(&found, parameter);
+            assert!(
+                (value.abs() - f64::abs(expected)).abs() < tolerance,
+                "{name}: {value}"
+            );
+            assert!(
+                after > perfect - 1.0,
+                "{name}: {before} -> {after} dB of {perfect}"
+            );
+            assert!(after > before + 1.0, "{name}: {before} -> {after} dB");
+            assert_ne!(
+                found.fit.verdict,
+                Verdict::Bad,
+                "{name}: {}",
+                found.fit.reason
+            );
+        }
+    }
+}
+
+/// A noisy capture of the PSF is refined.
+#[test]
+fn a_noisy_psf_is_refined() {
+    let case = Case::new(1.0);
+    let image = case.psf.image();
+    let electrons = 300.0 / f64::from(image.max());
+    let capture = image.data().iter().enumerate().map(|(i, &p)| {
+        // A sum of twelve uniform numbers is nearly Gaussian.
+        let uniform = |k: usize| ((i * 12 + k) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11;
+        let sum: f64 = (0..12)
+            .map(|k| uniform(k) as f64 / (1u64 << 53) as f64)
+            .sum();
+        let mean = f64::from(p) * electrons;
+        (mean + (sum - 6.0) * mean.sqrt()).max(0.0) as f32
+    });
+    let capture = Image::new(image.rows(), image.columns(), capture.collect()).unwrap();
+    let psf = Psf::new(capture).unwrap();
+    let (_, before) = case.solve(&case.light, &psf, SelfCalibration::Off);
+    let (found, after) = case.solve(&case.light, &psf, SelfCalibration::Auto);
+    println!("{before:.2} -> {after:.2} dB");
+    let calibration = found.calibration.expect("a correction");
+    assert!(
+        calibration
+            .psf_refinement
+            .is_some_and(|change| change > 0.01)
+    );
+    assert!(after > before + 0.7, "{before} -> {after} dB");
+    let error = |psf: &Psf| -> f64 {
+        let pairs = psf.image().data().iter().zip(case.psf.image().data());
+        pairs
+            .map(|(p, q)| f64::from(p - q).powi(2))
+            .sum::<f64>()
+            .sqrt()
+    };
+    assert!(error(&calibration.psfs.psfs()[0]) < 0.8 * error(&psf));
+}
