@@ -182,7 +182,7 @@ def found(result):
     return ", ".join(words)
 
 
-def rows_of(bench, scenes, faults, seeds, exposure):
+def table_rows(bench, scenes, faults, seeds, exposure):
     for scene in scenes:
         perfect = {}
         for fault in faults:
@@ -218,7 +218,7 @@ def main():
         faults, scenes = ["nothing", "scale 1 %", "vignetting 20 %"], ["digits"]
     bench = VideoBench(args.program, args.cache, args.timeout)
     head = ["scene", "fault", "dB before", "dB after", "time", "found (first seed)"]
-    lines = table(head, rows_of(bench, scenes, faults, args.seeds, args.exposure))
+    lines = table(head, table_rows(bench, scenes, faults, args.seeds, args.exposure))
     text = "\n".join([
         "# Self-calibration: faults of PSF and camera, before and after", "",
         f"`{command_line(__file__)}` with {bench.version}, commit {commit()}, {machine()}.", "",

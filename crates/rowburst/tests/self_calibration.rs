@@ -1,5 +1,8 @@
 //! A frame corrects its PSF and its camera.
 
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
@@ -72,16 +75,21 @@ impl Case {
     }
 }
 
-/// The value of the image at `(y, x)` by the cubic convolution of Keys, which self-calibration does not use.
-fn cubic(image: &Image, y: f64, x: f64) -> f64 {
-    let kernel = |t: f64| match t.abs() {
-        t if t < 1.0 => (1.5 * t - 2.5) * t * t + 1.0,
-        t if t < 2.0 => ((-0.5 * t + 2.5) * t - 4.0) * t + 2.0,
-        _ => 0.0,
+/// The value of the image at `(y, x)` by a windowed sinc, which self-calibration does not use.
+fn interpolated(image: &Image, y: f64, x: f64) -> f64 {
+    const HALF: isize = 6;
+    let sinc = |t: f64| {
+        let angle = std::f64::consts::PI * t;
+        if angle == 0.0 {
+            1.0
+        } else {
+            angle.sin() / angle
+        }
     };
+    let kernel = |t: f64| sinc(t) * sinc(t / HALF as f64);
     let mut sum = 0.0;
-    for row in y.floor() as isize - 1..=y.floor() as isize + 2 {
-        for column in x.floor() as isize - 1..=x.floor() as isize + 2 {
+    for row in y.floor() as isize - HALF + 1..=y.floor() as isize + HALF {
+        for column in x.floor() as isize - HALF + 1..=x.floor() as isize + HALF {
             let row_inside = (0..image.rows() as isize).contains(&row);
             if row_inside && (0..image.columns() as isize).contains(&column) {
                 let value = f64::from(image.at(row as usize, column as usize));
@@ -99,7 +107,7 @@ fn distorted(psf: &Psf, scale: f64, degrees: f64) -> Psf {
     let (centre_y, centre_x) = ((image.rows() / 2) as f64, (image.columns() / 2) as f64);
     let at = |y: usize, x: usize| {
         let (dy, dx) = ((y as f64 - centre_y) / scale, (x as f64 - centre_x) / scale);
-        let value = cubic(
+        let value = interpolated(
             image,
             cos * dy - sin * dx + centre_y,
             sin * dy + cos * dx + centre_x,
@@ -200,15 +208,11 @@ fn parameters_are_found() {
 fn a_noisy_psf_is_refined() {
     let case = Case::new(1.0);
     let image = case.psf.image();
-    let electrons = 300.0 / f64::from(image.max());
-    let capture = image.data().iter().enumerate().map(|(i, &p)| {
-        // A sum of twelve uniform numbers is nearly Gaussian.
-        let uniform = |k: usize| ((i * 12 + k) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11;
-        let sum: f64 = (0..12)
-            .map(|k| uniform(k) as f64 / (1u64 << 53) as f64)
-            .sum();
-        let mean = f64::from(p) * electrons;
-        (mean + (sum - 6.0) * mean.sqrt()).max(0.0) as f32
+    let electrons = 200.0 / f64::from(image.max());
+    let mut rng = Pcg64::seed_from_u64(1);
+    let capture = image.data().iter().map(|&p| {
+        let (mean, noise): (f64, f64) = (f64::from(p) * electrons, StandardNormal.sample(&mut rng));
+        (mean + noise * mean.sqrt()).max(0.0) as f32
     });
     let capture = Image::new(image.rows(), image.columns(), capture.collect()).unwrap();
     let psf = Psf::new(capture).unwrap();

@@ -31,7 +31,7 @@ struct Instant {
     sensor_rows: Vec<usize>,
     frame_rows: Vec<usize>,
     /// Field rows with light, ascending.
-    lit: Vec<usize>,
+    active: Vec<usize>,
     /// The spectrum along x of each of these rows.
     spectra: Vec<Complex32>,
 }
@@ -47,10 +47,10 @@ impl PsfMap {
         let instants = (0..shutter.sensor_rows_of.len()).into_par_iter().map(|i| {
             let light = shutter.integrate(video, i);
             let lines: Vec<&[f32]> = light.chunks_exact(geometry.field_columns).collect();
-            let lit: Vec<usize> = (0..lines.len())
+            let active: Vec<usize> = (0..lines.len())
                 .filter(|&y| lines[y].iter().any(|v| *v != 0.0))
                 .collect();
-            let spectra = lit.iter().flat_map(|&y| {
+            let spectra = active.iter().flat_map(|&y| {
                 let mut line = vec![0.0; length];
                 line[..lines[y].len()].copy_from_slice(lines[y]);
                 spectrum_of(&*forward, &mut line)
@@ -59,7 +59,7 @@ impl PsfMap {
                 sensor_rows: shutter.sensor_rows_of[i].clone(),
                 frame_rows: shutter.frame_rows_of[i].clone(),
                 spectra: spectra.collect(),
-                lit,
+                active,
             }
         });
         Self {
@@ -113,7 +113,11 @@ impl PsfMap {
         let lines = self.instants.par_iter().map(|instant| {
             let rows = instant.sensor_rows.iter().map(|&r| {
                 let mut sum = vec![Complex32::default(); frequencies];
-                for (light, &y) in instant.spectra.chunks_exact(frequencies).zip(&instant.lit) {
+                for (light, &y) in instant
+                    .spectra
+                    .chunks_exact(frequencies)
+                    .zip(&instant.active)
+                {
                     if let Some(row) = self.psf_row(r, y) {
                         let kernel = &spectra[row * frequencies..(row + 1) * frequencies];
                         let products = light.iter().zip(kernel);
@@ -160,7 +164,7 @@ impl PsfMap {
                             - row as isize;
                         let Some(at) = usize::try_from(y)
                             .ok()
-                            .and_then(|y| instant.lit.binary_search(&y).ok())
+                            .and_then(|y| instant.active.binary_search(&y).ok())
                         else {
                             continue;
                         };

@@ -97,7 +97,7 @@ const FREE: [Parameter; 9] = [
 ];
 /// First noise level of the search over the light of the frame, and over the noise of the sensor; larger stands larger
 /// errors of the model.
-const FIRST_LEVEL: (f64, f64) = (0.05, 3.0);
+const START_LEVEL: (f64, f64) = (0.05, 3.0);
 /// Held-out error over `σ` up to which the model explains the frame.
 const EXPLAINED: f64 = 1.35;
 /// Held-out error of a first sharper PSF over that of the PSF as given, below which a blur alone is searched for.
@@ -266,7 +266,7 @@ impl Search<'_, '_, '_> {
             parameters: &FREE,
             has_row_offsets: true,
         };
-        let start = (FIRST_LEVEL.0 * light).max(FIRST_LEVEL.1 * self.sigma);
+        let start = (START_LEVEL.0 * light).max(START_LEVEL.1 * self.sigma);
         let mut found = self.parameters(given.correction.clone(), all, start)?;
         if found.error() > EXPLAINED * self.sigma {
             let level = (BLUR_LEVEL * found.error()).max(self.sigma);

@@ -1,7 +1,7 @@
 //! Refinement of the PSF itself.
 //!
 //! With the video fixed, the frame is a linear map `B` of the PSF. Its error `δp = L z` has a prior (`psf_error`), and
-//! the brightness of the lit voxels is marginalised as in `step`. The posterior mean solves
+//! the brightness of the active voxels is marginalised as in `step`. The posterior mean solves
 //!
 //! ```text
 //! (I + Lᵀ Bᵀ K⁻¹ B L) z = Lᵀ Bᵀ K⁻¹ W(b − B p₀)
@@ -26,12 +26,12 @@ use rand_pcg::Pcg64;
 /// Rounds of a reconstruction and a refinement.
 const ROUNDS: usize = 5;
 /// First noise level over the held-out error.
-const FIRST_LEVEL: f64 = 0.85;
+const START_LEVEL: f64 = 0.85;
 /// Noise level of a round over that of the one before, and over the held-out error.
 const LEVEL_RATIOS: (f64, f64) = (0.7, 0.5);
 /// Held-out error of a later round over the best one up to which it is preferred.
 const LATER: f64 = 1.02;
-/// Standard deviation of the lit voxels over the brightness; smaller than in `step`, since the PSF has more freedom.
+/// Standard deviation of the active voxels over the brightness; smaller than in `step`, since the PSF has more freedom.
 const AMPLITUDE: f64 = 0.2;
 /// Variance of the misfit over that of sensor and capture up to which the capture's noise explains it.
 const EXPLAINED_BY_NOISE: f64 = 1.4;
@@ -55,7 +55,7 @@ impl Search<'_, '_, '_> {
     ) -> Result<Option<Candidate>, Box<RunResult>> {
         let anchor = self.calibrator.psfs(&start.correction).central().clone();
         let mut correction = start.correction.clone();
-        let mut level = (FIRST_LEVEL * start.error()).max(self.sigma);
+        let mut level = (START_LEVEL * start.error()).max(self.sigma);
         let mut best: Option<Candidate> = None;
         let mut priors: Option<Vec<PsfError>> = None;
         for round in 0..=ROUNDS {

@@ -1,10 +1,10 @@
-//! A Gauss–Newton step in the parameters, with the brightness of the lit voxels marginalised.
+//! A Gauss–Newton step in the parameters, with the brightness of the active voxels marginalised.
 //!
-//! The video is known only to within errors that a wrong model has caused. So the brightness of each lit voxel is given
+//! The video is known only to within errors that a wrong model has caused. So the brightness of each active voxel is given
 //! a Gaussian prior of standard deviation `a`, and the residual `r = W(b − A v)` has the covariance
 //!
 //! ```text
-//! K = σ² I + a² B Bᵀ,    B = W A on the lit voxels
+//! K = σ² I + a² B Bᵀ,    B = W A on the active voxels
 //! ```
 //!
 //! The step `δ` of the parameters `θ` with priors of variance `Λ⁻¹` solves
@@ -13,7 +13,7 @@
 //! (Jᵀ K⁻¹ J + Λ) δ = Jᵀ K⁻¹ r − Λ θ,    J = ∂r/∂θ with the opposite sign
 //! ```
 //!
-//! It is variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10, 413, 1973) on the lit voxels, with a prior.
+//! It is variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10, 413, 1973) on the active voxels, with a prior.
 
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::Parameter;
@@ -23,15 +23,15 @@ use crate::{RollingShutter, Support};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
-/// Threshold of a lit voxel over the brightness; larger leaves voxels out whose light then counts as an error.
-const LIT: f64 = 0.05;
+/// Threshold of an active voxel over the brightness; larger leaves voxels out whose light then counts as an error.
+const THRESHOLD: f64 = 0.05;
 /// Standard deviation `a` over the brightness; smaller trusts a wrong video.
 const AMPLITUDE: f64 = 0.3;
 /// Largest step over the width of a parameter's prior; larger leaves the range where the model is linear.
 const MAX_STEP: f64 = 1.5;
 /// Standard deviation of the stray light of a row, over the mean of the frame.
 const ROW_OFFSET: f64 = 0.01;
-/// Least part of the measurements that the lit voxels leave over.
+/// Least part of the measurements that the active voxels leave over.
 const MIN_REMAINDER: f64 = 0.2;
 
 /// The parameters that a step changes.
@@ -61,10 +61,10 @@ impl<'t> Marginal<'t> {
     /// `K` at the noise level `sigma`; `amplitude` is `a` over the brightness.
     pub fn new(trial: &'t mut Trial, sigma: f64, amplitude: f64) -> Self {
         let shape = trial.data.shape();
-        let lit = LIT * brightness(&trial.video);
-        let support = Support::above(&trial.video, shape, &vec![lit; shape.bins]);
+        let threshold = THRESHOLD * brightness(&trial.video);
+        let support = Support::above(&trial.video, shape, &vec![threshold; shape.bins]);
         trial.data.restrict(&support);
-        let amplitude = amplitude / LIT * lit;
+        let amplitude = amplitude / THRESHOLD * threshold;
         Self {
             trial,
             rho: (sigma / amplitude.max(f64::MIN_POSITIVE)).powi(2),
@@ -240,7 +240,7 @@ impl<'j> SolvedJacobian<'j> {
     }
 }
 
-/// The noise level of `unexplained`, the residual that lit voxels and parameters leave over, for each measurement that
+/// The noise level of `unexplained`, the residual that active voxels and parameters leave over, for each measurement that
 /// is left over. The number of these, `σ² tr K⁻¹`, is estimated with a random vector (Hutchinson, Commun. Stat. 19, 433,
 /// 1990).
 fn remaining_sigma(marginal: &mut Marginal, unexplained: &[f64]) -> f64 {
@@ -285,7 +285,7 @@ struct RowColumns {
 /// `σ² K⁻¹` of the columns, one vector for the rows at one place of all instants.
 struct SolvedRows<'r> {
     rows: &'r RowColumns,
-    solved: Vec<Vec<f64>>,
+    positions: Vec<Vec<f64>>,
 }
 
 impl RowColumns {
@@ -344,7 +344,7 @@ impl RowColumns {
         };
         SolvedRows {
             rows: self,
-            solved: (0..most)
+            positions: (0..most)
                 .map(|place| marginal.solve(&probe(place)))
                 .collect(),
         }
@@ -364,6 +364,6 @@ impl RowColumns {
 impl SolvedRows<'_> {
     /// `σ² K⁻¹` of the column of `row`, at the pixels of its instant.
     fn of(&self, row: usize) -> &[f64] {
-        &self.solved[self.rows.place[row].1]
+        &self.positions[self.rows.place[row].1]
     }
 }
