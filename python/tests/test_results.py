@@ -1,5 +1,7 @@
 """What results look like and cost to look at."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,45 @@ def test_the_video_of_a_look_may_not_be_written_to(camera, psf, capture):
     look = rb.LiveView(camera, psf, prior="tv").next(capture.frame, time_budget_s=0.5)
     assert not look.video.flags.writeable
     np.testing.assert_equal(look.video.shape, camera.video_shape)
+
+
+@pytest.fixture(scope="module")
+def wrong_psf(hot):
+    """The capture of `hot` without hot pixels, its PSF, and the same PSF 1 % too large."""
+    ndimage = pytest.importorskip("scipy.ndimage")
+    camera = hot[0]
+    rng = np.random.default_rng(6)
+    psf = np.maximum(ndimage.gaussian_filter(rng.exponential(size=(127, 127)), 1.2), 0)
+    scene = np.zeros(camera.video_shape, np.float32)
+    for t in range(len(scene)):
+        scene[t, 10 + t : 14 + t, 8 + t : 12 + t] = 1
+    frame = rb.simulate(camera, scene, psf, snr=256, seed=2).frame
+    large = ndimage.affine_transform(psf, np.eye(2) / 1.01, 63 - 63 / 1.01, order=3)
+    return camera, frame, scene, psf, np.maximum(large, 0)
+
+
+def test_a_frame_corrects_its_psf(wrong_psf):
+    camera, frame, scene, psf, large = wrong_psf
+    options = {"prior": "tv+0.5*tdiff+support", "truth": scene}
+    before = rb.reconstruct(frame, camera, large, self_calibrate="off", **options)
+    after = rb.reconstruct(frame, camera, large, **options)
+    assert before.self_calibration is None and before.corrected_psf is None
+    assert abs(after.self_calibration["scale"]["value"] + 0.0099) < 1e-3
+    assert after.numbers["psnr_db"] > before.numbers["psnr_db"] + 2
+    # The corrected PSF serves the next frames as it is.
+    again = rb.reconstruct(frame, camera, after.corrected_psf, **options)
+    assert again.self_calibration is None
+    assert again.numbers["psnr_db"] > after.numbers["psnr_db"] - 0.5
+    same = pickle.loads(pickle.dumps(after))
+    assert same.numbers == after.numbers and same.corrected_psf == after.corrected_psf
+
+
+def test_a_right_psf_is_used_as_given(wrong_psf):
+    camera, frame, _, psf, _ = wrong_psf
+    result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support", self_calibrate="on")
+    assert result.self_calibration is None
+
+
+def test_self_calibrate_is_one_of_three_words(camera, psf, capture):
+    with pytest.raises(rb.InputError, match="self_calibrate"):
+        rb.reconstruct(capture.frame, camera, psf, self_calibrate="sometimes")

@@ -3,6 +3,7 @@
 use crate::array::{from_image, from_video, make_read_only};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::psf::PyPsf;
 use crate::state::{self, State as Stored, entry};
 use crate::threads::{self, detached};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -250,6 +251,15 @@ impl PyReconstruction {
     #[getter]
     fn excluded_fraction(&self, py: Python<'_>) -> f64 {
         self.state(py).completed.reconstruction.excluded_fraction()
+    }
+
+    /// The PSF as the frame has corrected it; `None`: it was used as given.
+    #[getter]
+    fn corrected_psf(&self, py: Python<'_>) -> Option<PyPsf> {
+        let state = self.state(py);
+        let calibration = state.completed.reconstruction.calibration.as_ref()?;
+        let psfs = calibration.psfs.clone();
+        Some(PyPsf { psfs })
     }
 
     #[getter]

@@ -14,8 +14,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{
-    Candidate, Choice, Fit, FitStatistics, Options, Prior, Reconstruction, SigmaSource, Tau,
-    TrimmedChiSquared, Verdict,
+    Calibration, Candidate, Choice, Fit, FitStatistics, FoundParameter, Options, Parameter, Prior,
+    Reconstruction, SelfCalibration, SigmaSource, Tau, TrimmedChiSquared, Verdict,
 };
 use rowburst::solve::{Certificate, StopReason};
 use rowburst::{Image, Video};
@@ -98,6 +98,21 @@ pub fn of_completed<'py>(
     state.set_item("support_fraction", found.support_fraction)?;
     state.set_item("fit", (found.fit.verdict.name(), &found.fit.reason))?;
     state.set_item("statistics", of_statistics(py, &found.fit.statistics)?)?;
+    let given = completed.given_psfs.clone().map(|psfs| PyPsf { psfs });
+    state.set_item("given_psf", given)?;
+    state.set_item(
+        "calibration",
+        found.calibration.as_ref().map(|calibration| {
+            let parameter = |p: &FoundParameter| (p.parameter.name(), p.value, p.standard_error);
+            let parameters: Vec<_> = calibration.parameters.iter().map(parameter).collect();
+            (
+                parameters,
+                calibration.row_offsets.clone(),
+                calibration.psf_refinement,
+                (calibration.held_out_before, calibration.held_out_after),
+            )
+        }),
+    )?;
     state.set_item(
         "seconds",
         (
@@ -148,6 +163,7 @@ fn of_task<'py>(py: Python<'py>, task: &Task) -> PyResult<Bound<'py, PyDict>> {
     }
     state.set_item("requested_sigma", options.noise_sigma)?;
     state.set_item("max_iterations", options.max_iterations)?;
+    state.set_item("self_calibrate", options.self_calibration.name())?;
     state.set_item("keep_all_pixels", options.keep_all_pixels)?;
     state.set_item("budget_s", task.budget.map(|b| b.as_secs_f64()))?;
     let truth = task.truth.clone().map(|truth| from_video(py, truth));
@@ -208,9 +224,13 @@ pub fn to_completed(state: &Bound<'_, PyDict>) -> PyResult<CompletedTask> {
         change,
         psnr_db,
     };
+    let task = to_task(state)?;
+    let given = optional_entry(state, "given_psf")?;
+    let given = given.map(|psf| -> PyResult<_> { Ok(psf.cast::<PyPsf>()?.get().psfs.clone()) });
     Ok(CompletedTask {
-        task: to_task(state)?,
-        reconstruction: to_reconstruction(state)?,
+        reconstruction: to_reconstruction(state, &task)?,
+        task,
+        given_psfs: given.transpose()?,
         debias: None,
         setup_seconds,
         seconds,
@@ -239,6 +259,11 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
             tau: tau_from(Some(&entry(state, "requested_tau")?))?,
             noise_sigma: entry(state, "requested_sigma")?.extract()?,
             max_iterations: entry(state, "max_iterations")?.extract()?,
+            self_calibration: named(
+                &SelfCalibration::ALL,
+                SelfCalibration::name,
+                &entry(state, "self_calibrate")?.extract::<String>()?,
+            )?,
             keep_all_pixels: entry(state, "keep_all_pixels")?.extract()?,
             is_preview: false,
         },
@@ -257,7 +282,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
     })
 }
 
-fn to_reconstruction(state: &Bound<'_, PyDict>) -> PyResult<Reconstruction> {
+fn to_reconstruction(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Reconstruction> {
     let number = |name: &str| -> PyResult<f64> { entry(state, name)?.extract() };
     let text = |name: &str| -> PyResult<String> { entry(state, name)?.extract() };
     let background = optional_entry(state, "background")?;
@@ -293,6 +318,7 @@ fn to_reconstruction(state: &Bound<'_, PyDict>) -> PyResult<Reconstruction> {
         excluded: to_mask(state, "foreign")?,
         coverage: to_mask(state, "coverage")?,
         sigma_source: named(&sources, SigmaSource::name, &text("sigma_source")?)?,
+        calibration: to_calibration(&entry(state, "calibration")?, task)?,
         iterations: entry(state, "iterations")?.extract()?,
         stop_reason: named(&reasons, StopReason::name, &text("stop_reason")?)?,
         support_fraction: number("support_fraction")?,
@@ -302,6 +328,32 @@ fn to_reconstruction(state: &Bound<'_, PyDict>) -> PyResult<Reconstruction> {
             statistics: to_statistics(entry(state, "statistics")?.cast::<PyDict>()?)?,
         },
     })
+}
+
+/// The correction of PSF and camera, which `task` has been given.
+fn to_calibration(value: &Bound<'_, PyAny>, task: &Task) -> PyResult<Option<Calibration>> {
+    type Stored = (Vec<(String, f64, f64)>, Vec<f64>, Option<f64>, (f64, f64));
+    let Some((parameters, row_offsets, psf_refinement, (before, after))) =
+        value.extract::<Option<Stored>>()?
+    else {
+        return Ok(None);
+    };
+    let parameters = parameters.into_iter().map(|(name, value, standard_error)| {
+        Ok(FoundParameter {
+            parameter: named(&Parameter::ALL, Parameter::name, &name)?,
+            value,
+            standard_error,
+        })
+    });
+    Ok(Some(Calibration {
+        parameters: parameters.collect::<PyResult<_>>()?,
+        row_offsets,
+        psf_refinement,
+        psfs: task.psfs.clone(),
+        measurement: task.measurement.clone(),
+        held_out_before: before,
+        held_out_after: after,
+    }))
 }
 
 fn to_choice(value: &Bound<'_, PyAny>) -> PyResult<Option<Choice>> {

@@ -21,7 +21,7 @@ use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Error, Image, PatchSet, Sensor};
 use rowburst_io::{Capture, FromMetadata, OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
-use rowburst_run::options::{parse_prior, parse_tau, parse_time_budget};
+use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
 use rowburst_run::{
     ChunkedTask, ColourInputs, IterationMetrics, MovieStyle, Task, TraceRequest, check_raw_frame,
     merge_planes, run_chunked, solve, solve_with_model,
@@ -57,8 +57,9 @@ struct FrameInputs<'a, 'py> {
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
     time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
-    direct=None, progress=None, seed=Whole::of(0), experiment=None, keep_all_pixels=false, debias=false, threads=None),
-    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, keep_all_pixels=False, debias=False, threads=None)")]
+    direct=None, progress=None, seed=Whole::of(0), experiment=None, self_calibrate="auto", keep_all_pixels=false,
+    debias=false, threads=None),
+    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None)")]
 #[allow(clippy::too_many_arguments)]
 pub fn reconstruct(
     py: Python<'_>,
@@ -78,12 +79,16 @@ pub fn reconstruct(
     progress: Option<Py<PyAny>>,
     seed: Whole,
     experiment: Option<&PyExperiment>,
+    self_calibrate: &str,
     keep_all_pixels: bool,
     debias: bool,
     threads: Option<Whole>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
-    let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+    let options = Options {
+        self_calibration: self_calibration_from(self_calibrate)?,
+        ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
+    };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
     let inputs = FrameInputs {
@@ -108,7 +113,7 @@ pub struct PyReconstructor {
 impl PyReconstructor {
     #[new]
     #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None, max_iterations=None, dark=None,
-        flat=None, bad_pixels=None, experiment=None, keep_all_pixels=false, threads=None))]
+        flat=None, bad_pixels=None, experiment=None, self_calibrate="auto", keep_all_pixels=false, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -122,10 +127,14 @@ impl PyReconstructor {
         flat: Option<&Bound<'_, PyAny>>,
         bad_pixels: Option<&Bound<'_, PyAny>>,
         experiment: Option<&PyExperiment>,
+        self_calibrate: &str,
         keep_all_pixels: bool,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
-        let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+        let options = Options {
+            self_calibration: self_calibration_from(self_calibrate)?,
+            ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
+        };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
         crate::memory::check(&setup.camera)?;
@@ -291,6 +300,7 @@ fn answer_of(py: Python<'_>, progress: &Py<PyAny>, iteration: PyProgress) -> PyR
     })
 }
 
+/// The options of frames that use PSF and camera as given.
 pub fn options_from(
     prior: &str,
     tau: Option<&Bound<'_, PyAny>>,
@@ -430,6 +440,10 @@ fn within_frame(error: Error) -> Error {
         }
         _ => error.within("frame"),
     }
+}
+
+pub fn self_calibration_from(name: &str) -> PyResult<SelfCalibration> {
+    parse_self_calibration(Some(name)).map_err(to_py_err)
 }
 
 pub fn prior_from(name: &str) -> PyResult<Option<Prior>> {

@@ -166,6 +166,16 @@ class Result(VideoResult):
         return self._native.excluded_fraction
 
     @property
+    def self_calibration(self) -> dict[str, Any] | None:
+        """What the frame has corrected of its PSF and camera, as in ``result.json``; None: they were used as given."""
+        return self.numbers["self_calibration"]
+
+    @property
+    def corrected_psf(self) -> Psf | None:
+        """The PSF as the frame has corrected it, for the next frames of the same set-up; None: it was used as given."""
+        return self._native.corrected_psf
+
+    @property
     def coverage(self) -> NDArray[np.uint8]:
         """1 at the voxels ``[t, y, x]`` that the frame observes; the video is zero at all others."""
         return self._native.coverage
@@ -417,6 +427,7 @@ def reconstruct(
     direct: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | bool | None = None,
     seed: int = 0,
+    self_calibrate: str = "auto",
     keep_all_pixels: bool = False,
     debias: bool = False,
     threads: int | None = None,
@@ -458,6 +469,10 @@ def reconstruct(
         thread; where it returns ``False`` the run stops with the current result.
     seed : int
         The seed of the simulation that made the frame; only reported.
+    self_calibrate : str
+        ``"auto"``: where PSF and camera do not explain the frame, the frame corrects them (size, angle, blur and noise of the
+        PSF; vignetting, stray light), if held-out pixels confirm it: see :attr:`Result.corrected_psf`. ``"off"``: never;
+        ``"on"``: corrections are looked for in every frame.
     keep_all_pixels : bool
         Whether every pixel is used that is not bad. By default foreign pixels, such as hot pixels, dust or a printed
         caption, are looked for where the video does not explain the frame, and are left out: see :attr:`Result.excluded`.
@@ -496,6 +511,7 @@ def reconstruct(
             direct=direct,
             progress=callback,
             seed=seed,
+            self_calibrate=self_calibrate,
             keep_all_pixels=keep_all_pixels,
             debias=debias,
             threads=threads,

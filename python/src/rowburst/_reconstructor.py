@@ -27,7 +27,7 @@ class Reconstructor:
         The camera, or an experiment, which gives each of the arguments that is left out.
     psf : Psf, array or path, optional
         The point-spread function; needed where there is no experiment.
-    prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, keep_all_pixels
+    prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, self_calibrate, keep_all_pixels
         Those of :func:`reconstruct`.
     threads : int, optional
         Threads of this reconstructor alone; by default all those of the process (:func:`threads`).
@@ -60,6 +60,7 @@ class Reconstructor:
         dark: ArrayLike | PathLike[str] | None = None,
         flat: ArrayLike | PathLike[str] | None = None,
         bad_pixels: ArrayLike | PathLike[str] | None = None,
+        self_calibrate: str = "auto",
         keep_all_pixels: bool = False,
         threads: int | None = None,
     ) -> None:
@@ -72,6 +73,7 @@ class Reconstructor:
             dark=dark,
             flat=flat,
             bad_pixels=bad_pixels,
+            self_calibrate=self_calibrate,
             keep_all_pixels=keep_all_pixels,
             threads=threads,
         )
@@ -84,6 +86,7 @@ class Reconstructor:
             **settings,
             noise_sigma=noise_sigma,
             max_iterations=max_iterations,
+            self_calibrate=self_calibrate,
             keep_all_pixels=keep_all_pixels,
             threads=threads,
         )

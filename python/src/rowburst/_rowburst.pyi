@@ -321,6 +321,8 @@ class Result:
     @property
     def excluded_fraction(self) -> float: ...
     @property
+    def corrected_psf(self) -> Psf | None: ...
+    @property
     def coverage(self) -> NDArray[np.uint8]: ...
     @property
     def coverage_fraction(self) -> float: ...
@@ -363,6 +365,7 @@ class _Reconstructor:
         flat: ArrayLike | PathLike[str] | None = None,
         bad_pixels: ArrayLike | PathLike[str] | None = None,
         experiment: Experiment | None = None,
+        self_calibrate: str = "auto",
         keep_all_pixels: bool = False,
         threads: int | None = None,
     ) -> _Reconstructor: ...
@@ -605,6 +608,7 @@ def reconstruct(
     progress: Callable[[Progress], object] | None = None,
     seed: int = 0,
     experiment: Experiment | None = None,
+    self_calibrate: str = "auto",
     keep_all_pixels: bool = False,
     debias: bool = False,
     threads: int | None = None,

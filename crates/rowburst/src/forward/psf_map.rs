@@ -244,7 +244,7 @@ mod tests {
             })
             .unwrap();
             let image = Image::new(psf.0, psf.1, values(psf.0 * psf.1, 7)).unwrap();
-            let shutter = RollingShutter::new(&camera, &Psf::new(image).unwrap());
+            let shutter = RollingShutter::new(&camera, Psf::new(image).unwrap());
             let mut video = values(shutter.domain_len(), 5);
             // Some rows are dark.
             video

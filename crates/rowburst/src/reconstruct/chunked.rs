@@ -12,7 +12,9 @@
 //! chunk has its own `τ`, at which its residual matches the noise level of the whole frame.
 
 use super::sigma::Bands;
-use super::{Model, Options, Prior, Problem, Reconstruction, SigmaSource, noise_of};
+use super::{
+    Model, Options, Prior, Problem, Reconstruction, SelfCalibration, SigmaSource, noise_of,
+};
 use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
 use crate::solve::StopReason;
@@ -74,8 +76,9 @@ impl Chunked {
         Ok(Self {
             options: Options {
                 prior: Some(prior),
-                // A chunk alone has too few pixels to tell foreign ones.
+                // A chunk alone has too few pixels to tell foreign ones, and all chunks have the same PSF.
                 keep_all_pixels: true,
+                self_calibration: SelfCalibration::Off,
                 ..options
             },
             camera,
