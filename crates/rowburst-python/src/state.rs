@@ -113,6 +113,9 @@ pub fn of_completed<'py>(
             )
         }),
     )?;
+    let pixels = |of: fn(&Calibration) -> &Vec<f32>| found.calibration.as_ref().map(of).map(floats);
+    state.set_item("pixel_gain", pixels(|c| &c.gain))?;
+    state.set_item("pixel_offset", pixels(|c| &c.offset))?;
     state.set_item(
         "seconds",
         (
@@ -318,7 +321,7 @@ fn to_reconstruction(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Reconst
         excluded: to_mask(state, "foreign")?,
         coverage: to_mask(state, "coverage")?,
         sigma_source: named(&sources, SigmaSource::name, &text("sigma_source")?)?,
-        calibration: to_calibration(&entry(state, "calibration")?, task)?,
+        calibration: to_calibration(state, task)?,
         iterations: entry(state, "iterations")?.extract()?,
         stop_reason: named(&reasons, StopReason::name, &text("stop_reason")?)?,
         support_fraction: number("support_fraction")?,
@@ -331,10 +334,10 @@ fn to_reconstruction(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Reconst
 }
 
 /// The correction of PSF and camera, which `task` has been given.
-fn to_calibration(value: &Bound<'_, PyAny>, task: &Task) -> PyResult<Option<Calibration>> {
+fn to_calibration(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Option<Calibration>> {
     type Stored = (Vec<(String, f64, f64)>, Vec<f64>, Option<f64>, (f64, f64));
     let Some((parameters, row_offsets, psf_refinement, (before, after))) =
-        value.extract::<Option<Stored>>()?
+        entry(state, "calibration")?.extract::<Option<Stored>>()?
     else {
         return Ok(None);
     };
@@ -350,7 +353,8 @@ fn to_calibration(value: &Bound<'_, PyAny>, task: &Task) -> PyResult<Option<Cali
         row_offsets,
         psf_refinement,
         psfs: task.psfs.clone(),
-        measurement: task.measurement.clone(),
+        gain: to_weights(state, "pixel_gain")?.unwrap_or_default(),
+        offset: to_weights(state, "pixel_offset")?.unwrap_or_default(),
         held_out_before: before,
         held_out_after: after,
     }))

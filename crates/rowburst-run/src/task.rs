@@ -105,7 +105,7 @@ fn solve_since(
     let convergence = clock.convergence;
     // What follows, such as traces and report, is made with the corrected PSF and frame.
     let given_psfs = reconstruction.calibration.as_ref().map(|calibration| {
-        task.measurement = calibration.measurement.clone();
+        task.measurement = calibration.corrected(&task.measurement);
         std::mem::replace(&mut task.psfs, calibration.psfs.clone())
     });
     Ok(CompletedTask {

@@ -230,7 +230,7 @@ mod tests {
         for (exposure, field, psf) in [
             (1.0, None, (23, 39)),
             (2.5, Some((16, 27)), (7, 9)),
-            (1.0, Some((9, 12)), (40, 64)),
+            (1.0, Some((14, 20)), (40, 64)),
         ] {
             let camera = Camera::new(CameraParams {
                 rows: 12,

@@ -33,6 +33,9 @@ const EFFECTIVE_SIGMA: f64 = 0.85;
 /// Part of the pixels with a residual far above the others that noise explains.
 const MAX_OUTLIERS: f64 = 2e-4;
 
+/// Held-out error after a correction of the model over that before, below which it is made before the rest of the foreign
+/// pixels is looked for; larger corrects the model for what foreign pixels do.
+const CLEAR_CORRECTION: f64 = 0.7;
 /// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
 /// The same where many are left out: the error falls by that alone, since they are no longer held out.
@@ -58,6 +61,16 @@ impl HeldOutRun {
     ) -> Self {
         let held_out = data.held_out();
         data.reset(prior.background(), Some(held_out));
+        Self::without_reset(data, prior, rule, max_iterations)
+    }
+
+    /// A run from a zero video on all pixels of `data`, which is as new and for the background of `prior`.
+    pub fn without_reset(
+        data: &FrameData,
+        prior: Prior,
+        rule: TauRule,
+        max_iterations: Option<usize>,
+    ) -> Self {
         let params = prior.admm_params(data.shape(), rule, max_iterations);
         Self {
             prior,
@@ -187,21 +200,22 @@ impl Problem {
             return self.exclude_foreign(found, check, prior, observer);
         }
         let none = vec![false; self.excluded.len()];
-        let mut pending = None;
-        let mut is_explained = false;
+        let mut without = None;
         if found.pixels.contains(&true) {
             self.exclude(found.pixels.clone());
-            let without = self.held_out_check(prior, observer)?;
-            is_explained = self.is_explained(&without);
-            if !is_explained {
-                pending = self.find_correction(prior, &without, observer)?;
-            }
-        } else {
-            pending = self.find_correction(prior, &check, observer)?;
+            without = Some(self.held_out_check(prior, observer)?);
+        }
+        let without = without.as_ref().unwrap_or(&check);
+        let is_explained = self.is_explained(without);
+        let mut pending = None;
+        if !is_explained || self.options.self_calibration == SelfCalibration::On {
+            pending = self.find_correction(prior, without, observer)?;
         }
         self.exclude(none.clone());
-        if let Some(confirmed) = pending.take_if(|confirmed| confirmed.explains) {
-            self.apply_correction(confirmed, none);
+        if let Some(finding) =
+            pending.take_if(|found| found.explains || found.error_ratio() < CLEAR_CORRECTION)
+        {
+            self.apply_correction(finding.calibration, none);
             let check = self.held_out_check(prior, observer)?;
             if self.is_explained(&check) {
                 return Ok(check);
@@ -214,12 +228,12 @@ impl Problem {
             return Ok(check);
         }
         if self.excluded.contains(&true) {
-            pending = self.find_correction(prior, &check, observer)?;
+            pending = self.find_correction(prior, &check, observer)?.or(pending);
         }
-        let Some(confirmed) = pending else {
+        let Some(finding) = pending else {
             return Ok(check);
         };
-        self.apply_correction(confirmed, self.excluded.clone());
+        self.apply_correction(finding.calibration, self.excluded.clone());
         self.held_out_check(prior, observer)
     }
 

@@ -53,7 +53,7 @@ const MIN_GAIN: f64 = 1.0;
 
 /// Fall of the mean square from `before` to `after`, two errors of each pixel, in standard errors of the paired
 /// differences; NaN where an error is.
-fn gain(before: &[f64], after: &[f64]) -> f64 {
+pub(super) fn gain(before: &[f64], after: &[f64]) -> f64 {
     let differences: Vec<f64> = before
         .iter()
         .zip(after)

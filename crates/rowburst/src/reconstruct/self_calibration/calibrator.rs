@@ -1,10 +1,12 @@
-//! The frame under one model of PSF and camera after another.
+//! Frames under one model of PSF and camera after another.
 
 use super::super::frame_data::FrameData;
+use super::super::held_out::HeldOut;
 use super::super::held_out_check::HeldOutRun;
 use super::super::{Model, Prior, RunResult, choose};
 use super::parameters::{Parameter, Parameters};
 use super::psf_model::PsfModel;
+use crate::forward::psf_map::PsfMap;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::solve::admm::{Progress, TauRule};
@@ -27,75 +29,143 @@ pub(super) struct Correction {
 }
 
 impl Correction {
+    /// Whether it changes nothing.
+    pub fn is_identity(&self) -> bool {
+        self.parameters == Parameters::default()
+            && self.refined.is_none()
+            && !self.has_row_offsets()
+    }
+
     /// Whether rows have stray light of their own.
     pub fn has_row_offsets(&self) -> bool {
         self.row_offsets.iter().any(|o| *o != 0.0)
     }
 }
 
-/// The frame with what its model is made from.
-pub(super) struct Calibrator<'p> {
-    camera: &'p Camera,
+/// A frame of the calibration.
+struct Frame {
     /// The frame without foreign pixels.
     measurement: Measurement,
-    models: Vec<PsfModel>,
-    offsets_px: Vec<(f64, f64)>,
-    prior: Prior,
-    /// Mean of the frame, in counts.
-    mean: f64,
-    /// Which set of pixels is held out.
-    held_out_set: u64,
+    /// The same without the pixels that judge and that confirm.
+    fitted: Measurement,
+    judging: Vec<usize>,
+    confirming: Vec<usize>,
 }
 
-/// A reconstruction under one model, without the held-out pixels.
+impl Frame {
+    fn new(shutter: &RollingShutter, measurement: Measurement) -> Self {
+        let judging = HeldOut::draw(shutter, measurement.weights(), 0);
+        let without = |measurement: &Measurement, pixels: &[usize]| {
+            let mut is_left_out = vec![false; measurement.image().data().len()];
+            pixels.iter().for_each(|&i| is_left_out[i] = true);
+            measurement.without(&is_left_out)
+        };
+        let others = without(&measurement, judging.pixels());
+        let confirming = HeldOut::draw(shutter, others.weights(), 1);
+        Self {
+            fitted: without(&others, confirming.pixels()),
+            judging: judging.pixels().to_vec(),
+            confirming: confirming.pixels().to_vec(),
+            measurement,
+        }
+    }
+}
+
+/// Frames of one camera with what their model is made from.
+pub(super) struct Calibrator<'p> {
+    camera: &'p Camera,
+    frames: Vec<Frame>,
+    /// The PSFs as given.
+    given: &'p PatchSet,
+    models: Vec<PsfModel>,
+    prior: Prior,
+    /// Mean of the frames, in counts.
+    mean: f64,
+}
+
+/// A reconstruction of a frame under one model, without the pixels that judge and that confirm.
 pub(super) struct Trial {
+    frame: usize,
     pub data: FrameData,
     pub video: Vec<f32>,
     /// Root mean square of the weighted residual.
     pub residual_rms: f64,
-    /// Weighted residuals of the held-out pixels.
-    pub held_out: Vec<f64>,
+    /// Weighted residuals of the judging pixels, which choose among corrections.
+    pub judging: Vec<f64>,
+    /// Weighted residuals of the confirming pixels, which no search has seen.
+    pub confirming: Vec<f64>,
 }
 
 impl<'p> Calibrator<'p> {
+    /// The PSFs `given` are corrected from `anchor` on, which is free of the noise outside the optics' pass band.
     pub fn new(
+        shutter: &RollingShutter,
         camera: &'p Camera,
-        psfs: &PatchSet,
-        measurement: Measurement,
+        given: &'p PatchSet,
+        anchor: Option<&Psf>,
+        measurements: &[Measurement],
         prior: Prior,
     ) -> Self {
-        let values = measurement.image().data();
-        let weight = |i: usize| measurement.weights().is_none_or(|w| w[i] > 0.0);
-        let usable = (0..values.len()).filter(|&i| weight(i));
-        let (sum, count) = usable.fold((0.0, 0usize), |(sum, count), i| {
-            (sum + f64::from(values[i]), count + 1)
-        });
+        let (mut sum, mut count) = (0.0, 0usize);
+        for measurement in measurements {
+            for (i, value) in measurement.image().data().iter().enumerate() {
+                if measurement.weights().is_none_or(|w| w[i] > 0.0) {
+                    sum += f64::from(*value);
+                    count += 1;
+                }
+            }
+        }
+        let frames = measurements.iter();
         Self {
             camera,
             mean: sum / count.max(1) as f64,
-            measurement,
-            models: psfs.psfs().iter().map(PsfModel::new).collect(),
-            offsets_px: psfs.offsets_px().to_vec(),
+            frames: frames
+                .map(|measurement| Frame::new(shutter, measurement.clone()))
+                .collect(),
+            given,
+            models: match anchor {
+                Some(anchor) => vec![PsfModel::new(anchor)],
+                None => given.psfs().iter().map(PsfModel::new).collect(),
+            },
             prior,
-            held_out_set: 0,
         }
     }
 
-    /// Holds other pixels out from now on than before.
-    pub fn hold_out_others(&mut self) {
-        self.held_out_set = 1;
+    /// The PSFs as given.
+    pub fn given_psfs(&self) -> &PatchSet {
+        self.given
     }
 
-    /// PSF and camera as given.
+    /// Number of frames.
+    pub fn frame_count(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// PSF and camera without a correction.
     pub fn uncorrected(&self) -> Correction {
         Correction {
             parameters: Parameters::default(),
             refined: None,
-            row_offsets: vec![0.0; self.measurement.image().rows()],
+            row_offsets: vec![0.0; self.image().rows()],
         }
     }
 
-    /// Mean of the frame, in counts.
+    /// PSF and camera as given, with the noise of the PSF's capture.
+    pub fn given(&self) -> Correction {
+        Correction {
+            refined: match self.given.psfs() {
+                [psf] => Some(psf.clone()),
+                _ => None,
+            },
+            ..self.uncorrected()
+        }
+    }
+
+    fn image(&self) -> &crate::Image {
+        self.frames[0].measurement.image()
+    }
+
+    /// Mean of the frames, in counts.
     pub fn mean(&self) -> f64 {
         self.mean
     }
@@ -111,12 +181,12 @@ impl<'p> Calibrator<'p> {
     /// The PSFs with `parameters`, not refined.
     pub fn model_psfs(&mut self, parameters: &Parameters) -> PatchSet {
         let psfs: Vec<Psf> = self.models.iter_mut().map(|m| m.psf(parameters)).collect();
-        PatchSet::new(psfs, self.offsets_px.clone()).expect("the offsets of a patch set")
+        PatchSet::new(psfs, self.given.offsets_px().to_vec()).expect("the offsets of a patch set")
     }
 
-    /// Gain and offset in counts of every pixel.
-    fn pixels(&self, correction: &Correction) -> (Vec<f32>, Vec<f32>) {
-        let pixels = self.measurement.image().data().len();
+    /// Gain and offset in counts of every pixel, `[y, x]`.
+    pub fn pixels(&self, correction: &Correction) -> (Vec<f32>, Vec<f32>) {
+        let pixels = self.image().data().len();
         let (mut gain, mut offset) = (vec![1.0; pixels], vec![0.0; pixels]);
         for parameter in Parameter::ALL.into_iter().filter(|p| !p.is_of_psf()) {
             let value = correction.parameters[parameter];
@@ -131,7 +201,7 @@ impl<'p> Calibrator<'p> {
                 *target += scale * self.pattern(parameter, at);
             }
         }
-        let columns = self.measurement.image().columns();
+        let columns = self.image().columns();
         for (row, line) in offset.chunks_exact_mut(columns).enumerate() {
             line.iter_mut()
                 .for_each(|o| *o += correction.row_offsets[row]);
@@ -143,7 +213,7 @@ impl<'p> Calibrator<'p> {
 
     /// How `parameter` changes the pixel `at`.
     fn pattern(&self, parameter: Parameter, at: usize) -> f64 {
-        let image = self.measurement.image();
+        let image = self.image();
         let place = |at: usize, length: usize| {
             let centre = (length as f64 - 1.0) / 2.0;
             (at as f64 - centre) / (length as f64 / 2.0)
@@ -158,37 +228,26 @@ impl<'p> Calibrator<'p> {
         }
     }
 
-    /// The frame of an ideal camera.
-    pub fn measurement(&self, correction: &Correction) -> Measurement {
-        self.corrected(&self.measurement, correction)
-    }
-
-    /// `measurement` of the same frame as if by an ideal camera.
-    pub fn corrected(&self, measurement: &Measurement, correction: &Correction) -> Measurement {
-        let (gain, offset) = self.pixels(correction);
-        measurement.adjusted(&gain, &offset)
-    }
-
-    /// Operator and frame under `correction`, without the held-out pixels.
-    pub fn data(&mut self, correction: &Correction) -> FrameData {
+    /// Operator and fitted pixels of a frame under `correction`.
+    fn data(&mut self, frame: usize, correction: &Correction) -> FrameData {
         let model = Model::new(self.camera, self.psfs(correction));
-        let mut data = FrameData::new(&model, &self.measurement(correction));
-        let held_out = data.held_out_set(self.held_out_set);
-        data.reset(self.prior.background(), Some(held_out));
-        data
+        let (gain, offset) = self.pixels(correction);
+        FrameData::new(&model, &self.frames[frame].fitted.adjusted(&gain, &offset))
     }
 
-    /// Reconstructs at the noise level `sigma`, in at most `iterations`. The error is the result so far of a run that the
-    /// observer stopped.
+    /// Reconstructs a frame at the noise level `sigma`, in at most `iterations`. The error is the result so far of a run
+    /// that the observer stopped.
     pub fn run(
         &mut self,
+        frame: usize,
         correction: &Correction,
         sigma: f64,
         iterations: usize,
         observer: &mut choose::Observer,
     ) -> Result<Trial, Box<RunResult>> {
-        let mut data = self.data(correction);
-        let mut run = HeldOutRun::new(&mut data, self.prior, TauRule::Discrepancy { sigma }, None);
+        let mut data = self.data(frame, correction);
+        let rule = TauRule::Discrepancy { sigma };
+        let mut run = HeldOutRun::without_reset(&data, self.prior, rule, None);
         let mut labelled = |progress: &Progress| {
             observer(&Progress {
                 label: LABEL,
@@ -198,20 +257,60 @@ impl<'p> Calibrator<'p> {
         };
         run.run(&mut data, iterations, &mut labelled)?;
         let video = run.admm.video().to_vec();
+        let light = data.predicted(&video);
+        let (gain, offset) = self.pixels(correction);
+        let Frame {
+            measurement,
+            judging,
+            confirming,
+            ..
+        } = &self.frames[frame];
+        let measured = measurement.image().data();
+        // In counts of the frame, so that corrections compare.
+        let residual = |&i: &usize| {
+            let weight = measurement.weights().map_or(1.0, |w| f64::from(w[i]));
+            let predicted = f64::from(gain[i]) * f64::from(light[i]) + f64::from(offset[i]);
+            weight * (f64::from(measured[i]) - predicted)
+        };
         Ok(Trial {
-            held_out: data.held_out_residuals(&video),
+            frame,
             residual_rms: run.residual_rms(),
+            judging: judging.iter().map(residual).collect(),
+            confirming: confirming.iter().map(residual).collect(),
             video,
             data,
         })
     }
 
-    /// How the corrected frame of `video` changes with `parameter`, in counts.
+    /// The weighted residual of a trial's video under `correction`.
+    pub fn residual(&mut self, correction: &Correction, trial: &Trial) -> Vec<f32> {
+        let shutter = RollingShutter::new(self.camera, self.psfs(correction));
+        let mut light = vec![0.0; shutter.range_len()];
+        shutter.apply(&trial.video, &mut light);
+        let (gain, offset) = self.pixels(correction);
+        let measured = self.frames[trial.frame].measurement.image().data();
+        let residual: Vec<f32> = (0..light.len())
+            .map(|i| (measured[i] - offset[i]) / gain[i] - light[i])
+            .collect();
+        trial.data.weigh(&residual)
+    }
+
+    /// The map from a PSF to the frame of the trial's video; `None` where the PSF changes over the field.
+    pub fn psf_map(&self, trial: &Trial) -> Option<PsfMap> {
+        let [psf] = self.given.psfs() else {
+            return None;
+        };
+        let size = (psf.image().rows(), psf.image().columns());
+        Some(PsfMap::new(trial.data.shutter(), size, &trial.video))
+    }
+
+    /// How the corrected frame of a trial, of predicted `light`, changes with `parameter`, in counts.
     pub fn derivative(
         &mut self,
         correction: &Correction,
         parameter: Parameter,
-        video: &[f32],
+        trial: &Trial,
+        map: Option<&PsfMap>,
         light: &[f32],
     ) -> Vec<f32> {
         if parameter.is_of_psf() {
@@ -219,15 +318,25 @@ impl<'p> Calibrator<'p> {
             let mut at = |sign: f64| {
                 let mut parameters = correction.parameters;
                 parameters[parameter] += sign * step;
-                let shutter = RollingShutter::new(self.camera, self.model_psfs(&parameters));
+                self.model_psfs(&parameters)
+            };
+            let (more, less) = (at(1.0), at(-1.0));
+            let quotient = |more: &[f32], less: &[f32]| -> Vec<f32> {
+                let pairs = more.iter().zip(less);
+                pairs
+                    .map(|(m, l)| ((f64::from(*m) - f64::from(*l)) / (2.0 * step)) as f32)
+                    .collect()
+            };
+            if let Some(map) = map {
+                let values = |psfs: &PatchSet| psfs.central().image().data().to_vec();
+                return map.apply(&quotient(&values(&more), &values(&less)));
+            }
+            let frame = |psfs: PatchSet| {
                 let mut light = vec![0.0; light.len()];
-                shutter.apply(video, &mut light);
+                RollingShutter::new(self.camera, psfs).apply(&trial.video, &mut light);
                 light
             };
-            let pairs = at(1.0).into_iter().zip(at(-1.0));
-            return pairs
-                .map(|(more, less)| ((f64::from(more) - f64::from(less)) / (2.0 * step)) as f32)
-                .collect();
+            return quotient(&frame(more), &frame(less));
         }
         let (gain, _) = self.pixels(correction);
         let of = |at: usize| {

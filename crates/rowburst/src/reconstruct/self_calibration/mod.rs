@@ -2,8 +2,9 @@
 //!
 //! A sparse video needs few of a frame's numbers, so the others tell what is wrong with the model. The parameters are
 //! found by reconstructions at falling noise levels, each followed by a Gauss–Newton step (`step`); a blur by a search
-//! (`search`). A correction is kept only if pixels that no reconstruction has seen clearly confirm it
-//! (docs/design/026).
+//! (`search`); the PSF itself by `refine`. Judging pixels, which no reconstruction sees, choose among the corrections.
+//! Confirming pixels, which no part of the search sees, must confirm the choice. Several frames of one camera tell more
+//! than one (docs/design/026).
 
 mod calibrator;
 mod parameters;
@@ -15,17 +16,18 @@ mod step;
 
 pub use parameters::Parameter;
 
-use super::choose::Observer;
+use super::choose::{self, Observer};
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Prior, Problem, RunResult};
 use crate::linop::Background;
 use crate::measurement::Measurement;
-use crate::{Image, PatchSet, Psf};
+use crate::{Camera, Image, PatchSet, Psf, RollingShutter};
 use calibrator::Calibrator;
 use psf_error::Capture;
-use search::{BLUR_STEPS, Candidate, Search};
-use step::Free;
+use psf_model::PsfModel;
+use search::{BLUR_STEPS, JUDGED_ITERATIONS, Proposal, Search, confirming, judging};
+use step::{Free, step};
 
 /// When a frame corrects its PSF and its camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -64,12 +66,26 @@ pub struct Calibration {
     pub psf_refinement: Option<f64>,
     /// The corrected PSFs.
     pub psfs: PatchSet,
-    /// The frame as an ideal camera would have measured it, all pixels included.
-    pub measurement: Measurement,
-    /// Root mean square of the weighted residuals of held-out pixels before, in counts.
+    /// Gain of each pixel, `[y, x]`, 1 at the centre: what vignetting leaves of the light.
+    pub gain: Vec<f32>,
+    /// Stray light of each pixel, `[y, x]`, in counts.
+    pub offset: Vec<f32>,
+    /// Root mean square of the weighted residuals of held-out pixels, in counts, of the best reconstruction without a
+    /// correction.
     pub held_out_before: f64,
     /// The same after.
     pub held_out_after: f64,
+}
+
+impl Calibration {
+    /// A frame as an ideal camera would have measured it.
+    ///
+    /// # Panics
+    /// If the frame has another size.
+    #[must_use]
+    pub fn corrected(&self, measurement: &Measurement) -> Measurement {
+        measurement.adjusted(&self.gain, &self.offset)
+    }
 }
 
 /// A parameter that the frame has told.
@@ -95,129 +111,143 @@ const FREE: [Parameter; 9] = [
     Parameter::SlopeY,
     Parameter::Vignetting,
 ];
-/// First noise level of the search over the light of the frame, and over the noise of the sensor; larger stands larger
-/// errors of the model.
-const START_LEVEL: (f64, f64) = (0.05, 3.0);
-/// Held-out error over `σ` up to which the model explains the frame.
+/// First noise level of the search over the light of the frames; larger stands larger errors of the model.
+const START_LEVEL: f64 = 0.05;
+/// The same over the noise of the sensor.
+const MIN_START_LEVEL: f64 = 3.0;
+/// Error of the judging pixels over `σ` up to which the model explains the frame.
 const EXPLAINED: f64 = 1.35;
-/// Held-out error of a first sharper PSF over that of the PSF as given, below which a blur alone is searched for.
+/// Error of the judging pixels of a first sharper PSF over that of the PSF as given, below which a blur alone is searched for.
 /// Parameters sought before a blur find others in its place.
 const BLUR_ALONE: f64 = 0.8;
 /// The same after the parameters, and below which the blur is taken.
 const BLUR_BESIDE: f64 = 0.93;
-/// Noise level over the held-out error in the search for a blur after the parameters.
+/// Noise level over that error in the search for a blur after the parameters.
 const BLUR_LEVEL: f64 = 0.6;
-/// Held-out error of a simpler correction over that of the full one, up to which it is preferred.
+/// Error of the judging pixels of a simpler correction over that of the full one, up to which it is preferred.
 const SIMPLER: f64 = 1.01;
-/// Held-out error of a refined PSF over that before below which the refinement is kept.
+/// Error of the judging pixels with a refined PSF over that before, below which the refinement is kept.
 const WORTH_REFINING: f64 = 0.97;
-/// Rms of the stray light of rows over the mean of the frame below which there is none.
+/// Error of the judging pixels after the parameters over that before, below which only the PSF of these is refined:
+/// a free PSF in place of a parameter harms.
+const PARAMETERS_HELP: f64 = 0.8;
+/// The same above which only the PSF as given is refined.
+const PARAMETERS_FAIL: f64 = 0.95;
+/// Rms of the stray light of rows over the mean of the frames below which there is none.
 const NEGLIGIBLE_ROW_OFFSET: f64 = 0.005;
-/// Held-out error after over that before, above which a correction is not worth it: a real capture has a small gain by a
-/// wrong blur.
+/// Error of held-out pixels after over that before, above which a correction is not worth it: a real capture has a small
+/// gain by a wrong blur.
 const MIN_GAIN: f64 = 0.9;
-/// Standard errors by which the squared held-out residuals must fall on average.
-const MIN_GAIN_IN_ERRORS: f64 = 4.0;
-/// The same between different sets of pixels, whose scatter does not cancel.
-const MIN_GAIN_ELSEWHERE: f64 = 2.0;
+/// Standard errors of the paired differences by which the squared residuals of the judging pixels must fall.
+const MIN_JUDGING_GAIN: f64 = 4.0;
+/// The same of the confirming pixels, among which nothing was chosen.
+const MIN_CONFIRMING_GAIN: f64 = 2.0;
+/// Noise level of the reconstruction without a correction over its held-out error, as without self-calibration.
+const EFFECTIVE_SIGMA: f64 = 0.85;
+
+/// Frames of one camera with the PSFs as given.
+pub(super) struct Frames<'f> {
+    pub camera: &'f Camera,
+    pub shutter: &'f RollingShutter,
+    pub psfs: &'f PatchSet,
+    /// The frames without foreign pixels.
+    pub measurements: &'f [Measurement],
+    /// Noise of a pixel with weight 1, in counts.
+    pub sigma: f64,
+    /// Error of held-out pixels of the model as given, in counts.
+    pub held_out_error: f64,
+}
 
 /// A correction that held-out pixels confirm, not applied yet.
-pub(super) struct Confirmed {
-    calibration: Calibration,
-    /// Whether the model then explains the frame.
+pub(super) struct Finding {
+    pub calibration: Calibration,
+    /// Whether the model then explains the frames.
     pub explains: bool,
+}
+
+impl Finding {
+    /// Error of held-out pixels after the correction over that before.
+    pub fn error_ratio(&self) -> f64 {
+        self.calibration.held_out_after / self.calibration.held_out_before
+    }
+}
+
+impl Frames<'_> {
+    /// Searches for a correction of PSF and camera. Returns it if held-out pixels confirm it.
+    pub fn calibrate(
+        &self,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Option<Finding>, Box<RunResult>> {
+        let prior = match prior.background() {
+            Background::None => prior,
+            _ => Prior::STANDARD,
+        };
+        let capture = match self.psfs.psfs() {
+            [psf] => Some(Capture::new(psf.image())),
+            _ => None,
+        };
+        let anchor = capture.as_ref().and_then(|capture| {
+            let image = self.psfs.central().image();
+            let anchor = Image::new(image.rows(), image.columns(), capture.anchor.clone());
+            capture.noise.as_ref()?;
+            Psf::new(anchor.expect("the size of the capture")).ok()
+        });
+        let mut search = Search {
+            calibrator: Calibrator::new(
+                self.shutter,
+                self.camera,
+                self.psfs,
+                anchor.as_ref(),
+                self.measurements,
+                prior,
+            ),
+            sigma: self.sigma,
+            observer,
+        };
+        let given = Proposal {
+            correction: search.calibrator.uncorrected(),
+            level: self.sigma,
+            error: self.held_out_error,
+        };
+        let squares = self.measurements.iter();
+        let squares = squares.map(|m| super::rms(m.image().data()).powi(2));
+        let light = (squares.sum::<f64>() / self.measurements.len() as f64).sqrt();
+        let found = search.find(&given, light, capture.as_ref())?;
+        let is_identity = found.correction.is_identity() && anchor.is_none();
+        if is_identity || found.error > MIN_GAIN * given.error {
+            return Ok(None);
+        }
+        search.confirm(&found, given.error, anchor.is_some())
+    }
 }
 
 impl Problem {
     /// Searches for a correction of PSF and camera; `before` is the check of the model as given. Returns it if held-out
     /// pixels confirm it.
     pub(super) fn find_correction(
-        &mut self,
+        &self,
         prior: Prior,
         before: &HeldOutCheck,
         observer: &mut Observer,
-    ) -> Result<Option<Confirmed>, Box<RunResult>> {
-        let prior = match prior.background() {
-            Background::None => prior,
-            _ => Prior::STANDARD,
-        };
-        let camera = self.camera.clone();
-        let kept = self.measurement.without(&self.excluded);
-        let (psfs, capture) = match self.data.psfs().psfs() {
-            [psf] => {
-                let capture = Capture::new(psf.image());
-                let (rows, columns) = (psf.image().rows(), psf.image().columns());
-                let anchor = Image::new(rows, columns, capture.anchor.clone());
-                let psf = Psf::new(anchor.expect("the size of the capture"));
-                (
-                    psf.map_or_else(|_| self.data.psfs().clone(), |psf| (&psf).into()),
-                    Some(capture),
-                )
-            }
-            _ => (self.data.psfs().clone(), None),
-        };
-        let mut search = Search {
-            calibrator: Calibrator::new(&camera, &psfs, kept, prior),
+    ) -> Result<Option<Finding>, Box<RunResult>> {
+        let frames = Frames {
+            camera: &self.camera,
+            shutter: self.data.shutter(),
+            psfs: self.data.psfs(),
+            measurements: &[self.measurement.without(&self.excluded)],
             sigma: self.sigma,
-            observer,
+            held_out_error: before.held_out_rms,
         };
-        let given = Candidate {
-            correction: search.calibrator.uncorrected(),
-            level: self.sigma,
-            held_out: before.held_out.clone(),
-        };
-        let light = super::rms(self.measurement.image().data());
-        let found = search.find(&given, light, capture.as_ref())?;
-        if found.error() > MIN_GAIN * given.error()
-            || !is_clearly_better(&given.held_out, &found.held_out)
-        {
-            return Ok(None);
-        }
-        let free: Vec<Parameter> = Parameter::ALL
-            .into_iter()
-            .filter(|p| found.correction.parameters[*p] != 0.0)
-            .collect();
-        let (repeated, standard_errors) = search.repeat(&found, &free)?;
-        if !is_confirmed(&given.held_out, &repeated.held_out) {
-            return Ok(None);
-        }
-        let parameters = free.iter().zip(standard_errors);
-        let correction = found.correction.clone();
-        Ok(Some(Confirmed {
-            calibration: Calibration {
-                parameters: parameters
-                    .map(|(&parameter, standard_error)| FoundParameter {
-                        parameter,
-                        value: correction.parameters[parameter],
-                        standard_error,
-                    })
-                    .collect(),
-                row_offsets: if correction.has_row_offsets() {
-                    correction.row_offsets.clone()
-                } else {
-                    Vec::new()
-                },
-                psf_refinement: correction.refinement(
-                    search
-                        .calibrator
-                        .model_psfs(&correction.parameters)
-                        .central(),
-                ),
-                psfs: search.calibrator.psfs(&correction),
-                measurement: search.calibrator.corrected(&self.measurement, &correction),
-                held_out_before: given.error(),
-                held_out_after: found.error(),
-            },
-            explains: found.error() < EXPLAINED * self.sigma,
-        }))
+        frames.calibrate(prior, observer)
     }
 
     /// Applies a correction to PSF and frame, with the pixels `excluded` left out.
-    pub(super) fn apply_correction(&mut self, confirmed: Confirmed, excluded: Vec<bool>) {
-        self.measurement = confirmed.calibration.measurement.clone();
-        let model = Model::new(&self.camera, confirmed.calibration.psfs.clone());
+    pub(super) fn apply_correction(&mut self, calibration: Calibration, excluded: Vec<bool>) {
+        self.measurement = calibration.corrected(&self.measurement);
+        let model = Model::new(&self.camera, calibration.psfs.clone());
         self.data = FrameData::new(&model, &self.measurement);
-        self.calibration = Some(confirmed.calibration);
+        self.calibration = Some(calibration);
         self.exclude(excluded);
     }
 }
@@ -226,55 +256,132 @@ impl Search<'_, '_, '_> {
     /// The correction that predicts held-out pixels best; `light` is the root mean square of the frame.
     fn find(
         &mut self,
-        given: &Candidate,
+        given: &Proposal,
         light: f64,
         capture: Option<&Capture>,
-    ) -> Result<Candidate, Box<RunResult>> {
+    ) -> Result<Proposal, Box<RunResult>> {
         let Some(capture) = capture else {
             return self.find_parameters(given, light);
         };
         if capture.noise.is_some()
             && let Some(refined) = self.refine(given, capture, true)?
-            && refined.error() < WORTH_REFINING * given.error()
+            && refined.error < WORTH_REFINING * given.error
         {
             return Ok(refined);
         }
         let mut found = self.find_parameters(given, light)?;
-        if found.error() > EXPLAINED * self.sigma {
-            for start in [found.clone(), given.clone()] {
-                if let Some(refined) = self.refine(&start, capture, false)?
-                    && refined.error() < WORTH_REFINING * found.error()
-                {
-                    found = refined;
-                }
+        if found.error <= EXPLAINED * self.sigma {
+            return Ok(found);
+        }
+        let starts = match found.error / given.error {
+            ratio if ratio < PARAMETERS_HELP => vec![found.clone()],
+            ratio if ratio > PARAMETERS_FAIL => vec![given.clone()],
+            _ => vec![found.clone(), given.clone()],
+        };
+        for start in starts {
+            if let Some(refined) = self.refine(&start, capture, false)?
+                && refined.error < WORTH_REFINING * found.error
+            {
+                found = refined;
             }
         }
         Ok(found)
     }
 
+    /// Compares `found` with the PSF as given, on the judging and on the confirming pixels. `given_error` is the held-out
+    /// error without a correction at the noise of the sensor.
+    fn confirm(
+        &mut self,
+        found: &Proposal,
+        given_error: f64,
+        is_filtered: bool,
+    ) -> Result<Option<Finding>, Box<RunResult>> {
+        let given = self.calibrator.given();
+        let level = (EFFECTIVE_SIGMA * given_error).max(self.sigma);
+        let before = self.run(&given, level, JUDGED_ITERATIONS)?;
+        let mut after = self.run(&found.correction, found.level, JUDGED_ITERATIONS)?;
+        let (judged_before, judged_after) = (judging(&before), judging(&after));
+        if !is_clear_gain(&judged_before, &judged_after, MIN_JUDGING_GAIN)
+            || !is_clear_gain(
+                &confirming(&before),
+                &confirming(&after),
+                MIN_CONFIRMING_GAIN,
+            )
+        {
+            return Ok(None);
+        }
+        let correction = &found.correction;
+        let parameters: Vec<Parameter> = Parameter::ALL
+            .into_iter()
+            .filter(|p| correction.parameters[*p] != 0.0)
+            .collect();
+        let free = Free {
+            parameters: &parameters,
+            has_row_offsets: correction.has_row_offsets(),
+        };
+        let (calibrator, sigma) = (&mut self.calibrator, found.level);
+        let report = step(calibrator, &mut correction.clone(), &mut after, sigma, free);
+        let with_errors = parameters.iter().zip(report.standard_errors);
+        let parameters = with_errors.map(|(&parameter, standard_error)| FoundParameter {
+            parameter,
+            value: correction.parameters[parameter],
+            standard_error,
+        });
+        let psfs = calibrator.psfs(correction);
+        let is_refined = is_filtered || correction.refined.is_some();
+        let psf_refinement = is_refined.then(|| {
+            let capture = calibrator.given_psfs().central();
+            let model = PsfModel::new(capture).psf(&correction.parameters);
+            refine::relative_change(&model, psfs.central())
+        });
+        let (gain, offset) = calibrator.pixels(correction);
+        let held_out_after = choose::rms(&judged_after);
+        Ok(Some(Finding {
+            calibration: Calibration {
+                parameters: parameters.collect(),
+                row_offsets: if correction.has_row_offsets() {
+                    correction.row_offsets.clone()
+                } else {
+                    Vec::new()
+                },
+                psf_refinement,
+                psfs,
+                gain,
+                offset,
+                held_out_before: choose::rms(&judged_before),
+                held_out_after,
+            },
+            explains: held_out_after < EXPLAINED * self.sigma,
+        }))
+    }
+
     /// The parameters that predict held-out pixels best.
     fn find_parameters(
         &mut self,
-        given: &Candidate,
+        given: &Proposal,
         light: f64,
-    ) -> Result<Candidate, Box<RunResult>> {
+    ) -> Result<Proposal, Box<RunResult>> {
         let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
-        if blurred.error() < EXPLAINED * self.sigma {
+        if blurred.error < EXPLAINED * self.sigma {
             return Ok(blurred);
         }
+        let before = blurred.correction.clone();
         let all = Free {
             parameters: &FREE,
             has_row_offsets: true,
         };
-        let start = (START_LEVEL.0 * light).max(START_LEVEL.1 * self.sigma);
-        let mut found = self.parameters(given.correction.clone(), all, start)?;
-        if found.error() > EXPLAINED * self.sigma {
-            let level = (BLUR_LEVEL * found.error()).max(self.sigma);
+        let start = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
+        let mut found = self.parameters(before, all, start)?;
+        if found.error > MIN_GAIN * given.error {
+            return Ok(blurred.better(found));
+        }
+        if found.error > EXPLAINED * self.sigma {
+            let level = (BLUR_LEVEL * found.error).max(self.sigma);
             let sharp = self.judge(&found.correction, level)?;
             let both = self.blur(&sharp, &BLUR_STEPS, BLUR_BESIDE)?;
             found = found.better(sharp);
-            if both.error() < BLUR_BESIDE * found.error() {
-                let level = (BLUR_LEVEL * both.error()).max(self.sigma);
+            if both.error < BLUR_BESIDE * found.error {
+                let level = (BLUR_LEVEL * both.error).max(self.sigma);
                 found = found.better(self.parameters(both.correction, all, level)?);
             }
         }
@@ -284,14 +391,14 @@ impl Search<'_, '_, '_> {
 
     /// `found` without its negligible parameters, if it predicts held-out pixels as well. Nearly the same change of a
     /// frame may be made by several parameters together.
-    fn simplified(&mut self, found: &Candidate) -> Result<Candidate, Box<RunResult>> {
+    fn simplified(&mut self, found: &Proposal) -> Result<Proposal, Box<RunResult>> {
         let mut correction = found.correction.clone();
         let free: Vec<Parameter> = FREE
             .into_iter()
             .filter(|p| correction.parameters[*p].abs() > p.negligible())
             .collect();
         let negligible = NEGLIGIBLE_ROW_OFFSET * self.calibrator.mean();
-        let has_row_offsets = super::choose::rms(&correction.row_offsets) > negligible;
+        let has_row_offsets = choose::rms(&correction.row_offsets) > negligible;
         if free.len() == FREE.len() && has_row_offsets {
             return Ok(found.clone());
         }
@@ -306,7 +413,7 @@ impl Search<'_, '_, '_> {
             has_row_offsets,
         };
         let simpler = self.parameters(correction, free, found.level)?;
-        Ok(if simpler.error() <= SIMPLER * found.error() {
+        Ok(if simpler.error <= SIMPLER * found.error {
             simpler
         } else {
             found.clone()
@@ -314,35 +421,9 @@ impl Search<'_, '_, '_> {
     }
 }
 
-/// Whether residuals of other held-out pixels than those of `before` are as clearly smaller.
-fn is_confirmed(before: &[f64], after: &[f64]) -> bool {
-    let (mean_before, error_before) = mean_square(before);
-    let (mean_after, error_after) = mean_square(after);
-    mean_after < MIN_GAIN * MIN_GAIN * mean_before
-        && mean_before - mean_after > MIN_GAIN_ELSEWHERE * error_before.hypot(error_after)
-}
-
-/// Whether the squares of paired residuals fall clearly.
-fn is_clearly_better(before: &[f64], after: &[f64]) -> bool {
-    let falls: Vec<f64> = before
-        .iter()
-        .zip(after)
-        .map(|(b, a)| b * b - a * a)
-        .collect();
-    let count = falls.len().max(2) as f64;
-    let mean = falls.iter().sum::<f64>() / count;
-    let variance = falls.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    mean > MIN_GAIN_IN_ERRORS * (variance / count).sqrt()
-}
-
-/// Mean of the squares, and its standard error.
-fn mean_square(residuals: &[f64]) -> (f64, f64) {
-    let count = residuals.len().max(2) as f64;
-    let mean = residuals.iter().map(|r| r * r).sum::<f64>() / count;
-    let variance = residuals
-        .iter()
-        .map(|r| (r * r - mean).powi(2))
-        .sum::<f64>()
-        / (count - 1.0);
-    (mean, (variance / count).sqrt())
+/// Whether the residuals of the same pixels fall clearly from `before` to `after`: their squares by so many standard
+/// errors.
+fn is_clear_gain(before: &[f64], after: &[f64], standard_errors: f64) -> bool {
+    choose::rms(after) < MIN_GAIN * choose::rms(before)
+        && choose::gain(before, after) > standard_errors
 }

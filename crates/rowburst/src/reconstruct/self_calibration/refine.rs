@@ -1,19 +1,19 @@
 //! Refinement of the PSF itself.
 //!
-//! With the video fixed, the frame is a linear map `B` of the PSF. Its error `δp = L z` has a prior (`psf_error`), and
+//! With the video fixed, a frame is a linear map `B` of the PSF. Its error `δp = L z` has a prior (`psf_error`), and
 //! the brightness of the active voxels is marginalised as in `step`. The posterior mean solves
 //!
 //! ```text
 //! (I + Lᵀ Bᵀ K⁻¹ B L) z = Lᵀ Bᵀ K⁻¹ W(b − B p₀)
 //! ```
 //!
-//! by conjugate gradients, always from the capture `p₀`. Reconstruction and refinement alternate while the noise level
+//! by conjugate gradients, always around the capture `p₀`. Several frames are a sum. Reconstruction and refinement alternate while the noise level
 //! falls to that of the sensor.
 
 use super::super::RunResult;
-use super::calibrator::{Correction, Trial};
+use super::calibrator::Trial;
 use super::psf_error::{Capture, PsfError};
-use super::search::{Candidate, ITERATIONS, Search};
+use super::search::{MIN_FALL, Proposal, Search};
 use super::step::Marginal;
 use crate::forward::psf_map::PsfMap;
 use crate::solve::DataTerm;
@@ -27,9 +27,11 @@ use rand_pcg::Pcg64;
 const ROUNDS: usize = 5;
 /// First noise level over the held-out error.
 const START_LEVEL: f64 = 0.85;
-/// Noise level of a round over that of the one before, and over the held-out error.
-const LEVEL_RATIOS: (f64, f64) = (0.7, 0.5);
-/// Held-out error of a later round over the best one up to which it is preferred.
+/// Noise level of a round over that of the one before.
+const LEVEL_RATIO: f64 = 0.7;
+/// Noise level of a round over the held-out error of the one before.
+const HELD_OUT_RATIO: f64 = 0.5;
+/// Held-out error of a later round over the best one up to which it is preferred; larger prefers sharper PSFs.
 const LATER: f64 = 1.02;
 /// Standard deviation of the active voxels over the brightness; smaller than in `step`, since the PSF has more freedom.
 const AMPLITUDE: f64 = 0.2;
@@ -40,7 +42,7 @@ const MIN_CHANGE: f64 = 0.01;
 /// Random vectors that give the misfit of a prior, and the seed of their draw.
 const PROBES: usize = 3;
 const SEED: u64 = 0x9e37_79b9;
-/// Residual of conjugate gradients over that at the start, and most iterations.
+/// Residual of conjugate gradients over the right side, and most iterations.
 const TOLERANCE: f64 = 3e-3;
 const MAX_ITERATIONS: usize = 40;
 
@@ -49,49 +51,44 @@ impl Search<'_, '_, '_> {
     /// not explain the misfit, and returns `None`.
     pub fn refine(
         &mut self,
-        start: &Candidate,
+        start: &Proposal,
         capture: &Capture,
         only_noise: bool,
-    ) -> Result<Option<Candidate>, Box<RunResult>> {
+    ) -> Result<Option<Proposal>, Box<RunResult>> {
         let anchor = self.calibrator.psfs(&start.correction).central().clone();
         let mut correction = start.correction.clone();
-        let mut level = (START_LEVEL * start.error()).max(self.sigma);
-        let mut best: Option<Candidate> = None;
+        let mut level = (START_LEVEL * start.error).max(self.sigma);
+        let mut best: Option<Proposal> = None;
         let mut priors: Option<Vec<PsfError>> = None;
+        let mut errors = Vec::new();
         for round in 0..=ROUNDS {
-            let mut trial = self.run(&correction, level, ITERATIONS)?;
-            let candidate = Candidate {
-                correction: correction.clone(),
-                level,
-                held_out: trial.held_out.clone(),
-            };
-            let error = candidate.error();
-            if best
-                .as_ref()
-                .is_none_or(|best| error <= LATER * best.error())
-            {
-                best = Some(candidate);
+            let mut trials = self.run(&correction, level, self.iterations_at(level))?;
+            let proposal = Proposal::new(&correction, level, &trials);
+            let error = proposal.error;
+            let best_error = best.as_ref().map_or(f64::INFINITY, |best| best.error);
+            if error <= LATER * best_error {
+                best = Some(proposal);
             }
-            if round == ROUNDS {
+            let has_settled = level <= self.sigma && error > (1.0 - MIN_FALL) * best_error;
+            if round == ROUNDS || has_settled {
                 break;
             }
-            let image = anchor.image();
-            let map = PsfMap::new(
-                trial.data.shutter(),
-                (image.rows(), image.columns()),
-                &trial.video,
-            );
+            let maps = trials.iter().map(|trial| self.calibrator.psf_map(trial));
+            let Some(maps) = maps.collect::<Option<Vec<PsfMap>>>() else {
+                return Ok(None);
+            };
             if priors.is_none() {
-                let Some(found) = self.error_priors(&map, &trial, capture, level, only_noise)
+                let Some(found) = self.error_priors(&maps, &trials, capture, level, only_noise)
                 else {
                     return Ok(None);
                 };
                 priors = Some(found);
             }
             let priors = priors.as_deref().expect("set above");
-            correction.refined = Some(posterior_mean(&map, &mut trial, level, &anchor, priors));
-            level = (LEVEL_RATIOS.0 * level)
-                .min(LEVEL_RATIOS.1 * error)
+            let refined = posterior_mean(&maps, &mut trials, level, &anchor, priors, &mut errors);
+            correction.refined = Some(refined);
+            level = (LEVEL_RATIO * level)
+                .min(HELD_OUT_RATIO * error)
                 .max(self.sigma);
         }
         Ok(best)
@@ -101,8 +98,8 @@ impl Search<'_, '_, '_> {
     /// may, and does not.
     fn error_priors(
         &self,
-        map: &PsfMap,
-        trial: &Trial,
+        maps: &[PsfMap],
+        trials: &[Trial],
         capture: &Capture,
         level: f64,
         only_noise: bool,
@@ -110,14 +107,14 @@ impl Search<'_, '_, '_> {
         let mut priors = Vec::new();
         let mut explained = self.sigma.powi(2);
         if let Some(noise) = &capture.noise {
-            explained += misfit(map, trial, noise);
+            explained += misfit(maps, trials, noise);
             priors.push(noise.clone());
         }
         if only_noise && level.powi(2) > EXPLAINED_BY_NOISE * explained {
             return None;
         }
         let unexplained = (level.powi(2) - explained).max(0.0);
-        let change = (unexplained / misfit(map, trial, &capture.change)).sqrt();
+        let change = (unexplained / misfit(maps, trials, &capture.change)).sqrt();
         if change > MIN_CHANGE || priors.is_empty() {
             priors.push(capture.change.clone().scaled(change.max(MIN_CHANGE)));
         }
@@ -125,83 +122,110 @@ impl Search<'_, '_, '_> {
     }
 }
 
-/// Mean square of what `prior` makes a pixel of the weighted frame wrong by.
-fn misfit(map: &PsfMap, trial: &Trial, prior: &PsfError) -> f64 {
+/// Mean square of what `prior` makes a pixel of the weighted frames wrong by.
+fn misfit(maps: &[PsfMap], trials: &[Trial], prior: &PsfError) -> f64 {
     let mut rng = Pcg64::seed_from_u64(SEED);
     let mut sum = 0.0;
     for _ in 0..PROBES {
         let z: Vec<f32> = (0..prior.unknowns())
             .map(|_| StandardNormal.sample(&mut rng))
             .collect();
-        sum += norm_squared(&trial.data.weigh(&map.apply(&prior.apply(&z))));
+        let error = prior.apply(&z);
+        let frames = maps.iter().zip(trials);
+        sum += frames
+            .map(|(map, trial)| norm_squared(&trial.data.weigh(&map.apply(&error))))
+            .sum::<f64>();
     }
-    let count = trial.data.measurement_count().max(1);
-    (sum / (PROBES * count) as f64).max(f64::MIN_POSITIVE)
+    let count: usize = trials.iter().map(|t| t.data.measurement_count()).sum();
+    (sum / (PROBES * count.max(1)) as f64).max(f64::MIN_POSITIVE)
 }
 
-/// The PSF that `anchor` and the frame make most likely.
+/// The PSF that `anchor` and the frames make most likely. `errors` is `z`: a start, and then the solution.
 fn posterior_mean(
-    map: &PsfMap,
-    trial: &mut Trial,
+    maps: &[PsfMap],
+    trials: &mut [Trial],
     level: f64,
     anchor: &Psf,
     priors: &[PsfError],
+    errors: &mut Vec<f32>,
 ) -> Psf {
     let image = anchor.image();
-    let starts: Vec<usize> = priors
-        .iter()
-        .scan(0, |end, prior| {
-            let start = *end;
-            *end += prior.unknowns();
-            Some(start)
-        })
-        .collect();
     let error_of = |z: &[f32]| -> Vec<f32> {
         let mut sum = vec![0.0; image.data().len()];
-        for (prior, &start) in priors.iter().zip(&starts) {
-            let part = prior.apply(&z[start..start + prior.unknowns()]);
-            sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+        let mut rest = z;
+        for prior in priors {
+            let (part, other) = rest.split_at(prior.unknowns());
+            let error = prior.apply(part);
+            sum.iter_mut().zip(error).for_each(|(s, e)| *s += e);
+            rest = other;
         }
         sum
     };
-    let light = trial.data.weigh(&map.apply(image.data()));
-    let measured = trial.data.measurements().iter();
-    let residual: Vec<f32> = measured.zip(&light).map(|(b, a)| b - a).collect();
-    let weights_and_map = |x: &[f32], trial: &Trial| trial.data.weigh(&map.apply(x));
-    let mut marginal = Marginal::new(trial, level, AMPLITUDE);
+    let residuals: Vec<Vec<f32>> = trials
+        .iter()
+        .zip(maps)
+        .map(|(trial, map)| {
+            let light = trial.data.weigh(&map.apply(image.data()));
+            let measured = trial.data.measurements().iter();
+            measured.zip(&light).map(|(b, a)| b - a).collect()
+        })
+        .collect();
+    let mut marginals: Vec<Marginal> = trials
+        .iter_mut()
+        .map(|trial| Marginal::new(trial, level, AMPLITUDE))
+        .collect();
     let variance = level * level;
-    // Lᵀ Bᵀ K⁻¹ of a weighted residual.
-    let back = |r: &[f32], marginal: &mut Marginal| -> Vec<f32> {
+    // Bᵀ K⁻¹ of a weighted residual of a frame.
+    let back = |map: &PsfMap, marginal: &mut Marginal, r: &[f32]| -> Vec<f32> {
         let solved = marginal.solve(r);
         let solved: Vec<f32> = solved.iter().map(|v| (v / variance) as f32).collect();
-        let gradient = map.adjoint(&marginal.trial.data.weigh(&solved));
+        map.adjoint(&marginal.trial.data.weigh(&solved))
+    };
+    // Lᵀ of the sum over the frames of `of`.
+    let sum = |marginals: &mut [Marginal],
+               of: &dyn Fn(usize, &PsfMap, &mut Marginal) -> Vec<f32>|
+     -> Vec<f32> {
+        let mut gradient = vec![0.0; image.data().len()];
+        for (i, (map, marginal)) in maps.iter().zip(marginals).enumerate() {
+            let part = of(i, map, marginal);
+            gradient.iter_mut().zip(part).for_each(|(g, p)| *g += p);
+        }
         priors
             .iter()
             .flat_map(|prior| prior.adjoint(&gradient))
             .collect()
     };
-    let right = back(&residual, &mut marginal);
+    let right = sum(&mut marginals, &|i, map, marginal| {
+        back(map, marginal, &residuals[i])
+    });
     let mut product = |z: &[f32]| -> Vec<f32> {
-        let predicted = weights_and_map(&error_of(z), marginal.trial);
-        let mut out = back(&predicted, &mut marginal);
+        let error = error_of(z);
+        let mut out = sum(&mut marginals, &|_, map, marginal| {
+            let predicted = marginal.trial.data.weigh(&map.apply(&error));
+            back(map, marginal, &predicted)
+        });
         out.iter_mut().zip(z).for_each(|(o, z)| *o += z);
         out
     };
-    let z = conjugate_gradient(&mut product, right);
-    let error = error_of(&z);
+    errors.resize(right.len(), 0.0);
+    conjugate_gradient(&mut product, &right, errors);
+    let error = error_of(errors);
     let pairs = image.data().iter().zip(&error);
     let values: Vec<f32> = pairs.map(|(p, e)| (p + e).max(0.0)).collect();
     let refined = Image::new(image.rows(), image.columns(), values);
     Psf::new(refined.expect("the size of the anchor")).unwrap_or_else(|_| anchor.clone())
 }
 
-/// Solves `product(x) = right`.
-fn conjugate_gradient(product: &mut dyn FnMut(&[f32]) -> Vec<f32>, right: Vec<f32>) -> Vec<f32> {
-    let mut x = vec![0.0; right.len()];
-    let mut residual = right;
+/// Solves `product(x) = right`, from `x` on.
+fn conjugate_gradient(product: &mut dyn FnMut(&[f32]) -> Vec<f32>, right: &[f32], x: &mut [f32]) {
+    let mut residual = right.to_vec();
+    if x.iter().any(|x| *x != 0.0) {
+        let pairs = residual.iter_mut().zip(product(x));
+        pairs.for_each(|(r, p)| *r -= p);
+    }
     let mut direction = residual.clone();
     let mut power = norm_squared(&residual);
-    let target = TOLERANCE.powi(2) * power;
+    let target = TOLERANCE.powi(2) * norm_squared(right);
     for _ in 0..MAX_ITERATIONS {
         if power <= target {
             break;
@@ -223,15 +247,11 @@ fn conjugate_gradient(product: &mut dyn FnMut(&[f32]) -> Vec<f32>, right: Vec<f3
             .zip(&residual)
             .for_each(|(d, r)| *d = r + ratio * *d);
     }
-    x
 }
 
-impl Correction {
-    /// Rms change of the PSF by its refinement over its rms; `model` is the PSF before. `None`: it was not refined.
-    pub fn refinement(&self, model: &Psf) -> Option<f64> {
-        let refined = self.refined.as_ref()?.image().data();
-        let pairs = refined.iter().zip(model.image().data());
-        let change: Vec<f32> = pairs.map(|(after, before)| after - before).collect();
-        Some((norm_squared(&change) / norm_squared(model.image().data())).sqrt())
-    }
+/// Rms change from the PSF `before` to `after` over the rms of `before`.
+pub(super) fn relative_change(before: &Psf, after: &Psf) -> f64 {
+    let pairs = after.image().data().iter().zip(before.image().data());
+    let change: Vec<f32> = pairs.map(|(a, b)| a - b).collect();
+    (norm_squared(&change) / norm_squared(before.image().data())).sqrt()
 }

@@ -7,9 +7,9 @@ use super::parameters::Parameter;
 use super::step::{Free, StepReport, step};
 
 /// Most iterations of a reconstruction between two steps.
-pub(super) const ITERATIONS: usize = 120;
+const ITERATIONS: usize = 120;
 /// Most iterations of a reconstruction that is only judged; fewer compare videos that have not settled.
-const JUDGED_ITERATIONS: usize = 100;
+pub(super) const JUDGED_ITERATIONS: usize = 100;
 /// Most iterations of a reconstruction well above the noise of the sensor.
 const LOOSE_ITERATIONS: usize = 60;
 /// Noise level over that of the sensor above which a reconstruction is a loose one.
@@ -20,7 +20,7 @@ const MAX_ROUNDS: usize = 9;
 const LEVEL_RATIO: f64 = 0.5;
 /// Noise level of a round over what the step before has left; smaller fits the error of the model.
 const REMAINING_RATIO: f64 = 1.1;
-/// Least noise level of a round over the held-out error of the one before.
+/// Least noise level of a round over the error of the judging pixels in the one before.
 const HELD_OUT_RATIO: f64 = 0.7;
 /// Change of a parameter over the width of its prior below which it is found.
 const SMALL_CHANGE: f64 = 0.02;
@@ -28,8 +28,10 @@ const SMALL_CHANGE: f64 = 0.02;
 const SMALL_CHANGE_IN_ERRORS: f64 = 2.0;
 /// Rms change of the stray light of rows over the mean of the frame below which it is found.
 const SMALL_ROW_CHANGE: f64 = 5e-4;
-/// Fall of the held-out error within a round, in parts of it, below which a round at the same level is the last.
-const MIN_FALL: f64 = 0.03;
+/// Fall of the error within a round, in parts of it, below which a round at much the same noise level is the last.
+pub(super) const MIN_FALL: f64 = 0.03;
+/// Noise level over that of the round before from which it is much the same.
+const MAX_LEVEL_RATIO: f64 = 0.9;
 /// First steps of the search for a blur, in pixels²: sharper, and more blurred.
 pub(super) const BLUR_STEPS: [f64; 2] = [-0.15, 0.1];
 /// Most times that such a step is doubled.
@@ -37,25 +39,29 @@ const MAX_DOUBLINGS: usize = 4;
 /// Resolution of the search for a blur, in pixels².
 const BLUR_RESOLUTION: f64 = 0.03;
 
-/// A correction with what a reconstruction under it predicts.
+/// A correction with how well reconstructions under it predict.
 #[derive(Debug, Clone)]
-pub(super) struct Candidate {
+pub(super) struct Proposal {
     pub correction: Correction,
-    /// Noise level of the reconstruction, in counts.
+    /// Noise level of the reconstructions, in counts.
     pub level: f64,
-    /// Weighted residuals of the held-out pixels, in counts.
-    pub held_out: Vec<f64>,
+    /// Root mean square of the weighted residuals of the judging pixels, in counts.
+    pub error: f64,
 }
 
-impl Candidate {
-    /// Root mean square of the held-out residuals.
-    pub fn error(&self) -> f64 {
-        choose::rms(&self.held_out)
+impl Proposal {
+    /// The proposal of the reconstructions `trials`.
+    pub fn new(correction: &Correction, level: f64, trials: &[Trial]) -> Self {
+        Self {
+            correction: correction.clone(),
+            level,
+            error: choose::rms(&judging(trials)),
+        }
     }
 
     /// The one with the smaller error.
     pub fn better(self, other: Self) -> Self {
-        if other.error() < self.error() {
+        if other.error < self.error {
             other
         } else {
             self
@@ -72,15 +78,19 @@ pub(super) struct Search<'p, 'o, 'c> {
 }
 
 impl Search<'_, '_, '_> {
-    /// Reconstructs under `correction` at the noise level `level`.
+    /// Reconstructs all frames under `correction` at the noise level `level`.
     pub fn run(
         &mut self,
         correction: &Correction,
         level: f64,
         iterations: usize,
-    ) -> Result<Trial, Box<RunResult>> {
-        self.calibrator
-            .run(correction, level, iterations, self.observer)
+    ) -> Result<Vec<Trial>, Box<RunResult>> {
+        (0..self.calibrator.frame_count())
+            .map(|frame| {
+                self.calibrator
+                    .run(frame, correction, level, iterations, self.observer)
+            })
+            .collect()
     }
 
     /// Judges `correction` at the noise level `level`.
@@ -88,13 +98,18 @@ impl Search<'_, '_, '_> {
         &mut self,
         correction: &Correction,
         level: f64,
-    ) -> Result<Candidate, Box<RunResult>> {
-        let trial = self.run(correction, level, JUDGED_ITERATIONS)?;
-        Ok(Candidate {
-            correction: correction.clone(),
-            level,
-            held_out: trial.held_out,
-        })
+    ) -> Result<Proposal, Box<RunResult>> {
+        let trials = self.run(correction, level, JUDGED_ITERATIONS)?;
+        Ok(Proposal::new(correction, level, &trials))
+    }
+
+    /// Most iterations of a reconstruction at the noise level `level` that a step follows.
+    pub fn iterations_at(&self, level: f64) -> usize {
+        if level > LOOSE_LEVEL * self.sigma {
+            LOOSE_ITERATIONS
+        } else {
+            ITERATIONS
+        }
     }
 
     /// Changes the parameters `free` from those of `correction` on, by reconstructions at noise levels that fall from
@@ -104,63 +119,37 @@ impl Search<'_, '_, '_> {
         mut correction: Correction,
         free: Free,
         start: f64,
-    ) -> Result<Candidate, Box<RunResult>> {
+    ) -> Result<Proposal, Box<RunResult>> {
         let mut level = start;
-        let mut last_error = f64::INFINITY;
+        let mut last: Option<Proposal> = None;
         for round in 1.. {
-            let iterations = if level > LOOSE_LEVEL * self.sigma {
-                LOOSE_ITERATIONS
-            } else {
-                ITERATIONS
-            };
-            let trial = self.run(&correction, level, iterations)?;
-            let candidate = Candidate {
-                correction: correction.clone(),
-                level,
-                held_out: trial.held_out.clone(),
-            };
-            let error = candidate.error();
-            if round == MAX_ROUNDS
-                || self.is_last_level(level) && error > (1.0 - MIN_FALL) * last_error
-            {
-                return Ok(candidate);
+            let mut trials = self.run(&correction, level, self.iterations_at(level))?;
+            let proposal = Proposal::new(&correction, level, &trials);
+            let has_stalled = last.as_ref().is_some_and(|last| {
+                level > MAX_LEVEL_RATIO * last.level
+                    && proposal.error > (1.0 - MIN_FALL) * last.error
+            });
+            if round == MAX_ROUNDS || has_stalled {
+                return Ok(proposal);
             }
-            last_error = if self.is_last_level(level) {
-                error
-            } else {
-                f64::INFINITY
-            };
-            let residual_rms = trial.residual_rms;
-            let report = self.steps(&mut correction, trial, level, free);
-            let is_found = is_found(&candidate.correction, &correction, free, &report)
-                && self.moves_few_rows(&candidate.correction, &correction);
+            let residual_rms = choose::rms(&residuals(&trials));
+            let calibrator = &mut self.calibrator;
+            let report = step(calibrator, &mut correction, &mut trials, level, free);
+            let is_found = is_found(&proposal.correction, &correction, free, &report)
+                && self.moves_few_rows(&proposal.correction, &correction);
             if self.is_last_level(level) && is_found {
-                return Ok(candidate);
+                return Ok(proposal);
             }
             let remaining = report.remaining_sigma;
-            let is_explained = (remaining / residual_rms.max(f64::MIN_POSITIVE)).min(1.0);
+            let unexplained_part = (remaining / residual_rms.max(f64::MIN_POSITIVE)).min(1.0);
+            let error = proposal.error;
+            last = Some(proposal);
             level = (LEVEL_RATIO * level)
                 .min(REMAINING_RATIO * remaining)
-                .max(HELD_OUT_RATIO * error * is_explained)
+                .max(HELD_OUT_RATIO * error * unexplained_part)
                 .max(self.sigma);
         }
         unreachable!("the loop returns")
-    }
-
-    /// Two steps with the same video: the second one around the result of the first.
-    fn steps(
-        &mut self,
-        correction: &mut Correction,
-        mut trial: Trial,
-        level: f64,
-        free: Free,
-    ) -> StepReport {
-        step(&mut self.calibrator, correction, &mut trial, level, free);
-        let mut trial = Trial {
-            data: self.calibrator.data(correction),
-            ..trial
-        };
-        step(&mut self.calibrator, correction, &mut trial, level, free)
     }
 
     /// Whether a step has changed the stray light of the rows by little.
@@ -175,17 +164,17 @@ impl Search<'_, '_, '_> {
     }
 
     /// Searches for the blur of the PSF, at the noise level of `start`. Goes on where one of `first_steps`
-    /// lowers the held-out error to `descent` of it.
+    /// lowers the error of the judging pixels to `descent` of it.
     ///
     /// The error is not linear in the blur, and at a level well above the noise it hardly changes, so steps of
     /// [`Self::parameters`] do not find it (docs/design/026).
     pub fn blur(
         &mut self,
-        start: &Candidate,
+        start: &Proposal,
         first_steps: &[f64],
         descent: f64,
-    ) -> Result<Candidate, Box<RunResult>> {
-        let blur = |c: &Candidate| c.correction.parameters[Parameter::Blur];
+    ) -> Result<Proposal, Box<RunResult>> {
+        let blur = |c: &Proposal| c.correction.parameters[Parameter::Blur];
         for &first in first_steps {
             let mut tried = vec![start.clone()];
             let mut step = first;
@@ -193,7 +182,7 @@ impl Search<'_, '_, '_> {
                 let next = self.blurred(start, blur(start) + step)?;
                 let last = &tried[tried.len() - 1];
                 let limit = if tried.len() == 1 { descent } else { 1.0 };
-                let has_fallen = next.error() < limit * last.error();
+                let has_fallen = next.error < limit * last.error;
                 tried.push(next);
                 if !has_fallen {
                     break;
@@ -206,62 +195,66 @@ impl Search<'_, '_, '_> {
             tried.sort_by(|a, b| blur(a).total_cmp(&blur(b)));
             loop {
                 let best = (0..tried.len())
-                    .min_by(|a, b| tried[*a].error().total_cmp(&tried[*b].error()))
+                    .min_by(|a, b| tried[*a].error.total_cmp(&tried[*b].error))
                     .expect("blurs were tried");
-                let sides = [
-                    best.checked_sub(1),
-                    Some(best + 1).filter(|i| *i < tried.len()),
-                ];
-                let gap = |i: &usize| (blur(&tried[*i]) - blur(&tried[best])).abs();
-                let widest = sides
-                    .into_iter()
-                    .flatten()
-                    .max_by(|a, b| gap(a).total_cmp(&gap(b)));
-                let other = widest.expect("two blurs were tried");
-                if gap(&other) < 2.0 * BLUR_RESOLUTION {
+                let points: Vec<(f64, f64)> =
+                    tried.iter().map(|p| (blur(p), p.error.powi(2))).collect();
+                let Some(next) = next_blur(&points, best) else {
                     return Ok(tried.swap_remove(best));
-                }
-                let between = (blur(&tried[best]) + blur(&tried[other])) / 2.0;
-                let next = self.blurred(start, between)?;
-                tried.insert(best.max(other), next);
+                };
+                let at = tried.partition_point(|p| blur(p) < next);
+                tried.insert(at, self.blurred(start, next)?);
             }
         }
         Ok(start.clone())
     }
 
-    fn blurred(&mut self, start: &Candidate, blur: f64) -> Result<Candidate, Box<RunResult>> {
+    fn blurred(&mut self, start: &Proposal, blur: f64) -> Result<Proposal, Box<RunResult>> {
         let mut correction = start.correction.clone();
         correction.parameters[Parameter::Blur] = blur;
         self.judge(&correction, start.level)
     }
+}
 
-    /// A reconstruction of `candidate` without a second set of pixels, and the standard error of each of the parameters
-    /// `free`.
-    pub fn repeat(
-        &mut self,
-        candidate: &Candidate,
-        free: &[Parameter],
-    ) -> Result<(Candidate, Vec<f64>), Box<RunResult>> {
-        self.calibrator.hold_out_others();
-        let mut trial = self.run(&candidate.correction, candidate.level, JUDGED_ITERATIONS)?;
-        let repeated = Candidate {
-            held_out: trial.held_out.clone(),
-            ..candidate.clone()
-        };
-        let free = Free {
-            parameters: free,
-            has_row_offsets: candidate.correction.has_row_offsets(),
-        };
-        let mut correction = candidate.correction.clone();
-        let report = step(
-            &mut self.calibrator,
-            &mut correction,
-            &mut trial,
-            candidate.level,
-            free,
-        );
-        Ok((repeated, report.standard_errors))
-    }
+/// The blur to try next: the minimum of the parabola through the best of `points`, pairs of blur and squared error, and its
+/// neighbours. `None`: the best is known well enough, or has a neighbour on one side alone.
+fn next_blur(points: &[(f64, f64)], best: usize) -> Option<f64> {
+    let ((left, e_left), (middle, e_middle), (right, e_right)) = (
+        *points.get(best.checked_sub(1)?)?,
+        points[best],
+        *points.get(best + 1)?,
+    );
+    let (down, up) = (
+        (e_middle - e_left) / (middle - left),
+        (e_right - e_middle) / (right - middle),
+    );
+    let curvature = (up - down) / (right - left);
+    let vertex = (left + middle) / 2.0 - down / (2.0 * curvature);
+    // At the best itself nothing would be learnt: then the wider side is tried.
+    let next = if (vertex - middle).abs() >= BLUR_RESOLUTION {
+        vertex
+    } else if middle - left > right - middle {
+        middle - BLUR_RESOLUTION
+    } else {
+        middle + BLUR_RESOLUTION
+    };
+    let is_new = |other: f64| (next - other).abs() >= 0.999 * BLUR_RESOLUTION;
+    (is_new(left) && is_new(right) && next > left && next < right).then_some(next)
+}
+
+/// The residuals of the judging pixels of all frames.
+pub(super) fn judging(trials: &[Trial]) -> Vec<f64> {
+    trials.iter().flat_map(|t| t.judging.clone()).collect()
+}
+
+/// The residuals of the confirming pixels of all frames.
+pub(super) fn confirming(trials: &[Trial]) -> Vec<f64> {
+    trials.iter().flat_map(|t| t.confirming.clone()).collect()
+}
+
+/// The root mean square residual of each frame.
+fn residuals(trials: &[Trial]) -> Vec<f64> {
+    trials.iter().map(|t| t.residual_rms).collect()
 }
 
 /// Whether a step has changed the parameters by little.
@@ -271,4 +264,32 @@ fn is_found(before: &Correction, after: &Correction, free: Free, report: &StepRe
         let change = (after.parameters[p] - before.parameters[p]).abs();
         change < (SMALL_CHANGE * p.prior_width()).max(SMALL_CHANGE_IN_ERRORS * standard_error)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A few reconstructions find the blur of the smallest error, also where the error rises more steeply on one side.
+    #[test]
+    fn blurs_are_found_in_few_trials() {
+        let error = |blur: f64| {
+            let distance = blur + 0.19;
+            1.5 + distance.powi(2) * if distance > 0.0 { 300.0 } else { 60.0 }
+        };
+        let mut points: Vec<(f64, f64)> = [-0.6, -0.3, -0.15, 0.0].map(|b| (b, error(b))).into();
+        let best = |points: &[(f64, f64)]| {
+            let order = |a: &usize, b: &usize| points[*a].1.total_cmp(&points[*b].1);
+            (0..points.len()).min_by(order).expect("points")
+        };
+        while let Some(next) = next_blur(&points, best(&points)) {
+            let at = points.partition_point(|p| p.0 < next);
+            points.insert(at, (next, error(next)));
+        }
+        let found = points[best(&points)].0;
+        assert!((found + 0.19).abs() < BLUR_RESOLUTION, "{found}");
+        assert!(points.len() <= 9, "{}", points.len());
+        // The best blur at an end has no neighbour.
+        assert_eq!(next_blur(&[(0.0, 2.0), (0.1, 1.0)], 1), None);
+    }
 }

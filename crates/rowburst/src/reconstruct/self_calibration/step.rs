@@ -13,7 +13,7 @@
 //! (Jᵀ K⁻¹ J + Λ) δ = Jᵀ K⁻¹ r − Λ θ,    J = ∂r/∂θ with the opposite sign
 //! ```
 //!
-//! It is variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10, 413, 1973) on the active voxels, with a prior.
+//! Several frames are a sum: of `Jᵀ K⁻¹ J`, and of `Jᵀ K⁻¹ r`. It is variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10, 413, 1973) on the active voxels, with a prior.
 
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::Parameter;
@@ -31,6 +31,8 @@ const AMPLITUDE: f64 = 0.3;
 const MAX_STEP: f64 = 1.5;
 /// Standard deviation of the stray light of a row, over the mean of the frame.
 const ROW_OFFSET: f64 = 0.01;
+/// Updates with the same derivatives; more cost little, and gain nothing once the parameters are found.
+const UPDATES: usize = 2;
 /// Least part of the measurements that the active voxels leave over.
 const MIN_REMAINDER: f64 = 0.2;
 
@@ -79,63 +81,83 @@ impl<'t> Marginal<'t> {
     }
 }
 
-/// Changes the `free` parameters of `correction` towards the frame; `trial` is the reconstruction under it at the noise
-/// level `sigma`.
+/// Changes the `free` parameters of `correction` towards the frames; `trials` are the reconstructions under it at the noise
+/// level `sigma`. The derivatives serve all of [`UPDATES`]; what they leave is computed anew before each.
 pub(super) fn step(
     calibrator: &mut Calibrator,
     correction: &mut Correction,
-    trial: &mut Trial,
+    trials: &mut [Trial],
     sigma: f64,
     free: Free,
 ) -> StepReport {
-    let jacobian = Jacobian::new(calibrator, correction, trial, free);
-    let light = trial.data.predicted(&trial.video);
-    let weighted_light = trial.data.weigh(&light);
-    let measured = trial.data.measurements().iter();
-    let residual: Vec<f32> = measured.zip(&weighted_light).map(|(b, a)| b - a).collect();
-    let mut marginal = Marginal::new(trial, sigma, AMPLITUDE);
-    let solved = SolvedJacobian::new(&jacobian, &mut marginal);
-    let mut unexplained = marginal.solve(&residual);
-    let count = jacobian.columns.len();
-    let prior: Vec<(f64, f64)> = free
-        .parameters
+    let jacobians: Vec<Jacobian> = trials
         .iter()
-        .map(|&p| (p.prior_width(), correction.parameters[p]))
-        .chain(
-            correction.row_offsets[..jacobian.row_count()]
-                .iter()
-                .map(|&offset| (ROW_OFFSET * calibrator.mean(), offset)),
-        )
+        .map(|trial| Jacobian::new(calibrator, correction, trial, free))
         .collect();
-    let mut standard_errors = Vec::new();
-    if !prior.is_empty() {
-        let mut normal = solved.products(sigma * sigma);
-        let mut right = jacobian.project(&unexplained, sigma * sigma);
-        for (i, (width, value)) in prior.iter().enumerate() {
-            normal[(i, i)] += width.powi(-2);
-            right[(i, 0)] -= value * width.powi(-2);
-        }
-        let factor = normal.llt(Side::Lower).expect("a positive definite matrix");
-        let change = factor.solve(&right);
-        let covariance = factor.solve(Mat::<f64>::identity(prior.len(), prior.len()));
-        standard_errors = (0..count)
-            .map(|i| covariance[(i, i)].max(0.0).sqrt())
+    let variance = sigma * sigma;
+    let mut parts: Vec<(Marginal, SolvedJacobian)> = trials
+        .iter_mut()
+        .zip(&jacobians)
+        .map(|(trial, jacobian)| {
+            let mut marginal = Marginal::new(trial, sigma, AMPLITUDE);
+            let solved = SolvedJacobian::new(jacobian, &mut marginal);
+            (marginal, solved)
+        })
+        .collect();
+    let (count, row_count) = (jacobians[0].columns.len(), jacobians[0].row_count());
+    let row_width = ROW_OFFSET * calibrator.mean();
+    let widths = free.parameters.iter().map(|p| p.prior_width());
+    let widths: Vec<f64> = widths
+        .chain(std::iter::repeat_n(row_width, row_count))
+        .collect();
+    let normal = parts.iter().fold(
+        Mat::from_fn(widths.len(), widths.len(), |i, j| {
+            if i == j { widths[i].powi(-2) } else { 0.0 }
+        }),
+        |sum, (_, solved)| sum + solved.products(variance),
+    );
+    let factor = normal.llt(Side::Lower).ok();
+    let mut report = StepReport {
+        standard_errors: vec![f64::INFINITY; count],
+        remaining_sigma: f64::INFINITY,
+    };
+    for _ in 0..UPDATES {
+        let mut unexplained: Vec<Vec<f64>> = parts
+            .iter_mut()
+            .map(|(marginal, _)| {
+                let residual = calibrator.residual(correction, marginal.trial);
+                marginal.solve(&residual)
+            })
             .collect();
-        solved.subtract(&change, &mut unexplained);
-        let largest = (0..count)
-            .map(|i| change[(i, 0)].abs() / (MAX_STEP * prior[i].0))
-            .fold(1.0, f64::max);
-        for (i, &parameter) in free.parameters.iter().enumerate() {
-            correction.parameters[parameter] += change[(i, 0)] / largest;
+        if let Some(factor) = factor.as_ref().filter(|_| !widths.is_empty()) {
+            let values = free.parameters.iter().map(|&p| correction.parameters[p]);
+            let values = values.chain(correction.row_offsets[..row_count].iter().copied());
+            let values: Vec<f64> = values.collect();
+            let mut right = Mat::from_fn(widths.len(), 1, |i, _| -values[i] * widths[i].powi(-2));
+            for (jacobian, unexplained) in jacobians.iter().zip(&unexplained) {
+                right += jacobian.project(unexplained, variance);
+            }
+            let change = factor.solve(&right);
+            for ((_, solved), unexplained) in parts.iter().zip(&mut unexplained) {
+                solved.subtract(&change, unexplained);
+            }
+            let largest = (0..count)
+                .map(|i| change[(i, 0)].abs() / (MAX_STEP * widths[i]))
+                .fold(1.0, f64::max);
+            for (i, &parameter) in free.parameters.iter().enumerate() {
+                correction.parameters[parameter] += change[(i, 0)] / largest;
+            }
+            for row in 0..row_count {
+                correction.row_offsets[row] += change[(count + row, 0)] / largest;
+            }
+            let covariance = factor.solve(Mat::<f64>::identity(widths.len(), widths.len()));
+            report.standard_errors = (0..count)
+                .map(|i| covariance[(i, i)].max(0.0).sqrt())
+                .collect();
         }
-        for row in 0..jacobian.row_count() {
-            correction.row_offsets[row] += change[(count + row, 0)] / largest;
-        }
+        report.remaining_sigma = remaining_sigma(&mut parts, &unexplained);
     }
-    StepReport {
-        standard_errors,
-        remaining_sigma: remaining_sigma(&mut marginal, &unexplained),
-    }
+    report
 }
 
 /// `J`, weighted: a column for each free parameter, and those of the offsets of the rows.
@@ -152,8 +174,9 @@ impl Jacobian {
         free: Free,
     ) -> Self {
         let light = trial.data.predicted(&trial.video);
+        let map = calibrator.psf_map(trial);
         let mut column = |&parameter: &Parameter| {
-            let column = calibrator.derivative(correction, parameter, &trial.video, &light);
+            let column = calibrator.derivative(correction, parameter, trial, map.as_ref(), &light);
             trial.data.weigh(&column)
         };
         let columns = free.parameters.iter().map(&mut column).collect();
@@ -243,27 +266,23 @@ impl<'j> SolvedJacobian<'j> {
 /// The noise level of `unexplained`, the residual that active voxels and parameters leave over, for each measurement that
 /// is left over. The number of these, `σ² tr K⁻¹`, is estimated with a random vector (Hutchinson, Commun. Stat. 19, 433,
 /// 1990).
-fn remaining_sigma(marginal: &mut Marginal, unexplained: &[f64]) -> f64 {
-    let signs: Vec<f32> = (0..unexplained.len() as u64)
-        .map(|i| {
-            if (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 1 == 0 {
-                1.0
-            } else {
-                -1.0
-            }
-        })
-        .collect();
-    let usable = marginal.trial.data.usable();
-    let probe: Vec<f32> = signs
-        .iter()
-        .zip(&usable)
-        .map(|(s, u)| if *u { *s } else { 0.0 })
-        .collect();
-    let solved = marginal.solve(&probe);
-    let count = usable.iter().filter(|u| **u).count() as f64;
-    let remainder = dot(&probe, &solved).clamp(MIN_REMAINDER * count, count);
-    let usable_values = unexplained.iter().zip(&usable).filter(|(_, u)| **u);
-    let power: f64 = usable_values.map(|(e, _)| e * e).sum();
+fn remaining_sigma(parts: &mut [(Marginal, SolvedJacobian)], unexplained: &[Vec<f64>]) -> f64 {
+    let sign = |i: usize| {
+        let hash = (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
+        if hash & 1 == 0 { 1.0 } else { -1.0 }
+    };
+    let (mut power, mut remainder) = (0.0, 0.0);
+    for ((marginal, _), unexplained) in parts.iter_mut().zip(unexplained) {
+        let usable = marginal.trial.data.usable();
+        let probe: Vec<f32> = (0..usable.len())
+            .map(|i| if usable[i] { sign(i) } else { 0.0 })
+            .collect();
+        let solved = marginal.solve(&probe);
+        let count = usable.iter().filter(|u| **u).count() as f64;
+        remainder += dot(&probe, &solved).clamp(MIN_REMAINDER * count, count);
+        let usable_values = unexplained.iter().zip(&usable).filter(|(_, u)| **u);
+        power += usable_values.map(|(e, _)| e * e).sum::<f64>();
+    }
     (power / remainder).sqrt()
 }
 
