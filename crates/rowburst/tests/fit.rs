@@ -6,7 +6,7 @@ use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Verdict};
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Verdict};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter};
 use std::ops::ControlFlow;
@@ -367,6 +367,8 @@ impl Case {
         };
         let options = Options {
             noise_sigma: self.sigma,
+            // The verdict is on the model as given.
+            self_calibration: SelfCalibration::Off,
             ..self.options
         };
         let problem = Problem::new(&measurement, &camera, &self.psf, options).unwrap();

@@ -5,7 +5,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Verdict};
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Verdict};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
 use std::ops::ControlFlow;
@@ -206,7 +206,11 @@ fn a_wrong_psf_has_an_effective_noise_level() {
         truth: case.truth.clone(),
         frame: case.frame.clone(),
     };
-    let found = wrong.solve(&wrong.frame, Options::default());
+    let as_given = Options {
+        self_calibration: SelfCalibration::Off,
+        ..Options::default()
+    };
+    let found = wrong.solve(&wrong.frame, as_given);
     assert!(
         found.effective_sigma > 2.0 * found.sigma,
         "{}",
@@ -235,7 +239,7 @@ fn a_wrong_psf_has_an_effective_noise_level() {
     );
     let given = Options {
         noise_sigma: Some(found.sigma),
-        ..Options::default()
+        ..as_given
     };
     let at_sigma = wrong.solve(&wrong.frame, given);
     assert_eq!(at_sigma.effective_sigma, at_sigma.sigma);

@@ -203,6 +203,20 @@ fn parameters_are_found() {
     }
 }
 
+/// The PSF of another diffuser is not bent until it fits, and the verdict is bad.
+#[test]
+fn another_diffuser_stays() {
+    let case = Case::new(1.0);
+    let optics = SpeckleOptics {
+        diffuser_fwhm_deg: 0.6,
+        ..SpeckleOptics::demo()
+    };
+    let other = speckle_psf(&optics, 2 * ROWS - 1, 2 * COLUMNS - 1, 6).unwrap();
+    let (found, _) = case.solve(&case.light, &other, SelfCalibration::Auto);
+    assert!(found.calibration.is_none());
+    assert_eq!(found.fit.verdict, Verdict::Bad, "{}", found.fit.reason);
+}
+
 /// A noisy capture of the PSF is refined.
 #[test]
 fn a_noisy_psf_is_refined() {

@@ -13,7 +13,7 @@ use crate::linop::{
 use crate::measurement::{Measurement, NoiseModel};
 use crate::prox::{Prox, Restricted};
 use crate::solve::blocks::{BlockSource, Blocks};
-use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner};
+use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner, TOLERANCE};
 use crate::solve::coupled_blocks::{CoupledBlocks, CoupledSystem};
 use crate::solve::{DataTerm, GramSolver};
 use crate::{Camera, RollingShutter, Shape, Shutter, Support};
@@ -33,6 +33,12 @@ const MIN_RHO: f64 = 1e-9;
 
 /// Smallest `ρ` for f32 blocks; smaller is faster, and rounding of the blocks enters the result (docs/design/003).
 const MIN_RHO_SINGLE: f64 = 1e-5;
+
+/// Residual over `ρ‖y‖` of conjugate gradients where the solution itself is asked for.
+const EXACT_TOLERANCE: f64 = 0.01;
+
+/// Most calls of conjugate gradients for that.
+const MAX_EXACT_CALLS: usize = 10;
 
 /// Measurement and operator of a frame, with the solver of `(W A P Aᵀ W + ρI) y = r`; `P` projects on the support.
 pub(super) struct FrameData {
@@ -198,6 +204,11 @@ impl FrameData {
         self.weights.as_deref()
     }
 
+    /// The background of its videos.
+    pub fn background(&self) -> Background {
+        self.background
+    }
+
     pub fn psfs(&self) -> &crate::PatchSet {
         self.model.psfs()
     }
@@ -344,13 +355,35 @@ impl FrameData {
         if matches!(self.gram, Gram::Exact(Precision::Single(_))) {
             self.replace_blocks(true);
         }
-        if let Gram::Iterative(_, Some(active)) = &mut self.gram {
-            active.reset();
-        }
         let size = crate::vecmath::norm(r).max(f64::MIN_POSITIVE);
         let unit: Vec<f32> = r.iter().map(|r| (f64::from(*r) / size) as f32).collect();
         let (mut y, mut gram_y) = (vec![0.0; r.len()], vec![0.0; r.len()]);
-        self.solve_gram(&unit, rho, &mut y, &mut gram_y);
+        let solved = match &mut self.gram {
+            Gram::Iterative(_, Some(active)) => {
+                active.reset();
+                active.solve(&unit, rho, &mut y, &mut gram_y)
+            }
+            _ => false,
+        };
+        match &mut self.gram {
+            Gram::Iterative(solver, _) if !solved => {
+                let operator: &dyn LinearOperator = match self.background {
+                    Background::None => &*self.operator,
+                    _ => &self.with_background,
+                };
+                solver.forget();
+                for _ in 0..MAX_EXACT_CALLS {
+                    let tolerance = EXACT_TOLERANCE;
+                    if solver.solve(operator, &unit, rho, tolerance, &mut y, &mut gram_y) {
+                        break;
+                    }
+                }
+            }
+            Gram::Iterative(..) => {}
+            _ => {
+                self.solve_gram(&unit, rho, &mut y, &mut gram_y);
+            }
+        }
         y.iter().map(|y| size * f64::from(*y)).collect()
     }
 
@@ -518,7 +551,7 @@ impl DataTerm for FrameData {
                     Background::None => &*self.operator,
                     _ => &self.with_background,
                 };
-                solver.solve(operator, r, rho, y, gram_y)
+                solver.solve(operator, r, rho, TOLERANCE, y, gram_y)
             }
         }
     }

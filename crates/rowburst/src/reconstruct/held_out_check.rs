@@ -8,7 +8,7 @@ use super::choose::{self, Observer, rms};
 use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::frame_data::FrameData;
-use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, observe_sum};
+use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau, observe_sum};
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, TauRule};
@@ -30,6 +30,8 @@ const MAX_HELD_OUT_ERROR: f64 = 1.35;
 const DEVIATIONS: f64 = 2.0;
 /// Effective noise level over the held-out error; larger smooths more, smaller follows the error of the model.
 const EFFECTIVE_SIGMA: f64 = 0.85;
+/// The same over what a refined PSF leaves, where the check calls the frame explained.
+const EXPLAINED_SIGMA: f64 = 0.72;
 /// Part of the pixels with a residual far above the others that noise explains.
 const MAX_OUTLIERS: f64 = 2e-4;
 
@@ -38,7 +40,8 @@ const MAX_OUTLIERS: f64 = 2e-4;
 const CLEAR_CORRECTION: f64 = 0.7;
 /// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
-/// The same where many are left out: the error falls by that alone, since they are no longer held out.
+/// The same where many are left out, or the PSF has been corrected: the error falls by that alone, since they are no longer
+/// held out.
 const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
 /// Part of the pixels from which they are many.
 const MANY_EXCLUDED: f64 = 0.01;
@@ -178,10 +181,25 @@ impl Problem {
         check = self.correct_model(check, prior, observer)?;
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
-        if is_estimated && !self.is_explained(&check) {
-            self.effective_sigma = check.effective_sigma(self.sigma);
+        if is_estimated {
+            self.effective_sigma = self.effective_sigma_after(&check);
         }
         Ok(())
+    }
+
+    /// The noise level that serves the reconstruction best after all corrections, with `check` as the last check. What a
+    /// refined PSF leaves is known from the pixels that its search has not seen.
+    fn effective_sigma_after(&self, check: &HeldOutCheck) -> f64 {
+        let refined = self.calibration.as_ref();
+        let refined = refined.filter(|calibration| calibration.psf_refinement.is_some());
+        let left = refined.map_or(0.0, |calibration| calibration.held_out_after);
+        if self.is_explained(check) {
+            (EXPLAINED_SIGMA * left).max(self.sigma)
+        } else {
+            check
+                .effective_sigma(self.sigma)
+                .max(EFFECTIVE_SIGMA * left)
+        }
     }
 
     /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, PSF or camera. Returns the
@@ -269,11 +287,17 @@ impl Problem {
         }
         let lines = BrokenLines::new(&self.measurement, self.camera.instants());
         let without = self.check_without(found, &lines.is_broken, prior, observer)?;
-        let max_ratio = match count(&self.excluded) as f64 / self.excluded.len() as f64 {
-            few if few < MANY_EXCLUDED => MAX_ERROR_RATIO,
-            _ => MAX_ERROR_RATIO_OF_MANY,
+        let excluded_fraction = count(&self.excluded) as f64 / self.excluded.len() as f64;
+        // What a corrected PSF leaves is largest at bright pixels, which are not foreign.
+        let is_doubtful = self.calibration.is_some();
+        let max_ratio = if is_doubtful || excluded_fraction >= MANY_EXCLUDED {
+            MAX_ERROR_RATIO_OF_MANY
+        } else {
+            MAX_ERROR_RATIO
         };
-        if self.is_explained(&without) || without.held_out_rms < max_ratio * check.held_out_rms {
+        if self.is_explained(&without) && !is_doubtful
+            || without.held_out_rms < max_ratio * check.held_out_rms
+        {
             if self.sigma_source == SigmaSource::HeldOut {
                 // Foreign pixels have disturbed the noise level.
                 self.resolve_tau_rule(observer)?;
@@ -321,7 +345,10 @@ impl Problem {
             .options
             .max_iterations
             .is_none_or(|max| max > CHECK_ITERATIONS);
-        has_use && is_long && !self.options.is_preview && choose::can_choose(&self.data)
+        // A guess of the noise level tells nothing about the model.
+        let is_known =
+            self.sigma_source != SigmaSource::HeldOut || !matches!(self.options.tau, Tau::Given(_));
+        has_use && is_known && is_long && !self.options.is_preview && choose::can_choose(&self.data)
     }
 
     /// Runs `prior` on the pixels that are not held out, at most until the model explains the frame.
@@ -330,7 +357,11 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let (rule, max_iterations) = (self.tau_rule(), self.options.max_iterations);
+        // A `τ` that is given may fit no frame: the model is not to blame.
+        let rule = TauRule::Discrepancy {
+            sigma: self.effective_sigma,
+        };
+        let max_iterations = self.options.max_iterations;
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
         let mut until = FIRST_CHECK_ITERATION;
         let mut errors = Vec::new();

@@ -289,7 +289,15 @@ impl Problem {
             residual_history.push(progress.residual_rms);
             observer(progress)
         });
-        self.build_reconstruction(found.unwrap_or_else(|partial| *partial), &residual_history)
+        let found = found.unwrap_or_else(|partial| {
+            // It may be of a search with another prior than that of the data.
+            let background = partial.prior.background();
+            if background != self.data.background() {
+                self.data.reset(background, None);
+            }
+            *partial
+        });
+        self.build_reconstruction(found, &residual_history)
     }
 
     /// Adds residual, background and fit statistics to the result of a run.

@@ -16,8 +16,8 @@ pub trait Preconditioner: Send {
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]);
 }
 
-/// Residual over `ρ‖y‖` at which a call stops; larger drives `ρ` to nothing, smaller costs time (docs/design/004).
-const TOLERANCE: f64 = 0.1;
+/// Residual over `ρ‖y‖` at which a data step stops; larger drives `ρ` to nothing, smaller costs time (docs/design/004).
+pub const TOLERANCE: f64 = 0.1;
 
 /// Calls after which `A P Aᵀ y` is computed afresh; more let rounding errors add up.
 const RENEWAL_INTERVAL: usize = 25;
@@ -67,7 +67,15 @@ impl ConjugateGradient {
         self.preconditioner = preconditioner;
     }
 
-    /// Writes the solution to `y`, and `A P Aᵀ y` to `gram_y`. Returns whether `y` reached the tolerance.
+    /// The next call starts from zero.
+    pub fn forget(&mut self) {
+        self.y.fill(0.0);
+        self.gram_y.fill(0.0);
+        self.is_stale = false;
+    }
+
+    /// Writes the solution to `y`, and `A P Aᵀ y` to `gram_y`. Returns whether the residual of `y` is at most `tolerance`
+    /// times `ρ‖y‖`.
     ///
     /// `gram_y` belongs to the returned `y`, whether or not this reached the tolerance. The next call starts from it.
     pub fn solve(
@@ -75,6 +83,7 @@ impl ConjugateGradient {
         operator: &dyn LinearOperator,
         r: &[f32],
         rho: f64,
+        tolerance: f64,
         y: &mut [f32],
         gram_y: &mut [f32],
     ) -> bool {
@@ -103,7 +112,7 @@ impl ConjugateGradient {
         let mut product = vec![0.0f32; r.len()];
         // rᵀ M⁻¹ r with the residual r and the preconditioner M⁻¹.
         let mut residual_product = dot(&residual, &preconditioned);
-        let is_reached = |residual: &[f32], y: &[f32]| norm(residual) <= TOLERANCE * rho * norm(y);
+        let is_reached = |residual: &[f32], y: &[f32]| norm(residual) <= tolerance * rho * norm(y);
         let max_iterations = self.preconditioner.max_iterations(self.support.is_some());
         for _ in 0..max_iterations {
             if is_reached(&residual, y) || residual_product <= 0.0 {

@@ -170,6 +170,29 @@ impl<'p> Calibrator<'p> {
         self.mean
     }
 
+    /// Root mean square of the frames less the means of their rows, in counts.
+    pub fn contrast(&self) -> f64 {
+        let (mut power, mut count) = (0.0, 0usize);
+        for Frame { measurement, .. } in &self.frames {
+            let image = measurement.image();
+            for (row, line) in image.data().chunks_exact(image.columns()).enumerate() {
+                let first = row * image.columns();
+                let is_usable = |x: &usize| {
+                    let weights = measurement.weights();
+                    weights.is_none_or(|w| w[first + x] > 0.0)
+                };
+                let usable: Vec<f64> = (0..line.len())
+                    .filter(is_usable)
+                    .map(|x| f64::from(line[x]))
+                    .collect();
+                let mean = usable.iter().sum::<f64>() / usable.len().max(1) as f64;
+                power += usable.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+                count += usable.len();
+            }
+        }
+        (power / count.max(1) as f64).sqrt()
+    }
+
     /// The PSFs under `correction`.
     pub fn psfs(&mut self, correction: &Correction) -> PatchSet {
         match &correction.refined {

@@ -23,7 +23,7 @@ use super::{Model, Prior, Problem, RunResult};
 use crate::linop::Background;
 use crate::measurement::Measurement;
 use crate::{Camera, Image, PatchSet, Psf, RollingShutter};
-use calibrator::Calibrator;
+use calibrator::{Calibrator, Trial};
 use psf_error::Capture;
 use psf_model::PsfModel;
 use search::{BLUR_STEPS, JUDGED_ITERATIONS, Proposal, Search, confirming, judging};
@@ -111,6 +111,10 @@ const FREE: [Parameter; 9] = [
     Parameter::SlopeY,
     Parameter::Vignetting,
 ];
+const ALL_FREE: Free = Free {
+    parameters: &FREE,
+    has_row_offsets: true,
+};
 /// First noise level of the search over the light of the frames; larger stands larger errors of the model.
 const START_LEVEL: f64 = 0.05;
 /// The same over the noise of the sensor.
@@ -120,6 +124,8 @@ const EXPLAINED: f64 = 1.35;
 /// Error of the judging pixels of a first sharper PSF over that of the PSF as given, below which a blur alone is searched for.
 /// Parameters sought before a blur find others in its place.
 const BLUR_ALONE: f64 = 0.8;
+/// The same below which the parameters are sought with that blur: other faults look like a blur, too.
+const BLUR_FIRST: f64 = 0.5;
 /// The same after the parameters, and below which the blur is taken.
 const BLUR_BESIDE: f64 = 0.93;
 /// Noise level over that error in the search for a blur after the parameters.
@@ -128,16 +134,20 @@ const BLUR_LEVEL: f64 = 0.6;
 const SIMPLER: f64 = 1.01;
 /// Error of the judging pixels with a refined PSF over that before, below which the refinement is kept.
 const WORTH_REFINING: f64 = 0.97;
-/// Error of the judging pixels after the parameters over that before, below which only the PSF of these is refined:
-/// a free PSF in place of a parameter harms.
-const PARAMETERS_HELP: f64 = 0.8;
-/// The same above which only the PSF as given is refined.
+/// The same over that with parameters, below which these were ghosts of an error of the PSF itself.
+const REFINED_ALONE: f64 = 0.8;
+/// Error of the judging pixels after the parameters over that before, above which their PSF is not refined.
 const PARAMETERS_FAIL: f64 = 0.95;
 /// Rms of the stray light of rows over the mean of the frames below which there is none.
 const NEGLIGIBLE_ROW_OFFSET: f64 = 0.005;
 /// Error of held-out pixels after over that before, above which a correction is not worth it: a real capture has a small
 /// gain by a wrong blur.
 const MIN_GAIN: f64 = 0.9;
+/// Error of held-out pixels after a correction over the contrast of the frames, above which it is not plausible: the PSF
+/// belongs to another diffuser.
+const MAX_MISFIT: f64 = 0.2;
+/// The same after the parameters, above which no more is tried.
+const HOPELESS_MISFIT: f64 = 0.3;
 /// Standard errors of the paired differences by which the squared residuals of the judging pixels must fall.
 const MIN_JUDGING_GAIN: f64 = 4.0;
 /// The same of the confirming pixels, among which nothing was chosen.
@@ -215,7 +225,8 @@ impl Frames<'_> {
         let light = (squares.sum::<f64>() / self.measurements.len() as f64).sqrt();
         let found = search.find(&given, light, capture.as_ref())?;
         let is_identity = found.correction.is_identity() && anchor.is_none();
-        if is_identity || found.error > MIN_GAIN * given.error {
+        let limit = (MIN_GAIN * given.error).min(MAX_MISFIT * search.calibrator.contrast());
+        if is_identity || found.error > limit {
             return Ok(None);
         }
         search.confirm(&found, given.error, anchor.is_some())
@@ -261,28 +272,47 @@ impl Search<'_, '_, '_> {
         capture: Option<&Capture>,
     ) -> Result<Proposal, Box<RunResult>> {
         let Some(capture) = capture else {
-            return self.find_parameters(given, light);
+            let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
+            let found = self.find_parameters(given, light)?;
+            return self.completed(given, blurred, found);
         };
-        if capture.noise.is_some()
-            && let Some(refined) = self.refine(given, capture, true)?
-            && refined.error < WORTH_REFINING * given.error
-        {
-            return Ok(refined);
+        if capture.noise.is_some() {
+            let limit = WORTH_REFINING * given.error;
+            if let Some(refined) = self.refine(given, capture, limit, true)?
+                && refined.error < limit
+            {
+                return Ok(refined);
+            }
         }
-        let mut found = self.find_parameters(given, light)?;
-        if found.error <= EXPLAINED * self.sigma {
+        let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
+        if blurred.error < EXPLAINED * self.sigma {
+            return Ok(blurred);
+        }
+        let start = if blurred.error < BLUR_FIRST * given.error {
+            &blurred
+        } else {
+            given
+        };
+        let found = self.find_parameters(start, light)?;
+        if found.error > HOPELESS_MISFIT * self.calibrator.contrast() {
             return Ok(found);
         }
-        let starts = match found.error / given.error {
-            ratio if ratio < PARAMETERS_HELP => vec![found.clone()],
-            ratio if ratio > PARAMETERS_FAIL => vec![given.clone()],
-            _ => vec![found.clone(), given.clone()],
-        };
-        for start in starts {
-            if let Some(refined) = self.refine(&start, capture, false)?
-                && refined.error < WORTH_REFINING * found.error
+        if found.error > EXPLAINED * self.sigma {
+            let limit = REFINED_ALONE * found.error;
+            if let Some(refined) = self.refine(given, capture, limit, false)?
+                && refined.error < limit
             {
-                found = refined;
+                // The parameters were ghosts of an error of the PSF itself.
+                return Ok(refined);
+            }
+        }
+        let found = self.completed(given, blurred, found)?;
+        if found.error > EXPLAINED * self.sigma && found.error < PARAMETERS_FAIL * given.error {
+            let limit = WORTH_REFINING * found.error;
+            if let Some(refined) = self.refine(&found, capture, limit, false)?
+                && refined.error < limit
+            {
+                return Ok(refined);
             }
         }
         Ok(found)
@@ -335,7 +365,9 @@ impl Search<'_, '_, '_> {
             refine::relative_change(&model, psfs.central())
         });
         let (gain, offset) = calibrator.pixels(correction);
-        let held_out_after = choose::rms(&judged_after);
+        let held_out =
+            |trials: &[Trial]| choose::rms(&[judging(trials), confirming(trials)].concat());
+        let held_out_after = held_out(&after);
         Ok(Some(Finding {
             calibration: Calibration {
                 parameters: parameters.collect(),
@@ -348,30 +380,30 @@ impl Search<'_, '_, '_> {
                 psfs,
                 gain,
                 offset,
-                held_out_before: choose::rms(&judged_before),
+                held_out_before: held_out(&before),
                 held_out_after,
             },
             explains: held_out_after < EXPLAINED * self.sigma,
         }))
     }
 
-    /// The parameters that predict held-out pixels best.
+    /// All parameters together, from those of `start` on.
     fn find_parameters(
         &mut self,
-        given: &Proposal,
+        start: &Proposal,
         light: f64,
     ) -> Result<Proposal, Box<RunResult>> {
-        let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
-        if blurred.error < EXPLAINED * self.sigma {
-            return Ok(blurred);
-        }
-        let before = blurred.correction.clone();
-        let all = Free {
-            parameters: &FREE,
-            has_row_offsets: true,
-        };
-        let start = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
-        let mut found = self.parameters(before, all, start)?;
+        let level = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
+        self.parameters(start.correction.clone(), ALL_FREE, level)
+    }
+
+    /// The parameters `found` with a blur beside them, if it helps, and without the negligible ones.
+    fn completed(
+        &mut self,
+        given: &Proposal,
+        blurred: Proposal,
+        mut found: Proposal,
+    ) -> Result<Proposal, Box<RunResult>> {
         if found.error > MIN_GAIN * given.error {
             return Ok(blurred.better(found));
         }
@@ -382,7 +414,7 @@ impl Search<'_, '_, '_> {
             found = found.better(sharp);
             if both.error < BLUR_BESIDE * found.error {
                 let level = (BLUR_LEVEL * both.error).max(self.sigma);
-                found = found.better(self.parameters(both.correction, all, level)?);
+                found = found.better(self.parameters(both.correction, ALL_FREE, level)?);
             }
         }
         let simpler = self.simplified(&found)?;
@@ -402,8 +434,10 @@ impl Search<'_, '_, '_> {
         if free.len() == FREE.len() && has_row_offsets {
             return Ok(found.clone());
         }
-        for parameter in FREE.into_iter().filter(|p| !free.contains(p)) {
-            correction.parameters[parameter] = 0.0;
+        for parameter in Parameter::ALL {
+            if correction.parameters[parameter].abs() <= parameter.negligible() {
+                correction.parameters[parameter] = 0.0;
+            }
         }
         if !has_row_offsets {
             correction.row_offsets.fill(0.0);

@@ -71,7 +71,7 @@ impl Parameter {
             Self::Rotation => ("rotation_deg", 0.5, 0.03, 0.05),
             Self::Anisotropy => ("anisotropy", 0.005, 5e-4, 1e-3),
             Self::Shear => ("shear", 0.005, 5e-4, 1e-3),
-            Self::Blur => ("blur_px2", 0.25, 0.02, 0.0),
+            Self::Blur => ("blur_px2", 0.25, 0.02, 0.03),
             Self::Floor => ("floor", 0.3, 0.01, 0.1),
             Self::Offset => ("stray_light", 0.05, 0.01, 0.04),
             Self::SlopeX => ("stray_light_slope_x", 0.02, 0.01, 0.004),

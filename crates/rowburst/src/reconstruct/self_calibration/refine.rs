@@ -33,6 +33,8 @@ const LEVEL_RATIO: f64 = 0.7;
 const HELD_OUT_RATIO: f64 = 0.5;
 /// Held-out error of a later round over the best one up to which it is preferred; larger prefers sharper PSFs.
 const LATER: f64 = 1.02;
+/// The round in which a refinement that has not helped is given up.
+const DOUBTED_ROUND: usize = 2;
 /// Standard deviation of the active voxels over the brightness; smaller than in `step`, since the PSF has more freedom.
 const AMPLITUDE: f64 = 0.2;
 /// Variance of the misfit over that of sensor and capture up to which the capture's noise explains it.
@@ -47,12 +49,13 @@ const TOLERANCE: f64 = 3e-3;
 const MAX_ITERATIONS: usize = 40;
 
 impl Search<'_, '_, '_> {
-    /// Refines the PSF of `start`. With `only_noise` stops after the first reconstruction if noise of the capture does
-    /// not explain the misfit, and returns `None`.
+    /// Refines the PSF of `start`. Returns `None` where it does not soon reach an error below `limit`; with `only_noise`
+    /// also where noise of the capture does not explain the misfit.
     pub fn refine(
         &mut self,
         start: &Proposal,
         capture: &Capture,
+        limit: f64,
         only_noise: bool,
     ) -> Result<Option<Proposal>, Box<RunResult>> {
         let anchor = self.calibrator.psfs(&start.correction).central().clone();
@@ -69,9 +72,12 @@ impl Search<'_, '_, '_> {
             if error <= LATER * best_error {
                 best = Some(proposal);
             }
-            let has_settled = level <= self.sigma && error > (1.0 - MIN_FALL) * best_error;
-            if round == ROUNDS || has_settled {
+            let is_settled = level <= self.sigma && error > (1.0 - MIN_FALL) * best_error;
+            if round == ROUNDS || is_settled {
                 break;
+            }
+            if round == DOUBTED_ROUND && error > limit {
+                return Ok(None);
             }
             let maps = trials.iter().map(|trial| self.calibrator.psf_map(trial));
             let Some(maps) = maps.collect::<Option<Vec<PsfMap>>>() else {

@@ -113,7 +113,7 @@ impl Search<'_, '_, '_> {
     }
 
     /// Changes the parameters `free` from those of `correction` on, by reconstructions at noise levels that fall from
-    /// `start` to that of the sensor, each followed by a step. Returns the last reconstruction.
+    /// `start` to that of the sensor, each followed by a step. Returns the best of the last two reconstructions.
     pub fn parameters(
         &mut self,
         mut correction: Correction,
@@ -130,7 +130,10 @@ impl Search<'_, '_, '_> {
                     && proposal.error > (1.0 - MIN_FALL) * last.error
             });
             if round == MAX_ROUNDS || has_stalled {
-                return Ok(proposal);
+                return Ok(match last {
+                    Some(last) => last.better(proposal),
+                    None => proposal,
+                });
             }
             let residual_rms = choose::rms(&residuals(&trials));
             let calibrator = &mut self.calibrator;
