@@ -8,9 +8,13 @@ import time
 import pytest
 
 SET_UP = """
+import signal
+
 import numpy as np
 import rowburst as rb
 
+# Jobs in the background of a shell ignore it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 camera = rb.Camera(rows=512, columns=512, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
 psf = rb.Psf(np.random.default_rng(1).random((1023, 1023), np.float32))
 frame = np.random.default_rng(2).random((512, 512), np.float32)

@@ -4,10 +4,11 @@
 //! few frames spread over the recording, and kept in the job: the same for all processes that
 //! work on it, and after every kill.
 
+use crate::calibration::RecordingCalibration;
 use crate::identity::hash_image;
 use crate::inputs::BatchInputs;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Prior, Problem};
+use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
 use rowburst::{Error, Result};
@@ -110,7 +111,10 @@ pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
     begun.iter().all(same)
 }
 
-fn read_measurement(inputs: &BatchInputs, frame: usize) -> Result<(Capture, Measurement)> {
+pub(crate) fn read_measurement(
+    inputs: &BatchInputs,
+    frame: usize,
+) -> Result<(Capture, Measurement)> {
     catch_panic(|| {
         let capture = inputs.frames.read(frame)?;
         let measurement = inputs.measurement(&capture)?;
@@ -170,11 +174,17 @@ impl ChosenPrior {
     /// Chooses on `frame`; `None` where it was stopped.
     pub(crate) fn choose(
         inputs: &BatchInputs,
+        calibration: &RecordingCalibration,
         frame: usize,
         stop: &AtomicBool,
     ) -> Result<Option<Self>> {
         let (_, measurement) = read_measurement(inputs, frame)?;
-        let problem = Problem::with_model(&inputs.model, &measurement, inputs.options)?;
+        let measurement = calibration.corrected(measurement);
+        let options = Options {
+            self_calibration: SelfCalibration::Off,
+            ..inputs.options
+        };
+        let problem = Problem::with_model(&calibration.model, &measurement, options)?;
         let chosen = problem.choose(&mut |_| {
             if stop.load(Ordering::Relaxed) {
                 ControlFlow::Break(StopReason::Interrupted)

@@ -3,13 +3,15 @@
 use crate::choice::CORRECTIONS;
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
-use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration};
+use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::inputs::{
     check_memory, naming_file, psf_path, read_corrections, read_psfs, resolve_calibration,
 };
-use rowburst_run::options::{parse_time_budget, resolve_prior, resolve_tau};
+use rowburst_run::options::{
+    parse_self_calibration, parse_time_budget, resolve_prior, resolve_tau,
+};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use std::path::Path;
 
@@ -27,6 +29,8 @@ pub struct BatchFiles<'a> {
     pub tau: Option<&'a str>,
     /// Noise in counts.
     pub noise_sigma: Option<f64>,
+    /// When the recording corrects PSF and camera: `off`, `auto` or `on`; `None` is `auto`.
+    pub self_calibrate: Option<&'a str>,
     /// Uses every pixel that is not marked as bad.
     pub keep_all_pixels: bool,
     /// Most iterations of a frame.
@@ -80,7 +84,7 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
         noise_sigma: files.noise_sigma,
         max_iterations: files.max_iterations,
         keep_all_pixels: files.keep_all_pixels,
-        self_calibration: SelfCalibration::Off,
+        self_calibration: parse_self_calibration(files.self_calibrate)?,
         is_preview: budget.is_some(),
     };
     let own_period = files.frame_period_us;

@@ -5,7 +5,8 @@
 //! ```
 //!
 //! **What is on disk** (`OUT.zarr/rowburst`): `job.json`, what the job was begun with; `prior.json`,
-//! the prior that was chosen for all frames; `frames/NNNNNN.json`, a line of the table for each
+//! the prior that was chosen for all frames; `calibration.json`, the correction of PSF and camera that
+//! was found for all frames, with its arrays; `frames/NNNNNN.json`, a line of the table for each
 //! frame that is through; `frames.csv`, all lines. Every file is whole or not there. A frame's line
 //! is written after its video, so a frame with a line is done, and one without is done (again).
 //! Frames do not know of each other: what is in the archive does not depend on the order of the
@@ -17,6 +18,7 @@
 //! **No warm start**: a frame does not start from the result of its neighbour, see `docs/design/014`.
 
 mod allocation;
+mod calibration;
 mod choice;
 mod clock;
 mod files;

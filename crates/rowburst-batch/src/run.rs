@@ -1,6 +1,7 @@
 //! The job itself.
 
 use crate::allocation::ThreadAllocation;
+use crate::calibration::{CalibrationFile, RecordingCalibration};
 use crate::choice::{
     ChosenPrior, RecordingSurvey, catch_panic, is_same_recording, pixel_format_name,
 };
@@ -10,7 +11,7 @@ use crate::inputs::BatchInputs;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, Sequence};
+use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence};
 use rowburst::solve::StopReason;
 use rowburst::{Error, Result, Video};
 use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
@@ -18,7 +19,7 @@ use serde_json::json;
 use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A recording on its way into an archive.
@@ -29,11 +30,14 @@ pub struct Batch {
     pub(crate) clock: Option<Clock>,
     state: State,
     job: JobFile,
+    calibration: OnceLock<RecordingCalibration>,
 }
 
 /// What an observer sees.
 #[derive(Debug, Clone, Copy)]
 pub enum Event<'a> {
+    /// A correction of PSF and camera is being looked for.
+    Calibrating,
     /// The prior is being chosen on this frame.
     Choosing {
         /// Its index.
@@ -115,6 +119,7 @@ impl Batch {
             clock,
             state,
             job,
+            calibration: OnceLock::new(),
         })
     }
 
@@ -160,12 +165,52 @@ impl Batch {
         Video::new(shape, self.archive.read(frame, 0..shape.bins)?)
     }
 
+    /// PSF and camera of all frames; looked for now where they are not known yet. `None` where it was stopped.
+    fn calibration(
+        &self,
+        stop: &AtomicBool,
+        observer: Observer,
+    ) -> Result<Option<&RecordingCalibration>> {
+        if self.calibration.get().is_none() {
+            // Processes that come later wait for what the first one finds.
+            let _lock = self.state.lock_choice()?;
+            let (inputs, folder) = (&self.inputs, self.state.folder());
+            let known = || RecordingCalibration::read(inputs, folder, self.state.calibration()?);
+            let mut found = known()?;
+            if found.is_none() {
+                observer(Event::Calibrating);
+                let file = RecordingCalibration::find(inputs, folder, &self.scratch, stop)?;
+                let Some(file) = file else {
+                    return Ok(None);
+                };
+                self.state.write_calibration(&self.scratch, &file)?;
+                found = known()?;
+            }
+            let found = found.expect("it has just been written");
+            let _ = self.calibration.set(found);
+        }
+        Ok(self.calibration.get())
+    }
+
+    /// What was found of PSF and camera, as in `result.json`, and the frames that it was found from; `None` before
+    /// [`Self::prior`] or [`Self::run`], and where they are used as given.
+    pub fn self_calibration(&self) -> Option<(&serde_json::Value, &[usize])> {
+        let CalibrationFile {
+            frames,
+            self_calibration,
+        } = &self.calibration.get()?.file;
+        Some((self_calibration.as_ref()?, frames))
+    }
+
     /// The prior of all frames; chosen now where it is neither given nor chosen yet. `None` where
     /// it was stopped.
     ///
     /// # Errors
     /// Those of a reconstruction, and failed writes.
     pub fn prior(&self, stop: &AtomicBool, observer: Observer) -> Result<Option<ChosenPrior>> {
+        let Some(calibration) = self.calibration(stop, observer)? else {
+            return Ok(None);
+        };
         if let Some(prior) = self.inputs.options.prior {
             return Ok(Some(ChosenPrior::given(prior)));
         }
@@ -176,7 +221,7 @@ impl Batch {
         }
         let frame = self.job.brightest;
         observer(Event::Choosing { frame });
-        let chosen = ChosenPrior::choose(&self.inputs, frame, stop)?;
+        let chosen = ChosenPrior::choose(&self.inputs, calibration, frame, stop)?;
         if let Some(chosen) = &chosen {
             self.state.write_prior(&self.scratch, chosen)?;
         }
@@ -199,9 +244,14 @@ impl Batch {
         stop: &AtomicBool,
         observer: Observer,
     ) -> Result<()> {
+        let Some(calibration) = self.calibration(stop, observer)? else {
+            return Ok(());
+        };
         let frame_options = FrameOptions {
+            calibration,
             options: Options {
                 prior: Some(prior.prior.parse::<Prior>()?),
+                self_calibration: SelfCalibration::Off,
                 ..self.inputs.options
             },
             tau_factor: prior.tau_factor,
@@ -209,7 +259,7 @@ impl Batch {
         let budgeted = self.inputs.budget.map(|budget| BudgetedSequence {
             budget,
             sequence: Mutex::new(Sequence::new(
-                self.inputs.model.clone(),
+                calibration.model.clone(),
                 frame_options.options,
             )),
         });
@@ -310,11 +360,16 @@ impl Batch {
             ));
         }
         let measurement = self.inputs.measurement(&capture)?;
+        let measurement = frame_options.calibration.corrected(measurement);
         if let Some(budgeted) = budgeted {
             let found = budgeted.reconstruct(&measurement, is_over)?;
             return Ok((measurement, found));
         }
-        let problem = Problem::with_model(&self.inputs.model, &measurement, frame_options.options)?;
+        let problem = Problem::with_model(
+            &frame_options.calibration.model,
+            &measurement,
+            frame_options.options,
+        )?;
         let found = problem
             .with_tau_factor(frame_options.tau_factor)
             .solve(&mut |_| {
@@ -379,8 +434,9 @@ impl BudgetedSequence {
 }
 
 /// How each frame is reconstructed.
-#[derive(Debug, Clone, Copy)]
-struct FrameOptions {
+#[derive(Clone, Copy)]
+struct FrameOptions<'b> {
+    calibration: &'b RecordingCalibration,
     options: Options,
     tau_factor: f64,
 }

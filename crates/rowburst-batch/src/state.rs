@@ -1,5 +1,6 @@
 //! The files of a job, in `OUT.zarr/rowburst`.
 
+use crate::calibration::CalibrationFile;
 use crate::choice::{ChosenPrior, Probe};
 use crate::table::FrameRow;
 use rowburst::{Error, Result};
@@ -142,6 +143,19 @@ impl State {
 
     pub fn write_prior(&self, scratch: &Scratch, prior: &ChosenPrior) -> Result<()> {
         write(scratch, &self.folder.join("prior.json"), prior)
+    }
+
+    pub fn calibration(&self) -> Result<Option<CalibrationFile>> {
+        read(&self.folder.join("calibration.json"))
+    }
+
+    pub fn write_calibration(&self, scratch: &Scratch, file: &CalibrationFile) -> Result<()> {
+        write(scratch, &self.folder.join("calibration.json"), file)
+    }
+
+    /// Where the files lie.
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// The lines of all frames that are through.

@@ -1,9 +1,13 @@
 //! A batch is what `Problem` makes of each frame alone, to the bit.
 
 use rowburst::camera::CameraParams;
+use rowburst::linop::LinearOperator;
 use rowburst::measurement::Corrections;
-use rowburst::reconstruct::{Model, Options, Problem};
-use rowburst::{Camera, Image, Psf, Result, Sensor, Shutter};
+use rowburst::metrics::psnr_db;
+use rowburst::noise::Noise;
+use rowburst::reconstruct::{Model, Options, Problem, SelfCalibration};
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::{Camera, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
 use rowburst_batch::{Batch, BatchInputs, Event, RetryPolicy, Status, ThreadAllocation};
 use rowburst_io::{Capture, Frames, SampleFormat};
 use std::ops::ControlFlow;
@@ -164,4 +168,113 @@ fn what_was_stopped_is_left() {
     );
     let error = batch.stitch(&stop, &|_| ()).unwrap_err().to_string();
     assert!(error.contains("no frame period"), "{error}");
+}
+
+/// Frames in memory.
+struct StoredRecording(Vec<Image>);
+
+impl Frames for StoredRecording {
+    fn path(&self) -> &Path {
+        Path::new("stored")
+    }
+
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("number {index}")
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        Ok(Capture {
+            image: self.0[index].clone(),
+            format: SampleFormat::Float,
+        })
+    }
+}
+
+/// A recording behind a vignetting lens corrects it by several frames together, once; whoever takes the job up again
+/// takes what was found, to the bit.
+#[test]
+fn a_recording_corrects_its_camera() {
+    let (rows, columns) = (64, 60);
+    let camera = Camera::new(CameraParams {
+        rows,
+        columns,
+        shutter: Shutter::DualInsideOut,
+        row_time_us: 10.0,
+        exposure_us: 10.0,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .unwrap();
+    let optics = SpeckleOptics {
+        diffuser_fwhm_deg: 0.6,
+        ..SpeckleOptics::demo()
+    };
+    let psf = speckle_psf(&optics, 2 * rows - 1, 2 * columns - 1, 5).unwrap();
+    let operator = RollingShutter::new(&camera, &psf);
+    let truth = |seed| scene::moving_digit(camera.video_shape(), 10, 1, seed).unwrap();
+    let frame = |seed| {
+        let mut light = vec![0.0; operator.range_len()];
+        operator.apply(truth(seed).data(), &mut light);
+        let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
+        let vignetted = Image::from_fn(rows, columns, |y, x| {
+            let distance = place(y, rows).powi(2) + place(x, columns).powi(2);
+            light[y * columns + x].max(0.0) * (1.0 - 0.1 * distance)
+        });
+        let noise = Noise::Gaussian { snr: 256.0 };
+        noise
+            .apply(&vignetted, camera.sensor(), seed)
+            .unwrap()
+            .frame
+    };
+    let open = |self_calibration, out: &Path| {
+        let inputs = BatchInputs {
+            model: Model::new(&camera, &psf).with_cached_gram(),
+            options: Options {
+                self_calibration,
+                max_iterations: None,
+                ..inputs(&camera, "tv+0.5*tdiff+support").options
+            },
+            frames: Box::new(StoredRecording((1..4).map(frame).collect())),
+            ..inputs(&camera, "tv+0.5*tdiff+support")
+        };
+        Batch::open(inputs, out).unwrap()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let stop = AtomicBool::new(false);
+    let videos = |batch: &Batch, frames: &[usize]| -> Vec<Video> {
+        let prior = batch.prior(&stop, &|_| ()).unwrap().unwrap();
+        let allocation = ThreadAllocation::new(2, frames.len(), &batch.inputs().model, None);
+        batch
+            .run(frames, &prior, allocation, &stop, &|_| ())
+            .unwrap();
+        frames.iter().map(|f| batch.video(*f).unwrap()).collect()
+    };
+    let psnr = |videos: &[Video]| -> Vec<f64> {
+        let pairs = videos.iter().zip(1..);
+        pairs
+            .map(|(video, seed)| psnr_db(video.data(), truth(seed).data()))
+            .collect()
+    };
+    let off = open(SelfCalibration::Off, &folder.path().join("off.zarr"));
+    let before = psnr(&videos(&off, &[0, 1, 2]));
+    assert!(off.self_calibration().is_none());
+    let out = folder.path().join("auto.zarr");
+    let batch = open(SelfCalibration::Auto, &out);
+    let found = videos(&batch, &[0, 1, 2]);
+    let after = psnr(&found);
+    for (before, after) in before.iter().zip(&after) {
+        assert!(after > &(before + 4.0), "{before} -> {after} dB");
+    }
+    let (calibration, frames) = batch.self_calibration().expect("a correction");
+    assert_eq!(frames, [0, 1, 2]);
+    let vignetting = calibration["vignetting"]["value"].as_f64().unwrap();
+    assert!((vignetting + 0.2).abs() < 0.02, "{vignetting}");
+    let again = open(SelfCalibration::Auto, &out);
+    assert_eq!(videos(&again, &[1])[0], found[1]);
+    assert_eq!(again.self_calibration(), batch.self_calibration());
 }

@@ -392,6 +392,9 @@ pub struct BatchArgs {
     /// Standard deviation of the noise in counts [default: from the calibration, or each frame]
     #[arg(long, allow_hyphen_values = true)]
     pub noise_sigma: Option<f64>,
+    /// Let four frames together correct PSF and camera of all: off, auto (where they do not explain them) or on
+    #[arg(long, value_name = "WHEN")]
+    pub self_calibrate: Option<String>,
     /// Use every pixel that is not marked as bad: do not look for foreign pixels, such as hot pixels or a
     /// printed caption
     #[arg(long)]

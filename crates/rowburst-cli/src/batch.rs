@@ -41,6 +41,10 @@ struct BatchSummary {
     prior: String,
     prior_reason: String,
     prior_frame: Option<usize>,
+    /// What the recording has corrected of PSF and camera; null: they were used as given.
+    self_calibration: Option<serde_json::Value>,
+    /// The frames that this was found from.
+    self_calibration_frames: Vec<usize>,
     metadata: MetadataNumbers,
     frame_period_us: Option<f64>,
     dead_us: Option<f64>,
@@ -212,6 +216,10 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
         prior: prior.prior.clone(),
         prior_reason: prior.reason.clone(),
         prior_frame: prior.frame,
+        self_calibration: batch.self_calibration().map(|(found, _)| found.clone()),
+        self_calibration_frames: batch
+            .self_calibration()
+            .map_or_else(Vec::new, |(_, frames)| frames.to_vec()),
         metadata: MetadataNumbers::from(&from_metadata),
         frame_period_us: batch.clock().map(|clock| clock.frame_period_us),
         dead_us: batch.clock().map(|clock| clock.dead_us()),
@@ -262,6 +270,7 @@ fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadat
         prior: args.prior.as_deref(),
         tau: args.tau.as_deref(),
         noise_sigma: args.noise_sigma,
+        self_calibrate: args.self_calibrate.as_deref(),
         keep_all_pixels: args.keep_all_pixels,
         max_iterations: args.max_iterations.map(|n| n as usize),
         time_budget_s: args.time_budget_s,
@@ -315,6 +324,7 @@ fn bar(left: usize, of: usize) -> ProgressBar {
 
 fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
     match event {
+        Event::Calibrating => bar.set_message("looking for errors of PSF and camera"),
         Event::Choosing { frame } => {
             let words = format!(
                 "choosing the prior on {}",
@@ -430,6 +440,12 @@ fn print_summary(summary: &BatchSummary) {
         "prior: {} ({})",
         summary.prior, summary.prior_reason
     ));
+    if let Some(found) = &summary.self_calibration {
+        print_line(format!(
+            "PSF and camera were corrected by {} frames: {found}",
+            summary.self_calibration_frames.len()
+        ));
+    }
     if let (Some(period), Some(dead)) = (summary.frame_period_us, summary.dead_us) {
         print_line(format!(
             "a frame every {period} µs, of which {} µs are dead time",

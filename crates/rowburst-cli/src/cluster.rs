@@ -91,6 +91,10 @@ fn dask_arguments(args: &BatchArgs, scheduler: &str) -> Vec<OsString> {
         args.max_iterations.map(|n| n.to_string().into()),
     );
     option("frame-period-us", number(args.frame_period_us));
+    option(
+        "self-calibrate",
+        args.self_calibrate.clone().map(OsString::from),
+    );
     if args.keep_all_pixels {
         arguments.push("--keep-all-pixels".into());
     }

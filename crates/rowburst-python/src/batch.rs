@@ -5,12 +5,13 @@ use crate::error::to_py_err;
 use crate::frames::{ArrayFrames, PyFrames};
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
-use crate::task::{corrections_of, options_from};
+use crate::task::{corrections_of, options_from, self_calibration_from};
 use crate::threads::{self, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::Result;
+use rowburst::reconstruct::Options;
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
     load_batch, name_correction_file,
@@ -55,7 +56,7 @@ impl PyBatch {
     #[new]
     #[pyo3(signature = (experiment, frames, out, *, psf=None, dark=None, flat=None,
         bad_pixels=None, prior=None, tau=None, noise_sigma=None, max_iterations=None,
-        frame_period_us=None, keep_all_pixels=false))]
+        frame_period_us=None, self_calibrate="auto", keep_all_pixels=false))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -71,6 +72,7 @@ impl PyBatch {
         noise_sigma: Option<f64>,
         max_iterations: Option<usize>,
         frame_period_us: Option<f64>,
+        self_calibrate: &str,
         keep_all_pixels: bool,
     ) -> PyResult<Self> {
         let files = BatchFiles {
@@ -85,6 +87,7 @@ impl PyBatch {
             prior: prior.as_deref(),
             tau: tau.as_deref(),
             noise_sigma,
+            self_calibrate: Some(self_calibrate),
             keep_all_pixels,
             max_iterations,
             time_budget_s: None,
@@ -103,7 +106,7 @@ impl PyBatch {
     /// The batch of a recording in memory or on disk, with the calibration as values.
     #[staticmethod]
     #[pyo3(signature = (camera, psf, frames, out, *, dark=None, flat=None, bad_pixels=None, prior="auto", tau=None,
-        noise_sigma=None, max_iterations=None, frame_period_us=None, keep_all_pixels=false))]
+        noise_sigma=None, max_iterations=None, frame_period_us=None, self_calibrate="auto", keep_all_pixels=false))]
     #[allow(clippy::too_many_arguments)]
     fn of_values(
         py: Python<'_>,
@@ -119,9 +122,13 @@ impl PyBatch {
         noise_sigma: Option<f64>,
         max_iterations: Option<Whole>,
         frame_period_us: Option<f64>,
+        self_calibrate: &str,
         keep_all_pixels: bool,
     ) -> PyResult<Self> {
-        let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+        let options = Options {
+            self_calibration: self_calibration_from(self_calibrate)?,
+            ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
+        };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let camera = camera.grey()?;
         let psfs = psfs_of(psf, camera, corrections.dark.as_ref())?;
@@ -177,6 +184,12 @@ impl PyBatch {
         let prior = prior.map_err(to_py_err)?;
         let prior = prior.expect("nobody stopped it, or an exception was raised");
         Ok((prior.prior, prior.reason))
+    }
+
+    /// What the recording has corrected of PSF and camera, as JSON; `None`: they are used as given.
+    fn self_calibration(&self) -> Option<String> {
+        let (found, _) = self.batch.self_calibration()?;
+        Some(found.to_string())
     }
 
     /// Makes the videos of `frames`, with `threads` threads; a line for each frame.

@@ -194,7 +194,7 @@ impl CompletedTask {
             self_calibration: reconstruction
                 .calibration
                 .as_ref()
-                .map(|found| CalibrationNumbers::new(found, reconstruction.sigma)),
+                .map(CalibrationNumbers::new),
             excluded_fraction: reconstruction.excluded_fraction(),
             coverage_fraction: reconstruction.coverage_fraction(),
             threads: rayon::current_num_threads(),
@@ -260,7 +260,7 @@ impl CompletedTask {
             warnings.push(format!("{missing} saturated pixels were excluded"));
         }
         if let Some(found) = &reconstruction.calibration {
-            let numbers = CalibrationNumbers::new(found, reconstruction.sigma);
+            let numbers = CalibrationNumbers::new(found);
             warnings.push(format!(
                 "the frame has corrected its PSF and camera: {numbers}; {CORRECTED_PSF} is the PSF for the next frames"
             ));

@@ -40,8 +40,8 @@ pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use run_clock::RunClock;
 pub use summary::{
-    FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice, ReconstructionSummary,
-    peak_memory_bytes, short,
+    CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
+    ReconstructionSummary, peak_memory_bytes, short,
 };
 pub use task::{IterationMetrics, Observer, Task, solve, solve_with_model};
 pub use traces::{

@@ -117,8 +117,8 @@ pub struct ParameterNumbers {
 }
 
 impl CalibrationNumbers {
-    /// The numbers of `calibration`, with `sigma` the noise of a pixel with weight 1.
-    pub fn new(calibration: &Calibration, sigma: f64) -> Self {
+    /// The numbers of `calibration`.
+    pub fn new(calibration: &Calibration) -> Self {
         let parameters = calibration.parameters.iter().map(|found| {
             let numbers = ParameterNumbers {
                 value: found.value,
@@ -131,8 +131,8 @@ impl CalibrationNumbers {
             parameters: parameters.collect(),
             row_offsets_counts: (!rows.is_empty()).then(|| rows.clone()),
             psf_refinement: calibration.psf_refinement,
-            held_out_before: calibration.held_out_before / sigma,
-            held_out_after: calibration.held_out_after / sigma,
+            held_out_before: calibration.held_out_before,
+            held_out_after: calibration.held_out_after,
         }
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from os import PathLike, fspath
 from typing import Any
@@ -26,6 +27,7 @@ def batch(
     dark: ArrayLike | PathLike[str] | None = None,
     flat: ArrayLike | PathLike[str] | None = None,
     bad_pixels: ArrayLike | PathLike[str] | None = None,
+    self_calibrate: str = "auto",
     keep_all_pixels: bool = False,
     frame_period_us: float | None = None,
     threads: int | None = None,
@@ -46,8 +48,9 @@ def batch(
         The archive, ``[frame, t, y, x]``, float32 counts. Its videos open with ``zarr`` or napari.
     camera : Camera, Experiment or path
         The camera; or an experiment, or its file, which gives each of the arguments that is left out.
-    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, keep_all_pixels
-        Those of :func:`reconstruct`. A prior ``"auto"`` is chosen once, for all frames.
+    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, self_calibrate, keep_all_pixels
+        Those of :func:`reconstruct`. A prior ``"auto"`` is chosen once, and one correction of PSF and camera found from
+        four frames together, for all frames.
     frame_period_us : float, optional
         Time from one frame to the next in microseconds.
     threads : int, optional
@@ -61,7 +64,7 @@ def batch(
     -------
     dict
         ``archive``, ``table`` (a CSV file with a line for each frame), ``frames``, ``done``, ``failed``, ``left``,
-        ``frames_this_run``, ``prior``, ``prior_reason``, ``warnings``, ``version``.
+        ``frames_this_run``, ``prior``, ``prior_reason``, ``self_calibration``, ``warnings``, ``version``.
 
     Raises
     ------
@@ -91,6 +94,7 @@ def batch(
         out=out,
         noise_sigma=noise_sigma,
         max_iterations=max_iterations,
+        self_calibrate=self_calibrate,
         keep_all_pixels=keep_all_pixels,
         frame_period_us=frame_period_us,
         **settings,
@@ -112,6 +116,7 @@ def _run(
         if progress is not None:
             progress(made, len(left))
     table, rows = job.write_table(), job.rows()
+    found = job.self_calibration()
     failed = [row for row in rows if not row[2]]
     return {
         "version": __version__,
@@ -124,5 +129,6 @@ def _run(
         "frames_this_run": made,
         "prior": prior,
         "prior_reason": reason,
+        "self_calibration": None if found is None else json.loads(found),
         "warnings": [f"no video of {row[1]}: {row[6]}" for row in failed[:10]],
     }

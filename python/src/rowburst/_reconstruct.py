@@ -168,7 +168,8 @@ class Result(VideoResult):
     @property
     def self_calibration(self) -> dict[str, Any] | None:
         """What the frame has corrected of its PSF and camera, as in ``result.json``; None: they were used as given."""
-        return self.numbers["self_calibration"]
+        found: dict[str, Any] | None = self.numbers["self_calibration"]
+        return found
 
     @property
     def corrected_psf(self) -> Psf | None:

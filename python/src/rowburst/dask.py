@@ -94,7 +94,7 @@ def reconstruct(
     ``frames`` is what ``rowburst batch --frames`` takes: a Zarr array ``[frame, y, x]``, a folder, a
     stack. All paths must be the same for client and workers. ``options`` are those of ``rowburst
     batch``: psf, dark, flat, bad_pixels (files), prior, tau, noise_sigma, max_iterations,
-    frame_period_us, keep_all_pixels. ``progress(done, of)`` is called after every task. Called again, it goes on where
+    frame_period_us, self_calibrate, keep_all_pixels. ``progress(done, of)`` is called after every task. Called again, it goes on where
     it was. Where no worker has joined the scheduler after ``workers_timeout_s`` seconds it is a
     :class:`WorkError`. Returns a summary; the table of all frames is ``OUT.zarr/rowburst/frames.csv``.
 
@@ -174,6 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--noise-sigma", type=float)
     parser.add_argument("--max-iterations", type=int)
     parser.add_argument("--frame-period-us", type=float)
+    parser.add_argument("--self-calibrate", help="off, auto or on: correct PSF and camera by four frames together")
     parser.add_argument("--keep-all-pixels", action="store_true", help="do not look for foreign pixels")
     parser.add_argument("--retry-failed", action="store_true")
     parser.add_argument("--frames-per-task", type=int)

@@ -192,7 +192,7 @@ impl Problem {
     fn effective_sigma_after(&self, check: &HeldOutCheck) -> f64 {
         let refined = self.calibration.as_ref();
         let refined = refined.filter(|calibration| calibration.psf_refinement.is_some());
-        let left = refined.map_or(0.0, |calibration| calibration.held_out_after);
+        let left = refined.map_or(0.0, |calibration| calibration.held_out_after * self.sigma);
         if self.is_explained(check) {
             (EXPLAINED_SIGMA * left).max(self.sigma)
         } else {
@@ -256,7 +256,10 @@ impl Problem {
     }
 
     /// Pixels that stand out at a loose fit, if foreign pixels are to be left out.
-    fn find_foreign(&mut self, observer: &mut Observer) -> Result<Foreign, Box<RunResult>> {
+    pub(super) fn find_foreign(
+        &mut self,
+        observer: &mut Observer,
+    ) -> Result<Foreign, Box<RunResult>> {
         if self.options.keep_all_pixels {
             return Ok(Foreign {
                 pixels: vec![false; self.excluded.len()],
@@ -337,7 +340,7 @@ impl Problem {
     }
 
     /// Whether the model is checked on held-out pixels before the run.
-    fn is_checked(&self) -> bool {
+    pub(super) fn is_checked(&self) -> bool {
         let has_use = !self.options.keep_all_pixels
             || self.options.noise_sigma.is_none()
             || self.options.self_calibration != SelfCalibration::Off;

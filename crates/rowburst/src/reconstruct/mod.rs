@@ -28,7 +28,7 @@ pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
 pub use prior::{Prior, UnfusedWeights};
-pub use self_calibration::{Calibration, FoundParameter, Parameter, SelfCalibration};
+pub use self_calibration::{Calibration, FoundParameter, Parameter, SelfCalibration, calibrate};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 

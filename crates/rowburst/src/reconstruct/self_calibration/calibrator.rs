@@ -19,7 +19,7 @@ const LABEL: &str = "self-calibration";
 const MIN_GAIN: f64 = 0.1;
 
 /// PSF and camera as corrected so far.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Correction {
     pub parameters: Parameters,
     /// The PSF in place of that of `parameters`; `None`: it was not refined.
