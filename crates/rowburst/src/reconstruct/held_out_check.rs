@@ -368,13 +368,16 @@ impl Problem {
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
         let mut until = FIRST_CHECK_ITERATION;
         let mut errors = Vec::new();
+        let mut was_wide = false;
         loop {
             let has_converged = run.run(&mut self.data, until, observer)?;
             let check = HeldOutCheck::of(&run, &self.data);
             errors.push(check.held_out_rms);
             let has_converged = has_converged || self.is_stationary(&check, &errors);
-            let is_dense = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
-            let is_dense = is_dense && until >= FIRST_DENSE_ITERATION;
+            // Once alone, bins that fitted badly may just have been opened.
+            let is_wide = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+            let is_dense = is_wide && was_wide && until >= FIRST_DENSE_ITERATION;
+            was_wide = is_wide;
             if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {
                 self.is_dense |= is_dense;
                 return Ok(check);

@@ -29,6 +29,17 @@ pub(super) struct Correction {
 }
 
 impl Correction {
+    /// The same without the parameters that are negligible.
+    pub fn without_negligible(&self) -> Self {
+        let mut correction = self.clone();
+        for parameter in Parameter::ALL {
+            if correction.parameters[parameter].abs() <= parameter.negligible() {
+                correction.parameters[parameter] = 0.0;
+            }
+        }
+        correction
+    }
+
     /// Whether it changes nothing.
     pub fn is_identity(&self) -> bool {
         self.parameters == Parameters::default()

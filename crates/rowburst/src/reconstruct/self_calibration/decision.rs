@@ -7,7 +7,9 @@ use super::parameters::Parameter;
 use super::psf_error::Capture;
 use super::psf_model::PsfModel;
 use super::refine::relative_change;
-use super::search::{BLUR_STEPS, JUDGED_ITERATIONS, Proposal, Search, confirming, judging};
+use super::search::{
+    BLUR_STEPS, JUDGED_ITERATIONS, LOOSE_ITERATIONS, Proposal, Search, confirming, judging,
+};
 use super::step::{Free, step};
 use super::{Calibration, Finding, FoundParameter};
 
@@ -61,22 +63,22 @@ const BLUR_BESIDE: f64 = 0.93;
 const BLUR_LEVEL: f64 = 0.6;
 /// Error of the judging pixels of a simpler correction over that of the full one, up to which it is preferred.
 const SIMPLER: f64 = 1.01;
+/// The same from which rows have stray light of their own.
+const ROWS_ARE_THERE: f64 = 1.5;
 /// Error of the judging pixels with a refined PSF over that before, below which the refinement is kept.
 const WORTH_REFINING: f64 = 0.97;
 /// The same over that with parameters, below which these were ghosts of an error of the PSF itself.
 const REFINED_ALONE: f64 = 0.8;
 /// Error of the judging pixels after the parameters over that before, above which their PSF is not refined.
 const PARAMETERS_FAIL: f64 = 0.95;
-/// Rms of the stray light of rows over the mean of the frames below which there is none.
-const NEGLIGIBLE_ROW_OFFSET: f64 = 0.005;
 /// Error of held-out pixels after over that before, above which a correction is not worth it: a real capture has a small
 /// gain by a wrong blur.
 pub(super) const MIN_GAIN: f64 = 0.9;
 /// Error of held-out pixels after a correction over the contrast of the frames, above which it is not plausible: the PSF
 /// belongs to another diffuser.
 pub(super) const MAX_MISFIT: f64 = 0.12;
-/// The same after the parameters, above which no more is tried.
-const HOPELESS_MISFIT: f64 = 0.3;
+/// The same of a loose reconstruction, or after the parameters, above which no more is tried.
+const HOPELESS_MISFIT: f64 = 0.375;
 /// Error of held-out pixels over the noise of the sensor up to which any clear gain counts.
 const PLAUSIBLE: f64 = 2.5;
 /// Error after a correction over that before, up to which a larger error counts: a wrong PSF is bent a little towards the
@@ -109,6 +111,9 @@ impl Search<'_, '_, '_> {
             {
                 return Ok(refined);
             }
+        }
+        if self.is_hopeless(given, light)? {
+            return Ok(given.clone());
         }
         let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
         if blurred.error < EXPLAINED * self.sigma {
@@ -219,6 +224,18 @@ impl Search<'_, '_, '_> {
         }))
     }
 
+    /// Whether a loose reconstruction predicts so little of the frames that no correction will help.
+    fn is_hopeless(&mut self, given: &Proposal, light: f64) -> Result<bool, Box<RunResult>> {
+        let limit = HOPELESS_MISFIT * self.calibrator.contrast();
+        if given.error < limit {
+            return Ok(false);
+        }
+        let level = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
+        let trials = self.run(&given.correction, level, LOOSE_ITERATIONS)?;
+        let error = Proposal::new(&given.correction, level, &trials).error;
+        Ok(error > limit)
+    }
+
     /// All parameters together, from those of `start` on.
     fn find_parameters(
         &mut self,
@@ -255,25 +272,30 @@ impl Search<'_, '_, '_> {
 
     /// `found` without its negligible parameters, and without each group of parameters that is not needed to predict
     /// held-out pixels as well. Nearly the same change of a frame may be made by several parameters together.
-    fn simplified(&mut self, mut found: Proposal) -> Result<Proposal, Box<RunResult>> {
-        let mut correction = found.correction.clone();
-        for parameter in Parameter::ALL {
-            if correction.parameters[parameter].abs() <= parameter.negligible() {
-                correction.parameters[parameter] = 0.0;
+    fn simplified(&mut self, found: Proposal) -> Result<Proposal, Box<RunResult>> {
+        let without_rows = |correction: &Correction| Correction {
+            row_offsets: vec![0.0; correction.row_offsets.len()],
+            ..correction.clone()
+        };
+        let simplest = without_rows(&found.correction.without_negligible());
+        let trial = self.found_anew(simplest, found.level)?;
+        let mut found = if trial.error <= SIMPLER * found.error {
+            trial
+        } else {
+            let mut found = found;
+            if trial.error < ROWS_ARE_THERE * found.error {
+                // Rows may hide even stray light.
+                found = self.simpler(without_rows(&found.correction), found)?;
             }
-        }
-        let negligible = NEGLIGIBLE_ROW_OFFSET * self.calibrator.mean();
-        if choose::rms(&correction.row_offsets) <= negligible {
-            correction.row_offsets.fill(0.0);
-        }
-        if correction != found.correction {
-            found = self.simpler(correction, found)?;
-        }
+            let remaining = found.correction.without_negligible();
+            self.simpler(remaining, found)?
+        };
         let is_there = |found: &Proposal, group: &[Parameter]| {
             group.iter().any(|p| found.correction.parameters[*p] != 0.0)
         };
         for group in GROUPS {
-            let count = GROUPS.iter().filter(|g| is_there(&found, g)).count();
+            let rows = usize::from(found.correction.has_row_offsets());
+            let count = rows + GROUPS.iter().filter(|g| is_there(&found, g)).count();
             if count < 2 || !is_there(&found, group) {
                 continue;
             }
@@ -293,6 +315,23 @@ impl Search<'_, '_, '_> {
         correction: Correction,
         found: Proposal,
     ) -> Result<Proposal, Box<RunResult>> {
+        if correction == found.correction {
+            return Ok(found);
+        }
+        let simpler = self.found_anew(correction, found.level)?;
+        Ok(if simpler.error <= SIMPLER * found.error {
+            simpler
+        } else {
+            found
+        })
+    }
+
+    /// The parameters of `correction` that are not zero, found anew from the noise level `level` on.
+    fn found_anew(
+        &mut self,
+        correction: Correction,
+        level: f64,
+    ) -> Result<Proposal, Box<RunResult>> {
         let parameters: Vec<Parameter> = FREE
             .into_iter()
             .filter(|p| correction.parameters[*p] != 0.0)
@@ -301,12 +340,7 @@ impl Search<'_, '_, '_> {
             parameters: &parameters,
             has_row_offsets: correction.has_row_offsets(),
         };
-        let simpler = self.parameters(correction, free, found.level)?;
-        Ok(if simpler.error <= SIMPLER * found.error {
-            simpler
-        } else {
-            found
-        })
+        self.parameters(correction, free, level)
     }
 }
 

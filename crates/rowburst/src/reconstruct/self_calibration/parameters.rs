@@ -73,7 +73,7 @@ impl Parameter {
             Self::Shear => ("shear", 0.005, 5e-4, 1e-3),
             Self::Blur => ("blur_px2", 0.25, 0.02, 0.03),
             Self::Floor => ("floor", 0.3, 0.01, 0.1),
-            Self::Offset => ("stray_light", 0.05, 0.01, 0.04),
+            Self::Offset => ("stray_light", 0.05, 0.01, 0.025),
             Self::SlopeX => ("stray_light_slope_x", 0.02, 0.01, 0.004),
             Self::SlopeY => ("stray_light_slope_y", 0.02, 0.01, 0.004),
             Self::Vignetting => ("vignetting", 0.2, 0.01, 0.02),

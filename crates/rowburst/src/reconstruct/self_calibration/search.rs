@@ -11,7 +11,7 @@ const ITERATIONS: usize = 120;
 /// Most iterations of a reconstruction that is only judged; fewer compare videos that have not settled.
 pub(super) const JUDGED_ITERATIONS: usize = 100;
 /// Most iterations of a reconstruction well above the noise of the sensor.
-const LOOSE_ITERATIONS: usize = 60;
+pub(super) const LOOSE_ITERATIONS: usize = 60;
 /// Noise level over that of the sensor above which a reconstruction is a loose one.
 const LOOSE_LEVEL: f64 = 1.5;
 /// Most rounds of a reconstruction and a step.
