@@ -221,7 +221,7 @@ def main():
     lines = table(head, table_rows(bench, scenes, faults, args.seeds, args.exposure))
     text = "\n".join([
         "# Self-calibration: faults of PSF and camera, before and after", "",
-        f"`{command_line("self_calibration.py")}` with {bench.version}, commit {commit()}, {machine()}.", "",
+        f"`{command_line('self_calibration.py')}` with {bench.version}, commit {commit()}, {machine()}.", "",
         f"Frames of 108×108 pixels, SNR 256, exposure of {args.exposure:g} rows, prior `{PRIOR}`, {args.seeds} seed(s). PSNR "
         "after the best common factor on the video. Time: that of the run over that of the same scene without a fault, both "
         "by default.", "", lines, ""])
