@@ -29,7 +29,7 @@ const MAX_HELD_OUT_ERROR: f64 = 1.35;
 /// Standard deviations by which the limit of the held-out error is widened; smaller doubts small frames.
 const DEVIATIONS: f64 = 2.0;
 /// Effective noise level over the held-out error; larger smooths more, smaller follows the error of the model.
-const EFFECTIVE_SIGMA: f64 = 0.85;
+pub(super) const EFFECTIVE_SIGMA: f64 = 0.85;
 /// The same over what a refined PSF leaves, where the check calls the frame explained.
 const EXPLAINED_SIGMA: f64 = 0.72;
 /// Part of the pixels with a residual far above the others that noise explains.

@@ -2,6 +2,7 @@
 
 use super::super::RunResult;
 use super::super::choose;
+use super::super::held_out_check::EFFECTIVE_SIGMA;
 use super::calibrator::{Correction, Trial};
 use super::parameters::Parameter;
 use super::psf_error::Capture;
@@ -42,6 +43,7 @@ const GROUPS: [&[Parameter]; 4] = [
         Parameter::Shear,
     ],
 ];
+/// All parameters that steps find, and the rows.
 const ALL_FREE: Free = Free {
     parameters: &FREE,
     has_row_offsets: true,
@@ -52,8 +54,8 @@ const START_LEVEL: f64 = 0.05;
 const MIN_START_LEVEL: f64 = 3.0;
 /// Error of the judging pixels over `σ` up to which the model explains the frame.
 pub(super) const EXPLAINED: f64 = 1.35;
-/// Error of the judging pixels of a first sharper PSF over that of the PSF as given, below which a blur alone is searched for.
-/// Parameters sought before a blur find others in its place.
+/// Error of the judging pixels of a first sharper PSF over that of the PSF as given, below which a blur alone is searched
+/// for. Parameters sought before a blur find others in its place.
 const BLUR_ALONE: f64 = 0.8;
 /// The same below which the parameters are sought with that blur: other faults look like a blur, too.
 const BLUR_FIRST: f64 = 0.5;
@@ -88,8 +90,6 @@ const LARGE_GAIN: f64 = 0.5;
 const MIN_JUDGING_GAIN: f64 = 4.0;
 /// The same of the confirming pixels, among which nothing was chosen.
 const MIN_CONFIRMING_GAIN: f64 = 2.0;
-/// Noise level of the reconstruction without a correction over its held-out error, as without self-calibration.
-const EFFECTIVE_SIGMA: f64 = 0.85;
 
 impl Search<'_, '_, '_> {
     /// The correction that predicts held-out pixels best; `light` is the root mean square of the frame.

@@ -7,8 +7,8 @@
 //! (I + Lᵀ Bᵀ K⁻¹ B L) z = Lᵀ Bᵀ K⁻¹ W(b − B p₀)
 //! ```
 //!
-//! by conjugate gradients, always around the capture `p₀`. Several frames are a sum. Reconstruction and refinement alternate while the noise level
-//! falls to that of the sensor.
+//! by conjugate gradients, always around the capture `p₀`. Several frames are a sum. Reconstruction and refinement
+//! alternate while the noise level falls to that of the sensor.
 
 use super::super::RunResult;
 use super::calibrator::Trial;
