@@ -4,6 +4,7 @@ use crate::calibration::CalibrationFile;
 use crate::choice::{ChosenPrior, Probe};
 use crate::table::FrameRow;
 use rowburst::{Error, Result};
+use rowburst::{Parameter, phrase};
 use rowburst_zarr::{Lock, Scratch};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -61,10 +62,10 @@ impl State {
     pub fn create(out: &Path) -> Result<Self> {
         let refuse = |found: &str| {
             Err(Error::input(
-                out.display().to_string(),
+                out,
                 found,
                 "a batch writes to a folder that is new, empty, or that of the same batch",
-                "Choose another folder with -o.",
+                phrase!["Choose another folder (", Parameter::Output, ")."],
             ))
         };
         let folder = out.join("rowburst");
@@ -112,10 +113,14 @@ impl State {
         let job: Option<JobFile> = read(&path)?;
         match job {
             Some(job) if job.format != FORMAT => Err(Error::input(
-                path.display().to_string(),
+                path,
                 format!("format {}", job.format),
                 format!("this version of the program knows format {FORMAT}"),
-                "Resume with the version that it was started with, or choose another folder with -o.",
+                phrase![
+                    "Resume with the version that it was started with, or choose another folder (",
+                    Parameter::Output,
+                    ")."
+                ],
             )),
             job => Ok(job),
         }
@@ -182,9 +187,13 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     let value = value.and_then(|text| serde_json::from_slice(&text).map_err(|e| e.to_string()));
     value.map(Some).map_err(|reason| {
         Error::work(
-            path.display().to_string(),
+            path,
             format!("cannot be read ({reason})"),
-            "The archive was changed by hand or the disk is damaged: choose another folder with -o.",
+            phrase![
+                "The archive was changed by hand or the disk is damaged: choose another folder (",
+                Parameter::Output,
+                ")."
+            ],
         )
     })
 }

@@ -4,7 +4,7 @@ use crate::args::ReconstructArgs;
 use crate::output::print_line;
 use crate::progress::ChunkBar;
 use rowburst::reconstruct::Verdict;
-use rowburst::{Error, Result};
+use rowburst::{Error, Parameter, Result};
 use rowburst_io::OutputFolder;
 use rowburst_run::{ChunkedSummary, ChunkedTask, run_chunked, short, thousands};
 use std::ops::Range;
@@ -19,7 +19,7 @@ pub fn parse_bins(text: &str) -> Result<Range<usize>> {
     match ends {
         Some((Ok(first), Ok(end))) => Ok(first..end),
         _ => Err(Error::input(
-            "--bins",
+            Parameter::Bins,
             format!("\"{text}\""),
             "a range is its first bin and the one after its last, FIRST..END",
             "Give for example --bins 0..32.",

@@ -7,6 +7,7 @@ use crate::output::print_line;
 use crate::progress::Bar;
 use crate::reconstruct::{command_line, movie_style, options};
 use rowburst::bayer::{Bayer, Site};
+use rowburst::error::Subject;
 use rowburst::measurement::correct;
 use rowburst::reconstruct::{Options, SelfCalibration};
 use rowburst::{Error, Result, Video};
@@ -80,7 +81,7 @@ pub fn run(
     for site in shared.colour.sites() {
         eprintln!("{}", site.name());
         let plane = shared.colour.plane_camera(site);
-        let plane = plane.map_err(|e| e.within(experiment.path.display()))?;
+        let plane = plane.map_err(|e| e.within(&experiment.path))?;
         let start_us = plane.start_us;
         bin_us = plane.camera.time().bin_duration_us();
         let plane = shared.colour.plane(site, plane)?;
@@ -95,7 +96,7 @@ pub fn run(
     let videos: Vec<(Site, &Video)> = planes.iter().map(|(site, _, v)| (*site, v)).collect();
     let Some(colours) = merge_planes(&videos) else {
         return Err(Error::work(
-            args.output.display().to_string(),
+            &args.output,
             "planes of different lengths: there is no video in colour",
             "The planes' own folders are whole.",
         ));
@@ -157,7 +158,7 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
     match given.iter().find(|(_, given)| *given) {
         None => Ok(()),
         Some((option, _)) => Err(Error::input(
-            *option,
+            Subject::named(*option),
             "a raw Bayer frame",
             "its four planes are reconstructed separately, and the option is for one video",
             "Leave it out.",
@@ -171,7 +172,7 @@ impl SharedInputs {
         let calibration = resolve_calibration(&args.calibration, experiment);
         let psf_path = psf_path(&calibration, experiment)?.to_path_buf();
         let (raw, saturation_limit) = read_frame(&args.frame)?;
-        check_raw_frame(&args.frame.display().to_string(), &raw, &camera)?;
+        check_raw_frame(&args.frame, &raw, &camera)?;
         let corrections = read_corrections(&calibration, saturation_limit)?;
         let colour = ColourInputs {
             raw,

@@ -25,10 +25,10 @@ mod simulate;
 mod sweep;
 #[cfg(feature = "view")]
 mod view;
+mod words;
 
 use args::{Cli, Verb};
 use clap::Parser;
-use rowburst::Error;
 use std::ffi::OsString;
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -63,11 +63,8 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
     match done {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("error: {error}");
-            match error {
-                Error::Input { .. } => 2,
-                Error::Work { .. } => 1,
-            }
+            eprintln!("error: {}", words::message(&error));
+            if error.is_input() { 2 } else { 1 }
         }
     }
 }

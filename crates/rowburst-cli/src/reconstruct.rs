@@ -7,6 +7,7 @@ use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
+use rowburst::error::Subject;
 use rowburst::measurement::{Measurement, correct};
 use rowburst::reconstruct::{Chunked, Options, Verdict};
 use rowburst::{Camera, Error, PatchSet, Result};
@@ -146,7 +147,7 @@ fn refuse_colour(experiment: Experiment) -> Result<Experiment> {
     match experiment.bayer {
         None => Ok(experiment),
         Some(mosaic) => Err(Error::input(
-            "--sweep",
+            Subject::named("--sweep"),
             format!("raw frames of the mosaic {}", mosaic.name()),
             "their planes are reconstructed separately, and a sweep compares one video",
             "Leave --sweep out.",

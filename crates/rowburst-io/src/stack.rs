@@ -90,7 +90,7 @@ pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages>
             let missing = page.data.len().saturating_mul(count - 1);
             all.data.try_reserve_exact(missing).map_err(|_| {
                 rowburst::Error::work(
-                    source.path.display().to_string(),
+                    source.path,
                     format!("no memory for {count} frames"),
                     "Crop or bin the images, or use a machine with more memory.",
                 )

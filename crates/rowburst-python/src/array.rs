@@ -1,6 +1,6 @@
 //! numpy arrays ⇄ values.
 
-use crate::error::to_py_err;
+use crate::error::{subject, to_py_err};
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods,
 };
@@ -22,7 +22,7 @@ fn floats<'py, T: Element>(
     if let Some(mask) = mask_of(value)? {
         let count: usize = mask.call_method0(intern!(py, "sum"))?.extract()?;
         return Err(to_py_err(Error::input(
-            name,
+            subject(name),
             format!("a masked array with {count} masked values"),
             "only frame, dark, flat and bad_pixels may have masked pixels, which are then bad pixels",
             "Replace them: array.filled(0).",
@@ -46,7 +46,7 @@ fn floats<'py, T: Element>(
         "f" => SampleFormat::Float,
         _ => {
             return Err(to_py_err(Error::input(
-                name,
+                subject(name),
                 format!("an array of {dtype}"),
                 "arrays hold integers or floating-point numbers",
                 "Convert it with numpy.asarray(array, dtype=numpy.float32).",
@@ -61,7 +61,7 @@ fn floats<'py, T: Element>(
             _ => "three axes, [t, y, x],",
         };
         return Err(to_py_err(Error::input(
-            name,
+            subject(name),
             format!("an array of shape {shape:?}"),
             format!("it has {axes} and is not empty"),
             "Index or reshape it: a frame is array[i] of a stack.",
@@ -87,7 +87,7 @@ fn from_dlpack<'py>(value: &Bound<'py, PyAny>, name: &str) -> PyResult<Bound<'py
         .call_method1("from_dlpack", (value,))
         .map_err(|error| {
             to_py_err(Error::input(
-                name,
+                subject(name),
                 format!("a DLPack object that numpy cannot take ({error})"),
                 "arrays lie in the memory of the processor",
                 "Copy it there first, such as by array.get() or tensor.cpu().",
@@ -190,7 +190,7 @@ fn require_finite(image: Image, name: &str) -> PyResult<Image> {
     match image.first_non_finite() {
         None => Ok(image),
         Some((y, x)) => Err(to_py_err(Error::input(
-            name,
+            subject(name),
             format!("{} at row {y}, column {x}", image.at(y, x)),
             "every pixel is a finite number",
             "Replace the pixel by the mean of its neighbours.",
@@ -221,7 +221,7 @@ pub fn vector<'py, T: Element>(
     let array = array.cast_into::<PyArray1<T>>()?;
     if array.len() != length {
         return Err(to_py_err(Error::input(
-            name,
+            subject(name),
             format!("{} values", array.len()),
             format!("the operator takes {length}"),
             "Flatten it with .ravel(), in C order.",

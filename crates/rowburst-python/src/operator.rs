@@ -15,7 +15,7 @@ use rayon::ThreadPool;
 use rowburst::linop::{LinearOperator, Scalar};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{DataStep, Model};
-use rowburst::{Camera, Error, PatchSet, RollingShutter};
+use rowburst::{Camera, Error, Parameter, PatchSet, RollingShutter};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Whether the blocks of `A Aᵀ` are computed with a model.
@@ -220,7 +220,7 @@ impl PyDataTerm {
         if let Some(i) = x.iter().position(|v| !v.is_finite()) {
             let rule = "every value is a finite number";
             let error = Error::input(
-                "video",
+                Parameter::Video,
                 format!("{} at {i}", x[i]),
                 rule,
                 "Take smaller steps.",

@@ -18,7 +18,7 @@ use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::{Chunked, Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
-use rowburst::{Camera, Error, Image, PatchSet, Sensor};
+use rowburst::{Camera, Error, Image, Parameter, PatchSet, Sensor};
 use rowburst_io::{Capture, FromMetadata, OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
@@ -227,7 +227,7 @@ impl Setup {
         crate::memory::check(&self.camera)?;
         let truth = inputs.truth.map(|value| {
             let video = video(value, "truth")?;
-            checked_truth(video, "truth", &self.camera).map_err(to_py_err)
+            checked_truth(video, Parameter::Truth.into(), &self.camera).map_err(to_py_err)
         });
         let direct = inputs.direct.map(|v| finite_image(v, "direct"));
         Ok(Task {
@@ -316,7 +316,7 @@ pub fn options_from(
         max_iterations: match optional(max_iterations, "max_iterations")? {
             Some(0) => {
                 let rule = "a run has at least one iteration";
-                let error = Error::input("max_iterations", 0, rule, "Leave it out.");
+                let error = Error::input(Parameter::MaxIterations, 0, rule, "Leave it out.");
                 return Err(to_py_err(error));
             }
             most => most,
@@ -381,7 +381,7 @@ fn raw_frame(
     let (raw, mask) = masked_capture(frame, "frame")?;
     if raw.format == (SampleFormat::Counts { bits: 1 }) {
         return Err(to_py_err(Error::input(
-            "frame",
+            Parameter::Frame,
             "an array of bool",
             "a frame holds counts or floating-point numbers, and two values are no capture",
             "Give the counts as the camera recorded them.",
@@ -432,12 +432,8 @@ fn without_bias(camera: &Camera, bias: f64) -> rowburst::Result<Camera> {
 
 /// Names the frame in an error of the corrections that is none of theirs.
 fn within_frame(error: Error) -> Error {
-    match &error {
-        Error::Input { subject, .. }
-            if ["frame", "dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
-        {
-            error
-        }
+    match error.parameter() {
+        Some(Parameter::Frame | Parameter::Dark | Parameter::Flat | Parameter::BadPixels) => error,
         _ => error.within("frame"),
     }
 }
@@ -455,7 +451,7 @@ pub fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
     match tau {
         None => Ok(Tau::Auto),
         Some(value) if is_bool(value)? => Err(to_py_err(Error::input(
-            "tau",
+            Parameter::Tau,
             value.str()?.to_string(),
             "τ is \"auto\", \"held-out\" or a number above zero",
             "Leave it out for \"auto\".",
@@ -500,7 +496,7 @@ pub fn _reconstruct_colour<'py>(
     let mosaic = camera.bayer.ok_or_else(|| {
         let rule = "a camera of raw colour frames has a mosaic";
         let remedy = "Give bayer=\"rggb\" to the Camera, or call rowburst.reconstruct.";
-        to_py_err(Error::input("bayer", "None", rule, remedy))
+        to_py_err(Error::input(Parameter::Bayer, "None", rule, remedy))
     })?;
     let mut options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -562,7 +558,7 @@ pub fn _reconstruct_colour<'py>(
     let colours = merge_planes(&borrowed).ok_or_else(|| {
         let found = "planes of different lengths: there is no video in colour";
         to_py_err(Error::work(
-            "frame",
+            Parameter::Frame,
             found,
             "Crop the frame to an even number of rows.",
         ))

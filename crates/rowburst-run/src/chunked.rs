@@ -11,6 +11,7 @@
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::thousands;
 use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
+use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
@@ -150,7 +151,7 @@ pub fn run_chunked(
         if reconstruction.stop_reason == StopReason::Interrupted {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
-                "reconstruction",
+                Subject::named("reconstruction"),
                 format!("stopped with {done} of {} bins reconstructed", shape.bins),
                 "Run the same command again to resume.",
             ));

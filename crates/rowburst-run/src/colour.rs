@@ -1,6 +1,9 @@
 //! A raw Bayer frame: four planes, each with a reconstruction of its own, and one video in colour.
 
+use rowburst::ErrorKind;
+use rowburst::Parameter;
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
+use rowburst::error::Place;
 use rowburst::measurement::Corrections;
 use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
 
@@ -41,9 +44,9 @@ impl ColourInputs {
         let raw = &self.raw;
         let corrections = &self.corrections;
         for (name, image) in [
-            ("dark", &corrections.dark),
-            ("flat", &corrections.flat),
-            ("bad_pixels", &corrections.bad_pixels),
+            (Parameter::Dark, &corrections.dark),
+            (Parameter::Flat, &corrections.flat),
+            (Parameter::BadPixels, &corrections.bad_pixels),
         ] {
             let size = image.as_ref().map(|i| (i.rows(), i.columns()));
             if size.is_some_and(|size| size != (raw.rows(), raw.columns())) {
@@ -95,20 +98,22 @@ impl ColourInputs {
     }
 }
 
-/// Checks that a raw frame has the size of the sensor. `subject` names it in errors.
+/// Checks that a raw frame has the size of the sensor. `place`, such as its file, names it in errors.
 ///
 /// # Errors
 /// Another size.
-pub fn check_raw_frame(subject: &str, raw: &Image, camera: &Camera) -> Result<()> {
+pub fn check_raw_frame(place: impl Into<Place>, raw: &Image, camera: &Camera) -> Result<()> {
     if (raw.rows(), raw.columns()) == (camera.rows(), camera.columns()) {
         return Ok(());
     }
     Err(Error::input(
-        subject,
+        Parameter::Frame,
         format!("{}×{} pixels", raw.rows(), raw.columns()),
         format!("the camera has {}×{}", camera.rows(), camera.columns()),
         "Give the raw frame, before any colours are made of it.",
-    ))
+    )
+    .with_kind(ErrorKind::Shape)
+    .within(place))
 }
 
 /// The videos of red, green (the mean of its two planes) and blue; `None` where the planes differ in length.

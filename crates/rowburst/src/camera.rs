@@ -1,6 +1,8 @@
 //! The camera: its readout order, the time grid, the field, and the calibration of its counts.
 
+use crate::error::Phrase;
 use crate::{Error, Result, Shape, Shutter, TimeGrid};
+use crate::{Parameter, phrase};
 use std::ops::Range;
 
 /// A rolling-shutter camera and the field that is reconstructed from its frames.
@@ -101,7 +103,10 @@ impl Camera {
     /// # Errors
     /// [`Error::Input`] if a value breaks a rule; it names the key, the value and the rule.
     pub fn new(params: CameraParams) -> Result<Self> {
-        for (key, value) in [("rows", params.rows), ("columns", params.columns)] {
+        for (key, value) in [
+            (Parameter::Rows, params.rows),
+            (Parameter::Columns, params.columns),
+        ] {
             require(
                 (1..=MAX_SIDE).contains(&value),
                 key,
@@ -111,8 +116,8 @@ impl Camera {
             )?;
         }
         for (key, value) in [
-            ("row_time_us", params.row_time_us),
-            ("exposure_us", params.exposure_us),
+            (Parameter::RowTimeUs, params.row_time_us),
+            (Parameter::ExposureUs, params.exposure_us),
         ] {
             require(
                 value.is_finite() && value > 0.0,
@@ -124,7 +129,7 @@ impl Camera {
         }
         require(
             (1..=64).contains(&params.bins_per_row),
-            "bins_per_row",
+            Parameter::BinsPerRow,
             params.bins_per_row,
             "an instant is divided into 1 to 64 bins",
             "Leave it out for one bin a row.",
@@ -132,19 +137,23 @@ impl Camera {
         if let Some((rows, columns)) = params.field {
             require(
                 rows >= params.rows && columns >= params.columns,
-                "[field]",
+                Parameter::Field,
                 format!("{rows}×{columns}"),
                 format!(
                     "the field is at least as large as the sensor of {}×{}",
                     params.rows, params.columns
                 ),
-                "Leave [field] out to reconstruct what lies on the sensor.",
+                phrase![
+                    "Leave ",
+                    Parameter::Field,
+                    " out to reconstruct what lies on the sensor."
+                ],
             )?;
         }
         if let Some((rows, columns)) = params.field {
             require(
                 rows.max(columns) <= MAX_SIDE,
-                "[field]",
+                Parameter::Field,
                 format!("{rows}×{columns}"),
                 format!("a side has at most {MAX_SIDE} pixels"),
                 "Give the size of the field in pixels of the working grid.",
@@ -159,7 +168,7 @@ impl Camera {
                 let exposure = params.exposure_us / params.row_time_us;
                 require(
                     exposure <= 10.0 * count as f64,
-                    "exposure_us",
+                    Parameter::ExposureUs,
                     params.exposure_us,
                     format!(
                         "an exposure of {exposure:.0} row times is more than ten times the readout of {count} row times, so all rows integrate nearly the same light"
@@ -189,7 +198,7 @@ impl Camera {
     pub fn subset(&self, bins: Range<usize>) -> Result<Self> {
         require(
             bins.start < bins.end && bins.end <= self.time.bins(),
-            "bins",
+            Parameter::Bins,
             format!("{}..{}", bins.start, bins.end),
             format!("a range of the bins 0..{}", self.time.bins()),
             "Give the first bin and the one after the last, FIRST..END.",
@@ -202,7 +211,7 @@ impl Camera {
             } else {
                 require(
                     sees.end <= bins.start || bins.end <= sees.start,
-                    "bins",
+                    Parameter::Bins,
                     format!("{}..{}", bins.start, bins.end),
                     format!(
                         "no row is exposed both inside and outside the range, as some are to bins {}..{}",
@@ -217,7 +226,7 @@ impl Camera {
         let kept_rows: Vec<usize> = (0..self.rows()).filter(reads).collect();
         require(
             !kept_rows.is_empty(),
-            "bins",
+            Parameter::Bins,
             format!("{}..{}", bins.start, bins.end),
             "at least one row is exposed to these bins",
             "Give a wider range.",
@@ -313,7 +322,7 @@ impl Camera {
 fn check_sensor(sensor: &Sensor) -> Result<()> {
     require(
         (1..=64).contains(&sensor.binning),
-        "binning",
+        Parameter::Binning,
         sensor.binning,
         "binning is a whole number from 1 to 64",
         "Leave it out for no binning.",
@@ -321,16 +330,19 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     if let Some(bits) = sensor.bit_depth {
         require(
             (1..=32).contains(&bits),
-            "bit_depth",
+            Parameter::BitDepth,
             bits,
             "a converter has 1 to 32 bits",
             "Typical cameras have 8, 12 or 16.",
         )?;
     }
     let positive = [
-        ("pixel_pitch_um", sensor.pixel_pitch_um),
-        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
-        ("full_well_counts", sensor.full_well_counts),
+        (Parameter::PixelPitchUm, sensor.pixel_pitch_um),
+        (
+            Parameter::GainElectronsPerCount,
+            sensor.gain_electrons_per_count,
+        ),
+        (Parameter::FullWellCounts, sensor.full_well_counts),
     ];
     for (key, value) in positive {
         if let Some(value) = value {
@@ -345,8 +357,8 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
         }
     }
     let non_negative = [
-        ("bias_counts", sensor.bias_counts),
-        ("read_noise_electrons", sensor.read_noise_electrons),
+        (Parameter::BiasCounts, sensor.bias_counts),
+        (Parameter::ReadNoiseElectrons, sensor.read_noise_electrons),
     ];
     for (key, value) in non_negative {
         if let Some(value) = value {
@@ -366,10 +378,10 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
 /// An [`Error::Input`] unless `holds`.
 fn require(
     holds: bool,
-    key: &str,
+    key: Parameter,
     found: impl ToString,
-    rule: impl Into<String>,
-    remedy: impl Into<String>,
+    rule: impl Into<Phrase>,
+    remedy: impl Into<Phrase>,
 ) -> Result<()> {
     if holds {
         Ok(())

@@ -5,7 +5,8 @@
 //! processor has at run time (AVX-512, AVX2 or NEON). With `ROWBURST_SIMD=portable` in the environment it uses only
 //! instructions that every processor of the architecture has.
 
-use crate::{Error, Result};
+use crate::error::Subject;
+use crate::{Error, Parameter, Result};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use pulp::{Arch, Simd, WithSimd};
@@ -81,7 +82,7 @@ pub(crate) fn is_portable() -> bool {
 pub fn check_environment() -> Result<()> {
     match std::env::var_os(CHOICE) {
         Some(value) if value != PORTABLE => Err(Error::input(
-            format!("{CHOICE} in the environment"),
+            Subject::item(Parameter::Simd, format!("{CHOICE} in the environment")),
             value.to_string_lossy(),
             "it is `portable`, or not set",
             "Unset it: the widest SIMD instructions of this processor are used by default.",

@@ -2,6 +2,8 @@
 
 use crate::args::InitArgs;
 use crate::output::print_line;
+use rowburst::Parameter;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
 use std::path::Path;
@@ -25,7 +27,7 @@ pub fn run(args: &InitArgs) -> Result<()> {
     let (path, folder) = (&args.output, args.output.parent());
     let name = path.file_name().ok_or_else(|| {
         Error::input(
-            format!("-o {}", path.display()),
+            Subject::setting(Parameter::Output, path.display()),
             "no name of a file",
             "the experiment is one file",
             "Name a file, such as experiment.toml.",
@@ -33,7 +35,7 @@ pub fn run(args: &InitArgs) -> Result<()> {
     })?;
     if path.exists() {
         return Err(Error::input(
-            path.display().to_string(),
+            path,
             "a file that is there already",
             "an experiment file is never replaced",
             "Choose another name with -o, or move the file away.",
@@ -56,7 +58,7 @@ fn experiment_of(camera: &str) -> Result<&'static str> {
     match found {
         Some((_, text)) => Ok(text),
         None => Err(Error::input(
-            "CAMERA",
+            Subject::named("CAMERA"),
             format!("\"{camera}\""),
             format!("the known cameras are {}", CAMERAS.map(|c| c.0).join(", ")),
             "Choose the one most like yours and change its numbers, or start from the \

@@ -31,7 +31,7 @@ use super::posterior::{Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
 use crate::shape::InstantWeights;
 use crate::solve::admm::brightness;
-use crate::{Error, Result, RollingShutter, Shape, Support, Video};
+use crate::{Error, Parameter, Result, RollingShutter, Shape, Support, Video};
 use faer::Mat;
 use rayon::prelude::*;
 
@@ -118,7 +118,7 @@ impl<'a> Refit<'a> {
         assert!(input.sigma > 0.0, "σ is above zero");
         if !operator.time().is_disjoint() {
             return Err(Error::input(
-                "standard errors of traces",
+                Parameter::StandardErrors,
                 "an exposure longer than a row",
                 "they are known where each bin is seen by one instant",
                 "Expose for one row time at most, or use the traces without errors.",

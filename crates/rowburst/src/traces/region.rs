@@ -1,6 +1,6 @@
 //! A place of the field, and its light over time.
 
-use crate::{Error, Result, Shape, Video};
+use crate::{Error, Parameter, Result, Shape, Video};
 
 /// A rectangle of the field, in its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -47,7 +47,7 @@ impl Region {
             return Ok(());
         }
         Err(Error::input(
-            "region",
+            Parameter::Region,
             format!(
                 "row {}, column {}, {}×{} pixels",
                 self.y, self.x, self.rows, self.columns

@@ -1,11 +1,12 @@
 //! Lights and frames that do not tell the row time, and what to change.
 
 use super::{MIN_PERIODS, MIN_ROWS_PER_PERIOD, TimingParams, count_of, periodogram};
-use crate::{Error, Result};
+use crate::error::Subject;
+use crate::{Error, Parameter, Result};
 
 pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
     Error::input(
-        "frames",
+        Parameter::Frames,
         format!(
             "no stripes above noise and scene (a periodic light explains {:.0} % of the rows' variance)",
             100.0 * explained.max(0.0)
@@ -22,7 +23,7 @@ pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
         return Ok(());
     }
     Err(Error::input(
-        "frames",
+        Parameter::Frames,
         format!("{periods:.2} periods of the light in the readout of a frame"),
         format!(
             "at least {MIN_PERIODS} are needed to separate the modulation from the profile of the lamp"
@@ -57,7 +58,7 @@ pub(super) fn check_alias(
         None => format!("stripes of {:.2} rows", 1.0 / cycles_per_row),
     };
     Err(Error::input(
-        format!("frequency_hz = {frequency_hz}"),
+        Subject::setting(Parameter::FrequencyHz, frequency_hz),
         found,
         match expected {
             Some(_) => "a period lasts more than two row times, or the light aliases: its stripes look like those of a slower one".to_string(),
@@ -92,7 +93,7 @@ pub(super) fn check_agreement(frames: &[Vec<f64>], k: &[usize], frequency_hz: f6
         .map(|p| format!("{:.3}", p / frequency_hz * 1e6))
         .collect();
     Err(Error::input(
-        format!("frame {}", odd + 1),
+        Subject::element(Parameter::Frames, "frame", odd),
         format!("row times that disagree: {} µs", list.join(", ")),
         "all frames are of one light and one setting of the camera",
         "Leave out the frames of another frequency or another readout rate.",

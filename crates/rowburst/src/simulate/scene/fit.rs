@@ -5,7 +5,7 @@
 //! sees). More: linear interpolation between the centres of the old samples, constant
 //! beyond the first and the last. As many: unchanged.
 
-use crate::{Error, Result, Shape, Video};
+use crate::{Error, Parameter, Result, Shape, Video};
 
 /// `video` resampled to `shape`.
 ///
@@ -95,7 +95,7 @@ fn check_values(video: &Video) -> Result<()> {
     let shape = video.shape();
     let (t, pixel) = (at / shape.pixels(), at % shape.pixels());
     Err(Error::input(
-        "scene",
+        Parameter::Scene,
         format!(
             "{} at bin {t}, row {}, column {}",
             video.data()[at],
