@@ -1,5 +1,6 @@
 //! Fingerprints: whether two jobs are one.
 
+use rowburst::error::With;
 use rowburst::{Error, Image, PatchSet, Result};
 use rowburst::{Parameter, phrase};
 use sha2::{Digest, Sha256};
@@ -74,9 +75,9 @@ pub(crate) fn check_same(
         ),
         "an archive holds the videos of one recording, all reconstructed with the same settings",
         phrase![
-            "Choose another folder (",
-            Parameter::Output,
-            "), or resume with the settings that this one was started with."
+            "Choose another folder",
+            With(Parameter::Output),
+            ", or resume with the settings that this one was started with."
         ],
     ))
 }

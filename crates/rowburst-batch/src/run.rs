@@ -11,6 +11,7 @@ use crate::inputs::BatchInputs;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
 use rowburst::error::Subject;
+use rowburst::error::With;
 use rowburst::measurement::Measurement;
 use rowburst::phrase;
 use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence};
@@ -82,7 +83,7 @@ impl Batch {
                         out.display()
                     ),
                     "an archive holds the videos of one recording",
-                    phrase!["Choose another folder (", Parameter::Output, ")."],
+                    phrase!["Choose another folder", With(Parameter::Output), "."],
                 ));
             }
         }

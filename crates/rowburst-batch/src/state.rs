@@ -3,6 +3,7 @@
 use crate::calibration::CalibrationFile;
 use crate::choice::{ChosenPrior, Probe};
 use crate::table::FrameRow;
+use rowburst::error::With;
 use rowburst::{Error, Result};
 use rowburst::{Parameter, phrase};
 use rowburst_zarr::{Lock, Scratch};
@@ -65,7 +66,7 @@ impl State {
                 out,
                 found,
                 "a batch writes to a folder that is new, empty, or that of the same batch",
-                phrase!["Choose another folder (", Parameter::Output, ")."],
+                phrase!["Choose another folder", With(Parameter::Output), "."],
             ))
         };
         let folder = out.join("rowburst");
@@ -117,9 +118,9 @@ impl State {
                 format!("format {}", job.format),
                 format!("this version of the program knows format {FORMAT}"),
                 phrase![
-                    "Resume with the version that it was started with, or choose another folder (",
-                    Parameter::Output,
-                    ")."
+                    "Resume with the version that it was started with, or choose another folder",
+                    With(Parameter::Output),
+                    "."
                 ],
             )),
             job => Ok(job),
@@ -190,9 +191,9 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
             path,
             format!("cannot be read ({reason})"),
             phrase![
-                "The archive was changed by hand or the disk is damaged: choose another folder (",
-                Parameter::Output,
-                ")."
+                "The archive was changed by hand or the disk is damaged: choose another folder",
+                With(Parameter::Output),
+                "."
             ],
         )
     })

@@ -18,10 +18,10 @@ impl Names for CommandLine {
     fn subject(&self, parameter: Parameter) -> String {
         match parameter {
             // Files are known by what they hold.
-            Parameter::Dark
+            Parameter::Frame
+            | Parameter::Dark
             | Parameter::Flat
             | Parameter::BadPixels
-            | Parameter::Scene
             | Parameter::Signal
             | Parameter::Photodiode => parameter.name().to_string(),
             _ if parameter == Parameter::Psf || option(parameter).is_none() => {
@@ -36,6 +36,10 @@ impl Names for CommandLine {
             Some(option) => format!("{option} {value}"),
             None => format!("{} = {value}", parameter.name()),
         }
+    }
+
+    fn with(&self, parameter: Parameter) -> String {
+        format!(" with {}", self.name(parameter))
     }
 
     fn tool(&self, tool: Tool) -> String {
@@ -62,6 +66,7 @@ impl Names for CommandLine {
 /// The option of a parameter, or its table of the experiment file; `None` for keys of a table.
 fn option(parameter: Parameter) -> Option<&'static str> {
     Some(match parameter {
+        Parameter::Frame => "--frame",
         Parameter::Psf => "--psf",
         Parameter::Dark => "--dark",
         Parameter::Flat => "--flat",

@@ -3,6 +3,7 @@
 use rowburst::Error;
 use rowburst::ErrorKind as Kind;
 use rowburst::error::Subject;
+use rowburst::error::With;
 use rowburst::{Parameter, phrase};
 use std::io::{self, ErrorKind};
 use std::path::Path;
@@ -34,15 +35,15 @@ pub fn write_error(error: &io::Error) -> Error {
     let remedy = match error.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
             phrase![
-                "Free space on this disk or choose another folder (",
-                Parameter::Output,
-                ")."
+                "Free space on this disk or choose another folder",
+                With(Parameter::Output),
+                "."
             ]
         }
         _ => phrase![
-            "Check the disk or choose another folder (",
-            Parameter::Output,
-            ")."
+            "Check the disk or choose another folder",
+            With(Parameter::Output),
+            "."
         ],
     };
     Error::work(Subject::named("writing"), error, remedy)

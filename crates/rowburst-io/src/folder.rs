@@ -1,6 +1,7 @@
 //! A folder of results, in which a file is either whole or not there.
 
 use crate::fault;
+use rowburst::error::With;
 use rowburst::{Error, Result};
 use rowburst::{Parameter, phrase};
 use std::fs::{self, File};
@@ -45,7 +46,7 @@ impl OutputFolder {
                 path,
                 found,
                 "results go to a folder that is new or can be written to",
-                phrase!["Choose another folder (", Parameter::Output, ")."],
+                phrase!["Choose another folder", With(Parameter::Output), "."],
             )
         })?;
         Ok(Self {

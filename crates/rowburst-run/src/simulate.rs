@@ -296,7 +296,8 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
                 format!("\"{name}\""),
                 "a scene is digits, leds, moving, two-moving or a video file",
                 "Check the name, or give a .npy or multi-page .tif file.",
-            ));
+            )
+            .with_kind(ErrorKind::Unknown));
         }
         Scene::Video(video) => scene::fit(video, shape)?,
     };

@@ -6,6 +6,7 @@
 
 use crate::array::Array;
 use rowburst::error::Tool;
+use rowburst::error::With;
 use rowburst::{Error, Result};
 use rowburst::{Parameter, phrase};
 use rowburst_io::read_image;
@@ -273,9 +274,9 @@ fn incomplete_result(path: &Path) -> Error {
         None => (
             "no result.json".to_string(),
             phrase![
-                "Give the folder that was given to rowburst reconstruct (",
-                Parameter::Output,
-                ")."
+                "Give the folder that was given to rowburst reconstruct",
+                With(Parameter::Output),
+                "."
             ],
         ),
     };

@@ -3,6 +3,7 @@
 use crate::Scratch;
 use crate::store::AtomicStore;
 use rowburst::error::Phrase;
+use rowburst::error::With;
 use rowburst::{Error, Result};
 use rowburst::{Parameter, phrase};
 use rowburst_io::write_error;
@@ -71,9 +72,9 @@ impl FloatArray {
 /// The remedy for damaged archives.
 fn damaged() -> Phrase {
     phrase![
-        "The archive is damaged: take another folder (",
-        Parameter::Output,
-        ")."
+        "The archive is damaged: take another folder",
+        With(Parameter::Output),
+        "."
     ]
 }
 

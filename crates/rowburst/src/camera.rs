@@ -134,31 +134,7 @@ impl Camera {
             "an instant is divided into 1 to 64 bins",
             "Leave it out for one bin a row.",
         )?;
-        if let Some((rows, columns)) = params.field {
-            require(
-                rows >= params.rows && columns >= params.columns,
-                Parameter::Field,
-                format!("{rows}×{columns}"),
-                format!(
-                    "the field is at least as large as the sensor of {}×{}",
-                    params.rows, params.columns
-                ),
-                phrase![
-                    "Leave ",
-                    Parameter::Field,
-                    " out to reconstruct what lies on the sensor."
-                ],
-            )?;
-        }
-        if let Some((rows, columns)) = params.field {
-            require(
-                rows.max(columns) <= MAX_SIDE,
-                Parameter::Field,
-                format!("{rows}×{columns}"),
-                format!("a side has at most {MAX_SIDE} pixels"),
-                "Give the size of the field in pixels of the working grid.",
-            )?;
-        }
+        check_field(&params)?;
         check_sensor(&params.sensor)?;
         let instants = params.shutter.instants(params.rows)?;
         let time = match params.shutter {
@@ -317,6 +293,33 @@ impl Camera {
         let (rows, columns) = self.field();
         Shape::new(self.time.bins(), rows, columns)
     }
+}
+
+fn check_field(params: &CameraParams) -> Result<()> {
+    let Some((rows, columns)) = params.field else {
+        return Ok(());
+    };
+    require(
+        rows >= params.rows && columns >= params.columns,
+        Parameter::Field,
+        format!("{rows}×{columns}"),
+        format!(
+            "the field is at least as large as the sensor of {}×{}",
+            params.rows, params.columns
+        ),
+        phrase![
+            "Leave ",
+            Parameter::Field,
+            " out to reconstruct what lies on the sensor."
+        ],
+    )?;
+    require(
+        rows.max(columns) <= MAX_SIDE,
+        Parameter::Field,
+        format!("{rows}×{columns}"),
+        format!("a side has at most {MAX_SIDE} pixels"),
+        "Give the size of the field in pixels of the working grid.",
+    )
 }
 
 fn check_sensor(sensor: &Sensor) -> Result<()> {

@@ -8,7 +8,7 @@ mod parameter;
 mod phrase;
 
 pub use parameter::Parameter;
-pub use phrase::{Fragment, LibraryNames, Names, Phrase, Tool};
+pub use phrase::{Fragment, LibraryNames, Names, Phrase, Tool, With};
 
 use std::fmt;
 use std::path::{Path, PathBuf};

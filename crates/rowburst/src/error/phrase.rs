@@ -17,9 +17,15 @@ pub enum Fragment {
     Name(Parameter),
     /// A parameter with a value, as a user gives it.
     Setting(Parameter, Cow<'static, str>),
+    /// How a parameter is given, where the sentence says already what it is.
+    With(Parameter),
     /// The call that runs a tool.
     Tool(Tool),
 }
+
+/// How a parameter is given, within a [`crate::phrase!`]: " with -o" on a command line, nothing elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub struct With(pub Parameter);
 
 /// A tool of the program that a remedy refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -75,6 +81,11 @@ pub trait Names {
     /// The parameter with a value, as a user gives it: `--noise-sigma 2`.
     fn setting(&self, parameter: Parameter, value: &str) -> String;
 
+    /// The addition to a sentence that says how the parameter is given: " with --noise-sigma".
+    fn with(&self, _parameter: Parameter) -> String {
+        String::new()
+    }
+
     /// The call that runs a tool.
     fn tool(&self, tool: Tool) -> String;
 
@@ -123,6 +134,7 @@ impl Phrase {
             Fragment::Text(text) => text.to_string(),
             Fragment::Name(parameter) => names.name(*parameter),
             Fragment::Setting(parameter, value) => names.setting(*parameter, value),
+            Fragment::With(parameter) => names.with(*parameter),
             Fragment::Tool(tool) => names.tool(*tool),
         });
         words.collect()
@@ -168,13 +180,19 @@ impl From<(Parameter, &'static str)> for Fragment {
     }
 }
 
+impl From<With> for Fragment {
+    fn from(With(parameter): With) -> Self {
+        Self::With(parameter)
+    }
+}
+
 impl From<Tool> for Fragment {
     fn from(tool: Tool) -> Self {
         Self::Tool(tool)
     }
 }
 
-/// A [`Phrase`] of words, parameters, `(parameter, "value")` and tools.
+/// A [`Phrase`] of words, parameters, `(parameter, "value")`, [`With`](crate::error::With) and tools.
 ///
 /// ```
 /// use rowburst::{Parameter, phrase};
