@@ -3,6 +3,7 @@
 use crate::choice::is_of_correction;
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
+use rowburst::ErrorKind;
 use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
@@ -72,7 +73,8 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
             format!("bayer = \"{}\"", mosaic.name()),
             "a batch makes grey videos",
             "Reconstruct frames one by one; each gives a video in colour.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     let camera = experiment.camera()?;
     let budget = parse_time_budget(files.time_budget_s)?;

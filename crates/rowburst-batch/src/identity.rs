@@ -1,5 +1,6 @@
 //! Fingerprints: whether two jobs are one.
 
+use rowburst::ErrorKind;
 use rowburst::error::With;
 use rowburst::{Error, Image, PatchSet, Result};
 use rowburst::{Parameter, phrase};
@@ -79,7 +80,8 @@ pub(crate) fn check_same(
             With(Parameter::Output),
             ", or resume with the settings that this one was started with."
         ],
-    ))
+    )
+    .with_kind(ErrorKind::Conflict))
 }
 
 #[cfg(test)]

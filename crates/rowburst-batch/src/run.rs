@@ -10,6 +10,7 @@ use crate::identity::check_same;
 use crate::inputs::BatchInputs;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
+use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::error::With;
 use rowburst::measurement::Measurement;
@@ -84,7 +85,8 @@ impl Batch {
                     ),
                     "an archive holds the videos of one recording",
                     phrase!["Choose another folder", With(Parameter::Output), "."],
-                ));
+                )
+                .with_kind(ErrorKind::Conflict));
             }
         }
         let scratch = Arc::new(state.scratch()?);

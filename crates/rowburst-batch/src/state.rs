@@ -3,6 +3,7 @@
 use crate::calibration::CalibrationFile;
 use crate::choice::{ChosenPrior, Probe};
 use crate::table::FrameRow;
+use rowburst::ErrorKind;
 use rowburst::error::With;
 use rowburst::{Error, Result};
 use rowburst::{Parameter, phrase};
@@ -11,7 +12,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::ErrorKind;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Version of these files.
@@ -76,8 +77,8 @@ impl State {
                     return refuse("a folder with something else in it");
                 }
             }
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(error) if error.kind() == ErrorKind::NotADirectory => {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) if error.kind() == io::ErrorKind::NotADirectory => {
                 return refuse("a file where a folder is needed");
             }
             Err(error) => return refuse(&format!("a folder that cannot be read ({error})")),
@@ -181,7 +182,7 @@ impl State {
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     let text = match fs::read(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         text => text,
     };
     let value = text.map_err(|e| e.to_string());
@@ -196,6 +197,7 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
                 "."
             ],
         )
+        .with_kind(ErrorKind::Io)
     })
 }
 

@@ -9,6 +9,7 @@ use crate::clock::Clock;
 use crate::run::{Batch, Event};
 use crate::table::Status;
 use rayon::prelude::*;
+use rowburst::ErrorKind;
 use rowburst::phrase;
 use rowburst::{Error, Parameter, Result};
 use rowburst_io::write_error;
@@ -91,6 +92,7 @@ impl Batch {
                     ", or the frame period of the recording in the experiment."
                 ],
             )
+            .with_kind(ErrorKind::Missing)
         })
     }
 }

@@ -6,6 +6,7 @@ use crate::output::print_line;
 use crate::progress::stop_on_ctrl_c;
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
+use rowburst::ErrorKind;
 use rowburst::{Error, Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, ChosenPrior, Event, FrameRow, RetryPolicy, Status,
@@ -355,6 +356,7 @@ fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
 
 fn stopped(args: &BatchArgs) -> Error {
     Error::work(&args.output, "stopped", "Run the same command to resume.")
+        .with_kind(ErrorKind::Cancelled)
 }
 
 /// A run of which nothing came did not work.

@@ -6,6 +6,7 @@ use crate::inputs::{read_psfs, resolve_calibration};
 use crate::output::print_line;
 use crate::progress::Bar;
 use crate::reconstruct::{command_line, movie_style, options};
+use rowburst::ErrorKind;
 use rowburst::bayer::{Bayer, Site};
 use rowburst::error::Subject;
 use rowburst::measurement::correct;
@@ -162,7 +163,8 @@ fn refuse_options(args: &ReconstructArgs) -> Result<()> {
             "a raw Bayer frame",
             "its four planes are reconstructed separately, and the option is for one video",
             "Leave it out.",
-        )),
+        )
+        .with_kind(ErrorKind::Unsupported)),
     }
 }
 

@@ -17,6 +17,7 @@ mod design;
 mod figure;
 mod init;
 mod inputs;
+mod option_names;
 mod output;
 mod progress;
 mod reconstruct;
@@ -25,7 +26,6 @@ mod simulate;
 mod sweep;
 #[cfg(feature = "view")]
 mod view;
-mod words;
 
 use args::{Cli, Verb};
 use clap::Parser;
@@ -63,7 +63,7 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
     match done {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("error: {}", words::message(&error));
+            eprintln!("error: {}", option_names::message(&error));
             if error.is_input() { 2 } else { 1 }
         }
     }

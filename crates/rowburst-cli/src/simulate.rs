@@ -87,7 +87,7 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
     })
     .map_err(|e| {
         // What the frame's light makes impossible is the scene's.
-        let is_of_scene = e.places().is_empty() && e.parameter() != Some(Parameter::Background);
+        let is_of_scene = e.locations().is_empty() && e.parameter() != Some(Parameter::Background);
         if is_of_scene {
             e.within(inputs.scene)
         } else {

@@ -1,6 +1,7 @@
 //! Tables of numbers as text: signals of a photodiode, traces.
 
 use crate::fault;
+use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::traces::Photodiode;
 use rowburst::{Error, Result};
@@ -64,7 +65,8 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
             "an empty file",
             heading_rule,
             "Begin it with the line time_us,value.",
-        ));
+        )
+        .with_kind(ErrorKind::Missing));
     };
     let names = cells(&heading.to_lowercase());
     let unit = names

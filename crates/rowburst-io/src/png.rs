@@ -4,6 +4,7 @@ use crate::fault;
 use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
+use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use std::io::{BufRead, Seek, Write};
@@ -96,7 +97,8 @@ fn write(
             Subject::named("writing PNG"),
             error,
             "Write it as .npy instead.",
-        ),
+        )
+        .with_kind(ErrorKind::Io),
     })
 }
 

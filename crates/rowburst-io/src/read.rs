@@ -3,6 +3,7 @@
 use crate::source::{Colour, Format, open};
 use crate::stack::{all_pages, open_stack};
 use crate::{bmp, npy, png, tiff};
+use rowburst::ErrorKind;
 use rowburst::error::Tool;
 use rowburst::phrase;
 use rowburst::{Error, Image, Result, Shape, Video};
@@ -118,7 +119,8 @@ pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
                 Tool::Batch,
                 " reads recordings."
             ],
-        ));
+        )
+        .with_kind(ErrorKind::Shape));
     }
     let image = Image::new(pages.rows, pages.columns, pages.data);
     Ok(Capture {

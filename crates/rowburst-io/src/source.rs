@@ -139,6 +139,7 @@ impl<'a> Source<'a> {
                 format!("no memory for {total} pixels"),
                 "Crop or bin the images, or use a machine with more memory.",
             )
+            .with_kind(ErrorKind::Memory)
         })?;
         Ok(data)
     }

@@ -3,6 +3,7 @@
 use crate::read::Pages;
 use crate::source::{Format, Source};
 use crate::{bmp, fits, mat, npy, photron, png, tiff};
+use rowburst::ErrorKind;
 use rowburst::Result;
 use std::fs::File;
 use std::io::BufReader;
@@ -94,6 +95,7 @@ pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages>
                     format!("no memory for {count} frames"),
                     "Crop or bin the images, or use a machine with more memory.",
                 )
+                .with_kind(ErrorKind::Memory)
             })?;
         }
         all.data.extend(page.data);

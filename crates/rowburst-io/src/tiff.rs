@@ -4,6 +4,7 @@ use crate::fault;
 use crate::metadata::ome_sizes;
 use crate::read::{Pages, SampleFormat};
 use crate::source::Source;
+use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Shape, Video};
 use std::fs::File;
@@ -410,7 +411,8 @@ fn write<'a>(
             Subject::named("writing TIFF"),
             error,
             "Write it as .npy instead.",
-        ),
+        )
+        .with_kind(ErrorKind::Io),
     })
 }
 

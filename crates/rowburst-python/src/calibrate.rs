@@ -10,6 +10,7 @@ use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
+use rowburst::ErrorKind;
 use rowburst::calibrate::psf::NamedCapture;
 use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate as calibrate_sensor};
 use rowburst::calibrate::timing::{
@@ -330,16 +331,19 @@ fn lamp_of(
             let waveform = Waveform::new(&points, extension).map_err(to_py_err)?;
             Ok(Lamp::Waveform(waveform))
         }
-        _ => Err(to_py_err(Error::input(
-            Parameter::FrequencyHz,
-            if frequency_hz.is_some() {
-                "a signal as well"
-            } else {
-                "nothing"
-            },
-            "the light is given by its frequency or its waveform",
-            "Give frequency_hz or signal.",
-        ))),
+        _ => Err(to_py_err(
+            Error::input(
+                Parameter::FrequencyHz,
+                if frequency_hz.is_some() {
+                    "a signal as well"
+                } else {
+                    "nothing"
+                },
+                "the light is given by its frequency or its waveform",
+                "Give frequency_hz or signal.",
+            )
+            .with_kind(ErrorKind::Missing),
+        )),
     }
 }
 

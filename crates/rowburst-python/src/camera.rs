@@ -5,6 +5,7 @@ use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
+use rowburst::ErrorKind;
 use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::{Camera, Error, Parameter, Sensor, Shutter};
@@ -47,7 +48,7 @@ impl PyCamera {
                 format!("\"{}\"", mosaic.name()),
                 "a raw Bayer frame has four planes, and this function reconstructs one grey video",
                 "Call rowburst.reconstruct_colour, which gives a video in colour. For a sensor without a mosaic, leave bayer out.",
-            ))),
+            ).with_kind(ErrorKind::Unsupported))),
         }
     }
 }
@@ -88,7 +89,10 @@ impl PyCamera {
             _ => row_time_us.ok_or_else(|| {
                 let rule = "a rolling shutter has a time from row to row";
                 let remedy = "Read it from the camera's data sheet or software.";
-                to_py_err(Error::input(Parameter::RowTimeUs, "nothing", rule, remedy))
+                to_py_err(
+                    Error::input(Parameter::RowTimeUs, "nothing", rule, remedy)
+                        .with_kind(ErrorKind::Missing),
+                )
             })?,
         };
         let params = CameraParams {
@@ -356,7 +360,8 @@ fn shutter_of(name: &str, row_order: Option<Vec<usize>>) -> rowburst::Result<Shu
             "nothing",
             "the shutter \"custom\" needs the instant of every row",
             "Give row_order=[k of row 0, k of row 1, …].",
-        )),
+        )
+        .with_kind(ErrorKind::Missing)),
         (_, None, Some(shutter)) => Ok(shutter),
         (_, Some(_), Some(_)) => Err(Error::input(
             Parameter::RowOrder,

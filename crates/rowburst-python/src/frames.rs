@@ -5,6 +5,7 @@ use crate::error::to_py_err;
 use crate::threads::detached;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
+use rowburst::ErrorKind;
 use rowburst::Parameter;
 use rowburst::error::Subject;
 use rowburst::{Error, Result, Shape, Video};
@@ -94,7 +95,8 @@ fn all_frames(frames: &dyn Frames) -> Result<(Video, Option<&'static str>)> {
                 format!("{}×{} pixels, or numbers of another kind", size.0, size.1),
                 format!("it has the {rows}×{columns} pixels and the numbers of the first frame"),
                 "Take it out of the recording.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         data.extend_from_slice(frame.image.data());
     }

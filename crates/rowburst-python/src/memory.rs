@@ -2,7 +2,7 @@
 
 use crate::error::to_py_err;
 use pyo3::prelude::*;
-use rowburst::{Camera, Error, Parameter};
+use rowburst::{Camera, Error, ErrorKind, Parameter};
 use std::path::Path;
 
 /// Copies of the video in f32 that a reconstruction holds at its peak, as in `rowburst_run::inputs`.
@@ -26,7 +26,7 @@ pub fn check(camera: &Camera) -> PyResult<()> {
                 gibibytes(available)
             ),
             "Make field smaller, bin the frame, or use a machine with more memory.",
-        ))),
+        ).with_kind(ErrorKind::Memory))),
         _ => Ok(()),
     }
 }

@@ -11,6 +11,7 @@
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::thousands;
 use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
+use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
@@ -154,7 +155,8 @@ pub fn run_chunked(
                 Subject::named("reconstruction"),
                 format!("stopped with {done} of {} bins reconstructed", shape.bins),
                 "Run the same command again to resume.",
-            ));
+            )
+            .with_kind(ErrorKind::Cancelled));
         }
         file.write(range.start, reconstruction.video.data())?;
         state.parts.push(ChunkNumbers {

@@ -55,7 +55,8 @@ impl ColourInputs {
                     format!("{size:?} pixels"),
                     format!("it has the frame's {}×{} pixels", raw.rows(), raw.columns()),
                     "Record it with the camera settings of the frame.",
-                ));
+                )
+                .with_kind(ErrorKind::Shape));
             }
         }
         Ok(())

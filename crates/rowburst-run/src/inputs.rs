@@ -79,7 +79,8 @@ fn read_finite(path: &Path) -> Result<Image> {
             format!("{} at row {y}, column {x}", image.at(y, x)),
             "every pixel of a dark, a flat or a mask is a finite number",
             "Record it again, or replace the pixel by the mean of its neighbours.",
-        )),
+        )
+        .with_kind(ErrorKind::NotFinite)),
     }
 }
 
@@ -121,7 +122,8 @@ pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
             Parameter::Field,
             " smaller, bin the frame, or use a machine with more memory."
         ],
-    ))
+    )
+    .with_kind(ErrorKind::Memory))
 }
 
 /// Copies of the video in f32 that a reconstruction holds at its peak.
@@ -219,7 +221,8 @@ pub fn checked_truth(video: Video, subject: Subject, camera: &Camera) -> Result<
                 Parameter::Truth,
                 " out to reconstruct without a comparison."
             ],
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     if shape != camera.video_shape() {
         return Err(Error::input(

@@ -1,5 +1,6 @@
 //! A video that is read bin by bin, as 16-bit numbers with their scale.
 
+use rowburst::ErrorKind;
 use rowburst::{Error, Result, Video};
 use rowburst_io::{Frames, open_recording};
 use std::path::Path;
@@ -97,7 +98,8 @@ impl Array {
                 format!("{}×{} pixels in bin {t}", image.rows(), image.columns()),
                 format!("all bins have {}×{}", self.rows, self.columns),
                 "Save it again with bins of one size.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(image)
     }

@@ -11,6 +11,7 @@
 //! row parities are a row time apart; a dual shutter whose halves meet in different parities gives
 //! every plane a row in each instant, and nothing is lost in time.
 
+use crate::ErrorKind;
 use crate::camera::CameraParams;
 use crate::phrase;
 use crate::{Camera, Error, Image, Parameter, PatchSet, Psf, Result, Sensor, Shutter};
@@ -151,7 +152,8 @@ pub fn plane_camera(camera: &Camera, site: Site) -> Result<PlaneCamera> {
             format!("binning = {}", params.sensor.binning),
             "binning would mix the colours of the mosaic",
             "Leave binning out.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     let mut start_us = 0.0;
     let (shutter, row_time_us) = match params.shutter {

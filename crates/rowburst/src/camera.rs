@@ -101,7 +101,7 @@ impl Camera {
     /// Checks `params` and computes the time grid.
     ///
     /// # Errors
-    /// [`Error::Input`] if a value breaks a rule; it names the key, the value and the rule.
+    /// A value that breaks a rule; the error names the key, the value and the rule.
     pub fn new(params: CameraParams) -> Result<Self> {
         for (key, value) in [
             (Parameter::Rows, params.rows),
@@ -169,7 +169,7 @@ impl Camera {
     /// one subset, and a video can be reconstructed chunk by chunk.
     ///
     /// # Errors
-    /// [`Error::Input`] if `bins` is empty or out of range, if a row is exposed to bins both inside and outside, or
+    /// If `bins` is empty or out of range, if a row is exposed to bins both inside and outside, or
     /// if no row is exposed to them.
     pub fn subset(&self, bins: Range<usize>) -> Result<Self> {
         require(
@@ -378,7 +378,7 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     Ok(())
 }
 
-/// An [`Error::Input`] unless `holds`.
+/// An error of the key unless `holds`.
 fn require(
     holds: bool,
     key: Parameter,

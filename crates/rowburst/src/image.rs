@@ -1,5 +1,6 @@
 //! A two-dimensional array of f32.
 
+use crate::ErrorKind;
 use crate::{Error, Parameter, Result};
 
 /// An image `[y, x]` in C order: a frame, a PSF, a map.
@@ -22,7 +23,8 @@ impl Image {
                 format!("{} values for {rows}×{columns} pixels", data.len()),
                 "an image has at least one pixel and one value for each",
                 "Check that the array is two-dimensional and not empty.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(Self {
             rows,

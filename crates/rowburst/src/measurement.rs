@@ -9,6 +9,7 @@ mod noise_model;
 
 pub use noise_model::NoiseModel;
 
+use crate::ErrorKind;
 use crate::phrase;
 use crate::{Camera, Error, Image, Parameter, Result};
 use std::borrow::Cow;
@@ -157,7 +158,8 @@ impl Measurement {
                 format!("{count} values"),
                 format!("there is one for each of the {pixels} pixels"),
                 "Reconstruct the frame again.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(Self {
             image,
@@ -257,7 +259,8 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
             format!("{saturated} of {pixels} pixels saturated{also}"),
             "at least half of the pixels hold information",
             "Shorten the exposure or dim the light.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     let dark = match (&corrections.dark, sensor.bias_counts) {
         (Some(dark), _) => Some(fitted(Parameter::Dark, dark)?),
@@ -293,7 +296,8 @@ fn on_grid_of<'a>(
             format!("{} at row {y}, column {x}", image.at(y, x)),
             "every pixel of a dark, a flat or a mask is a finite number",
             "Record it again, or replace the pixel by the mean of its neighbours.",
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     let (rows, columns) = (raw.rows(), raw.columns());
     if (image.rows(), image.columns()) == (rows, columns) {
@@ -312,7 +316,8 @@ fn on_grid_of<'a>(
         format!("{}×{} pixels", image.rows(), image.columns()),
         rule,
         "Record it with the camera settings of the frame.",
-    ))
+    )
+    .with_kind(ErrorKind::Shape))
 }
 
 /// Takes `dark` from `image`, where there is one.
@@ -461,7 +466,8 @@ fn binning_of(raw: &Image, camera: &Camera) -> Result<usize> {
             Parameter::Camera,
             " to the size of the frame, or crop the frame."
         ],
-    ))
+    )
+    .with_kind(ErrorKind::Shape))
 }
 
 fn check_finite(frame: &Image) -> Result<()> {
@@ -472,7 +478,8 @@ fn check_finite(frame: &Image) -> Result<()> {
             format!("{} at row {y}, column {x}", frame.at(y, x)),
             "every pixel of a frame is a finite number",
             "Mark the pixel in bad_pixels and give it any finite value.",
-        )),
+        )
+        .with_kind(ErrorKind::NotFinite)),
     }
 }
 
@@ -526,7 +533,8 @@ fn check_usable_light(
         found,
         "a frame holds a speckle pattern in the pixels that are not saturated",
         remedy,
-    ))
+    )
+    .with_kind(ErrorKind::NoSignal))
 }
 
 #[cfg(test)]

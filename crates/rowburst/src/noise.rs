@@ -18,6 +18,7 @@
 //!
 //! Reference: J. R. Janesick, Photon Transfer (SPIE 2007), chapter 3.
 
+use crate::ErrorKind;
 use crate::{Error, Image, Parameter, Result, Sensor};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Poisson, StandardNormal};
@@ -220,7 +221,8 @@ fn check_light(noiseless: &Image) -> Result<f64> {
             format!("{} at row {y}, column {x}", noiseless.at(y, x)),
             "light is a finite number and never negative",
             "Check the scene and the PSF that the frame was made from.",
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     let peak = f64::from(noiseless.max());
     if peak > 0.0 {
@@ -231,7 +233,8 @@ fn check_light(noiseless: &Image) -> Result<f64> {
         "no light",
         "the brightest pixel is above zero, or noise cannot be set in proportion to it",
         "Check that the scene is not empty and lies where the PSF sends light to the sensor.",
-    ))
+    )
+    .with_kind(ErrorKind::NoSignal))
 }
 
 fn rms(image: &Image) -> f64 {

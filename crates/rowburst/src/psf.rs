@@ -1,5 +1,6 @@
 //! The point-spread function.
 
+use crate::ErrorKind;
 use crate::{Error, Image, Parameter, Result};
 use std::sync::Arc;
 
@@ -29,7 +30,8 @@ impl Psf {
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "every value of a PSF is a finite number",
                 "Replace the pixel by the mean of its neighbours, or record the PSF again.",
-            ));
+            )
+            .with_kind(ErrorKind::NotFinite));
         }
         if let Some(at) = image.data().iter().position(|&p| p < 0.0) {
             let (y, x) = (at / image.columns(), at % image.columns());

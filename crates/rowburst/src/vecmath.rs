@@ -78,7 +78,7 @@ pub(crate) fn is_portable() -> bool {
 /// Checks `ROWBURST_SIMD` in the environment. Programs call this; the library itself ignores unknown values.
 ///
 /// # Errors
-/// [`Error::Input`] if the variable is set to anything but `portable`.
+/// If the variable is set to anything but `portable`.
 pub fn check_environment() -> Result<()> {
     match std::env::var_os(CHOICE) {
         Some(value) if value != PORTABLE => Err(Error::input(

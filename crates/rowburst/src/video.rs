@@ -1,5 +1,6 @@
 //! The reconstructed or simulated video.
 
+use crate::ErrorKind;
 use crate::{Error, Parameter, Result, Shape};
 
 /// A video `[t, y, x]` in C order, in the units of the frame per unit of PSF sum.
@@ -21,7 +22,8 @@ impl Video {
                 format!("{} values for {shape}", data.len()),
                 "a video has at least one voxel and one value for each",
                 "Check that the array is three-dimensional and not empty.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(Self { shape, data })
     }

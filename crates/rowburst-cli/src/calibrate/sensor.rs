@@ -3,6 +3,7 @@
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use clap::Args;
+use rowburst::ErrorKind;
 use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate};
 use rowburst::error::Subject;
 use rowburst::{Error, Parameter, Result};
@@ -98,7 +99,7 @@ fn check_fits(experiment: &Experiment, darks: &Stack) -> Result<()> {
             expected.1
         ),
         "Record darks and flats as the raw frames are, or correct rows, columns and binning in [camera].",
-    ))
+    ).with_kind(ErrorKind::Shape))
 }
 
 /// The experiment file that is given keeps its comments: it is not written over.

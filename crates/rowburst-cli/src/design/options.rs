@@ -1,8 +1,9 @@
 //! The options of `rowburst design`, and what they mean.
 
 use crate::args::OpticsArgs;
-use crate::words;
+use crate::option_names;
 use clap::Args;
+use rowburst::ErrorKind;
 use rowburst::camera::CameraParams;
 use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
@@ -189,7 +190,7 @@ impl DesignArgs {
                     format!("a design has at most {MAX_SIDE} pixels a side"),
                     "Give the part of the sensor that is read.",
                 )
-                .named(words::design_option(parameter)));
+                .named(option_names::design_option(parameter)));
             }
         }
         let shutter = match args.shutter.as_deref() {
@@ -205,7 +206,7 @@ impl DesignArgs {
                     format!("\"{other}\""),
                     "a shutter is top-down, bottom-up, dual-inside-out, dual-outside-in or global",
                     "Check the name; an order of your own goes into an experiment file (--experiment).",
-                ));
+                ).with_kind(ErrorKind::Unknown));
             }
         };
         let row_time_us = args.row_time_us.unwrap_or(base.row_time_us);
@@ -259,7 +260,7 @@ impl DesignArgs {
         match parameter {
             Parameter::Aperture if self.optics.na.is_some() => error.named("--na"),
             Parameter::NonZeroPixels | Parameter::SuccessMap => error,
-            parameter => error.named(words::design_option(parameter)),
+            parameter => error.named(option_names::design_option(parameter)),
         }
     }
 

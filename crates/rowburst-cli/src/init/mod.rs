@@ -2,6 +2,7 @@
 
 use crate::args::InitArgs;
 use crate::output::print_line;
+use rowburst::ErrorKind;
 use rowburst::Parameter;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
@@ -39,7 +40,8 @@ pub fn run(args: &InitArgs) -> Result<()> {
             "a file that is there already",
             "an experiment file is never replaced",
             "Choose another name with -o, or move the file away.",
-        ));
+        )
+        .with_kind(ErrorKind::Exists));
     }
     let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
     let folder = OutputFolder::create(folder.unwrap_or(Path::new(".")))?;
@@ -63,7 +65,8 @@ fn experiment_of(camera: &str) -> Result<&'static str> {
             format!("the known cameras are {}", CAMERAS.map(|c| c.0).join(", ")),
             "Choose the one most like yours and change its numbers, or start from the \
              experiment.toml that rowburst demo writes.",
-        )),
+        )
+        .with_kind(ErrorKind::Unknown)),
     }
 }
 

@@ -12,6 +12,7 @@
 //! speckle grain (no optics tell apart what lies closer), has less than
 //! [`SparsityParams::tolerance`] of the norm of the truth.
 
+use crate::ErrorKind;
 use crate::camera::CameraParams;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
@@ -259,7 +260,8 @@ pub fn success_map(
                         Parameter::SuccessMap,
                         " for the numbers that need no simulation."
                     ],
-                ));
+                )
+                .with_kind(ErrorKind::Cancelled));
             }
             let rate = success_rate(camera, psf, &operator, params, params.ks[i], snr)?;
             row[i] = Some(rate);

@@ -119,7 +119,7 @@ struct Detail {
     kind: ErrorKind,
     subject: Subject,
     /// Where the subject is, outermost first.
-    places: Vec<Place>,
+    locations: Vec<Place>,
     value: String,
     /// Empty where the work failed.
     rule: Phrase,
@@ -292,7 +292,7 @@ impl Error {
         Self(Box::new(Detail {
             kind: ErrorKind::Invalid,
             subject: subject.into(),
-            places: Vec::new(),
+            locations: Vec::new(),
             value: found.to_string(),
             rule: rule.into(),
             remedy: remedy.into(),
@@ -326,7 +326,7 @@ impl Error {
     /// The same error with `place` (usually a file) in front of its subject.
     #[must_use]
     pub fn within(mut self, place: impl Into<Place>) -> Self {
-        self.0.places.insert(0, place.into());
+        self.0.locations.insert(0, place.into());
         self
     }
 
@@ -361,7 +361,7 @@ impl Error {
 
     /// The file at fault.
     pub fn path(&self) -> Option<&Path> {
-        let within = self.0.places.iter().rev().find_map(|place| match place {
+        let within = self.0.locations.iter().rev().find_map(|place| match place {
             Place::File(path) => Some(path.as_path()),
             _ => None,
         });
@@ -369,8 +369,8 @@ impl Error {
     }
 
     /// Where the subject is, outermost first.
-    pub fn places(&self) -> &[Place] {
-        &self.0.places
+    pub fn locations(&self) -> &[Place] {
+        &self.0.locations
     }
 
     /// The offending value, or why the work failed.
@@ -407,10 +407,10 @@ impl Error {
     pub fn message(&self, names: &dyn Names) -> String {
         use fmt::Write;
         let Detail {
-            subject, places, ..
+            subject, locations, ..
         } = &*self.0;
         let mut text = String::new();
-        for place in places {
+        for place in locations {
             text += &place.text(names);
             text += ": ";
         }

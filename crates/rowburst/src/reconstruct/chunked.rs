@@ -15,6 +15,7 @@ use super::sigma::Bands;
 use super::{
     Model, Options, Prior, Problem, Reconstruction, SelfCalibration, SigmaSource, noise_of,
 };
+use crate::ErrorKind;
 use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
 use crate::phrase;
@@ -68,7 +69,7 @@ impl Chunked {
                     Parameter::Field,
                     " smaller or bin the frame if memory is short."
                 ],
-            ));
+            ).with_kind(ErrorKind::Unsupported));
         }
         let bands = Bands::new(&measurement, psfs.central());
         let (sigma, sigma_source) = noise_of(&measurement, &bands, &options);

@@ -21,6 +21,7 @@ mod self_calibration;
 mod sequence;
 mod sigma;
 
+use crate::ErrorKind;
 use crate::error::Subject;
 use crate::phrase;
 use choose::BestTrial;
@@ -332,7 +333,8 @@ impl Problem {
                     Parameter::NoiseSigma,
                     "."
                 ],
-            ));
+            )
+            .with_kind(ErrorKind::Overflow));
         }
         let shape = self.data.shape();
         let measurement_count = self.data.measurement_count() as f64;

@@ -21,6 +21,7 @@
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
+use crate::ErrorKind;
 use crate::error::Phrase;
 use crate::linop::{Background, Cosine, Wavelet};
 use crate::phrase;
@@ -303,7 +304,7 @@ impl Prior {
                 format!("\"{name}\" for a video of 1 bin"),
                 format!("{name} compares bins and needs at least 2"),
                 "Use auto, or terms of space alone: tv, l1, dct, wavelet. A video of 1 bin comes from shutter = \"global\".",
-            )),
+            ).with_kind(ErrorKind::Unsupported)),
         }
     }
 
@@ -323,7 +324,8 @@ impl Prior {
                     Parameter::Bins,
                     ") in one chunk."
                 ],
-            )),
+            )
+            .with_kind(ErrorKind::Unsupported)),
         }
     }
 

@@ -12,6 +12,7 @@
 use super::admm::Progress;
 use super::run::{Iterate, Watch, begin, relative_change};
 use super::{CertifiedSolution, Limits, Objective, StopReason};
+use crate::ErrorKind;
 use crate::error::Subject;
 use crate::linop::operator_norm;
 use crate::vecmath::{dot, norm_squared};
@@ -66,7 +67,8 @@ pub fn solve(
             format!("weights tv {}, tdiff {}", weights.space, weights.time),
             "this solver minimises with l1 alone",
             "Take l1 as the prior, or another solver.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     let operator = objective.operator();
     let unit = 1.0 / operator_norm(operator).powi(2).max(f64::MIN_POSITIVE);

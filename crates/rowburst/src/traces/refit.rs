@@ -29,6 +29,7 @@
 use super::kernel::{Voxel, covariance, scales};
 use super::posterior::{Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
+use crate::ErrorKind;
 use crate::shape::InstantWeights;
 use crate::solve::admm::brightness;
 use crate::{Error, Parameter, Result, RollingShutter, Shape, Support, Video};
@@ -122,7 +123,8 @@ impl<'a> Refit<'a> {
                 "an exposure longer than a row",
                 "they are known where each bin is seen by one instant",
                 "Expose for one row time at most, or use the traces without errors.",
-            ));
+            )
+            .with_kind(ErrorKind::Unsupported));
         }
         let mut refit = Self {
             brightness: brightness(input.video.data()),

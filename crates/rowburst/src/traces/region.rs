@@ -1,5 +1,6 @@
 //! A place of the field, and its light over time.
 
+use crate::ErrorKind;
 use crate::{Error, Parameter, Result, Shape, Video};
 
 /// A rectangle of the field, in its pixels.
@@ -57,7 +58,8 @@ impl Region {
                 shape.rows, shape.columns
             ),
             "Rows and columns are counted from 0, from the top left corner of the field.",
-        ))
+        )
+        .with_kind(ErrorKind::Shape))
     }
 
     /// Number of pixels.

@@ -2,6 +2,7 @@
 
 use super::TimingArgs;
 use crate::calibrate::experiment_of;
+use rowburst::ErrorKind;
 use rowburst::calibrate::timing::{Extension, Lamp, Timing, Waveform};
 use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Shutter};
@@ -140,6 +141,7 @@ fn light(args: &TimingArgs) -> Result<Lamp> {
             "no light",
             "the light is given by its frequency or its waveform",
             "Give --frequency-hz F or --signal FILE.csv.",
-        )),
+        )
+        .with_kind(ErrorKind::NoSignal)),
     }
 }

@@ -8,6 +8,7 @@ pub use captures::{CaptureFile, read_captures};
 pub use summary::{MemorySummary, PsfSummary, RowReach};
 
 use report::{PsfReportInput, render};
+use rowburst::ErrorKind;
 use rowburst::Parameter;
 use rowburst::calibrate::psf::{
     Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
@@ -155,7 +156,8 @@ impl PsfInputs {
                 ),
                 "a PSF has 16 pixels or more along each side",
                 "Record a larger region, or bin less.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         if self.binning > 1 {
             light.image = light.image.binned(self.binning);

@@ -2,6 +2,7 @@
 
 mod report;
 
+use rowburst::ErrorKind;
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack};
 use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Sensor};
@@ -48,6 +49,7 @@ fn files_of(parameter: Parameter, folder: &Path) -> Result<Vec<PathBuf>> {
             format!("cannot read: {error}"),
             "Check its permissions.",
         )
+        .with_kind(ErrorKind::Io)
     })?;
     let is_image = |path: &PathBuf| {
         let hidden = path

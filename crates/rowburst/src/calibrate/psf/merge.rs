@@ -7,6 +7,7 @@
 //! the rest.
 
 use super::black_level::{BlackLevel, estimate_black_level};
+use crate::ErrorKind;
 use crate::error::Subject;
 use crate::phrase;
 use crate::{Error, Image, Parameter, Result};
@@ -115,7 +116,8 @@ pub fn merge(shots: &[NamedCapture], params: &MergeParams) -> Result<PointSource
                 Parameter::ExposuresMs,
                 "."
             ],
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     let black_level = (!black_levels.is_empty()).then(|| {
         let of = |value: fn(&BlackLevel) -> f64| {
@@ -151,7 +153,8 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
             "none",
             "a PSF needs at least one capture of a point source",
             "Name image files, or a folder with some.",
-        ));
+        )
+        .with_kind(ErrorKind::Missing));
     };
     let size = |image: &Image| format!("{}×{} pixels", image.rows(), image.columns());
     for shot in shots {
@@ -166,7 +169,7 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
                     size(&first.image)
                 ),
                 "Record all captures with one region of interest and binning, or leave this one out.",
-            ));
+            ).with_kind(ErrorKind::Shape));
         }
         if let Some((y, x)) = image.first_non_finite() {
             return Err(Error::input(
@@ -174,7 +177,8 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "every pixel of a capture is a finite number",
                 "Record it again, or replace the pixel by the mean of its neighbours.",
-            ));
+            )
+            .with_kind(ErrorKind::NotFinite));
         }
         if image.min() == image.max() {
             return Err(Error::input(
@@ -182,7 +186,8 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
                 format!("{} in every pixel", image.max()),
                 "a capture of a point source shows its speckle",
                 "Check light, shutter and exposure, and that no dark frame is among the captures.",
-            ));
+            )
+            .with_kind(ErrorKind::NoSignal));
         }
         if let Some(dark) = &params.dark {
             check_dark(shot, dark)?;
@@ -199,7 +204,8 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
                 (Parameter::ExposuresMs, "1,10,100"),
                 "; files of a folder go by name."
             ],
-        ));
+        )
+        .with_kind(ErrorKind::Shape));
     }
     if let Some(bad) = exposures.iter().find(|t| !(t.is_finite() && **t > 0.0)) {
         return Err(Error::input(
@@ -220,7 +226,8 @@ fn check_dark(shot: &NamedCapture, dark: &Image) -> Result<()> {
             size(dark),
             format!("it has the size of the captures, {}", size(&shot.image)),
             "Record it with the camera settings of the captures.",
-        ));
+        )
+        .with_kind(ErrorKind::Shape));
     }
     if let Some((y, x)) = dark.first_non_finite() {
         return Err(Error::input(
@@ -228,7 +235,8 @@ fn check_dark(shot: &NamedCapture, dark: &Image) -> Result<()> {
             format!("{} at row {y}, column {x}", dark.at(y, x)),
             "every pixel of a dark frame is a finite number",
             "Record it again, or replace the pixel by the mean of its neighbours.",
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     let mean = |image: &Image| {
         image.data().iter().map(|&p| f64::from(p)).sum::<f64>() / image.data().len() as f64
@@ -240,7 +248,8 @@ fn check_dark(shot: &NamedCapture, dark: &Image) -> Result<()> {
             format!("a mean of {below:.1} counts, {} has {above:.1}", shot.name),
             "a dark frame is darker than a capture",
             "Check that the two are not exchanged, and that the lens was covered.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     Ok(())
 }

@@ -23,6 +23,7 @@ pub mod stats;
 pub mod transfer;
 mod warnings;
 
+use crate::ErrorKind;
 use crate::{Error, Image, Parameter, Result};
 use levels::{Level, check_light, end_of_counts, levels, lights};
 use pixels::ROUNDING_VARIANCE;
@@ -270,7 +271,7 @@ fn transfer_curve(
             ),
             "the variance must grow with the light in flats that are not saturated",
             "Give raw frames (no averaging, denoising or compression), two or more at each level, at about half of the range.",
-        )
+        ).with_kind(ErrorKind::NoSignal)
     })?;
     Ok((points, line, full_well))
 }

@@ -1,6 +1,7 @@
 //! Lights and frames that do not tell the row time, and what to change.
 
 use super::{MIN_PERIODS, MIN_ROWS_PER_PERIOD, TimingParams, count_of, periodogram};
+use crate::ErrorKind;
 use crate::error::Subject;
 use crate::{Error, Parameter, Result};
 
@@ -15,7 +16,7 @@ pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
             "the rows show the stripes of a light of {frequency_hz} Hz, at least {MIN_PERIODS} periods in {rows} rows"
         ),
         "Light the sensor by the lamp alone, shorten the exposure to less than half a period, or choose a frequency that gives 5 to 50 periods in a readout.",
-    )
+    ).with_kind(ErrorKind::NoSignal)
 }
 
 pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
@@ -33,7 +34,7 @@ pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
             rounded(1.1 * MIN_PERIODS / periods * frequency_hz),
             rounded(20.0 / periods * frequency_hz)
         ),
-    ))
+    ).with_kind(ErrorKind::NoSignal))
 }
 
 pub(super) fn check_alias(
@@ -97,7 +98,8 @@ pub(super) fn check_agreement(frames: &[Vec<f64>], k: &[usize], frequency_hz: f6
         format!("row times that disagree: {} µs", list.join(", ")),
         "all frames are of one light and one setting of the camera",
         "Leave out the frames of another frequency or another readout rate.",
-    ))
+    )
+    .with_kind(ErrorKind::Conflict))
 }
 
 pub(super) fn expected_warning(row_time_us: f64, params: &TimingParams) -> Vec<String> {

@@ -1,6 +1,7 @@
 //! From frames to one number per row.
 
 use super::TimingParams;
+use crate::ErrorKind;
 use crate::error::Subject;
 use crate::{Error, Image, Parameter, Result};
 
@@ -37,7 +38,8 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
                 format!("no light in row {y}"),
                 "every row of the flat is lit",
                 "Record the flat under even light.",
-            ));
+            )
+            .with_kind(ErrorKind::NoSignal));
         }
         let mean = means.iter().sum::<f64>() / rows as f64;
         if mean.is_nan() || mean <= 0.0 {
@@ -46,7 +48,8 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
                 format!("a mean of {mean:.1} counts above the dark"),
                 "the light brightens the frame",
                 "Check that the lamp lights the sensor and that the dark frame is dark.",
-            ));
+            )
+            .with_kind(ErrorKind::NoSignal));
         }
         signals
             .frames
@@ -69,7 +72,8 @@ fn checked_size(frames: &[Image], params: &TimingParams) -> Result<(usize, usize
             "none",
             "row times are read from at least one frame",
             "Give a frame of the blinking light.",
-        ));
+        )
+        .with_kind(ErrorKind::Missing));
     };
     let (rows, columns) = (first.rows(), first.columns());
     if rows < MIN_ROWS {
@@ -98,7 +102,8 @@ fn checked_size(frames: &[Image], params: &TimingParams) -> Result<(usize, usize
                 format!("{}×{} pixels", image.rows(), image.columns()),
                 format!("all frames have one size, that of frame 1: {rows}×{columns}"),
                 "Record all frames with one setting of the camera.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         if let Some((y, x)) = image.first_non_finite() {
             return Err(Error::input(
@@ -106,7 +111,8 @@ fn checked_size(frames: &[Image], params: &TimingParams) -> Result<(usize, usize
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "every pixel of a frame is a finite number",
                 "Record it again, or replace the pixel by the mean of its neighbours.",
-            ));
+            )
+            .with_kind(ErrorKind::NotFinite));
         }
     }
     Ok((rows, columns))
@@ -154,7 +160,8 @@ fn response(params: &TimingParams, rows: usize, columns: usize) -> Result<Option
             "a flat that is no brighter than the dark",
             "the flat is lit evenly and the dark is not lit",
             "Check that dark and flat are not swapped.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     Ok(Some(pixels.iter().map(|p| p / mean).collect()))
 }

@@ -5,6 +5,7 @@
 //! sees). More: linear interpolation between the centres of the old samples, constant
 //! beyond the first and the last. As many: unchanged.
 
+use crate::ErrorKind;
 use crate::{Error, Parameter, Result, Shape, Video};
 
 /// `video` resampled to `shape`.
@@ -104,7 +105,8 @@ fn check_values(video: &Video) -> Result<()> {
         ),
         "light is a finite number and never negative",
         "Subtract the background of the video and set what is left below zero to zero.",
-    ))
+    )
+    .with_kind(ErrorKind::NotFinite))
 }
 
 #[cfg(test)]
