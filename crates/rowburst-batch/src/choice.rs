@@ -7,6 +7,8 @@
 use crate::calibration::RecordingCalibration;
 use crate::identity::hash_image;
 use crate::inputs::BatchInputs;
+use rowburst::Parameter;
+use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
@@ -21,8 +23,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Frames that are looked at before the job begins.
 const PROBES: usize = 9;
 
-/// What an error is about that lies in the corrections, and not in a frame.
-pub const CORRECTIONS: [&str; 3] = ["dark", "flat", "bad_pixels"];
+/// Whether `error` is about a dark, a flat or a mask rather than about a frame.
+pub fn is_of_correction(error: &Error) -> bool {
+    matches!(
+        error.parameter(),
+        Some(Parameter::Dark | Parameter::Flat | Parameter::BadPixels)
+    )
+}
 
 /// A frame that was looked at.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,18 +88,19 @@ impl RecordingSurvey {
             });
         }
         let (frame, error) = first.expect("a recording has frames");
-        match &error {
-            // The frames are not to blame.
-            Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => Err(error),
-            _ => Err(Error::work(
-                inputs.frames.path().display().to_string(),
-                format!(
-                    "none of its {count} frames can be used; {}: {error}",
-                    inputs.frames.name(frame)
-                ),
-                "Nothing was written.",
-            )),
+        if is_of_correction(&error) {
+            return Err(error);
         }
+        Err(Error::work(
+            inputs.frames.path(),
+            format!(
+                "none of its {count} frames can be used; {}: {error}",
+                inputs.frames.name(frame)
+            ),
+            "Nothing was written.",
+        )
+        .of(Parameter::Frames)
+        .with_source(error))
     }
 }
 
@@ -129,7 +137,7 @@ pub(crate) fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
         let text = panic.downcast_ref::<String>().map(String::as_str);
         let text = text.or(panic.downcast_ref::<&str>().copied());
         Err(Error::work(
-            "the program",
+            Subject::named("the program"),
             text.unwrap_or("a panic"),
             "Report this frame.",
         ))

@@ -30,7 +30,7 @@ mod stitch;
 mod table;
 
 pub use allocation::ThreadAllocation;
-pub use choice::{CORRECTIONS, ChosenPrior};
+pub use choice::{ChosenPrior, is_of_correction};
 pub use clock::Clock;
 pub use files::{BatchFiles, LoadedBatch, load_batch, name_correction_file};
 pub use inputs::BatchInputs;

@@ -15,6 +15,7 @@ mod design;
 mod figure;
 mod init;
 mod inputs;
+mod option_names;
 mod output;
 mod progress;
 mod reconstruct;
@@ -26,7 +27,6 @@ mod view;
 
 use args::{Cli, Verb};
 use clap::Parser;
-use rowburst::Error;
 use std::ffi::OsString;
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -61,11 +61,8 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
     match done {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("error: {error}");
-            match error {
-                Error::Input { .. } => 2,
-                Error::Work { .. } => 1,
-            }
+            eprintln!("error: {}", option_names::message(&error));
+            if error.is_input() { 2 } else { 1 }
         }
     }
 }

@@ -3,9 +3,10 @@
 use crate::args::{OpticsArgs, SimulateArgs};
 use crate::inputs::read_psfs;
 use crate::output::print_line;
+use rowburst::Parameter;
 use rowburst::noise::{Noise, SimulatedFrame};
 use rowburst::simulate::scene::{self, Led};
-use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
+use rowburst::{Camera, Image, PatchSet, Result, Video};
 use rowburst_io::{
     Experiment, OutputFolder, read_video, write_csv, write_npy_image, write_npy_video,
     write_patch_set, write_tiff_image,
@@ -65,8 +66,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
 pub fn write(inputs: &SimulationInputs) -> Result<()> {
     let folder = OutputFolder::create(inputs.output)?;
     let camera = inputs.experiment.camera()?;
-    check_noise(inputs.noise, &camera)
-        .map_err(|e| naming_camera(e, &inputs.experiment.path.display().to_string()))?;
+    check_noise(inputs.noise, &camera).map_err(|e| naming_camera(e, &inputs.experiment.path))?;
     check_memory(&inputs.experiment.path, &camera)?;
     let psfs = psfs_of(inputs, &camera)?;
     let SimulatedCapture {
@@ -85,10 +85,14 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
         seed: inputs.seed,
         digit_height_px: inputs.digit_px,
     })
-    .map_err(|e| match e {
+    .map_err(|e| {
         // What the frame's light makes impossible is the scene's.
-        Error::Input { ref subject, .. } if subject.starts_with("--") => e,
-        e => e.within(inputs.scene),
+        let is_of_scene = e.locations().is_empty() && e.parameter() != Some(Parameter::Background);
+        if is_of_scene {
+            e.within(inputs.scene)
+        } else {
+            e
+        }
     })?;
     for led in &leds {
         eprintln!(

@@ -3,6 +3,9 @@
 use crate::source::{Colour, Format, open};
 use crate::stack::{all_pages, open_stack};
 use crate::{bmp, npy, png, tiff};
+use rowburst::ErrorKind;
+use rowburst::error::Tool;
+use rowburst::phrase;
 use rowburst::{Error, Image, Result, Shape, Video};
 use std::path::Path;
 
@@ -93,7 +96,7 @@ pub fn read_video(path: &Path) -> Result<Video> {
 pub fn read_frames(path: &Path) -> Result<(Video, SampleFormat)> {
     let pages = read_pages(path, Colour::Refused)?;
     let shape = Shape::new(pages.count, pages.rows, pages.columns);
-    let video = Video::new(shape, pages.data).map_err(|e| e.within(path.display()))?;
+    let video = Video::new(shape, pages.data).map_err(|e| e.within(path))?;
     Ok((video, pages.format))
 }
 
@@ -105,18 +108,23 @@ fn capture(path: &Path, colour: Colour) -> Result<Capture> {
 pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
     if pages.count != 1 {
         return Err(Error::input(
-            path.display().to_string(),
+            path,
             format!(
                 "a stack of {} pages of {}×{} pixels",
                 pages.count, pages.rows, pages.columns
             ),
             "one image is needed here",
-            "Save the page that you mean as a separate file; `rowburst batch` reads recordings.",
-        ));
+            phrase![
+                "Save the page that you mean as a separate file; ",
+                Tool::Batch,
+                " reads recordings."
+            ],
+        )
+        .with_kind(ErrorKind::Shape));
     }
     let image = Image::new(pages.rows, pages.columns, pages.data);
     Ok(Capture {
-        image: image.map_err(|e| e.within(path.display()))?,
+        image: image.map_err(|e| e.within(path))?,
         format: pages.format,
     })
 }
@@ -170,7 +178,7 @@ mod tests {
                 std::fs::write(&path, content).unwrap();
             }
             let error = read_image(&path).unwrap_err();
-            assert!(matches!(error, Error::Input { .. }), "{error}");
+            assert!(error.is_input(), "{error}");
             let message = error.to_string();
             assert!(
                 message.contains(name) && message.contains(expected),

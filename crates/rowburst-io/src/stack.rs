@@ -3,6 +3,7 @@
 use crate::read::Pages;
 use crate::source::{Format, Source};
 use crate::{bmp, fits, mat, npy, photron, png, tiff};
+use rowburst::ErrorKind;
 use rowburst::Result;
 use std::fs::File;
 use std::io::BufReader;
@@ -90,10 +91,11 @@ pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages>
             let missing = page.data.len().saturating_mul(count - 1);
             all.data.try_reserve_exact(missing).map_err(|_| {
                 rowburst::Error::work(
-                    source.path.display().to_string(),
+                    source.path,
                     format!("no memory for {count} frames"),
                     "Crop or bin the images, or use a machine with more memory.",
                 )
+                .with_kind(ErrorKind::Memory)
             })?;
         }
         all.data.extend(page.data);

@@ -8,7 +8,7 @@ use crate::error::to_py_err;
 use crate::threads;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
-use rowburst::Error;
+use rowburst::{Error, Parameter};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -104,7 +104,7 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     let spawned = thread::Builder::new().name("rowburst".into()).spawn(job);
     spawned.map_err(|error| {
         let remedy = "End other programs, or raise the limit of processes (ulimit -u).";
-        to_py_err(Error::work("threads", error, remedy))
+        to_py_err(Error::work(Parameter::Threads, error, remedy))
     })?;
     let abandon = |error: PyErr| {
         is_abandoned.store(true, Ordering::Relaxed);

@@ -2,7 +2,7 @@
 
 use crate::error::to_py_err;
 use pyo3::prelude::*;
-use rowburst::{Camera, Error};
+use rowburst::{Camera, Error, ErrorKind, Parameter};
 use std::path::Path;
 
 /// Copies of the video in f32 that a reconstruction holds at its peak, as in `rowburst_run::inputs`.
@@ -19,14 +19,14 @@ pub fn check(camera: &Camera) -> PyResult<()> {
     let needed = shape.voxels() as u64 * 4 * VIDEO_COPIES;
     match available() {
         Some(available) if needed > available => Err(to_py_err(Error::work(
-            "the video",
+            Parameter::Memory,
             format!(
                 "no memory for {VIDEO_COPIES} copies of a video of {shape}: {} needed, {} available",
                 gibibytes(needed),
                 gibibytes(available)
             ),
             "Make field smaller, bin the frame, or use a machine with more memory.",
-        ))),
+        ).with_kind(ErrorKind::Memory))),
         _ => Ok(()),
     }
 }

@@ -14,10 +14,11 @@ use crate::movie::encode_movie;
 use crate::numbers::thousands;
 use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
 use crate::task::Task;
+use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
+use rowburst::{Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
 use rowburst_io::{ChunkedVideoFile, FromMetadata};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
@@ -167,10 +168,11 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
         if reconstruction.stop_reason == StopReason::Interrupted {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
-                "reconstruction",
+                Subject::named("reconstruction"),
                 format!("stopped with {done} of {} bins reconstructed", shape.bins),
                 "Run the same command again to resume.",
-            ));
+            )
+            .with_kind(ErrorKind::Cancelled));
         }
         file.write(range.start, reconstruction.video.data())?;
         state.parts.push(ChunkNumbers {

@@ -10,7 +10,7 @@ use crate::setup::{Frame, Setup};
 use crate::task::{Task, solve};
 use crate::traces::TraceRequest;
 use rowburst::reconstruct::SelfCalibration;
-use rowburst::{Error, Result};
+use rowburst::{Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Calibration, Experiment, read_image, read_metadata};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -155,24 +155,25 @@ impl Request {
 fn refuse_colour(params: &RequestParams) -> Result<()> {
     let self_calibrate = params.options.self_calibrate;
     let given = [
-        ("--truth", params.truth.is_some()),
-        ("--direct", params.direct.is_some()),
-        ("--region", !params.regions.is_empty()),
-        ("--photodiode", !params.photodiodes.is_empty()),
-        ("--bins", params.bins.is_some()),
-        ("--part-bins", params.bins_per_chunk.is_some()),
+        (Parameter::Truth, params.truth.is_some()),
+        (Parameter::Direct, params.direct.is_some()),
+        (Parameter::Region, !params.regions.is_empty()),
+        (Parameter::Photodiode, !params.photodiodes.is_empty()),
+        (Parameter::Bins, params.bins.is_some()),
+        (Parameter::PartBins, params.bins_per_chunk.is_some()),
         (
-            "--self-calibrate",
+            Parameter::SelfCalibrate,
             self_calibrate == Some(SelfCalibration::On.name()),
         ),
     ];
     match given.iter().find(|(_, given)| *given) {
         None => Ok(()),
-        Some((option, _)) => Err(Error::input(
-            *option,
+        Some((parameter, _)) => Err(Error::input(
+            *parameter,
             "a raw Bayer frame",
             "its four planes are reconstructed separately, and the option is for one video",
             "Leave it out.",
-        )),
+        )
+        .with_kind(ErrorKind::Unsupported)),
     }
 }

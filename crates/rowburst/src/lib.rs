@@ -39,7 +39,7 @@ pub mod vecmath;
 pub mod video;
 
 pub use camera::{Camera, Sensor};
-pub use error::{Error, Result};
+pub use error::{Error, ErrorKind, Parameter, Result};
 pub use forward::RollingShutter;
 pub use image::Image;
 pub use patches::PatchSet;

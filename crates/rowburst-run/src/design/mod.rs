@@ -10,7 +10,7 @@ use rowburst::camera::CameraParams;
 use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
 use rowburst::design::{Assessment, LightParams, assess};
 use rowburst::simulate::{SpeckleOptics, speckle_psf};
-use rowburst::{Camera, Error, Psf, Result, Sensor, Shutter};
+use rowburst::{Camera, Error, Parameter, Psf, Result, Sensor, Shutter};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
@@ -119,7 +119,7 @@ pub fn checked_snrs(given: &[f64]) -> Result<Vec<f64>> {
     let mut trial_snrs = given.to_vec();
     if let Some(bad) = trial_snrs.iter().find(|s| !(s.is_finite() && **s > 0.0)) {
         return Err(Error::input(
-            "--trial-snr",
+            Parameter::TrialSnr,
             bad,
             "a signal-to-noise ratio is a number above zero",
             "Leave it out for 8 to 256.",

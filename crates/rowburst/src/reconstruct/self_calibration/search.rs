@@ -3,7 +3,7 @@
 use super::super::RunResult;
 use super::super::choose::{self, Observer};
 use super::calibrator::{Calibrator, Correction, Trial};
-use super::parameters::Parameter;
+use super::parameters::ModelParameter;
 use super::step::{Free, StepReport, step};
 
 /// Most iterations of a reconstruction between two steps.
@@ -177,7 +177,7 @@ impl Search<'_, '_, '_> {
         first_steps: &[f64],
         descent: f64,
     ) -> Result<Proposal, Box<RunResult>> {
-        let blur = |c: &Proposal| c.correction.parameters[Parameter::Blur];
+        let blur = |c: &Proposal| c.correction.parameters[ModelParameter::Blur];
         for &first in first_steps {
             let mut tried = vec![start.clone()];
             let mut step = first;
@@ -214,7 +214,7 @@ impl Search<'_, '_, '_> {
 
     fn blurred(&mut self, start: &Proposal, blur: f64) -> Result<Proposal, Box<RunResult>> {
         let mut correction = start.correction.clone();
-        correction.parameters[Parameter::Blur] = blur;
+        correction.parameters[ModelParameter::Blur] = blur;
         self.judge(&correction, start.level)
     }
 }
