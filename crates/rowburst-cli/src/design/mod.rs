@@ -4,7 +4,6 @@ mod options;
 
 pub use options::DesignArgs;
 
-use crate::inputs::read_psfs;
 use crate::output::print_line;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::design::Assessment;
@@ -12,6 +11,7 @@ use rowburst::design::sparsity::SuccessMap;
 use rowburst::{Camera, Psf, Result};
 use rowburst_io::OutputFolder;
 use rowburst_run::design::{DesignInputs, DesignSummary, Page};
+use rowburst_run::inputs::read_psfs;
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -60,7 +60,11 @@ pub fn run(args: &DesignArgs) -> Result<()> {
 
 /// The PSF of a file; of a patch set the one in the middle.
 fn psf_of(path: &Path, camera: &Camera) -> Result<Psf> {
-    Ok(read_psfs(path, camera, None)?.central().clone())
+    let (psfs, note) = read_psfs(path, camera, None)?;
+    if let Some(note) = note {
+        eprintln!("{note}");
+    }
+    Ok(psfs.central().clone())
 }
 
 /// The success map, with a progress bar.
