@@ -107,10 +107,13 @@ const MODULES: [Module; 25] = [
 ];
 
 /// What is re-exported at the crate's root, and where it lives.
-const ROOT: [(&str, &str); 14] = [
+const ROOT: [(&str, &str); 17] = [
     ("Camera", "camera"),
     ("Sensor", "camera"),
     ("Error", "error"),
+    ("ErrorKind", "error"),
+    ("Parameter", "error"),
+    ("phrase", "error"),
     ("Result", "error"),
     ("RollingShutter", "forward"),
     ("Image", "image"),
