@@ -47,7 +47,7 @@ pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use request::{Request, RequestParams, read_experiment};
 pub use run_clock::RunClock;
-pub use setup::{Bias, Frame, Setup, bias_of_array};
+pub use setup::{Bias, Frame, Setup, bias_of_array, correct_capture};
 pub use summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
     ReconstructionSummary, peak_memory_bytes, short,
