@@ -10,7 +10,6 @@ use rowburst::simulate::SpeckleOptics;
 use rowburst::{Camera, Error, Parameter, Result, Sensor, Shutter};
 use rowburst_io::Experiment;
 use rowburst_run::design::{DesignInputs, checked_snrs, light_of, paper_camera};
-use rowburst_run::simulate::LensOptics;
 use std::path::PathBuf;
 
 /// What a camera, a lens and a diffuser can do before they are bought.
@@ -152,6 +151,7 @@ impl DesignArgs {
         let pitch = sensor.pixel_pitch_um;
         let optics = self
             .optics
+            .lens()
             .optics(pitch.unwrap_or(SpeckleOptics::demo().pixel_pitch_um));
         optics.check().map_err(|e| self.naming_option(e))?;
         let psf_file = self.psf.clone();
@@ -270,20 +270,5 @@ impl DesignArgs {
         let typed = crate::typed(Vec::new()).iter().skip(1);
         let typed: Vec<_> = typed.map(|word| word.to_string_lossy()).collect();
         format!("rowburst {}", typed.join(" "))
-    }
-}
-
-impl OpticsArgs {
-    /// These options as optics.
-    pub fn optics(&self, pixel_pitch_um: f64) -> SpeckleOptics {
-        LensOptics {
-            wavelength_nm: self.wavelength_nm,
-            pupil_mm: self.pupil_mm,
-            focal_length_mm: self.focal_length_mm,
-            magnification: self.magnification,
-            na: self.na,
-            diffuser_deg: self.diffuser_deg,
-        }
-        .optics(pixel_pitch_um)
     }
 }

@@ -134,6 +134,14 @@ pub struct Problem {
 }
 
 /// A reconstructed video, with the quantities that judge it.
+///
+/// It holds the video in memory. Of a video too large for that, [`Chunked`] gives one `Reconstruction` for each chunk,
+/// and of a raw colour frame there is one for each plane.
+///
+/// Extensions have their place here. With a fourth axis `video`, `background` and `coverage` become `[c, t, y, x]`; the
+/// fields of the frame's shape stay. A mask of what the frame determines of a found PSF, gain or offset belongs to
+/// [`Calibration`], beside the values. For complex values [`Video`] takes the type of its elements as a parameter;
+/// residual, weights and fit stay real, as frames are.
 #[derive(Debug, Clone)]
 pub struct Reconstruction {
     /// The video in counts, `[t, y, x]`.

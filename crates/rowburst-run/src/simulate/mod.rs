@@ -1,5 +1,9 @@
 //! Simulated captures: a scene, a PSF and noise, by name or as values.
 
+mod folder;
+
+pub use folder::{SimulationRequest, photodiode_file};
+
 use rowburst::ErrorKind;
 use rowburst::error::Place;
 use rowburst::linop::LinearOperator;
@@ -8,6 +12,7 @@ use rowburst::phrase;
 use rowburst::simulate::scene::{self, Led};
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
 use rowburst::{Camera, Error, Image, Parameter, PatchSet, Psf, Result, RollingShutter, Video};
+use rowburst_io::read_video;
 use std::path::Path;
 
 /// The inputs of a simulation.
@@ -39,6 +44,22 @@ pub enum Scene<'a> {
 impl Scene<'_> {
     /// The names of scenes.
     pub const NAMES: [&'static str; 4] = ["digits", "leds", "moving", "two-moving"];
+}
+
+impl<'a> Scene<'a> {
+    /// The scene of a name, or the video of a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn read(text: &'a str) -> Result<Self> {
+        let path = Path::new(text);
+        // An error of the name says which there are.
+        let is_name = !path.exists() && path.extension().is_none();
+        if is_name || Self::NAMES.contains(&text) {
+            return Ok(Self::Named(text));
+        }
+        read_video(path).map(Self::Video)
+    }
 }
 
 /// The kind and the level of the noise.
