@@ -157,7 +157,7 @@ fn record(
         "noise_sigma": recorded.sigma,
         "counts_per_unit_of_scene": recorded.scale,
         "saturated_pixels": recorded.saturated,
-        "psf": psf_record(inputs, camera),
+        "psf": psf_record(request, camera),
     })
 }
 
@@ -183,7 +183,7 @@ fn noise_record(choice: NoiseChoice, noise: Noise) -> Value {
 
 /// The file of the PSF, or the optics of the speckle.
 fn psf_record(request: &SimulationRequest, camera: &Camera) -> Value {
-    match &inputs
+    match &request
         .psf
         .map(Path::to_path_buf)
         .or(request.experiment.calibration.psf.clone())
