@@ -8,15 +8,8 @@ pub mod blocks;
 pub mod certificate;
 pub mod conjugate_gradient;
 pub mod coupled_blocks;
-pub mod fista;
-pub mod gpsr_bb;
-pub mod objective;
-pub mod primal_dual;
-mod run;
 
-pub use certificate::{Certificate, Certifier};
-pub use objective::Objective;
-pub use run::{CertifiedSolution, Limits};
+pub use certificate::Certificate;
 
 use crate::Support;
 use crate::linop::{LinearOperator, WritePart};
