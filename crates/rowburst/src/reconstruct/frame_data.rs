@@ -8,14 +8,14 @@ use super::prior::Prior;
 use crate::camera::CameraParams;
 use crate::linop::{
     Background, LinearOperator, Scalar, WeightedOperator, WithBackground, WritePart, sum_of_bins,
-    write_parts,
 };
 use crate::measurement::{Measurement, NoiseModel};
 use crate::prox::{Prox, Restricted};
+use crate::solve::admm::ProblemSize;
 use crate::solve::blocks::{BlockSource, Blocks};
 use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner, TOLERANCE};
 use crate::solve::coupled_blocks::{CoupledBlocks, CoupledSystem};
-use crate::solve::{DataTerm, GramSolver};
+use crate::solve::{DataHints, DataTerm, FusedAdjoint, GramSolver};
 use crate::{Camera, RollingShutter, Shape, Shutter, Support};
 use faer::reborrow::ReborrowMut;
 use faer::{Mat, MatMut, MatRef};
@@ -415,6 +415,18 @@ impl FrameData {
             .collect()
     }
 
+    /// Whether Gram blocks have so many measurements that a change of `ρ` costs several iterations.
+    fn has_large_blocks(&self) -> bool {
+        if matches!(self.gram, Gram::Iterative(..)) {
+            return false;
+        }
+        let (rows, (_, columns)) = (
+            self.shutter().rows_of_instants(),
+            self.shutter().frame_shape(),
+        );
+        rows.iter().any(|rows| rows.len() * columns > LARGE_BLOCK)
+    }
+
     /// Applies the present weights and held-out pixels to operator, frame, Gram blocks and preconditioner.
     /// `replaces_blocks` makes new Gram blocks, as another kind of background requires.
     fn apply_weights(&mut self, replaces_blocks: bool) {
@@ -576,28 +588,6 @@ impl DataTerm for FrameData {
             .collect()
     }
 
-    fn has_large_blocks(&self) -> bool {
-        if matches!(self.gram, Gram::Iterative(..)) {
-            return false;
-        }
-        let (rows, (_, columns)) = (
-            self.shutter().rows_of_instants(),
-            self.shutter().frame_shape(),
-        );
-        rows.iter().any(|rows| rows.len() * columns > LARGE_BLOCK)
-    }
-
-    /// Above this number the block of all voxels is cheaper than that of the active ones. A block on a
-    /// support costs `m²` products for each active voxel; the block of all voxels uses the shifts of the
-    /// field and costs `4 m²` for each row of the field.
-    fn max_restricted_voxels(&self) -> usize {
-        if self.has_large_blocks() {
-            4 * self.shape().rows
-        } else {
-            usize::MAX
-        }
-    }
-
     fn restrict(&mut self, support: &Support) {
         let before = self.support.replace(support.clone());
         let source = GramSource {
@@ -637,21 +627,21 @@ impl DataTerm for FrameData {
         }
     }
 
-    fn adjoint_each(
-        &self,
-        y: &[f32],
-        support: Option<&Support>,
-        target: &mut [f32],
-        write: WritePart,
-    ) {
-        if self.background == Background::None {
-            let weighted = self.operator.weigh(y);
-            let shutter = self.model.shutter();
-            return shutter.adjoint_each(&weighted, support, target, write);
+    fn hints(&self) -> DataHints {
+        if !self.has_large_blocks() {
+            return DataHints::default();
         }
-        let mut video = vec![0.0; target.len()];
-        self.adjoint_on(y, support, &mut video);
-        write_parts(&video, target, write);
+        DataHints {
+            size: ProblemSize::Wide,
+            // Above this number the block of all voxels is cheaper than that of the active ones. A block on a support
+            // costs `m²` products for each active voxel; the block of all voxels uses the shifts of the field and
+            // costs `4 m²` for each row of the field.
+            max_restricted_voxels: 4 * self.shape().rows,
+        }
+    }
+
+    fn fused_adjoint(&self) -> Option<&dyn FusedAdjoint> {
+        (self.background == Background::None).then_some(self)
     }
 
     fn update_weights(&mut self, video: &[f32]) -> bool {
@@ -661,6 +651,20 @@ impl DataTerm for FrameData {
         self.weights = Some(noise.weights(&self.predicted(video)));
         self.apply_weights(false);
         true
+    }
+}
+
+impl FusedAdjoint for FrameData {
+    fn adjoint_each(
+        &self,
+        y: &[f32],
+        support: Option<&Support>,
+        target: &mut [f32],
+        write: WritePart,
+    ) {
+        let weighted = self.operator.weigh(y);
+        let shutter = self.model.shutter();
+        shutter.adjoint_each(&weighted, support, target, write);
     }
 }
 
