@@ -14,7 +14,7 @@ use rowburst::prox::{Variation, VariationWeights};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::admm::{self, AdmmParams, Progress, TauRule};
 use rowburst::solve::blocks::Blocks;
-use rowburst::solve::{Certificate, DataTerm, GramSolver, StopReason};
+use rowburst::solve::{Certificate, DataTerm, StopReason};
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Support};
 use std::ops::ControlFlow;
 

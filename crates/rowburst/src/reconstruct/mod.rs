@@ -4,7 +4,6 @@
 //! consecutive frames of one scene, and [`Chunked`] for videos that do not fit into memory. [`Model`]
 //! holds `A`, [`Prior`] is `R`, and [`Fit`] says whether the result explains the frame.
 
-mod active_system;
 mod choose;
 mod chunked;
 mod data_step;
@@ -15,11 +14,11 @@ mod frame_data;
 mod held_out;
 mod held_out_check;
 mod model;
-mod preconditioner;
 mod prior;
 mod self_calibration;
 mod sequence;
 mod sigma;
+mod x_step;
 
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};

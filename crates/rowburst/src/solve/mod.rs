@@ -39,25 +39,6 @@ impl StopReason {
     }
 }
 
-/// Solver of `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
-pub trait GramSolver: Send {
-    /// Writes the solution to `y`.
-    fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]);
-
-    /// Writes the solution to `y`, and `A P Aᵀ y` to `gram_y`.
-    fn solve_with_product(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
-        self.solve(r, rho, y);
-        gram_product(r, rho, y, gram_y);
-    }
-}
-
-/// `gram_y = r − ρy`.
-pub(crate) fn gram_product(r: &[f32], rho: f64, y: &[f32], gram_y: &mut [f32]) {
-    for ((g, &r), &y) in gram_y.iter_mut().zip(r).zip(y) {
-        *g = (f64::from(r) - rho * f64::from(y)) as f32;
-    }
-}
-
 /// The data term `½‖b − A v‖²` as a solver sees it.
 pub trait DataTerm: Send {
     /// `A`.

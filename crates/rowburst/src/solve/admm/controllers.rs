@@ -112,7 +112,7 @@ impl Controllers {
     }
 
     /// Whether no controller changes the problem any more: `β`, `ρ` and the support have settled.
-    pub fn are_settled(&self) -> bool {
+    pub fn is_settled(&self) -> bool {
         self.schedule.phase() == Phase::Settled
             && self.penalty.is_unchanged()
             && self.active_set.is_settled()

@@ -226,7 +226,7 @@ impl Admm {
             if let ControlFlow::Break(reason) = observer(&self.progress(until, change, data)) {
                 return reason;
             }
-            if self.stopping.certifies(k) && self.controllers.are_settled() {
+            if self.stopping.certifies(k) && self.controllers.is_settled() {
                 let certificate = self.certify(data, prior);
                 if self.stopping.has_converged(&certificate) {
                     return StopReason::Converged;
