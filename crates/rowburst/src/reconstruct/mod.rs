@@ -26,7 +26,7 @@ pub use chunked::Chunked;
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
-pub use prior::{Prior, UnfusedWeights};
+pub use prior::Prior;
 pub use self_calibration::{Calibration, FoundParameter, Parameter, SelfCalibration, calibrate};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
@@ -34,7 +34,7 @@ pub use sigma::estimate_sigma;
 use crate::linop::Background;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
-use crate::solve::admm::{self, Admm, Progress, Solution, TauRule};
+use crate::solve::admm::{self, Admm, Progress, Solution, TauRule, Tuning};
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
 use frame_data::FrameData;
@@ -68,6 +68,26 @@ pub struct Options {
     pub keep_all_pixels: bool,
     /// Takes the frame and `σ` as they are: no search for foreign pixels and no effective `σ`, which take time.
     pub is_preview: bool,
+    /// The constants of the solver; unstable. The search for foreign pixels and self-calibration have the standard ones.
+    pub tuning: Tuning,
+}
+
+/// What the options say of every run of the solver.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct SolverSettings {
+    /// See [`Options::max_iterations`].
+    pub max_iterations: Option<usize>,
+    /// See [`Options::tuning`].
+    pub tuning: Tuning,
+}
+
+impl Options {
+    fn solver_settings(&self) -> SolverSettings {
+        SolverSettings {
+            max_iterations: self.max_iterations,
+            tuning: self.tuning,
+        }
+    }
 }
 
 /// The rule for `τ` of `½‖W(b − A v)‖² + τ R(v)`.
@@ -419,9 +439,8 @@ impl Problem {
         let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
-            let max_iterations = self.options.max_iterations;
-            self.sigma =
-                choose::noise_level(&mut self.data, default_prior, max_iterations, observer)?;
+            let settings = self.options.solver_settings();
+            self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
         }
@@ -449,12 +468,12 @@ impl Problem {
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
-        let max_iterations = self.options.max_iterations;
+        let settings = self.options.solver_settings();
         choose::choose_prior(
             &mut self.data,
             rule,
             self.sigma,
-            max_iterations,
+            settings,
             self.is_dense,
             observer,
         )
@@ -484,7 +503,7 @@ impl Problem {
                 (c.best().prior, c.best().tau_factor)
             });
         let shape = self.data.shape();
-        let params = prior.admm_params(shape, rule, self.options.max_iterations);
+        let params = prior.admm_params(shape, rule, self.options.solver_settings());
         self.data.reset(prior.background(), None);
         let mut prox = self.data.prox(&prior);
         let mut run = Admm::new(&self.data, shape, params);
@@ -570,7 +589,8 @@ struct RunResult {
 
 impl RunResult {
     fn new(prior: Prior, prox: &dyn Prox, shape: Shape, solution: Solution) -> Self {
-        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
+        let faint = (Tuning::STANDARD.flat_difference
+            * admm::brightness(&solution.video[..shape.voxels()])) as f32;
         Self {
             prior,
             degrees_of_freedom: prox.degrees_of_freedom(&solution.video, faint),

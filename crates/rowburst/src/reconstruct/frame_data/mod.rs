@@ -67,7 +67,7 @@ impl FrameData {
             measurement_count: 0,
             covered: None,
         };
-        data.weigh_frame();
+        data.apply_weights_to_frame();
         data.set_coverage();
         data
     }
@@ -146,7 +146,7 @@ impl FrameData {
         if weights == self.initial_weights
             || (uses_noise_law && usable(&weights) == usable(&self.initial_weights))
         {
-            self.weigh_frame();
+            self.apply_weights_to_frame();
             return;
         }
         self.noise = measurement.noise().cloned();
@@ -256,7 +256,7 @@ impl FrameData {
             held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
         }
         self.system.set_weights(weights);
-        self.weigh_frame();
+        self.apply_weights_to_frame();
     }
 
     /// Replaces the x-step by a new one for the present system.
@@ -267,7 +267,7 @@ impl FrameData {
     }
 
     /// Sets `W b` and the number of measurements.
-    fn weigh_frame(&mut self) {
+    fn apply_weights_to_frame(&mut self) {
         self.measurements = self.frame.clone();
         self.measurement_count = self.frame.len();
         if let Some(weights) = self.system.operator().weights() {

@@ -84,20 +84,20 @@ impl ActiveSet {
 
     /// Updates the support, and sets the voxels outside it to zero.
     ///
-    /// A bin's residual is compared to `expected_rms`.
+    /// A bin's residual is compared to `reference_rms`.
     pub fn update(
         &mut self,
         variables: &mut Variables,
         data: &mut dyn DataTerm,
         prior: &mut dyn Prox,
-        expected_rms: f64,
+        reference_rms: f64,
     ) -> Restriction {
         let mut underfit_bins = Vec::new();
         let was_unrestricted = self.fraction() == 1.0;
         if self.support().is_some() {
             let residual = variables.residual(data);
             let residual_rms = data.residual_rms_of_bins(&residual);
-            underfit_bins = self.estimator.underfit_bins(residual_rms, expected_rms);
+            underfit_bins = self.estimator.underfit_bins(residual_rms, reference_rms);
             if self.estimator.is_stable() && underfit_bins.is_empty() {
                 return Restriction::None;
             }

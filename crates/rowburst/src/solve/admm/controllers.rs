@@ -87,7 +87,7 @@ impl Controllers {
         if self.active_set.is_due(&self.schedule) {
             self.update_active_set(variables, data, prior);
         }
-        if self.noise_weights.are_due(&self.schedule) && data.update_weights(&variables.z) {
+        if self.noise_weights.is_due(&self.schedule) && data.update_weights(&variables.z) {
             variables.update_products(data);
         }
         if self
@@ -170,13 +170,15 @@ impl Controllers {
         prior: &mut dyn Prox,
     ) {
         // The residual of the bound, or the present one of all measurements where `τ` is given.
-        let expected_rms = match self.penalty.rule() {
+        let reference_rms = match self.penalty.rule() {
             TauRule::Discrepancy { .. } => {
                 self.discrepancy.bound() / (data.measurement_count() as f64).sqrt()
             }
             TauRule::Fixed(_) => variables.residual_rms(data),
         };
-        let restriction = self.active_set.update(variables, data, prior, expected_rms);
+        let restriction = self
+            .active_set
+            .update(variables, data, prior, reference_rms);
         if restriction == Restriction::First {
             self.penalty.raise_lower_bound();
         }

@@ -23,7 +23,7 @@ impl NoiseWeights {
         }
     }
 
-    pub fn are_due(&self, schedule: &Schedule) -> bool {
+    pub fn is_due(&self, schedule: &Schedule) -> bool {
         let interval = if schedule.step() <= self.frequent_until {
             self.interval
         } else {
@@ -45,7 +45,7 @@ mod tests {
         for _ in 0..310 {
             schedule.finish_iteration();
             schedule.advance(|| false);
-            if weights.are_due(&schedule) {
+            if weights.is_due(&schedule) {
                 steps.push(schedule.step());
             }
         }

@@ -98,7 +98,7 @@ impl Penalty {
         self.rule = rule;
         self.previous_rho = f64::NAN;
         if self.beta > 0.0 {
-            self.follow_tau();
+            self.set_rho_for_tau();
         }
     }
 
@@ -108,7 +108,7 @@ impl Penalty {
     /// 3.4.1): the brightness still grows then, and rescaling would amplify the haze of the first iterations.
     pub fn set_beta(&mut self, beta: f64) {
         self.beta = beta;
-        self.follow_tau();
+        self.set_rho_for_tau();
     }
 
     /// [`Self::set_beta`], or where it is `None` for want of light, keeps `β`, or makes the first one tiny.
@@ -120,7 +120,7 @@ impl Penalty {
     }
 
     /// Sets `ρ = τ/β` where `τ` is given. Where the data step is not stable at this `ρ`, takes a smaller `β`.
-    fn follow_tau(&mut self) {
+    fn set_rho_for_tau(&mut self) {
         let TauRule::Fixed(tau) = self.rule else {
             return;
         };
@@ -215,7 +215,7 @@ pub(super) mod tests {
         }
     }
 
-    const LATE: Circumstances = Circumstances {
+    const SETTLED: Circumstances = Circumstances {
         is_warming_up: false,
         has_passed_warm_up_steps: true,
         has_unrestricted_bin: false,
@@ -231,7 +231,7 @@ pub(super) mod tests {
         let mut penalty = penalty(TauRule::Fixed(0.2), ProblemSize::Small, 0.5);
         penalty.set_beta(0.1);
         assert_eq!((penalty.rho(), penalty.tau()), (2.0, 0.2));
-        penalty.correct(1.0, 10.0, LATE);
+        penalty.correct(1.0, 10.0, SETTLED);
         assert_eq!(penalty.rho(), 2.0);
         // At ρ = 0.2 the data step would not be stable.
         penalty.set_beta(1.0);
@@ -246,15 +246,15 @@ pub(super) mod tests {
         let mut penalty = penalty(rule, ProblemSize::Small, 0.0);
         assert_eq!(penalty.rho(), 0.1);
         penalty.begin_iteration();
-        penalty.correct(1.0, 1.01, LATE);
+        penalty.correct(1.0, 1.01, SETTLED);
         assert!(penalty.is_unchanged());
-        penalty.correct(1.1, 1.0, LATE);
+        penalty.correct(1.1, 1.0, SETTLED);
         assert!((penalty.rho() - 0.11).abs() < 1e-12 && !penalty.is_unchanged());
         // At most by the largest step, and not below the lower bound.
         penalty.raise_lower_bound();
-        penalty.correct(1.0, 100.0, LATE);
+        penalty.correct(1.0, 100.0, SETTLED);
         assert!((penalty.rho() - 0.055).abs() < 1e-12);
-        penalty.correct(1.0, 100.0, LATE);
+        penalty.correct(1.0, 100.0, SETTLED);
         assert!((penalty.rho() - 0.033).abs() < 1e-12);
     }
 
@@ -270,13 +270,13 @@ pub(super) mod tests {
         let (small, wide) = (ProblemSize::Small, ProblemSize::Wide);
         let early = Circumstances {
             is_warming_up: true,
-            ..LATE
+            ..SETTLED
         };
-        assert!(is_corrected(small, 1.1, LATE) && !is_corrected(small, 1.1, early));
+        assert!(is_corrected(small, 1.1, SETTLED) && !is_corrected(small, 1.1, early));
         assert!(is_corrected(small, 1.3, early) && !is_corrected(wide, 1.3, early));
         let unrestricted = Circumstances {
             has_unrestricted_bin: true,
-            ..LATE
+            ..SETTLED
         };
         assert!(is_corrected(small, 1.1, unrestricted) && !is_corrected(wide, 9.0, unrestricted));
         let fifth = Circumstances {
