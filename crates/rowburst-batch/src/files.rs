@@ -86,6 +86,7 @@ pub fn load_batch(files: &BatchFiles) -> Result<LoadedBatch> {
         keep_all_pixels: files.keep_all_pixels,
         self_calibration: parse_self_calibration(files.self_calibrate)?,
         is_preview: budget.is_some(),
+        ..Options::default()
     };
     let own_period = files.frame_period_us;
     let frame_period_us = own_period.or(experiment.recording.frame_period_us);

@@ -194,6 +194,7 @@ pub fn options(args: &ReconstructArgs, experiment: &Experiment) -> Result<Option
         keep_all_pixels: args.keep_all_pixels,
         self_calibration: parse_self_calibration(args.self_calibrate.as_deref())?,
         is_preview: false,
+        ..Options::default()
     })
 }
 

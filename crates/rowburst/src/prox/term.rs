@@ -6,7 +6,7 @@ use crate::Shape;
 use crate::linop::Background;
 
 /// The convex terms, in the order in which a prior is written.
-pub const TERMS: [TermSpec; 11] = [
+pub const TERMS: &[TermSpec] = &[
     variation::TV,
     variation::TDIFF,
     variation::L1,

@@ -28,7 +28,7 @@ fn random(length: usize, seed: u64) -> Vec<f32> {
 
 /// All terms, and the example of CONTRIBUTING.md.
 fn all_terms() -> impl Iterator<Item = TermSpec> {
-    TERMS.into_iter().chain([example::TCURVE])
+    TERMS.iter().copied().chain([example::TCURVE])
 }
 
 /// The names of all terms that are solved in their dual.

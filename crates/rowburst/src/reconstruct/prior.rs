@@ -456,7 +456,7 @@ mod tests {
         let video: Vec<f32> = (0..shape.voxels())
             .map(|i| (i as f32 * 0.9).sin().max(0.0))
             .collect();
-        for term in &TERMS {
+        for term in TERMS {
             let name = term.name;
             // A background needs a foreground term.
             let before = match term.background() {
@@ -483,7 +483,7 @@ mod tests {
     #[test]
     fn the_documentation_lists_every_term() {
         let text = include_str!("prior.rs");
-        for term in &TERMS {
+        for term in TERMS {
             let row = text
                 .lines()
                 .find(|line| line.starts_with(&format!("//! | `{}` |", term.name)));

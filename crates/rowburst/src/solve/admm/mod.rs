@@ -7,8 +7,13 @@
 //! ```
 //!
 //! and `z` that of the prior: `z = prox(q)` with the threshold `β = τ/ρ` and `q = x̂ + u`. Here `x̂ = αx + (1−α)z` is
-//! the over-relaxed `x` (Boyd et al. 2011, section 3.4.3). The scaled dual is `u = q − z`, so it is not stored. An
-//! iteration has one product with `A`, which is `A z`: `A x` follows from the solve, and `A q` by addition.
+//! the over-relaxed `x` (Boyd et al. 2011, section 3.4.3). The dual step is `u ← u + x̂ − z = q − z`: `q` is stored in
+//! place of `u`. An iteration has one product with `A`, which is `A z`: `A x` follows from the solve, and `A q` by
+//! addition.
+//!
+//! [`Admm::run`] is the loop, and its `iteration` the three steps. What adapts between iterations is a controller, a file
+//! each; `controllers.rs` has their order, [`Phase`] what each waits for, and [`Tuning`] their constants. A run from its
+//! first to its last iteration is told in `docs/design/027`.
 //!
 //! **Threshold.** `β` is a fixed part of the video's brightness, so no constant of the solver has a unit. At first it
 //! is larger: large steps find the shapes, small ones the details (`docs/design/006`).
