@@ -338,7 +338,7 @@ pub fn options_from(
             most => most,
         },
         keep_all_pixels,
-        is_preview: false,
+        ..Options::default()
     })
 }
 
