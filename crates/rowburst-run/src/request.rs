@@ -28,7 +28,7 @@ pub enum Request {
         debias: bool,
     },
     /// A video too large for memory, in chunks of bins.
-    Chunked(ChunkedTask),
+    Chunked(Box<ChunkedTask>),
     /// A raw colour frame, by planes.
     Colour(Box<ColourTask>),
 }
@@ -100,7 +100,8 @@ impl Request {
         }
         let mut task = setup.task(&frame, params.bins)?;
         if let Some(bins_per_chunk) = params.bins_per_chunk {
-            return Ok(Self::Chunked(ChunkedTask::new(task, bins_per_chunk)?));
+            let task = ChunkedTask::new(task, bins_per_chunk)?;
+            return Ok(Self::Chunked(Box::new(task)));
         }
         check_memory(&experiment.path, &task.camera)?;
         let truth = params.truth.map(|path| read_truth(path, &task.camera));
