@@ -325,7 +325,8 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     let background = match simulation.background {
         None => None,
         Some(times) => {
-            let picture = scene::background(shape, simulation.seed)?;
+            let picture = scene::background(shape, simulation.seed)
+                .map_err(|e| e.within(Place::Setting(Parameter::Background, times.to_string())))?;
             let added = scene::add_background(&mut video, &picture, times);
             Some(added?)
         }
