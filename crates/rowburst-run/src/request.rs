@@ -101,7 +101,7 @@ impl Request {
         let mut task = setup.task(&frame, params.bins)?;
         if let Some(bins_per_chunk) = params.bins_per_chunk {
             let task = ChunkedTask::new(task, bins_per_chunk)?;
-            return Ok(Self::Chunked(Box::new(task)));
+            return Ok(Self::Chunked(task.into()));
         }
         check_memory(&experiment.path, &task.camera)?;
         let truth = params.truth.map(|path| read_truth(path, &task.camera));

@@ -281,7 +281,7 @@ fn an_error_names_the_input_at_fault() {
         calibration,
         ..quick()
     });
-    let error = error.err().expect("the dark is too small").to_string();
+    let error = error.expect_err("the dark is too small").to_string();
     assert!(error.starts_with(&dark.display().to_string()), "{error}");
 
     let mut setup = lab.setup();
