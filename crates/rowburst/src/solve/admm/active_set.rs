@@ -144,3 +144,92 @@ impl ActiveSet {
         variables.update_products(data);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::linop::LinearOperator;
+    use crate::prox::{Variation, VariationWeights};
+    use crate::solve::admm::TauRule;
+
+    /// A data term with `A = I` whose residuals are those of the noise.
+    struct Identity {
+        measurements: Vec<f32>,
+        support: Option<Support>,
+    }
+
+    impl LinearOperator for Identity {
+        fn domain_len(&self) -> usize {
+            self.measurements.len()
+        }
+
+        fn range_len(&self) -> usize {
+            self.measurements.len()
+        }
+
+        fn apply(&self, x: &[f32], y: &mut [f32]) {
+            y.copy_from_slice(x);
+        }
+
+        fn adjoint(&self, y: &[f32], x: &mut [f32]) {
+            x.copy_from_slice(y);
+        }
+    }
+
+    impl DataTerm for Identity {
+        fn operator(&self) -> &dyn LinearOperator {
+            self
+        }
+
+        fn measurements(&self) -> &[f32] {
+            &self.measurements
+        }
+
+        fn measurement_count(&self) -> usize {
+            self.measurements.len()
+        }
+
+        fn scale(&self) -> f64 {
+            1.0
+        }
+
+        fn solve_gram(&mut self, _: &[f32], _: f64, _: &mut [f32], _: &mut [f32]) -> bool {
+            unreachable!("no solve is asked for")
+        }
+
+        fn residual_rms_of_bins(&self, _: &[f32]) -> Vec<f64> {
+            vec![1.0]
+        }
+
+        fn restrict(&mut self, support: &Support) {
+            self.support = Some(support.clone());
+        }
+    }
+
+    #[test]
+    fn variables_are_zero_outside_the_support() {
+        let shape = Shape::new(1, 9, 9);
+        let mut data = Identity {
+            measurements: vec![0.0; 81],
+            support: None,
+        };
+        let params = AdmmParams::new(TauRule::Fixed(1.0));
+        let mut prior = Variation::new(shape, VariationWeights::NONE);
+        let mut variables = Variables::new(&data, 9);
+        variables.z.fill(0.01);
+        variables.q.fill(0.5);
+        variables.z[40] = 1.0;
+        let mut active_set = ActiveSet::new(&data, shape, &params);
+        assert!(active_set.has_unrestricted_bin() && !active_set.is_settled());
+        let mut update =
+            |variables: &mut Variables| active_set.update(variables, &mut data, &mut prior, 1.0);
+        assert_eq!(update(&mut variables), Restriction::First);
+        let active = |values: &[f32]| values.iter().filter(|v| **v != 0.0).count();
+        assert_eq!((active(&variables.z), active(&variables.q)), (9, 9));
+        assert_eq!((&variables.az, &variables.aq), (&variables.z, &variables.q));
+        assert_eq!(update(&mut variables), Restriction::Later);
+        assert_eq!(update(&mut variables), Restriction::None);
+        assert!(active_set.is_settled() && !active_set.has_unrestricted_bin());
+        assert_eq!(data.support.unwrap().fraction(), active_set.fraction());
+    }
+}

@@ -69,7 +69,7 @@ impl Controllers {
     /// 4. `β`, from the same video. Where `τ` is given, `ρ` follows here.
     /// 5. The active set. It comes after `ρ`, which its first restriction bounds from below, and after the bound, to
     ///    which the residuals of bins are compared.
-    /// 6. The noise weights, from the light of the restricted video. They rebuild the blocks of the new support once.
+    /// 6. The noise weights, from the light of the restricted video, which is what the next x-step begins from.
     /// 7. Last, products that the steps above have not computed afresh.
     pub fn adapt(
         &mut self,
