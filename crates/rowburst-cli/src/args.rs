@@ -38,6 +38,8 @@ pub enum Verb {
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
     Design(DesignArgs),
+    /// Print the JSON Schema of the experiment file or of result.json
+    Schema(SchemaArgs),
     /// Print the script that completes commands in a shell
     Completions(CompletionsArgs),
     /// Write manual pages for `man`
@@ -104,6 +106,29 @@ pub struct InitArgs {
     /// The file; one that exists is not replaced
     #[arg(short, long, default_value = "experiment.toml")]
     pub output: PathBuf,
+}
+
+/// Print the JSON Schema of the experiment file or of result.json.
+///
+/// Editors check and complete by it; programs check what they read. result.json has a schema_version, which is raised
+/// where a key is removed or gets another meaning. New keys do not raise it.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst schema result > result.schema.json\n  rowburst schema experiment > experiment.schema.json\n  then write #:schema ./experiment.schema.json as first line of experiment.toml, for editors that know it"
+)]
+pub struct SchemaArgs {
+    /// Which file
+    #[arg(value_enum)]
+    pub file: SchemaOf,
+}
+
+/// A file that has a schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SchemaOf {
+    /// The experiment file, in TOML
+    Experiment,
+    /// result.json, of one video, of one in chunks (--part-bins) or of one in colour
+    Result,
 }
 
 /// Print the script that completes commands in a shell.

@@ -16,43 +16,13 @@ use rowburst_io::{
 use rowburst_run::inputs::{check_memory, naming_file, psf_path, read_corrections, read_frame};
 use rowburst_run::options::parse_time_budget;
 use rowburst_run::{
-    ColourInputs, MetadataNumbers, Plane, ReconstructionSummary, ResultMeta, Task, TraceRequest,
-    check_raw_frame, merge_planes, player_of, solve, thousands,
+    ColourInputs, ColourSummary, MetadataNumbers, Plane, PlaneSummary, RESULT_SCHEMA_VERSION,
+    ReconstructionSummary, ResultMeta, Task, TraceRequest, check_raw_frame, merge_planes,
+    player_of, solve, thousands,
 };
-use serde::Serialize;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
-
-/// `result.json` of the folder above the planes.
-#[derive(Serialize)]
-struct ColourSummary {
-    version: &'static str,
-    bayer: &'static str,
-    frames: usize,
-    rows: usize,
-    columns: usize,
-    frame_rate_hz: f64,
-    metadata: MetadataNumbers,
-    planes: Vec<PlaneSummary>,
-    warnings: Vec<String>,
-}
-
-/// A plane, whose own result.json says more.
-#[derive(Serialize)]
-struct PlaneSummary {
-    name: String,
-    folder: String,
-    /// From the start of the sensor's first instant to that of the plane's.
-    start_us: f64,
-    prior: String,
-    tau: f64,
-    residual_over_sigma: f64,
-    /// Part of the plane's pixels that are foreign and were left out.
-    excluded_fraction: f64,
-    fit: &'static str,
-    seconds: f64,
-}
 
 /// What all planes share.
 struct SharedInputs {
@@ -86,7 +56,7 @@ pub fn run(
         let plane = shared.colour.plane(site, plane)?;
         let (summary, video) = shared.solve(args, plane, options, process_start, stop)?;
         options.prior = options.prior.or(summary.prior.parse().ok());
-        let listed = PlaneSummary::of(&summary, site, start_us, args);
+        let listed = plane_summary(&summary, site, start_us, args);
         planes.push((site, listed, video));
     }
     let mut warnings = experiment.from_metadata.warnings.clone();
@@ -114,6 +84,7 @@ pub fn run(
         write_tiff_colour(w, shape, &colours, scale)
     })?;
     let summary = ColourSummary {
+        schema_version: RESULT_SCHEMA_VERSION,
         version: env!("CARGO_PKG_VERSION"),
         bayer: mosaic.name(),
         frames: shape.bins,
@@ -238,24 +209,23 @@ impl SharedInputs {
     }
 }
 
-impl PlaneSummary {
-    fn of(
-        summary: &ReconstructionSummary,
-        site: Site,
-        start_us: f64,
-        args: &ReconstructArgs,
-    ) -> Self {
-        Self {
-            name: site.name(),
-            folder: args.output.join(site.name()).display().to_string(),
-            start_us,
-            prior: summary.prior.clone(),
-            tau: summary.tau,
-            residual_over_sigma: summary.residual_over_sigma,
-            excluded_fraction: summary.excluded_fraction,
-            fit: summary.fit,
-            seconds: summary.setup_seconds + summary.seconds,
-        }
+/// The plane `site` in the list of planes.
+fn plane_summary(
+    summary: &ReconstructionSummary,
+    site: Site,
+    start_us: f64,
+    args: &ReconstructArgs,
+) -> PlaneSummary {
+    PlaneSummary {
+        name: site.name(),
+        folder: args.output.join(site.name()).display().to_string(),
+        start_us,
+        prior: summary.prior.clone(),
+        tau: summary.tau,
+        residual_over_sigma: summary.residual_over_sigma,
+        excluded_fraction: summary.excluded_fraction,
+        fit: summary.fit,
+        seconds: summary.setup_seconds + summary.seconds,
     }
 }
 

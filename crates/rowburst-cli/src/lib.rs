@@ -20,6 +20,7 @@ mod inputs;
 mod output;
 mod progress;
 mod reconstruct;
+mod schema;
 mod shell;
 mod simulate;
 mod sweep;
@@ -57,6 +58,7 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
         Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
+        Verb::Schema(args) => schema::run(&args),
         Verb::Completions(args) => shell::completions(&args),
         Verb::Man(args) => shell::man(&args),
     });

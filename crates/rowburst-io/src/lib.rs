@@ -25,6 +25,7 @@ mod fits;
 mod folder;
 #[cfg(feature = "hdf5")]
 mod hdf5;
+mod keys;
 mod mat;
 mod metadata;
 #[cfg(feature = "mp4")]
@@ -42,7 +43,9 @@ mod table;
 mod tiff;
 
 pub use csv::{read_photodiode, write_csv};
-pub use experiment::{Calibration, Experiment, FromMetadata, Reconstruction, Recording};
+pub use experiment::{
+    Calibration, Experiment, FromMetadata, Reconstruction, Recording, experiment_schema,
+};
 pub use fault::write_error;
 pub use folder::OutputFolder;
 pub use metadata::{Metadata, read_metadata};

@@ -10,6 +10,7 @@
 
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::thousands;
+use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
@@ -48,6 +49,7 @@ pub struct ChunkedTask<'a> {
 
 /// A completed chunk, in `result.json` and `parts.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ChunkNumbers {
     /// Its first bin in the written video.
     pub first_bin: usize,
@@ -65,7 +67,10 @@ pub struct ChunkNumbers {
 
 /// The content of `result.json` of a video that was reconstructed in chunks.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ChunkedSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
     pub version: &'static str,
     pub prior: String,
     pub tau_rule: &'static str,
@@ -307,6 +312,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         warnings.push(format!("{saturated} saturated pixels were excluded"));
     }
     ChunkedSummary {
+        schema_version: RESULT_SCHEMA_VERSION,
         version: env!("CARGO_PKG_VERSION"),
         prior: task.chunked.prior().to_string(),
         tau_rule: match task.tau {

@@ -1,8 +1,10 @@
 //! A raw Bayer frame: four planes, each with a reconstruction of its own, and one video in colour.
 
+use crate::summary::MetadataNumbers;
 use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
 use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
+use serde::Serialize;
 
 /// What the planes of a frame share.
 pub struct ColourInputs {
@@ -132,4 +134,40 @@ pub fn merge_planes(planes: &[(Site, &Video)]) -> Option<[Vec<f32>; 3]> {
             _ => sites[0].1.data().to_vec(),
         }
     }))
+}
+
+/// The content of `result.json` of a video in colour; each plane has one of its own.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+#[allow(missing_docs, reason = "the fields are the keys of result.json")]
+pub struct ColourSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
+    pub version: &'static str,
+    pub bayer: &'static str,
+    pub frames: usize,
+    pub rows: usize,
+    pub columns: usize,
+    pub frame_rate_hz: f64,
+    pub metadata: MetadataNumbers,
+    pub planes: Vec<PlaneSummary>,
+    pub warnings: Vec<String>,
+}
+
+/// A plane, whose own `result.json` says more.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+#[allow(missing_docs, reason = "the fields are the keys of result.json")]
+pub struct PlaneSummary {
+    pub name: String,
+    pub folder: String,
+    /// From the start of the sensor's first instant to that of the plane's.
+    pub start_us: f64,
+    pub prior: String,
+    pub tau: f64,
+    pub residual_over_sigma: f64,
+    /// Part of the plane's pixels that are foreign and were left out.
+    pub excluded_fraction: f64,
+    pub fit: &'static str,
+    pub seconds: f64,
 }

@@ -3,6 +3,7 @@
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage};
+use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
     ReconstructionSummary, peak_memory_bytes, percent,
@@ -155,6 +156,7 @@ impl CompletedTask {
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
         let shape = reconstruction.video.shape();
         ReconstructionSummary {
+            schema_version: RESULT_SCHEMA_VERSION,
             version: env!("CARGO_PKG_VERSION"),
             prior: reconstruction.prior.to_string(),
             prior_choice: self.choice(),

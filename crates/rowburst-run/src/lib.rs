@@ -25,6 +25,7 @@ mod numbers;
 pub mod options;
 mod player;
 mod run_clock;
+mod schema;
 pub mod simulate;
 mod summary;
 mod task;
@@ -32,13 +33,14 @@ mod traces;
 mod view_files;
 
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
-pub use colour::{ColourInputs, Plane, check_raw_frame, merge_planes};
+pub use colour::{ColourInputs, ColourSummary, Plane, PlaneSummary, check_raw_frame, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
 pub use figure::figure_of_folder;
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use run_clock::RunClock;
+pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
 pub use summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
     ReconstructionSummary, peak_memory_bytes, short,

@@ -13,7 +13,10 @@ use std::fmt;
 
 /// The content of `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ReconstructionSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
     pub version: &'static str,
     pub prior: String,
     pub prior_choice: PriorChoice,
@@ -76,6 +79,7 @@ pub struct ReconstructionSummary {
 
 /// Values from the metadata of the frame's file.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct MetadataNumbers {
     /// Sources of metadata that were found.
     pub sources: Vec<String>,
@@ -94,6 +98,7 @@ impl From<&FromMetadata> for MetadataNumbers {
 
 /// The correction of PSF and camera by the frame.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct CalibrationNumbers {
     /// The parameters that were found, by their names.
     #[serde(flatten)]
@@ -110,6 +115,7 @@ pub struct CalibrationNumbers {
 
 /// A parameter that was found.
 #[derive(Debug, Clone, Copy, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ParameterNumbers {
     pub value: f64,
     /// Its standard error.
@@ -180,6 +186,7 @@ impl fmt::Display for CalibrationNumbers {
 
 /// A recorded iteration.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HistoryPoint {
     pub iteration: usize,
     /// Time since the start of the process, without comparisons with the truth and calls of the observer.
@@ -204,6 +211,7 @@ impl HistoryPoint {
 
 /// How the prior was chosen.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PriorChoice {
     pub reason: String,
     /// Null where the prior was not chosen.
@@ -213,6 +221,7 @@ pub struct PriorChoice {
 
 /// A prior that was tried.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PriorCandidate {
     pub prior: String,
     /// Factor on the `τ` of the discrepancy principle.
@@ -243,6 +252,7 @@ impl From<&Candidate> for PriorCandidate {
 
 /// The statistics of the fit, on which the verdict rests; see [`FitStatistics`].
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct FitNumbers {
     pub chi_squared: f64,
     pub chi_squared_error: f64,

@@ -100,6 +100,7 @@ pub struct Traces {
 
 /// The estimate of the standard errors, in `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct StandardErrorNumbers {
     /// The reason why there are no standard errors.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -117,6 +118,7 @@ pub struct StandardErrorNumbers {
 
 /// A trace in `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TraceNumbers {
     pub region: RegionNumbers,
     /// Largest value of the refit.
@@ -143,6 +145,7 @@ pub struct TraceNumbers {
 
 /// First pixel and size of a region.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RegionNumbers {
     pub y: usize,
     pub x: usize,
@@ -152,6 +155,7 @@ pub struct RegionNumbers {
 
 /// A harmonic of the fitted frequency, and the frequency at which it appears.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HarmonicNumbers {
     pub order: usize,
     pub appears_at_hz: f64,
@@ -160,6 +164,7 @@ pub struct HarmonicNumbers {
 
 /// A photodiode that is aligned with the trace.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PhotodiodeNumbers {
     pub file: String,
     pub correlation: f64,
@@ -171,6 +176,7 @@ pub struct PhotodiodeNumbers {
 
 /// Comparison of a trace with that of the truth.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TruthNumbers {
     /// Root mean square error of the refitted trace.
     pub rms_error: f64,
@@ -482,6 +488,7 @@ fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
 
 /// The effect of debiasing, in `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct DebiasNumbers {
     /// Sum of the refitted video over that of the reconstruction.
     pub light_ratio: f64,
