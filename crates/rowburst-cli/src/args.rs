@@ -13,6 +13,9 @@ pub struct Cli {
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
     #[command(subcommand)]
+    /// Log every step with its time to standard error, in place of the progress bar
+    #[arg(long, global = true)]
+    pub verbose: bool,
     pub verb: Verb,
 }
 

@@ -13,7 +13,7 @@ use rowburst_batch::{
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{parse_prior, parse_tau};
-use rowburst_run::{MetadataNumbers, peak_memory_bytes, short};
+use rowburst_run::{MetadataNumbers, is_logging, peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
@@ -309,7 +309,7 @@ fn parse_frame_range(text: Option<&str>, count: usize) -> Result<Range<usize>> {
 }
 
 fn bar(left: usize, of: usize) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
+    if !std::io::stderr().is_terminal() || is_logging() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(of as u64);

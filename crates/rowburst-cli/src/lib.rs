@@ -17,6 +17,7 @@ mod design;
 mod figure;
 mod init;
 mod inputs;
+mod log;
 mod output;
 mod progress;
 mod reconstruct;
@@ -39,6 +40,9 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
     let process_start = Instant::now();
     let cli = Cli::parse_from(typed(arguments));
     if let Some(threads) = cli.threads
+    if cli.verbose {
+        log::start(process_start);
+    }
         && let Err(error) = rayon::ThreadPoolBuilder::new()
             .num_threads(threads.into())
             .build_global()
@@ -47,6 +51,9 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
         return 1;
     }
     let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
+    if cli.verbose {
+        log::describe_machine();
+    }
         Verb::Demo(args) => demo::run(&args, process_start),
         Verb::Init(args) => init::run(&args),
         Verb::Simulate(args) => simulate::run(&args),

@@ -3,7 +3,7 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
-use rowburst_run::IterationMetrics;
+use rowburst_run::{IterationMetrics, is_logging};
 use std::io::IsTerminal;
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
@@ -16,9 +16,9 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// A bar, hidden where standard error is no terminal; the run ends where `stop` is set.
+    /// A bar, hidden where standard error is no terminal or has the log; the run ends where `stop` is set.
     pub fn new(stop: Arc<AtomicBool>) -> Self {
-        let bar = if std::io::stderr().is_terminal() {
+        let bar = if std::io::stderr().is_terminal() && !is_logging() {
             ProgressBar::new(1)
         } else {
             ProgressBar::hidden()

@@ -6,6 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
+use tracing::info;
 
 /// A folder that results are written to. One that was made for them and has got none
 /// is removed when dropped: a run that was refused leaves nothing behind.
@@ -90,9 +91,12 @@ impl OutputFolder {
         write(&mut writer).map_err(|e| e.within(path.display()))?;
         writer.flush().map_err(fault)?;
         let file = writer.into_inner().map_err(|e| fault(e.into_error()))?;
+        let bytes = file.metadata().map_or(0, |metadata| metadata.len());
         // A disk that is full may say so only now.
         file.sync_all().map_err(fault)?;
-        hidden.persist(&path).map_err(|e| fault(e.error))
+        hidden.persist(&path).map_err(|e| fault(e.error))?;
+        info!("wrote {}, {bytes} bytes", path.display());
+        Ok(())
     }
 
     /// Writes `bytes` as the file `name`, as [`OutputFolder::write`] does.

@@ -3,6 +3,7 @@
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::frames::{ArrayFrames, PyFrames};
+use crate::log;
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
 use crate::task::{corrections_of, options_from, self_calibration_from};
@@ -283,6 +284,7 @@ fn interruptibly<T: Send>(
     /// Between two looks for Ctrl-C.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
     threads::start()?;
+    log::begin(py)?;
     let stop = AtomicBool::new(false);
     let mut interruption = None;
     let done = py.detach(|| {
@@ -291,7 +293,10 @@ fn interruptibly<T: Send>(
             while !worker.is_finished() {
                 std::thread::park_timeout(POLL_INTERVAL);
                 if interruption.is_none()
-                    && let Err(error) = Python::attach(|py| py.check_signals())
+                    && let Err(error) = Python::attach(|py| {
+                        log::flush(py)?;
+                        py.check_signals()
+                    })
                 {
                     interruption = Some(error);
                     stop.store(true, Ordering::Relaxed);
@@ -300,6 +305,9 @@ fn interruptibly<T: Send>(
             worker.join()
         })
     });
+    if interruption.is_none() {
+        log::flush(py)?;
+    }
     match (interruption, done) {
         (Some(error), _) => Err(error),
         (None, Ok(done)) => Ok(done),

@@ -5,6 +5,7 @@
 //! background, before the first iteration.
 
 use crate::error::to_py_err;
+use crate::log;
 use crate::threads;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
@@ -77,6 +78,7 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     work: impl FnOnce(&Reporter<P, T>) -> T + Send + 'static,
 ) -> PyResult<T> {
     threads::start()?;
+    log::begin(py)?;
     let is_abandoned = Arc::new(AtomicBool::new(false));
     let (messages, inbox) = sync_channel(0);
     // Only to lend it to the closure below: there is one receiver.
@@ -111,7 +113,9 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
         error
     };
     loop {
-        match py.detach(next) {
+        let message = py.detach(next);
+        log::flush(py).map_err(abandon)?;
+        match message {
             Ok(Message::Done(Ok(done))) => return Ok(done),
             Ok(Message::Done(Err(panic))) => resume_unwind(panic),
             Ok(Message::Progress(progress)) => {

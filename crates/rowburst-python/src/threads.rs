@@ -4,6 +4,7 @@
 //! without its threads, and waits for them for ever; so the process that started them is recorded.
 
 use crate::error::{WorkError, to_py_err};
+use crate::log;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
 use rowburst::Error;
@@ -23,7 +24,10 @@ static POOL: OnceLock<Result<(), String>> = OnceLock::new();
 /// A process that was forked after the threads were started.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
     start()?;
-    Ok(py.detach(work))
+    log::begin(py)?;
+    let done = py.detach(work);
+    log::flush(py)?;
+    Ok(done)
 }
 
 /// Starts the threads of this process, if they do not run yet.

@@ -24,6 +24,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::{ControlFlow, Range};
 use std::time::Instant;
 
+use tracing::info;
 /// Longest side of `video.mp4` in pixels; larger makes a larger file.
 const PREVIEW_MAX_SIDE: usize = 256;
 /// Most bins of `video.mp4`; larger makes a larger file.
@@ -162,6 +163,10 @@ pub fn run_chunked(
         }
         file.write(range.start, reconstruction.video.data())?;
         state.parts.push(ChunkNumbers {
+        info!(
+            "wrote bins {}..{} of {}",
+            range.start, range.end, shape.bins
+        );
             first_bin: range.start,
             end_bin: range.end,
             iterations: reconstruction.iterations,

@@ -23,6 +23,7 @@ use rowburst_io::{
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
 
+use tracing::info;
 /// Files of a result, with their descriptions.
 const FILES: &[(&str, &str)] = &[
     ("video.npy", "the video, float32 [t, y, x], in counts"),
@@ -313,6 +314,10 @@ impl CompletedTask {
     ) -> Result<ReconstructionSummary> {
         let mut summary = self.summary(traces);
         let video = &self.reconstruction.video;
+        info!(
+            "residual {:.4} σ, the fit is {}",
+            summary.residual_over_sigma, summary.fit
+        );
         let camera = &self.task.camera;
         // The file of an earlier run does not describe the new files.
         folder.remove("result.json")?;

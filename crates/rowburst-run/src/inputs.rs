@@ -7,6 +7,7 @@ use rowburst_io::{
     read_video,
 };
 use std::path::Path;
+use tracing::info;
 
 /// The calibration files: each of `given`, or else that of the experiment file.
 pub fn resolve_calibration(given: Calibration, experiment: &Experiment) -> Calibration {
@@ -41,6 +42,7 @@ pub fn psf_path<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Re
 /// A file that cannot be read.
 pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {
     let Capture { image, format } = read_image(path)?;
+    log_image(path, &image);
     Ok((image, format.saturation_limit()))
 }
 
@@ -64,9 +66,15 @@ pub fn read_corrections(
     })
 }
 
+fn log_image(path: &Path, image: &Image) {
+    let (rows, columns) = (image.rows(), image.columns());
+    info!("read {}: {rows}×{columns} pixels", path.display());
+}
+
 /// Reads a correction. All its pixels have to be finite.
 fn read_finite(path: &Path) -> Result<Image> {
     let image = read_image(path)?.image;
+    log_image(path, &image);
     match image.first_non_finite() {
         None => Ok(image),
         Some((y, x)) => Err(Error::input(
@@ -176,9 +184,12 @@ pub fn read_psfs(
     dark: Option<&Image>,
 ) -> Result<(PatchSet, Option<String>)> {
     if is_patch_set(path) {
-        return Ok((read_patch_set(path)?, None));
+        let set = read_patch_set(path)?;
+        info!("read {}: {} PSFs", path.display(), set.psfs().len());
+        return Ok((set, None));
     }
     let capture = read_image(path)?;
+    log_image(path, &capture.image);
     let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path.display()))?;
     let note = found.1.map(|note| format!("{}: {note}", path.display()));
     Ok((found.0.into(), note))
@@ -189,7 +200,9 @@ pub fn read_psfs(
 /// # Errors
 /// A file that cannot be read, and those of [`checked_truth`].
 pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
-    checked_truth(read_video(path)?, &path.display().to_string(), camera)
+    let video = read_video(path)?;
+    info!("read {}: {}", path.display(), video.shape());
+    checked_truth(video, &path.display().to_string(), camera)
 }
 
 /// Checks that `video` is finite and has the shape that `camera` gives. `subject` names it in errors.

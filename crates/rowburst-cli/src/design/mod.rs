@@ -12,6 +12,7 @@ use rowburst::design::sparsity::SuccessMap;
 use rowburst::{Camera, Psf, Result};
 use rowburst_io::OutputFolder;
 use rowburst_run::design::{DesignInputs, DesignSummary, Page};
+use rowburst_run::is_logging;
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -69,7 +70,7 @@ fn map_of(
     assessment: &Assessment,
     given: Option<&Psf>,
 ) -> Result<SuccessMap> {
-    let bar = if std::io::stderr().is_terminal() {
+    let bar = if std::io::stderr().is_terminal() && !is_logging() {
         ProgressBar::new(1000)
     } else {
         ProgressBar::hidden()

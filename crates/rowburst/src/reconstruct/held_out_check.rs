@@ -12,6 +12,7 @@ use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau, observ
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, TauRule};
+use tracing::info;
 
 /// Most iterations of a check; fewer compare a video that has not settled.
 pub(super) const CHECK_ITERATIONS: usize = 100;
@@ -176,6 +177,7 @@ impl Problem {
             check = self.held_out_check(prior, observer)?;
         }
         if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
+            info!("the model explains the frame");
             return Ok(());
         }
         check = self.correct_model(check, prior, observer)?;
@@ -183,6 +185,7 @@ impl Problem {
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {
             self.effective_sigma = self.effective_sigma_after(&check);
+            info!("effective σ {:.4} counts", self.effective_sigma);
         }
         Ok(())
     }
@@ -298,6 +301,11 @@ impl Problem {
         } else {
             MAX_ERROR_RATIO
         };
+        info!(
+            "without {:.2} % of the pixels, which stand out: held-out error {:.3} σ",
+            100.0 * excluded_fraction,
+            without.held_out_rms / self.sigma
+        );
         if self.is_explained(&without) && !is_doubtful
             || without.held_out_rms < max_ratio * check.held_out_rms
         {
@@ -380,6 +388,12 @@ impl Problem {
             was_wide = is_wide;
             if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {
                 self.is_dense |= is_dense;
+                info!(
+                    "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",
+                    check.residual_rms / self.sigma,
+                    check.held_out_rms / self.sigma,
+                    100.0 * check.support_fraction
+                );
                 return Ok(check);
             }
             until += CHECK_STEP;

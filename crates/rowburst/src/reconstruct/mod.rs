@@ -42,6 +42,7 @@ use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
 
+use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
@@ -235,9 +236,15 @@ impl Problem {
             prior.check_bins(camera.video_shape().bins)?;
         }
         Ok(Self {
+        let data = FrameData::new(model, measurement);
+        info!(
+            "set up a frame: σ {sigma:.4} counts {}, {} usable pixels",
+            sigma_source.name(),
+            data.measurement_count()
+        );
             camera: camera.clone(),
             bands,
-            data: FrameData::new(model, measurement),
+            data,
             excluded: vec![false; measurement.image().data().len()],
             measurement: measurement.clone(),
             options,
@@ -426,6 +433,7 @@ impl Problem {
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
         }
+            info!("noise level by held-out pixels: σ {:.4} counts", self.sigma);
         Ok(self.tau_rule())
     }
 
@@ -487,6 +495,7 @@ impl Problem {
         let shape = self.data.shape();
         let params = prior.admm_params(shape, rule, self.options.max_iterations);
         self.data.reset(prior.background(), None);
+        info!("final run: prior {prior}, factor {tau_factor} on τ");
         let mut prox = self.data.prox(&prior);
         let mut run = Admm::new(&self.data, shape, params);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
@@ -515,6 +524,12 @@ impl Problem {
             .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
         let solution = run.into_solution(&self.data, &*prox, stop_reason);
         let result = RunResult::new(prior, &*prox, shape, solution);
+        info!(
+            "final run: {} iterations, {}, τ {:.4e}",
+            solution.iterations,
+            stop_reason.name(),
+            solution.tau
+        );
         Ok(self.better_result(result, choice, best_trial))
     }
 

@@ -7,6 +7,7 @@ use crate::{Camera, PatchSet};
 use faer::Mat;
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
+use tracing::debug;
 
 /// Measurements of a block above which no blocks are built; then conjugate gradients solve the data step
 /// (docs/design/004).
@@ -41,6 +42,11 @@ impl Model {
         let scale = shutter
             .pixel_power(row.expect("a frame has rows"), columns / 4)
             .max(f64::MIN_POSITIVE);
+        debug!(
+            "set up the operator: video of {}, frame of {rows}×{columns}, PSFs: {}",
+            shutter.video_shape(),
+            psfs.psfs().len()
+        );
         Self {
             camera: camera.clone(),
             psfs,

@@ -11,6 +11,7 @@ use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::solve::admm::{Progress, TauRule};
 use crate::{Camera, PatchSet, Psf, RollingShutter};
+use tracing::debug;
 
 /// The label of the runs of self-calibration.
 const LABEL: &str = "self-calibration";
@@ -290,6 +291,10 @@ impl<'p> Calibrator<'p> {
             })
         };
         run.run(&mut data, iterations, &mut labelled)?;
+        debug!(
+            "self-calibration: frame {frame} at σ {sigma:.4} counts, residual {:.4} counts",
+            run.residual_rms()
+        );
         let video = run.admm.video().to_vec();
         let light = data.predicted(&video);
         let (gain, offset) = self.pixels(correction);

@@ -31,6 +31,7 @@ use decision::{MAX_MISFIT, MIN_GAIN};
 use psf_error::Capture;
 use search::{Proposal, Search};
 use std::ops::ControlFlow;
+use tracing::info;
 
 /// When a frame corrects its PSF and its camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -174,9 +175,18 @@ impl Frames<'_> {
         let is_identity = found.correction.is_identity() && anchor.is_none();
         let limit = (MIN_GAIN * given.error).min(MAX_MISFIT * search.calibrator.contrast());
         if is_identity || found.error > limit {
+            info!("self-calibration: nothing found");
             return Ok(None);
         }
-        search.confirm(&found, given.error, anchor.is_some())
+        let finding = search.confirm(&found, given.error, anchor.is_some())?;
+        match &finding {
+            Some(Finding { calibration, .. }) => info!(
+                "self-calibration: confirmed, held-out error {:.3} σ before and {:.3} σ after",
+                calibration.held_out_before, calibration.held_out_after
+            ),
+            None => info!("self-calibration: not confirmed"),
+        }
+        Ok(finding)
     }
 }
 
