@@ -1,8 +1,8 @@
 //! A plan from files and what is typed, for the command line and for Python.
 
-use crate::choice::CORRECTIONS;
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
+use crate::measurement::CORRECTIONS;
 use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Camera, Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};

@@ -1,6 +1,7 @@
 //! `rowburst demo`: the paper's simulation, from scene to report.
 
-use crate::args::{CalibrationArgs, DemoArgs, DemoScene, OpticsArgs, ReconstructArgs};
+use crate::args::{DemoArgs, DemoScene, ReconstructArgs};
+use crate::shared_args::{CalibrationArgs, OpticsArgs};
 use crate::simulate::SimulationInputs;
 use crate::{reconstruct, simulate};
 use rowburst::camera::CameraParams;

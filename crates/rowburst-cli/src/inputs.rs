@@ -1,6 +1,6 @@
 //! Reads the files that the command line names, and prints notes about them.
 
-use crate::args::CalibrationArgs;
+use crate::shared_args::CalibrationArgs;
 use rowburst::{Camera, Image, PatchSet, Result};
 use rowburst_io::{Calibration, Experiment};
 use std::path::Path;

@@ -22,6 +22,7 @@ mod output;
 mod progress;
 mod reconstruct;
 mod schema;
+mod shared_args;
 mod shell;
 mod simulate;
 mod sweep;
@@ -39,10 +40,10 @@ use std::time::Instant;
 pub fn run(arguments: Vec<OsString>) -> u8 {
     let process_start = Instant::now();
     let cli = Cli::parse_from(typed(arguments));
-    if let Some(threads) = cli.threads
     if cli.verbose {
         log::start(process_start);
     }
+    if let Some(threads) = cli.threads
         && let Err(error) = rayon::ThreadPoolBuilder::new()
             .num_threads(threads.into())
             .build_global()
@@ -50,10 +51,10 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
         eprintln!("error: --threads {threads}: {error}");
         return 1;
     }
-    let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
     if cli.verbose {
         log::describe_machine();
     }
+    let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
         Verb::Demo(args) => demo::run(&args, process_start),
         Verb::Init(args) => init::run(&args),
         Verb::Simulate(args) => simulate::run(&args),

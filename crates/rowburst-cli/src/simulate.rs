@@ -1,8 +1,9 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
-use crate::args::{OpticsArgs, SimulateArgs};
+use crate::args::SimulateArgs;
 use crate::inputs::read_psfs;
 use crate::output::print_line;
+use crate::shared_args::OpticsArgs;
 use rowburst::noise::{Noise, SimulatedFrame};
 use rowburst::simulate::scene::{self, Led};
 use rowburst::{Camera, Error, Image, PatchSet, Result, Video};

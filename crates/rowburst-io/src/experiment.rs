@@ -9,7 +9,7 @@ pub use sections::experiment_schema;
 use crate::fault;
 use crate::metadata::Metadata;
 use crate::npy;
-use crate::read::SampleFormat;
+use crate::pages::SampleFormat;
 use crate::source::{Colour, Source};
 use crate::table::{Table, nearest};
 use from_metadata::Filling;

@@ -8,10 +8,11 @@
 
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
+use crate::format::short;
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::thousands;
 use crate::schema::RESULT_SCHEMA_VERSION;
-use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
+use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
@@ -23,8 +24,8 @@ use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::{ControlFlow, Range};
 use std::time::Instant;
-
 use tracing::info;
+
 /// Longest side of `video.mp4` in pixels; larger makes a larger file.
 const PREVIEW_MAX_SIDE: usize = 256;
 /// Most bins of `video.mp4`; larger makes a larger file.
@@ -162,11 +163,11 @@ pub fn run_chunked(
             ));
         }
         file.write(range.start, reconstruction.video.data())?;
-        state.parts.push(ChunkNumbers {
         info!(
             "wrote bins {}..{} of {}",
             range.start, range.end, shape.bins
         );
+        state.parts.push(ChunkNumbers {
             first_bin: range.start,
             end_bin: range.end,
             iterations: reconstruction.iterations,

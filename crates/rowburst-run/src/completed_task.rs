@@ -1,12 +1,13 @@
 //! A completed reconstruction: its numbers, its report and its folder of results.
 
+use crate::format::percent;
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage};
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
-    ReconstructionSummary, peak_memory_bytes, percent,
+    ReconstructionSummary, peak_memory_bytes,
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
@@ -22,8 +23,8 @@ use rowburst_io::{
 };
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
-
 use tracing::info;
+
 /// Files of a result, with their descriptions.
 const FILES: &[(&str, &str)] = &[
     ("video.npy", "the video, float32 [t, y, x], in counts"),
@@ -313,11 +314,11 @@ impl CompletedTask {
         result_meta: ResultMeta,
     ) -> Result<ReconstructionSummary> {
         let mut summary = self.summary(traces);
-        let video = &self.reconstruction.video;
         info!(
             "residual {:.4} σ, the fit is {}",
             summary.residual_over_sigma, summary.fit
         );
+        let video = &self.reconstruction.video;
         let camera = &self.task.camera;
         // The file of an earlier run does not describe the new files.
         folder.remove("result.json")?;

@@ -19,10 +19,11 @@ mod colour;
 mod completed_task;
 pub mod design;
 mod figure;
+mod format;
 pub mod inputs;
-mod movie;
 mod log;
 mod memory;
+mod movie;
 mod numbers;
 pub mod options;
 mod player;
@@ -38,6 +39,7 @@ pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
 pub use colour::{ColourInputs, ColourSummary, Plane, PlaneSummary, check_raw_frame, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
 pub use figure::figure_of_folder;
+pub use format::short;
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
 pub use memory::available_memory_bytes;
 pub use movie::MovieStyle;
@@ -47,7 +49,7 @@ pub use run_clock::RunClock;
 pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
 pub use summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
-    ReconstructionSummary, peak_memory_bytes, short,
+    ReconstructionSummary, peak_memory_bytes,
 };
 pub use task::{IterationMetrics, Observer, Task, solve, solve_with_model};
 pub use traces::{

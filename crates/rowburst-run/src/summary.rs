@@ -3,6 +3,7 @@
 //! Fields are the keys of the file; the README explains them.
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
+use crate::format::{percent, short};
 use crate::traces::{DebiasNumbers, StandardErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Calibration, Candidate, FitStatistics};
 use rowburst_io::FromMetadata;
@@ -310,37 +311,4 @@ pub fn peak_memory_bytes() -> Option<u64> {
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib * 1024)
-}
-
-/// A fraction in percent, with one decimal.
-pub(crate) fn percent(fraction: f64) -> String {
-    let percent = 100.0 * fraction;
-    if percent > 0.0 && percent < 0.1 {
-        "under 0.1 %".into()
-    } else {
-        format!("{percent:.1} %")
-    }
-}
-
-/// A number with about four significant digits.
-pub fn short(value: f64) -> String {
-    if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
-        let digits = (3.0 - value.abs().max(1e-3).log10().floor()).clamp(0.0, 6.0) as usize;
-        format!("{value:.digits$}")
-    } else {
-        format!("{value:.3e}")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn small_fractions_are_not_zero_percent() {
-        assert_eq!(percent(0.0), "0.0 %");
-        assert_eq!(percent(1e-6), "under 0.1 %");
-        assert_eq!(percent(0.0623), "6.2 %");
-        assert_eq!(percent(1.0), "100.0 %");
-    }
 }

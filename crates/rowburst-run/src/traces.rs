@@ -3,7 +3,7 @@
 //! Fields of the structs for `result.json` are the keys of the file; the README explains them.
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
-use crate::summary::short;
+use crate::format::short;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::Reconstruction;
 use rowburst::traces::{

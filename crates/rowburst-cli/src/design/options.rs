@@ -1,6 +1,6 @@
 //! The options of `rowburst design`, and what they mean.
 
-use crate::args::OpticsArgs;
+use crate::shared_args::OpticsArgs;
 use clap::Args;
 use rowburst::camera::CameraParams;
 use rowburst::design::LightParams;

@@ -15,6 +15,7 @@ mod frame_data;
 mod held_out;
 mod held_out_check;
 mod model;
+mod model_check;
 mod preconditioner;
 mod prior;
 mod self_calibration;
@@ -41,8 +42,8 @@ use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
 use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
-
 use tracing::info;
+
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
@@ -235,13 +236,13 @@ impl Problem {
         if let Some(prior) = options.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
-        Ok(Self {
         let data = FrameData::new(model, measurement);
         info!(
             "set up a frame: σ {sigma:.4} counts {}, {} usable pixels",
             sigma_source.name(),
             data.measurement_count()
         );
+        Ok(Self {
             camera: camera.clone(),
             bands,
             data,
@@ -432,8 +433,8 @@ impl Problem {
                 choose::noise_level(&mut self.data, default_prior, max_iterations, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
-        }
             info!("noise level by held-out pixels: σ {:.4} counts", self.sigma);
+        }
         Ok(self.tau_rule())
     }
 
@@ -494,8 +495,8 @@ impl Problem {
             });
         let shape = self.data.shape();
         let params = prior.admm_params(shape, rule, self.options.max_iterations);
-        self.data.reset(prior.background(), None);
         info!("final run: prior {prior}, factor {tau_factor} on τ");
+        self.data.reset(prior.background(), None);
         let mut prox = self.data.prox(&prior);
         let mut run = Admm::new(&self.data, shape, params);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
@@ -523,13 +524,13 @@ impl Problem {
         let stop_reason = stop_reason
             .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
         let solution = run.into_solution(&self.data, &*prox, stop_reason);
-        let result = RunResult::new(prior, &*prox, shape, solution);
         info!(
             "final run: {} iterations, {}, τ {:.4e}",
             solution.iterations,
             stop_reason.name(),
             solution.tau
         );
+        let result = RunResult::new(prior, &*prox, shape, solution);
         Ok(self.better_result(result, choice, best_trial))
     }
 

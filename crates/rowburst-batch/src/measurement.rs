@@ -1,0 +1,36 @@
+//! A frame of the recording, corrected; a panic is an error of this frame alone.
+
+use crate::inputs::BatchInputs;
+use rowburst::measurement::Measurement;
+use rowburst::{Error, Result};
+use rowburst_io::Capture;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// What an error is about that lies in the corrections, and not in a frame.
+pub const CORRECTIONS: [&str; 3] = ["dark", "flat", "bad_pixels"];
+
+/// Reads and corrects a frame.
+pub(crate) fn read_measurement(
+    inputs: &BatchInputs,
+    frame: usize,
+) -> Result<(Capture, Measurement)> {
+    catch_panic(|| {
+        let capture = inputs.frames.read(frame)?;
+        let measurement = inputs.measurement(&capture)?;
+        Ok((capture, measurement))
+    })
+}
+
+/// What `work` returns, or its panic as an error: a frame that breaks the program is one frame
+/// lost.
+pub(crate) fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let text = text.or(panic.downcast_ref::<&str>().copied());
+        Err(Error::work(
+            "the program",
+            text.unwrap_or("a panic"),
+            "Report this frame.",
+        ))
+    })
+}
