@@ -3,7 +3,7 @@
 use crate::args::BatchArgs;
 use crate::inputs::calibration_from_args;
 use crate::output::print_line;
-use crate::progress::stop_on_ctrl_c;
+use crate::progress::{print_note, stop_on_ctrl_c};
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
@@ -12,7 +12,7 @@ use rowburst_batch::{
     ThreadAllocation, load_batch, name_correction_file,
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
-use rowburst_run::options::{parse_prior, parse_tau};
+use rowburst_run::options::{UserOptions, parse_prior, parse_tau};
 use rowburst_run::{MetadataNumbers, is_logging, peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
@@ -263,26 +263,23 @@ fn run_pending(
 
 /// The inputs of the batch, with the calibration and the metadata that they come from.
 fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadata)> {
-    let loaded = load_batch(&BatchFiles {
+    let files = BatchFiles {
         experiment: &args.experiment,
         frames: &args.frames,
         calibration: calibration_from_args(&args.calibration),
-        prior: args.prior.as_deref(),
-        tau: args.tau.as_deref(),
-        noise_sigma: args.noise_sigma,
-        self_calibrate: args.self_calibrate.as_deref(),
-        keep_all_pixels: args.keep_all_pixels,
-        max_iterations: args.max_iterations.map(|n| n as usize),
-        time_budget_s: args.time_budget_s,
+        options: UserOptions {
+            prior: args.prior.as_deref(),
+            tau: args.tau.as_deref(),
+            noise_sigma: args.noise_sigma,
+            self_calibrate: args.self_calibrate.as_deref(),
+            keep_all_pixels: args.keep_all_pixels,
+            max_iterations: args.max_iterations.map(|n| n as usize),
+            time_budget_s: args.time_budget_s,
+        },
         frame_period_us: args.frame_period_us,
         version: env!("CARGO_PKG_VERSION"),
-    })?;
-    if let Some(note) = loaded.note {
-        eprintln!("{note}");
-    }
-    if let Some(from_metadata) = loaded.from_metadata.summary_line() {
-        eprintln!("{from_metadata}");
-    }
+    };
+    let loaded = load_batch(&files, &mut print_note)?;
     Ok((loaded.inputs, loaded.calibration, loaded.from_metadata))
 }
 

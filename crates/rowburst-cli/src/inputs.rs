@@ -2,13 +2,8 @@
 
 use crate::shared_args::CalibrationArgs;
 use rowburst::{Camera, Image, PatchSet, Result};
-use rowburst_io::{Calibration, Experiment};
+use rowburst_io::Calibration;
 use std::path::Path;
-
-/// The calibration files: each from the command line, or else from the experiment file.
-pub fn resolve_calibration(args: &CalibrationArgs, experiment: &Experiment) -> Calibration {
-    rowburst_run::inputs::resolve_calibration(calibration_from_args(args), experiment)
-}
 
 /// The calibration files of the command line.
 pub fn calibration_from_args(args: &CalibrationArgs) -> Calibration {

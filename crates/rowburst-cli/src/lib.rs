@@ -8,10 +8,8 @@ mod args;
 #[cfg(feature = "batch")]
 mod batch;
 mod calibrate;
-mod chunked;
 #[cfg(feature = "batch")]
 mod cluster;
-mod colour;
 mod demo;
 mod design;
 mod figure;

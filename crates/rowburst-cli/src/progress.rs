@@ -3,9 +3,9 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
-use rowburst_run::{IterationMetrics, is_logging};
+use rowburst_run::{Chunk, Event, IterationMetrics, is_logging};
 use std::io::IsTerminal;
-use std::ops::{ControlFlow, Range};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -23,19 +23,50 @@ impl Bar {
         } else {
             ProgressBar::hidden()
         };
-        let style = ProgressStyle::with_template(
-            "{bar:30} iteration {pos} of {len}, at most {eta} left; {msg}",
-        );
-        bar.set_style(style.expect("the template is valid"));
-        Self { bar, stop }
+        let template = "{bar:30} iteration {pos} of {len}, at most {eta} left; {msg}";
+        let bar = Self { bar, stop };
+        bar.set_template(template);
+        bar
     }
 
-    /// Shows an iteration.
-    pub fn show(
-        &mut self,
-        progress: &Progress,
-        metrics: &IterationMetrics,
-    ) -> ControlFlow<StopReason> {
+    fn set_template(&self, template: &str) {
+        let style = ProgressStyle::with_template(template);
+        self.bar.set_style(style.expect("the template is valid"));
+    }
+
+    /// The flag that ends the run.
+    #[cfg(feature = "view")]
+    pub fn stop(&self) -> &Arc<AtomicBool> {
+        &self.stop
+    }
+
+    /// Shows an event. The answer ends the run where the flag is set.
+    pub fn show(&mut self, event: Event) -> ControlFlow<StopReason> {
+        match event {
+            Event::Note(note) => eprintln!("{note}"),
+            Event::Plane(site) => {
+                self.finish();
+                eprintln!("{}", site.name());
+            }
+            Event::Iteration {
+                progress,
+                chunk: Some(chunk),
+                ..
+            } => self.show_chunk(progress, chunk),
+            Event::Iteration {
+                progress, metrics, ..
+            } => self.show_iteration(progress, metrics),
+            Event::Writing => self.finish(),
+            _ => {}
+        }
+        if self.stop.load(Ordering::Relaxed) {
+            ControlFlow::Break(StopReason::Interrupted)
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+
+    fn show_iteration(&self, progress: &Progress, metrics: &IterationMetrics) {
         let level = metrics.residual_over_sigma;
         if progress.iteration == 1 {
             self.bar.reset();
@@ -46,58 +77,30 @@ impl Bar {
             "" => format!("residual/σ {level:.2}"),
             label => format!("{label}: residual/σ {level:.2}"),
         });
-        if self.stop.load(Ordering::Relaxed) {
-            ControlFlow::Break(StopReason::Interrupted)
-        } else {
-            ControlFlow::Continue(())
-        }
     }
 
-    /// Takes the bar away.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
-}
-
-/// The bar of a video that is found part by part.
-pub struct ChunkBar {
-    bar: ProgressBar,
-    stop: Arc<AtomicBool>,
-}
-
-impl ChunkBar {
-    /// As [`Bar::new`].
-    pub fn new(stop: Arc<AtomicBool>) -> Self {
-        let Bar { bar, stop } = Bar::new(stop);
-        let style = ProgressStyle::with_template("{bar:30} bin {pos} of {len}, {eta} left; {msg}");
-        bar.set_style(style.expect("the template is valid"));
-        Self { bar, stop }
-    }
-
-    /// Shows an iteration of the part of these bins.
-    pub fn show(
-        &mut self,
-        part: Range<usize>,
-        bins: usize,
-        progress: &Progress,
-    ) -> ControlFlow<StopReason> {
-        self.bar.set_length(bins as u64);
+    fn show_chunk(&self, progress: &Progress, chunk: &Chunk) {
         if progress.iteration == 1 {
-            self.bar.set_position(part.start as u64);
+            self.set_template("{bar:30} bin {pos} of {len}, {eta} left; {msg}");
+            self.bar.set_position(chunk.bins.start as u64);
         }
+        self.bar.set_length(chunk.video_bins as u64);
         self.bar
             .set_message(format!("iteration {}", progress.iteration));
-        if self.stop.load(Ordering::Relaxed) {
-            ControlFlow::Break(StopReason::Interrupted)
-        } else {
-            ControlFlow::Continue(())
-        }
     }
 
     /// Takes the bar away.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
+}
+
+/// Prints a note on the inputs of a run that has no bar.
+pub fn print_note(event: Event) -> ControlFlow<StopReason> {
+    if let Event::Note(note) = event {
+        eprintln!("{note}");
+    }
+    ControlFlow::Continue(())
 }
 
 /// Set once all work is done, and the program is there to be looked at.

@@ -1,30 +1,23 @@
 //! `rowburst reconstruct`: reads a frame and its calibration, writes the video and the report.
 
 use crate::args::ReconstructArgs;
-use crate::chunked;
-use crate::colour;
-use crate::inputs::{read_psfs, resolve_calibration};
+use crate::inputs::calibration_from_args;
 use crate::output::print_line;
 use crate::progress::{Bar, stop_on_ctrl_c};
 use crate::sweep;
-use rowburst::measurement::{Measurement, correct};
-use rowburst::reconstruct::{Chunked, Options, Verdict};
-use rowburst::{Camera, Error, PatchSet, Result};
-use rowburst_io::{Experiment, FromMetadata, OutputFolder, read_metadata};
-use rowburst_run::inputs::{
-    check_memory, naming_file, psf_path, read_corrections, read_frame, read_truth,
-};
-use rowburst_run::options::{
-    parse_self_calibration, parse_time_budget, resolve_prior, resolve_tau,
-};
+use rowburst::reconstruct::Verdict;
+use rowburst::{Error, Result};
+use rowburst_io::{Experiment, OutputFolder};
+use rowburst_run::options::UserOptions;
 use rowburst_run::{
-    ChunkedSummary, ChunkedTask, CompletedTask, MovieStyle, ReconstructionSummary, ResultMeta,
-    Task, TraceRequest, Traces, player_of, short, solve, thousands,
+    Artifacts, ChunkedSummary, ColourSummary, MovieStyle, Output, ReconstructionSummary, Request,
+    RequestParams, Summary, read_experiment, short, thousands,
 };
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Runs the command. `process_start` is the time at which the process started.
 pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
@@ -32,41 +25,118 @@ pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
-    let experiment = read_experiment(args)?;
-    if let Some(mosaic) = experiment.bayer {
-        return colour::run(args, experiment, mosaic, process_start, &stop);
+    let mut bar = Bar::new(Arc::clone(&stop));
+    let experiment = read_experiment(&args.experiment, &args.frame, &mut |e| bar.show(e))?;
+    #[cfg(feature = "view")]
+    if args.view && experiment.bayer.is_some() {
+        return Err(Error::input(
+            "--view",
+            "a raw Bayer frame",
+            "its four planes are reconstructed separately, and the option is for one video",
+            "Leave it out.",
+        ));
     }
-    let artifacts = match run_one(args, experiment, process_start, stop)? {
-        Artifacts::Whole(artifacts) => artifacts,
-        Artifacts::Chunked(summary) => return chunked::print_summary(&summary, args),
-    };
+    let run = run_one(args, &experiment, process_start, bar)?;
     if args.json {
-        let json =
-            serde_json::to_string_pretty(&artifacts.summary).expect("plain numbers and text");
-        print_line(json);
+        print_line(run.artifacts.summary.json());
     } else {
-        print_summary(&artifacts.summary, args, &artifacts.traces);
+        print_summary(&run.artifacts);
     }
     #[cfg(feature = "view")]
-    if let Some(page) = artifacts.page {
+    if let Some(page) = run.page {
         return page.serve_until_ctrl_c(&args.output);
     }
     Ok(())
 }
 
-/// The results of a run, which are written already.
-enum Artifacts {
-    Whole(Box<WholeArtifacts>),
-    Chunked(Box<ChunkedSummary>),
-}
-
-/// A reconstruction of the whole video.
-struct WholeArtifacts {
-    summary: ReconstructionSummary,
-    traces: Traces,
+/// A run that is complete.
+struct Run {
+    artifacts: Artifacts,
     /// The live page of the run, if one is open.
     #[cfg(feature = "view")]
     page: Option<crate::view::LivePage>,
+}
+
+/// Reconstructs one frame and writes the output folder, with the progress bar and, if requested, the live page.
+fn run_one(
+    args: &ReconstructArgs,
+    experiment: &Experiment,
+    process_start: Instant,
+    mut bar: Bar,
+) -> Result<Run> {
+    let folder = OutputFolder::create(&args.output)?;
+    let params = request_params(args)?;
+    let request = Request::read(experiment, &args.frame, params, &mut |e| bar.show(e))?;
+    #[cfg(feature = "view")]
+    let mut page = match &request {
+        Request::Whole { task, .. } => crate::view::open_live_page(args, &task.camera, bar.stop())?,
+        Request::Chunked(_) | Request::Colour(_) => None,
+    };
+    let title = format!("Rowburst: {}", args.frame.display());
+    let reproduce = command_line(args);
+    let output = Output {
+        folder: &folder,
+        title: &title,
+        reproduce: Some(&reproduce),
+        movie: if args.no_stamp {
+            MovieStyle::Plain
+        } else {
+            MovieStyle::Stamped
+        },
+    };
+    let artifacts = request.run(&output, process_start, &mut |event| {
+        #[cfg(feature = "view")]
+        if let Some(page) = &mut page {
+            page.show(event);
+        }
+        bar.show(event)
+    });
+    bar.finish();
+    Ok(Run {
+        artifacts: artifacts?,
+        #[cfg(feature = "view")]
+        page,
+    })
+}
+
+/// The files and the options of the command line.
+fn request_params(args: &ReconstructArgs) -> Result<RequestParams<'_>> {
+    Ok(RequestParams {
+        calibration: calibration_from_args(&args.calibration),
+        options: UserOptions {
+            prior: args.prior.as_deref(),
+            tau: args.tau.as_deref(),
+            noise_sigma: args.noise_sigma,
+            self_calibrate: args.self_calibrate.as_deref(),
+            keep_all_pixels: args.keep_all_pixels,
+            max_iterations: args.max_iterations.map(|n| n as usize),
+            time_budget_s: args.time_budget_s,
+        },
+        truth: args.truth.as_deref(),
+        direct: args.direct.as_deref(),
+        regions: &args.region,
+        photodiodes: &args.photodiode,
+        bins: args.bins.as_deref().map(parse_bins).transpose()?,
+        bins_per_chunk: args.part_bins,
+        debias: args.debias,
+        seed: args.seed,
+    })
+}
+
+/// Parses a range of bins, `FIRST..END`.
+fn parse_bins(text: &str) -> Result<Range<usize>> {
+    let ends = text
+        .split_once("..")
+        .map(|(a, b)| (a.trim().parse(), b.trim().parse()));
+    match ends {
+        Some((Ok(first), Ok(end))) => Ok(first..end),
+        _ => Err(Error::input(
+            "--bins",
+            format!("\"{text}\""),
+            "a range is its first bin and the one after its last, FIRST..END",
+            "Give for example --bins 0..32.",
+        )),
+    }
 }
 
 /// Runs every point of the sweep. A run that fails does not stop the others; the sweep fails if all do.
@@ -93,11 +163,12 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     for (point, point_args) in runs {
         let point_start = Instant::now();
         eprintln!("{point}");
-        let artifacts = read_experiment(&point_args)
-            .and_then(refuse_colour)
-            .and_then(|experiment| run_one(&point_args, experiment, point_start, Arc::clone(stop)));
-        let summary = match &artifacts {
-            Ok(Artifacts::Whole(artifacts)) => Some(&artifacts.summary),
+        let run = run_point(&point_args, point_start, Bar::new(Arc::clone(stop)));
+        let summary = match &run {
+            Ok(Artifacts {
+                summary: Summary::Whole(summary),
+                ..
+            }) => Some(summary),
             _ => None,
         };
         rows.push(sweep::Row {
@@ -110,9 +181,9 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
             ssim: summary.and_then(|s| s.ssim),
             fit: summary.map(|s| s.fit.to_string()),
             seconds: point_start.elapsed().as_secs_f64(),
-            error: artifacts.as_ref().err().map(ToString::to_string),
+            error: run.as_ref().err().map(ToString::to_string),
         });
-        if let Err(error) = artifacts {
+        if let Err(error) = run {
             first_error.get_or_insert(error);
         }
         if stop.load(Ordering::Relaxed) {
@@ -132,231 +203,22 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     }
 }
 
-/// Reads the experiment file. Metadata of the frame's file fills the keys that are left open.
-fn read_experiment(args: &ReconstructArgs) -> Result<Experiment> {
-    let experiment = Experiment::read_with(&args.experiment, &read_metadata(&args.frame))?;
-    if let Some(from_metadata) = experiment.from_metadata.summary_line() {
-        eprintln!("{from_metadata}");
-    }
-    Ok(experiment)
-}
-
-/// Refuses colour frames, which a sweep cannot compare.
-fn refuse_colour(experiment: Experiment) -> Result<Experiment> {
-    match experiment.bayer {
-        None => Ok(experiment),
-        Some(mosaic) => Err(Error::input(
+/// Runs a point of a sweep. Refuses colour frames, which a sweep cannot compare.
+fn run_point(args: &ReconstructArgs, point_start: Instant, mut bar: Bar) -> Result<Artifacts> {
+    let experiment = read_experiment(&args.experiment, &args.frame, &mut |e| bar.show(e))?;
+    if let Some(mosaic) = experiment.bayer {
+        return Err(Error::input(
             "--sweep",
             format!("raw frames of the mosaic {}", mosaic.name()),
             "their planes are reconstructed separately, and a sweep compares one video",
             "Leave --sweep out.",
-        )),
+        ));
     }
-}
-
-/// Reconstructs one frame and writes the output folder.
-fn run_one(
-    args: &ReconstructArgs,
-    experiment: Experiment,
-    process_start: Instant,
-    stop: Arc<AtomicBool>,
-) -> Result<Artifacts> {
-    let folder = OutputFolder::create(&args.output)?;
-    let inputs = load(args, experiment)?;
-    if args.part_bins.is_some() {
-        let summary = run_in_chunks(args, inputs, &folder, stop)?;
-        return Ok(Artifacts::Chunked(Box::new(summary)));
-    }
-    check_memory(&args.experiment, &inputs.camera)?;
-    let (task, request) = load_task(args, inputs)?;
-    let run = solve_task(args, task, process_start, stop)?;
-    let artifacts = write(args, run, request, &folder)?;
-    Ok(Artifacts::Whole(Box::new(artifacts)))
-}
-
-/// The inputs of a reconstruction, of the whole video or in chunks.
-struct Inputs {
-    camera: Camera,
-    psfs: PatchSet,
-    measurement: Measurement,
-    options: Options,
-    budget: Option<Duration>,
-    from_metadata: FromMetadata,
-}
-
-/// The options of the command line, and of the experiment file where it leaves them open.
-pub fn options(args: &ReconstructArgs, experiment: &Experiment) -> Result<Options> {
-    Ok(Options {
-        prior: resolve_prior(args.prior.as_deref(), experiment)?,
-        tau: resolve_tau(args.tau.as_deref(), experiment)?,
-        noise_sigma: args.noise_sigma,
-        max_iterations: args.max_iterations.map(|n| n as usize),
-        keep_all_pixels: args.keep_all_pixels,
-        self_calibration: parse_self_calibration(args.self_calibrate.as_deref())?,
-        is_preview: false,
-    })
-}
-
-/// Parses the options, then reads and corrects the frame. With `--bins` camera and frame are those of these bins.
-fn load(args: &ReconstructArgs, experiment: Experiment) -> Result<Inputs> {
-    let camera = experiment.camera()?;
-    let options = options(args, &experiment)?;
-    let budget = parse_time_budget(args.time_budget_s)?;
-    let calibration = resolve_calibration(&args.calibration, &experiment);
-    let psf_path = psf_path(&calibration, &experiment)?;
-    let (raw, saturation_limit) = read_frame(&args.frame)?;
-    let corrections = read_corrections(&calibration, saturation_limit)?;
-    let psfs = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
-    let measurement = correct(&raw, &camera, &corrections)
-        .map_err(|e| naming_file(e, &args.frame, &calibration))?;
-    drop((raw, corrections));
-    let (camera, measurement) = match &args.bins {
-        None => (camera, measurement),
-        Some(bins) => {
-            let part = camera.subset(chunked::parse_bins(bins)?)?;
-            let rows: Vec<usize> = part.sensor_rows().collect();
-            let measurement = measurement.select_rows(&rows);
-            (part, measurement)
-        }
-    };
-    Ok(Inputs {
-        camera,
-        psfs,
-        measurement,
-        options,
-        budget,
-        from_metadata: experiment.from_metadata,
-    })
-}
-
-/// Reconstructs the video in chunks of bins, each written before the next one starts.
-fn run_in_chunks(
-    args: &ReconstructArgs,
-    inputs: Inputs,
-    folder: &OutputFolder,
-    stop: Arc<AtomicBool>,
-) -> Result<ChunkedSummary> {
-    let Inputs {
-        camera,
-        psfs,
-        measurement,
-        options,
-        ..
-    } = inputs;
-    let task = ChunkedTask {
-        chunked: Chunked::new(camera, psfs, measurement, options)?,
-        tau: options.tau,
-        bins_per_chunk: args.part_bins.filter(|n| *n > 0),
-        title: &format!("Rowburst: {}", args.frame.display()),
-        reproduce: Some(&command_line(args)),
-        movie: movie_style(args),
-        from_metadata: &inputs.from_metadata,
-    };
-    chunked::run(&task, folder, stop)
-}
-
-/// Reads the inputs that only the whole video has: truth, direct frame, regions and photodiodes.
-fn load_task(args: &ReconstructArgs, inputs: Inputs) -> Result<(Task, TraceRequest)> {
-    let truth = args
-        .truth
-        .as_deref()
-        .map(|path| read_truth(path, &inputs.camera))
-        .transpose()?;
-    let direct = args.direct.as_deref().map(read_frame).transpose()?;
-    let direct = direct.map(|(image, _)| image);
-    let request = TraceRequest::read(&args.region, &args.photodiode, inputs.camera.video_shape())?;
-    let task = Task {
-        camera: inputs.camera,
-        psfs: inputs.psfs,
-        measurement: inputs.measurement,
-        options: inputs.options,
-        budget: inputs.budget,
-        truth,
-        truth_file: args.truth.clone(),
-        direct,
-        seed: args.seed,
-        from_metadata: inputs.from_metadata,
-    };
-    Ok((task, request))
-}
-
-/// A reconstruction that is not written yet.
-struct CompletedRun {
-    completed: CompletedTask,
-    /// The live page of the run, if one is open.
-    #[cfg(feature = "view")]
-    page: Option<crate::view::LivePage>,
-}
-
-/// Runs the solver, with the progress bar and, if requested, the live page.
-fn solve_task(
-    args: &ReconstructArgs,
-    task: Task,
-    process_start: Instant,
-    stop: Arc<AtomicBool>,
-) -> Result<CompletedRun> {
-    #[cfg(feature = "view")]
-    let mut page = crate::view::open_live_page(args, &task.camera, &stop)?;
-    #[cfg(not(feature = "view"))]
-    let _ = args;
-    let mut bar = Bar::new(stop);
-    let completed = solve(task, process_start, &mut |progress, metrics| {
-        #[cfg(feature = "view")]
-        if let Some(page) = &mut page {
-            page.show(progress, metrics);
-        }
-        bar.show(progress, metrics)
-    });
-    bar.finish();
-    Ok(CompletedRun {
-        completed: completed?,
-        #[cfg(feature = "view")]
-        page,
-    })
-}
-
-/// Computes the traces and writes all files of the result.
-fn write(
-    args: &ReconstructArgs,
-    run: CompletedRun,
-    request: TraceRequest,
-    folder: &OutputFolder,
-) -> Result<WholeArtifacts> {
-    let mut completed = run.completed;
-    let mut traces = completed.traces(request, args.debias);
-    completed.take_debiased(&mut traces);
-    #[cfg(feature = "view")]
-    if let Some(page) = &run.page {
-        page.mark_writing();
-    }
-    let title = format!("Rowburst: {}", args.frame.display());
-    let reproduce = command_line(args);
-    let result_meta = ResultMeta {
-        title: &title,
-        reproduce: Some(&reproduce),
-        player: player_of(folder.path()),
-        movie: movie_style(args),
-    };
-    let summary = completed.write(&traces, folder, result_meta)?;
-    Ok(WholeArtifacts {
-        summary,
-        traces,
-        #[cfg(feature = "view")]
-        page: run.page,
-    })
-}
-
-/// The style of `video.mp4` that the arguments select.
-pub(crate) fn movie_style(args: &ReconstructArgs) -> MovieStyle {
-    if args.no_stamp {
-        MovieStyle::Plain
-    } else {
-        MovieStyle::Stamped
-    }
+    Ok(run_one(args, &experiment, point_start, bar)?.artifacts)
 }
 
 /// The command that reproduces the result, quoted for a shell.
-pub(crate) fn command_line(args: &ReconstructArgs) -> String {
+fn command_line(args: &ReconstructArgs) -> String {
     let path = |path: &PathBuf| path.display().to_string();
     let mut words: Vec<String> = ["rowburst", "reconstruct"].map(String::from).into();
     words.extend([path(&args.experiment), "--frame".into(), path(&args.frame)]);
@@ -400,7 +262,36 @@ pub(crate) fn command_line(args: &ReconstructArgs) -> String {
 }
 
 /// Prints the summary for a person.
-fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces: &Traces) {
+fn print_summary(artifacts: &Artifacts) {
+    let page = artifacts.page();
+    match &artifacts.summary {
+        Summary::Whole(summary) => {
+            print_whole(summary, &artifacts.trace_lines);
+            print_warnings(&summary.warnings);
+            print_line(format_args!("open {}", page.display()));
+        }
+        Summary::Chunked(summary) => {
+            print_chunked(summary);
+            print_warnings(&summary.warnings);
+            print_line(format_args!("open {}", page.display()));
+        }
+        Summary::Colour(summary) => {
+            print_colour(summary);
+            print_warnings(&summary.warnings);
+            print_line(format_args!("video: {}", page.display()));
+        }
+        _ => unreachable!("the layer has no other summary"),
+    }
+}
+
+fn print_warnings(warnings: &[String]) {
+    for warning in warnings {
+        print_line(format_args!("warning: {warning}"));
+    }
+}
+
+/// Prints the numbers of a video that was reconstructed as a whole.
+fn print_whole(summary: &ReconstructionSummary, trace_lines: &[String]) {
     print_line(format_args!(
         "{} frames of {}×{} at {} fps from one frame, in {:.2} s (set-up {:.2} s, {} iterations, {})",
         summary.frames,
@@ -450,14 +341,55 @@ fn print_summary(summary: &ReconstructionSummary, args: &ReconstructArgs, traces
             debias.light_ratio, debias.bright_light_ratio
         ));
     }
-    for line in traces.summary_lines() {
-        print_line(line);
-    }
-    for warning in &summary.warnings {
-        print_line(format_args!("warning: {warning}"));
-    }
+    trace_lines.iter().for_each(print_line);
+}
+
+/// Prints the numbers of a video that was reconstructed in chunks.
+fn print_chunked(summary: &ChunkedSummary) {
     print_line(format_args!(
-        "open {}",
-        args.output.join("report.html").display()
+        "{} frames of {}×{} at {} fps from one frame, in {} chunks and {:.1} s ({} s per bin)",
+        summary.frames,
+        summary.rows,
+        summary.columns,
+        thousands(summary.frame_rate_hz),
+        summary.parts.len(),
+        summary.seconds,
+        short(summary.seconds_per_bin),
     ));
+    print_line(format_args!(
+        "residual/σ {:.3}, σ {} ({}), prior {}",
+        summary.residual_over_sigma,
+        short(summary.noise_sigma),
+        summary.noise_sigma_source,
+        summary.prior,
+    ));
+    if summary.fit == Verdict::Good.name() {
+        print_line(format_args!("the fit is good: {}", summary.fit_reason));
+    }
+}
+
+/// Prints the numbers of a raw colour frame.
+fn print_colour(summary: &ColourSummary) {
+    print_line(format_args!(
+        "{} frames of {}×{} in colour at {} fps from one raw {} frame",
+        summary.frames,
+        summary.rows,
+        summary.columns,
+        thousands(summary.frame_rate_hz),
+        summary.bayer
+    ));
+    for plane in &summary.planes {
+        let left_out = if plane.excluded_fraction > 0.0 {
+            format!(
+                ", {:.1} % of the pixels left out",
+                100.0 * plane.excluded_fraction
+            )
+        } else {
+            String::new()
+        };
+        print_line(format_args!(
+            "{}: prior {}, residual/σ {:.3}, the fit is {}{left_out}, {:.2} s",
+            plane.name, plane.prior, plane.residual_over_sigma, plane.fit, plane.seconds
+        ));
+    }
 }

@@ -5,7 +5,7 @@ use crate::output::print_line;
 use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Result};
-use rowburst_run::IterationMetrics;
+use rowburst_run::{Event, IterationMetrics};
 use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server};
 use std::path::Path;
 use std::sync::Arc;
@@ -76,8 +76,18 @@ pub fn open_live_page(
 }
 
 impl LivePage {
-    /// Shows an iteration.
-    pub fn show(&mut self, progress: &Progress, metrics: &IterationMetrics) {
+    /// Shows an event of the run.
+    pub fn show(&mut self, event: Event) {
+        match event {
+            Event::Iteration {
+                progress, metrics, ..
+            } => self.show_iteration(progress, metrics),
+            Event::Writing => self.live.set_status(RunStatus::Writing),
+            _ => {}
+        }
+    }
+
+    fn show_iteration(&mut self, progress: &Progress, metrics: &IterationMetrics) {
         let point = ProgressPoint {
             iteration: progress.iteration,
             max_iterations: progress.max_iterations,
@@ -90,11 +100,6 @@ impl LivePage {
             self.live.show(progress.video);
             self.last = Instant::now();
         }
-    }
-
-    /// The iterations are over.
-    pub fn mark_writing(&self) {
-        self.live.set_status(RunStatus::Writing);
     }
 
     /// Shows the result that was written to `folder`, until Ctrl-C.

@@ -18,6 +18,8 @@ use rowburst_batch::{
     load_batch, name_correction_file,
 };
 use rowburst_io::{Calibration, Capture, Frames};
+use rowburst_run::options::UserOptions;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -85,18 +87,20 @@ impl PyBatch {
                 flat,
                 bad_pixels,
             },
-            prior: prior.as_deref(),
-            tau: tau.as_deref(),
-            noise_sigma,
-            self_calibrate: Some(self_calibrate),
-            keep_all_pixels,
-            max_iterations,
-            time_budget_s: None,
+            options: UserOptions {
+                prior: prior.as_deref(),
+                tau: tau.as_deref(),
+                noise_sigma,
+                self_calibrate: Some(self_calibrate),
+                keep_all_pixels,
+                max_iterations,
+                time_budget_s: None,
+            },
             frame_period_us,
             version: env!("CARGO_PKG_VERSION"),
         };
         let open = || -> Result<Batch> {
-            let loaded = load_batch(&files)?;
+            let loaded = load_batch(&files, &mut |_| ControlFlow::Continue(()))?;
             Batch::open(loaded.inputs, &out)
                 .map_err(|e| name_correction_file(e, &frames, &loaded.calibration))
         };

@@ -10,13 +10,12 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict, PyType};
-use rowburst::reconstruct::Prior;
 use rowburst::solve::admm::Progress;
 use rowburst::{Error, Shape, Video};
 use rowburst_io::OutputFolder;
 use rowburst_report::Layout;
 use rowburst_run::{
-    CompletedTask, MovieStyle, ReportMeta, ResultMeta, TraceRequest, Traces, figure_of_folder,
+    CompletedTask, MovieStyle, Output, ReportMeta, TraceRequest, Traces, figure_of_folder,
     player_of,
 };
 use std::path::{Path, PathBuf};
@@ -91,16 +90,6 @@ impl PyReconstruction {
                 traces,
             }),
         }
-    }
-
-    /// The prior of the reconstruction.
-    pub fn prior_used(&self, py: Python<'_>) -> Option<Prior> {
-        Some(self.state(py).completed.reconstruction.prior)
-    }
-
-    /// A copy of the video, of a reconstruction whose video numpy does not own yet.
-    pub fn copied_video(&self, py: Python<'_>) -> Video {
-        self.state(py).completed.reconstruction.video.clone()
     }
 
     fn state<'a>(&'a self, py: Python<'_>) -> MutexGuard<'a, State> {
@@ -390,15 +379,13 @@ impl PyReconstruction {
         let saved = self.with(py, |completed, traces| {
             let folder = OutputFolder::create(&folder)?;
             let traces = traces.get_or_insert_with(|| spots(completed));
-            {
-                let result_meta = ResultMeta {
-                    title: &title,
-                    reproduce: None,
-                    player: player_of(folder.path()),
-                    movie: MovieStyle::Stamped,
-                };
-                completed.write(traces, &folder, result_meta).map(|_| ())
-            }
+            let output = Output {
+                folder: &folder,
+                title: &title,
+                reproduce: None,
+                movie: MovieStyle::Stamped,
+            };
+            completed.write(traces, &output).map(|_| ())
         })?;
         saved.map_err(to_py_err)
     }

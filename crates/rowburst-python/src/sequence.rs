@@ -5,14 +5,13 @@ use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
-use crate::psf::psfs_of;
-use crate::task::{corrections_of, measured, prior_from, tau_from};
+use crate::task::{corrections_of, measured, prior_from, setup_of, tau_from};
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, SelfCalibration, Sequence};
 use rowburst::solve::StopReason;
+use rowburst_run::Setup;
 use rowburst_run::options::parse_time_budget;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -30,8 +29,7 @@ use std::time::Instant;
 ///     show(look.video)
 #[pyclass(name = "LiveView", module = "rowburst", frozen)]
 pub struct PySequence {
-    camera: PyCamera,
-    corrections: Corrections,
+    setup: Setup,
     sequence: Arc<Mutex<Sequence>>,
 }
 
@@ -82,12 +80,11 @@ impl PySequence {
         };
         let grey = camera.grey()?;
         let corrections = corrections_of(dark, flat, bad_pixels)?;
-        let psfs = psfs_of(psf, grey, corrections.dark.as_ref())?;
+        let setup = setup_of(grey, psf, corrections, options, None)?;
         crate::memory::check(grey)?;
-        let model = model_of(py, grey, &psfs, None, Gram::Cached)?;
+        let model = model_of(py, grey, &setup.psfs, None, Gram::Cached)?;
         Ok(Self {
-            camera: camera.clone(),
-            corrections,
+            setup,
             sequence: Arc::new(Mutex::new(Sequence::new(model, options))),
         })
     }
@@ -104,7 +101,7 @@ impl PySequence {
     ) -> PyResult<PyLook> {
         let began = Instant::now();
         let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-        let measurement = measured(frame, &self.camera.camera, self.corrections.clone())?;
+        let measurement = measured(frame, self.setup.clone())?;
         let sequence = Arc::clone(&self.sequence);
         let found = interruptibly::<(), _>(py, None, None, move |reporter| {
             let mut sequence = sequence.lock().unwrap_or_else(PoisonError::into_inner);

@@ -4,7 +4,7 @@ use crate::array::{finite_image, is_array, masked_capture, masked_image, video, 
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::experiment::PyExperiment;
-use crate::interrupt::{Answer, OnProgress, interruptibly};
+use crate::interrupt::{Answer, OnProgress, Reporter, interruptibly};
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
@@ -13,35 +13,21 @@ use crate::whole::{Whole, is_bool, optional};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rayon::ThreadPool;
-use rowburst::camera::CameraParams;
-use rowburst::measurement::{Corrections, Measurement, correct};
-use rowburst::reconstruct::{Chunked, Model, Options, Prior, SelfCalibration, Tau};
+use rowburst::measurement::{Corrections, Measurement};
+use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
-use rowburst::solve::admm::Progress;
-use rowburst::{Camera, Error, Image, PatchSet, Sensor};
-use rowburst_io::{Capture, FromMetadata, OutputFolder, SampleFormat};
+use rowburst::{Camera, Error, Image, Result};
+use rowburst_io::{Calibration, OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
 use rowburst_run::{
-    ChunkedTask, ColourInputs, IterationMetrics, MovieStyle, Task, TraceRequest, check_raw_frame,
-    merge_planes, run_chunked, solve, solve_with_model,
+    Bias, ChunkedTask, ColourTask, CompletedTask, Event, Frame, MovieStyle, Output, Setup, Task,
+    TraceRequest, Traces, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
 };
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
-
-/// What the frames of a camera share: calibration and options.
-#[derive(Clone)]
-pub struct Setup {
-    camera: Camera,
-    psfs: PatchSet,
-    corrections: Corrections,
-    options: Options,
-    from_metadata: FromMetadata,
-    /// The threads of these frames alone, if they have some.
-    pool: Option<Arc<ThreadPool>>,
-}
 
 /// A frame, and what it is compared with.
 struct FrameInputs<'a, 'py> {
@@ -90,7 +76,8 @@ pub fn reconstruct(
         ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
-    let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
+    let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
+    let pool = pool_from(threads)?;
     let inputs = FrameInputs {
         frame,
         truth,
@@ -99,13 +86,16 @@ pub fn reconstruct(
         seed,
         debias,
     };
-    setup.reconstruct(py, None, &inputs, progress, began)
+    let task = task_of(setup, &inputs)?;
+    run(py, task, None, pool, debias, progress, began)
 }
 
 /// A set-up whose operator and Gram blocks all frames share.
 #[pyclass(name = "_Reconstructor", module = "rowburst._rowburst", frozen)]
 pub struct PyReconstructor {
     setup: Setup,
+    /// The threads of these frames alone, if they have some.
+    pool: Option<Arc<ThreadPool>>,
     model: Model,
 }
 
@@ -136,16 +126,11 @@ impl PyReconstructor {
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
-        let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
+        let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
+        let pool = pool_from(threads)?;
         crate::memory::check(&setup.camera)?;
-        let model = model_of(
-            py,
-            &setup.camera,
-            &setup.psfs,
-            setup.pool.clone(),
-            Gram::Cached,
-        )?;
-        Ok(Self { setup, model })
+        let model = model_of(py, &setup.camera, &setup.psfs, pool.clone(), Gram::Cached)?;
+        Ok(Self { setup, pool, model })
     }
 
     /// The video of a frame.
@@ -173,76 +158,53 @@ impl PyReconstructor {
         };
         let model = Some(self.model.clone());
         let began = Instant::now();
-        self.setup.reconstruct(py, model, &inputs, progress, began)
+        let task = task_of(self.setup.clone(), &inputs)?;
+        run(py, task, model, self.pool.clone(), debias, progress, began)
     }
 }
 
-impl Setup {
-    fn new(
-        camera: &PyCamera,
-        psf: &Bound<'_, PyAny>,
-        corrections: Corrections,
-        options: Options,
-        experiment: Option<&PyExperiment>,
-        threads: Option<Whole>,
-    ) -> PyResult<Self> {
-        let camera = camera.grey()?.clone();
-        Ok(Self {
-            psfs: psfs_of(psf, &camera, corrections.dark.as_ref())?,
-            camera,
-            corrections,
-            options,
-            from_metadata: experiment
-                .map(|e| e.from_metadata.clone())
-                .unwrap_or_default(),
-            pool: optional(threads, "threads")?.map(pool_of).transpose()?,
-        })
-    }
+/// What the frames of a camera share.
+pub fn setup_of(
+    camera: &Camera,
+    psf: &Bound<'_, PyAny>,
+    corrections: Corrections,
+    options: Options,
+    experiment: Option<&PyExperiment>,
+) -> PyResult<Setup> {
+    Ok(Setup {
+        psfs: psfs_of(psf, camera, corrections.dark.as_ref())?,
+        camera: camera.clone(),
+        corrections,
+        options,
+        budget: None,
+        from_metadata: experiment
+            .map(|e| e.from_metadata.clone())
+            .unwrap_or_default(),
+        experiment: None,
+        calibration: Calibration::default(),
+    })
+}
 
-    /// The video of a frame, with `model` if the frames share one.
-    fn reconstruct(
-        &self,
-        py: Python<'_>,
-        model: Option<Model>,
-        inputs: &FrameInputs<'_, '_>,
-        progress: Option<Py<PyAny>>,
-        began: Instant,
-    ) -> PyResult<PyReconstruction> {
-        let task = self.task(inputs)?;
-        run(
-            py,
-            task,
-            model,
-            self.pool.clone(),
-            inputs.debias,
-            progress,
-            began,
-        )
-    }
+/// The threads of a caller alone, if it asks for some.
+fn pool_from(threads: Option<Whole>) -> PyResult<Option<Arc<ThreadPool>>> {
+    optional(threads, "threads")?.map(pool_of).transpose()
+}
 
-    fn task(&self, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
-        let seed = inputs.seed.clone().named("seed")? as u64;
-        let budget = parse_time_budget(inputs.time_budget_s).map_err(to_py_err)?;
-        let measurement = measured(inputs.frame, &self.camera, self.corrections.clone())?;
-        crate::memory::check(&self.camera)?;
-        let truth = inputs.truth.map(|value| {
-            let video = video(value, "truth")?;
-            checked_truth(video, "truth", &self.camera).map_err(to_py_err)
-        });
-        let direct = inputs.direct.map(|v| finite_image(v, "direct"));
-        Ok(Task {
-            camera: self.camera.clone(),
-            psfs: self.psfs.clone(),
-            measurement,
-            options: self.options,
-            budget,
-            truth: truth.transpose()?,
-            truth_file: None,
-            direct: direct.transpose()?,
-            seed,
-            from_metadata: self.from_metadata.clone(),
-        })
-    }
+/// A frame of `setup` as a task.
+fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
+    let seed = inputs.seed.clone().named("seed")? as u64;
+    let budget = parse_time_budget(inputs.time_budget_s).map_err(to_py_err)?;
+    let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup })?;
+    let mut task = setup.task(&frame, None).map_err(to_py_err)?;
+    crate::memory::check(&task.camera)?;
+    let truth = inputs.truth.map(|value| {
+        let video = video(value, "truth")?;
+        checked_truth(video, "truth", &task.camera).map_err(to_py_err)
+    });
+    task.truth = truth.transpose()?;
+    let direct = inputs.direct.map(|v| finite_image(v, "direct"));
+    task.direct = direct.transpose()?;
+    Ok(Task { seed, ..task })
 }
 
 /// Reconstructs a frame, with `model` if several frames share one.
@@ -255,6 +217,71 @@ fn run(
     progress: Option<Py<PyAny>>,
     began: Instant,
 ) -> PyResult<PyReconstruction> {
+    let done = observed(py, pool, progress, began, move |watch| {
+        let completed = match model {
+            Some(model) => solve_with_model(&model, task, began, &mut |event| watch.answer(event))?,
+            None => solve(task, began, &mut |event| watch.answer(event))?,
+        };
+        Ok(watch.evaluated(completed, debias))
+    })?;
+    Ok(done.into_result())
+}
+
+/// A reconstruction with its traces, where they are known already, and the number of threads that made it.
+struct Evaluated {
+    completed: CompletedTask,
+    traces: Option<Traces>,
+    threads: usize,
+}
+
+impl Evaluated {
+    fn into_result(self) -> PyReconstruction {
+        PyReconstruction::new(self.completed, self.traces, self.threads)
+    }
+}
+
+/// Shows the events of a run to the progress function.
+struct Watch<'r, T> {
+    reporter: &'r Reporter<PyProgress, T>,
+    began: Instant,
+}
+
+impl<T> Watch<'_, T> {
+    fn answer(&self, event: Event) -> ControlFlow<StopReason> {
+        let Event::Iteration {
+            progress, metrics, ..
+        } = event
+        else {
+            return ControlFlow::Continue(());
+        };
+        let level = metrics.residual_over_sigma;
+        let seconds = self.began.elapsed().as_secs_f64();
+        let iteration = || PyProgress::new(progress, level, seconds);
+        match self.reporter.ask(iteration) {
+            Answer::Continue => ControlFlow::Continue(()),
+            Answer::Finish | Answer::Abandon => ControlFlow::Break(StopReason::Interrupted),
+        }
+    }
+
+    /// Refits the video where that is asked for; traces alone are left to the first question for them.
+    fn evaluated(&self, mut completed: CompletedTask, debias: bool) -> Evaluated {
+        let is_wanted = debias && !self.reporter.is_abandoned();
+        Evaluated {
+            traces: is_wanted.then(|| completed.evaluate(TraceRequest::default(), true)),
+            completed,
+            threads: rayon::current_num_threads(),
+        }
+    }
+}
+
+/// Does `work` on a thread of its own, and shows its iterations to `progress`.
+fn observed<T: Send + 'static>(
+    py: Python<'_>,
+    pool: Option<Arc<ThreadPool>>,
+    progress: Option<Py<PyAny>>,
+    began: Instant,
+    work: impl FnOnce(&Watch<Result<T>>) -> Result<T> + Send + 'static,
+) -> PyResult<T> {
     let call = |py: Python<'_>, iteration: PyProgress| {
         progress
             .as_ref()
@@ -264,28 +291,10 @@ fn run(
         Some(_) => Some(&call),
         None => None,
     };
-    let completed = interruptibly(py, pool, on_progress, move |reporter| {
-        let mut show = |iteration: &Progress, metrics: &IterationMetrics| {
-            let level = metrics.residual_over_sigma;
-            let seconds = began.elapsed().as_secs_f64();
-            match reporter.ask(|| PyProgress::new(iteration, level, seconds)) {
-                Answer::Continue => ControlFlow::Continue(()),
-                Answer::Finish | Answer::Abandon => ControlFlow::Break(StopReason::Interrupted),
-            }
-        };
-        let mut completed = match model {
-            Some(model) => solve_with_model(&model, task, began, &mut show)?,
-            None => solve(task, began, &mut show)?,
-        };
-        let traces = (debias && !reporter.is_abandoned()).then(|| {
-            let mut traces = completed.traces(TraceRequest::default(), true);
-            completed.take_debiased(&mut traces);
-            traces
-        });
-        Ok((completed, traces, rayon::current_num_threads()))
+    let done = interruptibly(py, pool, on_progress, move |reporter| {
+        work(&Watch { reporter, began })
     })?;
-    let (completed, traces, threads) = completed.map_err(to_py_err)?;
-    Ok(PyReconstruction::new(completed, traces, threads))
+    done.map_err(to_py_err)
 }
 
 /// What a progress function answers: `None` goes on; `False`, of Python or numpy, asks for the best so far.
@@ -350,36 +359,17 @@ pub fn corrections_of(
     })
 }
 
-/// The measurement that a frame is: a raw capture, or an array of floating-point numbers from which
-/// the bias is already taken.
-pub fn measured(
-    frame: &Bound<'_, PyAny>,
-    camera: &Camera,
-    corrections: Corrections,
-) -> PyResult<Measurement> {
-    let (raw, corrections) = raw_frame(frame, corrections)?;
-    let origin = if is_array(frame) {
-        Origin::Array
-    } else {
-        Origin::File
-    };
-    measurement_of(&raw, origin, camera, corrections).map_err(to_py_err)
+/// The corrected frame of a live view.
+pub fn measured(frame: &Bound<'_, PyAny>, setup: Setup) -> PyResult<Measurement> {
+    let (frame, setup) = frame_of(frame, setup)?;
+    setup.measurement(&frame).map_err(to_py_err)
 }
 
-/// Where a frame comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Origin {
-    Array,
-    File,
-}
-
-/// The pixels of a frame, and its corrections with the masked pixels of a masked array and the end of its numbers.
-fn raw_frame(
-    frame: &Bound<'_, PyAny>,
-    corrections: Corrections,
-) -> PyResult<(Capture, Corrections)> {
-    let (raw, mask) = masked_capture(frame, "frame")?;
-    if raw.format == (SampleFormat::Counts { bits: 1 }) {
+/// A frame: a raw capture, or an array of floating-point numbers from which the bias has been subtracted. The masked
+/// pixels of a masked array are bad pixels of the set-up.
+fn frame_of(frame: &Bound<'_, PyAny>, mut setup: Setup) -> PyResult<(Frame, Setup)> {
+    let (capture, mask) = masked_capture(frame, "frame")?;
+    if capture.format == (SampleFormat::Counts { bits: 1 }) {
         return Err(to_py_err(Error::input(
             "frame",
             "an array of bool",
@@ -387,59 +377,18 @@ fn raw_frame(
             "Give the counts as the camera recorded them.",
         )));
     }
-    let corrections = Corrections {
-        saturation_counts: raw.format.saturation_limit(),
-        bad_pixels: with_masked(corrections.bad_pixels, mask),
-        ..corrections
+    setup.corrections.bad_pixels = with_masked(setup.corrections.bad_pixels, mask);
+    let bias = if is_array(frame) {
+        bias_of_array(capture.format)
+    } else {
+        Bias::Contained
     };
-    Ok((raw, corrections))
-}
-
-fn measurement_of(
-    raw: &Capture,
-    origin: Origin,
-    camera: &Camera,
-    mut corrections: Corrections,
-) -> rowburst::Result<Measurement> {
-    let bias = camera.sensor().bias_counts.filter(|bias| *bias > 0.0);
-    let is_free_of_bias =
-        origin == Origin::Array && raw.format == SampleFormat::Float && corrections.dark.is_none();
-    let corrected = match bias {
-        Some(bias) if is_free_of_bias => {
-            if let Some(flat) = &mut corrections.flat {
-                flat.data_mut().iter_mut().for_each(|p| *p -= bias as f32);
-            }
-            correct(&raw.image, &without_bias(camera, bias)?, &corrections)
-        }
-        _ => correct(&raw.image, camera, &corrections),
+    let frame = Frame {
+        capture,
+        bias,
+        file: None,
     };
-    corrected.map_err(within_frame)
-}
-
-/// The camera of frames from which the bias is taken: it saturates earlier by as much.
-fn without_bias(camera: &Camera, bias: f64) -> rowburst::Result<Camera> {
-    let params = camera.params().clone();
-    let end = params.sensor.saturation_counts();
-    Camera::new(CameraParams {
-        sensor: Sensor {
-            bias_counts: None,
-            full_well_counts: end.map(|end| end - bias).filter(|end| *end > 0.0),
-            ..params.sensor
-        },
-        ..params
-    })
-}
-
-/// Names the frame in an error of the corrections that is none of theirs.
-fn within_frame(error: Error) -> Error {
-    match &error {
-        Error::Input { subject, .. }
-            if ["frame", "dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
-        {
-            error
-        }
-        _ => error.within("frame"),
-    }
+    Ok((frame, setup))
 }
 
 pub fn self_calibration_from(name: &str) -> PyResult<SelfCalibration> {
@@ -502,64 +451,35 @@ pub fn _reconstruct_colour<'py>(
         let remedy = "Give bayer=\"rggb\" to the Camera, or call rowburst.reconstruct.";
         to_py_err(Error::input("bayer", "None", rule, remedy))
     })?;
-    let mut options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+    let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
     let corrections = corrections_of(dark, flat, bad_pixels)?;
-    let psfs = psfs_of(psf, &camera.camera, corrections.dark.as_ref())?;
-    let (raw, corrections) = raw_frame(frame, corrections)?;
-    let origin = if is_array(frame) {
-        Origin::Array
-    } else {
-        Origin::File
-    };
-    check_raw_frame("frame", &raw.image, &camera.camera).map_err(to_py_err)?;
-    let colour = ColourInputs {
-        raw: raw.image,
-        camera: camera.camera.clone(),
-        mosaic,
-        psfs,
-        corrections,
-    };
-    colour.check_corrections().map_err(to_py_err)?;
-    crate::memory::check(&colour.camera)?;
+    let setup = setup_of(&camera.camera, psf, corrections, options, experiment)?;
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-    let pool = optional(threads, "threads")?.map(pool_of).transpose()?;
-    let seed = seed.named("seed")? as u64;
-    let mut planes = Vec::new();
-    for site in colour.sites() {
-        let plane = colour.plane_camera(site).map_err(to_py_err)?;
-        let start_us = plane.start_us;
-        let plane = colour.plane(site, plane).map_err(to_py_err)?;
-        let camera = plane.camera.camera;
-        let raw = Capture {
-            image: plane.raw,
-            format: raw.format,
-        };
-        let task = Task {
-            measurement: measurement_of(&raw, origin, &camera, plane.corrections)
-                .map_err(to_py_err)?,
-            camera,
-            psfs: plane.psfs,
-            options,
-            budget: budget.map(|budget| budget / 4),
-            truth: None,
-            truth_file: None,
-            direct: None,
-            seed,
-            from_metadata: experiment
-                .map(|e| e.from_metadata.clone())
-                .unwrap_or_default(),
-        };
-        let heard = progress.as_ref().map(|f| f.clone_ref(py));
-        let result = run(py, task, None, pool.clone(), debias, heard, began)?;
-        options.prior = options.prior.or(result.prior_used(py));
-        planes.push((site, start_us, result));
-    }
+    let (frame, setup) = frame_of(frame, Setup { budget, ..setup })?;
+    let task = ColourTask {
+        setup,
+        mosaic,
+        frame,
+        seed: seed.named("seed")? as u64,
+        debias,
+    };
+    task.check().map_err(to_py_err)?;
+    crate::memory::check(&task.setup.camera)?;
+    let pool = pool_from(threads)?;
+    let planes = observed(py, pool, progress, began, move |watch| {
+        let mut planes = Vec::new();
+        task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
+            let evaluated = watch.evaluated(plane.completed, debias);
+            planes.push((plane.site, plane.start_us, evaluated));
+            Ok(())
+        })?;
+        Ok(planes)
+    })?;
     let videos: Vec<_> = planes
         .iter()
-        .map(|(site, _, result)| (*site, result.copied_video(py)))
+        .map(|(site, _, plane)| (*site, plane.completed.reconstruction.video.clone()))
         .collect();
-    let borrowed: Vec<_> = videos.iter().map(|(site, video)| (*site, video)).collect();
-    let colours = merge_planes(&borrowed).ok_or_else(|| {
+    let colours = merge_planes(&videos).ok_or_else(|| {
         let found = "planes of different lengths: there is no video in colour";
         to_py_err(Error::work(
             "frame",
@@ -574,7 +494,7 @@ pub fn _reconstruct_colour<'py>(
     let array = array.reshape([shape.bins, shape.rows, shape.columns, 3])?;
     let planes = planes
         .into_iter()
-        .map(|(site, start, result)| (site.name(), start, result));
+        .map(|(site, start, plane)| (site.name(), start, plane.into_result()));
     Ok((array, planes.collect()))
 }
 
@@ -606,51 +526,24 @@ pub fn _reconstruct_chunked(
     let began = Instant::now();
     let options = options_from(prior, tau, noise_sigma, max_iterations, false)?;
     let corrections = corrections_of(dark, flat, bad_pixels)?;
-    let setup = Setup::new(camera, psf, corrections, options, experiment, threads)?;
-    let measurement = measured(frame, &setup.camera, setup.corrections.clone())?;
-    let (camera, measurement) = match bins {
-        None => (setup.camera, measurement),
-        Some((first, end)) => {
-            let part = setup
-                .camera
-                .subset(first.named("bins")?..end.named("bins")?);
-            let part = part.map_err(to_py_err)?;
-            let rows: Vec<usize> = part.sensor_rows().collect();
-            let measurement = measurement.select_rows(&rows);
-            (part, measurement)
-        }
-    };
-    let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.filter(|n| *n > 0);
-    let (psfs, from_metadata) = (setup.psfs, setup.from_metadata);
-    let call = |py: Python<'_>, iteration: PyProgress| {
-        progress
-            .as_ref()
-            .map_or(Ok(Answer::Continue), |f| answer_of(py, f, iteration))
-    };
-    let on_progress: Option<OnProgress<PyProgress>> = match progress {
-        Some(_) => Some(&call),
+    let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
+    let (frame, setup) = frame_of(frame, setup)?;
+    let bins = match bins {
         None => None,
+        Some((first, end)) => Some(first.named("bins")?..end.named("bins")?),
     };
-    let summary = interruptibly(py, setup.pool, on_progress, move |reporter| {
-        let task = ChunkedTask {
-            chunked: Chunked::new(camera, psfs, measurement, options)?,
-            tau: options.tau,
-            bins_per_chunk,
+    let task = setup.task(&frame, bins).map_err(to_py_err)?;
+    let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
+    let pool = pool_from(threads)?;
+    let artifacts = observed(py, pool, progress, began, move |watch| {
+        let task = ChunkedTask::new(task, bins_per_chunk)?;
+        let output = Output {
+            folder: &OutputFolder::create(&folder)?,
             title: "Rowburst",
             reproduce: None,
             movie: MovieStyle::Stamped,
-            from_metadata: &from_metadata,
         };
-        let folder = OutputFolder::create(&folder)?;
-        run_chunked(&task, &folder, &mut |_, _, iteration| {
-            let seconds = began.elapsed().as_secs_f64();
-            let level = iteration.residual_rms / task.chunked.sigma().0;
-            match reporter.ask(|| PyProgress::new(iteration, level, seconds)) {
-                Answer::Continue => ControlFlow::Continue(()),
-                Answer::Finish | Answer::Abandon => ControlFlow::Break(StopReason::Interrupted),
-            }
-        })
+        run_chunked(&task, &output, &mut |event| watch.answer(event))
     })?;
-    let summary = summary.map_err(to_py_err)?;
-    Ok(serde_json::to_string(&summary).expect("plain numbers and text"))
+    Ok(serde_json::to_string(&artifacts.summary).expect("plain numbers and text"))
 }

@@ -8,21 +8,23 @@
 
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
+use crate::artifacts::{Artifacts, Output, Summary};
+use crate::event::{Chunk, Event, IterationMetrics, Observer};
 use crate::format::short;
-use crate::movie::{MovieStyle, encode_movie};
+use crate::movie::encode_movie;
 use crate::numbers::thousands;
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes};
+use crate::task::Task;
 use rowburst::reconstruct::{Chunked, Tau, Verdict};
 use rowburst::solve::StopReason;
-use rowburst::solve::admm::Progress;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
-use rowburst_io::{ChunkedVideoFile, FromMetadata, OutputFolder};
+use rowburst_io::{ChunkedVideoFile, FromMetadata};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 use std::time::Instant;
 use tracing::info;
 
@@ -31,22 +33,31 @@ const PREVIEW_MAX_SIDE: usize = 256;
 /// Most bins of `video.mp4`; larger makes a larger file.
 const PREVIEW_MAX_BINS: usize = 512;
 
-/// A reconstruction in chunks, with the texts of its report.
-pub struct ChunkedTask<'a> {
+/// A reconstruction in chunks.
+pub struct ChunkedTask {
     /// Camera, PSFs, frame and options.
-    pub chunked: Chunked,
+    chunked: Chunked,
     /// The rule for `τ`, for the report.
-    pub tau: Tau,
+    tau: Tau,
     /// Bins of a chunk; `None`: as many as 3 GiB hold.
-    pub bins_per_chunk: Option<usize>,
-    /// Title of the report.
-    pub title: &'a str,
-    /// The command that reproduces the result.
-    pub reproduce: Option<&'a str>,
-    /// Whether `video.mp4` shows the time of each bin.
-    pub movie: MovieStyle,
+    bins_per_chunk: Option<usize>,
     /// The values of the camera that came from the metadata of the frame's file.
-    pub from_metadata: &'a FromMetadata,
+    from_metadata: FromMetadata,
+}
+
+impl ChunkedTask {
+    /// Reconstructs the video of `task` in chunks of `bins_per_chunk` bins, or as many as fit where it is 0.
+    ///
+    /// # Errors
+    /// Those of [`Chunked::new`].
+    pub fn new(task: Task, bins_per_chunk: usize) -> Result<Self> {
+        Ok(Self {
+            tau: task.options.tau,
+            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?,
+            bins_per_chunk: Some(bins_per_chunk).filter(|n| *n > 0),
+            from_metadata: task.from_metadata,
+        })
+    }
 }
 
 /// A completed chunk, in `result.json` and `parts.json`.
@@ -116,21 +127,15 @@ struct ResumeState {
 /// The file of the [`ResumeState`].
 const STATE_FILE: &str = "parts.json";
 
-/// A callback after every iteration: with the bins of the present chunk, the number of all bins, and the iteration.
-type Observer<'o> = dyn FnMut(Range<usize>, usize, &Progress) -> ControlFlow<StopReason> + 'o;
-
 /// Reconstructs all chunks that are not complete yet, and writes the result. `observer` is called after every
 /// iteration and may stop the run.
 ///
 /// # Errors
 /// Those of [`Chunked::solve`], failed reads and writes, and a run that the observer stopped. Completed chunks
 /// are kept for the next run.
-pub fn run_chunked(
-    task: &ChunkedTask,
-    folder: &OutputFolder,
-    observer: &mut Observer,
-) -> Result<ChunkedSummary> {
-    let chunked = &task.chunked;
+pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> Result<Artifacts> {
+    let (chunked, folder) = (&task.chunked, output.folder);
+    let run_start = Instant::now();
     let shape = chunked.camera().video_shape();
     let ranges = chunked.ranges(task.bins_per_chunk);
     let mut file = ChunkedVideoFile::open(&folder.path().join("video.npy"), shape)?;
@@ -151,8 +156,20 @@ pub fn run_chunked(
             continue;
         }
         let began = Instant::now();
+        let chunk = Chunk {
+            bins: range.clone(),
+            video_bins: shape.bins,
+        };
         let reconstruction = chunked.solve(range.clone(), &mut |progress| {
-            observer(range.clone(), shape.bins, progress)
+            observer(Event::Iteration {
+                progress,
+                metrics: &IterationMetrics {
+                    seconds: run_start.elapsed().as_secs_f64(),
+                    residual_over_sigma: progress.residual_rms / chunked.sigma().0,
+                    psnr_db: None,
+                },
+                chunk: Some(&chunk),
+            })
         })?;
         if reconstruction.stop_reason == StopReason::Interrupted {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
@@ -193,21 +210,21 @@ pub fn run_chunked(
         1.0,
         1,
     );
-    if let Some(mp4) = encode_movie(&statistics.preview, &time, task.movie)? {
+    if let Some(mp4) = encode_movie(&statistics.preview, &time, output.movie)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
     let mut summary = summarise(task, state.parts);
-    let sheet = report_sheet(task, &summary, &statistics);
+    let sheet = report_sheet(task, output, &summary, &statistics);
     let report = sheet.render()?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
     }
     folder.write_bytes("report.html", report.html.as_bytes())?;
     summary.peak_memory_bytes = peak_memory_bytes();
-    let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
-    folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
+    let summary = Summary::Chunked(summary.into());
+    folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
     folder.remove(STATE_FILE)?;
-    Ok(summary)
+    Ok(Artifacts::new(output, summary, Vec::new()))
 }
 
 /// A hash of frame, PSFs, camera, prior, `τ`, `σ` and chunks. A run is resumed only if it is equal.
@@ -343,7 +360,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         simd: instruction_set(),
         bad_pixels: task.chunked.measurement().bad(),
         saturated_pixels: saturated,
-        metadata: MetadataNumbers::from(task.from_metadata),
+        metadata: MetadataNumbers::from(&task.from_metadata),
         parts,
         warnings,
     }
@@ -353,6 +370,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
 #[expect(clippy::too_many_lines, reason = "one table of the report")]
 fn report_sheet<'a>(
     task: &'a ChunkedTask,
+    output: &Output<'a>,
     summary: &ChunkedSummary,
     statistics: &'a VideoStatistics,
 ) -> Sheet<'a> {
@@ -401,7 +419,7 @@ fn report_sheet<'a>(
     let pair = |name: &str, value: String| (name.to_string(), value);
     let bins_per_chunk = summary.parts.first().map_or(0, |p| p.end_bin - p.first_bin);
     Sheet {
-        title: task.title,
+        title: output.title,
         summary: format!(
             "{} frames of {}×{} at {} fps from one frame, reconstructed in {} chunks.",
             summary.frames,
@@ -499,6 +517,6 @@ fn report_sheet<'a>(
         .filter(|(name, _)| cfg!(feature = "mp4") || *name != "video.mp4")
         .map(|(name, what)| pair(name, (*what).into()))
         .collect(),
-        reproduce: task.reproduce,
+        reproduce: output.reproduce,
     }
 }

@@ -1,107 +1,280 @@
 //! A raw Bayer frame: four planes, each with a reconstruction of its own, and one video in colour.
+#![allow(missing_docs, reason = "fields are the keys of result.json")]
 
+use crate::artifacts::{Artifacts, Output, Summary};
+use crate::completed_task::CompletedTask;
+use crate::event::{Event, Observer};
+use crate::schema::RESULT_SCHEMA_VERSION;
+use crate::setup::{Frame, Setup};
 use crate::summary::MetadataNumbers;
-use rowburst::bayer::{Bayer, Colour, PlaneCamera, Site, plane_camera, plane_image, plane_psfs};
+use crate::task::{Task, solve};
+use crate::traces::TraceRequest;
+use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
-use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
+use rowburst::reconstruct::{Options, Prior, SelfCalibration};
+use rowburst::{Camera, Error, Image, Result, Video};
+use rowburst_io::{Capture, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour};
 use serde::Serialize;
+use std::time::Instant;
 
-/// What the planes of a frame share.
-pub struct ColourInputs {
-    /// The raw frame.
-    pub raw: Image,
-    /// The camera of the raw frame.
-    pub camera: Camera,
+/// The reconstruction of a raw colour frame, as values.
+pub struct ColourTask {
+    /// Camera, PSFs and corrections of the raw frame, and the options. A fourth of the time budget is for each plane.
+    pub setup: Setup,
     /// The order of the colours.
     pub mosaic: Bayer,
-    /// The PSFs of the raw frame.
-    pub psfs: PatchSet,
-    /// Dark, flat and bad pixels of the raw frame.
-    pub corrections: Corrections,
+    /// The raw frame.
+    pub frame: Frame,
+    /// Seed of the simulation that made the frame; only reported.
+    pub seed: u64,
+    /// Replaces the videos by the refitted ones.
+    pub debias: bool,
 }
 
-/// A plane of a frame, still to be corrected.
+/// A reconstructed plane of a raw colour frame.
 pub struct Plane {
     /// Its place in the cell.
     pub site: Site,
-    /// Its camera.
-    pub camera: PlaneCamera,
-    /// Its PSFs.
-    pub psfs: PatchSet,
-    /// Its pixels.
-    pub raw: Image,
-    /// Its corrections.
-    pub corrections: Corrections,
+    /// From the start of the sensor's first instant to that of the plane's, in µs.
+    pub start_us: f64,
+    /// Its reconstruction.
+    pub completed: CompletedTask,
 }
 
-impl ColourInputs {
-    /// Checks that the corrections have the size of the frame.
+/// The content of `result.json` of a raw colour frame.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct ColourSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
+    pub version: &'static str,
+    pub bayer: &'static str,
+    pub frames: usize,
+    pub rows: usize,
+    pub columns: usize,
+    pub frame_rate_hz: f64,
+    pub metadata: MetadataNumbers,
+    pub planes: Vec<PlaneNumbers>,
+    pub warnings: Vec<String>,
+}
+
+/// A plane, whose own `result.json` says more.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct PlaneNumbers {
+    pub name: String,
+    pub folder: String,
+    /// From the start of the sensor's first instant to that of the plane's, in microseconds.
+    pub start_us: f64,
+    pub prior: String,
+    pub tau: f64,
+    pub residual_over_sigma: f64,
+    /// Part of the plane's pixels that are foreign and were left out.
+    pub excluded_fraction: f64,
+    pub fit: &'static str,
+    pub seconds: f64,
+}
+
+impl ColourTask {
+    /// Checks that frame and corrections have the size of the sensor.
     ///
     /// # Errors
-    /// Another size; the error names `dark`, `flat` or `bad_pixels`.
-    pub fn check_corrections(&self) -> Result<()> {
-        let raw = &self.raw;
-        let corrections = &self.corrections;
+    /// Another size, with the file at fault.
+    pub fn check(&self) -> Result<()> {
+        let setup = &self.setup;
+        let raw = &self.frame.capture.image;
+        let subject = self
+            .frame
+            .file
+            .as_ref()
+            .map(|file| file.display().to_string());
+        check_raw_frame(subject.as_deref().unwrap_or("frame"), raw, &setup.camera)?;
         for (name, image) in [
-            ("dark", &corrections.dark),
-            ("flat", &corrections.flat),
-            ("bad_pixels", &corrections.bad_pixels),
+            ("dark", &setup.corrections.dark),
+            ("flat", &setup.corrections.flat),
+            ("bad_pixels", &setup.corrections.bad_pixels),
         ] {
             let size = image.as_ref().map(|i| (i.rows(), i.columns()));
             if size.is_some_and(|size| size != (raw.rows(), raw.columns())) {
-                return Err(Error::input(
+                let error = Error::input(
                     name,
                     format!("{size:?} pixels"),
                     format!("it has the frame's {}×{} pixels", raw.rows(), raw.columns()),
                     "Record it with the camera settings of the frame.",
-                ));
+                );
+                return Err(setup.naming(error, &self.frame));
             }
         }
         Ok(())
     }
 
-    /// The planes in the order of their reconstruction. Green comes first, since it has half of the pixels: the prior is
-    /// chosen on it, for all.
-    pub fn sites(&self) -> Vec<Site> {
+    /// Reconstructs the planes one after another and gives each to `finish`. Green comes first, since it has half of the
+    /// pixels: the prior is chosen on it, for all.
+    ///
+    /// # Errors
+    /// Those of [`plane_camera`], [`plane_psfs`], [`Setup::task`], [`solve`] and `finish`.
+    pub fn reconstruct(
+        &self,
+        process_start: Instant,
+        observer: Observer,
+        finish: &mut dyn FnMut(Plane) -> Result<()>,
+    ) -> Result<()> {
         let mut sites = self.mosaic.sites().to_vec();
         sites.sort_by_key(|site| (site.colour != Colour::Green, site.row));
-        sites
+        let mut prior = self.setup.options.prior;
+        for site in sites {
+            let _ = observer(Event::Plane(site));
+            let (task, start_us) = self.plane_task(site, prior)?;
+            let completed = solve(task, process_start, observer)?;
+            prior = prior.or(Some(completed.reconstruction.prior));
+            finish(Plane {
+                site,
+                start_us,
+                completed,
+            })?;
+        }
+        Ok(())
     }
 
-    /// The camera of a plane.
-    ///
-    /// # Errors
-    /// Those of [`plane_camera`].
-    pub fn plane_camera(&self, site: Site) -> Result<PlaneCamera> {
-        plane_camera(&self.camera, site)
-    }
-
-    /// A plane with its `camera`.
-    ///
-    /// # Errors
-    /// Those of [`plane_psfs`].
-    pub fn plane(&self, site: Site, camera: PlaneCamera) -> Result<Plane> {
+    /// The task of a plane, and the start of its first instant in µs.
+    fn plane_task(&self, site: Site, prior: Option<Prior>) -> Result<(Task, f64)> {
+        let setup = &self.setup;
+        let plane = plane_camera(&setup.camera, site).map_err(|error| match &setup.experiment {
+            Some(path) => error.within(path.display()),
+            None => error,
+        })?;
         let of = |image: &Option<Image>| image.as_ref().map(|image| plane_image(image, site));
-        Ok(Plane {
-            site,
-            camera,
-            psfs: plane_psfs(&self.psfs, site)?,
-            raw: plane_image(&self.raw, site),
+        let plane_setup = Setup {
+            camera: plane.camera,
+            psfs: plane_psfs(&setup.psfs, site)?,
             corrections: Corrections {
-                dark: of(&self.corrections.dark),
-                flat: of(&self.corrections.flat),
-                bad_pixels: of(&self.corrections.bad_pixels),
-                saturation_counts: self.corrections.saturation_counts,
+                dark: of(&setup.corrections.dark),
+                flat: of(&setup.corrections.flat),
+                bad_pixels: of(&setup.corrections.bad_pixels),
+                saturation_counts: None,
             },
-        })
+            options: Options {
+                prior,
+                // Each plane would correct the PSF in its own way.
+                self_calibration: SelfCalibration::Off,
+                ..setup.options
+            },
+            budget: setup.budget.map(|budget| budget / 4),
+            ..setup.clone()
+        };
+        let frame = Frame {
+            capture: Capture {
+                image: plane_image(&self.frame.capture.image, site),
+                ..self.frame.capture
+            },
+            bias: self.frame.bias,
+            file: self.frame.file.clone(),
+        };
+        let task = plane_setup.task(&frame, None)?;
+        let seed = self.seed;
+        Ok((Task { seed, ..task }, plane.start_us))
+    }
+
+    /// Reconstructs the planes, writes a folder for each, and the video in colour beside them.
+    ///
+    /// # Errors
+    /// Those of [`Self::reconstruct`], failed writes, and planes of different lengths.
+    pub(crate) fn run(
+        &self,
+        output: &Output,
+        process_start: Instant,
+        observer: Observer,
+    ) -> Result<Artifacts> {
+        let folder = output.folder;
+        // The file of an earlier run does not describe the new files.
+        folder.remove("result.json")?;
+        let mut planes: Vec<PlaneNumbers> = Vec::new();
+        let mut videos: Vec<(Site, Video)> = Vec::new();
+        let mut bin_us = 0.0;
+        self.reconstruct(process_start, observer, &mut |plane| {
+            bin_us = plane.completed.task.camera.time().bin_duration_us();
+            let (numbers, video) = self.write_plane(plane, output)?;
+            planes.push(numbers);
+            videos.push(video);
+            Ok(())
+        })?;
+        let shape = videos[0].1.shape();
+        let Some(colours) = merge_planes(&videos) else {
+            return Err(Error::work(
+                output.path().display().to_string(),
+                "planes of different lengths: there is no video in colour",
+                "The planes' own folders are whole.",
+            ));
+        };
+        let camera = &self.setup.camera;
+        let scale = TiffScale {
+            frame_interval_s: bin_us * 1e-6,
+            pixel_pitch_um: camera.sensor().pixel_pitch_um.map(|p| 2.0 * p),
+        };
+        folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
+        folder.write("colour.tif", |w| {
+            write_tiff_colour(w, shape, &colours, scale)
+        })?;
+        let from_metadata = &self.setup.from_metadata;
+        let mut warnings = from_metadata.warnings.clone();
+        warnings.extend(offset_warning(&planes));
+        let summary = Summary::Colour(Box::new(ColourSummary {
+            schema_version: RESULT_SCHEMA_VERSION,
+            version: env!("CARGO_PKG_VERSION"),
+            bayer: self.mosaic.name(),
+            frames: shape.bins,
+            rows: shape.rows,
+            columns: shape.columns,
+            frame_rate_hz: 1e6 / bin_us,
+            metadata: MetadataNumbers::from(from_metadata),
+            planes,
+            warnings,
+        }));
+        folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
+        Ok(Artifacts::new(output, summary, Vec::new()))
+    }
+
+    /// Writes the folder of a plane. Returns its numbers and its video.
+    fn write_plane(&self, plane: Plane, output: &Output) -> Result<(PlaneNumbers, (Site, Video))> {
+        let Plane {
+            site,
+            start_us,
+            mut completed,
+        } = plane;
+        let traces = completed.evaluate(TraceRequest::default(), self.debias);
+        let folder = OutputFolder::create(&output.path().join(site.name()))?;
+        let title = format!("{}, {}", output.title, site.name());
+        let summary = completed.write(&traces, &output.part(&folder, &title))?;
+        let numbers = PlaneNumbers {
+            name: site.name(),
+            folder: folder.path().display().to_string(),
+            start_us,
+            prior: summary.prior,
+            tau: summary.tau,
+            residual_over_sigma: summary.residual_over_sigma,
+            excluded_fraction: summary.excluded_fraction,
+            fit: summary.fit,
+            seconds: summary.setup_seconds + summary.seconds,
+        };
+        Ok((numbers, (site, completed.reconstruction.video)))
     }
 }
 
+/// The warning of colours that are not of one time.
+fn offset_warning(planes: &[PlaneNumbers]) -> Option<String> {
+    let starts = planes.iter().map(|plane| plane.start_us);
+    let first = starts.clone().fold(f64::INFINITY, f64::min);
+    let last = starts.fold(f64::NEG_INFINITY, f64::max);
+    (last > first).then(|| {
+        format!(
+            "the rows of the mosaic are read at different times: colours of one bin are up to {} µs apart (start_us of each plane)",
+            last - first
+        )
+    })
+}
+
 /// Checks that a raw frame has the size of the sensor. `subject` names it in errors.
-///
-/// # Errors
-/// Another size.
-pub fn check_raw_frame(subject: &str, raw: &Image, camera: &Camera) -> Result<()> {
+fn check_raw_frame(subject: &str, raw: &Image, camera: &Camera) -> Result<()> {
     if (raw.rows(), raw.columns()) == (camera.rows(), camera.columns()) {
         return Ok(());
     }
@@ -114,14 +287,14 @@ pub fn check_raw_frame(subject: &str, raw: &Image, camera: &Camera) -> Result<()
 }
 
 /// The videos of red, green (the mean of its two planes) and blue; `None` where the planes differ in length.
-pub fn merge_planes(planes: &[(Site, &Video)]) -> Option<[Vec<f32>; 3]> {
+pub fn merge_planes(planes: &[(Site, Video)]) -> Option<[Vec<f32>; 3]> {
     let shape = planes.first()?.1.shape();
     if planes.iter().any(|(_, video)| video.shape() != shape) {
         return None;
     }
     Some([Colour::Red, Colour::Green, Colour::Blue].map(|colour| {
         // In the order of the mosaic, which decides the last bit of the mean.
-        let mut sites: Vec<&(Site, &Video)> = planes
+        let mut sites: Vec<&(Site, Video)> = planes
             .iter()
             .filter(|(site, _)| site.colour == colour)
             .collect();
@@ -134,40 +307,4 @@ pub fn merge_planes(planes: &[(Site, &Video)]) -> Option<[Vec<f32>; 3]> {
             _ => sites[0].1.data().to_vec(),
         }
     }))
-}
-
-/// The content of `result.json` of a video in colour; each plane has one of its own.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[allow(missing_docs, reason = "the fields are the keys of result.json")]
-pub struct ColourSummary {
-    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
-    pub schema_version: u32,
-    pub version: &'static str,
-    pub bayer: &'static str,
-    pub frames: usize,
-    pub rows: usize,
-    pub columns: usize,
-    pub frame_rate_hz: f64,
-    pub metadata: MetadataNumbers,
-    pub planes: Vec<PlaneSummary>,
-    pub warnings: Vec<String>,
-}
-
-/// A plane, whose own `result.json` says more.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[allow(missing_docs, reason = "the fields are the keys of result.json")]
-pub struct PlaneSummary {
-    pub name: String,
-    pub folder: String,
-    /// From the start of the sensor's first instant to that of the plane's.
-    pub start_us: f64,
-    pub prior: String,
-    pub tau: f64,
-    pub residual_over_sigma: f64,
-    /// Part of the plane's pixels that are foreign and were left out.
-    pub excluded_fraction: f64,
-    pub fit: &'static str,
-    pub seconds: f64,
 }

@@ -1,9 +1,10 @@
 //! A completed reconstruction: its numbers, its report and its folder of results.
 
+use crate::artifacts::{Output, json_of};
 use crate::format::percent;
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
-use crate::player::{MakePlayer, PlayerPage};
+use crate::player::{MakePlayer, PlayerPage, player_of};
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
@@ -79,7 +80,7 @@ pub struct CompletedTask {
     pub task: Task,
     /// The PSFs as given; `None`: they were not corrected.
     pub given_psfs: Option<PatchSet>,
-    /// The reconstruction. After [`Self::take_debiased`] its video is the refitted one.
+    /// The reconstruction. After [`Self::evaluate`] with `debias` its video is the refitted one.
     pub reconstruction: Reconstruction,
     /// The effect of debiasing; `None` without it.
     pub debias: Option<DebiasNumbers>,
@@ -91,18 +92,6 @@ pub struct CompletedTask {
     pub start_offset_s: f64,
     /// The points of the convergence curve.
     pub convergence: Vec<Iteration>,
-}
-
-/// Title, origin and style of a folder of results.
-pub struct ResultMeta<'a> {
-    /// Title of the report and of the viewer's page.
-    pub title: &'a str,
-    /// The command that reproduces the result.
-    pub reproduce: Option<&'a str>,
-    /// Makes the viewer's page inside the report.
-    pub player: MakePlayer,
-    /// Whether `video.mp4` shows the time of each bin.
-    pub movie: MovieStyle,
 }
 
 /// Title and origin of a report.
@@ -117,7 +106,7 @@ pub struct ReportMeta<'a> {
 
 impl CompletedTask {
     /// Computes the requested traces and those of the brightest spots; with `debias` also the refitted video
-    /// for [`Self::take_debiased`].
+    /// for [`Self::evaluate`].
     pub fn traces(&self, request: TraceRequest, debias: bool) -> Traces {
         let task = &self.task;
         traces::find(
@@ -130,9 +119,16 @@ impl CompletedTask {
         )
     }
 
+    /// Computes the requested traces; with `debias` the refitted video replaces that of the reconstruction.
+    pub fn evaluate(&mut self, request: TraceRequest, debias: bool) -> Traces {
+        let mut traces = self.traces(request, debias);
+        self.take_debiased(&mut traces);
+        traces
+    }
+
     /// Replaces the video of the reconstruction by the refitted video of `traces`, if there is one. Residual and
     /// fit stay those of the reconstruction.
-    pub fn take_debiased(&mut self, traces: &mut Traces) {
+    fn take_debiased(&mut self, traces: &mut Traces) {
         let Some(debiased) = traces.debiased.take() else {
             return;
         };
@@ -307,12 +303,8 @@ impl CompletedTask {
     ///
     /// # Errors
     /// Failed writes.
-    pub fn write(
-        &self,
-        traces: &Traces,
-        folder: &OutputFolder,
-        result_meta: ResultMeta,
-    ) -> Result<ReconstructionSummary> {
+    pub fn write(&self, traces: &Traces, output: &Output) -> Result<ReconstructionSummary> {
+        let folder = output.folder;
         let mut summary = self.summary(traces);
         info!(
             "residual {:.4} σ, the fit is {}",
@@ -359,15 +351,15 @@ impl CompletedTask {
             camera.sensor().pixel_pitch_um,
         )?;
         traces.write(folder, camera.time())?;
-        let mp4 = encode_movie(video, camera.time(), result_meta.movie)?;
+        let mp4 = encode_movie(video, camera.time(), output.movie)?;
         if let Some(mp4) = &mp4 {
             folder.write_bytes("video.mp4", mp4)?;
         }
 
         summary.peak_memory_bytes = peak_memory_bytes();
         let report_meta = ReportMeta {
-            title: result_meta.title,
-            reproduce: result_meta.reproduce,
+            title: output.title,
+            reproduce: output.reproduce,
             files: FILES
                 .iter()
                 .chain(
@@ -380,7 +372,7 @@ impl CompletedTask {
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
-        let page = self.write_view(traces, &summary, folder, &result_meta)?;
+        let page = self.write_view(traces, &summary, output)?;
         let report =
             self.report_of(traces, &summary, report_meta, mp4.as_deref(), page.as_ref())?;
         for picture in &report.pictures {
@@ -389,7 +381,7 @@ impl CompletedTask {
         folder.write_bytes("report.html", report.html.as_bytes())?;
         drop(report);
         summary.peak_memory_bytes = peak_memory_bytes();
-        let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
+        let json = json_of(&summary);
         folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
         Ok(summary)
     }
@@ -421,19 +413,12 @@ impl CompletedTask {
         &self,
         traces: &Traces,
         summary: &ReconstructionSummary,
-        folder: &OutputFolder,
-        result_meta: &ResultMeta,
+        output: &Output,
     ) -> Result<Option<PlayerPage>> {
-        self.with_view(
-            traces,
-            summary,
-            result_meta.title,
-            result_meta.reproduce,
-            |files| {
-                let view = view_files::write(folder, files)?;
-                Ok((result_meta.player)(files, &view))
-            },
-        )
+        self.with_view(traces, summary, output.title, output.reproduce, |files| {
+            let view = view_files::write(output.folder, files)?;
+            Ok(player_of(output.path())(files, &view))
+        })
     }
 
     /// Calls `act` with the files of the viewer.

@@ -35,26 +35,11 @@ pub fn psf_path<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Re
     })
 }
 
-/// Reads a recorded frame. Also returns the largest count that the file's integers hold; `None` for
-/// floats and for integers of more than 16 bits.
-///
-/// # Errors
-/// A file that cannot be read.
-pub fn read_frame(path: &Path) -> Result<(Image, Option<f64>)> {
-    let Capture { image, format } = read_image(path)?;
-    log_image(path, &image);
-    Ok((image, format.saturation_limit()))
-}
-
-/// Reads dark, flat and bad pixels of `calibration`. `saturation_limit` is the count of [`read_frame`] from
-/// which pixels are saturated.
+/// Reads dark, flat and bad pixels of `calibration`. The level of saturation is left open.
 ///
 /// # Errors
 /// A file that cannot be read, or a pixel that is not finite.
-pub fn read_corrections(
-    calibration: &Calibration,
-    saturation_limit: Option<f64>,
-) -> Result<Corrections> {
+pub fn read_corrections(calibration: &Calibration) -> Result<Corrections> {
     let read = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {
         path.as_deref().map(read_finite).transpose()
     };
@@ -62,7 +47,7 @@ pub fn read_corrections(
         dark: read(&calibration.dark)?,
         flat: read(&calibration.flat)?,
         bad_pixels: read(&calibration.bad_pixels)?,
-        saturation_counts: saturation_limit,
+        saturation_counts: None,
     })
 }
 

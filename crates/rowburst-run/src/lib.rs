@@ -1,23 +1,26 @@
-//! The application layer of one reconstruction, for the command line and for Python.
+//! The application layer under command line, viewer and Python: load and check, reconstruct, write.
 //!
 //! ```text
-//! Task (camera, PSFs, measurement, options, …)
-//!   ─▶ solve ─▶ CompletedTask ─▶ Traces, ReconstructionSummary, report, result folder
+//! files  ─▶ Request::read ─▶ Request ─▶ Request::run ─▶ Artifacts (result.json, video, report)
+//! values ─▶ Setup, Frame ─▶ Task ─▶ solve ─▶ CompletedTask ─▶ Traces, numbers, report, folder
 //! ```
 //!
-//! [`inputs`] reads the files of an experiment, and [`options`] parses the options of the user.
-//! [`solve`] runs the solver and measures its time ([`RunClock`]). [`CompletedTask`] gives the numbers of
-//! `result.json` ([`ReconstructionSummary`]), the report and the folder of results. [`run_chunked`] does
-//! the same for a video too large for memory, and [`simulate`] makes simulated captures.
+//! A [`Setup`] is what the frames of an experiment share, a [`Frame`] is one of them, and a [`Task`] is both, corrected
+//! and checked. [`solve`] runs the solver and measures its time ([`RunClock`]). [`CompletedTask`] gives the numbers of
+//! `result.json` ([`ReconstructionSummary`]), the report and the folder of results. A video too large for memory is a
+//! [`ChunkedTask`], a raw colour frame a [`ColourTask`]; a [`Request`] is one of the three. [`inputs`] reads files,
+//! [`options`] parses the options of the user, and [`simulate`] makes simulated captures.
 //!
-//! The crate writes nothing to the terminal. Messages are return values, and an observer is called after
-//! every iteration and may stop the run.
+//! The crate parses no command line and writes nothing to the terminal. An [`Observer`] hears the [`Event`]s of a run and
+//! may stop it.
 
+mod artifacts;
 pub mod calibrate;
 mod chunked;
 mod colour;
 mod completed_task;
 pub mod design;
+mod event;
 mod figure;
 mod format;
 pub mod inputs;
@@ -27,17 +30,21 @@ mod movie;
 mod numbers;
 pub mod options;
 mod player;
+mod request;
 mod run_clock;
 mod schema;
+mod setup;
 pub mod simulate;
 mod summary;
 mod task;
 mod traces;
 mod view_files;
 
+pub use artifacts::{Artifacts, Output, Summary};
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
-pub use colour::{ColourInputs, ColourSummary, Plane, PlaneSummary, check_raw_frame, merge_planes};
-pub use completed_task::{CompletedTask, ReportMeta, ResultMeta};
+pub use colour::{ColourSummary, ColourTask, Plane, PlaneNumbers, merge_planes};
+pub use completed_task::{CompletedTask, ReportMeta};
+pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
 pub use format::short;
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
@@ -45,13 +52,15 @@ pub use memory::available_memory_bytes;
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
+pub use request::{Request, RequestParams, read_experiment};
 pub use run_clock::RunClock;
 pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
+pub use setup::{Bias, Frame, Setup, bias_of_array};
 pub use summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
     ReconstructionSummary, peak_memory_bytes,
 };
-pub use task::{IterationMetrics, Observer, Task, solve, solve_with_model};
+pub use task::{Task, solve, solve_with_model};
 pub use traces::{
     DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,
     TraceNumbers, TraceRequest, Traces, TruthNumbers,

@@ -1,15 +1,53 @@
 //! Parses the options of the user: prior, `τ` and time budget.
 
-use rowburst::reconstruct::{Prior, SelfCalibration, Tau};
+use rowburst::reconstruct::{Options, Prior, SelfCalibration, Tau};
 use rowburst::{Error, Result};
 use rowburst_io::Experiment;
 use std::time::Duration;
+
+/// Options as a user types them. What is left open comes from the experiment file.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct UserOptions<'a> {
+    /// The prior; see [`parse_prior`].
+    pub prior: Option<&'a str>,
+    /// The rule for `τ`; see [`parse_tau`].
+    pub tau: Option<&'a str>,
+    /// See [`Options::noise_sigma`].
+    pub noise_sigma: Option<f64>,
+    /// When a frame corrects its PSF and its camera; see [`parse_self_calibration`].
+    pub self_calibrate: Option<&'a str>,
+    /// See [`Options::keep_all_pixels`].
+    pub keep_all_pixels: bool,
+    /// See [`Options::max_iterations`].
+    pub max_iterations: Option<usize>,
+    /// The time budget of a frame.
+    pub time_budget_s: Option<f64>,
+}
+
+impl UserOptions<'_> {
+    /// Parses the options and fills those that are left open from `experiment`. Also returns the time budget.
+    ///
+    /// # Errors
+    /// A text that is not an option, or a number that is out of range.
+    pub fn resolve(&self, experiment: &Experiment) -> Result<(Options, Option<Duration>)> {
+        let options = Options {
+            prior: resolve_prior(self.prior, experiment)?,
+            tau: resolve_tau(self.tau, experiment)?,
+            noise_sigma: self.noise_sigma,
+            max_iterations: self.max_iterations,
+            keep_all_pixels: self.keep_all_pixels,
+            self_calibration: parse_self_calibration(self.self_calibrate)?,
+            is_preview: false,
+        };
+        Ok((options, parse_time_budget(self.time_budget_s)?))
+    }
+}
 
 /// The prior `name`, or else that of the experiment file; `None` for `auto`.
 ///
 /// # Errors
 /// Those of [`parse_prior`].
-pub fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
+fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
     match (name, &experiment.reconstruction.prior) {
         (Some(name), _) => parse_prior(name),
         (None, Some(name)) => parse_prior(name).map_err(|mut error| {
@@ -26,7 +64,7 @@ pub fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Opti
 ///
 /// # Errors
 /// Those of [`parse_tau`].
-pub fn resolve_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
+fn resolve_tau(text: Option<&str>, experiment: &Experiment) -> Result<Tau> {
     match text {
         None => Ok(experiment.reconstruction.tau.unwrap_or_default()),
         Some(text) => parse_tau(text),

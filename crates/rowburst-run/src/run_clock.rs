@@ -1,6 +1,6 @@
 //! Measures the time of a run, ends it at its time budget, and records its convergence.
 
-use crate::task::IterationMetrics;
+use crate::event::IterationMetrics;
 use rowburst::Video;
 use rowburst::metrics::psnr_db;
 use rowburst::solve::StopReason;

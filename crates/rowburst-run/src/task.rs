@@ -1,14 +1,12 @@
 //! The task of reconstructing one frame, and the function that solves it.
 
 use crate::completed_task::CompletedTask;
+use crate::event::{Event, Observer};
 use crate::run_clock::RunClock;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Model, Options, Prior, Problem};
-use rowburst::solve::StopReason;
-use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Image, PatchSet, Result, Video};
 use rowburst_io::FromMetadata;
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -36,30 +34,16 @@ pub struct Task {
     pub from_metadata: FromMetadata,
 }
 
-/// Metrics of an iteration that [`crate::RunClock`] adds to those of the solver.
-#[derive(Debug, Clone, Copy)]
-pub struct IterationMetrics {
-    /// Time of the solver so far, in seconds.
-    pub seconds: f64,
-    /// Root mean square of the weighted residual over `σ`.
-    pub residual_over_sigma: f64,
-    /// PSNR against the truth in dB, at the iterations that the convergence curve records; else `None`.
-    pub psnr_db: Option<f64>,
-}
-
-/// A callback after every iteration, which may stop the run.
-pub type Observer<'o> = &'o mut dyn FnMut(&Progress, &IterationMetrics) -> ControlFlow<StopReason>;
-
 /// Reconstructs the frame of `task`. `process_start` is the start of the program, the zero of the convergence curve's
-/// time axis. `show` is called after every iteration and may stop the run; its time is not counted
+/// time axis. `observer` is called after every iteration and may stop the run; its time is not counted
 /// as the solver's.
 ///
 /// # Errors
 /// Those of [`Problem::new`] and [`Problem::solve`].
-pub fn solve(task: Task, process_start: Instant, show: Observer) -> Result<CompletedTask> {
+pub fn solve(task: Task, process_start: Instant, observer: Observer) -> Result<CompletedTask> {
     let setup_start = Instant::now();
     let model = Model::new(&task.camera, &task.psfs);
-    solve_since(setup_start, &model, task, process_start, show)
+    solve_since(setup_start, &model, task, process_start, observer)
 }
 
 /// Like [`solve`], for one of several frames that share `model`, which is that of the task's camera and PSFs. The video
@@ -71,9 +55,9 @@ pub fn solve_with_model(
     model: &Model,
     task: Task,
     process_start: Instant,
-    show: Observer,
+    observer: Observer,
 ) -> Result<CompletedTask> {
-    solve_since(Instant::now(), model, task, process_start, show)
+    solve_since(Instant::now(), model, task, process_start, observer)
 }
 
 fn solve_since(
@@ -81,7 +65,7 @@ fn solve_since(
     model: &Model,
     mut task: Task,
     process_start: Instant,
-    show: Observer,
+    observer: Observer,
 ) -> Result<CompletedTask> {
     let options = Options {
         // A choice of the prior takes a run for each candidate, so a time budget excludes it.
@@ -95,7 +79,13 @@ fn solve_since(
     let mut clock = RunClock::new(problem.sigma(), task.truth.as_ref(), remaining);
     let result = problem.solve(&mut |progress| {
         let flow = clock.observe(progress);
-        clock.untimed(|metrics| show(progress, metrics))?;
+        clock.untimed(|metrics| {
+            observer(Event::Iteration {
+                progress,
+                metrics,
+                chunk: None,
+            })
+        })?;
         flow
     });
     let seconds = clock.seconds();

@@ -1,0 +1,105 @@
+//! What a run leaves on disk.
+
+use crate::chunked::ChunkedSummary;
+use crate::colour::ColourSummary;
+use crate::movie::MovieStyle;
+use crate::summary::ReconstructionSummary;
+use rowburst_io::OutputFolder;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// The folder that a run writes to, and the words and the style of its report.
+#[derive(Clone, Copy)]
+pub struct Output<'a> {
+    /// The folder.
+    pub folder: &'a OutputFolder,
+    /// Title of the report and of the viewer's page.
+    pub title: &'a str,
+    /// The command that reproduces the result.
+    pub reproduce: Option<&'a str>,
+    /// Whether `video.mp4` shows the time of each bin.
+    pub movie: MovieStyle,
+}
+
+/// A folder of results that is complete.
+///
+/// The video of a chunked run is on disk alone ([`Self::video`]); a raw colour frame has a folder for each plane beside
+/// the video in colour.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Artifacts {
+    /// The folder.
+    pub folder: PathBuf,
+    /// The content of its `result.json`.
+    pub summary: Summary,
+    /// Frequencies and photodiodes of the traces, in sentences.
+    pub trace_lines: Vec<String>,
+}
+
+/// The content of `result.json`.
+#[derive(Debug, Clone, Serialize)]
+#[serde(untagged)]
+#[non_exhaustive]
+pub enum Summary {
+    /// Of a video that was reconstructed as a whole.
+    Whole(Box<ReconstructionSummary>),
+    /// Of a video that was reconstructed in chunks.
+    Chunked(Box<ChunkedSummary>),
+    /// Of a raw colour frame.
+    Colour(Box<ColourSummary>),
+}
+
+impl Artifacts {
+    /// Lists the artifacts of a run that is complete.
+    pub(crate) fn new(output: &Output, summary: Summary, trace_lines: Vec<String>) -> Self {
+        Self {
+            folder: output.folder.path().into(),
+            summary,
+            trace_lines,
+        }
+    }
+
+    /// The file of the video: `[t, y, x]`, or `[t, y, x, colour]` of a raw colour frame.
+    pub fn video(&self) -> PathBuf {
+        self.folder.join(match self.summary {
+            Summary::Whole(_) | Summary::Chunked(_) => "video.npy",
+            Summary::Colour(_) => "colour.npy",
+        })
+    }
+
+    /// The page that a person reads: the report, or the video in colour.
+    pub fn page(&self) -> PathBuf {
+        self.folder.join(match self.summary {
+            Summary::Whole(_) | Summary::Chunked(_) => "report.html",
+            Summary::Colour(_) => "colour.tif",
+        })
+    }
+}
+
+impl Summary {
+    /// The text of `result.json`.
+    pub fn json(&self) -> String {
+        json_of(self)
+    }
+}
+
+/// `value` as it is written to a file of results.
+pub(crate) fn json_of(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("plain numbers and text")
+}
+
+impl<'a> Output<'a> {
+    /// The output of a part of the result, in a folder of its own.
+    pub(crate) fn part(&self, folder: &'a OutputFolder, title: &'a str) -> Self {
+        Self {
+            folder,
+            title,
+            ..*self
+        }
+    }
+
+    /// The path of the folder.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}

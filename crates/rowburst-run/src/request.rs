@@ -1,0 +1,178 @@
+//! A request to reconstruct a frame: what is read from files, and how it runs.
+
+use crate::artifacts::{Artifacts, Output, Summary};
+use crate::chunked::{ChunkedTask, run_chunked};
+use crate::colour::ColourTask;
+use crate::event::{Event, Observer};
+use crate::inputs::{check_memory, read_truth};
+use crate::options::UserOptions;
+use crate::setup::{Frame, Setup};
+use crate::task::{Task, solve};
+use crate::traces::TraceRequest;
+use rowburst::reconstruct::SelfCalibration;
+use rowburst::{Error, Result};
+use rowburst_io::{Calibration, Experiment, read_image, read_metadata};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// The reconstruction of one frame, as values that have been checked.
+pub enum Request {
+    /// The whole video, in memory.
+    Whole {
+        /// The frame with its inputs.
+        task: Box<Task>,
+        /// The requested traces.
+        traces: TraceRequest,
+        /// Replaces the video by the refitted one.
+        debias: bool,
+    },
+    /// A video too large for memory, in chunks of bins.
+    Chunked(ChunkedTask),
+    /// A raw colour frame, by planes.
+    Colour(Box<ColourTask>),
+}
+
+/// The files of a request and its options.
+#[derive(Default)]
+pub struct RequestParams<'a> {
+    /// Files that replace those of the experiment.
+    pub calibration: Calibration,
+    /// The options of the reconstruction.
+    pub options: UserOptions<'a>,
+    /// The true video.
+    pub truth: Option<&'a Path>,
+    /// A frame of the scene without the diffuser.
+    pub direct: Option<&'a Path>,
+    /// Regions of the field whose traces are requested; see [`TraceRequest::read`].
+    pub regions: &'a [String],
+    /// Files of photodiodes that are compared with the traces.
+    pub photodiodes: &'a [PathBuf],
+    /// Bins to reconstruct; `None`: all.
+    pub bins: Option<Range<usize>>,
+    /// Reconstructs in chunks of this many bins, or as many as fit where it is 0.
+    pub bins_per_chunk: Option<usize>,
+    /// Replaces the video by the refitted one.
+    pub debias: bool,
+    /// Seed of the simulation that made the frame; only reported.
+    pub seed: u64,
+}
+
+/// Reads an experiment file. Metadata of the frame's file fills the keys that are left open, which a note says.
+///
+/// # Errors
+/// Those of [`Experiment::read_with`].
+pub fn read_experiment(path: &Path, frame: &Path, observer: Observer) -> Result<Experiment> {
+    let experiment = Experiment::read_with(path, &read_metadata(frame))?;
+    if let Some(from_metadata) = experiment.from_metadata.summary_line() {
+        let _ = observer(Event::Note(&from_metadata));
+    }
+    Ok(experiment)
+}
+
+impl Request {
+    /// Reads and checks all inputs of the reconstruction of the file `frame`.
+    ///
+    /// # Errors
+    /// A file that cannot be read, inputs that contradict each other, or too little memory.
+    pub fn read(
+        experiment: &Experiment,
+        frame: &Path,
+        params: RequestParams,
+        observer: Observer,
+    ) -> Result<Self> {
+        if experiment.bayer.is_some() {
+            refuse_colour(&params)?;
+        }
+        let setup = Setup::read(experiment, params.calibration, &params.options, observer)?;
+        let frame = Frame::read(frame)?;
+        if let Some(mosaic) = experiment.bayer {
+            let task = ColourTask {
+                setup,
+                mosaic,
+                frame,
+                seed: params.seed,
+                debias: params.debias,
+            };
+            task.check()?;
+            check_memory(&experiment.path, &task.setup.camera)?;
+            return Ok(Self::Colour(Box::new(task)));
+        }
+        let mut task = setup.task(&frame, params.bins)?;
+        if let Some(bins_per_chunk) = params.bins_per_chunk {
+            return Ok(Self::Chunked(ChunkedTask::new(task, bins_per_chunk)?));
+        }
+        check_memory(&experiment.path, &task.camera)?;
+        let truth = params.truth.map(|path| read_truth(path, &task.camera));
+        task.truth = truth.transpose()?;
+        task.truth_file = params.truth.map(Path::to_path_buf);
+        let direct = params.direct.map(read_image).transpose()?;
+        task.direct = direct.map(|capture| capture.image);
+        task.seed = params.seed;
+        let shape = task.camera.video_shape();
+        Ok(Self::Whole {
+            task: Box::new(task),
+            traces: TraceRequest::read(params.regions, params.photodiodes, shape)?,
+            debias: params.debias,
+        })
+    }
+
+    /// Reconstructs the frame and writes the folder of `output`. `process_start` is the start of the program, the zero of
+    /// the convergence curve's time axis.
+    ///
+    /// # Errors
+    /// Those of [`solve`] and [`run_chunked`], and failed writes.
+    pub fn run(
+        self,
+        output: &Output,
+        process_start: Instant,
+        observer: Observer,
+    ) -> Result<Artifacts> {
+        match self {
+            Self::Whole {
+                task,
+                traces,
+                debias,
+            } => {
+                let mut completed = solve(*task, process_start, observer)?;
+                let traces = completed.evaluate(traces, debias);
+                let _ = observer(Event::Writing);
+                let summary = completed.write(&traces, output)?;
+                let lines = traces.summary_lines();
+                Ok(Artifacts::new(
+                    output,
+                    Summary::Whole(summary.into()),
+                    lines,
+                ))
+            }
+            Self::Chunked(task) => run_chunked(&task, output, observer),
+            Self::Colour(task) => task.run(output, process_start, observer),
+        }
+    }
+}
+
+/// Refuses what belongs to one grey video.
+fn refuse_colour(params: &RequestParams) -> Result<()> {
+    let self_calibrate = params.options.self_calibrate;
+    let given = [
+        ("--truth", params.truth.is_some()),
+        ("--direct", params.direct.is_some()),
+        ("--region", !params.regions.is_empty()),
+        ("--photodiode", !params.photodiodes.is_empty()),
+        ("--bins", params.bins.is_some()),
+        ("--part-bins", params.bins_per_chunk.is_some()),
+        (
+            "--self-calibrate",
+            self_calibrate == Some(SelfCalibration::On.name()),
+        ),
+    ];
+    match given.iter().find(|(_, given)| *given) {
+        None => Ok(()),
+        Some((option, _)) => Err(Error::input(
+            *option,
+            "a raw Bayer frame",
+            "its four planes are reconstructed separately, and the option is for one video",
+            "Leave it out.",
+        )),
+    }
+}

@@ -1,0 +1,194 @@
+//! What the frames of an experiment share, and a frame as a [`Task`].
+
+use crate::event::{Event, Observer};
+use crate::inputs::{naming_file, psf_path, read_corrections, read_psfs, resolve_calibration};
+use crate::options::UserOptions;
+use crate::task::Task;
+use rowburst::camera::CameraParams;
+use rowburst::measurement::{Corrections, Measurement, correct};
+use rowburst::reconstruct::Options;
+use rowburst::{Camera, Error, PatchSet, Result, Sensor};
+use rowburst_io::{Calibration, Capture, Experiment, FromMetadata, SampleFormat, read_image};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// What the frames of an experiment share: camera, PSFs, corrections and options, as values.
+#[derive(Clone)]
+pub struct Setup {
+    /// The camera.
+    pub camera: Camera,
+    /// The PSF, or one PSF for each patch of the field.
+    pub psfs: PatchSet,
+    /// Dark, flat and bad pixels. The level of saturation is that of each frame.
+    pub corrections: Corrections,
+    /// The options of the reconstruction.
+    pub options: Options,
+    /// Limit of the time for set-up and solver together; `None`: no limit.
+    pub budget: Option<Duration>,
+    /// The values of the camera that came from the metadata of the frame's file.
+    pub from_metadata: FromMetadata,
+    /// The experiment file, which errors name.
+    pub experiment: Option<PathBuf>,
+    /// The files of the corrections, which errors name.
+    pub calibration: Calibration,
+}
+
+/// A frame as it was recorded.
+pub struct Frame {
+    /// Its pixels.
+    pub capture: Capture,
+    /// Whether the bias of the camera is in the pixels.
+    pub bias: Bias,
+    /// Its file, which errors name.
+    pub file: Option<PathBuf>,
+}
+
+/// Whether the bias of the camera is in the pixels of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bias {
+    /// It is, and the corrections subtract it.
+    Contained,
+    /// It has been subtracted, unless a dark says otherwise.
+    Subtracted,
+}
+
+impl Frame {
+    /// Reads a recorded frame.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn read(path: &Path) -> Result<Self> {
+        Ok(Self {
+            capture: read_image(path)?,
+            bias: Bias::Contained,
+            file: Some(path.into()),
+        })
+    }
+}
+
+impl Setup {
+    /// Reads the files of the corrections and the PSFs: each of `given`, or else that of `experiment`.
+    ///
+    /// # Errors
+    /// Options that do not exist, no PSF, or a file that cannot be read.
+    pub fn read(
+        experiment: &Experiment,
+        given: Calibration,
+        options: &UserOptions,
+        observer: Observer,
+    ) -> Result<Self> {
+        let camera = experiment.camera()?;
+        let (options, budget) = options.resolve(experiment)?;
+        let calibration = resolve_calibration(given, experiment);
+        let psf_path = psf_path(&calibration, experiment)?;
+        let corrections = read_corrections(&calibration)?;
+        let (psfs, note) = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
+        if let Some(note) = note {
+            let _ = observer(Event::Note(&note));
+        }
+        Ok(Self {
+            camera,
+            psfs,
+            corrections,
+            options,
+            budget,
+            from_metadata: experiment.from_metadata.clone(),
+            experiment: Some(experiment.path.clone()),
+            calibration,
+        })
+    }
+
+    /// Corrects a frame.
+    ///
+    /// # Errors
+    /// Those of [`correct`], with the file at fault.
+    pub fn measurement(&self, frame: &Frame) -> Result<Measurement> {
+        let Frame { capture, bias, .. } = frame;
+        let mut corrections = Corrections {
+            saturation_counts: capture.format.saturation_limit(),
+            ..self.corrections.clone()
+        };
+        let subtracted = match bias {
+            Bias::Subtracted if corrections.dark.is_none() => self.camera.sensor().bias_counts,
+            Bias::Subtracted | Bias::Contained => None,
+        };
+        let corrected = match subtracted.filter(|bias| *bias > 0.0) {
+            None => correct(&capture.image, &self.camera, &corrections),
+            Some(bias) => {
+                if let Some(flat) = &mut corrections.flat {
+                    flat.data_mut().iter_mut().for_each(|p| *p -= bias as f32);
+                }
+                let camera = without_bias(&self.camera, bias);
+                camera.and_then(|camera| correct(&capture.image, &camera, &corrections))
+            }
+        };
+        corrected.map_err(|error| self.naming(error, frame))
+    }
+
+    /// The task of reconstructing `frame`, or the given bins of its video.
+    ///
+    /// # Errors
+    /// Those of [`Self::measurement`] and [`Camera::subset`].
+    pub fn task(self, frame: &Frame, bins: Option<Range<usize>>) -> Result<Task> {
+        let mut measurement = self.measurement(frame)?;
+        let mut camera = self.camera;
+        if let Some(bins) = bins {
+            camera = camera.subset(bins)?;
+            let rows: Vec<usize> = camera.sensor_rows().collect();
+            measurement = measurement.select_rows(&rows);
+        }
+        Ok(Task {
+            camera,
+            psfs: self.psfs,
+            measurement,
+            options: self.options,
+            budget: self.budget,
+            truth: None,
+            truth_file: None,
+            direct: None,
+            seed: 0,
+            from_metadata: self.from_metadata,
+        })
+    }
+
+    /// Names the file, or else the input, that is at fault in an error of the corrections.
+    pub(crate) fn naming(&self, error: Error, frame: &Frame) -> Error {
+        if let Some(file) = &frame.file {
+            return naming_file(error, file, &self.calibration);
+        }
+        match &error {
+            Error::Input { subject, .. }
+                if ["frame", "dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
+            {
+                error
+            }
+            _ => error.within("frame"),
+        }
+    }
+}
+
+/// The camera of frames from which `bias` has been subtracted: it saturates that much earlier.
+fn without_bias(camera: &Camera, bias: f64) -> Result<Camera> {
+    let params = camera.params().clone();
+    let saturation_counts = params.sensor.saturation_counts();
+    Camera::new(CameraParams {
+        sensor: Sensor {
+            bias_counts: None,
+            full_well_counts: saturation_counts
+                .map(|counts| counts - bias)
+                .filter(|counts| *counts > 0.0),
+            ..params.sensor
+        },
+        ..params
+    })
+}
+
+/// Whether an array of `format` is free of the bias: a sensor gives integers, and who has floating-point numbers has
+/// subtracted it.
+pub fn bias_of_array(format: SampleFormat) -> Bias {
+    match format {
+        SampleFormat::Counts { .. } => Bias::Contained,
+        SampleFormat::Float => Bias::Subtracted,
+    }
+}
