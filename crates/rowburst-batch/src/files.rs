@@ -6,7 +6,8 @@ use crate::measurement::CORRECTIONS;
 use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
-use rowburst_run::inputs::{check_memory, naming_file};
+use rowburst_run::check_memory;
+use rowburst_run::inputs::naming_file;
 use rowburst_run::options::UserOptions;
 use rowburst_run::{Event, Observer, Setup};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
@@ -72,7 +73,7 @@ pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch>
     } else {
         open_recording(files.frames)?
     };
-    check_memory(files.experiment, &setup.camera)?;
+    check_memory(&files.experiment.display().to_string(), &setup.camera)?;
     let budget = setup.budget;
     let own_period = files.frame_period_us;
     let inputs = BatchInputs {

@@ -3,7 +3,7 @@
 use crate::args::BatchArgs;
 use crate::inputs::calibration_from_args;
 use crate::output::print_line;
-use crate::progress::{print_note, stop_on_ctrl_c};
+use crate::progress::{Interrupt, Kept, print_note};
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, Result};
@@ -70,7 +70,7 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
             "Leave it out, and start the workers with dask worker --nthreads.",
         ));
     }
-    let stop = stop_on_ctrl_c("finished frames are kept; the same command resumes");
+    let stop = Interrupt::listen(Kept::Frames).run;
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }

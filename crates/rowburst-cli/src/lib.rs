@@ -2,7 +2,7 @@
 //!
 //! Turns arguments into calls of the library and writes files; it holds no maths. Results go to
 //! standard output, messages to standard error. Exit status: 0 success, 1 the work failed, 2 the
-//! input or the command line is wrong.
+//! input or the command line is wrong, 130 Ctrl-C.
 
 mod args;
 #[cfg(feature = "batch")]
@@ -41,14 +41,24 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
     if cli.verbose {
         log::start(process_start);
     }
-    if let Some(threads) = cli.threads
-        && let Err(error) = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads.into())
-            .build_global()
-    {
-        eprintln!("error: --threads {threads}: {error}");
-        return 1;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(cli.threads.map_or(0, usize::from))
+        .stack_size(STACK_BYTES)
+        .build();
+    match pool {
+        Ok(pool) => pool.install(|| run_verb(cli, process_start)),
+        Err(error) => {
+            eprintln!("error: no threads: {error}");
+            1
+        }
     }
+}
+
+/// Stack of a thread: that of a main thread.
+const STACK_BYTES: usize = 8 << 20;
+
+/// Runs the command on the threads of the present pool; the exit status.
+fn run_verb(cli: Cli, process_start: Instant) -> u8 {
     if cli.verbose {
         log::describe_machine();
     }
@@ -69,7 +79,12 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
         Verb::Man(args) => shell::man(&args),
     });
     match done {
+        Ok(()) if progress::is_interrupted() => progress::INTERRUPTED,
         Ok(()) => 0,
+        Err(error) if progress::is_interrupted() => {
+            eprintln!("{error}");
+            progress::INTERRUPTED
+        }
         Err(error) => {
             eprintln!("error: {error}");
             match error {

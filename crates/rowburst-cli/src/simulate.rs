@@ -11,7 +11,7 @@ use rowburst_io::{
     Experiment, OutputFolder, read_video, write_csv, write_npy_image, write_npy_video,
     write_patch_set, write_tiff_image,
 };
-use rowburst_run::inputs::check_memory;
+use rowburst_run::check_memory;
 use rowburst_run::short;
 use rowburst_run::simulate::{
     LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, naming_camera,
@@ -68,7 +68,7 @@ pub fn write(inputs: &SimulationInputs) -> Result<()> {
     let camera = inputs.experiment.camera()?;
     check_noise(inputs.noise, &camera)
         .map_err(|e| naming_camera(e, &inputs.experiment.path.display().to_string()))?;
-    check_memory(&inputs.experiment.path, &camera)?;
+    check_memory(&inputs.experiment.path.display().to_string(), &camera)?;
     let psfs = psfs_of(inputs, &camera)?;
     let SimulatedCapture {
         recorded,

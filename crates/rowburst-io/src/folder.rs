@@ -1,7 +1,7 @@
 //! A folder of results, in which a file is either whole or not there.
 
 use crate::fault;
-use rowburst::{Error, Result};
+use rowburst::{Cancel, Error, Result};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -14,6 +14,7 @@ use tracing::info;
 pub struct OutputFolder {
     path: PathBuf,
     is_new: bool,
+    cancel: Cancel,
 }
 
 impl Drop for OutputFolder {
@@ -51,7 +52,15 @@ impl OutputFolder {
         Ok(Self {
             path: path.into(),
             is_new,
+            cancel: Cancel::default(),
         })
+    }
+
+    /// The same folder, to which nothing is written any more once `cancel` asks for the end.
+    #[must_use]
+    pub fn with_cancel(mut self, cancel: &Cancel) -> Self {
+        self.cancel = cancel.clone();
+        self
     }
 
     /// Its path.
@@ -78,17 +87,19 @@ impl OutputFolder {
     /// name is as it was.
     ///
     /// # Errors
-    /// Those of `write`, with the file's path in front, and failed writes.
+    /// Those of `write`, with the file's path in front, failed writes, and [`Self::with_cancel`].
     pub fn write(
         &self,
         name: &str,
         write: impl FnOnce(&mut BufWriter<File>) -> Result<()>,
     ) -> Result<()> {
+        self.cancel.check()?;
         let path = self.path.join(name);
         let fault = |error: io::Error| fault::write_error(&error).within(path.display());
         let (file, hidden) = temporary(&self.path, name).map_err(fault)?.into_parts();
         let mut writer = BufWriter::new(file);
         write(&mut writer).map_err(|e| e.within(path.display()))?;
+        self.cancel.check()?;
         writer.flush().map_err(fault)?;
         let file = writer.into_inner().map_err(|e| fault(e.into_error()))?;
         let bytes = file.metadata().map_or(0, |metadata| metadata.len());
@@ -148,6 +159,21 @@ mod tests {
         assert!(message.contains("note.txt: solver: gave up"), "{message}");
         assert_eq!(fs::read(&file).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["note.txt"]);
+    }
+
+    #[test]
+    fn nothing_is_written_after_the_end_was_asked_for() {
+        let base = tempfile::tempdir().unwrap();
+        let cancel = Cancel::default();
+        let folder = OutputFolder::create(base.path()).unwrap();
+        let folder = folder.with_cancel(&cancel);
+        folder.write_bytes("a", b"a").unwrap();
+        let during = folder.write("b", |_| {
+            cancel.cancel();
+            Ok(())
+        });
+        assert!(during.is_err() && folder.write_bytes("c", b"c").is_err());
+        assert_eq!(names(folder.path()), ["a"]);
     }
 
     #[test]

@@ -211,8 +211,8 @@ impl PyBatch {
             let error = rowburst::Error::input("frames", bad, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
-        threads::start()?;
-        let threads = threads.unwrap_or_else(rayon::current_num_threads);
+        let pool = threads::start()?;
+        let threads = threads.unwrap_or_else(|| pool.current_num_threads());
         let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |stop| -> Result<()> {
             let Some(prior) = self.batch.prior(stop, &|_| ())? else {
@@ -287,13 +287,13 @@ fn interruptibly<T: Send>(
 ) -> PyResult<T> {
     /// Between two looks for Ctrl-C.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
-    threads::start()?;
+    let pool = threads::start()?;
     log::begin(py)?;
     let stop = AtomicBool::new(false);
     let mut interruption = None;
     let done = py.detach(|| {
         std::thread::scope(|scope| {
-            let worker = scope.spawn(|| work(&stop));
+            let worker = scope.spawn(|| pool.install(|| work(&stop)));
             while !worker.is_finished() {
                 std::thread::park_timeout(POLL_INTERVAL);
                 if interruption.is_none()

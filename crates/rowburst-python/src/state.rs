@@ -18,7 +18,7 @@ use rowburst::reconstruct::{
     Reconstruction, SelfCalibration, SigmaSource, Tau, TrimmedChiSquared, Verdict,
 };
 use rowburst::solve::{Certificate, StopReason};
-use rowburst::{Image, Video};
+use rowburst::{Cancel, Image, Video};
 use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
 use rowburst_run::{CompletedTask, Task};
@@ -282,6 +282,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
             values,
             warnings,
         },
+        cancel: Cancel::default(),
     })
 }
 

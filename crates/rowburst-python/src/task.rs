@@ -16,7 +16,7 @@ use rayon::ThreadPool;
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Error, Image, Result};
+use rowburst::{Camera, Cancel, Error, Image, Result};
 use rowburst_io::{Calibration, OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
@@ -182,6 +182,7 @@ pub fn setup_of(
             .unwrap_or_default(),
         experiment: None,
         calibration: Calibration::default(),
+        cancel: Cancel::default(),
     })
 }
 
@@ -218,6 +219,10 @@ fn run(
     began: Instant,
 ) -> PyResult<PyReconstruction> {
     let done = observed(py, pool, progress, began, move |watch| {
+        let task = Task {
+            cancel: watch.reporter.cancel().clone(),
+            ..task
+        };
         let completed = match model {
             Some(model) => solve_with_model(&model, task, began, &mut |event| watch.answer(event))?,
             None => solve(task, began, &mut |event| watch.answer(event))?,
@@ -456,7 +461,7 @@ pub fn _reconstruct_colour<'py>(
     let setup = setup_of(&camera.camera, psf, corrections, options, experiment)?;
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
     let (frame, setup) = frame_of(frame, Setup { budget, ..setup })?;
-    let task = ColourTask {
+    let mut task = ColourTask {
         setup,
         mosaic,
         frame,
@@ -467,6 +472,7 @@ pub fn _reconstruct_colour<'py>(
     crate::memory::check(&task.setup.camera)?;
     let pool = pool_from(threads)?;
     let planes = observed(py, pool, progress, began, move |watch| {
+        task.setup.cancel = watch.reporter.cancel().clone();
         let mut planes = Vec::new();
         task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
             let evaluated = watch.evaluated(plane.completed, debias);
@@ -536,6 +542,10 @@ pub fn _reconstruct_chunked(
     let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
     let pool = pool_from(threads)?;
     let artifacts = observed(py, pool, progress, began, move |watch| {
+        let task = Task {
+            cancel: watch.reporter.cancel().clone(),
+            ..task
+        };
         let task = ChunkedTask::new(task, bins_per_chunk)?;
         let output = Output {
             folder: &OutputFolder::create(&folder)?,

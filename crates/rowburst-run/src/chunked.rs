@@ -16,7 +16,7 @@ use crate::numbers::thousands;
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use crate::task::Task;
-use rowburst::reconstruct::{Chunked, Tau, Verdict};
+use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
@@ -53,7 +53,8 @@ impl ChunkedTask {
     pub fn new(task: Task, bins_per_chunk: usize) -> Result<Self> {
         Ok(Self {
             tau: task.options.tau,
-            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?,
+            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
+                .with_cancel(&task.cancel),
             bins_per_chunk: Some(bins_per_chunk).filter(|n| *n > 0),
             from_metadata: task.from_metadata,
         })
@@ -160,25 +161,15 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
             bins: range.clone(),
             video_bins: shape.bins,
         };
-        let reconstruction = chunked.solve(range.clone(), &mut |progress| {
-            observer(Event::Iteration {
-                progress,
-                metrics: &IterationMetrics {
-                    seconds: run_start.elapsed().as_secs_f64(),
-                    residual_over_sigma: progress.residual_rms / chunked.sigma().0,
-                    psnr_db: None,
-                },
-                chunk: Some(&chunk),
-            })
-        })?;
-        if reconstruction.stop_reason == StopReason::Interrupted {
+        let reconstruction = solve_chunk(chunked, &chunk, run_start, observer)?;
+        let Some(reconstruction) = reconstruction else {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
                 "reconstruction",
                 format!("stopped with {done} of {} bins reconstructed", shape.bins),
                 "Run the same command again to resume.",
             ));
-        }
+        };
         file.write(range.start, reconstruction.video.data())?;
         info!(
             "wrote bins {}..{} of {}",
@@ -225,6 +216,31 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
     folder.remove(STATE_FILE)?;
     Ok(Artifacts::new(output, summary, Vec::new()))
+}
+
+/// Reconstructs a chunk; `None` where it was stopped.
+fn solve_chunk(
+    chunked: &Chunked,
+    chunk: &Chunk,
+    run_start: Instant,
+    observer: Observer,
+) -> Result<Option<Reconstruction>> {
+    let solved = chunked.solve(chunk.bins.clone(), &mut |progress| {
+        observer(Event::Iteration {
+            progress,
+            metrics: &IterationMetrics {
+                seconds: run_start.elapsed().as_secs_f64(),
+                residual_over_sigma: progress.residual_rms / chunked.sigma().0,
+                psnr_db: None,
+            },
+            chunk: Some(chunk),
+        })
+    });
+    match solved {
+        Err(_) if chunked.cancel().is_cancelled() => Ok(None),
+        Ok(solved) if solved.stop_reason == StopReason::Interrupted => Ok(None),
+        solved => solved.map(Some),
+    }
 }
 
 /// A hash of frame, PSFs, camera, prior, `τ`, `σ` and chunks. A run is resumed only if it is equal.

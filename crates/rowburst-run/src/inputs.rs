@@ -51,15 +51,17 @@ pub fn read_corrections(calibration: &Calibration) -> Result<Corrections> {
     })
 }
 
-fn log_image(path: &Path, image: &Image) {
-    let (rows, columns) = (image.rows(), image.columns());
+/// Reads an image, such as a frame or a correction.
+pub(crate) fn read_capture(path: &Path) -> Result<Capture> {
+    let capture = read_image(path)?;
+    let (rows, columns) = (capture.image.rows(), capture.image.columns());
     info!("read {}: {rows}×{columns} pixels", path.display());
+    Ok(capture)
 }
 
 /// Reads a correction. All its pixels have to be finite.
 fn read_finite(path: &Path) -> Result<Image> {
-    let image = read_image(path)?.image;
-    log_image(path, &image);
+    let image = read_capture(path)?.image;
     match image.first_non_finite() {
         None => Ok(image),
         Some((y, x)) => Err(Error::input(
@@ -86,34 +88,6 @@ pub fn naming_file(error: Error, frame: &Path, calibration: &Calibration) -> Err
     let place = path.unwrap_or(frame).display().to_string();
     error.within(place)
 }
-
-/// Checks that this machine has memory for the video, before anything is allocated. Without the check
-/// the operating system could end the program without a message. `experiment` names the file in the error.
-///
-/// # Errors
-/// The memory of a reconstruction cannot be reserved.
-pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
-    let shape = camera.video_shape();
-    let voxels = shape
-        .rows
-        .checked_mul(shape.columns)
-        .and_then(|pixels| pixels.checked_mul(shape.bins));
-    let needed = voxels.and_then(|n| n.checked_mul(VIDEO_COPIES));
-    // At least 64 MiB: freeing a smaller block makes glibc keep later blocks of that size instead of
-    // returning them, and the peak memory rises.
-    let reserved = needed.map(|n| n.max(16 << 20));
-    if reserved.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
-        return Ok(());
-    }
-    Err(Error::work(
-        experiment.display().to_string(),
-        format!("no memory for {VIDEO_COPIES} copies of a video of {shape}"),
-        "Make [field] smaller, bin the frame, or use a machine with more memory.",
-    ))
-}
-
-/// Copies of the video in f32 that a reconstruction holds at its peak.
-const VIDEO_COPIES: usize = 12;
 
 /// The PSF of a capture on the working grid of `camera`, and a note for the user if the capture was binned.
 ///
@@ -173,8 +147,7 @@ pub fn read_psfs(
         info!("read {}: {} PSFs", path.display(), set.psfs().len());
         return Ok((set, None));
     }
-    let capture = read_image(path)?;
-    log_image(path, &capture.image);
+    let capture = read_capture(path)?;
     let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path.display()))?;
     let note = found.1.map(|note| format!("{}: {note}", path.display()));
     Ok((found.0.into(), note))

@@ -48,7 +48,7 @@ pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
 pub use format::short;
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
-pub use memory::available_memory_bytes;
+pub use memory::{available_memory_bytes, check_memory};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};

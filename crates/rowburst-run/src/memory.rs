@@ -1,6 +1,46 @@
-//! The memory that this machine has left.
+//! The memory that a run takes, and that this machine has left.
 
+use rowburst::reconstruct::Model;
+use rowburst::{Camera, Error, Result};
 use std::path::Path;
+
+/// Checks that this machine has memory for a reconstruction with `camera`, before anything is allocated. Without the
+/// check the operating system could end the program without a message. `subject` names the video in the error.
+///
+/// # Errors
+/// The reconstruction takes more memory than this process can still use.
+pub fn check_memory(subject: &str, camera: &Camera) -> Result<()> {
+    let needed = Model::run_bytes(camera);
+    let has_room = match (needed, available_memory_bytes()) {
+        (None, _) => false,
+        (Some(needed), Some(available)) => needed <= available,
+        // The system does not say what is left: it must at least grant the memory.
+        (Some(needed), None) => {
+            let bytes = usize::try_from(needed);
+            bytes.is_ok_and(|n| Vec::<u8>::new().try_reserve_exact(n).is_ok())
+        }
+    };
+    if has_room {
+        return Ok(());
+    }
+    let amount = |bytes: Option<u64>| match bytes {
+        Some(bytes) => format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30)),
+        None => "more than any machine has".into(),
+    };
+    let available = match available_memory_bytes() {
+        Some(bytes) => format!(", {} available", amount(Some(bytes))),
+        None => String::new(),
+    };
+    Err(Error::work(
+        subject,
+        format!(
+            "no memory for a video of {}: {} needed{available}",
+            camera.video_shape(),
+            amount(needed)
+        ),
+        "Make [field] smaller, bin the frame, or use a machine with more memory.",
+    ))
+}
 
 /// Bytes that this process can still use: what the machine has left, or its control group (a container's or a
 /// scheduler's limit) if that is less. `None` where the system does not say.
@@ -61,4 +101,38 @@ fn field(text: &str, name: &str) -> Option<u64> {
         let mut words = line.split_whitespace();
         (words.next() == Some(name)).then(|| words.next()?.parse().ok())?
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_smallest_limit_of_all_groups_counts() {
+        let root = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = root.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        };
+        let left = |groups: &str| group_available(root.path(), groups);
+        assert_eq!(left("0::/job/step\n"), None);
+        write("job/step/memory.max", "max\n");
+        write("job/step/memory.current", "500\n");
+        write("job/memory.max", "4000\n");
+        write("job/memory.current", "1500\n");
+        write("job/memory.stat", "anon 900\ninactive_file 100\n");
+        // The group above has the limit; cached files do not count.
+        assert_eq!(left("0::/job/step\n"), Some(2600));
+        // Version 1.
+        write("memory/old/memory.limit_in_bytes", "1000\n");
+        write("memory/old/memory.usage_in_bytes", "400\n");
+        assert_eq!(left("7:cpu,memory:/old\n3:pids:/old\n"), Some(600));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn available_memory_is_known() {
+        assert!(available_memory_bytes().unwrap() > 1 << 20);
+    }
 }

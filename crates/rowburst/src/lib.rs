@@ -16,6 +16,7 @@
 pub mod bayer;
 pub mod calibrate;
 pub mod camera;
+mod cancel;
 pub mod design;
 pub mod error;
 mod fft2;
@@ -39,6 +40,7 @@ pub mod vecmath;
 pub mod video;
 
 pub use camera::{Camera, Sensor};
+pub use cancel::Cancel;
 pub use error::{Error, Result};
 pub use forward::RollingShutter;
 pub use image::Image;

@@ -19,7 +19,7 @@ use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
-use crate::{Camera, Error, PatchSet, Result};
+use crate::{Camera, Cancel, Error, PatchSet, Result};
 use std::ops::{ControlFlow, Range};
 
 /// Bytes of a chunk where its size is left open; smaller makes more chunks (docs/design/008).
@@ -37,6 +37,7 @@ pub struct Chunked {
     options: Options,
     sigma: f64,
     sigma_source: SigmaSource,
+    cancel: Cancel,
 }
 
 impl Chunked {
@@ -86,7 +87,22 @@ impl Chunked {
             measurement,
             sigma,
             sigma_source,
+            cancel: Cancel::default(),
         })
+    }
+
+    /// The same, whose runs `cancel` stops.
+    #[must_use]
+    pub fn with_cancel(self, cancel: &Cancel) -> Self {
+        Self {
+            cancel: cancel.clone(),
+            ..self
+        }
+    }
+
+    /// What stops its runs.
+    pub fn cancel(&self) -> &Cancel {
+        &self.cancel
     }
 
     /// The camera of the whole frame.
@@ -160,7 +176,7 @@ impl Chunked {
             noise_sigma: Some(self.sigma),
             ..self.options
         };
-        let model = Model::new(&part, self.psfs.clone());
+        let model = Model::new(&part, self.psfs.clone()).with_cancel(&self.cancel);
         Problem::with_model(&model, &measurement, options)?.solve(observer)
     }
 }

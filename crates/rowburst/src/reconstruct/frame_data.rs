@@ -209,6 +209,11 @@ impl FrameData {
         self.background
     }
 
+    /// What stops its runs.
+    pub fn cancel(&self) -> &crate::Cancel {
+        self.model.cancel()
+    }
+
     pub fn psfs(&self) -> &crate::PatchSet {
         self.model.psfs()
     }
@@ -576,6 +581,10 @@ impl DataTerm for FrameData {
             .collect()
     }
 
+    fn is_cancelled(&self) -> bool {
+        self.model.cancel().is_cancelled()
+    }
+
     fn has_large_blocks(&self) -> bool {
         if matches!(self.gram, Gram::Iterative(..)) {
             return false;
@@ -704,7 +713,7 @@ impl GramSource<'_> {
     fn blocks<T: Scalar>(self) -> Blocks<T> {
         let shutter = self.operator.inner();
         let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
-        Blocks::new(indices.collect(), self)
+        Blocks::new(indices.collect(), self).with_cancel(self.model.cancel())
     }
 
     /// The blocks in f32, or in f64 where `in_f64`.
@@ -718,6 +727,9 @@ impl GramSource<'_> {
 
     /// Adds the block of the foreground and that of a background video.
     fn add_sum_of_blocks<T: Scalar>(&self, instant: usize, mut sum: MatMut<T>) {
+        if self.model.cancel().is_cancelled() {
+            return;
+        }
         let (support, background) = self.active;
         let shutter = self.operator.inner();
         shutter.add_gram_block(instant, support, sum.rb_mut());

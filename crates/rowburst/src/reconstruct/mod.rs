@@ -205,8 +205,8 @@ impl Problem {
     /// Sets up the reconstruction of one of several frames that share `model`.
     ///
     /// # Errors
-    /// A `τ` or `σ` that is not finite and above zero, or a prior with a term over time for a video of
-    /// one bin ([`Prior::check_bins`]).
+    /// A `τ` or `σ` that is not finite and above zero, a prior with a term over time for a video of
+    /// one bin ([`Prior::check_bins`]), or [`Model::cancel`].
     pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
         let tau = match options.tau {
@@ -236,7 +236,9 @@ impl Problem {
         if let Some(prior) = options.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
+        model.cancel().check()?;
         let data = FrameData::new(model, measurement);
+        model.cancel().check()?;
         info!(
             "set up a frame: σ {sigma:.4} counts {}, {} usable pixels",
             sigma_source.name(),
@@ -284,7 +286,7 @@ impl Problem {
     /// is called after every iteration and may stop the run; the result is then the video so far.
     ///
     /// # Errors
-    /// An objective that is not finite: the numbers overflowed.
+    /// An objective that is not finite: the numbers overflowed. A run that is cancelled before its first iteration.
     pub fn solve(
         mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
@@ -297,6 +299,13 @@ impl Problem {
             residual_history.push(progress.residual_rms);
             observer(progress)
         });
+        let iterations = match &found {
+            Ok(found) => found.solution.iterations,
+            Err(partial) => partial.solution.iterations,
+        };
+        if iterations == 0 {
+            self.data.cancel().check()?;
+        }
         let found = found.unwrap_or_else(|partial| {
             // It may be of a search with another prior than that of the data.
             let background = partial.prior.background();

@@ -121,6 +121,11 @@ pub trait DataTerm: Send {
         crate::linop::write_parts(&video, target, write);
     }
 
+    /// Whether the run is cancelled. Then [`Self::solve_gram`] may return early, with a wrong solution.
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+
     /// Whether a change of `ρ` costs far more than an iteration, since Gram blocks with thousands of measurements are
     /// factored again.
     fn has_large_blocks(&self) -> bool {

@@ -25,7 +25,7 @@ use crate::linop::Background;
 use crate::measurement::Measurement;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
-use crate::{Camera, Image, PatchSet, Psf, Result, RollingShutter};
+use crate::{Camera, Cancel, Image, PatchSet, Psf, Result, RollingShutter};
 use calibrator::Calibrator;
 use decision::{MAX_MISFIT, MIN_GAIN};
 use psf_error::Capture;
@@ -107,6 +107,7 @@ pub struct FoundParameter {
 pub(super) struct Frames<'f> {
     pub camera: &'f Camera,
     pub shutter: &'f RollingShutter,
+    pub cancel: &'f Cancel,
     pub psfs: &'f PatchSet,
     /// The frames without foreign pixels.
     pub measurements: &'f [Measurement],
@@ -155,6 +156,7 @@ impl Frames<'_> {
             calibrator: Calibrator::new(
                 self.shutter,
                 self.camera,
+                self.cancel,
                 self.psfs,
                 anchor.as_ref(),
                 self.measurements,
@@ -221,6 +223,7 @@ pub fn calibrate(
     let frames = Frames {
         camera: model.camera(),
         shutter: model.shutter(),
+        cancel: model.cancel(),
         psfs: model.psfs(),
         sigma: rms(|check| check.sigma),
         held_out_error: rms(|check| check.held_out_error),
@@ -278,6 +281,7 @@ impl Problem {
         let frames = Frames {
             camera: &self.camera,
             shutter: self.data.shutter(),
+            cancel: self.data.cancel(),
             psfs: self.data.psfs(),
             measurements: &[self.measurement.without(&self.excluded)],
             sigma: self.sigma,
@@ -290,6 +294,7 @@ impl Problem {
     pub(super) fn apply_correction(&mut self, calibration: Calibration, excluded: Vec<bool>) {
         self.measurement = calibration.corrected(&self.measurement);
         let model = Model::new(&self.camera, calibration.psfs.clone());
+        let model = model.with_cancel(self.data.cancel());
         self.data = FrameData::new(&model, &self.measurement);
         self.calibration = Some(calibration);
         self.exclude(excluded);

@@ -182,7 +182,7 @@ impl Admm {
 
     /// Iterates up to iteration `until`, counted from the start of the run, or until it converges.
     ///
-    /// `observer` sees every iteration and may stop the run.
+    /// `observer` sees every iteration and may stop the run, as [`DataTerm::is_cancelled`] does within an iteration.
     pub fn run(
         &mut self,
         data: &mut dyn DataTerm,
@@ -198,9 +198,17 @@ impl Admm {
                     state.update_parameters(data, prior, params);
                 }
                 let change = state.data_step(data, params);
+                if data.is_cancelled() {
+                    return None;
+                }
                 state.prior_step(data, prior);
-                change
+                Some(change)
             });
+            let Some(change) = change else {
+                // The video is still that of the iteration before.
+                state.forget_data_step();
+                return StopReason::Interrupted;
+            };
             state.iterations = k;
             if k % CHECK_INTERVAL == 1 {
                 self.objective = state.objective(data, prior);

@@ -266,6 +266,11 @@ impl State {
         }
     }
 
+    /// Forgets the solution of a data step that was cancelled; it bounds nothing.
+    pub fn forget_data_step(&mut self) {
+        self.y.fill(0.0);
+    }
+
     /// `z = prox(q)`.
     pub fn prior_step(&mut self, data: &dyn DataTerm, prior: &mut dyn Prox) {
         if self.beta == 0.0 {
