@@ -5,6 +5,7 @@
 
 use crate::inputs::BatchInputs;
 use crate::measurement::read_measurement;
+use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Calibration, Model, SelfCalibration, calibrate};
 use rowburst::solve::StopReason;
@@ -146,7 +147,7 @@ fn write(
     for (name, image) in images {
         let mut bytes = Vec::new();
         write_npy_image(&mut bytes, &image)
-            .map_err(|error| Error::work(name, error, "Run it again."))?;
+            .map_err(|error| Error::work(Subject::named(name), error, "Run it again."))?;
         scratch.put(&folder.join(name), &bytes)?;
     }
     Ok(())

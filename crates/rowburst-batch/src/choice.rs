@@ -7,7 +7,8 @@
 use crate::calibration::RecordingCalibration;
 use crate::identity::hash_image;
 use crate::inputs::BatchInputs;
-use crate::measurement::{CORRECTIONS, read_measurement};
+use crate::measurement::{is_of_correction, read_measurement};
+use rowburst::Parameter;
 use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
@@ -77,18 +78,19 @@ impl RecordingSurvey {
             });
         }
         let (frame, error) = first.expect("a recording has frames");
-        match &error {
-            // The frames are not to blame.
-            Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => Err(error),
-            _ => Err(Error::work(
-                inputs.frames.path().display().to_string(),
-                format!(
-                    "none of its {count} frames can be used; {}: {error}",
-                    inputs.frames.name(frame)
-                ),
-                "Nothing was written.",
-            )),
+        if is_of_correction(&error) {
+            return Err(error);
         }
+        Err(Error::work(
+            inputs.frames.path(),
+            format!(
+                "none of its {count} frames can be used; {}: {error}",
+                inputs.frames.name(frame)
+            ),
+            "Nothing was written.",
+        )
+        .of(Parameter::Frames)
+        .with_source(error))
     }
 }
 

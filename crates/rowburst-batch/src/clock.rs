@@ -1,6 +1,6 @@
 //! When frames and bins are, in microseconds from the first bin of the first frame.
 
-use rowburst::{Camera, Error, Result};
+use rowburst::{Camera, Error, Parameter, Result};
 use rowburst_io::Frames;
 
 /// The clock of a recording.
@@ -28,7 +28,7 @@ impl Clock {
         let readout_us = bin_us * (time.instants().len() * bins_per_row).min(time.bins()) as f64;
         if !frame_period_us.is_finite() || frame_period_us < readout_us * (1.0 - TOLERANCE) {
             return Err(Error::input(
-                "--frame-period-us",
+                Parameter::FramePeriodUs,
                 frame_period_us,
                 format!("a frame is read for {readout_us:.3} µs before the next one can begin"),
                 "Give the time from the start of one frame to that of the next: 1e6 over the camera's frames per second.",

@@ -2,7 +2,8 @@
 
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
-use crate::measurement::CORRECTIONS;
+use crate::measurement::is_of_correction;
+use rowburst::ErrorKind;
 use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
@@ -52,11 +53,12 @@ pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch>
     let mut experiment = Experiment::read_with(files.experiment, &metadata)?;
     if let Some(mosaic) = experiment.bayer {
         return Err(Error::input(
-            files.experiment.display().to_string(),
+            files.experiment,
             format!("bayer = \"{}\"", mosaic.name()),
             "a batch makes grey videos",
             "Reconstruct frames one by one; each gives a video in colour.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     drop_short_period(&mut experiment)?;
     let setup = Setup::read(
@@ -73,7 +75,7 @@ pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch>
     } else {
         open_recording(files.frames)?
     };
-    check_memory(&files.experiment.display().to_string(), &setup.camera)?;
+    check_memory(files.experiment, &setup.camera)?;
     let budget = setup.budget;
     let own_period = files.frame_period_us;
     let inputs = BatchInputs {
@@ -124,10 +126,8 @@ fn drop_short_period(experiment: &mut Experiment) -> Result<()> {
 
 /// Names the file in an error of a dark, a flat or a mask.
 pub fn name_correction_file(error: Error, frames: &Path, calibration: &Calibration) -> Error {
-    match &error {
-        Error::Input { subject, .. } if CORRECTIONS.contains(&subject.as_str()) => {
-            naming_file(error, frames, calibration)
-        }
-        _ => error,
+    if is_of_correction(&error) {
+        return naming_file(error, frames, calibration);
     }
+    error
 }

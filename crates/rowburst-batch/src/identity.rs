@@ -1,6 +1,9 @@
 //! Fingerprints: whether two jobs are one.
 
+use rowburst::ErrorKind;
+use rowburst::error::With;
 use rowburst::{Error, Image, PatchSet, Result};
+use rowburst::{Parameter, phrase};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -66,14 +69,19 @@ pub(crate) fn check_same(
         return Ok(());
     }
     Err(Error::input(
-        out.display().to_string(),
+        out,
         format!(
             "a batch that was started with other settings ({})",
             differences.join("; ")
         ),
         "an archive holds the videos of one recording, all reconstructed with the same settings",
-        "Choose another folder with -o, or resume with the settings that this one was started with.",
-    ))
+        phrase![
+            "Choose another folder",
+            With(Parameter::Output),
+            ", or resume with the settings that this one was started with."
+        ],
+    )
+    .with_kind(ErrorKind::Conflict))
 }
 
 #[cfg(test)]

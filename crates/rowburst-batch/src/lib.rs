@@ -35,6 +35,6 @@ pub use choice::ChosenPrior;
 pub use clock::Clock;
 pub use files::{BatchFiles, LoadedBatch, load_batch, name_correction_file};
 pub use inputs::BatchInputs;
-pub use measurement::CORRECTIONS;
+pub use measurement::is_of_correction;
 pub use run::{Batch, Event, RetryPolicy};
 pub use table::{FrameRow, Status};

@@ -1,13 +1,19 @@
 //! A frame of the recording, corrected; a panic is an error of this frame alone.
 
 use crate::inputs::BatchInputs;
+use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
-use rowburst::{Error, Result};
+use rowburst::{Error, Parameter, Result};
 use rowburst_io::Capture;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// What an error is about that lies in the corrections, and not in a frame.
-pub const CORRECTIONS: [&str; 3] = ["dark", "flat", "bad_pixels"];
+/// Whether `error` is about a dark, a flat or a mask rather than about a frame.
+pub fn is_of_correction(error: &Error) -> bool {
+    matches!(
+        error.parameter(),
+        Some(Parameter::Dark | Parameter::Flat | Parameter::BadPixels)
+    )
+}
 
 /// Reads and corrects a frame.
 pub(crate) fn read_measurement(
@@ -28,7 +34,7 @@ pub(crate) fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
         let text = panic.downcast_ref::<String>().map(String::as_str);
         let text = text.or(panic.downcast_ref::<&str>().copied());
         Err(Error::work(
-            "the program",
+            Subject::named("the program"),
             text.unwrap_or("a panic"),
             "Report this frame.",
         ))

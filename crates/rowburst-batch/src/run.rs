@@ -9,10 +9,14 @@ use crate::inputs::BatchInputs;
 use crate::measurement::catch_panic;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
+use rowburst::ErrorKind;
+use rowburst::error::Subject;
+use rowburst::error::With;
 use rowburst::measurement::Measurement;
+use rowburst::phrase;
 use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence};
 use rowburst::solve::StopReason;
-use rowburst::{Error, Result, Video};
+use rowburst::{Error, Parameter, Result, Video};
 use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
 use serde_json::json;
 use std::ops::{ControlFlow, Range};
@@ -73,14 +77,15 @@ impl Batch {
             check_same(out, &begun.identity, &identity)?;
             if !is_same_recording(&begun.probes, &survey.probes) {
                 return Err(Error::input(
-                    inputs.frames.path().display().to_string(),
+                    inputs.frames.path(),
                     format!(
                         "other frames than those that {} was started with",
                         out.display()
                     ),
                     "an archive holds the videos of one recording",
-                    "Choose another folder with -o.",
-                ));
+                    phrase!["Choose another folder", With(Parameter::Output), "."],
+                )
+                .with_kind(ErrorKind::Conflict));
             }
         }
         let scratch = Arc::new(state.scratch()?);
@@ -284,7 +289,13 @@ impl Batch {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(allocation.threads_per_frame);
             let pool = match pool.build() {
                 Ok(pool) => pool,
-                Err(error) => return fail(Error::work("threads", error, "Lower --threads.")),
+                Err(error) => {
+                    return fail(Error::work(
+                        Parameter::Threads,
+                        error,
+                        phrase!["Lower ", Parameter::Threads, "."],
+                    ));
+                }
             };
             while !is_over() {
                 let Some(&frame) = frames.get(next.fetch_add(1, Ordering::Relaxed)) else {
@@ -349,7 +360,7 @@ impl Batch {
         let pixel_format = pixel_format_name(capture.format);
         if pixel_format != self.job.pixel_format {
             return Err(Error::input(
-                self.inputs.frames.name(frame),
+                Subject::item(Parameter::Frames, self.inputs.frames.name(frame)),
                 pixel_format,
                 format!(
                     "the frames of this recording have the pixel format {}",

@@ -3,13 +3,16 @@
 use crate::calibration::CalibrationFile;
 use crate::choice::{ChosenPrior, Probe};
 use crate::table::FrameRow;
+use rowburst::ErrorKind;
+use rowburst::error::With;
 use rowburst::{Error, Result};
+use rowburst::{Parameter, phrase};
 use rowburst_zarr::{Lock, Scratch};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::ErrorKind;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Version of these files.
@@ -61,10 +64,10 @@ impl State {
     pub fn create(out: &Path) -> Result<Self> {
         let refuse = |found: &str| {
             Err(Error::input(
-                out.display().to_string(),
+                out,
                 found,
                 "a batch writes to a folder that is new, empty, or that of the same batch",
-                "Choose another folder with -o.",
+                phrase!["Choose another folder", With(Parameter::Output), "."],
             ))
         };
         let folder = out.join("rowburst");
@@ -74,8 +77,8 @@ impl State {
                     return refuse("a folder with something else in it");
                 }
             }
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(error) if error.kind() == ErrorKind::NotADirectory => {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) if error.kind() == io::ErrorKind::NotADirectory => {
                 return refuse("a file where a folder is needed");
             }
             Err(error) => return refuse(&format!("a folder that cannot be read ({error})")),
@@ -112,10 +115,14 @@ impl State {
         let job: Option<JobFile> = read(&path)?;
         match job {
             Some(job) if job.format != FORMAT => Err(Error::input(
-                path.display().to_string(),
+                path,
                 format!("format {}", job.format),
                 format!("this version of the program knows format {FORMAT}"),
-                "Resume with the version that it was started with, or choose another folder with -o.",
+                phrase![
+                    "Resume with the version that it was started with, or choose another folder",
+                    With(Parameter::Output),
+                    "."
+                ],
             )),
             job => Ok(job),
         }
@@ -175,17 +182,22 @@ impl State {
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     let text = match fs::read(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         text => text,
     };
     let value = text.map_err(|e| e.to_string());
     let value = value.and_then(|text| serde_json::from_slice(&text).map_err(|e| e.to_string()));
     value.map(Some).map_err(|reason| {
         Error::work(
-            path.display().to_string(),
+            path,
             format!("cannot be read ({reason})"),
-            "The archive was changed by hand or the disk is damaged: choose another folder with -o.",
+            phrase![
+                "The archive was changed by hand or the disk is damaged: choose another folder",
+                With(Parameter::Output),
+                "."
+            ],
         )
+        .with_kind(ErrorKind::Io)
     })
 }
 

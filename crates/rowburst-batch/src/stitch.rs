@@ -9,7 +9,9 @@ use crate::clock::Clock;
 use crate::run::{Batch, Event};
 use crate::table::Status;
 use rayon::prelude::*;
-use rowburst::{Error, Result};
+use rowburst::ErrorKind;
+use rowburst::phrase;
+use rowburst::{Error, Parameter, Result};
 use rowburst_io::write_error;
 use rowburst_zarr::{StitchParams, StitchedVideo};
 use std::path::PathBuf;
@@ -33,7 +35,7 @@ impl Batch {
         let out = self.archive.path();
         if missing > 0 {
             return Err(Error::work(
-                out.display().to_string(),
+                out,
                 format!("{missing} of {} frames are not done yet", frames.count()),
                 "Run the batch to its end, then stitch.",
             ));
@@ -43,7 +45,7 @@ impl Batch {
         let params = bins_of(&done, &clock.starts_us(&**frames), clock);
         if params.bins.is_empty() {
             return Err(Error::work(
-                out.display().to_string(),
+                out,
                 "no frame has a video",
                 "See the messages in rowburst/frames.csv.",
             ));
@@ -70,7 +72,7 @@ impl Batch {
         };
         removed
             .and_then(|()| std::fs::rename(&hidden, &path))
-            .map_err(|e| write_error(&e).within(path.display()))?;
+            .map_err(|e| write_error(&e).within(&path))?;
         Ok(Some(path))
     }
 
@@ -81,11 +83,16 @@ impl Batch {
     pub fn clock_to_stitch(&self) -> Result<Clock> {
         self.clock.ok_or_else(|| {
             Error::input(
-                "--stitch",
+                Parameter::Stitch,
                 "no frame period",
                 "one time axis needs the time from the start of a frame to that of the next",
-                "Give --frame-period-us, or frame_period_us under [recording] in the experiment.",
+                phrase![
+                    "Give ",
+                    Parameter::FramePeriodUs,
+                    ", or the frame period of the recording in the experiment."
+                ],
             )
+            .with_kind(ErrorKind::Missing)
         })
     }
 }

@@ -1,6 +1,7 @@
 //! The table of a batch: a line for each frame that is through.
 
 use crate::clock::Clock;
+use rowburst::error::Subject;
 use rowburst::reconstruct::{Reconstruction, Verdict};
 use rowburst::{Error, Result};
 use rowburst_io::Frames;
@@ -126,7 +127,7 @@ pub(crate) fn csv_of(
 ) -> Result<Vec<u8>> {
     let starts = clock.map(|clock| clock.starts_us(frames));
     let mut writer = csv::Writer::from_writer(Vec::new());
-    let fault = |e: csv::Error| Error::work("frames.csv", e, "Report this.");
+    let fault = |e: csv::Error| Error::work(Subject::named("frames.csv"), e, "Report this.");
     for row in rows {
         let line = Line {
             frame: row.frame,
@@ -149,5 +150,5 @@ pub(crate) fn csv_of(
     }
     writer
         .into_inner()
-        .map_err(|e| Error::work("frames.csv", e, "Report this."))
+        .map_err(|e| Error::work(Subject::named("frames.csv"), e, "Report this."))
 }

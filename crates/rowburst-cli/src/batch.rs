@@ -6,7 +6,8 @@ use crate::output::print_line;
 use crate::progress::{Interrupt, Kept, print_note};
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
-use rowburst::{Error, Result};
+use rowburst::ErrorKind;
+use rowburst::{Error, Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, ChosenPrior, Event, FrameRow, RetryPolicy, Status,
     ThreadAllocation, load_batch, name_correction_file,
@@ -64,7 +65,7 @@ struct BatchSummary {
 pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
     if let (Some(threads), Some(_)) = (threads, &args.scheduler) {
         return Err(Error::input(
-            "--threads",
+            Parameter::Threads,
             threads,
             "with --scheduler the workers reconstruct the frames, with their own threads",
             "Leave it out, and start the workers with dask worker --nthreads.",
@@ -297,7 +298,7 @@ fn parse_frame_range(text: Option<&str>, count: usize) -> Result<Range<usize>> {
     match ends {
         Some((first, end)) if first < end && first < count => Ok(first..end.min(count)),
         _ => Err(Error::input(
-            "--frames-range",
+            Parameter::FramesRange,
             format!("\"{text}\""),
             format!("a range A:B of the {count} frames has 0 ≤ A < B, and A < {count}"),
             "Write 0:100 for the first hundred, 100: for the rest.",
@@ -351,11 +352,8 @@ fn show(bar: &ProgressBar, batch: &Batch, event: Event) {
 }
 
 fn stopped(args: &BatchArgs) -> Error {
-    Error::work(
-        args.output.display().to_string(),
-        "stopped",
-        "Run the same command to resume.",
-    )
+    Error::work(&args.output, "stopped", "Run the same command to resume.")
+        .with_kind(ErrorKind::Cancelled)
 }
 
 /// A run of which nothing came did not work.
@@ -363,7 +361,7 @@ fn refuse_if_all_failed(args: &BatchArgs, rows: &[FrameRow], range: &Range<usize
     let ours = || rows.iter().filter(|row| range.contains(&row.frame));
     match ours().next() {
         Some(first) if ours().all(|row| row.status == Status::Failed) => Err(Error::work(
-            args.frames.display().to_string(),
+            &args.frames,
             format!(
                 "all {} frames failed; the first: {}",
                 range.len(),

@@ -4,9 +4,11 @@
 //! workers run the code of `rowburst batch` on parts of the same archive.
 
 use crate::args::BatchArgs;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use std::ffi::OsString;
 use std::path::Path;
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// Names the Python that has the package, where it is not `python3`.
@@ -25,12 +27,12 @@ pub fn run(args: &BatchArgs, scheduler: &str) -> Result<()> {
     match status {
         Ok(status) if status.success() => Ok(()),
         Ok(status) => Err(Error::work(
-            scheduler,
+            Subject::named(scheduler),
             format!("the run on the cluster ended with {status}"),
             "Finished frames are kept; run the same command to resume.",
         )),
         Err(error) => Err(Error::work(
-            python.display().to_string(),
+            PathBuf::from(python),
             error,
             "Check that it can be run.",
         )),
@@ -51,7 +53,7 @@ fn check_package(python: &OsString) -> Result<()> {
         Err(error) => error.to_string(),
     };
     Err(Error::work(
-        "--scheduler",
+        Subject::named("--scheduler"),
         format!(
             "{} has no package rowburst with Dask ({why})",
             python.display()

@@ -1,32 +1,16 @@
 //! `rowburst demo`: the paper's simulation, from scene to report.
 
 use crate::args::{DemoArgs, DemoScene, ReconstructArgs};
-use crate::shared_args::{CalibrationArgs, OpticsArgs};
-use crate::simulate::SimulationInputs;
-use crate::{reconstruct, simulate};
+use crate::progress::print_note;
+use crate::reconstruct;
+use crate::shared_args::CalibrationArgs;
 use rowburst::camera::CameraParams;
 use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
-use rowburst::{Result, Sensor, Shutter};
-use rowburst_io::Experiment;
-use rowburst_run::simulate::NoiseChoice;
+use rowburst::{Result, Sensor};
+use rowburst_io::{Experiment, OutputFolder};
+use rowburst_run::design::paper_camera;
+use rowburst_run::simulate::{LensOptics, NoiseChoice, SimulationRequest, photodiode_file};
 use std::time::Instant;
-
-/// The Zyla of the paper: 108 rows in 54 pairs of 9.6 µs, 104,166 frames per second.
-fn paper_camera() -> CameraParams {
-    CameraParams {
-        rows: 108,
-        columns: 108,
-        shutter: Shutter::DualInsideOut,
-        row_time_us: 9.6,
-        exposure_us: 9.6,
-        bins_per_row: 1,
-        field: None,
-        sensor: Sensor {
-            pixel_pitch_um: Some(6.5),
-            ..Sensor::default()
-        },
-    }
-}
 
 /// `process_start` is the start of the process.
 pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
@@ -36,8 +20,15 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         DemoScene::Moving => "a digit moving by up to 0.8 px every 9.6 µs",
     };
     eprintln!("simulating {figure}, seen through a diffuser by a dual rolling shutter");
-    simulate::write(&SimulationInputs {
-        experiment: Experiment::new(paper_camera()),
+    let camera = CameraParams {
+        sensor: Sensor {
+            pixel_pitch_um: Some(6.5),
+            ..Sensor::default()
+        },
+        ..paper_camera()
+    };
+    let simulation = SimulationRequest {
+        experiment: Experiment::new(camera),
         scene: args.scene.name(),
         background: None,
         psf: None,
@@ -45,9 +36,10 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         seed: args.seed,
         digit_px: 12,
         diffuser_phase: 4.0,
-        optics: OpticsArgs::demo(),
-        output: &args.output,
-    })?;
+        optics: LensOptics::demo(),
+    };
+    let folder = OutputFolder::create(&args.output)?;
+    simulation.run(&folder, &mut print_note)?;
     let reconstruction = ReconstructArgs {
         bins: None,
         part_bins: None,
@@ -68,7 +60,7 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         region: Vec::new(),
         photodiode: match args.scene {
             DemoScene::Leds => (1..=LED_FREQUENCIES_HZ.len())
-                .map(|i| args.output.join(simulate::photodiode_file(i)))
+                .map(|i| args.output.join(photodiode_file(i)))
                 .collect(),
             DemoScene::Digits | DemoScene::Moving => Vec::new(),
         },

@@ -2,7 +2,7 @@
 
 use crate::args::{FigureArgs, FigureLayout};
 use crate::output::print_line;
-use rowburst::{Error, Result};
+use rowburst::{Error, Parameter, Result};
 use rowburst_io::OutputFolder;
 use rowburst_report::Layout;
 use rowburst_run::figure_of_folder;
@@ -32,7 +32,7 @@ fn is_svg(path: &Path) -> Result<bool> {
         Some("svg") => Ok(true),
         Some("png") => Ok(false),
         _ => Err(Error::input(
-            "-o",
+            Parameter::Output,
             path.display(),
             "a figure is an .svg or a .png file",
             "Give the file one of these endings.",

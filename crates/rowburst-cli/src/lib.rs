@@ -16,6 +16,7 @@ mod figure;
 mod init;
 mod inputs;
 mod log;
+mod option_names;
 mod output;
 mod progress;
 mod reconstruct;
@@ -29,7 +30,6 @@ mod view;
 
 use args::{Cli, Verb};
 use clap::Parser;
-use rowburst::Error;
 use std::ffi::OsString;
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -86,11 +86,8 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
             progress::INTERRUPTED
         }
         Err(error) => {
-            eprintln!("error: {error}");
-            match error {
-                Error::Input { .. } => 2,
-                Error::Work { .. } => 1,
-            }
+            eprintln!("error: {}", option_names::message(&error));
+            if error.is_input() { 2 } else { 1 }
         }
     }
 }

@@ -5,8 +5,9 @@ use crate::inputs::calibration_from_args;
 use crate::output::print_line;
 use crate::progress::{Bar, Interrupt, Kept};
 use crate::sweep;
+use rowburst::error::Subject;
 use rowburst::reconstruct::Verdict;
-use rowburst::{Cancel, Error, Result};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Experiment, OutputFolder};
 use rowburst_run::options::UserOptions;
 use rowburst_run::{
@@ -30,11 +31,12 @@ pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
     #[cfg(feature = "view")]
     if args.view && experiment.bayer.is_some() {
         return Err(Error::input(
-            "--view",
+            Subject::named("--view"),
             "a raw Bayer frame",
             "its four planes are reconstructed separately, and the option is for one video",
             "Leave it out.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     let run = run_one(args, &experiment, process_start, bar, &interrupt.writing)?;
     if args.json {
@@ -136,7 +138,7 @@ fn parse_bins(text: &str) -> Result<Range<usize>> {
     match ends {
         Some((Ok(first), Ok(end))) => Ok(first..end),
         _ => Err(Error::input(
-            "--bins",
+            Parameter::Bins,
             format!("\"{text}\""),
             "a range is its first bin and the one after its last, FIRST..END",
             "Give for example --bins 0..32.",
@@ -218,7 +220,7 @@ fn run_point(
     let experiment = read_experiment(&args.experiment, &args.frame, &mut |e| bar.show(e))?;
     if let Some(mosaic) = experiment.bayer {
         return Err(Error::input(
-            "--sweep",
+            Subject::named("--sweep"),
             format!("raw frames of the mosaic {}", mosaic.name()),
             "their planes are reconstructed separately, and a sweep compares one video",
             "Leave --sweep out.",

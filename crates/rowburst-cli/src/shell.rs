@@ -29,7 +29,13 @@ pub fn man(args: &ManArgs) -> Result<()> {
 fn write_pages(command: &Command, folder: &OutputFolder) -> Result<()> {
     let page = clap_mangen::Man::new(command.clone());
     folder.write(&page.get_filename(), |w| {
-        let failed = |e: std::io::Error| Error::work("the manual page", e, "Try another folder.");
+        let failed = |e: std::io::Error| {
+            Error::work(
+                rowburst::error::Subject::named("the manual page"),
+                e,
+                "Try another folder.",
+            )
+        };
         page.render(w).map_err(failed)
     })?;
     command

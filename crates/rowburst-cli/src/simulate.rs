@@ -1,40 +1,12 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
 use crate::args::SimulateArgs;
-use crate::inputs::read_psfs;
 use crate::output::print_line;
+use crate::progress::print_note;
 use crate::shared_args::OpticsArgs;
-use rowburst::noise::{Noise, SimulatedFrame};
-use rowburst::simulate::scene::{self, Led};
-use rowburst::{Camera, Error, Image, PatchSet, Result, Video};
-use rowburst_io::{
-    Experiment, OutputFolder, read_video, write_csv, write_npy_image, write_npy_video,
-    write_patch_set, write_tiff_image,
-};
-use rowburst_run::check_memory;
-use rowburst_run::short;
-use rowburst_run::simulate::{
-    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, naming_camera,
-    pixel_pitch_um, simulate, speckle_for, subtract_background,
-};
-use serde_json::{Value, json};
-use std::path::Path;
-
-/// What is to be simulated.
-pub struct SimulationInputs<'a> {
-    pub experiment: Experiment,
-    pub scene: &'a str,
-    /// Brightness of a static background over that of the scene.
-    pub background: Option<f64>,
-    pub psf: Option<&'a Path>,
-    pub noise: NoiseChoice,
-    pub seed: u64,
-    pub digit_px: usize,
-    /// Rms phase of the diffuser in radians.
-    pub diffuser_phase: f64,
-    pub optics: OpticsArgs,
-    pub output: &'a Path,
-}
+use rowburst::Result;
+use rowburst_io::{Experiment, OutputFolder};
+use rowburst_run::simulate::{LensOptics, NoiseChoice, SimulationRequest};
 
 pub fn run(args: &SimulateArgs) -> Result<()> {
     let noise = match (args.peak_electrons, args.scene_electrons) {
@@ -42,7 +14,8 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         (None, Some(electrons)) => NoiseChoice::SceneElectrons(electrons),
         (None, None) => NoiseChoice::Snr(args.snr),
     };
-    write(&SimulationInputs {
+    let folder = OutputFolder::create(&args.output)?;
+    let request = SimulationRequest {
         experiment: Experiment::read(&args.experiment)?,
         scene: &args.scene,
         background: args.background,
@@ -51,9 +24,9 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         seed: args.seed,
         digit_px: args.digit_px,
         diffuser_phase: args.diffuser_phase,
-        optics: args.optics,
-        output: &args.output,
-    })?;
+        optics: args.optics.lens(),
+    };
+    request.run(&folder, &mut print_note)?;
     let folder = args.output.display();
     print_line(format_args!("{folder}/frame.npy\n{folder}/experiment.toml"));
     eprintln!(
@@ -62,292 +35,16 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
     Ok(())
 }
 
-/// Simulates and writes everything that `reconstruct` needs.
-pub fn write(inputs: &SimulationInputs) -> Result<()> {
-    let folder = OutputFolder::create(inputs.output)?;
-    let camera = inputs.experiment.camera()?;
-    check_noise(inputs.noise, &camera)
-        .map_err(|e| naming_camera(e, &inputs.experiment.path.display().to_string()))?;
-    check_memory(&inputs.experiment.path.display().to_string(), &camera)?;
-    let psfs = psfs_of(inputs, &camera)?;
-    let SimulatedCapture {
-        recorded,
-        noise,
-        truth,
-        background,
-        direct,
-        leds,
-    } = simulate(&Simulation {
-        camera: &camera,
-        psfs: &psfs,
-        scene: scene_of(inputs.scene)?,
-        background: inputs.background,
-        noise: inputs.noise,
-        seed: inputs.seed,
-        digit_height_px: inputs.digit_px,
-    })
-    .map_err(|e| match e {
-        // What the frame's light makes impossible is the scene's.
-        Error::Input { ref subject, .. } if subject.starts_with("--") => e,
-        e => e.within(inputs.scene),
-    })?;
-    for led in &leds {
-        eprintln!(
-            "LED at row {:.1}, column {:.1}: {:.0} Hz",
-            led.y, led.x, led.frequency_hz
-        );
-    }
-
-    let psf_file = write_psfs(&folder, &psfs)?;
-    folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
-    let light = write_background(&folder, truth, background)?;
-    folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
-    folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
-    if inputs.scene == "leds" {
-        write_photodiodes(inputs, &folder, &camera)?;
-    }
-    let record = record(inputs, &camera, &recorded, noise, &leds, light);
-    folder.write_bytes("simulation.json", format!("{record:#}\n").as_bytes())?;
-    let experiment = written_experiment(inputs, &folder, psf_file);
-    write_row_order(&folder, &experiment, &camera)?;
-    let text = experiment.to_toml(folder.path());
-    folder.write_bytes("experiment.toml", text.as_bytes())?;
-    eprintln!(
-        "frame: {}×{} pixels, noise {} ({}), {} saturated",
-        camera.rows(),
-        camera.columns(),
-        short(recorded.sigma),
-        noise_text(inputs.noise),
-        recorded.saturated
-    );
-    Ok(())
-}
-
-/// Writes the static background and the moving part of the truth. Returns the light of the background over that of
-/// the moving part.
-fn write_background(
-    folder: &OutputFolder,
-    truth: Video,
-    background: Option<Image>,
-) -> Result<Option<f64>> {
-    // Files of an earlier run would not add up to this truth.
-    for name in BACKGROUND_FILES {
-        folder.remove(name)?;
-    }
-    let Some(still) = background else {
-        return Ok(None);
-    };
-    let moving = subtract_background(truth, &still);
-    let light = total(still.data()) * moving.shape().bins as f64 / total(moving.data());
-    let [of_still, of_moving] = BACKGROUND_FILES;
-    folder.write(of_still, |w| write_npy_image(w, &still))?;
-    folder.write(of_moving, |w| write_npy_video(w, &moving))?;
-    Ok(Some(light))
-}
-
-/// The contents of `simulation.json`; `background_light` is what [`write_background`] returns.
-fn record(
-    inputs: &SimulationInputs,
-    camera: &Camera,
-    recorded: &SimulatedFrame,
-    noise: Noise,
-    leds: &[Led],
-    background_light: Option<f64>,
-) -> Value {
-    json!({
-        "version": env!("CARGO_PKG_VERSION"),
-        "scene": inputs.scene,
-        "background": inputs.background.map(|times| json!({
-            "brightest_over_scene": times,
-            "light_over_scene": background_light,
-        })),
-        "leds": leds.iter().map(|led| json!({
-            "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
-        })).collect::<Vec<_>>(),
-        "seed": inputs.seed,
-        "noise": noise_record(inputs.noise, noise),
-        "noise_sigma": recorded.sigma,
-        "counts_per_unit_of_scene": recorded.scale,
-        "saturated_pixels": recorded.saturated,
-        "psf": psf_record(inputs, camera),
-    })
-}
-
-/// The noise that was asked for; `noise` is the one that was added.
-fn noise_record(choice: NoiseChoice, noise: Noise) -> Value {
-    match choice {
-        NoiseChoice::Snr(snr) => {
-            json!({ "model": "gaussian", "snr": snr.is_finite().then_some(snr) })
-        }
-        NoiseChoice::PeakElectrons(_) | NoiseChoice::SceneElectrons(_) => json!({
-            "model": "shot and read noise",
-            "peak_electrons": match noise {
-                Noise::Camera { peak_electrons } => Some(peak_electrons),
-                Noise::None | Noise::Gaussian { .. } => None,
-            },
-            "scene_electrons": match choice {
-                NoiseChoice::SceneElectrons(n) => Some(n),
-                NoiseChoice::Snr(_) | NoiseChoice::PeakElectrons(_) => None,
-            },
-        }),
-    }
-}
-
-/// The file of the PSF, or the optics of the speckle.
-fn psf_record(inputs: &SimulationInputs, camera: &Camera) -> Value {
-    match &inputs
-        .psf
-        .map(Path::to_path_buf)
-        .or(inputs.experiment.calibration.psf.clone())
-    {
-        Some(path) => json!(path.display().to_string()),
-        None => json!({
-            "wavelength_nm": inputs.optics.wavelength_nm,
-            "pupil_mm": inputs.optics.na.is_none().then_some(inputs.optics.pupil_mm),
-            "na": inputs.optics.na,
-            "focal_length_mm": inputs.optics.focal_length_mm,
-            "magnification": inputs.optics.magnification,
-            "diffuser_fwhm_deg": inputs.optics.diffuser_deg,
-            "diffuser_phase_rad": inputs.diffuser_phase,
-            "pixel_pitch_um": pixel_pitch_um(camera),
-        }),
-    }
-}
-
-/// The noise that was asked for, in words.
-fn noise_text(noise: NoiseChoice) -> String {
-    match noise {
-        NoiseChoice::Snr(snr) => format!("SNR {snr}"),
-        NoiseChoice::PeakElectrons(n) => format!("{n} electrons in the brightest pixel"),
-        NoiseChoice::SceneElectrons(n) => {
-            format!("{n} electrons of the brightest scene pixel in a bin")
-        }
-    }
-}
-
-/// Writes the row order of a custom shutter.
-fn write_row_order(folder: &OutputFolder, experiment: &Experiment, camera: &Camera) -> Result<()> {
-    if let (Some(order), rowburst::Shutter::Custom(k)) = (&experiment.row_order, camera.shutter()) {
-        let name = order
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        let k: Vec<i64> = k.iter().map(|&k| k as i64).collect();
-        folder.write(&name, |w| rowburst_io::write_npy_i64(w, &[k.len()], &k))?;
-    }
-    Ok(())
-}
-
-/// Samples of a photodiode in a bin of the video.
-const SAMPLES_PER_BIN: usize = 20;
-
-/// Name of the file of a photodiode before LED `number`, from 1.
-pub fn photodiode_file(number: usize) -> String {
-    format!("photodiode-{number}.csv")
-}
-
-/// Writes what a fast photodiode before each LED records: 1 where it is lit, 0 where not.
-fn write_photodiodes(
-    inputs: &SimulationInputs,
-    folder: &OutputFolder,
-    camera: &Camera,
-) -> Result<()> {
-    let (shape, bin_us) = (camera.video_shape(), camera.time().bin_duration_us());
-    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), inputs.seed)?;
-    let step_us = bin_us / SAMPLES_PER_BIN as f64;
-    let heading = ["time_us".to_string(), "value".to_string()];
-    for (i, led) in leds.iter().enumerate() {
-        let sample = |k: usize| {
-            let start = k as f64 * step_us;
-            vec![start + 0.5 * step_us, led.mean_intensity(start, step_us)]
-        };
-        let samples = (0..shape.bins * SAMPLES_PER_BIN).map(sample);
-        folder.write(&photodiode_file(i + 1), |w| write_csv(w, &heading, samples))?;
-    }
-    Ok(())
-}
-
-/// The experiment as it is after the simulation: the frame is on the working grid, and
-/// the PSF lies beside it.
-fn written_experiment(
-    inputs: &SimulationInputs,
-    folder: &OutputFolder,
-    psf_file: &str,
-) -> Experiment {
-    let mut experiment = inputs.experiment.clone();
-    experiment.params.sensor.binning = 1;
-    experiment.calibration = rowburst_io::Calibration {
-        psf: Some(folder.path().join(psf_file)),
-        ..rowburst_io::Calibration::default()
-    };
-    if matches!(experiment.params.shutter, rowburst::Shutter::Custom(_)) {
-        experiment.row_order = Some(folder.path().join("row_order.npy"));
-    }
-    experiment
-}
-
-/// Writes the PSF, or the patch set, and gives the name of its file.
-fn write_psfs(folder: &OutputFolder, psfs: &PatchSet) -> Result<&'static str> {
-    if let [psf] = psfs.psfs() {
-        folder.write("psf.npy", |w| write_npy_image(w, psf.image()))?;
-        return Ok("psf.npy");
-    }
-    write_patch_set(folder, "psf-patches", psfs)?;
-    Ok("psf-patches.toml")
-}
-
-fn psfs_of(inputs: &SimulationInputs, camera: &Camera) -> Result<PatchSet> {
-    if let Some(path) = inputs.psf.or(inputs.experiment.calibration.psf.as_deref()) {
-        if inputs.optics != OpticsArgs::demo() || inputs.diffuser_phase != 4.0 {
-            eprintln!(
-                "note: the options of the speckle PSF have no effect: the PSF is {}",
-                path.display()
-            );
-        }
-        return read_psfs(path, camera, None);
-    }
-    let optics = inputs.optics.optics(pixel_pitch_um(camera));
-    let psf = speckle_for(camera, &optics, inputs.diffuser_phase, inputs.seed)?;
-    eprintln!(
-        "speckle PSF: grain {:.2} px, envelope {:.0} px",
-        optics.grain_px(),
-        optics.envelope_fwhm_px()
-    );
-    Ok(psf.into())
-}
-
-/// The scene of a name, or the video of a file.
-fn scene_of(name: &str) -> Result<Scene<'_>> {
-    if Scene::NAMES.contains(&name) {
-        return Ok(Scene::Named(name));
-    }
-    let path = Path::new(name);
-    if !path.exists() && path.extension().is_none() {
-        // It says which there are.
-        return Ok(Scene::Named(name));
-    }
-    read_video(path).map(Scene::Video)
-}
-
-/// Files that only a scene with a background has: it, and the rest of the truth.
-const BACKGROUND_FILES: [&str; 2] = ["truth-background.npy", "truth-moving.npy"];
-
-fn total(values: &[f32]) -> f64 {
-    values.iter().map(|&v| f64::from(v)).sum()
-}
-
 impl OpticsArgs {
-    /// The defaults of the command line.
-    pub fn demo() -> Self {
-        let lens = LensOptics::demo();
-        Self {
-            wavelength_nm: lens.wavelength_nm,
-            pupil_mm: lens.pupil_mm,
-            focal_length_mm: lens.focal_length_mm,
-            magnification: lens.magnification,
-            na: lens.na,
-            diffuser_deg: lens.diffuser_deg,
+    /// These options as optics.
+    pub fn lens(&self) -> LensOptics {
+        LensOptics {
+            wavelength_nm: self.wavelength_nm,
+            pupil_mm: self.pupil_mm,
+            focal_length_mm: self.focal_length_mm,
+            magnification: self.magnification,
+            na: self.na,
+            diffuser_deg: self.diffuser_deg,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! `--sweep`: one run for each combination of values, and one table that compares them.
 
+use rowburst::error::{Phrase, Subject};
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
 use serde::Serialize;
@@ -35,24 +36,27 @@ pub struct Row {
 pub fn points(texts: &[String]) -> Result<Vec<Point>> {
     let mut points: Vec<Point> = vec![Vec::new()];
     for text in texts {
-        let wrong = |found: String, rule: &str| {
+        let wrong = |found: String, rule: Phrase| {
             let remedy = "Write --sweep tau=0.001,0.01 --sweep prior=tv,tv+l1.";
-            Err(Error::input("--sweep", found, rule, remedy))
+            Err(Error::input(Subject::named("--sweep"), found, rule, remedy))
         };
         let Some((name, values)) = text.split_once('=') else {
-            return wrong(format!("\"{text}\""), "a sweep is OPTION=VALUE,VALUE,…");
+            return wrong(
+                format!("\"{text}\""),
+                "a sweep is OPTION=VALUE,VALUE,…".into(),
+            );
         };
         let name = name.trim().trim_start_matches('-').replace('_', "-");
         let Some(&key) = KEYS.iter().find(|key| **key == name) else {
             let rule = format!("one of {} is swept", KEYS.join(", "));
-            return wrong(format!("the option \"{name}\""), &rule);
+            return wrong(format!("the option \"{name}\""), rule.into());
         };
         if points[0].iter().any(|(other, _)| *other == key) {
-            return wrong(format!("{key} twice"), "each option is swept once");
+            return wrong(format!("{key} twice"), "each option is swept once".into());
         }
         let values: Vec<&str> = values.split(',').map(str::trim).collect();
         if values.iter().any(|value| value.is_empty()) {
-            return wrong(format!("\"{text}\""), "each value has a text");
+            return wrong(format!("\"{text}\""), "each value has a text".into());
         }
         let with = |point: &Point, value: &&str| {
             let mut point = point.clone();
@@ -65,7 +69,7 @@ pub fn points(texts: &[String]) -> Result<Vec<Point>> {
             .collect();
         if points.len() > MAX_RUNS {
             let rule = format!("a sweep has at most {MAX_RUNS} runs");
-            return wrong(format!("{} combinations", points.len()), &rule);
+            return wrong(format!("{} combinations", points.len()), rule.into());
         }
     }
     Ok(points)
@@ -92,7 +96,7 @@ pub fn point_path(output: &Path, point: &Point, end: &str) -> PathBuf {
 pub fn parse_number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
     value.parse().map_err(|_| {
         Error::input(
-            format!("--sweep {key}"),
+            Subject::named(format!("--sweep {key}")),
             format!("\"{value}\""),
             "it is a number that the option takes",
             "Write it as for the option of the same name.",

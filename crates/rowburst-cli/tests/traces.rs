@@ -86,7 +86,7 @@ fn errors_that_are_not_known_are_left_empty() {
     assert!(why.contains("one instant"), "{why}");
     assert!(result["traces"][0]["mean_standard_error"].is_null());
     let warnings = result["warnings"].to_string();
-    assert!(warnings.contains("--debias had no effect"), "{warnings}");
+    assert!(warnings.contains("debiasing had no effect"), "{warnings}");
     let table = String::from_utf8(lab.read("out/traces.csv")).unwrap();
     assert!(table.lines().nth(1).unwrap().ends_with(','), "{table}");
 }

@@ -1,6 +1,8 @@
 //! Tables of numbers as text: signals of a photodiode, traces.
 
 use crate::fault;
+use rowburst::ErrorKind;
+use rowburst::error::Subject;
 use rowburst::traces::Photodiode;
 use rowburst::{Error, Result};
 use std::io::Write;
@@ -29,7 +31,7 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
         .len();
     if size > MAX_BYTES {
         return Err(Error::input(
-            path.display().to_string(),
+            path,
             format!("{} MB", size >> 20),
             format!("a signal has at most {} MB", MAX_BYTES >> 20),
             "Cut it to the time of the frame, or record fewer samples.",
@@ -38,7 +40,7 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
     let bytes = std::fs::read(path).map_err(|e| fault::read_error(path, &e))?;
     let text = String::from_utf8(bytes).map_err(|_| {
         Error::input(
-            path.display().to_string(),
+            path,
             "bytes that are no text",
             "a signal is a text file with the columns time and value",
             "Export it as CSV.",
@@ -54,16 +56,17 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
             .map(|p| p.trim().trim_matches('"').to_string())
             .collect()
     };
-    let place = |number: usize| format!("{}: line {number}", path.display());
+    let place = |number: usize| Subject::in_file(path, format!("line {number}"));
     let heading_rule =
         "the first line names the columns: time_us (or time_s, time_ms, time_ns) and value";
     let Some((number, heading)) = lines.next() else {
         return Err(Error::input(
-            path.display().to_string(),
+            path,
             "an empty file",
             heading_rule,
             "Begin it with the line time_us,value.",
-        ));
+        )
+        .with_kind(ErrorKind::Missing));
     };
     let names = cells(&heading.to_lowercase());
     let unit = names
@@ -99,7 +102,7 @@ pub fn read_photodiode(path: &Path) -> Result<Photodiode> {
         }
         points.push((time * us, value));
     }
-    Photodiode::new(&points).map_err(|e| e.within(path.display()))
+    Photodiode::new(&points).map_err(|e| e.within(path))
 }
 
 /// Writes a table: `heading`, then a line for each row; what is not a number is left empty.

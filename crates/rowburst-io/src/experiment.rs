@@ -17,6 +17,7 @@ use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Result, Sensor, Shutter};
+use rowburst::{Parameter, phrase};
 use sections::{CALIBRATION, CAMERA, FIELD, RECONSTRUCTION, RECORDING, SECTIONS};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -110,7 +111,7 @@ impl Experiment {
         if path.is_dir() {
             let source = path.join("experiment.toml");
             return Err(rowburst::Error::input(
-                path.display().to_string(),
+                path,
                 "a folder",
                 "an experiment file is needed",
                 format!("Name the file in it, such as {}.", source.display()),
@@ -119,10 +120,14 @@ impl Experiment {
         let bytes = std::fs::read(path).map_err(|e| fault::read_error(path, &e))?;
         let text = String::from_utf8(bytes).map_err(|error| {
             rowburst::Error::input(
-                path.display().to_string(),
+                path,
                 format!("bytes that are not UTF-8 ({})", error.utf8_error()),
                 "an experiment file is text in UTF-8",
-                "Name the .toml file here and the frame with --frame.",
+                phrase![
+                    "Name the .toml file here and the frame with ",
+                    Parameter::Frame,
+                    "."
+                ],
             )
         })?;
         Self::parse(path, &text, metadata)
@@ -133,7 +138,7 @@ impl Experiment {
     /// # Errors
     /// A value that breaks a rule of [`Camera::new`], with the file's path.
     pub fn camera(&self) -> Result<Camera> {
-        Camera::new(self.params.clone()).map_err(|e| e.within(self.path.display()))
+        Camera::new(self.params.clone()).map_err(|e| e.within(&self.path))
     }
 
     fn parse(path: &Path, text: &str, metadata: &Metadata) -> Result<Self> {

@@ -1,26 +1,31 @@
 //! What an [`io::Error`] means for the user.
 
 use rowburst::Error;
+use rowburst::ErrorKind as Kind;
+use rowburst::error::Subject;
+use rowburst::error::With;
+use rowburst::{Parameter, phrase};
 use std::io::{self, ErrorKind};
 use std::path::Path;
 
 /// The error of a file that cannot be opened or read.
 pub fn read_error(path: &Path, error: &io::Error) -> Error {
-    let subject = path.display().to_string();
     match error.kind() {
         ErrorKind::NotFound | ErrorKind::NotADirectory => Error::input(
-            subject,
+            path,
             "no such file",
             "the file must exist",
             "Check the path; paths inside an experiment file are relative to that file.",
-        ),
+        )
+        .with_kind(Kind::NotFound),
         ErrorKind::PermissionDenied => Error::input(
-            subject,
+            path,
             "a file that may not be read",
             "the file must be readable",
             "Change its permissions or copy it.",
-        ),
-        _ => Error::work(subject, format!("cannot read: {error}"), "Try again."),
+        )
+        .with_kind(Kind::Unreadable),
+        _ => Error::work(path, format!("cannot read: {error}"), "Try again.").with_kind(Kind::Io),
     }
 }
 
@@ -29,11 +34,21 @@ pub fn read_error(path: &Path, error: &io::Error) -> Error {
 pub fn write_error(error: &io::Error) -> Error {
     let remedy = match error.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
-            "Free space on this disk or choose another folder with -o."
+            phrase![
+                "Free space on this disk or choose another folder",
+                With(Parameter::Output),
+                "."
+            ]
         }
-        _ => "Check the disk or choose another folder with -o.",
+        _ => phrase![
+            "Check the disk or choose another folder",
+            With(Parameter::Output),
+            "."
+        ],
     };
-    Error::work("writing", error, remedy)
+    Error::work(Subject::named("writing"), error, remedy)
+        .with_kind(Kind::Io)
+        .with_source(io::Error::from(error.kind()))
 }
 
 #[cfg(test)]
@@ -43,7 +58,7 @@ mod tests {
     #[test]
     fn a_full_disk_is_work_that_says_how_to_go_on() {
         let error = write_error(&io::Error::from(ErrorKind::StorageFull)).within("out/video.npy");
-        assert!(matches!(error, Error::Work { .. }));
+        assert_eq!(error.kind(), Kind::Io);
         let message = error.to_string();
         assert!(message.contains("out/video.npy"), "{message}");
         assert!(message.contains("Free space"), "{message}");

@@ -1,7 +1,9 @@
 //! A folder of results, in which a file is either whole or not there.
 
 use crate::fault;
+use rowburst::error::With;
 use rowburst::{Cancel, Error, Result};
+use rowburst::{Parameter, phrase};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -43,10 +45,10 @@ impl OutputFolder {
                 _ => format!("a folder that cannot be written to ({error})"),
             };
             Error::input(
-                path.display().to_string(),
+                path,
                 found,
                 "results go to a folder that is new or can be written to",
-                "Choose another folder with -o.",
+                phrase!["Choose another folder", With(Parameter::Output), "."],
             )
         })?;
         Ok(Self {
@@ -76,7 +78,7 @@ impl OutputFolder {
         let path = self.path.join(name);
         match fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
-                Err(fault::write_error(&error).within(path.display()))
+                Err(fault::write_error(&error).within(path))
             }
             _ => Ok(()),
         }
@@ -95,10 +97,10 @@ impl OutputFolder {
     ) -> Result<()> {
         self.cancel.check()?;
         let path = self.path.join(name);
-        let fault = |error: io::Error| fault::write_error(&error).within(path.display());
+        let fault = |error: io::Error| fault::write_error(&error).within(&path);
         let (file, hidden) = temporary(&self.path, name).map_err(fault)?.into_parts();
         let mut writer = BufWriter::new(file);
-        write(&mut writer).map_err(|e| e.within(path.display()))?;
+        write(&mut writer).map_err(|e| e.within(&path))?;
         self.cancel.check()?;
         writer.flush().map_err(fault)?;
         let file = writer.into_inner().map_err(|e| fault(e.into_error()))?;
@@ -153,7 +155,11 @@ mod tests {
 
         let broken = folder.write("note.txt", |w| {
             w.write_all(&[b'x'; 100_000]).unwrap();
-            Err(Error::work("solver", "gave up", "Try again."))
+            Err(Error::work(
+                rowburst::error::Subject::named("solver"),
+                "gave up",
+                "Try again.",
+            ))
         });
         let message = broken.unwrap_err().to_string();
         assert!(message.contains("note.txt: solver: gave up"), "{message}");
@@ -194,7 +200,7 @@ mod tests {
         fs::write(&file, "x").unwrap();
         for path in [file.clone(), file.join("below")] {
             let error = OutputFolder::create(&path).unwrap_err();
-            assert!(matches!(error, Error::Input { .. }));
+            assert!(error.is_input());
             assert!(
                 error.to_string().contains("a file where a folder"),
                 "{error}"
@@ -214,7 +220,7 @@ mod tests {
         let base = tempfile::tempdir().unwrap();
         let folder = OutputFolder::create(base.path()).unwrap();
         let error = folder.write("video.npy", |_| full()).unwrap_err();
-        assert!(matches!(error, Error::Work { .. }));
+        assert!(!error.is_input());
         let message = error.to_string();
         assert!(
             message.contains("video.npy") && message.contains("Free space"),

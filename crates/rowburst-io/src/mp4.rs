@@ -8,6 +8,7 @@ use openh264::encoder::{
     VuiConfig,
 };
 use openh264::formats::YUVSource;
+use rowburst::error::Subject;
 use rowburst::{Error, Result, Video};
 use std::fmt::Display;
 use std::io::Write;
@@ -88,7 +89,7 @@ pub fn write_mp4(w: &mut impl Write, video: &Video, stamp: Option<&StampRenderer
 
 fn failed(reason: impl Display) -> Error {
     let remedy = "The other files of the result hold the same video.";
-    Error::work("encoding H.264", reason, remedy)
+    Error::work(Subject::named("encoding H.264"), reason, remedy)
 }
 
 fn muxer_fault(error: MuxerError) -> Error {

@@ -51,7 +51,7 @@ impl ChunkedVideoFile {
             Ok((file, is_resumed))
         };
         let (file, is_resumed) =
-            open().map_err(|e| fault::write_error(&e).within(partial_path.display()))?;
+            open().map_err(|e| fault::write_error(&e).within(&partial_path))?;
         Ok(Self {
             path: path.into(),
             partial_path,
@@ -90,7 +90,7 @@ impl ChunkedVideoFile {
             }
             self.file.sync_data()
         };
-        write().map_err(|e| fault::write_error(&e).within(self.partial_path.display()))
+        write().map_err(|e| fault::write_error(&e).within(&self.partial_path))
     }
 
     /// Reads a bin.
@@ -115,7 +115,7 @@ impl ChunkedVideoFile {
     pub fn finish(self) -> Result<()> {
         let done = self.file.sync_all();
         done.and_then(|()| std::fs::rename(&self.partial_path, &self.path))
-            .map_err(|e| fault::write_error(&e).within(self.path.display()))
+            .map_err(|e| fault::write_error(&e).within(self.path))
     }
 }
 

@@ -1,7 +1,8 @@
 //! What readers of all formats give: the pages of a file, at once or one at a time.
 
 use crate::source::Source;
-use rowburst::{Error, Image, Result};
+use rowburst::error::Tool;
+use rowburst::{Error, ErrorKind, Image, Result, phrase};
 use std::path::Path;
 
 /// One image as it was read.
@@ -41,18 +42,23 @@ impl SampleFormat {
 pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
     if pages.count != 1 {
         return Err(Error::input(
-            path.display().to_string(),
+            path,
             format!(
                 "a stack of {} pages of {}×{} pixels",
                 pages.count, pages.rows, pages.columns
             ),
             "one image is needed here",
-            "Save the page that you mean as a separate file; `rowburst batch` reads recordings.",
-        ));
+            phrase![
+                "Save the page that you mean as a separate file; ",
+                Tool::Batch,
+                " reads recordings."
+            ],
+        )
+        .with_kind(ErrorKind::Shape));
     }
     let image = Image::new(pages.rows, pages.columns, pages.data);
     Ok(Capture {
-        image: image.map_err(|e| e.within(path.display()))?,
+        image: image.map_err(|e| e.within(path))?,
         format: pages.format,
     })
 }
@@ -114,10 +120,11 @@ pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages>
             let missing = page.data.len().saturating_mul(count - 1);
             all.data.try_reserve_exact(missing).map_err(|_| {
                 Error::work(
-                    source.path.display().to_string(),
+                    source.path,
                     format!("no memory for {count} frames"),
                     "Crop or bin the images, or use a machine with more memory.",
                 )
+                .with_kind(ErrorKind::Memory)
             })?;
         }
         all.data.extend(page.data);

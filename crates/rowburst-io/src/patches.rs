@@ -9,6 +9,8 @@ use crate::fault;
 use crate::folder::OutputFolder;
 use crate::npy::write_npy_video;
 use crate::read::read_stack;
+use rowburst::error::Tool;
+use rowburst::phrase;
 use rowburst::{Error, PatchSet, Psf, Result, Shape, Video};
 use std::path::Path;
 
@@ -27,10 +29,10 @@ pub fn read_patch_set(path: &Path) -> Result<PatchSet> {
     let text = std::fs::read_to_string(path).map_err(|e| fault::read_error(path, &e))?;
     let bad = |found: String| {
         Error::input(
-            path.display().to_string(),
+            path,
             found,
             "a patch set has psfs = \"FILE\" and offsets_px = [[dy, dx], …]",
-            "Write it anew by `rowburst calibrate psf --positions-mm`.",
+            phrase!["Write it anew by ", Tool::CalibratePatches, "."],
         )
     };
     let file: toml::Table = text
@@ -59,7 +61,7 @@ pub fn read_patch_set(path: &Path) -> Result<PatchSet> {
             Psf::new(image).map_err(|e| e.within(place))
         })
         .collect::<Result<Vec<_>>>()?;
-    PatchSet::new(psfs, offsets).map_err(|e| e.within(path.display()))
+    PatchSet::new(psfs, offsets).map_err(|e| e.within(path))
 }
 
 /// Writes `set` as `NAME.toml` and the stack `NAME.npy` beside it.

@@ -4,6 +4,8 @@ use crate::fault;
 use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
+use rowburst::ErrorKind;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use std::io::{BufRead, Seek, Write};
 
@@ -91,7 +93,12 @@ fn write(
     };
     write().map_err(|error| match error {
         EncodingError::IoError(error) => fault::write_error(&error),
-        error => Error::work("writing PNG", error, "Write it as .npy instead."),
+        error => Error::work(
+            Subject::named("writing PNG"),
+            error,
+            "Write it as .npy instead.",
+        )
+        .with_kind(ErrorKind::Io),
     })
 }
 

@@ -61,7 +61,7 @@ pub fn read_video(path: &Path) -> Result<Video> {
 pub fn read_frames(path: &Path) -> Result<(Video, SampleFormat)> {
     let pages = read_pages(path, Colour::Refused)?;
     let shape = Shape::new(pages.count, pages.rows, pages.columns);
-    let video = Video::new(shape, pages.data).map_err(|e| e.within(path.display()))?;
+    let video = Video::new(shape, pages.data).map_err(|e| e.within(path))?;
     Ok((video, pages.format))
 }
 
@@ -83,7 +83,6 @@ fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rowburst::Error;
 
     #[test]
     fn files_that_are_no_images_say_so() {
@@ -109,7 +108,7 @@ mod tests {
                 std::fs::write(&path, content).unwrap();
             }
             let error = read_image(&path).unwrap_err();
-            assert!(matches!(error, Error::Input { .. }), "{error}");
+            assert!(error.is_input(), "{error}");
             let message = error.to_string();
             assert!(
                 message.contains(name) && message.contains(expected),

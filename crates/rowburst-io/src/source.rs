@@ -1,6 +1,8 @@
 //! The file that is being read: where it is, what format it has, and the words of its errors.
 
 use crate::fault;
+use rowburst::ErrorKind;
+use rowburst::error::Phrase;
 use rowburst::{Error, Result};
 use std::fmt::Display;
 use std::fs::File;
@@ -84,14 +86,14 @@ impl<'a> Source<'a> {
         Ok((source, BufReader::new(file)))
     }
 
-    /// An [`Error::Input`] about this file.
+    /// An error of this file, [`ErrorKind::Unreadable`].
     pub fn error(
         &self,
         found: impl ToString,
-        rule: impl Into<String>,
-        remedy: impl Into<String>,
+        rule: impl Into<Phrase>,
+        remedy: impl Into<Phrase>,
     ) -> Error {
-        Error::input(self.path.display().to_string(), found, rule, remedy)
+        Error::input(self.path, found, rule, remedy).with_kind(ErrorKind::Unreadable)
     }
 
     /// The error of a file that its format's library cannot read.
@@ -133,10 +135,11 @@ impl<'a> Source<'a> {
         let page = Vec::<[u32; 4]>::new().try_reserve_exact(total / count);
         page.and(data.try_reserve_exact(total)).map_err(|_| {
             Error::work(
-                self.path.display().to_string(),
+                self.path,
                 format!("no memory for {total} pixels"),
                 "Crop or bin the images, or use a machine with more memory.",
             )
+            .with_kind(ErrorKind::Memory)
         })?;
         Ok(data)
     }

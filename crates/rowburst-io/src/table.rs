@@ -2,7 +2,9 @@
 
 use crate::keys::{Key, Kind, Section};
 use rowburst::camera::MAX_SIDE;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
+use rowburst::{ErrorKind, Parameter};
 use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -25,7 +27,7 @@ impl<'a> Table<'a> {
     pub fn not_toml(path: &Path, text: &str, error: &toml::de::Error) -> Error {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
         Error::input(
-            format!("{}: line {line}", path.display()),
+            Subject::in_file(path, format!("line {line}")),
             error.message().replace('\n', ", "),
             "the file must be valid TOML: key = value, text in quotes",
             "Correct this line.",
@@ -49,15 +51,15 @@ impl<'a> Table<'a> {
             name => format!("[{name}]"),
         };
         Err(Error::input(
-            format!(
-                "{}: line {}",
-                self.path.display(),
-                line_of(self.text, key.span().start)
+            Subject::in_file(
+                self.path,
+                format!("line {}", line_of(self.text, key.span().start)),
             ),
             format!("the unknown key `{}` in {place}", key.get_ref()),
             format!("{place} has {}", known.join(", ")),
             format!("Did you mean `{}`?", nearest(key.get_ref(), known)),
-        ))
+        )
+        .with_kind(ErrorKind::Unknown))
     }
 
     /// The table of `section` in this one. Other keys than those of the section are refused.
@@ -169,21 +171,35 @@ impl<'a> Table<'a> {
     pub fn required<T>(&self, key: &str, value: Option<T>) -> Result<T> {
         value.ok_or_else(|| {
             Error::input(
-                format!("{}: [{}]", self.path.display(), self.name),
+                self.subject(key, format!("[{}]", self.name)),
                 format!("no `{key}`"),
                 "the key is required",
                 format!("Add a line `{key} = …` to [{}].", self.name),
             )
+            .with_kind(ErrorKind::Missing)
         })
+    }
+
+    /// `key` at a place in this file.
+    fn subject(&self, key: &str, place: String) -> Subject {
+        let subject = Subject::in_file(self.path, place);
+        let name = match self.name {
+            "field" => format!("field_{key}"),
+            _ => key.to_string(),
+        };
+        match Parameter::from_name(&name) {
+            Some(parameter) => subject.of(parameter),
+            None => subject,
+        }
     }
 
     /// An error about the value of `key`.
     pub fn error(&self, key: &str, found: impl ToString, rule: &str, remedy: &str) -> Error {
         let line = self.value(key).map_or(String::new(), |value| {
-            format!(" line {},", line_of(self.text, value.span().start))
+            format!("line {}, ", line_of(self.text, value.span().start))
         });
-        let subject = format!("{}:{line} [{}] {key}", self.path.display(), self.name);
-        Error::input(subject, found, rule, remedy)
+        let subject = self.subject(key, format!("{line}[{}] {key}", self.name));
+        Error::input(subject, found, rule.to_string(), remedy.to_string())
     }
 
     fn value(&self, key: &str) -> Option<&'a Spanned<DeValue<'a>>> {

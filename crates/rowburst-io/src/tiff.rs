@@ -4,6 +4,8 @@ use crate::fault;
 use crate::ome_sizes::ome_sizes;
 use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
+use rowburst::ErrorKind;
+use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Shape, Video};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, Write};
@@ -405,7 +407,12 @@ fn write<'a>(
     };
     written.map_err(|error| match error {
         TiffError::IoError(error) => fault::write_error(&error),
-        error => Error::work("writing TIFF", error, "Write it as .npy instead."),
+        error => Error::work(
+            Subject::named("writing TIFF"),
+            error,
+            "Write it as .npy instead.",
+        )
+        .with_kind(ErrorKind::Io),
     })
 }
 

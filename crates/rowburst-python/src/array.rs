@@ -1,12 +1,13 @@
 //! numpy arrays ⇄ values.
 
-use crate::error::to_py_err;
+use crate::error::{subject, to_py_err};
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods,
 };
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
+use rowburst::ErrorKind;
 use rowburst::{Error, Image, Shape, Video};
 use rowburst_io::{Capture, SampleFormat, read_image, read_video};
 use std::path::PathBuf;
@@ -22,7 +23,7 @@ fn floats<'py, T: Element>(
     if let Some(mask) = mask_of(value)? {
         let count: usize = mask.call_method0(intern!(py, "sum"))?.extract()?;
         return Err(to_py_err(Error::input(
-            name,
+            subject(name),
             format!("a masked array with {count} masked values"),
             "only frame, dark, flat and bad_pixels may have masked pixels, which are then bad pixels",
             "Replace them: array.filled(0).",
@@ -46,7 +47,7 @@ fn floats<'py, T: Element>(
         "f" => SampleFormat::Float,
         _ => {
             return Err(to_py_err(Error::input(
-                name,
+                subject(name),
                 format!("an array of {dtype}"),
                 "arrays hold integers or floating-point numbers",
                 "Convert it with numpy.asarray(array, dtype=numpy.float32).",
@@ -60,12 +61,15 @@ fn floats<'py, T: Element>(
             2 => "two axes, [y, x],",
             _ => "three axes, [t, y, x],",
         };
-        return Err(to_py_err(Error::input(
-            name,
-            format!("an array of shape {shape:?}"),
-            format!("it has {axes} and is not empty"),
-            "Index or reshape it: a frame is array[i] of a stack.",
-        )));
+        return Err(to_py_err(
+            Error::input(
+                subject(name),
+                format!("an array of shape {shape:?}"),
+                format!("it has {axes} and is not empty"),
+                "Index or reshape it: a frame is array[i] of a stack.",
+            )
+            .with_kind(ErrorKind::Shape),
+        ));
     }
     let options = PyDict::new(py);
     options.set_item("dtype", T::get_dtype(py))?;
@@ -87,7 +91,7 @@ fn from_dlpack<'py>(value: &Bound<'py, PyAny>, name: &str) -> PyResult<Bound<'py
         .call_method1("from_dlpack", (value,))
         .map_err(|error| {
             to_py_err(Error::input(
-                name,
+                subject(name),
                 format!("a DLPack object that numpy cannot take ({error})"),
                 "arrays lie in the memory of the processor",
                 "Copy it there first, such as by array.get() or tensor.cpu().",
@@ -189,12 +193,15 @@ pub fn masked_image(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(Image, Op
 fn require_finite(image: Image, name: &str) -> PyResult<Image> {
     match image.first_non_finite() {
         None => Ok(image),
-        Some((y, x)) => Err(to_py_err(Error::input(
-            name,
-            format!("{} at row {y}, column {x}", image.at(y, x)),
-            "every pixel is a finite number",
-            "Replace the pixel by the mean of its neighbours.",
-        ))),
+        Some((y, x)) => Err(to_py_err(
+            Error::input(
+                subject(name),
+                format!("{} at row {y}, column {x}", image.at(y, x)),
+                "every pixel is a finite number",
+                "Replace the pixel by the mean of its neighbours.",
+            )
+            .with_kind(ErrorKind::NotFinite),
+        )),
     }
 }
 
@@ -220,12 +227,15 @@ pub fn vector<'py, T: Element>(
     let (array, _) = floats::<T>(value, name, 1)?;
     let array = array.cast_into::<PyArray1<T>>()?;
     if array.len() != length {
-        return Err(to_py_err(Error::input(
-            name,
-            format!("{} values", array.len()),
-            format!("the operator takes {length}"),
-            "Flatten it with .ravel(), in C order.",
-        )));
+        return Err(to_py_err(
+            Error::input(
+                subject(name),
+                format!("{} values", array.len()),
+                format!("the operator takes {length}"),
+                "Flatten it with .ravel(), in C order.",
+            )
+            .with_kind(ErrorKind::Shape),
+        ));
     }
     Ok(array.try_readonly()?)
 }

@@ -11,6 +11,7 @@ use crate::threads::{self, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
+use rowburst::Parameter;
 use rowburst::Result;
 use rowburst::reconstruct::Options;
 use rowburst_batch::{
@@ -208,7 +209,7 @@ impl PyBatch {
         let count = self.count();
         if let Some(bad) = frames.iter().find(|&&frame| frame >= count) {
             let rule = format!("the recording has the frames 0 to {}", count - 1);
-            let error = rowburst::Error::input("frames", bad, rule, "Count them from 0.");
+            let error = rowburst::Error::input(Parameter::Frames, bad, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
         let pool = threads::start()?;
@@ -247,7 +248,7 @@ impl PyBatch {
     fn video<'py>(&self, py: Python<'py>, frame: usize) -> PyResult<Bound<'py, PyArray3<f32>>> {
         if frame >= self.count() {
             let rule = format!("the recording has {} frames", self.count());
-            let error = rowburst::Error::input("frame", frame, rule, "Count them from 0.");
+            let error = rowburst::Error::input(Parameter::Frame, frame, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
         let video = detached(py, || self.batch.video(frame))?.map_err(to_py_err)?;

@@ -2,7 +2,7 @@
 
 use crate::array::{capture, finite_image, from_image, path_of};
 use crate::camera::PyCamera;
-use crate::error::to_py_err;
+use crate::error::{subject, to_py_err};
 use crate::interrupt::interruptibly;
 use crate::psf::PyPsf;
 use crate::threads::detached;
@@ -10,12 +10,13 @@ use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
+use rowburst::ErrorKind;
 use rowburst::calibrate::psf::NamedCapture;
 use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate as calibrate_sensor};
 use rowburst::calibrate::timing::{
     Extension, Lamp, Timing, TimingParams, Waveform, calibrate as calibrate_timing,
 };
-use rowburst::{Error, Image};
+use rowburst::{Error, Image, Parameter};
 use rowburst_io::{OutputFolder, read_colour_image};
 use rowburst_run::calibrate::psf::{
     CaptureGroup, PsfCalibration, PsfFolder, PsfInputs, read_captures,
@@ -41,11 +42,11 @@ fn parts<'py>(value: &Bound<'py, PyAny>, name: &str) -> PyResult<Vec<(String, Bo
 }
 
 /// Frames of paths and arrays, as the command line reads them.
-fn frames_of(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<(String, Image)>> {
+fn frames_of(value: &Bound<'_, PyAny>, parameter: Parameter) -> PyResult<Vec<(String, Image)>> {
     let mut frames = Vec::new();
-    for (part, value) in parts(value, name)? {
+    for (part, value) in parts(value, parameter.name())? {
         if let Some(path) = path_of(&value) {
-            let files = detached(value.py(), || sensor::read_frames(name, &[path]))?;
+            let files = detached(value.py(), || sensor::read_frames(parameter, &[path]))?;
             frames.extend(files.map_err(to_py_err)?);
             continue;
         }
@@ -67,10 +68,13 @@ pub struct PySensorCalibration {
 impl PySensorCalibration {
     #[new]
     fn new(py: Python<'_>, darks: &Bound<'_, PyAny>, flats: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let (darks, flats) = (frames_of(darks, "darks")?, frames_of(flats, "flats")?);
+        let (darks, flats) = (
+            frames_of(darks, Parameter::Darks)?,
+            frames_of(flats, Parameter::Flats)?,
+        );
         let made = interruptibly::<(), _>(py, None, None, move |_| {
-            let darks = Stack::new("darks", darks)?;
-            let flats = Stack::new("flats", flats)?;
+            let darks = Stack::new(Parameter::Darks, darks)?;
+            let flats = Stack::new(Parameter::Flats, flats)?;
             let calibration = calibrate_sensor(&darks, &flats)?;
             let summary = sensor::summary(&calibration, &darks, &flats);
             Ok(Self {
@@ -196,14 +200,19 @@ impl PyPsfCalibration {
         ] {
             if let Some(bad) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
                 let remedy = "Leave it out where it is not known.";
-                let error = Error::input(name, bad, "the value is a number above zero", remedy);
+                let error = Error::input(
+                    subject(name),
+                    bad,
+                    "the value is a number above zero",
+                    remedy,
+                );
                 return Err(to_py_err(error));
             }
         }
         let groups = groups_of(captures, positions_mm.is_some())?;
         if let Some(positions) = positions_mm.as_ref().filter(|p| p.len() != groups.len()) {
             return Err(to_py_err(Error::input(
-                "positions_mm",
+                Parameter::PositionsMm,
                 format!("{} positions", positions.len()),
                 format!(
                     "each of the {} captures has its position (y, x)",
@@ -217,7 +226,12 @@ impl PyPsfCalibration {
         let binning = optional(binning, "binning")?;
         if binning.is_some_and(|b| !(1..=64).contains(&b)) {
             let rule = "a pixel of the working grid has 1 to 64 raw pixels along a side";
-            let error = Error::input("binning", binning.unwrap_or(0), rule, "Leave it out.");
+            let error = Error::input(
+                Parameter::Binning,
+                binning.unwrap_or(0),
+                rule,
+                "Leave it out.",
+            );
             return Err(to_py_err(error));
         }
         let field =
@@ -317,16 +331,19 @@ fn lamp_of(
             let waveform = Waveform::new(&points, extension).map_err(to_py_err)?;
             Ok(Lamp::Waveform(waveform))
         }
-        _ => Err(to_py_err(Error::input(
-            "frequency_hz",
-            if frequency_hz.is_some() {
-                "a signal as well"
-            } else {
-                "nothing"
-            },
-            "the light is given by its frequency or its waveform",
-            "Give frequency_hz or signal.",
-        ))),
+        _ => Err(to_py_err(
+            Error::input(
+                Parameter::FrequencyHz,
+                if frequency_hz.is_some() {
+                    "a signal as well"
+                } else {
+                    "nothing"
+                },
+                "the light is given by its frequency or its waveform",
+                "Give frequency_hz or signal.",
+            )
+            .with_kind(ErrorKind::Missing),
+        )),
     }
 }
 

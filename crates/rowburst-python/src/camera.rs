@@ -5,9 +5,10 @@ use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
+use rowburst::ErrorKind;
 use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
-use rowburst::{Camera, Error, Sensor, Shutter};
+use rowburst::{Camera, Error, Parameter, Sensor, Shutter};
 use rowburst_io::Experiment;
 use std::path::PathBuf;
 
@@ -43,11 +44,11 @@ impl PyCamera {
         match self.bayer {
             None => Ok(&self.camera),
             Some(mosaic) => Err(to_py_err(Error::input(
-                "bayer",
+                Parameter::Bayer,
                 format!("\"{}\"", mosaic.name()),
                 "a raw Bayer frame has four planes, and this function reconstructs one grey video",
                 "Call rowburst.reconstruct_colour, which gives a video in colour. For a sensor without a mosaic, leave bayer out.",
-            ))),
+            ).with_kind(ErrorKind::Unsupported))),
         }
     }
 }
@@ -88,7 +89,10 @@ impl PyCamera {
             _ => row_time_us.ok_or_else(|| {
                 let rule = "a rolling shutter has a time from row to row";
                 let remedy = "Read it from the camera's data sheet or software.";
-                to_py_err(Error::input("row_time_us", "nothing", rule, remedy))
+                to_py_err(
+                    Error::input(Parameter::RowTimeUs, "nothing", rule, remedy)
+                        .with_kind(ErrorKind::Missing),
+                )
             })?,
         };
         let params = CameraParams {
@@ -340,7 +344,7 @@ impl PyCamera {
 fn mosaic_of(name: &str) -> rowburst::Result<Bayer> {
     Bayer::from_name(name).ok_or_else(|| {
         Error::input(
-            "bayer",
+            Parameter::Bayer,
             format!("\"{name}\""),
             format!("the mosaic is one of {}", Bayer::NAMES.join(", ")),
             "Give the colours of the first two pixels of the first row, then of the second.",
@@ -352,20 +356,21 @@ fn shutter_of(name: &str, row_order: Option<Vec<usize>>) -> rowburst::Result<Shu
     match (name, row_order, Shutter::from_name(name)) {
         ("custom", Some(order), _) => Ok(Shutter::Custom(order)),
         ("custom", None, _) => Err(Error::input(
-            "row_order",
+            Parameter::RowOrder,
             "nothing",
             "the shutter \"custom\" needs the instant of every row",
             "Give row_order=[k of row 0, k of row 1, …].",
-        )),
+        )
+        .with_kind(ErrorKind::Missing)),
         (_, None, Some(shutter)) => Ok(shutter),
         (_, Some(_), Some(_)) => Err(Error::input(
-            "row_order",
+            Parameter::RowOrder,
             format!("an order of rows for the shutter \"{name}\""),
             "row_order goes with shutter=\"custom\" alone",
             "Remove it, or give shutter=\"custom\".",
         )),
         (_, _, None) => Err(Error::input(
-            "shutter",
+            Parameter::Shutter,
             format!("\"{name}\""),
             format!("the shutter is one of {}", Shutter::NAMES.join(", ")),
             "Zyla and other dual cameras of the paper's kind are dual-inside-out.",

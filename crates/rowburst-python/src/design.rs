@@ -7,14 +7,13 @@ use crate::psf::psfs_of;
 use crate::threads::detached;
 use crate::whole::{Whole, is_bool};
 use pyo3::prelude::*;
-use rowburst::design::sparsity::SuccessMap;
-use rowburst::design::{Assessment, LightParams};
+use rowburst::Camera;
+use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
-use rowburst::{Camera, Psf};
+use rowburst::solve::StopReason;
 use rowburst_io::OutputFolder;
-use rowburst_run::design::{
-    DesignInputs, DesignSummary, Page, checked_snrs, light_of, paper_camera,
-};
+use rowburst_run::Event;
+use rowburst_run::design::{Design, DesignInputs, checked_snrs, light_of, paper_camera};
 use rowburst_run::simulate::LensOptics;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -23,12 +22,7 @@ use std::time::Instant;
 /// A planned set-up and what it can do.
 #[pyclass(name = "_Design", module = "rowburst._rowburst", frozen)]
 pub struct PyDesign {
-    inputs: DesignInputs,
-    assessment: Assessment,
-    map: Option<SuccessMap>,
-    /// The recorded PSF.
-    psf: Option<Psf>,
-    summary: DesignSummary,
+    design: Design,
 }
 
 #[pymethods]
@@ -110,52 +104,31 @@ impl PyDesign {
             None => None,
         };
         let found = interruptibly(py, None, on_progress, move |reporter| {
-            let assessment = inputs.assess(psf.as_ref())?;
-            let map = trials.then(|| {
-                inputs.success_map(&assessment, psf.as_ref(), &mut |_, part| match reporter
-                    .ask(|| part)
-                {
+            let design = inputs.run(psf, trials, began, &mut |event| match event {
+                Event::Trials { part, .. } => match reporter.ask(|| part) {
                     Answer::Continue => ControlFlow::Continue(()),
-                    Answer::Finish | Answer::Abandon => ControlFlow::Break(()),
-                })
-            });
-            let map = map.transpose()?;
-            let seconds = began.elapsed().as_secs_f64();
-            let summary = DesignSummary::new(&inputs, &assessment, map.as_ref(), seconds);
-            Ok(Self {
-                inputs,
-                assessment,
-                map,
-                psf,
-                summary,
-            })
+                    Answer::Finish | Answer::Abandon => ControlFlow::Break(StopReason::Interrupted),
+                },
+                _ => ControlFlow::Continue(()),
+            })?;
+            Ok(Self { design })
         })?;
         found.map_err(to_py_err)
     }
 
     fn json(&self) -> String {
-        self.summary.json()
+        self.design.summary.json()
     }
 
     /// The numbers in words: headings with pairs of quantity and value.
     fn sections(&self) -> Vec<(String, Vec<(String, String)>)> {
-        self.summary.sections()
+        self.design.summary.sections()
     }
 
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let write = || {
             let folder = OutputFolder::create(&folder)?;
-            let psf = self.psf.clone();
-            let psf = psf.or_else(|| self.inputs.simulated_psf(&self.assessment));
-            let page = Page {
-                inputs: &self.inputs,
-                assessment: &self.assessment,
-                map: self.map.as_ref(),
-                psf: psf.as_ref(),
-                summary: &self.summary,
-                reproduce: None,
-            };
-            page.write(&folder)
+            self.design.write(&folder, None)
         };
         detached(py, write)?.map_err(to_py_err)
     }

@@ -1,85 +1,143 @@
 //! The library's errors as Python exceptions.
 
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::intern;
 use pyo3::prelude::*;
-use rowburst::Error;
+use rowburst::error::{Names, Subject, Tool};
+use rowburst::{Error, ErrorKind, Parameter};
 
 pyo3::create_exception!(
     rowburst,
     InputError,
     PyValueError,
-    "An input breaks a rule: the message names the input, its value, the rule and the remedy."
+    "An input breaks a rule: the message names the input, its value, the rule and the remedy.\n\n\
+     ``kind`` says what is wrong, ``parameter`` and ``path`` which input, ``value`` what was found;\n\
+     ``rule`` and ``remedy`` are the words of the message. They are None where they do not apply."
 );
 pyo3::create_exception!(
     rowburst,
     WorkError,
     PyRuntimeError,
-    "The work itself failed: a full disk, no memory, numbers that overflowed."
+    "The work itself failed: a full disk, no memory, numbers that overflowed.\n\n\
+     It has the attributes of :class:`InputError`."
 );
 
-/// `error` as an exception, with the words of the command line turned into Python's.
-pub fn to_py_err(error: Error) -> PyErr {
-    let message = to_python_words(&error.to_string());
-    match error {
-        Error::Input { .. } => InputError::new_err(message),
-        Error::Work { .. } => WorkError::new_err(message),
-    }
-}
+/// The attributes of an exception.
+const ATTRIBUTES: [&str; 6] = ["kind", "parameter", "path", "value", "rule", "remedy"];
 
-/// Phrases of the command line and of the experiment file, and what they are in Python.
-const PHRASES: [(&str, &str); 5] = [
-    (" with -o", ""),
-    ("Give --psf FILE", "Give psf=FILE"),
-    ("as in --region 40,52", "as in (40, 52)"),
-    ("as in --region 36,48,9,9", "as in (36, 48, 9, 9)"),
-    ("(--bins)", "(bins)"),
-];
-
-/// Names of tables of the experiment file, where no such file is at fault.
-const TABLES: [(&str, &str); 6] = [
-    ("Add a line `", "Give `"),
-    (" in [camera]", " of the Camera"),
-    (" to [camera]", " to the Camera"),
-    ("[camera] ", ""),
-    ("[camera]", "camera"),
-    ("[field]", "field"),
-];
-
-/// `text` without names that only the command line has: `--noise-sigma` is `noise_sigma` here. Commands in
-/// backquotes stay.
-fn to_python_words(text: &str) -> String {
-    let replaced = |text: String, pairs: &[(&str, &str)]| {
-        let replace = |text: String, (from, to): &(&str, &str)| text.replace(from, to);
-        pairs.iter().fold(text, replace)
-    };
-    let mut text = replaced(text.to_string(), &PHRASES);
-    if !text.contains(".toml") {
-        text = replaced(text, &TABLES);
-    }
-    let parts = text.split('`').enumerate().map(|(i, part)| {
-        let is_command = i % 2 == 1 && part.starts_with("rowburst ");
-        if is_command {
-            part.to_string()
-        } else {
-            to_python_names(part)
+/// Declares the attributes of the exceptions, which are None until an error sets them.
+pub fn declare_attributes(py: Python<'_>) -> PyResult<()> {
+    for class in [py.get_type::<InputError>(), py.get_type::<WorkError>()] {
+        for attribute in ATTRIBUTES {
+            class.setattr(attribute, py.None())?;
         }
-    });
-    parts.collect::<Vec<_>>().join("`")
+    }
+    Ok(())
 }
 
-/// `--noise-sigma` is `noise_sigma` here.
-fn to_python_names(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some(at) = rest.find("--") {
-        let (before, option) = rest.split_at(at);
-        out.push_str(before);
-        let name = &option[2..];
-        let end = name
-            .find(|c: char| !(c.is_ascii_lowercase() || c == '-'))
-            .unwrap_or(name.len());
-        out.push_str(&name[..end].replace('-', "_"));
-        rest = &name[end..];
+/// The argument `name` as the subject of an error; `darks[3]` is one of the `darks`.
+pub fn subject(name: &str) -> Subject {
+    let argument = name.split('[').next().unwrap_or(name);
+    match Parameter::from_name(argument) {
+        Some(parameter) => Subject::item(parameter, name),
+        None => Subject::named(name),
     }
-    out + rest
+}
+
+/// `error` as an exception with its data, in the names of Python.
+pub fn to_py_err(error: Error) -> PyErr {
+    let message = error.message(&Arguments);
+    let exception = if error.is_input() {
+        InputError::new_err(message)
+    } else {
+        WorkError::new_err(message)
+    };
+    Python::attach(|py| match set_attributes(py, &exception, &error) {
+        Ok(()) => exception,
+        Err(failed) => failed,
+    })
+}
+
+fn set_attributes(py: Python<'_>, exception: &PyErr, error: &Error) -> PyResult<()> {
+    let value = exception.value(py);
+    let words = |text: String| (!text.is_empty()).then_some(text);
+    let remedy = Arguments.remedy(error);
+    value.setattr(intern!(py, "kind"), error.kind().name())?;
+    value.setattr(intern!(py, "parameter"), error.parameter().map(argument))?;
+    value.setattr(
+        intern!(py, "path"),
+        error.path().map(|path| path.display().to_string()),
+    )?;
+    value.setattr(intern!(py, "value"), error.value())?;
+    value.setattr(intern!(py, "rule"), words(error.rule().text(&Arguments)))?;
+    value.setattr(
+        intern!(py, "remedy"),
+        remedy.unwrap_or_else(|| error.remedy().text(&Arguments)),
+    )
+}
+
+/// The name of a parameter as an argument.
+fn argument(parameter: Parameter) -> &'static str {
+    match parameter {
+        Parameter::DiameterMm => "pupil_mm",
+        Parameter::ImageDistanceMm => "focal_length_mm",
+        Parameter::DiffuserFwhmDeg => "diffuser_deg",
+        Parameter::HeightPx => "digit_px",
+        Parameter::SuccessMap => "trials",
+        Parameter::Output => "folder",
+        Parameter::Region => "regions",
+        Parameter::PartBins => "bins_per_chunk",
+        other => other.name(),
+    }
+}
+
+/// The names of Python.
+struct Arguments;
+
+impl Names for Arguments {
+    fn name(&self, parameter: Parameter) -> String {
+        match parameter {
+            Parameter::Camera => "the Camera".to_string(),
+            other => argument(other).to_string(),
+        }
+    }
+
+    fn subject(&self, parameter: Parameter) -> String {
+        argument(parameter).to_string()
+    }
+
+    fn setting(&self, parameter: Parameter, value: &str) -> String {
+        match parameter {
+            Parameter::Region => format!("({})", value.replace(',', ", ")),
+            Parameter::ExposuresMs => {
+                format!("exposures_ms=[{}]", value.replace(',', ", "))
+            }
+            other => format!("{}={value}", argument(other)),
+        }
+    }
+
+    fn tool(&self, tool: Tool) -> String {
+        let call = match tool {
+            Tool::Reconstruct => "rb.reconstruct",
+            Tool::Batch => "rb.batch",
+            Tool::CalibrateSensor => "rb.calibrate.sensor",
+            Tool::CalibratePsf => "rb.calibrate.psf",
+            Tool::CalibratePatches => "rb.calibrate.psf(positions_mm=…)",
+            Tool::CalibrateTiming => "rb.calibrate.timing",
+            other => return format!("`{}`", other.name()),
+        };
+        format!("`{call}`")
+    }
+
+    fn remedy(&self, error: &Error) -> Option<String> {
+        match (error.parameter()?, error.kind()) {
+            (Parameter::Psf, ErrorKind::Missing) => {
+                Some("Give psf=, or an experiment that names the file of the PSF.".to_string())
+            }
+            (Parameter::FramePeriodUs, ErrorKind::Missing) => {
+                Some("Give frame_period_us=.".to_string())
+            }
+            _ => None,
+        }
+    }
 }

@@ -47,7 +47,7 @@ impl PyExperiment {
             let experiment = Experiment::read_with(&path, &metadata)?;
             let camera = experiment.camera()?;
             let calibration = &experiment.calibration;
-            let corrections = read_corrections(calibration, None)?;
+            let corrections = read_corrections(calibration)?;
             let dark = corrections.dark.as_ref();
             let psfs = calibration.psf.as_deref();
             let psfs = psfs.map(|p| read_psfs(p, &camera, dark)).transpose()?;

@@ -5,6 +5,9 @@ use crate::error::to_py_err;
 use crate::threads::detached;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
+use rowburst::ErrorKind;
+use rowburst::Parameter;
+use rowburst::error::Subject;
 use rowburst::{Error, Result, Shape, Video};
 use rowburst_io::{Capture, Frames, open_recording};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
@@ -80,7 +83,7 @@ fn all_frames(frames: &dyn Frames) -> Result<(Video, Option<&'static str>)> {
             frames.count()
         );
         let remedy = "Read some of them, or use rowburst.batch, which holds one frame at a time.";
-        Error::work(frames.path().display().to_string(), found, remedy)
+        Error::work(frames.path(), found, remedy)
     })?;
     data.extend_from_slice(first.image.data());
     for index in 1..frames.count() {
@@ -88,11 +91,12 @@ fn all_frames(frames: &dyn Frames) -> Result<(Video, Option<&'static str>)> {
         let size = (frame.image.rows(), frame.image.columns());
         if size != (rows, columns) || dtype_of(frame.format) != dtype {
             return Err(Error::input(
-                frames.name(index),
+                Subject::item(Parameter::Frames, frames.name(index)),
                 format!("{}×{} pixels, or numbers of another kind", size.0, size.1),
                 format!("it has the {rows}×{columns} pixels and the numbers of the first frame"),
                 "Take it out of the recording.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         data.extend_from_slice(frame.image.data());
     }
@@ -123,7 +127,11 @@ impl Frames for ArrayFrames {
     fn read(&self, index: usize) -> Result<Capture> {
         let failed = |error: PyErr| {
             let remedy = "Read the frame by itself: frames[i].";
-            Error::work(format!("frame {index}"), error, remedy)
+            Error::work(
+                Subject::item(Parameter::Frames, format!("frame {index}")),
+                error,
+                remedy,
+            )
         };
         let read = Python::attach(|py| {
             let frame = self.array.bind(py).get_item(index)?;
@@ -132,7 +140,7 @@ impl Frames for ArrayFrames {
         let capture = read.map_err(failed)?;
         if self.has_bias && dtype_of(capture.format).is_none() {
             return Err(Error::input(
-                format!("frame {index}"),
+                Subject::item(Parameter::Frames, format!("frame {index}")),
                 "floating-point numbers",
                 "bias_counts of the camera is subtracted from raw frames, which are integers",
                 "Give integers, or leave bias_counts out where it is subtracted already.",

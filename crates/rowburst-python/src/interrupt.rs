@@ -9,7 +9,7 @@ use crate::log;
 use crate::threads;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
-use rowburst::{Cancel, Error};
+use rowburst::{Cancel, Error, Parameter};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -115,7 +115,7 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     let spawned = thread::Builder::new().name("rowburst".into()).spawn(job);
     spawned.map_err(|error| {
         let remedy = "End other programs, or raise the limit of processes (ulimit -u).";
-        to_py_err(Error::work("threads", error, remedy))
+        to_py_err(Error::work(Parameter::Threads, error, remedy))
     })?;
     let abandon = |error: PyErr| {
         cancel.cancel();

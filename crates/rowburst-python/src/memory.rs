@@ -2,7 +2,7 @@
 
 use crate::error::to_py_err;
 use pyo3::prelude::*;
-use rowburst::Camera;
+use rowburst::{Camera, Parameter};
 use rowburst_run::check_memory;
 
 /// Checks that a reconstruction with `camera` fits into the memory that is available.
@@ -10,5 +10,5 @@ use rowburst_run::check_memory;
 /// # Errors
 /// Too little memory; the words are those of the command line.
 pub fn check(camera: &Camera) -> PyResult<()> {
-    check_memory("the video", camera).map_err(to_py_err)
+    check_memory(Parameter::Memory, camera).map_err(to_py_err)
 }

@@ -13,9 +13,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyType;
 use rayon::ThreadPool;
 use rowburst::linop::{LinearOperator, Scalar};
-use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{DataStep, Model};
-use rowburst::{Camera, Error, PatchSet, RollingShutter};
+use rowburst::{Camera, Error, Parameter, PatchSet, RollingShutter};
+use rowburst_run::Setup;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Whether the blocks of `A Aᵀ` are computed with a model.
@@ -179,9 +179,9 @@ pub struct PyDataTerm {
 impl PyDataTerm {
     #[new]
     fn new(py: Python<'_>, operator: &PyOperator, frame: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let camera = operator.model.camera();
-        let measurement = measured(frame, camera, Corrections::default())?;
         let model = operator.model.clone();
+        let setup = Setup::new(model.camera().clone(), model.psfs().clone());
+        let measurement = measured(frame, setup)?;
         let step = interruptibly::<(), _>(py, None, None, move |reporter| {
             let model = model.with_cancel(reporter.cancel());
             DataStep::new(&model, &measurement)
@@ -222,7 +222,7 @@ impl PyDataTerm {
         if let Some(i) = x.iter().position(|v| !v.is_finite()) {
             let rule = "every value is a finite number";
             let error = Error::input(
-                "video",
+                Parameter::Video,
                 format!("{} at {i}", x[i]),
                 rule,
                 "Take smaller steps.",

@@ -9,7 +9,7 @@ use crate::whole::Whole;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
-use rowburst::{Camera, Error, Image, PatchSet};
+use rowburst::{Camera, Error, Image, Parameter, PatchSet};
 use rowburst_run::inputs::{psf_from_capture, read_psfs};
 use rowburst_run::simulate::{LensOptics, pixel_pitch_um, speckle_for};
 use std::path::PathBuf;
@@ -143,7 +143,7 @@ pub fn psfs_of(
     }
     if value.is_none() {
         return Err(to_py_err(Error::input(
-            "psf",
+            Parameter::Psf,
             "None",
             "the point-spread function of the diffuser is needed",
             "Give psf=..., an array, a Psf or a file, or write psf = \"FILE\" under [calibration] of the experiment file.",

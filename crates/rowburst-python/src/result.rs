@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict, PyType};
 use rowburst::solve::admm::Progress;
-use rowburst::{Error, Shape, Video};
+use rowburst::{Error, Parameter, Shape, Video};
 use rowburst_io::OutputFolder;
 use rowburst_report::Layout;
 use rowburst_run::{
@@ -409,7 +409,7 @@ fn layout_of(name: &str) -> rowburst::Result<Layout> {
         "fig2" => Ok(Layout::Fig2),
         "fig3" => Ok(Layout::Fig3),
         _ => Err(Error::input(
-            "layout",
+            Parameter::Layout,
             format!("\"{name}\""),
             "a layout is \"fig2\" or \"fig3\"",
             "Leave it out for \"fig2\".",

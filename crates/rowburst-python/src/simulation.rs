@@ -14,7 +14,6 @@ use rowburst::{Image, PatchSet, Video};
 use rowburst_run::simulate::{
     LensOptics, NoiseChoice, Scene, Simulation, pixel_pitch_um, simulate as simulated, speckle_for,
 };
-use std::path::PathBuf;
 
 /// A simulated capture with all that is known of it.
 #[pyclass(name = "Simulation", module = "rowburst", frozen)]
@@ -167,11 +166,11 @@ pub fn simulate(
         None => Scene::Named("digits"),
         Some(value) if is_array(value) => Scene::Video(video(value, "scene")?),
         Some(value) => match value.extract::<String>() {
-            Ok(text) if !names_a_file(&text) => {
+            Ok(text) => {
                 name = text;
-                Scene::Named(&name)
+                Scene::read(&name).map_err(to_py_err)?
             }
-            _ => Scene::Video(video(value, "scene")?),
+            Err(_) => Scene::Video(video(value, "scene")?),
         },
     };
     let noise = match (peak_electrons, scene_electrons) {
@@ -211,10 +210,4 @@ pub fn simulate(
         noise_sigma: made.recorded.sigma,
         leds: leds.map(|l| (l.y, l.x, l.frequency_hz, l.phase)).collect(),
     })
-}
-
-/// Whether a scene is the name of a file rather than of a scene, as on the command line.
-fn names_a_file(text: &str) -> bool {
-    let path = PathBuf::from(text);
-    !Scene::NAMES.contains(&text) && (path.exists() || path.extension().is_some())
 }

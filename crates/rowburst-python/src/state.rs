@@ -14,8 +14,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{
-    Calibration, Candidate, Choice, Fit, FitStatistics, FoundParameter, Options, Parameter, Prior,
-    Reconstruction, SelfCalibration, SigmaSource, Tau, TrimmedChiSquared, Verdict,
+    Calibration, Candidate, Choice, Fit, FitStatistics, FoundParameter, ModelParameter, Options,
+    Prior, Reconstruction, SelfCalibration, SigmaSource, Tau, TrimmedChiSquared, Verdict,
 };
 use rowburst::solve::{Certificate, StopReason};
 use rowburst::{Cancel, Image, Video};
@@ -344,7 +344,7 @@ fn to_calibration(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Option<Cal
     };
     let parameters = parameters.into_iter().map(|(name, value, standard_error)| {
         Ok(FoundParameter {
-            parameter: named(&Parameter::ALL, Parameter::name, &name)?,
+            parameter: named(&ModelParameter::ALL, ModelParameter::name, &name)?,
             value,
             standard_error,
         })

@@ -13,11 +13,12 @@ use crate::whole::{Whole, is_bool, optional};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rayon::ThreadPool;
+use rowburst::error::Subject;
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Cancel, Error, Image, Result};
-use rowburst_io::{Calibration, OutputFolder, SampleFormat};
+use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result};
+use rowburst_io::{OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
 use rowburst_run::{
@@ -36,7 +37,6 @@ struct FrameInputs<'a, 'py> {
     direct: Option<&'a Bound<'py, PyAny>>,
     time_budget_s: Option<f64>,
     seed: Whole,
-    debias: bool,
 }
 
 /// The video of a frame.
@@ -84,7 +84,6 @@ pub fn reconstruct(
         direct,
         time_budget_s,
         seed,
-        debias,
     };
     let task = task_of(setup, &inputs)?;
     run(py, task, None, pool, debias, progress, began)
@@ -154,7 +153,6 @@ impl PyReconstructor {
             direct,
             time_budget_s,
             seed,
-            debias,
         };
         let model = Some(self.model.clone());
         let began = Instant::now();
@@ -171,18 +169,14 @@ pub fn setup_of(
     options: Options,
     experiment: Option<&PyExperiment>,
 ) -> PyResult<Setup> {
+    let psfs = psfs_of(psf, camera, corrections.dark.as_ref())?;
     Ok(Setup {
-        psfs: psfs_of(psf, camera, corrections.dark.as_ref())?,
-        camera: camera.clone(),
         corrections,
         options,
-        budget: None,
         from_metadata: experiment
             .map(|e| e.from_metadata.clone())
             .unwrap_or_default(),
-        experiment: None,
-        calibration: Calibration::default(),
-        cancel: Cancel::default(),
+        ..Setup::new(camera.clone(), psfs)
     })
 }
 
@@ -200,7 +194,7 @@ fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     crate::memory::check(&task.camera)?;
     let truth = inputs.truth.map(|value| {
         let video = video(value, "truth")?;
-        checked_truth(video, "truth", &task.camera).map_err(to_py_err)
+        checked_truth(video, Parameter::Truth.into(), &task.camera).map_err(to_py_err)
     });
     task.truth = truth.transpose()?;
     let direct = inputs.direct.map(|v| finite_image(v, "direct"));
@@ -268,11 +262,23 @@ impl<T> Watch<'_, T> {
         }
     }
 
+    /// Ends the work where nobody waits for the result any more.
+    fn check_wanted(&self) -> Result<()> {
+        if self.reporter.is_abandoned() {
+            let remedy = "Call it again.";
+            return Err(
+                Error::work(Subject::named("reconstruction"), "stopped", remedy)
+                    .with_kind(ErrorKind::Cancelled),
+            );
+        }
+        Ok(())
+    }
+
     /// Refits the video where that is asked for; traces alone are left to the first question for them.
     fn evaluated(&self, mut completed: CompletedTask, debias: bool) -> Evaluated {
-        let is_wanted = debias && !self.reporter.is_abandoned();
+        let wants_traces = debias && !self.reporter.is_abandoned();
         Evaluated {
-            traces: is_wanted.then(|| completed.evaluate(TraceRequest::default(), true)),
+            traces: wants_traces.then(|| completed.evaluate(TraceRequest::default(), true)),
             completed,
             threads: rayon::current_num_threads(),
         }
@@ -330,7 +336,7 @@ pub fn options_from(
         max_iterations: match optional(max_iterations, "max_iterations")? {
             Some(0) => {
                 let rule = "a run has at least one iteration";
-                let error = Error::input("max_iterations", 0, rule, "Leave it out.");
+                let error = Error::input(Parameter::MaxIterations, 0, rule, "Leave it out.");
                 return Err(to_py_err(error));
             }
             most => most,
@@ -364,7 +370,7 @@ pub fn corrections_of(
     })
 }
 
-/// The corrected frame of a live view.
+/// A frame, corrected.
 pub fn measured(frame: &Bound<'_, PyAny>, setup: Setup) -> PyResult<Measurement> {
     let (frame, setup) = frame_of(frame, setup)?;
     setup.measurement(&frame).map_err(to_py_err)
@@ -376,7 +382,7 @@ fn frame_of(frame: &Bound<'_, PyAny>, mut setup: Setup) -> PyResult<(Frame, Setu
     let (capture, mask) = masked_capture(frame, "frame")?;
     if capture.format == (SampleFormat::Counts { bits: 1 }) {
         return Err(to_py_err(Error::input(
-            "frame",
+            Parameter::Frame,
             "an array of bool",
             "a frame holds counts or floating-point numbers, and two values are no capture",
             "Give the counts as the camera recorded them.",
@@ -409,7 +415,7 @@ pub fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
     match tau {
         None => Ok(Tau::Auto),
         Some(value) if is_bool(value)? => Err(to_py_err(Error::input(
-            "tau",
+            Parameter::Tau,
             value.str()?.to_string(),
             "τ is \"auto\", \"held-out\" or a number above zero",
             "Leave it out for \"auto\".",
@@ -454,7 +460,7 @@ pub fn _reconstruct_colour<'py>(
     let mosaic = camera.bayer.ok_or_else(|| {
         let rule = "a camera of raw colour frames has a mosaic";
         let remedy = "Give bayer=\"rggb\" to the Camera, or call rowburst.reconstruct.";
-        to_py_err(Error::input("bayer", "None", rule, remedy))
+        to_py_err(Error::input(Parameter::Bayer, "None", rule, remedy))
     })?;
     let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -477,7 +483,7 @@ pub fn _reconstruct_colour<'py>(
         task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
             let evaluated = watch.evaluated(plane.completed, debias);
             planes.push((plane.site, plane.start_us, evaluated));
-            Ok(())
+            watch.check_wanted()
         })?;
         Ok(planes)
     })?;
@@ -488,7 +494,7 @@ pub fn _reconstruct_colour<'py>(
     let colours = merge_planes(&videos).ok_or_else(|| {
         let found = "planes of different lengths: there is no video in colour";
         to_py_err(Error::work(
-            "frame",
+            Parameter::Frame,
             found,
             "Crop the frame to an even number of rows.",
         ))

@@ -7,7 +7,7 @@ use crate::error::{WorkError, to_py_err};
 use crate::log;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
-use rowburst::Error;
+use rowburst::{Error, Parameter};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -49,7 +49,7 @@ pub fn start() -> PyResult<Arc<ThreadPool>> {
     });
     pool.clone().map_err(|reason| {
         let remedy = "Call rowburst.set_threads with a smaller number before anything is computed.";
-        to_py_err(Error::work("threads", reason, remedy))
+        to_py_err(Error::work(Parameter::Threads, reason, remedy))
     })
 }
 
@@ -60,13 +60,13 @@ pub fn start() -> PyResult<Arc<ThreadPool>> {
 pub fn pool_of(threads: usize) -> PyResult<Arc<ThreadPool>> {
     if threads == 0 {
         let rule = "there is at least one";
-        let error = Error::input("threads", 0, rule, "Leave it out for all threads.");
+        let error = Error::input(Parameter::Threads, 0, rule, "Leave it out for all threads.");
         return Err(to_py_err(error));
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map(Arc::new).map_err(|reason| {
         let remedy = "Give a smaller number.";
-        to_py_err(Error::work("threads", reason, remedy))
+        to_py_err(Error::work(Parameter::Threads, reason, remedy))
     })
 }
 
@@ -88,7 +88,7 @@ pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
     let threads = threads.named("threads")?;
     if threads == 0 {
         let rule = "there is at least one";
-        let error = Error::input("threads", 0, rule, "Give the number of cores.");
+        let error = Error::input(Parameter::Threads, 0, rule, "Give the number of cores.");
         return Err(to_py_err(error));
     }
     let owner = OWNER.load(Ordering::Acquire);
@@ -104,7 +104,7 @@ pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
         return Ok(());
     }
     Err(to_py_err(Error::work(
-        "threads",
+        Parameter::Threads,
         format!(
             "{threads} are requested and {running} run already: their number is fixed by the first computation"
         ),

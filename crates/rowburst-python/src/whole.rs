@@ -1,6 +1,6 @@
 //! Whole numbers that users give.
 
-use crate::error::to_py_err;
+use crate::error::{subject, to_py_err};
 use pyo3::Borrowed;
 use pyo3::prelude::*;
 use pyo3::types::PyBool;
@@ -23,7 +23,7 @@ impl Whole {
     pub fn named(self, name: &str) -> PyResult<usize> {
         self.0.map_err(|found| {
             to_py_err(Error::input(
-                name,
+                subject(name),
                 found,
                 "the value is a whole number from 0",
                 "Give a non-negative int.",

@@ -2,7 +2,8 @@
 
 use crate::figure::{Anchor, Figure};
 use crate::{ReportInput, check, figures};
-use rowburst::{Error, Result};
+use rowburst::phrase;
+use rowburst::{Error, Parameter, Result};
 
 /// What stands where.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -84,10 +85,10 @@ pub fn compose(input: &ReportInput, layout: Layout) -> Result<ComposedFigure> {
     }
     if top == 0.0 {
         return Err(Error::input(
-            "figure",
+            Parameter::Figure,
             "a result without any of its panels",
             "a layout has at least one panel",
-            "Choose another --layout.",
+            phrase!["Choose another ", Parameter::Layout, "."],
         ));
     }
     whole.set_height(top - GAP);

@@ -25,6 +25,7 @@ mod render_text;
 mod sheet;
 mod stats;
 
+use rowburst::error::Subject;
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
@@ -214,9 +215,9 @@ pub fn render(input: &ReportInput) -> Result<Report> {
 fn check(input: &ReportInput) -> Result<()> {
     let shape = input.video.shape();
     let frame = (input.frame.rows(), input.frame.columns());
-    let mismatch = |subject: &str, found: String, rule: String| {
+    let mismatch = |subject: &'static str, found: String, rule: String| {
         Err(Error::input(
-            subject,
+            Subject::named(subject),
             found,
             rule,
             "Give the report the values of one and the same reconstruction.",

@@ -1,5 +1,6 @@
 //! Small rasters: what panels of a figure are made of.
 
+use rowburst::error::Subject;
 use std::borrow::Cow;
 
 use rowburst::{Error, Result};
@@ -156,7 +157,7 @@ impl Pixels {
 /// A picture that could not be encoded.
 pub(crate) fn failed(reason: impl ToString) -> Error {
     Error::work(
-        "picture of the report",
+        Subject::named("picture of the report"),
         reason,
         "This is a fault of the program, please report it.",
     )

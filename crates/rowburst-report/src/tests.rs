@@ -410,7 +410,7 @@ fn sizes_that_contradict_each_other_are_errors() {
         },
     ];
     for input in wrong {
-        assert!(matches!(render(&input), Err(Error::Input { .. })));
+        assert!(render(&input).unwrap_err().is_input());
     }
 }
 

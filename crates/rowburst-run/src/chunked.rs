@@ -16,10 +16,11 @@ use crate::numbers::thousands;
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use crate::task::Task;
+use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Error, Image, Result, Shape, TimeGrid, Video};
+use rowburst::{Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
 use rowburst_io::{ChunkedVideoFile, FromMetadata};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
@@ -165,16 +166,14 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
         let Some(reconstruction) = reconstruction else {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
-                "reconstruction",
+                Subject::named("reconstruction"),
                 format!("stopped with {done} of {} bins reconstructed", shape.bins),
                 "Run the same command again to resume.",
-            ));
+            )
+            .with_kind(ErrorKind::Cancelled));
         };
         file.write(range.start, reconstruction.video.data())?;
-        info!(
-            "wrote bins {}..{} of {}",
-            range.start, range.end, shape.bins
-        );
+        info!("wrote bins {range:?} of {}", shape.bins);
         state.parts.push(ChunkNumbers {
             first_bin: range.start,
             end_bin: range.end,

@@ -12,7 +12,7 @@ use crate::traces::TraceRequest;
 use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration};
-use rowburst::{Camera, Error, Image, Result, Video};
+use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result, Video};
 use rowburst_io::{Capture, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour};
 use serde::Serialize;
 use std::time::Instant;
@@ -83,16 +83,14 @@ impl ColourTask {
     pub fn check(&self) -> Result<()> {
         let setup = &self.setup;
         let raw = &self.frame.capture.image;
-        let subject = self
-            .frame
-            .file
-            .as_ref()
-            .map(|file| file.display().to_string());
-        check_raw_frame(subject.as_deref().unwrap_or("frame"), raw, &setup.camera)?;
+        check_raw_frame(raw, &setup.camera).map_err(|error| match &self.frame.file {
+            Some(file) => error.within(file),
+            None => error,
+        })?;
         for (name, image) in [
-            ("dark", &setup.corrections.dark),
-            ("flat", &setup.corrections.flat),
-            ("bad_pixels", &setup.corrections.bad_pixels),
+            (Parameter::Dark, &setup.corrections.dark),
+            (Parameter::Flat, &setup.corrections.flat),
+            (Parameter::BadPixels, &setup.corrections.bad_pixels),
         ] {
             let size = image.as_ref().map(|i| (i.rows(), i.columns()));
             if size.is_some_and(|size| size != (raw.rows(), raw.columns())) {
@@ -101,7 +99,8 @@ impl ColourTask {
                     format!("{size:?} pixels"),
                     format!("it has the frame's {}×{} pixels", raw.rows(), raw.columns()),
                     "Record it with the camera settings of the frame.",
-                );
+                )
+                .with_kind(ErrorKind::Shape);
                 return Err(setup.naming(error, &self.frame));
             }
         }
@@ -140,7 +139,7 @@ impl ColourTask {
     fn plane_task(&self, site: Site, prior: Option<Prior>) -> Result<(Task, f64)> {
         let setup = &self.setup;
         let plane = plane_camera(&setup.camera, site).map_err(|error| match &setup.experiment {
-            Some(path) => error.within(path.display()),
+            Some(path) => error.within(path),
             None => error,
         })?;
         let of = |image: &Option<Image>| image.as_ref().map(|image| plane_image(image, site));
@@ -201,7 +200,7 @@ impl ColourTask {
         let shape = videos[0].1.shape();
         let Some(colours) = merge_planes(&videos) else {
             return Err(Error::work(
-                output.path().display().to_string(),
+                output.path(),
                 "planes of different lengths: there is no video in colour",
                 "The planes' own folders are whole.",
             ));
@@ -273,17 +272,18 @@ fn offset_warning(planes: &[PlaneNumbers]) -> Option<String> {
     })
 }
 
-/// Checks that a raw frame has the size of the sensor. `subject` names it in errors.
-fn check_raw_frame(subject: &str, raw: &Image, camera: &Camera) -> Result<()> {
+/// Checks that a raw frame has the size of the sensor.
+fn check_raw_frame(raw: &Image, camera: &Camera) -> Result<()> {
     if (raw.rows(), raw.columns()) == (camera.rows(), camera.columns()) {
         return Ok(());
     }
     Err(Error::input(
-        subject,
+        Parameter::Frame,
         format!("{}×{} pixels", raw.rows(), raw.columns()),
         format!("the camera has {}×{}", camera.rows(), camera.columns()),
         "Give the raw frame, before any colours are made of it.",
-    ))
+    )
+    .with_kind(ErrorKind::Shape))
 }
 
 /// The videos of red, green (the mean of its two planes) and blue; `None` where the planes differ in length.

@@ -65,7 +65,7 @@ const MIN_WARNED_FRACTION: f64 = 0.005;
 const CORRECTED_PSF: &str = "psf-corrected.npy";
 const CORRECTED_PSF_FILE: (&str, &str) = (
     CORRECTED_PSF,
-    "the PSF as the frame has corrected it, float32 [y, x]; give it with --psf for the next frames",
+    "the PSF as the frame has corrected it, float32 [y, x]: the PSF for the next frames",
 );
 
 /// The further file of a prior with a background.
@@ -253,7 +253,7 @@ impl CompletedTask {
             ));
         }
         if reconstruction.video.max() <= 0.0 {
-            warnings.push("the video is zero everywhere: the frame is consistent with noise of this level alone; check --noise-sigma".into());
+            warnings.push("the video is zero everywhere: the frame is consistent with noise of this level alone; check noise_sigma".into());
         }
         let missing = self.task.measurement.saturated();
         if missing > 0 {
@@ -271,7 +271,7 @@ impl CompletedTask {
             traces.debias_was_wanted,
             &traces.standard_errors.missing_because,
         ) {
-            warnings.push(format!("--debias had no effect: {why}"));
+            warnings.push(format!("debiasing had no effect: {why}"));
         }
         warnings
     }

@@ -1,5 +1,6 @@
 //! The events of a run, for progress bars, live pages and logs.
 
+use rowburst::Camera;
 use rowburst::bayer::Site;
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
@@ -21,6 +22,13 @@ pub enum Event<'a> {
         metrics: &'a IterationMetrics,
         /// The chunk that is being reconstructed; `None`: the whole video is.
         chunk: Option<&'a Chunk>,
+    },
+    /// A part of the trial reconstructions of a design is complete. The observer's answer may stop them.
+    Trials {
+        /// The camera of the trials.
+        camera: &'a Camera,
+        /// The part that is complete, from 0 to 1.
+        part: f64,
     },
     /// The solver has finished and the files are being written.
     Writing,
@@ -46,6 +54,6 @@ pub struct Chunk {
     pub video_bins: usize,
 }
 
-/// A callback for the events of a run. Its answer to an [`Event::Iteration`] may stop the run; its other answers have no
-/// effect.
+/// A callback for the events of a run. Its answer to [`Event::Iteration`] and [`Event::Trials`] may stop the run; its
+/// other answers have no effect.
 pub type Observer<'o> = &'o mut dyn FnMut(Event) -> ControlFlow<StopReason>;

@@ -2,6 +2,8 @@
 
 use crate::completed_task::CompletedTask;
 use crate::traces::Traces;
+use rowburst::error::{Subject, Tool};
+use rowburst::phrase;
 use rowburst::traces::{Region, Trace, frequency_of};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 use rowburst_io::{read_image, read_video};
@@ -115,7 +117,7 @@ pub fn figure_of_folder(folder: &Path, layout: Layout) -> Result<ComposedFigure>
         },
         layout,
     )
-    .map_err(|e| e.within(folder.display()))
+    .map_err(|e| e.within(folder))
 }
 
 /// Refuses a folder that lacks the files of a complete result.
@@ -125,10 +127,10 @@ fn check_complete(folder: &Path) -> Result<()> {
         .find(|name| !folder.join(name).is_file());
     match missing {
         Some(missing) => Err(Error::input(
-            folder.display().to_string(),
+            folder,
             format!("no {missing}"),
             "a figure is drawn from a whole result, which has view.json and result.json",
-            "Run rowburst reconstruct with -o, and give its folder.",
+            phrase!["Run ", Tool::Reconstruct, ", and give its folder."],
         )),
         None => Ok(()),
     }
@@ -137,9 +139,9 @@ fn check_complete(folder: &Path) -> Result<()> {
 fn read_view(path: &Path) -> Result<ViewRecord> {
     let bad = |found: String| {
         Error::input(
-            path.display().to_string(),
+            path,
             found,
-            "it is written by rowburst reconstruct of this version",
+            "it is written by this version of the program",
             "Run the reconstruction again.",
         )
     };
@@ -172,7 +174,7 @@ impl ShutterRecord {
         let times = [self.row_time_us, self.exposure_us, bin_duration_us];
         if instants == 0 || self.bins_per_row == 0 || !times.into_iter().all(positive) {
             return Err(Error::input(
-                format!("{}: shutter", path.display()),
+                Subject::in_file(path, "shutter"),
                 format!("{instants} instants, times {times:?} µs"),
                 "there are instants, and times are above zero",
                 "Run the reconstruction again.",

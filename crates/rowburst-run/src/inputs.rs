@@ -1,7 +1,10 @@
 //! Reads the files of an experiment: frames, corrections, PSFs and true videos.
 
+use rowburst::ErrorKind;
+use rowburst::error::Subject;
 use rowburst::measurement::Corrections;
 use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, Video};
+use rowburst::{Parameter, phrase};
 use rowburst_io::{
     Calibration, Capture, Experiment, SampleFormat, is_patch_set, read_image, read_patch_set,
     read_video,
@@ -27,11 +30,13 @@ pub fn resolve_calibration(given: Calibration, experiment: &Experiment) -> Calib
 pub fn psf_path<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Result<&'c Path> {
     calibration.psf.as_deref().ok_or_else(|| {
         Error::input(
-            experiment.path.display().to_string(),
+            &experiment.path,
             "no PSF",
             "a reconstruction needs the point-spread function",
-            "Give --psf FILE, or psf = \"FILE\" under [calibration].",
+            "Give the PSF of the diffuser.",
         )
+        .of(Parameter::Psf)
+        .with_kind(ErrorKind::Missing)
     })
 }
 
@@ -65,28 +70,25 @@ fn read_finite(path: &Path) -> Result<Image> {
     match image.first_non_finite() {
         None => Ok(image),
         Some((y, x)) => Err(Error::input(
-            path.display().to_string(),
+            path,
             format!("{} at row {y}, column {x}", image.at(y, x)),
             "every pixel of a dark, a flat or a mask is a finite number",
             "Record it again, or replace the pixel by the mean of its neighbours.",
-        )),
+        )
+        .with_kind(ErrorKind::NotFinite)),
     }
 }
 
 /// Puts the file at fault in front of an error of the corrections: dark, flat or bad pixels of
 /// `calibration`, else `frame`.
 pub fn naming_file(error: Error, frame: &Path, calibration: &Calibration) -> Error {
-    let subject = match &error {
-        Error::Input { subject, .. } | Error::Work { subject, .. } => subject.as_str(),
-    };
-    let path = match subject {
-        "dark" => calibration.dark.as_deref(),
-        "flat" => calibration.flat.as_deref(),
-        "bad_pixels" => calibration.bad_pixels.as_deref(),
+    let path = match error.parameter() {
+        Some(Parameter::Dark) => calibration.dark.as_deref(),
+        Some(Parameter::Flat) => calibration.flat.as_deref(),
+        Some(Parameter::BadPixels) => calibration.bad_pixels.as_deref(),
         _ => None,
     };
-    let place = path.unwrap_or(frame).display().to_string();
-    error.within(place)
+    error.within(path.unwrap_or(frame))
 }
 
 /// The PSF of a capture on the working grid of `camera`, and a note for the user if the capture was binned.
@@ -148,7 +150,7 @@ pub fn read_psfs(
         return Ok((set, None));
     }
     let capture = read_capture(path)?;
-    let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path.display()))?;
+    let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path))?;
     let note = found.1.map(|note| format!("{}: {note}", path.display()));
     Ok((found.0.into(), note))
 }
@@ -160,14 +162,14 @@ pub fn read_psfs(
 pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
     let video = read_video(path)?;
     info!("read {}: {}", path.display(), video.shape());
-    checked_truth(video, &path.display().to_string(), camera)
+    checked_truth(video, path.into(), camera)
 }
 
-/// Checks that `video` is finite and has the shape that `camera` gives. `subject` names it in errors.
+/// Checks that `video` is finite and has the shape that `camera` gives. `subject` is the truth in errors.
 ///
 /// # Errors
 /// Another shape, or a value that is not finite.
-pub fn checked_truth(video: Video, subject: &str, camera: &Camera) -> Result<Video> {
+pub fn checked_truth(video: Video, subject: Subject, camera: &Camera) -> Result<Video> {
     let shape = video.shape();
     if let Some(bad) = video.data().iter().position(|v| !v.is_finite()) {
         return Err(Error::input(
@@ -180,15 +182,24 @@ pub fn checked_truth(video: Video, subject: &str, camera: &Camera) -> Result<Vid
                 bad % shape.columns
             ),
             "every value of the truth is a finite number",
-            "Leave --truth out to reconstruct without a comparison.",
-        ));
+            phrase![
+                "Leave ",
+                Parameter::Truth,
+                " out to reconstruct without a comparison."
+            ],
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     if shape != camera.video_shape() {
         return Err(Error::input(
             subject,
             shape,
             format!("the camera gives a video of {}", camera.video_shape()),
-            "Leave --truth out, or give the truth on the grid of the reconstruction.",
+            phrase![
+                "Leave ",
+                Parameter::Truth,
+                " out, or give the truth on the grid of the reconstruction."
+            ],
         ));
     }
     Ok(video)

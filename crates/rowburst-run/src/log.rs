@@ -33,7 +33,7 @@ pub struct LogMessage {
 /// What messages are given to.
 type Sink = Box<dyn Fn(LogMessage) + Send>;
 
-static LEVEL: AtomicU8 = AtomicU8::new(LogLevel::Off as u8);
+static MAX_LEVEL: AtomicU8 = AtomicU8::new(LogLevel::Off as u8);
 static SINK: Mutex<Option<Sink>> = Mutex::new(None);
 
 /// Gives the messages of this process to `sink` from now on, as [`set_log_level`] says. `sink` is called on the thread
@@ -48,12 +48,12 @@ pub fn set_log(sink: impl Fn(LogMessage) + Send + 'static) {
 
 /// Sets how much is logged.
 pub fn set_log_level(level: LogLevel) {
-    LEVEL.store(level as u8, Ordering::Relaxed);
+    MAX_LEVEL.store(level as u8, Ordering::Relaxed);
 }
 
 /// Whether the steps of a run are logged.
 pub fn is_logging() -> bool {
-    LEVEL.load(Ordering::Relaxed) >= LogLevel::Steps as u8
+    MAX_LEVEL.load(Ordering::Relaxed) >= LogLevel::Steps as u8
 }
 
 fn level_of(metadata: &Metadata) -> LogLevel {
@@ -78,7 +78,7 @@ impl Subscriber for Log {
 
     fn enabled(&self, metadata: &Metadata) -> bool {
         metadata.target().starts_with("rowburst")
-            && LEVEL.load(Ordering::Relaxed) >= level_of(metadata) as u8
+            && MAX_LEVEL.load(Ordering::Relaxed) >= level_of(metadata) as u8
     }
 
     fn event(&self, event: &Event) {

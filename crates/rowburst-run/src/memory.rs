@@ -1,7 +1,8 @@
 //! The memory that a run takes, and that this machine has left.
 
+use rowburst::error::Subject;
 use rowburst::reconstruct::Model;
-use rowburst::{Camera, Error, Result};
+use rowburst::{Camera, Error, ErrorKind, Parameter, Result, phrase};
 use std::path::Path;
 
 /// Checks that this machine has memory for a reconstruction with `camera`, before anything is allocated. Without the
@@ -9,7 +10,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// The reconstruction takes more memory than this process can still use.
-pub fn check_memory(subject: &str, camera: &Camera) -> Result<()> {
+pub fn check_memory(subject: impl Into<Subject>, camera: &Camera) -> Result<()> {
     let needed = Model::run_bytes(camera);
     let has_room = match (needed, available_memory_bytes()) {
         (None, _) => false,
@@ -38,8 +39,13 @@ pub fn check_memory(subject: &str, camera: &Camera) -> Result<()> {
             camera.video_shape(),
             amount(needed)
         ),
-        "Make [field] smaller, bin the frame, or use a machine with more memory.",
-    ))
+        phrase![
+            "Make ",
+            Parameter::Field,
+            " smaller, bin the frame, or use a machine with more memory."
+        ],
+    )
+    .with_kind(ErrorKind::Memory))
 }
 
 /// Bytes that this process can still use: what the machine has left, or its control group (a container's or a

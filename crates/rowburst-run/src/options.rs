@@ -1,7 +1,7 @@
 //! Parses the options of the user: prior, `τ` and time budget.
 
 use rowburst::reconstruct::{Options, Prior, SelfCalibration, Tau};
-use rowburst::{Error, Result};
+use rowburst::{Error, Parameter, Result};
 use rowburst_io::Experiment;
 use std::time::Duration;
 
@@ -50,11 +50,10 @@ impl UserOptions<'_> {
 fn resolve_prior(name: Option<&str>, experiment: &Experiment) -> Result<Option<Prior>> {
     match (name, &experiment.reconstruction.prior) {
         (Some(name), _) => parse_prior(name),
-        (None, Some(name)) => parse_prior(name).map_err(|mut error| {
-            if let Error::Input { subject, .. } = &mut error {
-                *subject = format!("{}: [reconstruction] prior", experiment.path.display());
-            }
+        (None, Some(name)) => parse_prior(name).map_err(|error| {
             error
+                .named("[reconstruction] prior")
+                .within(&experiment.path)
         }),
         (None, None) => Ok(None),
     }
@@ -81,7 +80,7 @@ pub fn parse_tau(text: &str) -> Result<Tau> {
         "held-out" => Tau::HeldOut,
         text => Tau::Given(text.parse().map_err(|_| {
             Error::input(
-                "--tau",
+                Parameter::Tau,
                 format!("\"{text}\""),
                 "τ is auto, held-out or a number above zero",
                 "Leave it out: the program finds it.",
@@ -112,7 +111,7 @@ pub fn parse_self_calibration(text: Option<&str>) -> Result<SelfCalibration> {
     let known = SelfCalibration::ALL.into_iter().find(|s| s.name() == text);
     known.ok_or_else(|| {
         Error::input(
-            "--self-calibrate",
+            Parameter::SelfCalibrate,
             format!("\"{text}\""),
             "self-calibration is off, auto or on",
             "Leave it out: a frame that the model does not explain corrects its PSF and camera.",
@@ -131,7 +130,7 @@ pub fn parse_time_budget(seconds: Option<f64>) -> Result<Option<Duration>> {
     match Duration::try_from_secs_f64(seconds) {
         Ok(budget) if !budget.is_zero() => Ok(Some(budget)),
         _ => Err(Error::input(
-            "--time-budget-s",
+            Parameter::TimeBudgetS,
             seconds,
             "a budget is a number of seconds above zero",
             "Leave it out to run until it has converged.",

@@ -11,7 +11,7 @@ use crate::setup::{Frame, Setup};
 use crate::task::{Task, solve};
 use crate::traces::TraceRequest;
 use rowburst::reconstruct::SelfCalibration;
-use rowburst::{Cancel, Error, Result};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Calibration, Experiment, read_metadata};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -103,7 +103,7 @@ impl Request {
                 debias: params.debias,
             };
             task.check()?;
-            check_memory(&experiment.path.display().to_string(), &task.setup.camera)?;
+            check_memory(&experiment.path, &task.setup.camera)?;
             return Ok(Self::Colour(Box::new(task)));
         }
         let mut task = setup.task(&frame, params.bins)?;
@@ -111,7 +111,7 @@ impl Request {
             let task = ChunkedTask::new(task, bins_per_chunk)?;
             return Ok(Self::Chunked(Box::new(task)));
         }
-        check_memory(&experiment.path.display().to_string(), &task.camera)?;
+        check_memory(&experiment.path, &task.camera)?;
         let truth = params.truth.map(|path| read_truth(path, &task.camera));
         task.truth = truth.transpose()?;
         task.truth_file = params.truth.map(Path::to_path_buf);
@@ -164,24 +164,25 @@ impl Request {
 fn refuse_colour(params: &RequestParams) -> Result<()> {
     let self_calibrate = params.options.self_calibrate;
     let given = [
-        ("--truth", params.truth.is_some()),
-        ("--direct", params.direct.is_some()),
-        ("--region", !params.regions.is_empty()),
-        ("--photodiode", !params.photodiodes.is_empty()),
-        ("--bins", params.bins.is_some()),
-        ("--part-bins", params.bins_per_chunk.is_some()),
+        (Parameter::Truth, params.truth.is_some()),
+        (Parameter::Direct, params.direct.is_some()),
+        (Parameter::Region, !params.regions.is_empty()),
+        (Parameter::Photodiode, !params.photodiodes.is_empty()),
+        (Parameter::Bins, params.bins.is_some()),
+        (Parameter::PartBins, params.bins_per_chunk.is_some()),
         (
-            "--self-calibrate",
+            Parameter::SelfCalibrate,
             self_calibrate == Some(SelfCalibration::On.name()),
         ),
     ];
     match given.iter().find(|(_, given)| *given) {
         None => Ok(()),
-        Some((option, _)) => Err(Error::input(
-            *option,
+        Some((parameter, _)) => Err(Error::input(
+            *parameter,
             "a raw Bayer frame",
             "its four planes are reconstructed separately, and the option is for one video",
             "Leave it out.",
-        )),
+        )
+        .with_kind(ErrorKind::Unsupported)),
     }
 }

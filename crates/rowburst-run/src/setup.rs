@@ -9,7 +9,7 @@ use crate::task::Task;
 use rowburst::camera::CameraParams;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::Options;
-use rowburst::{Camera, Cancel, Error, PatchSet, Result, Sensor};
+use rowburst::{Camera, Cancel, Error, Parameter, PatchSet, Result, Sensor};
 use rowburst_io::{Calibration, Capture, Experiment, FromMetadata, SampleFormat};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -72,6 +72,21 @@ impl Frame {
 }
 
 impl Setup {
+    /// Camera and PSF without corrections, with the default options.
+    pub fn new(camera: Camera, psfs: PatchSet) -> Self {
+        Self {
+            camera,
+            psfs,
+            corrections: Corrections::default(),
+            options: Options::default(),
+            budget: None,
+            from_metadata: FromMetadata::default(),
+            experiment: None,
+            calibration: Calibration::default(),
+            cancel: Cancel::default(),
+        }
+    }
+
     /// Reads the files of the corrections and the PSFs: each of `given`, or else that of `experiment`.
     ///
     /// # Errors
@@ -163,10 +178,8 @@ impl Setup {
         if let Some(file) = &frame.file {
             return naming_file(error, file, &self.calibration);
         }
-        match &error {
-            Error::Input { subject, .. }
-                if ["frame", "dark", "flat", "bad_pixels"].contains(&subject.as_str()) =>
-            {
+        match error.parameter() {
+            Some(Parameter::Frame | Parameter::Dark | Parameter::Flat | Parameter::BadPixels) => {
                 error
             }
             _ => error.within("frame"),

@@ -5,12 +5,15 @@
 
 use crate::format::short;
 use rowburst::measurement::Measurement;
+use rowburst::phrase;
 use rowburst::reconstruct::Reconstruction;
 use rowburst::traces::{
     Alignment, Frequency, Photodiode, Refit, RefitInput, Region, Trace, brightest_regions,
     frequency_of,
 };
-use rowburst::{Camera, Error, PatchSet, Result, RollingShutter, Shape, TimeGrid, Video};
+use rowburst::{
+    Camera, Error, Parameter, PatchSet, Result, RollingShutter, Shape, TimeGrid, Video,
+};
 use rowburst_io::{OutputFolder, read_photodiode, write_csv};
 use rowburst_report::{AlignedSignal, AnnotatedTrace};
 use serde::Serialize;
@@ -52,8 +55,14 @@ impl TraceRequest {
 fn region(text: &str, shape: Shape) -> Result<Region> {
     let parts: Option<Vec<usize>> = text.split(',').map(|p| p.trim().parse().ok()).collect();
     let wrong = |rule: String| {
-        let remedy = "Give the middle of a spot, as in --region 40,52, or first row, first column, rows and columns, as in --region 36,48,9,9.";
-        Error::input("--region", format!("\"{text}\""), rule, remedy)
+        let remedy = phrase![
+            "Give the middle of a spot, as in ",
+            (Parameter::Region, "40,52"),
+            ", or first row, first column, rows and columns, as in ",
+            (Parameter::Region, "36,48,9,9"),
+            "."
+        ];
+        Error::input(Parameter::Region, format!("\"{text}\""), rule, remedy)
     };
     let field = format!(
         "rows are 0 to {}, columns 0 to {}",

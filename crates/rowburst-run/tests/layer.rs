@@ -90,9 +90,6 @@ impl Lab {
     /// The values of the experiment.
     fn setup(&self) -> Setup {
         Setup {
-            camera: self.camera.clone(),
-            psfs: self.psfs.clone(),
-            corrections: Default::default(),
             options: rowburst::reconstruct::Options {
                 prior: Some("tv".parse().unwrap()),
                 noise_sigma: Some(0.01),
@@ -101,10 +98,7 @@ impl Lab {
                 keep_all_pixels: true,
                 ..Default::default()
             },
-            budget: None,
-            from_metadata: Default::default(),
-            experiment: None,
-            calibration: Calibration::default(),
+            ..Setup::new(self.camera.clone(), self.psfs.clone())
         }
     }
 
@@ -287,7 +281,7 @@ fn an_error_names_the_input_at_fault() {
         calibration,
         ..quick()
     });
-    let error = error.err().expect("the dark is too small").to_string();
+    let error = error.expect_err("the dark is too small").to_string();
     assert!(error.starts_with(&dark.display().to_string()), "{error}");
 
     let mut setup = lab.setup();

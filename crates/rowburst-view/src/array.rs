@@ -1,5 +1,6 @@
 //! A video that is read bin by bin, as 16-bit numbers with their scale.
 
+use rowburst::ErrorKind;
 use rowburst::{Error, Result, Video};
 use rowburst_io::{Frames, open_recording};
 use std::path::Path;
@@ -34,7 +35,7 @@ impl Array {
     pub fn open(path: &Path, range: Option<(f32, f32)>) -> Result<Self> {
         if path.is_dir() {
             return Err(Error::input(
-                path.display().to_string(),
+                path,
                 "a folder",
                 "a video is one file, .npy [t, y, x] or multi-page .tif",
                 "Give the file, or the folder of a result.",
@@ -93,11 +94,12 @@ impl Array {
         let image = self.frames.read(t)?.image;
         if (image.rows(), image.columns()) != (self.rows, self.columns) {
             return Err(Error::input(
-                self.frames.path().display().to_string(),
+                self.frames.path(),
                 format!("{}×{} pixels in bin {t}", image.rows(), image.columns()),
                 format!("all bins have {}×{}", self.rows, self.columns),
                 "Save it again with bins of one size.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(image)
     }

@@ -5,7 +5,10 @@
 //! numbers.
 
 use crate::array::Array;
+use rowburst::error::Tool;
+use rowburst::error::With;
 use rowburst::{Error, Result};
+use rowburst::{Parameter, phrase};
 use rowburst_io::read_image;
 use serde_json::{Map, Value, json};
 use std::fs;
@@ -77,7 +80,7 @@ impl ResultFiles {
             Ok(metadata) if metadata.is_dir() => Self::folder(path),
             Ok(_) => Self::video(path),
             Err(error) => Err(Error::input(
-                path.display().to_string(),
+                path,
                 error,
                 "a result is the folder that rowburst reconstruct has written, or a video (.npy, .tif)",
                 "Check the path.",
@@ -236,7 +239,7 @@ fn name_of(path: &Path) -> String {
 fn read_json(path: &Path) -> Result<Value> {
     let bad = |found: String| {
         Error::input(
-            path.display().to_string(),
+            path,
             found,
             "it is written by rowburst reconstruct as JSON",
             "Run the reconstruction again.",
@@ -257,19 +260,28 @@ fn incomplete_result(path: &Path) -> Error {
     let (found, remedy) = match begun {
         Some(name) => (
             format!("{name}, but no result.json"),
-            "The reconstruction is still running, or was killed: wait for it, or run it again.",
+            "The reconstruction is still running, or was killed: wait for it, or run it again."
+                .into(),
         ),
         None if path.join("zarr.json").is_file() || path.join(".zgroup").is_file() => (
             "a Zarr archive".to_string(),
-            "Open it in napari, or reconstruct one frame of it with rowburst reconstruct.",
+            phrase![
+                "Open it in napari, or reconstruct one frame of it with ",
+                Tool::Reconstruct,
+                "."
+            ],
         ),
         None => (
             "no result.json".to_string(),
-            "Give the folder that was given to rowburst reconstruct with -o.",
+            phrase![
+                "Give the folder that was given to rowburst reconstruct",
+                With(Parameter::Output),
+                "."
+            ],
         ),
     };
     Error::input(
-        path.display().to_string(),
+        path,
         found,
         "result.json is written last and marks a complete result",
         remedy,

@@ -10,7 +10,9 @@ use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
+use rowburst::{Parameter, phrase};
 use serde::Deserialize;
 use serde_json::json;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -50,8 +52,11 @@ impl Server {
         live: Option<Arc<Live>>,
     ) -> Result<Self> {
         let failed = |reason: std::io::Error| {
-            let subject = port.map_or("the viewer's server".into(), |p| format!("--port {p}"));
-            Error::work(subject, reason, "Choose another port with --port.")
+            let subject = port.map_or(Subject::named("the viewer's server"), |p| {
+                Subject::item(Parameter::Port, format!("port {p}"))
+            });
+            let remedy = phrase!["Choose another port (", Parameter::Port, ")."];
+            Error::work(subject, reason, remedy)
         };
         let ports = port.map_or(FIRST_PORT..=FIRST_PORT + PORTS, |p| p..=p);
         let mut last = None;

@@ -2,7 +2,10 @@
 
 use crate::Scratch;
 use crate::store::AtomicStore;
+use rowburst::error::Phrase;
+use rowburst::error::With;
 use rowburst::{Error, Result};
+use rowburst::{Parameter, phrase};
 use rowburst_io::write_error;
 use serde_json::{Value, json};
 use std::ops::Range;
@@ -35,7 +38,7 @@ impl FloatArray {
         let array = Array::open(store, "/");
         Ok(Self {
             path: path.into(),
-            array: array.map_err(|e| Error::work(path.display().to_string(), e, DAMAGED))?,
+            array: array.map_err(|e| Error::work(path, e, damaged()))?,
             chunks: params.chunks.to_vec(),
         })
     }
@@ -61,12 +64,19 @@ impl FloatArray {
     fn fault(&self, error: ArrayError) -> Error {
         match error {
             ArrayError::StorageError(error) => storage_fault(&self.path, &error),
-            error => Error::work(self.path.display().to_string(), error, DAMAGED),
+            error => Error::work(&self.path, error, damaged()),
         }
     }
 }
 
-const DAMAGED: &str = "The archive is damaged: take another folder with -o.";
+/// The remedy for damaged archives.
+fn damaged() -> Phrase {
+    phrase![
+        "The archive is damaged: take another folder",
+        With(Parameter::Output),
+        "."
+    ]
+}
 
 /// Writes the coordinates along one axis as an array of float64 in one chunk.
 pub(crate) fn write_coordinates(
@@ -87,10 +97,9 @@ pub(crate) fn write_coordinates(
     write_metadata(path, &params, ("float64", json!("NaN")), scratch)?;
     let fault = |e: ArrayError| match e {
         ArrayError::StorageError(error) => storage_fault(path, &error),
-        error => Error::work(path.display().to_string(), error, DAMAGED),
+        error => Error::work(path, error, damaged()),
     };
-    let array =
-        Array::open(store, "/").map_err(|e| Error::work(path.display().to_string(), e, DAMAGED))?;
+    let array = Array::open(store, "/").map_err(|e| Error::work(path, e, damaged()))?;
     array.store_chunk(&[0], values).map_err(fault)
 }
 
@@ -122,9 +131,8 @@ fn write_metadata(
 
 /// The error of a store.
 pub(crate) fn storage_fault(path: &Path, error: &StorageError) -> Error {
-    let place = path.display();
     match error {
-        StorageError::IOError(error) => write_error(error).within(place),
-        error => Error::work(place.to_string(), error, "Check the disk, then try again."),
+        StorageError::IOError(error) => write_error(error).within(path),
+        error => Error::work(path, error, "Check the disk, then try again."),
     }
 }

@@ -23,7 +23,7 @@ pub fn write_video(
     bin_us: f64,
     pixel_pitch_um: Option<f64>,
 ) -> Result<()> {
-    let fault = |e: std::io::Error| write_error(&e).within(path.display());
+    let fault = |e: std::io::Error| write_error(&e).within(path);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let place = path.with_file_name(format!(".{name}.part"));
     let scratch = Arc::new(Scratch::open(&place)?);

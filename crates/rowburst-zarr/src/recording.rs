@@ -1,5 +1,7 @@
 //! A Zarr array `[frame, y, x]` as a recording.
 
+use rowburst::ErrorKind;
+use rowburst::error::Subject;
 use rowburst::{Error, Image, Result};
 use rowburst_io::{Capture, Frames, SampleFormat};
 use serde_json::Value;
@@ -28,8 +30,8 @@ pub fn is_zarr(path: &Path) -> bool {
 /// What is no array of three axes of numbers, or cannot be read.
 pub fn open_zarr_recording(path: &Path) -> Result<Box<dyn Frames>> {
     let array_path = array_of(path)?;
-    let error = |found: String, rule: &str, remedy: &str| {
-        Error::input(array_path.display().to_string(), found, rule, remedy)
+    let error = |found: String, rule: &'static str, remedy: &'static str| {
+        Error::input(&array_path, found, rule, remedy).with_kind(ErrorKind::Unreadable)
     };
     let unreadable = |reason: &dyn std::fmt::Display| {
         error(
@@ -93,7 +95,7 @@ fn array_of(path: &Path) -> Result<PathBuf> {
     });
     image.ok_or_else(|| {
         Error::input(
-            path.display().to_string(),
+            path,
             "a Zarr group that is no OME-Zarr image",
             "a recording is a Zarr array [frame, y, x], or an OME-Zarr image of it",
             "Name the array inside the group, such as GROUP.zarr/frames.",
@@ -131,7 +133,7 @@ impl Frames for ZarrRecording {
         let subset = ArraySubset::new_with_ranges(&ranges);
         let data = self.kind.read(&self.cache, &subset).map_err(|reason| {
             Error::input(
-                format!("{}[{index}]", self.path.display()),
+                Subject::in_file(&self.path, format!("frame {index}")),
                 format!("a frame that cannot be read ({reason})"),
                 "every chunk of the array must be whole",
                 "Copy or save the array again: a chunk is damaged.",

@@ -26,7 +26,7 @@ impl Lock {
             Err(error) if has_no_locks(&error) => Ok(None),
             Err(error) => Err(error),
         });
-        let file = locked.map_err(|e| write_error(&e).within(path.display()))?;
+        let file = locked.map_err(|e| write_error(&e).within(path))?;
         Ok(Self { file })
     }
 
@@ -68,9 +68,7 @@ impl Scratch {
             remove_left_over(place);
             tempfile::Builder::new().prefix("p").tempdir_in(place)
         });
-        let folder = made
-            .map_err(|e| write_error(&e).within(place.display()))?
-            .keep();
+        let folder = made.map_err(|e| write_error(&e).within(place))?.keep();
         let lock = Lock::wait(&folder.join(IN_USE))?;
         Ok(Self {
             folder,
@@ -90,7 +88,7 @@ impl Scratch {
     /// Failed writes, naming `target`.
     pub fn put(&self, target: &Path, bytes: &[u8]) -> Result<()> {
         self.try_put(target, bytes)
-            .map_err(|e| write_error(&e).within(target.display()))
+            .map_err(|e| write_error(&e).within(target))
     }
 
     /// [`Scratch::put`] with the error as it is.

@@ -11,8 +11,10 @@
 //! row parities are a row time apart; a dual shutter whose halves meet in different parities gives
 //! every plane a row in each instant, and nothing is lost in time.
 
+use crate::ErrorKind;
 use crate::camera::CameraParams;
-use crate::{Camera, Error, Image, PatchSet, Psf, Result, Sensor, Shutter};
+use crate::phrase;
+use crate::{Camera, Error, Image, Parameter, PatchSet, Psf, Result, Sensor, Shutter};
 
 /// Which colour stands where in a cell of 2×2 pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -126,27 +128,32 @@ pub fn plane_camera(camera: &Camera, site: Site) -> Result<PlaneCamera> {
     for (key, value) in [
         ("rows", params.rows),
         ("columns", params.columns),
-        ("[field] rows", field_rows),
-        ("[field] columns", field_columns),
+        ("rows of the field", field_rows),
+        ("columns of the field", field_columns),
         ("rows of the field above the sensor", row_offset),
         ("columns of the field beside the sensor", column_offset),
     ] {
         if !value.is_multiple_of(2) {
             return Err(Error::input(
-                "bayer",
+                Parameter::Bayer,
                 format!("{value} {key}"),
                 "sensor and field hold whole cells of 2×2 pixels",
-                "Leave out the last row or column, or [field].",
+                phrase![
+                    "Leave out the last row or column, or ",
+                    Parameter::Field,
+                    "."
+                ],
             ));
         }
     }
     if params.sensor.binning != 1 {
         return Err(Error::input(
-            "bayer",
+            Parameter::Bayer,
             format!("binning = {}", params.sensor.binning),
             "binning would mix the colours of the mosaic",
             "Leave binning out.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     let mut start_us = 0.0;
     let (shutter, row_time_us) = match params.shutter {
@@ -192,7 +199,7 @@ fn evenly(instants: &[usize]) -> Result<(Vec<usize>, usize, usize)> {
     match read.iter().position(|read| !read) {
         None => Ok((order, first, step)),
         Some(k) => Err(Error::input(
-            "bayer",
+            Parameter::Bayer,
             format!(
                 "an order of rows in which a colour is not read at instant {}",
                 first + step * k

@@ -1,6 +1,8 @@
 //! The camera: its readout order, the time grid, the field, and the calibration of its counts.
 
+use crate::error::Phrase;
 use crate::{Error, Result, Shape, Shutter, TimeGrid};
+use crate::{Parameter, phrase};
 use std::ops::Range;
 
 /// A rolling-shutter camera and the field that is reconstructed from its frames.
@@ -99,9 +101,12 @@ impl Camera {
     /// Checks `params` and computes the time grid.
     ///
     /// # Errors
-    /// [`Error::Input`] if a value breaks a rule; it names the key, the value and the rule.
+    /// A value that breaks a rule; the error names the key, the value and the rule.
     pub fn new(params: CameraParams) -> Result<Self> {
-        for (key, value) in [("rows", params.rows), ("columns", params.columns)] {
+        for (key, value) in [
+            (Parameter::Rows, params.rows),
+            (Parameter::Columns, params.columns),
+        ] {
             require(
                 (1..=MAX_SIDE).contains(&value),
                 key,
@@ -111,8 +116,8 @@ impl Camera {
             )?;
         }
         for (key, value) in [
-            ("row_time_us", params.row_time_us),
-            ("exposure_us", params.exposure_us),
+            (Parameter::RowTimeUs, params.row_time_us),
+            (Parameter::ExposureUs, params.exposure_us),
         ] {
             require(
                 value.is_finite() && value > 0.0,
@@ -124,32 +129,12 @@ impl Camera {
         }
         require(
             (1..=64).contains(&params.bins_per_row),
-            "bins_per_row",
+            Parameter::BinsPerRow,
             params.bins_per_row,
             "an instant is divided into 1 to 64 bins",
             "Leave it out for one bin a row.",
         )?;
-        if let Some((rows, columns)) = params.field {
-            require(
-                rows >= params.rows && columns >= params.columns,
-                "[field]",
-                format!("{rows}×{columns}"),
-                format!(
-                    "the field is at least as large as the sensor of {}×{}",
-                    params.rows, params.columns
-                ),
-                "Leave [field] out to reconstruct what lies on the sensor.",
-            )?;
-        }
-        if let Some((rows, columns)) = params.field {
-            require(
-                rows.max(columns) <= MAX_SIDE,
-                "[field]",
-                format!("{rows}×{columns}"),
-                format!("a side has at most {MAX_SIDE} pixels"),
-                "Give the size of the field in pixels of the working grid.",
-            )?;
-        }
+        check_field(&params)?;
         check_sensor(&params.sensor)?;
         let instants = params.shutter.instants(params.rows)?;
         let time = match params.shutter {
@@ -159,7 +144,7 @@ impl Camera {
                 let exposure = params.exposure_us / params.row_time_us;
                 require(
                     exposure <= 10.0 * count as f64,
-                    "exposure_us",
+                    Parameter::ExposureUs,
                     params.exposure_us,
                     format!(
                         "an exposure of {exposure:.0} row times is more than ten times the readout of {count} row times, so all rows integrate nearly the same light"
@@ -184,12 +169,12 @@ impl Camera {
     /// one subset, and a video can be reconstructed chunk by chunk.
     ///
     /// # Errors
-    /// [`Error::Input`] if `bins` is empty or out of range, if a row is exposed to bins both inside and outside, or
+    /// If `bins` is empty or out of range, if a row is exposed to bins both inside and outside, or
     /// if no row is exposed to them.
     pub fn subset(&self, bins: Range<usize>) -> Result<Self> {
         require(
             bins.start < bins.end && bins.end <= self.time.bins(),
-            "bins",
+            Parameter::Bins,
             format!("{}..{}", bins.start, bins.end),
             format!("a range of the bins 0..{}", self.time.bins()),
             "Give the first bin and the one after the last, FIRST..END.",
@@ -202,7 +187,7 @@ impl Camera {
             } else {
                 require(
                     sees.end <= bins.start || bins.end <= sees.start,
-                    "bins",
+                    Parameter::Bins,
                     format!("{}..{}", bins.start, bins.end),
                     format!(
                         "no row is exposed both inside and outside the range, as some are to bins {}..{}",
@@ -217,7 +202,7 @@ impl Camera {
         let kept_rows: Vec<usize> = (0..self.rows()).filter(reads).collect();
         require(
             !kept_rows.is_empty(),
-            "bins",
+            Parameter::Bins,
             format!("{}..{}", bins.start, bins.end),
             "at least one row is exposed to these bins",
             "Give a wider range.",
@@ -310,10 +295,37 @@ impl Camera {
     }
 }
 
+fn check_field(params: &CameraParams) -> Result<()> {
+    let Some((rows, columns)) = params.field else {
+        return Ok(());
+    };
+    require(
+        rows >= params.rows && columns >= params.columns,
+        Parameter::Field,
+        format!("{rows}×{columns}"),
+        format!(
+            "the field is at least as large as the sensor of {}×{}",
+            params.rows, params.columns
+        ),
+        phrase![
+            "Leave ",
+            Parameter::Field,
+            " out to reconstruct what lies on the sensor."
+        ],
+    )?;
+    require(
+        rows.max(columns) <= MAX_SIDE,
+        Parameter::Field,
+        format!("{rows}×{columns}"),
+        format!("a side has at most {MAX_SIDE} pixels"),
+        "Give the size of the field in pixels of the working grid.",
+    )
+}
+
 fn check_sensor(sensor: &Sensor) -> Result<()> {
     require(
         (1..=64).contains(&sensor.binning),
-        "binning",
+        Parameter::Binning,
         sensor.binning,
         "binning is a whole number from 1 to 64",
         "Leave it out for no binning.",
@@ -321,16 +333,19 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     if let Some(bits) = sensor.bit_depth {
         require(
             (1..=32).contains(&bits),
-            "bit_depth",
+            Parameter::BitDepth,
             bits,
             "a converter has 1 to 32 bits",
             "Typical cameras have 8, 12 or 16.",
         )?;
     }
     let positive = [
-        ("pixel_pitch_um", sensor.pixel_pitch_um),
-        ("gain_electrons_per_count", sensor.gain_electrons_per_count),
-        ("full_well_counts", sensor.full_well_counts),
+        (Parameter::PixelPitchUm, sensor.pixel_pitch_um),
+        (
+            Parameter::GainElectronsPerCount,
+            sensor.gain_electrons_per_count,
+        ),
+        (Parameter::FullWellCounts, sensor.full_well_counts),
     ];
     for (key, value) in positive {
         if let Some(value) = value {
@@ -345,8 +360,8 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
         }
     }
     let non_negative = [
-        ("bias_counts", sensor.bias_counts),
-        ("read_noise_electrons", sensor.read_noise_electrons),
+        (Parameter::BiasCounts, sensor.bias_counts),
+        (Parameter::ReadNoiseElectrons, sensor.read_noise_electrons),
     ];
     for (key, value) in non_negative {
         if let Some(value) = value {
@@ -363,13 +378,13 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     Ok(())
 }
 
-/// An [`Error::Input`] unless `holds`.
+/// An error of the key unless `holds`.
 fn require(
     holds: bool,
-    key: &str,
+    key: Parameter,
     found: impl ToString,
-    rule: impl Into<String>,
-    remedy: impl Into<String>,
+    rule: impl Into<Phrase>,
+    remedy: impl Into<Phrase>,
 ) -> Result<()> {
     if holds {
         Ok(())

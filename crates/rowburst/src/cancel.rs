@@ -1,6 +1,7 @@
 //! A request to stop, which every part of a run looks at.
 
-use crate::{Error, Result};
+use crate::error::Subject;
+use crate::{Error, ErrorKind, Result};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -43,7 +44,12 @@ impl Cancel {
 
     /// The error of a run that is cancelled before it has a result.
     pub fn error() -> Error {
-        Error::work("reconstruction", "cancelled", "There is no result yet.")
+        Error::work(
+            Subject::named("reconstruction"),
+            "cancelled",
+            "There is no result yet.",
+        )
+        .with_kind(ErrorKind::Cancelled)
     }
 }
 

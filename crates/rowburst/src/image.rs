@@ -1,6 +1,7 @@
 //! A two-dimensional array of f32.
 
-use crate::{Error, Result};
+use crate::ErrorKind;
+use crate::{Error, Parameter, Result};
 
 /// An image `[y, x]` in C order: a frame, a PSF, a map.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,11 +19,12 @@ impl Image {
     pub fn new(rows: usize, columns: usize, data: Vec<f32>) -> Result<Self> {
         if rows == 0 || columns == 0 || data.len() != rows * columns {
             return Err(Error::input(
-                "image",
+                Parameter::Image,
                 format!("{} values for {rows}×{columns} pixels", data.len()),
                 "an image has at least one pixel and one value for each",
                 "Check that the array is two-dimensional and not empty.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(Self {
             rows,

@@ -41,7 +41,7 @@ pub mod video;
 
 pub use camera::{Camera, Sensor};
 pub use cancel::Cancel;
-pub use error::{Error, Result};
+pub use error::{Error, ErrorKind, Parameter, Result};
 pub use forward::RollingShutter;
 pub use image::Image;
 pub use patches::PatchSet;

@@ -9,7 +9,9 @@ mod noise_model;
 
 pub use noise_model::NoiseModel;
 
-use crate::{Camera, Error, Image, Result};
+use crate::ErrorKind;
+use crate::phrase;
+use crate::{Camera, Error, Image, Parameter, Result};
 use std::borrow::Cow;
 use tracing::info;
 
@@ -153,11 +155,12 @@ impl Measurement {
         let pixels = image.data().len();
         if let Some(count) = weights.as_ref().map(Vec::len).filter(|n| *n != pixels) {
             return Err(Error::input(
-                "weights",
+                Parameter::Weights,
                 format!("{count} values"),
                 format!("there is one for each of the {pixels} pixels"),
                 "Reconstruct the frame again.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(Self {
             image,
@@ -218,7 +221,10 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
     let mut usable = vec![1.0f32; pixels];
     let mut bad = 0;
     if let Some(map) = &corrections.bad_pixels {
-        for (usable, &flag) in usable.iter_mut().zip(fitted("bad_pixels", map)?.data()) {
+        for (usable, &flag) in usable
+            .iter_mut()
+            .zip(fitted(Parameter::BadPixels, map)?.data())
+        {
             if flag != 0.0 {
                 *usable = 0.0;
                 bad += 1;
@@ -226,7 +232,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
         }
         if bad as f64 > MAX_MISSING_FRACTION * pixels as f64 {
             return Err(Error::input(
-                "bad_pixels",
+                Parameter::BadPixels,
                 format!("{bad} of {pixels} pixels"),
                 "at least half of the pixels are usable",
                 "Mark bad pixels with a value other than 0, good ones with 0.",
@@ -250,14 +256,15 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
             String::new()
         };
         return Err(Error::input(
-            "frame",
+            Parameter::Frame,
             format!("{saturated} of {pixels} pixels saturated{also}"),
             "at least half of the pixels hold information",
             "Shorten the exposure or dim the light.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     let dark = match (&corrections.dark, sensor.bias_counts) {
-        (Some(dark), _) => Some(fitted("dark", dark)?),
+        (Some(dark), _) => Some(fitted(Parameter::Dark, dark)?),
         (None, Some(bias)) => {
             let level = Image::from_fn(raw.rows(), raw.columns(), |_, _| bias as f32);
             Some(Cow::Owned(level))
@@ -269,7 +276,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
     check_usable_light(&image, &usable, (bad, saturated))?;
     let mut variances = pixel_variances(&image, camera, sensor.binning / binning);
     if let Some(flat) = &corrections.flat {
-        let mut response = fitted("flat", flat)?.into_owned();
+        let mut response = fitted(Parameter::Flat, flat)?.into_owned();
         subtract(&mut response, dark.as_deref());
         divide_by_response(&mut image, variances.as_mut(), &response, &usable)?;
     }
@@ -281,7 +288,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
 /// `block_side × block_side` raw ones.
 fn on_grid_of<'a>(
     raw: &Image,
-    name: &str,
+    name: Parameter,
     image: &'a Image,
     block_side: usize,
 ) -> Result<Cow<'a, Image>> {
@@ -291,7 +298,8 @@ fn on_grid_of<'a>(
             format!("{} at row {y}, column {x}", image.at(y, x)),
             "every pixel of a dark, a flat or a mask is a finite number",
             "Record it again, or replace the pixel by the mean of its neighbours.",
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     let (rows, columns) = (raw.rows(), raw.columns());
     if (image.rows(), image.columns()) == (rows, columns) {
@@ -310,7 +318,8 @@ fn on_grid_of<'a>(
         format!("{}×{} pixels", image.rows(), image.columns()),
         rule,
         "Record it with the camera settings of the frame.",
-    ))
+    )
+    .with_kind(ErrorKind::Shape))
 }
 
 /// Takes `dark` from `image`, where there is one.
@@ -351,7 +360,7 @@ fn divide_by_response(
     if let Some(at) = pixels().position(|(&f, &u)| u > 0.0 && f <= 0.0) {
         let (y, x) = (at / response.columns(), at % response.columns());
         return Err(Error::input(
-            "flat",
+            Parameter::Flat,
             format!("{} at row {y}, column {x}", response.at(y, x)),
             "every usable pixel responds to light: less the dark, its flat is above zero",
             "Give the flat as it was recorded, dark level included; record a brighter one, or mark the pixel in bad_pixels.",
@@ -451,22 +460,28 @@ fn binning_of(raw: &Image, camera: &Camera) -> Result<usize> {
         );
     }
     Err(Error::input(
-        "frame",
+        Parameter::Frame,
         format!("{}×{} pixels", raw.rows(), raw.columns()),
         rule,
-        "Set rows and columns in [camera] to the size of the frame, or crop the frame.",
-    ))
+        phrase![
+            "Set rows and columns in ",
+            Parameter::Camera,
+            " to the size of the frame, or crop the frame."
+        ],
+    )
+    .with_kind(ErrorKind::Shape))
 }
 
 fn check_finite(frame: &Image) -> Result<()> {
     match frame.first_non_finite() {
         None => Ok(()),
         Some((y, x)) => Err(Error::input(
-            "frame",
+            Parameter::Frame,
             format!("{} at row {y}, column {x}", frame.at(y, x)),
             "every pixel of a frame is a finite number",
             "Mark the pixel in bad_pixels and give it any finite value.",
-        )),
+        )
+        .with_kind(ErrorKind::NotFinite)),
     }
 }
 
@@ -485,7 +500,7 @@ fn check_light(image: &Image) -> Result<()> {
             )
         };
         return Err(Error::input(
-            "frame",
+            Parameter::Frame,
             found,
             "a frame holds a speckle pattern",
             remedy,
@@ -516,11 +531,12 @@ fn check_usable_light(
         )
     };
     Err(Error::input(
-        "frame",
+        Parameter::Frame,
         found,
         "a frame holds a speckle pattern in the pixels that are not saturated",
         remedy,
-    ))
+    )
+    .with_kind(ErrorKind::NoSignal))
 }
 
 #[cfg(test)]

@@ -18,7 +18,8 @@
 //!
 //! Reference: J. R. Janesick, Photon Transfer (SPIE 2007), chapter 3.
 
-use crate::{Error, Image, Result, Sensor};
+use crate::ErrorKind;
+use crate::{Error, Image, Parameter, Result, Sensor};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use rand_pcg::Pcg64;
@@ -92,7 +93,11 @@ impl Noise {
                 Ok(record(noiseless, scale, 0.0, |b| (value(b), false)))
             }
             Self::Gaussian { snr } => {
-                require_positive("snr", snr, "Give 256 for the paper's, or no noise at all.")?;
+                require_positive(
+                    Parameter::Snr,
+                    snr,
+                    "Give 256 for the paper's, or no noise at all.",
+                )?;
                 let (scale, bias) = own_units_or_counts(sensor, peak)?;
                 let sigma = scale * rms(noiseless) / snr;
                 let rounding = sensor.bit_depth.map_or(0.0, |_| ROUNDING_VARIANCE);
@@ -104,7 +109,7 @@ impl Noise {
             }
             Self::Camera { peak_electrons } => {
                 let remedy = "Give the electrons of the brightest pixel, below the full well.";
-                require_positive("peak_electrons", peak_electrons, remedy)?;
+                require_positive(Parameter::PeakElectrons, peak_electrons, remedy)?;
                 camera(noiseless, peak, peak_electrons, sensor, &mut rng)
             }
         }
@@ -125,7 +130,7 @@ fn camera(
     let electrons_per_unit = peak_electrons / peak;
     if peak_electrons > Poisson::<f64>::MAX_LAMBDA || !electrons_per_unit.is_finite() {
         return Err(Error::input(
-            "peak_electrons",
+            Parameter::PeakElectrons,
             peak_electrons,
             "a pixel holds fewer electrons",
             "Full wells hold 10⁴ to 10⁶ electrons.",
@@ -197,7 +202,7 @@ fn own_units_or_counts(sensor: &Sensor, peak: f64) -> Result<(f64, f64)> {
     let brightest = PEAK_OF_RANGE * sensor.saturation_counts().unwrap_or(DEFAULT_RANGE);
     if bias >= brightest {
         return Err(Error::input(
-            "bias_counts",
+            Parameter::BiasCounts,
             bias,
             format!("the bias lies below 90 % of the range, {brightest:.0} counts"),
             "Check bias_counts against bit_depth and full_well_counts.",
@@ -212,22 +217,24 @@ fn check_light(noiseless: &Image) -> Result<f64> {
     if let Some(at) = noiseless.data().iter().position(bad) {
         let (y, x) = (at / noiseless.columns(), at % noiseless.columns());
         return Err(Error::input(
-            "noiseless frame",
+            Parameter::NoiselessFrame,
             format!("{} at row {y}, column {x}", noiseless.at(y, x)),
             "light is a finite number and never negative",
             "Check the scene and the PSF that the frame was made from.",
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     let peak = f64::from(noiseless.max());
     if peak > 0.0 {
         return Ok(peak);
     }
     Err(Error::input(
-        "noiseless frame",
+        Parameter::NoiselessFrame,
         "no light",
         "the brightest pixel is above zero, or noise cannot be set in proportion to it",
         "Check that the scene is not empty and lies where the PSF sends light to the sensor.",
-    ))
+    )
+    .with_kind(ErrorKind::NoSignal))
 }
 
 fn rms(image: &Image) -> f64 {
@@ -235,12 +242,12 @@ fn rms(image: &Image) -> f64 {
     (square / image.data().len() as f64).sqrt()
 }
 
-fn require_positive(subject: &str, value: f64, remedy: &str) -> Result<()> {
+fn require_positive(parameter: Parameter, value: f64, remedy: &'static str) -> Result<()> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
     }
     Err(Error::input(
-        subject,
+        parameter,
         value,
         "a number above zero is needed",
         remedy,

@@ -5,7 +5,9 @@
 //! at any place `s` is taken as `Σ_c a_c(s) p_c` with `a_c ≥ 0`, `Σ_c a_c = 1`, so that
 //! (Eq. 1) becomes `I = Σ_c (a_c O) ⊛ p_c`.
 
-use crate::{Error, Psf, Result};
+use crate::error::Tool;
+use crate::phrase;
+use crate::{Error, Parameter, Psf, Result};
 
 /// PSFs with the places that they were recorded at.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,8 +38,15 @@ impl PatchSet {
     /// No PSF, numbers of PSFs and offsets that differ, PSFs of different sizes, offsets
     /// that are not finite, two PSFs at one place.
     pub fn new(psfs: Vec<Psf>, offsets_px: Vec<(f64, f64)>) -> Result<Self> {
-        let remedy = "Write the patch set anew by `rowburst calibrate psf --positions-mm`.";
-        let error = |found: String, rule: &str| Err(Error::input("patch set", found, rule, remedy));
+        let remedy = phrase!["Write the patch set anew by ", Tool::CalibratePatches, "."];
+        let error = |found: String, rule: &'static str| {
+            Err(Error::input(
+                Parameter::PatchSet,
+                found,
+                rule,
+                remedy.clone(),
+            ))
+        };
         if psfs.is_empty() || psfs.len() != offsets_px.len() {
             return error(
                 format!("{} PSFs and {} offsets", psfs.len(), offsets_px.len()),

@@ -1,6 +1,7 @@
 //! The point-spread function.
 
-use crate::{Error, Image, Result};
+use crate::ErrorKind;
+use crate::{Error, Image, Parameter, Result};
 use std::sync::Arc;
 
 /// Largest distance from 1 of the sum of a stored PSF; larger admits PSFs that were never normalized.
@@ -25,16 +26,17 @@ impl Psf {
     pub fn new(mut image: Image) -> Result<Self> {
         if let Some((y, x)) = image.first_non_finite() {
             return Err(Error::input(
-                "PSF",
+                Parameter::Psf,
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "every value of a PSF is a finite number",
                 "Replace the pixel by the mean of its neighbours, or record the PSF again.",
-            ));
+            )
+            .with_kind(ErrorKind::NotFinite));
         }
         if let Some(at) = image.data().iter().position(|&p| p < 0.0) {
             let (y, x) = (at / image.columns(), at % image.columns());
             return Err(Error::input(
-                "PSF",
+                Parameter::Psf,
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "a PSF is an intensity and never negative",
                 "Subtract a smaller background, and set what is left below zero to zero.",
@@ -43,7 +45,7 @@ impl Psf {
         let sum: f64 = image.data().iter().map(|&p| f64::from(p)).sum();
         if sum <= 0.0 || !sum.is_finite() {
             return Err(Error::input(
-                "PSF",
+                Parameter::Psf,
                 format!("a sum of {sum}"),
                 "a PSF holds light",
                 "Check the exposure of the capture, and that the background taken from it is not too large.",
@@ -65,7 +67,7 @@ impl Psf {
         let sum: f64 = image.data().iter().map(|&p| f64::from(p)).sum();
         if (sum - 1.0).abs() > MAX_STORED_SUM_ERROR {
             return Err(Error::input(
-                "PSF",
+                Parameter::Psf,
                 format!("a sum of {sum}"),
                 "a stored PSF sums to 1",
                 "Read the PSF again from its capture.",

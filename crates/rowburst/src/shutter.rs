@@ -1,6 +1,6 @@
 //! The order in which a sensor reads its rows.
 
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// Readout order: row `r` is read out at the end of instant `k[r]`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -82,7 +82,7 @@ fn check_order(order: &[usize], rows: usize) -> Result<()> {
     let remedy = "Give one integer per row: 0 for the rows read first, 1 for the next, and so on.";
     if order.len() != rows {
         return Err(Error::input(
-            "row_order",
+            Parameter::RowOrder,
             format!("{} integers", order.len()),
             format!("a sensor of {rows} rows needs {rows}"),
             remedy,
@@ -91,7 +91,7 @@ fn check_order(order: &[usize], rows: usize) -> Result<()> {
     let instants = order.iter().max().map_or(0, |last| last + 1);
     if instants > rows {
         return Err(Error::input(
-            "row_order",
+            Parameter::RowOrder,
             format!("instant {}", instants - 1),
             format!("{rows} rows are read in at most {rows} instants, counted from 0"),
             remedy,
@@ -104,7 +104,7 @@ fn check_order(order: &[usize], rows: usize) -> Result<()> {
     match read.iter().position(|&r| !r) {
         None => Ok(()),
         Some(k) => Err(Error::input(
-            "row_order",
+            Parameter::RowOrder,
             format!("no row read at instant {k}"),
             "every instant up to the last reads at least one row",
             remedy,

@@ -5,7 +5,8 @@
 //! processor has at run time (AVX-512, AVX2 or NEON). With `ROWBURST_SIMD=portable` in the environment it uses only
 //! instructions that every processor of the architecture has.
 
-use crate::{Error, Result};
+use crate::error::Subject;
+use crate::{Error, Parameter, Result};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use pulp::{Arch, Simd, WithSimd};
@@ -77,11 +78,11 @@ pub(crate) fn is_portable() -> bool {
 /// Checks `ROWBURST_SIMD` in the environment. Programs call this; the library itself ignores unknown values.
 ///
 /// # Errors
-/// [`Error::Input`] if the variable is set to anything but `portable`.
+/// If the variable is set to anything but `portable`.
 pub fn check_environment() -> Result<()> {
     match std::env::var_os(CHOICE) {
         Some(value) if value != PORTABLE => Err(Error::input(
-            format!("{CHOICE} in the environment"),
+            Subject::item(Parameter::Simd, format!("{CHOICE} in the environment")),
             value.to_string_lossy(),
             "it is `portable`, or not set",
             "Unset it: the widest SIMD instructions of this processor are used by default.",

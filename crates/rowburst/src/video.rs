@@ -1,6 +1,7 @@
 //! The reconstructed or simulated video.
 
-use crate::{Error, Result, Shape};
+use crate::ErrorKind;
+use crate::{Error, Parameter, Result, Shape};
 
 /// A video `[t, y, x]` in C order, in the units of the frame per unit of PSF sum.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,11 +18,12 @@ impl Video {
     pub fn new(shape: Shape, data: Vec<f32>) -> Result<Self> {
         if shape.voxels() == 0 || data.len() != shape.voxels() {
             return Err(Error::input(
-                "video",
+                Parameter::Video,
                 format!("{} values for {shape}", data.len()),
                 "a video has at least one voxel and one value for each",
                 "Check that the array is three-dimensional and not empty.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         Ok(Self { shape, data })
     }

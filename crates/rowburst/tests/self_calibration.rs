@@ -9,7 +9,7 @@ use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{
-    Options, Parameter, Prior, Problem, Reconstruction, SelfCalibration, Verdict,
+    ModelParameter, Options, Prior, Problem, Reconstruction, SelfCalibration, Verdict,
 };
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
@@ -117,7 +117,7 @@ fn distorted(psf: &Psf, scale: f64, degrees: f64) -> Psf {
     Psf::new(Image::from_fn(image.rows(), image.columns(), at)).unwrap()
 }
 
-fn value_of(found: &Reconstruction, parameter: Parameter) -> f64 {
+fn value_of(found: &Reconstruction, parameter: ModelParameter) -> f64 {
     let calibration = found.calibration.as_ref().expect("a correction");
     let of = |p: &&rowburst::reconstruct::FoundParameter| p.parameter == parameter;
     calibration
@@ -157,25 +157,25 @@ fn parameters_are_found() {
             (
                 distorted(&case.psf, 1.01, 0.0),
                 &case.light,
-                Parameter::Scale,
+                ModelParameter::Scale,
                 -0.0099,
                 5e-4,
             ),
             (
                 distorted(&case.psf, 1.0, 0.4),
                 &case.light,
-                Parameter::Rotation,
+                ModelParameter::Rotation,
                 0.4,
                 0.02,
             ),
             (
                 case.psf.clone(),
                 &vignetted,
-                Parameter::Vignetting,
+                ModelParameter::Vignetting,
                 -0.2,
                 0.02,
             ),
-            (case.psf.clone(), &stray, Parameter::Offset, 0.08, 0.02),
+            (case.psf.clone(), &stray, ModelParameter::Offset, 0.08, 0.02),
         ];
         let step = if exposure == 1.0 { 1 } else { 2 };
         for (psf, light, parameter, expected, tolerance) in faults.into_iter().step_by(step) {

@@ -46,10 +46,31 @@ __version__: str
 _Line: TypeAlias = tuple[int, str, bool, float | None, str | None, float, str]
 
 class InputError(ValueError):
-    """An input breaks a rule: the message names the input, its value, the rule and the remedy."""
+    """An input breaks a rule: the message names the input, its value, the rule and the remedy.
+
+    ``kind`` says what is wrong, ``parameter`` and ``path`` which input, ``value`` what was found;
+    ``rule`` and ``remedy`` are the words of the message. They are None where they do not apply.
+    """
+
+    kind: str | None
+    parameter: str | None
+    path: str | None
+    value: str | None
+    rule: str | None
+    remedy: str | None
 
 class WorkError(RuntimeError):
-    """The work itself failed: a full disk, no memory, numbers that overflowed."""
+    """The work itself failed: a full disk, no memory, numbers that overflowed.
+
+    It has the attributes of :class:`InputError`.
+    """
+
+    kind: str | None
+    parameter: str | None
+    path: str | None
+    value: str | None
+    rule: str | None
+    remedy: str | None
 
 @final
 class Camera:

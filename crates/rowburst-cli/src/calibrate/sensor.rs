@@ -3,8 +3,10 @@
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use clap::Args;
+use rowburst::ErrorKind;
 use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate};
-use rowburst::{Error, Result};
+use rowburst::error::Subject;
+use rowburst::{Error, Parameter, Result};
 use rowburst_io::{Experiment, OutputFolder};
 use rowburst_run::calibrate::sensor::{read_frames, summary, write};
 use rowburst_run::short;
@@ -43,8 +45,14 @@ pub fn run(args: &SensorArgs) -> Result<()> {
         .as_deref()
         .map(|path| experiment_of(path, &args.flats))
         .transpose()?;
-    let darks = Stack::new("darks", read_frames("--darks", &args.darks)?)?;
-    let flats = Stack::new("flats", read_frames("--flats", &args.flats)?)?;
+    let darks = Stack::new(
+        Parameter::Darks,
+        read_frames(Parameter::Darks, &args.darks)?,
+    )?;
+    let flats = Stack::new(
+        Parameter::Flats,
+        read_frames(Parameter::Flats, &args.flats)?,
+    )?;
     if let Some(experiment) = &experiment {
         check_fits(experiment, &darks)?;
         check_kept(experiment, &args.output)?;
@@ -82,7 +90,7 @@ fn check_fits(experiment: &Experiment, darks: &Stack) -> Result<()> {
     }
     let (rows, columns) = darks.size();
     Err(Error::input(
-        darks.name(0),
+        Subject::item(Parameter::Darks, darks.name(0)),
         format!("{rows}×{columns} pixels"),
         format!(
             "{} has {}×{} raw pixels (rows and columns times binning = {binning})",
@@ -91,7 +99,7 @@ fn check_fits(experiment: &Experiment, darks: &Stack) -> Result<()> {
             expected.1
         ),
         "Record darks and flats as the raw frames are, or correct rows, columns and binning in [camera].",
-    ))
+    ).with_kind(ErrorKind::Shape))
 }
 
 /// The experiment file that is given keeps its comments: it is not written over.
@@ -99,7 +107,7 @@ fn check_kept(experiment: &Experiment, output: &Path) -> Result<()> {
     let written = output.join("experiment.toml").canonicalize();
     match (experiment.path.canonicalize(), written) {
         (Ok(given), Ok(written)) if given == written => Err(Error::input(
-            "--experiment",
+            Parameter::Experiment,
             experiment.path.display(),
             "the calibrated experiment is written to another folder than the one it is made from",
             "Choose another folder with -o.",

@@ -5,6 +5,7 @@ mod files;
 use crate::output::print_line;
 use clap::{Args, ValueHint};
 use files::TimingInputs;
+use rowburst::Parameter;
 use rowburst::calibrate::timing::{Timing, TimingParams, calibrate};
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
@@ -110,41 +111,25 @@ pub fn run(args: &TimingArgs) -> Result<()> {
 }
 
 /// Names the file or the option in an error of the library.
-fn naming(mut error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
-    if let Error::Input { subject, .. } = &mut error {
-        let number = subject
-            .strip_prefix("frame ")
-            .and_then(|n| n.parse::<usize>().ok());
-        if let Some(path) = number.and_then(|n| args.frames.get(n - 1)) {
-            *subject = path.display().to_string();
-            return error;
+fn naming(error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
+    let path_text = |path: &PathBuf| path.display().to_string();
+    match (error.parameter(), error.index()) {
+        (Some(Parameter::Frames), Some(frame)) => match args.frames.get(frame) {
+            Some(path) => error.named(path_text(path)),
+            None => error,
+        },
+        (Some(Parameter::Frames), None) => {
+            let names: Vec<_> = args.frames.iter().map(path_text).collect();
+            error.named(names.join(", "))
         }
-        match subject.as_str() {
-            "frames" => {
-                let names: Vec<_> = args
-                    .frames
-                    .iter()
-                    .map(|p| p.display().to_string())
-                    .collect();
-                *subject = names.join(", ");
-                return error;
-            }
-            "signal" => {
-                let path = args.signal.as_ref().map(|p| p.display().to_string());
-                *subject = path.unwrap_or_default();
-            }
-            "duty" => *subject = "--duty".into(),
-            "expected_row_time_us" => *subject = "[camera] row_time_us".into(),
-            text if text.starts_with("frequency_hz") => {
-                *subject = format!(
-                    "--frequency-hz{}",
-                    text.trim_start_matches("frequency_hz").replace(" = ", " ")
-                );
-            }
-            _ => return naming_file(error, &args.frames[0], &inputs.calibration),
+        (Some(Parameter::Signal), _) => {
+            let path = args.signal.as_ref().map(path_text);
+            error.named(path.unwrap_or_default())
         }
+        (Some(Parameter::ExpectedRowTimeUs), _) => error.named("[camera] row_time_us"),
+        (Some(Parameter::Duty | Parameter::FrequencyHz), _) => error,
+        _ => naming_file(error, &args.frames[0], &inputs.calibration),
     }
-    error
 }
 
 fn print(timing: &Timing, args: &TimingArgs) {

@@ -4,15 +4,13 @@ mod options;
 
 pub use options::DesignArgs;
 
-use crate::inputs::read_psfs;
 use crate::output::print_line;
 use indicatif::{ProgressBar, ProgressStyle};
-use rowburst::design::Assessment;
-use rowburst::design::sparsity::SuccessMap;
 use rowburst::{Camera, Psf, Result};
 use rowburst_io::OutputFolder;
-use rowburst_run::design::{DesignInputs, DesignSummary, Page};
-use rowburst_run::is_logging;
+use rowburst_run::design::DesignSummary;
+use rowburst_run::inputs::read_psfs;
+use rowburst_run::{Event, is_logging};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -26,50 +24,40 @@ pub fn run(args: &DesignArgs) -> Result<()> {
         .as_deref()
         .map(|path| psf_of(path, &inputs.camera))
         .transpose()?;
-    let assessment = inputs.assess(given.as_ref());
-    let assessment = assessment.map_err(|e| args.naming_option(e))?;
     let folder = match &args.output {
         Some(path) => Some(OutputFolder::create(path)?),
         None => None,
     };
-    let map = if args.quick {
-        None
-    } else {
-        Some(map_of(&inputs, &assessment, given.as_ref())?)
-    };
-    let seconds = started.elapsed().as_secs_f64();
-    let summary = DesignSummary::new(&inputs, &assessment, map.as_ref(), seconds);
+    let bar = bar();
+    let design = inputs.run(given, !args.quick, started, &mut |event| {
+        show(&bar, event);
+        ControlFlow::Continue(())
+    });
+    bar.finish_and_clear();
+    let design = design.map_err(|e| args.naming_option(e))?;
     if let Some(folder) = &folder {
-        let psf = given.or_else(|| inputs.simulated_psf(&assessment));
-        let page = Page {
-            inputs: &inputs,
-            assessment: &assessment,
-            map: map.as_ref(),
-            psf: psf.as_ref(),
-            summary: &summary,
-            reproduce: Some(&args.command_line()),
-        };
-        page.write(folder)?;
+        design.write(folder, Some(&args.command_line()))?;
     }
+    let summary = &design.summary;
     if args.json {
         print_line(summary.json());
     } else {
-        print_summary(&summary, args.output.as_deref());
+        print_summary(summary, args.output.as_deref());
     }
     Ok(())
 }
 
 /// The PSF of a file; of a patch set the one in the middle.
 fn psf_of(path: &Path, camera: &Camera) -> Result<Psf> {
-    Ok(read_psfs(path, camera, None)?.central().clone())
+    let (psfs, note) = read_psfs(path, camera, None)?;
+    if let Some(note) = note {
+        eprintln!("{note}");
+    }
+    Ok(psfs.central().clone())
 }
 
-/// The success map, with a progress bar.
-fn map_of(
-    inputs: &DesignInputs,
-    assessment: &Assessment,
-    given: Option<&Psf>,
-) -> Result<SuccessMap> {
+/// The progress bar of the trials.
+fn bar() -> ProgressBar {
     let bar = if std::io::stderr().is_terminal() && !is_logging() {
         ProgressBar::new(1000)
     } else {
@@ -77,16 +65,17 @@ fn map_of(
     };
     let style = ProgressStyle::with_template("{bar:30} {percent} %, about {eta} left; {msg}");
     bar.set_style(style.expect("the template is valid"));
-    let map = inputs.success_map(assessment, given, &mut |camera, part| {
+    bar
+}
+
+fn show(bar: &ProgressBar, event: Event) {
+    if let Event::Trials { camera, part } = event {
         if bar.position() == 0 {
             let (rows, columns) = (camera.rows(), camera.columns());
             bar.set_message(format!("trial reconstructions, {rows}×{columns} pixels"));
         }
         bar.set_position((1000.0 * part) as u64);
-        ControlFlow::Continue(())
-    });
-    bar.finish_and_clear();
-    map
+    }
 }
 
 /// The sections, the shortcomings and where to look.

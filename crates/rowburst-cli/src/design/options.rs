@@ -1,14 +1,15 @@
 //! The options of `rowburst design`, and what they mean.
 
+use crate::option_names;
 use crate::shared_args::OpticsArgs;
 use clap::Args;
+use rowburst::ErrorKind;
 use rowburst::camera::CameraParams;
 use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
-use rowburst::{Camera, Error, Result, Sensor, Shutter};
+use rowburst::{Camera, Error, Parameter, Result, Sensor, Shutter};
 use rowburst_io::Experiment;
 use rowburst_run::design::{DesignInputs, checked_snrs, light_of, paper_camera};
-use rowburst_run::simulate::LensOptics;
 use std::path::PathBuf;
 
 /// What a camera, a lens and a diffuser can do before they are bought.
@@ -150,6 +151,7 @@ impl DesignArgs {
         let pitch = sensor.pixel_pitch_um;
         let optics = self
             .optics
+            .lens()
             .optics(pitch.unwrap_or(SpeckleOptics::demo().pixel_pitch_um));
         optics.check().map_err(|e| self.naming_option(e))?;
         let psf_file = self.psf.clone();
@@ -175,19 +177,20 @@ impl DesignArgs {
             )),
         };
         let (field_rows, field_columns) = field.unwrap_or((1, 1));
-        for (option, side) in [
-            ("--rows", rows),
-            ("--columns", columns),
-            ("--field-rows", field_rows),
-            ("--field-columns", field_columns),
+        for (parameter, side) in [
+            (Parameter::Rows, rows),
+            (Parameter::Columns, columns),
+            (Parameter::FieldRows, field_rows),
+            (Parameter::FieldColumns, field_columns),
         ] {
             if side > MAX_SIDE {
                 return Err(Error::input(
-                    option,
+                    parameter,
                     side,
                     format!("a design has at most {MAX_SIDE} pixels a side"),
                     "Give the part of the sensor that is read.",
-                ));
+                )
+                .named(option_names::design_option(parameter)));
             }
         }
         let shutter = match args.shutter.as_deref() {
@@ -199,11 +202,11 @@ impl DesignArgs {
             Some("global") => Shutter::Global,
             Some(other) => {
                 return Err(Error::input(
-                    "--shutter",
+                    Parameter::Shutter,
                     format!("\"{other}\""),
                     "a shutter is top-down, bottom-up, dual-inside-out, dual-outside-in or global",
                     "Check the name; an order of your own goes into an experiment file (--experiment).",
-                ));
+                ).with_kind(ErrorKind::Unknown));
             }
         };
         let row_time_us = args.row_time_us.unwrap_or(base.row_time_us);
@@ -229,44 +232,36 @@ impl DesignArgs {
     }
 
     /// Names the option in an error, or the file for a key that it gave.
-    pub fn naming_option(&self, mut error: Error) -> Error {
+    pub fn naming_option(&self, error: Error) -> Error {
         let camera = &self.camera;
-        let Error::Input { subject, .. } = &mut error else {
+        let Some(parameter) = error.parameter() else {
             return error;
         };
-        let of_file = match subject.as_str() {
-            "rows" => camera.rows.is_none(),
-            "columns" => camera.columns.is_none(),
-            "row_time_us" => camera.row_time_us.is_none(),
-            "exposure_us" => camera.exposure_us.is_none(),
-            "bins_per_row" => camera.bins_per_row.is_none(),
-            "pixel_pitch_um" => camera.pixel_pitch_um.is_none(),
-            "bit_depth" => self.light.bit_depth.is_none(),
-            "[field]" => camera.field_rows.is_none() && camera.field_columns.is_none(),
-            "read_noise_electrons" => self.light.read_noise_electrons.is_none(),
-            "row_order"
-            | "binning"
-            | "gain_electrons_per_count"
-            | "full_well_counts"
-            | "bias_counts" => true,
+        let is_of_file = match parameter {
+            Parameter::Rows => camera.rows.is_none(),
+            Parameter::Columns => camera.columns.is_none(),
+            Parameter::RowTimeUs => camera.row_time_us.is_none(),
+            Parameter::ExposureUs => camera.exposure_us.is_none(),
+            Parameter::BinsPerRow => camera.bins_per_row.is_none(),
+            Parameter::PixelPitchUm => camera.pixel_pitch_um.is_none(),
+            Parameter::BitDepth => self.light.bit_depth.is_none(),
+            Parameter::Field => camera.field_rows.is_none() && camera.field_columns.is_none(),
+            Parameter::ReadNoiseElectrons => self.light.read_noise_electrons.is_none(),
+            Parameter::RowOrder
+            | Parameter::Binning
+            | Parameter::GainElectronsPerCount
+            | Parameter::FullWellCounts
+            | Parameter::BiasCounts => true,
             _ => false,
         };
-        if let Some(path) = self.experiment.as_ref().filter(|_| of_file) {
-            return error.within(path.display());
+        if let Some(path) = self.experiment.as_ref().filter(|_| is_of_file) {
+            return error.within(path);
         }
-        let option = match subject.as_str() {
-            "diameter_mm" => "--pupil-mm".into(),
-            "image_distance_mm" => "--focal-length-mm".into(),
-            "diffuser_fwhm_deg" => "--diffuser-deg".into(),
-            "aperture" if self.optics.na.is_none() => "--pupil-mm".into(),
-            "aperture" => "--na".into(),
-            "[field]" => "--field-rows and --field-columns".into(),
-            "electrons_per_count" => "--full-well-electrons and --bit-depth".into(),
-            key if key.contains(' ') => key.to_string(),
-            key => format!("--{}", key.replace('_', "-")),
-        };
-        *subject = option;
-        error
+        match parameter {
+            Parameter::Aperture if self.optics.na.is_some() => error.named("--na"),
+            Parameter::NonZeroPixels | Parameter::SuccessMap => error,
+            parameter => error.named(option_names::design_option(parameter)),
+        }
     }
 
     /// The command line that repeats the run.
@@ -275,20 +270,5 @@ impl DesignArgs {
         let typed = crate::typed(Vec::new()).iter().skip(1);
         let typed: Vec<_> = typed.map(|word| word.to_string_lossy()).collect();
         format!("rowburst {}", typed.join(" "))
-    }
-}
-
-impl OpticsArgs {
-    /// These options as optics.
-    pub fn optics(&self, pixel_pitch_um: f64) -> SpeckleOptics {
-        LensOptics {
-            wavelength_nm: self.wavelength_nm,
-            pupil_mm: self.pupil_mm,
-            focal_length_mm: self.focal_length_mm,
-            magnification: self.magnification,
-            na: self.na,
-            diffuser_deg: self.diffuser_deg,
-        }
-        .optics(pixel_pitch_um)
     }
 }

@@ -2,6 +2,9 @@
 
 use crate::args::InitArgs;
 use crate::output::print_line;
+use rowburst::ErrorKind;
+use rowburst::Parameter;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use rowburst_io::OutputFolder;
 use std::path::Path;
@@ -25,7 +28,7 @@ pub fn run(args: &InitArgs) -> Result<()> {
     let (path, folder) = (&args.output, args.output.parent());
     let name = path.file_name().ok_or_else(|| {
         Error::input(
-            format!("-o {}", path.display()),
+            Subject::setting(Parameter::Output, path.display()),
             "no name of a file",
             "the experiment is one file",
             "Name a file, such as experiment.toml.",
@@ -33,11 +36,12 @@ pub fn run(args: &InitArgs) -> Result<()> {
     })?;
     if path.exists() {
         return Err(Error::input(
-            path.display().to_string(),
+            path,
             "a file that is there already",
             "an experiment file is never replaced",
             "Choose another name with -o, or move the file away.",
-        ));
+        )
+        .with_kind(ErrorKind::Exists));
     }
     let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
     let folder = OutputFolder::create(folder.unwrap_or(Path::new(".")))?;
@@ -56,12 +60,13 @@ fn experiment_of(camera: &str) -> Result<&'static str> {
     match found {
         Some((_, text)) => Ok(text),
         None => Err(Error::input(
-            "CAMERA",
+            Subject::named("CAMERA"),
             format!("\"{camera}\""),
             format!("the known cameras are {}", CAMERAS.map(|c| c.0).join(", ")),
             "Choose the one most like yours and change its numbers, or start from the \
              experiment.toml that rowburst demo writes.",
-        )),
+        )
+        .with_kind(ErrorKind::Unknown)),
     }
 }
 

@@ -5,7 +5,9 @@
 //! warning, from 1 % on where it is a measured number.
 
 use crate::metadata::Metadata;
+use rowburst::Parameter;
 use rowburst::bayer::Bayer;
+use rowburst::error::Subject;
 use rowburst::{Error, Result, Shutter};
 use std::path::Path;
 
@@ -132,10 +134,13 @@ impl<'a> Filling<'a> {
         } else {
             1
         };
-        let mut side = |key: &str, in_file: Option<usize>, frame: usize| -> Result<Option<usize>> {
+        let mut side = |key: Parameter,
+                        in_file: Option<usize>,
+                        frame: usize|
+         -> Result<Option<usize>> {
             match in_file {
                 Some(in_file) if in_file.saturating_mul(divisor) != frame => Err(Error::input(
-                    format!("{}: [camera] {key}", self.experiment.display()),
+                    Subject::in_file(self.experiment, format!("[camera] {key}")).of(key),
                     in_file,
                     format!(
                         "the frame has {frame} {key} by its metadata ({})",
@@ -150,13 +155,13 @@ impl<'a> Filling<'a> {
                     let size = frame / divisor;
                     self.from_metadata
                         .values
-                        .push((key.into(), size.to_string()));
+                        .push((key.name().into(), size.to_string()));
                     Ok(Some(size))
                 }
             }
         };
-        let rows = side("rows", rows, frame_rows)?;
-        let columns = side("columns", columns, frame_columns)?;
+        let rows = side(Parameter::Rows, rows, frame_rows)?;
+        let columns = side(Parameter::Columns, columns, frame_columns)?;
         // Binning still to be done is no contradiction to a camera that did not bin.
         let cameras = cameras.filter(|&c| divisor == 1 || c != 1);
         Ok((rows, columns, self.count("binning", binning, cameras)))

@@ -3,7 +3,6 @@
 use super::*;
 use crate::metadata::Metadata;
 use proptest::prelude::*;
-use rowburst::Error;
 
 const CAMERA: &str = "[camera]\nrows = 4\ncolumns = 6\nshutter = \"top-down\"\nrow_time_us = 9.6\nexposure_us = 10\n";
 
@@ -99,7 +98,7 @@ fn mistakes_name_the_place_and_the_remedy() {
     ];
     for (text, parts) in cases {
         let error = parse(&text).unwrap_err();
-        assert!(matches!(error, Error::Input { .. }));
+        assert!(error.is_input());
         let message = error.to_string();
         for part in ["lab/run.toml"].iter().chain(parts) {
             assert!(message.contains(part), "{message} lacks {part}");

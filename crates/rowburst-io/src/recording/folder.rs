@@ -28,9 +28,8 @@ pub(crate) fn images_in(path: &Path) -> Result<Vec<String>> {
         }
         names.push(name);
     }
-    let error = |found: String, rule: String, remedy: &str| {
-        Error::input(path.display().to_string(), found, rule, remedy)
-    };
+    let error =
+        |found: String, rule: String, remedy: &'static str| Error::input(path, found, rule, remedy);
     if names.is_empty() {
         return Err(error(
             "a folder without images".into(),

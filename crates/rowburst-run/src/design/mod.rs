@@ -3,16 +3,18 @@
 mod page;
 mod summary;
 
-pub use page::Page;
 pub use summary::{DesignSummary, SuccessMapSummary};
 
+use crate::event::{Event, Observer};
+use page::Page;
 use rowburst::camera::CameraParams;
 use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
 use rowburst::design::{Assessment, LightParams, assess};
 use rowburst::simulate::{SpeckleOptics, speckle_psf};
-use rowburst::{Camera, Error, Psf, Result, Sensor, Shutter};
-use std::ops::ControlFlow;
+use rowburst::{Camera, Error, Parameter, Psf, Result, Sensor, Shutter};
+use rowburst_io::OutputFolder;
 use std::path::PathBuf;
+use std::time::Instant;
 
 /// What is to be assessed.
 pub struct DesignInputs {
@@ -30,32 +32,85 @@ pub struct DesignInputs {
     pub seed: u64,
 }
 
-impl DesignInputs {
-    /// The closed forms, with a recorded PSF if there is one.
+/// An assessed set-up.
+pub struct Design {
+    inputs: DesignInputs,
+    assessment: Assessment,
+    /// The trials, if there were some.
+    map: Option<SuccessMap>,
+    /// The recorded PSF.
+    psf: Option<Psf>,
+    /// The content of `design.json`.
+    pub summary: DesignSummary,
+}
+
+impl Design {
+    /// Writes the page, its pictures and `design.json`.
     ///
     /// # Errors
-    /// Those of [`assess`].
-    pub fn assess(&self, psf: Option<&Psf>) -> Result<Assessment> {
+    /// Failed writes.
+    pub fn write(&self, folder: &OutputFolder, reproduce: Option<&str>) -> Result<()> {
+        let psf = self.psf.clone();
+        let psf = psf.or_else(|| self.inputs.simulated_psf(&self.assessment));
+        let page = Page {
+            inputs: &self.inputs,
+            assessment: &self.assessment,
+            map: self.map.as_ref(),
+            psf: psf.as_ref(),
+            summary: &self.summary,
+            reproduce,
+        };
+        page.write(folder)
+    }
+}
+
+impl DesignInputs {
+    /// Assesses the set-up with a recorded PSF if there is one; with `trials` by trial reconstructions as well, which
+    /// `observer` may stop. `start` is the zero of the time that is reported.
+    ///
+    /// # Errors
+    /// Those of [`assess`] and [`success_map`].
+    pub fn run(
+        self,
+        psf: Option<Psf>,
+        trials: bool,
+        start: Instant,
+        observer: Observer,
+    ) -> Result<Design> {
+        let assessment = self.assess(psf.as_ref())?;
+        let map = if trials {
+            Some(self.success_map(&assessment, psf.as_ref(), observer)?)
+        } else {
+            None
+        };
+        let seconds = start.elapsed().as_secs_f64();
+        Ok(Design {
+            summary: DesignSummary::new(&self, &assessment, map.as_ref(), seconds),
+            inputs: self,
+            assessment,
+            map,
+            psf,
+        })
+    }
+
+    /// The closed forms, with a recorded PSF if there is one.
+    fn assess(&self, psf: Option<&Psf>) -> Result<Assessment> {
         assess(&self.camera, &self.optics, &self.light, psf)
     }
 
     /// A speckle PSF of all displacements that the camera needs; `None` where it cannot be simulated.
-    pub fn simulated_psf(&self, assessment: &Assessment) -> Option<Psf> {
+    fn simulated_psf(&self, assessment: &Assessment) -> Option<Psf> {
         self.simulated(&self.camera, assessment.envelope_fwhm_px)
             .ok()
     }
 
     /// Trial reconstructions, with the given PSF, or with speckle of the grain and, where the trial camera is smaller, an
-    /// envelope in proportion. `observer` is called with the camera of the trials and the part that is done, and may stop
-    /// them.
-    ///
-    /// # Errors
-    /// Those of [`success_map`].
-    pub fn success_map(
+    /// envelope in proportion.
+    fn success_map(
         &self,
         assessment: &Assessment,
         psf: Option<&Psf>,
-        observer: &mut dyn FnMut(&Camera, f64) -> ControlFlow<()>,
+        observer: Observer,
     ) -> Result<SuccessMap> {
         let camera = trial_camera(&self.camera)?;
         let part = camera.rows() as f64 / self.camera.rows() as f64;
@@ -70,7 +125,13 @@ impl DesignInputs {
         if !self.trial_snrs.is_empty() {
             params.snrs = self.trial_snrs.clone();
         }
-        success_map(&camera, &psf, &params, &mut |part| observer(&camera, part))
+        success_map(&camera, &psf, &params, &mut |part| {
+            let answer = observer(Event::Trials {
+                camera: &camera,
+                part,
+            });
+            answer.map_break(|_| ())
+        })
     }
 
     /// A speckle PSF of all displacements that `camera` needs, its envelope `fwhm_px` wide.
@@ -119,7 +180,7 @@ pub fn checked_snrs(given: &[f64]) -> Result<Vec<f64>> {
     let mut trial_snrs = given.to_vec();
     if let Some(bad) = trial_snrs.iter().find(|s| !(s.is_finite() && **s > 0.0)) {
         return Err(Error::input(
-            "--trial-snr",
+            Parameter::TrialSnr,
             bad,
             "a signal-to-noise ratio is a number above zero",
             "Leave it out for 8 to 256.",

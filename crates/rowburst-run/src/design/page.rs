@@ -8,7 +8,7 @@ use rowburst_io::OutputFolder;
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
 /// What the page is made of.
-pub struct Page<'a> {
+pub(super) struct Page<'a> {
     /// What is assessed.
     pub inputs: &'a DesignInputs,
     /// The closed forms.
@@ -28,7 +28,7 @@ const OPTIONAL: [&str; 3] = ["success-map.png", "recoverable.png", "psf.png"];
 
 impl Page<'_> {
     /// Writes all files, `design.json` last: where it is, the result is whole.
-    pub fn write(&self, folder: &OutputFolder) -> Result<()> {
+    pub(super) fn write(&self, folder: &OutputFolder) -> Result<()> {
         // Those of an earlier run would vouch for files that are no longer its own.
         folder.remove("design.json")?;
         for name in OPTIONAL {

@@ -104,7 +104,7 @@ impl SuccessMapSummary {
 }
 
 impl DesignSummary {
-    pub fn new(
+    pub(super) fn new(
         inputs: &DesignInputs,
         assessment: &Assessment,
         map: Option<&SuccessMap>,

@@ -29,7 +29,7 @@ pub mod spread;
 mod tests;
 
 use crate::simulate::SpeckleOptics;
-use crate::{Camera, Error, Psf, Result};
+use crate::{Camera, Error, Parameter, Psf, Result};
 use speckle::{Dispersion, Grains};
 use spread::Spread;
 
@@ -87,7 +87,7 @@ impl LightParams {
     /// # Errors
     /// Names the quantity, the value, the rule and a remedy.
     pub fn check(&self) -> Result<()> {
-        let positive = |name: &str, value: f64, remedy: &str| {
+        let positive = |name: Parameter, value: f64, remedy: &'static str| {
             if value.is_finite() && value > 0.0 {
                 return Ok(());
             }
@@ -99,13 +99,13 @@ impl LightParams {
             ))
         };
         positive(
-            "photons",
+            Parameter::Photons,
             self.photons,
             "Give the photons of one bright scene pixel in one bin that pass the lens, such as 2e7.",
         )?;
         if self.bright_pixels == 0 {
             return Err(Error::input(
-                "bright_pixels",
+                Parameter::BrightPixels,
                 0,
                 "a scene has at least one bright pixel in a bin",
                 "Give the number of scene pixels that are lit at once, such as 10.",
@@ -114,7 +114,7 @@ impl LightParams {
         let efficiency = self.quantum_efficiency;
         if !(efficiency > 0.0 && efficiency <= 1.0) {
             return Err(Error::input(
-                "quantum_efficiency",
+                Parameter::QuantumEfficiency,
                 efficiency,
                 "electrons per photon lie above 0 and at most at 1",
                 "Read it from the camera's data sheet at your wavelength: 0.6 for 60 %.",
@@ -122,16 +122,16 @@ impl LightParams {
         }
         if !(self.read_noise_electrons.is_finite() && self.read_noise_electrons >= 0.0) {
             return Err(Error::input(
-                "read_noise_electrons",
+                Parameter::ReadNoiseElectrons,
                 self.read_noise_electrons,
                 "a noise is zero or more",
                 "Read it from the camera's data sheet, or measure it by `rowburst calibrate sensor`.",
             ));
         }
         let optional = [
-            ("electrons_per_count", self.electrons_per_count),
-            ("full_well_electrons", self.full_well_electrons),
-            ("diffuser_path_rms_nm", self.diffuser_path_rms_nm),
+            (Parameter::ElectronsPerCount, self.electrons_per_count),
+            (Parameter::FullWellElectrons, self.full_well_electrons),
+            (Parameter::DiffuserPathRmsNm, self.diffuser_path_rms_nm),
         ];
         for (name, value) in optional {
             if let Some(value) = value {
@@ -139,7 +139,7 @@ impl LightParams {
             }
         }
         positive(
-            "source_bandwidth_nm",
+            Parameter::SourceBandwidthNm,
             self.source_bandwidth_nm,
             "Give the width of the filter or of the source's spectrum: a laser has less than 1.",
         )
@@ -212,7 +212,7 @@ pub fn assess(
     light.check()?;
     if light.source_bandwidth_nm >= optics.wavelength_nm {
         return Err(Error::input(
-            "source_bandwidth_nm",
+            Parameter::SourceBandwidthNm,
             light.source_bandwidth_nm,
             format!(
                 "the bandwidth is smaller than the wavelength of {} nm",

@@ -12,12 +12,14 @@
 //! speckle grain (no optics tell apart what lies closer), has less than
 //! [`SparsityParams::tolerance`] of the norm of the truth.
 
+use crate::ErrorKind;
 use crate::camera::CameraParams;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::noise::Noise;
+use crate::phrase;
 use crate::reconstruct::{Options, Prior, Problem};
-use crate::{Camera, Error, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
+use crate::{Camera, Error, Image, Parameter, Psf, Result, RollingShutter, Sensor, Shutter, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::ops::ControlFlow;
@@ -226,10 +228,14 @@ pub fn success_map(
         .find(|&&k| k == 0 || MIN_PIXELS_PER_SOURCE * k > pixels)
     {
         return Err(Error::input(
-            "non-zero pixels per bin",
+            Parameter::NonZeroPixels,
             k,
             format!("a trial lights from 1 to a sixteenth of the {pixels} pixels of the field"),
-            "Take a larger field, or leave the map out (--quick).",
+            phrase![
+                "Take a larger field, or leave the map out (",
+                Parameter::SuccessMap,
+                ")."
+            ],
         ));
     }
     let operator = RollingShutter::new(camera, psf);
@@ -247,10 +253,15 @@ pub fn success_map(
             tried += 1;
             if observer((s as f64 + part) / many as f64).is_break() {
                 return Err(Error::work(
-                    "success map",
+                    Parameter::SuccessMap,
                     "it was stopped",
-                    "Use --quick for the numbers that need no simulation.",
-                ));
+                    phrase![
+                        "Use ",
+                        Parameter::SuccessMap,
+                        " for the numbers that need no simulation."
+                    ],
+                )
+                .with_kind(ErrorKind::Cancelled));
             }
             let rate = success_rate(camera, psf, &operator, params, params.ks[i], snr)?;
             row[i] = Some(rate);

@@ -15,11 +15,13 @@ use super::sigma::Bands;
 use super::{
     Model, Options, Prior, Problem, Reconstruction, SelfCalibration, SigmaSource, noise_of,
 };
+use crate::ErrorKind;
 use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
+use crate::phrase;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
-use crate::{Camera, Cancel, Error, PatchSet, Result};
+use crate::{Camera, Cancel, Error, Parameter, PatchSet, Result};
 use std::ops::{ControlFlow, Range};
 
 /// Bytes of a chunk where its size is left open; smaller makes more chunks (docs/design/008).
@@ -58,20 +60,32 @@ impl Chunked {
         let time = camera.time();
         if !time.is_disjoint() || time.bins() == 1 {
             return Err(Error::input(
-                "exposure_us",
+                Parameter::ExposureUs,
                 camera.params().exposure_us,
                 "reconstruction in chunks needs each bin to be exposed at one instant: a rolling shutter with exposures of at most one row time",
-                "Leave --part-bins out, and make [field] smaller or bin the frame if memory is short.",
-            ));
+                phrase![
+                    "Leave ",
+                    Parameter::PartBins,
+                    " out, and make ",
+                    Parameter::Field,
+                    " smaller or bin the frame if memory is short."
+                ],
+            ).with_kind(ErrorKind::Unsupported));
         }
         let bands = Bands::new(&measurement, psfs.central());
         let (sigma, sigma_source) = noise_of(&measurement, &bands, &options);
         if sigma_source == SigmaSource::HeldOut && !matches!(options.tau, super::Tau::Given(_)) {
             return Err(Error::input(
-                "--noise-sigma",
+                Parameter::NoiseSigma,
                 "a noise level that cannot be estimated from the frame",
                 "all chunks use the noise level of the whole frame",
-                "Give --noise-sigma, or gain and read noise in [camera].",
+                phrase![
+                    "Give ",
+                    Parameter::NoiseSigma,
+                    ", or gain and read noise in ",
+                    Parameter::Camera,
+                    "."
+                ],
             ));
         }
         Ok(Self {

@@ -13,7 +13,7 @@ use super::model::Model;
 use crate::measurement::Measurement;
 use crate::solve::DataTerm;
 use crate::vecmath::norm;
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// Residual over the right-hand side at which the solve stops; f32 is no more accurate.
 const TOLERANCE: f64 = 1e-6;
@@ -91,7 +91,7 @@ impl DataStep {
         let min_rho = self.data.min_rho();
         if !(rho.is_finite() && rho >= min_rho) {
             return Err(Error::input(
-                "step",
+                Parameter::Step,
                 step,
                 format!("a step is above zero and at most {:.1e}", 1.0 / min_rho),
                 "Steps about one over the norm of A squared are usual; longer ones are allowed.",

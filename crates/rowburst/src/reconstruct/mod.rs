@@ -22,6 +22,9 @@ mod self_calibration;
 mod sequence;
 mod sigma;
 
+use crate::ErrorKind;
+use crate::error::Subject;
+use crate::phrase;
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
 pub use chunked::Chunked;
@@ -29,7 +32,9 @@ pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
 pub use prior::{Prior, UnfusedWeights};
-pub use self_calibration::{Calibration, FoundParameter, Parameter, SelfCalibration, calibrate};
+pub use self_calibration::{
+    Calibration, FoundParameter, ModelParameter, SelfCalibration, calibrate,
+};
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
@@ -38,7 +43,7 @@ use crate::measurement::Measurement;
 use crate::prox::Prox;
 use crate::solve::admm::{self, Admm, Progress, Solution, TauRule};
 use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::{Camera, Error, Image, PatchSet, Result, Shape, Video};
+use crate::{Camera, Error, Image, Parameter, PatchSet, Result, Shape, Video};
 use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
@@ -131,6 +136,14 @@ pub struct Problem {
 }
 
 /// A reconstructed video, with the quantities that judge it.
+///
+/// It holds the video in memory. Of a video too large for that, [`Chunked`] gives one `Reconstruction` for each chunk,
+/// and of a raw colour frame there is one for each plane.
+///
+/// Extensions have their place here. With a fourth axis `video`, `background` and `coverage` become `[c, t, y, x]`; the
+/// fields of the frame's shape stay. A mask of what the frame determines of a found PSF, gain or offset belongs to
+/// [`Calibration`], beside the values. For complex values [`Video`] takes the type of its elements as a parameter;
+/// residual, weights and fit stay real, as frames are.
 #[derive(Debug, Clone)]
 pub struct Reconstruction {
     /// The video in counts, `[t, y, x]`.
@@ -213,7 +226,10 @@ impl Problem {
             Tau::Given(tau) => Some(tau),
             Tau::Auto | Tau::HeldOut => None,
         };
-        for (name, value) in [("--tau", tau), ("--noise-sigma", options.noise_sigma)] {
+        for (name, value) in [
+            (Parameter::Tau, tau),
+            (Parameter::NoiseSigma, options.noise_sigma),
+        ] {
             if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
                 return Err(Error::input(
                     name,
@@ -227,10 +243,14 @@ impl Problem {
         let (sigma, sigma_source) = noise_of(measurement, &bands, &options);
         if !(sigma.is_finite() && sigma > 0.0) {
             return Err(Error::input(
-                "frame",
+                Parameter::Frame,
                 format!("a noise level of {sigma}, {}", sigma_source.name()),
                 "the noise level is above zero: a frame holds light and noise",
-                "Check the frame, gain and read noise, or give --noise-sigma.",
+                phrase![
+                    "Check the frame, gain and read noise, or give ",
+                    Parameter::NoiseSigma,
+                    "."
+                ],
             ));
         }
         if let Some(prior) = options.prior {
@@ -331,10 +351,15 @@ impl Problem {
         } = found;
         if !solution.certificate.primal.is_finite() {
             return Err(Error::work(
-                "reconstruction",
+                Subject::named("reconstruction"),
                 "the numbers overflowed",
-                "Check that frame and PSF hold plausible values, and give --noise-sigma.",
-            ));
+                phrase![
+                    "Check that frame and PSF hold plausible values, and give ",
+                    Parameter::NoiseSigma,
+                    "."
+                ],
+            )
+            .with_kind(ErrorKind::Overflow));
         }
         let shape = self.data.shape();
         let measurement_count = self.data.measurement_count() as f64;

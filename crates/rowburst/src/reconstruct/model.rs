@@ -21,9 +21,9 @@ const VIDEO_COPIES: usize = 8;
 /// Memory of the blocks of `A Aᵀ` in bytes; `None` where they are too large to be built.
 fn gram_bytes(camera: &Camera) -> Option<usize> {
     let columns = camera.columns();
-    let mut rows_of = vec![0; camera.time().instants().len()];
-    camera.instants().iter().for_each(|&k| rows_of[k] += 1);
-    let sizes = || rows_of.iter().map(|rows| rows * columns);
+    let mut row_counts = vec![0; camera.time().instants().len()];
+    camera.instants().iter().for_each(|&k| row_counts[k] += 1);
+    let sizes = || row_counts.iter().map(|rows| rows * columns);
     let bytes: usize = sizes()
         .map(|size| element_bytes(columns) * size * size)
         .sum();

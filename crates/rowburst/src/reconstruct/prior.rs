@@ -21,12 +21,15 @@
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
+use crate::ErrorKind;
+use crate::error::Phrase;
 use crate::linop::{Background, Cosine, Wavelet};
+use crate::phrase;
 use crate::prox::{
     Composite, Isotropy, LowRank, Prox, Sparse, SumPrior, Variation, Variation3d, VariationWeights,
 };
 use crate::solve::admm::{AdmmParams, TauRule};
-use crate::{Error, Result, Shape};
+use crate::{Error, Parameter, Result, Shape};
 
 /// A prior: the weights of its convex terms, and whether the video is restricted to a support.
 ///
@@ -297,11 +300,11 @@ impl Prior {
         match TEMPORAL_TERMS.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(
-                "--prior",
+                Parameter::Prior,
                 format!("\"{name}\" for a video of 1 bin"),
                 format!("{name} compares bins and needs at least 2"),
                 "Use auto, or terms of space alone: tv, l1, dct, wavelet. A video of 1 bin comes from shutter = \"global\".",
-            )),
+            ).with_kind(ErrorKind::Unsupported)),
         }
     }
 
@@ -313,11 +316,16 @@ impl Prior {
         match TEMPORAL_TERMS.iter().find(|name| self.weight(name) > 0.0) {
             None => Ok(()),
             Some(name) => Err(Error::input(
-                "--prior",
+                Parameter::Prior,
                 format!("\"{name}\" for a video that is reconstructed in chunks"),
                 format!("{name} couples bins, which would be in different chunks"),
-                "Use terms of space alone, such as tv+support, l1, wavelet, or fewer bins (--bins) in one chunk.",
-            )),
+                phrase![
+                    "Use terms of space alone, such as tv+support, l1, wavelet, or fewer bins (",
+                    Parameter::Bins,
+                    ") in one chunk."
+                ],
+            )
+            .with_kind(ErrorKind::Unsupported)),
         }
     }
 
@@ -346,9 +354,9 @@ impl Prior {
 }
 
 /// The error of a prior's text: `found` breaks `rule`.
-fn refuse<T>(found: &str, rule: impl Into<String>) -> Result<T> {
+fn refuse<T>(found: &str, rule: impl Into<Phrase>) -> Result<T> {
     Err(Error::input(
-        "--prior",
+        Parameter::Prior,
         format!("\"{found}\""),
         rule,
         format!(

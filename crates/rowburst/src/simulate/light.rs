@@ -1,7 +1,7 @@
 //! How bright a frame is, from how bright its scene is.
 
 use super::require_positive;
-use crate::{Camera, Error, Image, Result, Video};
+use crate::{Camera, Error, Image, Parameter, Result, Video};
 
 /// Mean electrons of the brightest pixel of the frame, raw and before binning, where the
 /// brightest scene pixel sends `scene_electrons` to the sensor in one bin.
@@ -28,7 +28,7 @@ pub fn peak_electrons(
     scene_electrons: f64,
 ) -> Result<f64> {
     require_positive(
-        "scene_electrons",
+        Parameter::SceneElectrons,
         scene_electrons,
         "electrons",
         "Give those of the brightest scene pixel in one bin, such as 200.",
@@ -36,7 +36,7 @@ pub fn peak_electrons(
     let brightest = f64::from(scene.max());
     if !(brightest.is_finite() && brightest > 0.0) {
         return Err(Error::input(
-            "scene",
+            Parameter::Scene,
             format!("a brightest value of {brightest}"),
             "the brightest scene pixel is above zero, or electrons cannot be counted from it",
             "Check that the scene is not empty.",

@@ -17,13 +17,18 @@ pub use direct::direct_frame;
 pub use light::peak_electrons;
 pub use speckle::{Aperture, SpeckleOptics, phase_plate_psf, speckle_psf};
 
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// `Ok` where `value` is a finite number above zero.
-fn require_positive(subject: &str, value: f64, unit: &str, remedy: &str) -> Result<()> {
+fn require_positive(
+    parameter: Parameter,
+    value: f64,
+    unit: &str,
+    remedy: &'static str,
+) -> Result<()> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
     }
     let rule = format!("a number of {unit} above zero is needed");
-    Err(Error::input(subject, value, rule, remedy))
+    Err(Error::input(parameter, value, rule, remedy))
 }

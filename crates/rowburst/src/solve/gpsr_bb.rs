@@ -12,9 +12,11 @@
 use super::admm::Progress;
 use super::run::{Iterate, Watch, begin, relative_change};
 use super::{CertifiedSolution, Limits, Objective, StopReason};
+use crate::ErrorKind;
+use crate::error::Subject;
 use crate::linop::operator_norm;
 use crate::vecmath::{dot, norm_squared};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::ops::ControlFlow;
 
 /// How far a step goes.
@@ -61,11 +63,12 @@ pub fn solve(
     let weights = objective.weights();
     if weights.space > 0.0 || weights.time > 0.0 {
         return Err(Error::input(
-            "GPSR-BB",
+            Subject::item(Parameter::Prior, "GPSR-BB"),
             format!("weights tv {}, tdiff {}", weights.space, weights.time),
             "this solver minimises with l1 alone",
             "Take l1 as the prior, or another solver.",
-        ));
+        )
+        .with_kind(ErrorKind::Unsupported));
     }
     let operator = objective.operator();
     let unit = 1.0 / operator_norm(operator).powi(2).max(f64::MIN_POSITIVE);

@@ -9,10 +9,11 @@
 //! [`crate::prox::Variation`], so that each can be checked against the other.
 
 use super::DataTerm;
+use crate::error::Subject;
 use crate::linop::{Axis, Differences, LinearOperator};
 use crate::prox::VariationWeights;
 use crate::vecmath::distance_squared;
-use crate::{Error, Result, Shape};
+use crate::{Error, Parameter, Result, Shape};
 
 /// `F` above, of one problem.
 pub struct Objective<'a> {
@@ -44,7 +45,7 @@ impl<'a> Objective<'a> {
         );
         if !(tau.is_finite() && tau > 0.0) {
             return Err(Error::input(
-                "--tau",
+                Parameter::Tau,
                 tau,
                 "a fixed tau is a finite number above zero",
                 "Give a number such as 0.001.",
@@ -58,7 +59,7 @@ impl<'a> Objective<'a> {
         for (name, weight) in parts {
             if !(weight.is_finite() && weight >= 0.0) {
                 return Err(Error::input(
-                    format!("weight of {name}"),
+                    Subject::item(Parameter::PriorWeight, format!("weight of {name}")),
                     weight,
                     "a weight is a finite number, zero or above",
                     "Correct it.",

@@ -5,7 +5,8 @@
 //! detector's signal averaged over each bin.
 
 use super::Trace;
-use crate::{Error, Result, TimeGrid};
+use crate::error::Subject;
+use crate::{Error, Parameter, Result, TimeGrid};
 
 /// A signal over time, straight between its points.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,7 +51,7 @@ impl Photodiode {
     pub fn new(points: &[(f64, f64)]) -> Result<Self> {
         if points.len() < 2 {
             return Err(Error::input(
-                "photodiode",
+                Parameter::Photodiode,
                 format!("{} points", points.len()),
                 "a signal has at least two points",
                 "Give a line time,value for each sample.",
@@ -60,7 +61,7 @@ impl Photodiode {
             let is_later = i == 0 || time > points[i - 1].0;
             if !(time.is_finite() && value.is_finite() && is_later) {
                 return Err(Error::input(
-                    format!("photodiode, sample {}", i + 1),
+                    Subject::element(Parameter::Photodiode, "photodiode, sample", i),
                     format!("time {time} µs, value {value}"),
                     "times increase from sample to sample, and all numbers are finite",
                     "Sort the samples by time and take out those that are not numbers.",

@@ -29,9 +29,10 @@
 use super::kernel::{Voxel, covariance, scales};
 use super::posterior::{Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
+use crate::ErrorKind;
 use crate::shape::InstantWeights;
 use crate::solve::admm::brightness;
-use crate::{Error, Result, RollingShutter, Shape, Support, Video};
+use crate::{Error, Parameter, Result, RollingShutter, Shape, Support, Video};
 use faer::Mat;
 use rayon::prelude::*;
 
@@ -118,11 +119,12 @@ impl<'a> Refit<'a> {
         assert!(input.sigma > 0.0, "σ is above zero");
         if !operator.time().is_disjoint() {
             return Err(Error::input(
-                "standard errors of traces",
+                Parameter::StandardErrors,
                 "an exposure longer than a row",
                 "they are known where each bin is seen by one instant",
                 "Expose for one row time at most, or use the traces without errors.",
-            ));
+            )
+            .with_kind(ErrorKind::Unsupported));
         }
         let mut refit = Self {
             brightness: brightness(input.video.data()),

@@ -1,6 +1,7 @@
 //! A place of the field, and its light over time.
 
-use crate::{Error, Result, Shape, Video};
+use crate::ErrorKind;
+use crate::{Error, Parameter, Result, Shape, Video};
 
 /// A rectangle of the field, in its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -47,7 +48,7 @@ impl Region {
             return Ok(());
         }
         Err(Error::input(
-            "region",
+            Parameter::Region,
             format!(
                 "row {}, column {}, {}×{} pixels",
                 self.y, self.x, self.rows, self.columns
@@ -57,7 +58,8 @@ impl Region {
                 shape.rows, shape.columns
             ),
             "Rows and columns are counted from 0, from the top left corner of the field.",
-        ))
+        )
+        .with_kind(ErrorKind::Shape))
     }
 
     /// Number of pixels.

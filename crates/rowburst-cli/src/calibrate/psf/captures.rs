@@ -1,5 +1,7 @@
 //! Where the source of each capture was.
 
+use rowburst::Parameter;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use rowburst_run::calibrate::psf::CaptureFile;
 use std::path::Path;
@@ -8,7 +10,7 @@ use std::path::Path;
 pub fn read_positions(csv: &Path, files: &[CaptureFile]) -> Result<Vec<(f64, f64)>> {
     let text = std::fs::read_to_string(csv).map_err(|e| {
         Error::input(
-            csv.display().to_string(),
+            csv,
             e,
             "the positions of the captures are a text file with lines capture,x_mm,y_mm",
             "Check the path given to --positions-mm.",
@@ -20,7 +22,8 @@ pub fn read_positions(csv: &Path, files: &[CaptureFile]) -> Result<Vec<(f64, f64
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let subject = format!("{}, line {}", csv.display(), number + 1);
+        let subject =
+            Subject::in_file(csv, format!("line {}", number + 1)).of(Parameter::PositionsMm);
         let fields: Vec<&str> = line.split([',', ';', '\t']).map(str::trim).collect();
         let numbers: Vec<Option<f64>> = fields.iter().skip(1).map(|f| f.parse().ok()).collect();
         let (x, y) = match numbers[..] {
@@ -38,7 +41,7 @@ pub fn read_positions(csv: &Path, files: &[CaptureFile]) -> Result<Vec<(f64, f64
         };
         let at = which(files, fields[0]).ok_or_else(|| {
             Error::input(
-                &subject,
+                subject.clone(),
                 format!("the capture \"{}\"", fields[0]),
                 "each line names one of the captures by its file name",
                 "Add the capture to the command line, or take the line out.",
@@ -56,7 +59,7 @@ pub fn read_positions(csv: &Path, files: &[CaptureFile]) -> Result<Vec<(f64, f64
     let missing = positions.iter().position(Option::is_none);
     if let Some(i) = missing {
         return Err(Error::input(
-            csv.display().to_string(),
+            csv,
             format!("no line for {}", files[i].file_name()),
             "each capture has its position",
             "Add a line capture,x_mm,y_mm, or leave the capture out.",

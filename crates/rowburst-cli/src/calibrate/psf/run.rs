@@ -5,6 +5,7 @@ use super::captures::read_positions;
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use rowburst::calibrate::psf::MemoryEffect;
+use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use rowburst_io::{Experiment, OutputFolder, read_image};
 use rowburst_run::calibrate::psf::{
@@ -51,7 +52,7 @@ fn inputs(args: &PsfArgs, experiment: Option<&Experiment>) -> Result<PsfInputs> 
     ] {
         if let Some(bad) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
             return Err(Error::input(
-                option,
+                Subject::named(option),
                 bad,
                 "the value is a number above zero",
                 "Leave the option out where it is not known.",

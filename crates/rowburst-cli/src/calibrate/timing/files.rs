@@ -2,7 +2,9 @@
 
 use super::TimingArgs;
 use crate::calibrate::experiment_of;
+use rowburst::ErrorKind;
 use rowburst::calibrate::timing::{Extension, Lamp, Timing, Waveform};
+use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Shutter};
 use rowburst_io::{Calibration, Experiment, OutputFolder, read_colour_image, write_npy_i64};
 use rowburst_run::calibrate::timing::{KnownRowTime, read_waveform};
@@ -127,8 +129,7 @@ fn light(args: &TimingArgs) -> Result<Lamp> {
                 Extension::Holds
             };
             let points = read_waveform(path)?;
-            let waveform =
-                Waveform::new(&points, extension).map_err(|e| e.within(path.display()))?;
+            let waveform = Waveform::new(&points, extension).map_err(|e| e.within(path))?;
             Ok(Lamp::Waveform(waveform))
         }
         (None, Some(frequency_hz)) => Ok(Lamp::Periodic {
@@ -136,10 +137,11 @@ fn light(args: &TimingArgs) -> Result<Lamp> {
             duty: args.duty,
         }),
         (None, None) => Err(Error::input(
-            "command line",
+            Subject::named("command line"),
             "no light",
             "the light is given by its frequency or its waveform",
             "Give --frequency-hz F or --signal FILE.csv.",
-        )),
+        )
+        .with_kind(ErrorKind::NoSignal)),
     }
 }

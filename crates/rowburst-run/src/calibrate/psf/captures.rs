@@ -60,7 +60,7 @@ pub fn read_captures(given: &[PathBuf]) -> Result<Vec<CaptureFile>> {
             let found = images_in(path)?;
             if found.is_empty() {
                 return Err(Error::input(
-                    path.display().to_string(),
+                    path,
                     "a folder without images",
                     format!("captures are read as {IMAGE_ENDINGS}"),
                     "Name the folder that the captures lie in.",
@@ -77,7 +77,7 @@ pub fn read_captures(given: &[PathBuf]) -> Result<Vec<CaptureFile>> {
 fn images_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|e| {
         Error::input(
-            folder.display().to_string(),
+            folder,
             e,
             "the folder of the captures can be read",
             "Check its permissions.",

@@ -8,11 +8,14 @@ pub use captures::{CaptureFile, read_captures};
 pub use summary::{MemorySummary, PsfSummary, RowReach};
 
 use report::{PsfReportInput, render};
+use rowburst::ErrorKind;
+use rowburst::Parameter;
 use rowburst::calibrate::psf::{
     Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
     SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect, merge, noise_of,
     patch_set, patches_needed, row_reach, select_patches, span_px, statistics, suppress_noise,
 };
+use rowburst::error::Subject;
 use rowburst::{Error, Image, PatchSet, Psf, Result};
 use rowburst_io::{Experiment, OutputFolder, write_npy_image, write_patch_set};
 use std::path::PathBuf;
@@ -144,7 +147,7 @@ impl PsfInputs {
         let short = light.image.rows().min(light.image.columns());
         if short < 16 * self.binning {
             return Err(Error::input(
-                &group.shots[0].name,
+                Subject::item(Parameter::Captures, &group.shots[0].name),
                 format!(
                     "{}×{} pixels, binned by {}",
                     light.image.rows(),
@@ -153,7 +156,8 @@ impl PsfInputs {
                 ),
                 "a PSF has 16 pixels or more along each side",
                 "Record a larger region, or bin less.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         if self.binning > 1 {
             light.image = light.image.binned(self.binning);

@@ -129,7 +129,7 @@ pub fn warnings(
     }
     if light.saturated_fraction > MAX_SATURATED_FRACTION {
         warnings.push(format!(
-            "{:.2} % of the pixels are saturated: bright grains are cut off, and contrast and PSF are too low there; shorten the exposure, or add shorter ones with --exposures-ms",
+            "{:.2} % of the pixels are saturated: bright grains are cut off, and contrast and PSF are too low there; shorten the exposure, or add captures of shorter ones",
             100.0 * light.saturated_fraction
         ));
     }
@@ -180,7 +180,7 @@ pub fn remarks(
             black_level.counts
         )),
         Some(black_level) => remarks.push(format!(
-            "no dark frame: the black level of {:.2} counts is that of the darkest thousandth of the pixels, so the contrast is an upper bound; give --dark",
+            "no dark frame: the black level of {:.2} counts is that of the darkest thousandth of the pixels, so the contrast is an upper bound; give a dark frame",
             black_level.counts
         )),
         None => {}

@@ -2,8 +2,11 @@
 
 mod report;
 
+use rowburst::ErrorKind;
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack};
+use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Sensor};
+use rowburst::{Parameter, phrase};
 use rowburst_io::{
     Calibration, Experiment, IMAGE_ENDINGS, OutputFolder, is_image, read_stack, write_npy_image,
     write_png8,
@@ -11,15 +14,15 @@ use rowburst_io::{
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// The frames of `paths`, with names for messages; those of a folder by file name. `option` names them in errors.
+/// The frames of `paths`, with names for messages; those of a folder by file name. `parameter` names them in errors.
 ///
 /// # Errors
 /// Files that cannot be read, and folders without images.
-pub fn read_frames(option: &str, paths: &[PathBuf]) -> Result<Vec<(String, Image)>> {
+pub fn read_frames(parameter: Parameter, paths: &[PathBuf]) -> Result<Vec<(String, Image)>> {
     let mut frames = Vec::new();
     for path in paths {
         let files = if path.is_dir() {
-            files_of(option, path)?
+            files_of(parameter, path)?
         } else {
             vec![path.clone()]
         };
@@ -39,13 +42,14 @@ pub fn read_frames(option: &str, paths: &[PathBuf]) -> Result<Vec<(String, Image
 }
 
 /// The images in `folder`, by name.
-fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
+fn files_of(parameter: Parameter, folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|error| {
         Error::work(
-            folder.display().to_string(),
+            Subject::from(folder).of(parameter),
             format!("cannot read: {error}"),
             "Check its permissions.",
         )
+        .with_kind(ErrorKind::Io)
     })?;
     let is_image = |path: &PathBuf| {
         let hidden = path
@@ -61,9 +65,12 @@ fn files_of(option: &str, folder: &Path) -> Result<Vec<PathBuf>> {
     files.sort();
     if files.is_empty() {
         return Err(Error::input(
-            folder.display().to_string(),
+            Subject::from(folder).of(parameter),
             "a folder without images",
-            format!("{option} takes frames as {IMAGE_ENDINGS}, or folders of them"),
+            phrase![
+                parameter,
+                format!(" takes frames as {IMAGE_ENDINGS}, or folders of them")
+            ],
             "Name the folder that the frames lie in.",
         ));
     }

@@ -7,7 +7,9 @@ mod report;
 pub use report::write_report;
 
 use crate::short;
+use rowburst::Parameter;
 use rowburst::calibrate::timing::{Lamp, Timing};
+use rowburst::error::Subject;
 use rowburst::{Camera, Error, Image, Result, Shutter};
 use serde::Serialize;
 use std::path::Path;
@@ -157,7 +159,7 @@ impl KnownRowTime {
 pub fn read_waveform(path: &Path) -> Result<Vec<(f64, f64)>> {
     let text = std::fs::read_to_string(path).map_err(|error| {
         Error::input(
-            path.display().to_string(),
+            Subject::from(path).of(Parameter::Signal),
             format!("a file that cannot be read ({error})"),
             "the waveform of the light is a text file",
             "Check the path and the permissions.",
@@ -177,7 +179,7 @@ pub fn read_waveform(path: &Path) -> Result<Vec<(f64, f64)>> {
             _ if points.is_empty() && line.starts_with(|c: char| c.is_alphabetic()) => {}
             _ => {
                 return Err(Error::input(
-                    format!("{}, line {}", path.display(), i + 1),
+                    Subject::in_file(path, format!("line {}", i + 1)).of(Parameter::Signal),
                     format!("\"{line}\""),
                     "a line has two numbers, time_us,value",
                     "Write the time in microseconds, a comma and the light, with a point for decimals.",

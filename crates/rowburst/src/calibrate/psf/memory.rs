@@ -15,7 +15,8 @@
 use super::filter::{shifted, smoothed};
 use super::fourier::{Correlation, Spectrum};
 use super::merge::Sums;
-use crate::{Error, Image, Result};
+use crate::phrase;
+use crate::{Error, Image, Parameter, Result};
 use rayon::prelude::*;
 
 /// A capture at a known place of the source.
@@ -146,16 +147,20 @@ impl MemoryEffect {
 fn check(positions: &[(f64, f64)]) -> Result<()> {
     if positions.len() < 3 {
         return Err(Error::input(
-            "--positions-mm",
+            Parameter::PositionsMm,
             format!("{} positions", positions.len()),
             "a curve of correlation against distance needs captures at three positions or more",
-            "Record captures in steps well below the isoplanatic range, or leave --positions-mm out.",
+            phrase![
+                "Record captures in steps well below the isoplanatic range, or leave ",
+                Parameter::PositionsMm,
+                " out."
+            ],
         ));
     }
     for (i, a) in positions.iter().enumerate() {
         if let Some(j) = positions[..i].iter().position(|b| b == a) {
             return Err(Error::input(
-                "--positions-mm",
+                Parameter::PositionsMm,
                 format!(
                     "captures {} and {} both at x = {} mm, y = {} mm",
                     j + 1,
@@ -266,12 +271,16 @@ fn fit(
         let used: Vec<usize> = (0..delta.len()).filter(|&i| fitted[i]).collect();
         if used.len() < 2 {
             return Err(Error::input(
-                "captures",
+                Parameter::Captures,
                 "no capture that shows the same pattern as the one nearest the middle",
                 format!(
                     "the shift per millimetre needs captures with a correlation above {TRUSTED}"
                 ),
-                "Record the source in smaller steps around the middle, and check that --positions-mm names the right captures.",
+                phrase![
+                    "Record the source in smaller steps around the middle, and check that ",
+                    Parameter::PositionsMm,
+                    " names the right captures."
+                ],
             ));
         }
         let m = least_squares(delta, shifts, &used);

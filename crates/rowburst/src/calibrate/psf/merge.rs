@@ -7,7 +7,10 @@
 //! the rest.
 
 use super::black_level::{BlackLevel, estimate_black_level};
-use crate::{Error, Image, Result};
+use crate::ErrorKind;
+use crate::error::Subject;
+use crate::phrase;
+use crate::{Error, Image, Parameter, Result};
 
 /// One capture with the name that errors call it by.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,14 +105,19 @@ pub fn merge(shots: &[NamedCapture], params: &MergeParams) -> Result<PointSource
     let saturated_fraction = saturated as f64 / image.data().len() as f64;
     if saturated_fraction > MAX_SATURATED_FRACTION {
         return Err(Error::input(
-            &shots[kept[0]].name,
+            Subject::item(Parameter::Captures, &shots[kept[0]].name),
             format!(
                 "{:.0} % of the pixels saturated",
                 100.0 * saturated_fraction
             ),
             format!("a PSF has at most {:.0} %", 100.0 * MAX_SATURATED_FRACTION),
-            "Shorten the exposure, or add captures of shorter ones with --exposures-ms.",
-        ));
+            phrase![
+                "Shorten the exposure, or add captures of shorter ones with ",
+                Parameter::ExposuresMs,
+                "."
+            ],
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     let black_level = (!black_levels.is_empty()).then(|| {
         let of = |value: fn(&BlackLevel) -> f64| {
@@ -141,18 +149,19 @@ struct Rate {
 fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
     let Some(first) = shots.first() else {
         return Err(Error::input(
-            "captures",
+            Parameter::Captures,
             "none",
             "a PSF needs at least one capture of a point source",
             "Name image files, or a folder with some.",
-        ));
+        )
+        .with_kind(ErrorKind::Missing));
     };
     let size = |image: &Image| format!("{}×{} pixels", image.rows(), image.columns());
     for shot in shots {
         let image = &shot.image;
         if size(image) != size(&first.image) {
             return Err(Error::input(
-                &shot.name,
+                Subject::item(Parameter::Captures, &shot.name),
                 size(image),
                 format!(
                     "all captures have one size; {} has {}",
@@ -160,23 +169,25 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
                     size(&first.image)
                 ),
                 "Record all captures with one region of interest and binning, or leave this one out.",
-            ));
+            ).with_kind(ErrorKind::Shape));
         }
         if let Some((y, x)) = image.first_non_finite() {
             return Err(Error::input(
-                &shot.name,
+                Subject::item(Parameter::Captures, &shot.name),
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "every pixel of a capture is a finite number",
                 "Record it again, or replace the pixel by the mean of its neighbours.",
-            ));
+            )
+            .with_kind(ErrorKind::NotFinite));
         }
         if image.min() == image.max() {
             return Err(Error::input(
-                &shot.name,
+                Subject::item(Parameter::Captures, &shot.name),
                 format!("{} in every pixel", image.max()),
                 "a capture of a point source shows its speckle",
                 "Check light, shutter and exposure, and that no dark frame is among the captures.",
-            ));
+            )
+            .with_kind(ErrorKind::NoSignal));
         }
         if let Some(dark) = &params.dark {
             check_dark(shot, dark)?;
@@ -185,15 +196,20 @@ fn check(shots: &[NamedCapture], params: &MergeParams) -> Result<()> {
     let exposures = &params.exposures_ms;
     if !exposures.is_empty() && exposures.len() != shots.len() {
         return Err(Error::input(
-            "--exposures-ms",
+            Parameter::ExposuresMs,
             format!("{} exposures for {} captures", exposures.len(), shots.len()),
             "each capture has its exposure, in the same order",
-            "Give one number per capture, such as --exposures-ms 1,10,100; files of a folder go by name.",
-        ));
+            phrase![
+                "Give one number per capture, such as ",
+                (Parameter::ExposuresMs, "1,10,100"),
+                "; files of a folder go by name."
+            ],
+        )
+        .with_kind(ErrorKind::Shape));
     }
     if let Some(bad) = exposures.iter().find(|t| !(t.is_finite() && **t > 0.0)) {
         return Err(Error::input(
-            "--exposures-ms",
+            Parameter::ExposuresMs,
             bad,
             "an exposure is a number of milliseconds above zero",
             "Read it from the camera's software.",
@@ -206,19 +222,21 @@ fn check_dark(shot: &NamedCapture, dark: &Image) -> Result<()> {
     let size = |image: &Image| format!("{}×{} pixels", image.rows(), image.columns());
     if size(dark) != size(&shot.image) {
         return Err(Error::input(
-            "dark",
+            Parameter::Dark,
             size(dark),
             format!("it has the size of the captures, {}", size(&shot.image)),
             "Record it with the camera settings of the captures.",
-        ));
+        )
+        .with_kind(ErrorKind::Shape));
     }
     if let Some((y, x)) = dark.first_non_finite() {
         return Err(Error::input(
-            "dark",
+            Parameter::Dark,
             format!("{} at row {y}, column {x}", dark.at(y, x)),
             "every pixel of a dark frame is a finite number",
             "Record it again, or replace the pixel by the mean of its neighbours.",
-        ));
+        )
+        .with_kind(ErrorKind::NotFinite));
     }
     let mean = |image: &Image| {
         image.data().iter().map(|&p| f64::from(p)).sum::<f64>() / image.data().len() as f64
@@ -226,11 +244,12 @@ fn check_dark(shot: &NamedCapture, dark: &Image) -> Result<()> {
     let (below, above) = (mean(dark), mean(&shot.image));
     if below >= above {
         return Err(Error::input(
-            "dark",
+            Parameter::Dark,
             format!("a mean of {below:.1} counts, {} has {above:.1}", shot.name),
             "a dark frame is darker than a capture",
             "Check that the two are not exchanged, and that the lens was covered.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     Ok(())
 }
@@ -285,7 +304,7 @@ fn agreeing(shots: &[NamedCapture], rates: &[Rate]) -> Result<AgreeingCaptures> 
                 .min_by(|&&a, &&b| values[a].total_cmp(&values[b]));
             let worst = *worst.expect("there are two or more");
             return Err(Error::input(
-                &shots[worst].name,
+                Subject::item(Parameter::Captures, &shots[worst].name),
                 format!(
                     "a correlation of {:.2} with the other captures",
                     values[worst]
@@ -293,7 +312,11 @@ fn agreeing(shots: &[NamedCapture], rates: &[Rate]) -> Result<AgreeingCaptures> 
                 format!(
                     "captures that are averaged show one pattern: a correlation above {SAME_PATTERN}"
                 ),
-                "Fix source, diffuser and camera; if the source was moved on purpose, give the positions with --positions-mm.",
+                phrase![
+                    "Fix source, diffuser and camera; if the source was moved on purpose, give the positions with ",
+                    Parameter::PositionsMm,
+                    "."
+                ],
             ));
         }
         kept = all

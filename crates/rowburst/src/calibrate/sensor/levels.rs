@@ -2,7 +2,9 @@
 
 use super::stack::Stack;
 use super::stats::{mean, median};
-use crate::{Error, Result};
+use crate::error::Phrase;
+use crate::phrase;
+use crate::{Error, Parameter, Result};
 
 /// Flats of nearly the same light.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,11 +117,14 @@ pub fn check_light(lights: &[f64], levels: &[Level], dark_level: f64, noise: f64
     let found = format!(
         "flats {middle:+.2} counts above the darks' {dark_level:.2} (median; the brightest {brightest:+.2})"
     );
-    let refused = |rule: &str, remedy: &str| Err(Error::input("--flats", &found, rule, remedy));
+    let refused = |rule: &'static str, remedy: Phrase| {
+        Err(Error::input(Parameter::Flats, &found, rule, remedy))
+    };
     if levels.iter().all(|level| level.clipped > SATURATED) {
         return refused(
             "more than half of the pixels of every flat are saturated",
-            "Dim the light or shorten the exposure until the flats lie at about half of the range.",
+            "Dim the light or shorten the exposure until the flats lie at about half of the range."
+                .into(),
         );
     }
     // A mean over a frame is good to far less than the noise of one pixel; what is left
@@ -127,13 +132,19 @@ pub fn check_light(lights: &[f64], levels: &[Level], dark_level: f64, noise: f64
     if middle < -0.5 * noise {
         return refused(
             "the darks are brighter than the flats",
-            "Check that --darks and --flats are not swapped, and that the cap was on for the darks.",
+            phrase![
+                "Check that ",
+                Parameter::Darks,
+                " and ",
+                Parameter::Flats,
+                " are not swapped, and that the cap was on for the darks."
+            ],
         );
     }
     if brightest <= noise {
         return refused(
             "the light in a flat exceeds the noise of a dark pixel",
-            "Check the lamp and the shutter; aim at half of the range.",
+            "Check the lamp and the shutter; aim at half of the range.".into(),
         );
     }
     Ok(())

@@ -23,7 +23,8 @@ pub mod stats;
 pub mod transfer;
 mod warnings;
 
-use crate::{Error, Image, Result};
+use crate::ErrorKind;
+use crate::{Error, Image, Parameter, Result};
 use levels::{Level, check_light, end_of_counts, levels, lights};
 use pixels::ROUNDING_VARIANCE;
 use rows::Banding;
@@ -214,7 +215,7 @@ fn check_usable(usable: &[bool]) -> Result<()> {
     }
     let bad = usable.iter().filter(|u| !**u).count();
     Err(Error::input(
-        "--darks and --flats",
+        Parameter::DarksAndFlats,
         format!("{bad} of {} pixels hot, dead or unstable", usable.len()),
         "at least half of the pixels are sound",
         "Check that all frames are raw, of one camera, one gain and one exposure.",
@@ -234,7 +235,7 @@ fn transfer_curve(
     let mut points = transfer::curve(series, (dark_variance, banding.pixel_dof));
     if points.len() == 1 {
         return Err(Error::input(
-            "--flats",
+            Parameter::Flats,
             format!("{} flats, no two of equal light", flats.len()),
             "the gain comes from the noise between two flats of equal light (within 5 %)",
             "Record at least two flats at each level.",
@@ -263,14 +264,14 @@ fn transfer_curve(
             .map(|p| (p.light, p.variance))
             .fold((0.0, 0.0), |a, b| if b.0 > a.0 { b } else { a });
         Error::input(
-            "--flats",
+            Parameter::Flats,
             format!(
                 "a variance of {variance:.3} counts² at {light:.1} counts of light, {:.3} without light",
                 dark_variance
             ),
             "the variance must grow with the light in flats that are not saturated",
             "Give raw frames (no averaging, denoising or compression), two or more at each level, at about half of the range.",
-        )
+        ).with_kind(ErrorKind::NoSignal)
     })?;
     Ok((points, line, full_well))
 }

@@ -1,25 +1,28 @@
 //! Frames taken under one condition, and how each pixel behaves in them.
 
-use crate::{Error, Image, Result};
+use crate::error::Subject;
+use crate::{Error, ErrorKind, Image, Parameter, Result};
 
 use super::stats::mean;
 
 /// Frames of one size, all finite, at least two, no two neighbours the same.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stack {
+    parameter: Parameter,
     frames: Vec<(String, Image)>,
 }
 
 impl Stack {
-    /// Checks `frames`, each with a name for messages; `kind` is `darks` or `flats`.
+    /// Checks `frames`, each with a name for messages; `parameter` is [`Parameter::Darks`] or
+    /// [`Parameter::Flats`].
     ///
     /// # Errors
     /// Fewer than two frames, frames of several sizes, a pixel that is not finite, or
     /// the same frame twice in a row.
-    pub fn new(kind: &str, frames: Vec<(String, Image)>) -> Result<Self> {
+    pub fn new(parameter: Parameter, frames: Vec<(String, Image)>) -> Result<Self> {
         if frames.len() < 2 {
             return Err(Error::input(
-                format!("--{kind}"),
+                parameter,
                 format!(
                     "{} frame{}",
                     frames.len(),
@@ -31,28 +34,29 @@ impl Stack {
         }
         let (first, size) = (&frames[0].0, size(&frames[0].1));
         for (name, image) in &frames {
-            check_size(name, image, size, first)?;
+            check_size(Subject::item(parameter, name), image, size, first)?;
             if let Some((y, x)) = image.first_non_finite() {
                 return Err(Error::input(
-                    name,
+                    Subject::item(parameter, name),
                     format!("{} at row {y}, column {x}", image.at(y, x)),
                     "every pixel of a calibration frame is a finite number",
                     "Leave this frame out, or save the camera's raw counts.",
-                ));
+                )
+                .with_kind(ErrorKind::NotFinite));
             }
         }
         for pair in frames.windows(2) {
             let (name, image) = &pair[1];
             if *image == pair[0].1 && image.min() < image.max() {
                 return Err(Error::input(
-                    name,
+                    Subject::item(parameter, name),
                     format!("the same frame as {}", pair[0].0),
                     "no two recorded frames have the same noise",
                     "Leave copies out; check that the software does not save one frame twice.",
                 ));
             }
         }
-        Ok(Self { frames })
+        Ok(Self { parameter, frames })
     }
 
     /// Number of frames.
@@ -87,7 +91,8 @@ impl Stack {
 
     /// Refuses a stack of another size than `other`'s.
     pub(super) fn check_same_size(&self, other: &Self) -> Result<()> {
-        check_size(self.name(0), self.image(0), other.size(), other.name(0))
+        let first = Subject::item(self.parameter, self.name(0));
+        check_size(first, self.image(0), other.size(), other.name(0))
     }
 
     /// Whether all values are whole numbers, as an analogue-to-digital converter gives.
@@ -101,19 +106,25 @@ fn size(image: &Image) -> (usize, usize) {
     (image.rows(), image.columns())
 }
 
-fn check_size(name: &str, image: &Image, expected: (usize, usize), first: &str) -> Result<()> {
+fn check_size(
+    subject: Subject,
+    image: &Image,
+    expected: (usize, usize),
+    first: &str,
+) -> Result<()> {
     if size(image) == expected {
         return Ok(());
     }
     Err(Error::input(
-        name,
+        subject,
         format!("{}×{} pixels", image.rows(), image.columns()),
         format!(
             "all frames have the size of the first, {first}: {}×{}",
             expected.0, expected.1
         ),
         "Record darks and flats with the same region of interest and binning.",
-    ))
+    )
+    .with_kind(ErrorKind::Shape))
 }
 
 /// Mean and variance of each pixel over the frames of a stack.

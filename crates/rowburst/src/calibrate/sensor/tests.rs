@@ -91,20 +91,20 @@ impl Simulated {
         image
     }
 
-    fn stack(&mut self, kind: &str, electrons: &[f64]) -> Stack {
+    fn stack(&mut self, kind: Parameter, electrons: &[f64]) -> Stack {
         let frames = electrons.iter().enumerate();
         let frames = frames.map(|(i, &e)| (format!("{kind}{i}.tif"), self.frame(e)));
         Stack::new(kind, frames.collect()).unwrap()
     }
 
     fn darks(&mut self, count: usize) -> Stack {
-        self.stack("darks", &vec![0.0; count])
+        self.stack(Parameter::Darks, &vec![0.0; count])
     }
 
     /// `count` flats at each of `levels`.
     fn flats(&mut self, levels: &[f64], count: usize) -> Stack {
         let all: Vec<f64> = levels.iter().flat_map(|&e| vec![e; count]).collect();
-        self.stack("flats", &all)
+        self.stack(Parameter::Flats, &all)
     }
 }
 
@@ -185,7 +185,7 @@ fn a_variance_that_falls_is_a_full_well() {
             frames.push((format!("{level}-{i}"), image));
         }
     }
-    let found = calibrate(&darks, &Stack::new("flats", frames).unwrap()).unwrap();
+    let found = calibrate(&darks, &Stack::new(Parameter::Flats, frames).unwrap()).unwrap();
     let full = found.full_well.unwrap();
     assert_eq!(full.sign, FullSign::Turnover);
     near(full.counts, 100.0 + 1500.0 / 0.45, 0.01, "full well");
@@ -277,7 +277,7 @@ fn flicker_leaves_the_gain() {
         }
         frames.push((format!("flat{i}"), image));
     }
-    let found = calibrate(&darks, &Stack::new("flats", frames).unwrap()).unwrap();
+    let found = calibrate(&darks, &Stack::new(Parameter::Flats, frames).unwrap()).unwrap();
     near(found.gain_electrons_per_count, 0.45, 0.03, "gain");
     assert!(found.warnings.iter().any(|w| w.contains("differ in light")));
     assert_eq!(found.faults.count(), 0);
@@ -293,7 +293,7 @@ fn drift_leaves_the_read_noise() {
         image.data_mut().iter_mut().for_each(|p| *p += i as f32);
         (format!("dark{i}"), image)
     };
-    let drifted = Stack::new("darks", (0..20).map(drifted).collect()).unwrap();
+    let drifted = Stack::new(Parameter::Darks, (0..20).map(drifted).collect()).unwrap();
     let found = calibrate(&drifted, &flats).unwrap();
     near(found.read_noise_electrons, 2.5, 0.05, "read noise");
     assert!(found.warnings.iter().any(|w| w.contains("drifts by 9.5")));
@@ -329,7 +329,11 @@ fn units_do_not_matter() {
         Stack::new(kind, (0..stack.len()).map(frame).collect()).unwrap()
     };
     let counts = calibrate(&darks, &flats).unwrap();
-    let units = calibrate(&scaled("darks", &darks), &scaled("flats", &flats)).unwrap();
+    let units = calibrate(
+        &scaled(Parameter::Darks, &darks),
+        &scaled(Parameter::Flats, &flats),
+    )
+    .unwrap();
     let gain = units.gain_electrons_per_count / 65536.0;
     near(gain, counts.gain_electrons_per_count, 1e-3, "gain");
     assert_eq!(units.faults.count(), counts.faults.count());
@@ -346,7 +350,7 @@ fn bad_stacks_are_refused() {
             image.data_mut().iter_mut().for_each(|p| change(i, p));
             (format!("frame{i}"), image)
         };
-        Stack::new("flats", (0..stack.len()).map(frame).collect()).unwrap()
+        Stack::new(Parameter::Flats, (0..stack.len()).map(frame).collect()).unwrap()
     };
     let says = |result: Result<SensorCalibration>, words: &str| {
         let message = result.unwrap_err().to_string();
@@ -382,7 +386,7 @@ fn bad_stacks_are_refused() {
         let frames = frames
             .into_iter()
             .filter_map(|(n, i)| Some((n.to_string(), i?)));
-        let error = Stack::new("darks", frames.collect()).unwrap_err();
+        let error = Stack::new(Parameter::Darks, frames.collect()).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");
     }
     assert_ne!(image, other);

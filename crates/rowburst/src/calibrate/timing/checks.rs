@@ -1,11 +1,13 @@
 //! Lights and frames that do not tell the row time, and what to change.
 
 use super::{MIN_PERIODS, MIN_ROWS_PER_PERIOD, TimingParams, count_of, periodogram};
-use crate::{Error, Result};
+use crate::ErrorKind;
+use crate::error::Subject;
+use crate::{Error, Parameter, Result};
 
 pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
     Error::input(
-        "frames",
+        Parameter::Frames,
         format!(
             "no stripes above noise and scene (a periodic light explains {:.0} % of the rows' variance)",
             100.0 * explained.max(0.0)
@@ -14,7 +16,7 @@ pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
             "the rows show the stripes of a light of {frequency_hz} Hz, at least {MIN_PERIODS} periods in {rows} rows"
         ),
         "Light the sensor by the lamp alone, shorten the exposure to less than half a period, or choose a frequency that gives 5 to 50 periods in a readout.",
-    )
+    ).with_kind(ErrorKind::NoSignal)
 }
 
 pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
@@ -22,7 +24,7 @@ pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
         return Ok(());
     }
     Err(Error::input(
-        "frames",
+        Parameter::Frames,
         format!("{periods:.2} periods of the light in the readout of a frame"),
         format!(
             "at least {MIN_PERIODS} are needed to separate the modulation from the profile of the lamp"
@@ -32,7 +34,7 @@ pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
             rounded(1.1 * MIN_PERIODS / periods * frequency_hz),
             rounded(20.0 / periods * frequency_hz)
         ),
-    ))
+    ).with_kind(ErrorKind::NoSignal))
 }
 
 pub(super) fn check_alias(
@@ -57,7 +59,7 @@ pub(super) fn check_alias(
         None => format!("stripes of {:.2} rows", 1.0 / cycles_per_row),
     };
     Err(Error::input(
-        format!("frequency_hz = {frequency_hz}"),
+        Subject::setting(Parameter::FrequencyHz, frequency_hz),
         found,
         match expected {
             Some(_) => "a period lasts more than two row times, or the light aliases: its stripes look like those of a slower one".to_string(),
@@ -92,11 +94,12 @@ pub(super) fn check_agreement(frames: &[Vec<f64>], k: &[usize], frequency_hz: f6
         .map(|p| format!("{:.3}", p / frequency_hz * 1e6))
         .collect();
     Err(Error::input(
-        format!("frame {}", odd + 1),
+        Subject::element(Parameter::Frames, "frame", odd),
         format!("row times that disagree: {} µs", list.join(", ")),
         "all frames are of one light and one setting of the camera",
         "Leave out the frames of another frequency or another readout rate.",
-    ))
+    )
+    .with_kind(ErrorKind::Conflict))
 }
 
 pub(super) fn expected_warning(row_time_us: f64, params: &TimingParams) -> Vec<String> {

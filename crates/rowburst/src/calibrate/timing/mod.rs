@@ -22,7 +22,7 @@ mod waveform;
 
 pub use waveform::{Extension, Waveform};
 
-use crate::{Error, Image, Result, Shutter};
+use crate::{Error, Image, Parameter, Result, Shutter};
 use checks::{check_agreement, check_alias, check_periods, expected_warning, unseen};
 use matched::MatchedFit;
 use orders::{advice, candidate, consistent_shutters};
@@ -177,17 +177,20 @@ pub fn calibrate(frames: &[Image], light: &Lamp, params: &TimingParams) -> Resul
 
 fn check(light: &Lamp, params: &TimingParams) -> Result<()> {
     let (low, high) = params.row_times_us;
-    let mut numbers = vec![("row_times_us", low), ("row_times_us", high - low)];
+    let mut numbers = vec![
+        (Parameter::RowTimesUs, low),
+        (Parameter::RowTimesUs, high - low),
+    ];
     numbers.extend(
         params
             .expected_row_time_us
-            .map(|t| ("expected_row_time_us", t)),
+            .map(|t| (Parameter::ExpectedRowTimeUs, t)),
     );
     if let Lamp::Periodic { frequency_hz, duty } = light {
-        numbers.push(("frequency_hz", *frequency_hz));
+        numbers.push((Parameter::FrequencyHz, *frequency_hz));
         if let Some(duty) = duty.filter(|d| !(0.01..=0.99).contains(d)) {
             return Err(Error::input(
-                "duty",
+                Parameter::Duty,
                 duty,
                 "the light is on for 0.01 to 0.99 of its period",
                 "Give the part as a fraction, such as 0.5.",
@@ -390,7 +393,7 @@ fn calibrate_waveform(
     let explained = found.map_or(0.0, |(_, f)| explained(frames, f.rss, 3));
     let Some((best, fit)) = found.filter(|_| explained > MIN_EXPLAINED) else {
         return Err(Error::input(
-            "frames",
+            Parameter::Frames,
             format!(
                 "a signal that explains {:.0} % of the rows' variance",
                 100.0 * explained.max(0.0)
@@ -451,7 +454,7 @@ fn row_time_range(waveform: &Waveform, params: &TimingParams) -> Result<(f64, f6
     let (first, last) = waveform.span_us();
     if (last - first) / range.0 > MAX_SIGNAL_ROW_TIMES {
         return Err(Error::input(
-            "signal",
+            Parameter::Signal,
             format!("a waveform of {} ms", (last - first) * 1e-3),
             format!(
                 "it lasts no longer than {MAX_SIGNAL_ROW_TIMES} of the shortest row times looked for, {} µs",

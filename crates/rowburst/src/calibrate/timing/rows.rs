@@ -1,7 +1,9 @@
 //! From frames to one number per row.
 
 use super::TimingParams;
-use crate::{Error, Image, Result};
+use crate::ErrorKind;
+use crate::error::Subject;
+use crate::{Error, Image, Parameter, Result};
 
 /// Mean of each row of each frame, over the mean of its frame.
 pub(super) struct RowSignals {
@@ -32,20 +34,22 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
         let means = row_means(frame, params.dark.as_ref(), response.as_deref());
         if let Some(y) = means.iter().position(|m| m.is_nan()) {
             return Err(Error::input(
-                "flat",
+                Parameter::Flat,
                 format!("no light in row {y}"),
                 "every row of the flat is lit",
                 "Record the flat under even light.",
-            ));
+            )
+            .with_kind(ErrorKind::NoSignal));
         }
         let mean = means.iter().sum::<f64>() / rows as f64;
         if mean.is_nan() || mean <= 0.0 {
             return Err(Error::input(
-                frame_name(i),
+                frame_subject(i),
                 format!("a mean of {mean:.1} counts above the dark"),
                 "the light brightens the frame",
                 "Check that the lamp lights the sensor and that the dark frame is dark.",
-            ));
+            )
+            .with_kind(ErrorKind::NoSignal));
         }
         signals
             .frames
@@ -55,51 +59,60 @@ pub(super) fn row_signals(frames: &[Image], params: &TimingParams) -> Result<Row
     Ok(signals)
 }
 
-/// Name of frame `i` in messages.
-fn frame_name(i: usize) -> String {
-    format!("frame {}", i + 1)
+/// Frame `i` in messages.
+fn frame_subject(i: usize) -> Subject {
+    Subject::element(Parameter::Frames, "frame", i)
 }
 
 /// Rows and columns of the frames; all images must have this size and finite pixels.
 fn checked_size(frames: &[Image], params: &TimingParams) -> Result<(usize, usize)> {
     let Some(first) = frames.first() else {
         return Err(Error::input(
-            "frames",
+            Parameter::Frames,
             "none",
             "row times are read from at least one frame",
             "Give a frame of the blinking light.",
-        ));
+        )
+        .with_kind(ErrorKind::Missing));
     };
     let (rows, columns) = (first.rows(), first.columns());
     if rows < MIN_ROWS {
         return Err(Error::input(
-            "frame 1",
+            frame_subject(0),
             format!("{rows} rows"),
             format!("at least {MIN_ROWS} rows are needed"),
             "Read the whole sensor, not a narrow window.",
         ));
     }
-    let all = frames.iter().enumerate().map(|(i, f)| (frame_name(i), f));
-    let extra = [("dark", &params.dark), ("flat", &params.flat)];
+    let all = frames
+        .iter()
+        .enumerate()
+        .map(|(i, f)| (frame_subject(i), f));
+    let extra = [
+        (Parameter::Dark, &params.dark),
+        (Parameter::Flat, &params.flat),
+    ];
     let extra = extra
         .into_iter()
-        .filter_map(|(name, image)| Some((name.to_string(), image.as_ref()?)));
-    for (name, image) in all.chain(extra) {
+        .filter_map(|(parameter, image)| Some((parameter.into(), image.as_ref()?)));
+    for (subject, image) in all.chain(extra) {
         if (image.rows(), image.columns()) != (rows, columns) {
             return Err(Error::input(
-                name,
+                subject,
                 format!("{}×{} pixels", image.rows(), image.columns()),
                 format!("all frames have one size, that of frame 1: {rows}×{columns}"),
                 "Record all frames with one setting of the camera.",
-            ));
+            )
+            .with_kind(ErrorKind::Shape));
         }
         if let Some((y, x)) = image.first_non_finite() {
             return Err(Error::input(
-                name,
+                subject,
                 format!("{} at row {y}, column {x}", image.at(y, x)),
                 "every pixel of a frame is a finite number",
                 "Record it again, or replace the pixel by the mean of its neighbours.",
-            ));
+            )
+            .with_kind(ErrorKind::NotFinite));
         }
     }
     Ok((rows, columns))
@@ -143,11 +156,12 @@ fn response(params: &TimingParams, rows: usize, columns: usize) -> Result<Option
     let mean = pixels.iter().sum::<f64>() / pixels.len() as f64;
     if mean <= 0.0 {
         return Err(Error::input(
-            "flat",
+            Parameter::Flat,
             "a flat that is no brighter than the dark",
             "the flat is lit evenly and the dark is not lit",
             "Check that dark and flat are not swapped.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     Ok(Some(pixels.iter().map(|p| p / mean).collect()))
 }

@@ -302,7 +302,7 @@ fn poor_frames_are_refused_with_a_remedy() {
         };
         let error =
             calibrate(&[noisy(&image, 20.0, 3)], &light, &TimingParams::default()).unwrap_err();
-        assert!(matches!(error, Error::Input { .. }));
+        assert!(error.is_input());
         for word in words {
             assert!(error.to_string().contains(word), "{error}");
         }

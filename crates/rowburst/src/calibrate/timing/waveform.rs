@@ -1,6 +1,6 @@
 //! The light of the lamp over time, and what an exposure integrates of it.
 
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// A light that is known over time: straight lines between points; two points at one
 /// time are a step.
@@ -30,8 +30,8 @@ impl Waveform {
     /// Fewer than three points, values that are not finite, times that go back, or a
     /// light that does not change.
     pub fn new(points: &[(f64, f64)], extension: Extension) -> Result<Self> {
-        let wrong = |found: String, rule: &str, remedy: &str| {
-            Err(Error::input("signal", found, rule, remedy))
+        let wrong = |found: String, rule: &'static str, remedy: &'static str| {
+            Err(Error::input(Parameter::Signal, found, rule, remedy))
         };
         if points.len() < 3 {
             return wrong(

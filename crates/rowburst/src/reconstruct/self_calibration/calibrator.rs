@@ -4,7 +4,7 @@ use super::super::frame_data::FrameData;
 use super::super::held_out::HeldOut;
 use super::super::held_out_check::HeldOutRun;
 use super::super::{Model, Prior, RunResult, choose};
-use super::parameters::{Parameter, Parameters};
+use super::parameters::{ModelParameter, Parameters};
 use super::psf_model::PsfModel;
 use crate::forward::psf_map::PsfMap;
 use crate::linop::LinearOperator;
@@ -33,7 +33,7 @@ impl Correction {
     /// The same without the parameters that are negligible.
     pub fn without_negligible(&self) -> Self {
         let mut correction = self.clone();
-        for parameter in Parameter::ALL {
+        for parameter in ModelParameter::ALL {
             if correction.parameters[parameter].abs() <= parameter.negligible() {
                 correction.parameters[parameter] = 0.0;
             }
@@ -226,13 +226,13 @@ impl<'p> Calibrator<'p> {
     pub fn pixels(&self, correction: &Correction) -> (Vec<f32>, Vec<f32>) {
         let pixels = self.image().data().len();
         let (mut gain, mut offset) = (vec![1.0; pixels], vec![0.0; pixels]);
-        for parameter in Parameter::ALL.into_iter().filter(|p| !p.is_of_psf()) {
+        for parameter in ModelParameter::ALL.into_iter().filter(|p| !p.is_of_psf()) {
             let value = correction.parameters[parameter];
             if value == 0.0 {
                 continue;
             }
             let (target, scale) = match parameter {
-                Parameter::Vignetting => (&mut gain, value),
+                ModelParameter::Vignetting => (&mut gain, value),
                 _ => (&mut offset, value * self.mean),
             };
             for (at, target) in target.iter_mut().enumerate() {
@@ -250,7 +250,7 @@ impl<'p> Calibrator<'p> {
     }
 
     /// How `parameter` changes the pixel `at`.
-    fn pattern(&self, parameter: Parameter, at: usize) -> f64 {
+    fn pattern(&self, parameter: ModelParameter, at: usize) -> f64 {
         let image = self.image();
         let place = |at: usize, length: usize| {
             let centre = (length as f64 - 1.0) / 2.0;
@@ -259,9 +259,9 @@ impl<'p> Calibrator<'p> {
         let y = place(at / image.columns(), image.rows());
         let x = place(at % image.columns(), image.columns());
         match parameter {
-            Parameter::SlopeX => x,
-            Parameter::SlopeY => y,
-            Parameter::Vignetting => (x * x + y * y) / 2.0,
+            ModelParameter::SlopeX => x,
+            ModelParameter::SlopeY => y,
+            ModelParameter::Vignetting => (x * x + y * y) / 2.0,
             _ => 1.0,
         }
     }
@@ -350,7 +350,7 @@ impl<'p> Calibrator<'p> {
     pub fn derivative(
         &mut self,
         correction: &Correction,
-        parameter: Parameter,
+        parameter: ModelParameter,
         trial: &Trial,
         map: Option<&PsfMap>,
         light: &[f32],
@@ -383,7 +383,7 @@ impl<'p> Calibrator<'p> {
         let (gain, _) = self.pixels(correction);
         let of = |at: usize| {
             let scale = match parameter {
-                Parameter::Vignetting => f64::from(light[at]),
+                ModelParameter::Vignetting => f64::from(light[at]),
                 _ => self.mean,
             };
             (scale * self.pattern(parameter, at) / f64::from(gain[at])) as f32

@@ -4,7 +4,7 @@ use super::super::RunResult;
 use super::super::choose;
 use super::super::held_out_check::EFFECTIVE_SIGMA;
 use super::calibrator::{Correction, Trial};
-use super::parameters::Parameter;
+use super::parameters::ModelParameter;
 use super::psf_error::Capture;
 use super::psf_model::PsfModel;
 use super::refine::relative_change;
@@ -15,32 +15,32 @@ use super::step::{Free, step};
 use super::{Calibration, Finding, FoundParameter};
 
 /// The parameters that steps find together.
-const FREE: [Parameter; 9] = [
-    Parameter::Scale,
-    Parameter::Rotation,
-    Parameter::Anisotropy,
-    Parameter::Shear,
-    Parameter::Floor,
-    Parameter::Offset,
-    Parameter::SlopeX,
-    Parameter::SlopeY,
-    Parameter::Vignetting,
+const FREE: [ModelParameter; 9] = [
+    ModelParameter::Scale,
+    ModelParameter::Rotation,
+    ModelParameter::Anisotropy,
+    ModelParameter::Shear,
+    ModelParameter::Floor,
+    ModelParameter::Offset,
+    ModelParameter::SlopeX,
+    ModelParameter::SlopeY,
+    ModelParameter::Vignetting,
 ];
 /// Parameters that make nearly the same change of a frame as others do together.
-const GROUPS: [&[Parameter]; 4] = [
-    &[Parameter::Blur],
+const GROUPS: [&[ModelParameter]; 4] = [
+    &[ModelParameter::Blur],
     &[
-        Parameter::Floor,
-        Parameter::Offset,
-        Parameter::SlopeX,
-        Parameter::SlopeY,
+        ModelParameter::Floor,
+        ModelParameter::Offset,
+        ModelParameter::SlopeX,
+        ModelParameter::SlopeY,
     ],
-    &[Parameter::Vignetting],
+    &[ModelParameter::Vignetting],
     &[
-        Parameter::Scale,
-        Parameter::Rotation,
-        Parameter::Anisotropy,
-        Parameter::Shear,
+        ModelParameter::Scale,
+        ModelParameter::Rotation,
+        ModelParameter::Anisotropy,
+        ModelParameter::Shear,
     ],
 ];
 /// All parameters that steps find, and the rows.
@@ -176,7 +176,7 @@ impl Search<'_, '_, '_> {
             return Ok(None);
         }
         let correction = &found.correction;
-        let parameters: Vec<Parameter> = Parameter::ALL
+        let parameters: Vec<ModelParameter> = ModelParameter::ALL
             .into_iter()
             .filter(|p| correction.parameters[*p] != 0.0)
             .collect();
@@ -290,7 +290,7 @@ impl Search<'_, '_, '_> {
             let remaining = found.correction.without_negligible();
             self.simpler(remaining, found)?
         };
-        let is_there = |found: &Proposal, group: &[Parameter]| {
+        let is_there = |found: &Proposal, group: &[ModelParameter]| {
             group.iter().any(|p| found.correction.parameters[*p] != 0.0)
         };
         for group in GROUPS {
@@ -332,7 +332,7 @@ impl Search<'_, '_, '_> {
         correction: Correction,
         level: f64,
     ) -> Result<Proposal, Box<RunResult>> {
-        let parameters: Vec<Parameter> = FREE
+        let parameters: Vec<ModelParameter> = FREE
             .into_iter()
             .filter(|p| correction.parameters[*p] != 0.0)
             .collect();

@@ -15,7 +15,7 @@ mod refine;
 mod search;
 mod step;
 
-pub use parameters::Parameter;
+pub use parameters::ModelParameter;
 
 use super::choose::Observer;
 use super::frame_data::FrameData;
@@ -96,8 +96,8 @@ impl Calibration {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FoundParameter {
     /// Which one.
-    pub parameter: Parameter,
-    /// Its value; see [`Parameter`] for the unit.
+    pub parameter: ModelParameter,
+    /// Its value; see [`ModelParameter`] for the unit.
     pub value: f64,
     /// Its standard error.
     pub standard_error: f64,

@@ -4,7 +4,7 @@ use std::ops::{Index, IndexMut};
 
 /// A parameter of the PSF or of the camera that self-calibration finds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Parameter {
+pub enum ModelParameter {
     /// Size of the PSF over that of its capture, less 1.
     Scale,
     /// Rotation of the PSF against its capture, in degrees.
@@ -28,9 +28,9 @@ pub enum Parameter {
 }
 
 /// Number of parameters.
-const COUNT: usize = Parameter::ALL.len();
+const COUNT: usize = ModelParameter::ALL.len();
 
-impl Parameter {
+impl ModelParameter {
     /// All of them.
     pub const ALL: [Self; 10] = [
         Self::Scale,
@@ -101,23 +101,23 @@ pub(super) struct Parameters([f64; COUNT]);
 impl Parameters {
     /// Whether the PSF is not on the pixels of its capture.
     pub(super) fn moves_psf(&self) -> bool {
-        use Parameter::{Anisotropy, Blur, Rotation, Scale, Shear};
+        use ModelParameter::{Anisotropy, Blur, Rotation, Scale, Shear};
         [Scale, Rotation, Anisotropy, Shear, Blur]
             .iter()
             .any(|p| self[*p] != 0.0)
     }
 }
 
-impl Index<Parameter> for Parameters {
+impl Index<ModelParameter> for Parameters {
     type Output = f64;
 
-    fn index(&self, parameter: Parameter) -> &f64 {
+    fn index(&self, parameter: ModelParameter) -> &f64 {
         &self.0[parameter as usize]
     }
 }
 
-impl IndexMut<Parameter> for Parameters {
-    fn index_mut(&mut self, parameter: Parameter) -> &mut f64 {
+impl IndexMut<ModelParameter> for Parameters {
+    fn index_mut(&mut self, parameter: ModelParameter) -> &mut f64 {
         &mut self.0[parameter as usize]
     }
 }

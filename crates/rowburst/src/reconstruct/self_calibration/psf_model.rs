@@ -9,7 +9,7 @@
 //! at half pixels, found by Fourier transform (Unser, IEEE Signal Proc. Mag. 16(6), 22, 1999). Beyond the capture it
 //! continues as its mirror image.
 
-use super::parameters::{Parameter, Parameters};
+use super::parameters::{ModelParameter, Parameters};
 use crate::fft2::{Fft2, smooth_length};
 use crate::{Image, Psf};
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ impl PsfModel {
         let image = capture.image();
         let mean = 1.0 / image.data().len() as f64;
         let largest = MAX_FLOOR * f64::from(image.max());
-        let floor = (parameters[Parameter::Floor] * mean).min(largest);
+        let floor = (parameters[ModelParameter::Floor] * mean).min(largest);
         let mut values = if parameters.moves_psf() {
             self.warped(parameters)
         } else {
@@ -88,7 +88,7 @@ impl PsfModel {
 
     /// The capture after blur and distortion.
     fn warped(&mut self, parameters: &Parameters) -> Vec<f32> {
-        let blur = parameters[Parameter::Blur];
+        let blur = parameters[ModelParameter::Blur];
         if self.spline.as_ref().is_none_or(|s| s.blur != blur) {
             self.spline = Some(self.spline_of(blur));
         }
@@ -191,9 +191,13 @@ fn spline_spectrum(frequency: f64) -> f64 {
 
 /// `M` on displacements `(dy, dx)`.
 fn distortion(parameters: &Parameters) -> [[f64; 2]; 2] {
-    let [scale, anisotropy, shear] =
-        [Parameter::Scale, Parameter::Anisotropy, Parameter::Shear].map(|p| parameters[p]);
-    let (sin, cos) = parameters[Parameter::Rotation].to_radians().sin_cos();
+    let [scale, anisotropy, shear] = [
+        ModelParameter::Scale,
+        ModelParameter::Anisotropy,
+        ModelParameter::Shear,
+    ]
+    .map(|p| parameters[p]);
+    let (sin, cos) = parameters[ModelParameter::Rotation].to_radians().sin_cos();
     let (a, b) = (1.0 + scale + anisotropy, 1.0 + scale - anisotropy);
     [
         [cos * a + sin * shear, cos * shear + sin * b],
@@ -239,7 +243,7 @@ mod tests {
         Psf::new(Image::from_fn(41, 51, value)).unwrap()
     }
 
-    fn with(pairs: &[(Parameter, f64)]) -> Parameters {
+    fn with(pairs: &[(ModelParameter, f64)]) -> Parameters {
         let mut parameters = Parameters::default();
         pairs.iter().for_each(|(p, value)| parameters[*p] = *value);
         parameters
@@ -249,23 +253,35 @@ mod tests {
     #[test]
     fn moves_gaussians_as_their_formula() {
         let cases = [
-            (with(&[(Parameter::Blur, 1e-12)]), gaussian((9.0, 4.0), 0.0)),
             (
-                with(&[(Parameter::Scale, 0.05)]),
+                with(&[(ModelParameter::Blur, 1e-12)]),
+                gaussian((9.0, 4.0), 0.0),
+            ),
+            (
+                with(&[(ModelParameter::Scale, 0.05)]),
                 gaussian((9.9225, 4.41), 0.0),
             ),
             (
-                with(&[(Parameter::Anisotropy, 0.05)]),
+                with(&[(ModelParameter::Anisotropy, 0.05)]),
                 gaussian((9.9225, 3.61), 0.0),
             ),
-            (with(&[(Parameter::Blur, 0.5)]), gaussian((9.5, 4.5), 0.0)),
-            (with(&[(Parameter::Blur, -0.5)]), gaussian((8.5, 3.5), 0.0)),
             (
-                with(&[(Parameter::Rotation, 3.0)]),
+                with(&[(ModelParameter::Blur, 0.5)]),
+                gaussian((9.5, 4.5), 0.0),
+            ),
+            (
+                with(&[(ModelParameter::Blur, -0.5)]),
+                gaussian((8.5, 3.5), 0.0),
+            ),
+            (
+                with(&[(ModelParameter::Rotation, 3.0)]),
                 gaussian((9.0, 4.0), -3.0),
             ),
             (
-                with(&[(Parameter::Rotation, 3.0), (Parameter::Scale, 0.05)]),
+                with(&[
+                    (ModelParameter::Rotation, 3.0),
+                    (ModelParameter::Scale, 0.05),
+                ]),
                 gaussian((9.9225, 4.41), -3.0),
             ),
         ];
@@ -292,7 +308,7 @@ mod tests {
         image.data_mut().iter_mut().for_each(|p| *p += floor);
         let mut model = PsfModel::new(&Psf::new(image).unwrap());
         // The floor holds a fifth of the light.
-        let found = model.psf(&with(&[(Parameter::Floor, 0.2)]));
+        let found = model.psf(&with(&[(ModelParameter::Floor, 0.2)]));
         for (found, expected) in found.image().data().iter().zip(expected.image().data()) {
             assert!((found - expected).abs() < 1e-6, "{found} {expected}");
         }

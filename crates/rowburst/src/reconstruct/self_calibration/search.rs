@@ -3,7 +3,7 @@
 use super::super::RunResult;
 use super::super::choose::{self, Observer};
 use super::calibrator::{Calibrator, Correction, Trial};
-use super::parameters::Parameter;
+use super::parameters::ModelParameter;
 use super::step::{Free, StepReport, step};
 use tracing::info;
 
@@ -183,7 +183,7 @@ impl Search<'_, '_, '_> {
         first_steps: &[f64],
         descent: f64,
     ) -> Result<Proposal, Box<RunResult>> {
-        let blur = |c: &Proposal| c.correction.parameters[Parameter::Blur];
+        let blur = |c: &Proposal| c.correction.parameters[ModelParameter::Blur];
         for &first in first_steps {
             let mut tried = vec![start.clone()];
             let mut step = first;
@@ -220,7 +220,7 @@ impl Search<'_, '_, '_> {
 
     fn blurred(&mut self, start: &Proposal, blur: f64) -> Result<Proposal, Box<RunResult>> {
         let mut correction = start.correction.clone();
-        correction.parameters[Parameter::Blur] = blur;
+        correction.parameters[ModelParameter::Blur] = blur;
         let proposal = self.judge(&correction, start.level)?;
         info!(
             "self-calibration, blur {blur:.3} px²: held-out error {:.3} σ",

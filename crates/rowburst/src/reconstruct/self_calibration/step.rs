@@ -16,7 +16,7 @@
 //! Several frames are a sum: of `Jᵀ K⁻¹ J`, and of `Jᵀ K⁻¹ r`. It is variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10, 413, 1973) on the active voxels, with a prior.
 
 use super::calibrator::{Calibrator, Correction, Trial};
-use super::parameters::Parameter;
+use super::parameters::ModelParameter;
 use crate::solve::DataTerm;
 use crate::solve::admm::brightness;
 use crate::{RollingShutter, Support};
@@ -39,7 +39,7 @@ const MIN_REMAINDER: f64 = 0.2;
 /// The parameters that a step changes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Free<'a> {
-    pub parameters: &'a [Parameter],
+    pub parameters: &'a [ModelParameter],
     /// Whether each row has an offset of its own.
     pub has_row_offsets: bool,
 }
@@ -175,7 +175,7 @@ impl Jacobian {
     ) -> Self {
         let light = trial.data.predicted(&trial.video);
         let map = calibrator.psf_map(trial);
-        let mut column = |&parameter: &Parameter| {
+        let mut column = |&parameter: &ModelParameter| {
             let column = calibrator.derivative(correction, parameter, trial, map.as_ref(), &light);
             trial.data.weigh(&column)
         };

@@ -9,7 +9,7 @@
 //! ```
 
 use super::require_field_size;
-use crate::{Error, Image, Result, Shape, Video};
+use crate::{Error, Image, Parameter, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -126,7 +126,7 @@ pub fn add_background(video: &mut Video, picture: &Image, times: f64) -> Result<
     );
     if !(times.is_finite() && times > 0.0) {
         return Err(Error::input(
-            "background",
+            Parameter::Background,
             times,
             "a background is a number of times as bright as the scene, above zero",
             "Leave it out for none.",
@@ -135,7 +135,7 @@ pub fn add_background(video: &mut Video, picture: &Image, times: f64) -> Result<
     let (brightest, peak) = (f64::from(video.max()), f64::from(picture.max()));
     if !(brightest > 0.0 && peak > 0.0) {
         return Err(Error::input(
-            "scene",
+            Parameter::Scene,
             format!("a brightest value of {brightest}"),
             "a background is as bright in proportion to a scene that has light",
             "Take a scene that is not dark, or leave the background out.",

@@ -2,7 +2,7 @@
 
 use super::glyph::{Glyph, digit_height, digit_width};
 use super::require_field_size;
-use crate::{Error, Result, Shape, Video};
+use crate::{Error, Parameter, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -49,7 +49,7 @@ pub fn moving_digit(shape: Shape, height_px: usize, digits: usize, seed: u64) ->
     let (height, width) = check(shape, height_px)?;
     if digits == 0 {
         return Err(Error::input(
-            "digits",
+            Parameter::Digits,
             digits,
             "a scene of moving digits has at least one",
             "Give 1 for a single digit.",
@@ -84,7 +84,7 @@ pub fn moving_digit(shape: Shape, height_px: usize, digits: usize, seed: u64) ->
 fn check(shape: Shape, height_px: usize) -> Result<(usize, usize)> {
     if height_px < MIN_FONT_PX {
         return Err(Error::input(
-            "height_px",
+            Parameter::HeightPx,
             height_px,
             format!("digits are legible from a font of {MIN_FONT_PX} px"),
             "The paper's scenes have 12 and 18.",

@@ -5,7 +5,8 @@
 //! sees). More: linear interpolation between the centres of the old samples, constant
 //! beyond the first and the last. As many: unchanged.
 
-use crate::{Error, Result, Shape, Video};
+use crate::ErrorKind;
+use crate::{Error, Parameter, Result, Shape, Video};
 
 /// `video` resampled to `shape`.
 ///
@@ -95,7 +96,7 @@ fn check_values(video: &Video) -> Result<()> {
     let shape = video.shape();
     let (t, pixel) = (at / shape.pixels(), at % shape.pixels());
     Err(Error::input(
-        "scene",
+        Parameter::Scene,
         format!(
             "{} at bin {t}, row {}, column {}",
             video.data()[at],
@@ -104,7 +105,8 @@ fn check_values(video: &Video) -> Result<()> {
         ),
         "light is a finite number and never negative",
         "Subtract the background of the video and set what is left below zero to zero.",
-    ))
+    )
+    .with_kind(ErrorKind::NotFinite))
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@
 
 use super::super::require_positive;
 use super::require_field_size;
-use crate::{Result, Shape, Video};
+use crate::{Parameter, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -72,13 +72,13 @@ pub fn leds(
     seed: u64,
 ) -> Result<(Video, Vec<Led>)> {
     require_positive(
-        "bin_duration_us",
+        Parameter::RowTimeUs,
         bin_duration_us,
         "microseconds",
         "Take that of the camera's time grid.",
     )?;
     require_positive(
-        "pixel_pitch_um",
+        Parameter::PixelPitchUm,
         pixel_pitch_um,
         "micrometres",
         "Read it from the camera's data sheet.",

@@ -16,7 +16,7 @@ pub use digits::{digits, moving_digit};
 pub use fit::fit;
 pub use leds::{LED_FREQUENCIES_HZ, Led, leds};
 
-use crate::{Error, Result, Shape};
+use crate::{Error, Parameter, Result, Shape};
 
 /// `Ok` where `shape` has at least one bin and `rows × columns` pixels.
 fn require_field_size(shape: Shape, rows: usize, columns: usize, what: &str) -> Result<()> {
@@ -24,7 +24,7 @@ fn require_field_size(shape: Shape, rows: usize, columns: usize, what: &str) -> 
         return Ok(());
     }
     Err(Error::input(
-        "scene",
+        Parameter::Scene,
         format!("a video of {shape}"),
         format!("{what} needs at least 1 bin of {rows}×{columns} pixels"),
         "Take a larger field or a smaller scene.",

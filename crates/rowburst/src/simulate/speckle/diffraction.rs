@@ -6,7 +6,7 @@
 //! over a pixel is then exact: a product with sinc in the frequency domain.
 
 use crate::fft2::{Fft2, smooth_length};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -59,7 +59,7 @@ impl Grid {
         let needed = WINDOW_SIGMAS * sigma;
         if needed > MAX_TRANSFORM as f64 {
             return Err(Error::input(
-                "speckle optics",
+                Parameter::SpeckleOptics,
                 format!(
                     "an envelope of {envelope_fwhm_px:.0} px and grains of {grain_px:.3} px, a transform of {needed:.0} points a side"
                 ),

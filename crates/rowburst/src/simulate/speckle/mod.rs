@@ -27,7 +27,7 @@
 mod diffraction;
 
 use super::require_positive;
-use crate::{Error, Image, Psf, Result};
+use crate::{Error, Image, Parameter, Psf, Result};
 use diffraction::{Grid, RMS_PHASE};
 
 /// The opening that bounds the light: its size seen from the sensor.
@@ -89,21 +89,26 @@ impl Aperture {
     fn check(&self) -> Result<()> {
         match *self {
             Self::Pupil { diameter_mm, .. } => {
-                require_positive("diameter_mm", diameter_mm, "millimetres", PUPIL)?;
+                require_positive(Parameter::DiameterMm, diameter_mm, "millimetres", PUPIL)?;
             }
             Self::ImageNa { na, .. } => {
-                require_positive("na", na, "numerical aperture", PUPIL)?;
+                require_positive(Parameter::Na, na, "numerical aperture", PUPIL)?;
             }
             Self::Lens {
                 diameter_mm,
                 focal_length_mm,
                 magnification,
             } => {
-                require_positive("diameter_mm", diameter_mm, "millimetres", PUPIL)?;
-                require_positive("focal_length_mm", focal_length_mm, "millimetres", DISTANCE)?;
+                require_positive(Parameter::DiameterMm, diameter_mm, "millimetres", PUPIL)?;
+                require_positive(
+                    Parameter::FocalLengthMm,
+                    focal_length_mm,
+                    "millimetres",
+                    DISTANCE,
+                )?;
                 if !(magnification.is_finite() && magnification >= 0.0) {
                     return Err(Error::input(
-                        "magnification",
+                        Parameter::Magnification,
                         magnification,
                         "a magnification is zero or more",
                         "Give the size of the image over the size of the object; 0 for a far object.",
@@ -112,11 +117,16 @@ impl Aperture {
             }
         }
         let distance = self.image_distance_mm();
-        require_positive("image_distance_mm", distance, "millimetres", DISTANCE)?;
+        require_positive(
+            Parameter::ImageDistanceMm,
+            distance,
+            "millimetres",
+            DISTANCE,
+        )?;
         let na = self.na();
         if na >= 1.0 {
             return Err(Error::input(
-                "aperture",
+                Parameter::Aperture,
                 format!("an image-side numerical aperture of {na:.3}"),
                 "a numerical aperture in air is below 1",
                 "Check that pupil diameter and distance have the same unit; stop the pupil down.",
@@ -197,13 +207,13 @@ impl SpeckleOptics {
     /// Those of [`speckle_psf`] but for sizes.
     pub fn check(&self) -> Result<()> {
         require_positive(
-            "wavelength_nm",
+            Parameter::WavelengthNm,
             self.wavelength_nm,
             "nanometres",
             "Visible light has 400 to 700.",
         )?;
         require_positive(
-            "pixel_pitch_um",
+            Parameter::PixelPitchUm,
             self.pixel_pitch_um,
             "micrometres",
             "Read it from the camera's data sheet.",
@@ -212,7 +222,7 @@ impl SpeckleOptics {
         let angle = self.diffuser_fwhm_deg;
         if !(angle > 0.0 && angle < 90.0) {
             return Err(Error::input(
-                "diffuser_fwhm_deg",
+                Parameter::DiffuserFwhmDeg,
                 angle,
                 "a diffuser's full angle is above 0° and below 90°",
                 "Read it from the diffuser's data sheet; holographic diffusers have 0.5° to 30°.",
@@ -221,7 +231,7 @@ impl SpeckleOptics {
         let grains = self.envelope_fwhm_px() / self.grain_px();
         if grains < MIN_GRAINS {
             return Err(Error::input(
-                "diffuser_fwhm_deg",
+                Parameter::DiffuserFwhmDeg,
                 format!("{angle}°, an envelope of {grains:.1} grains"),
                 format!("a speckle PSF is at least {MIN_GRAINS} grains wide"),
                 "Take a diffuser of a larger angle, or open the pupil.",
@@ -284,16 +294,16 @@ pub fn phase_plate_psf(
     optics.check()?;
     if !(RMS_PHASE..=MAX_RMS_PHASE).contains(&rms_phase) {
         return Err(Error::input(
-            "rms_phase",
+            Parameter::RmsPhase,
             rms_phase,
             format!("the phase of a diffuser is {RMS_PHASE} to {MAX_RMS_PHASE} radians rms"),
             "Take 4 for speckle, 20 to 60 for caustics.",
         ));
     }
-    for (key, side) in [("rows", rows), ("columns", columns)] {
+    for (key, side) in [(Parameter::PsfRows, rows), (Parameter::PsfColumns, columns)] {
         if side == 0 || side > MAX_SIDE {
             return Err(Error::input(
-                format!("{key} of the PSF"),
+                key,
                 side,
                 format!("a PSF has 1 to {MAX_SIDE}"),
                 "Twice the sensor's rows and columns less one cover every displacement.",

@@ -1,10 +1,19 @@
 //! Simulated captures: a scene, a PSF and noise, by name or as values.
 
+mod folder;
+
+pub use folder::{SimulationRequest, photodiode_file};
+
+use rowburst::ErrorKind;
+use rowburst::error::Place;
 use rowburst::linop::LinearOperator;
 use rowburst::noise::{Noise, SimulatedFrame};
+use rowburst::phrase;
 use rowburst::simulate::scene::{self, Led};
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
-use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, RollingShutter, Video};
+use rowburst::{Camera, Error, Image, Parameter, PatchSet, Psf, Result, RollingShutter, Video};
+use rowburst_io::read_video;
+use std::path::Path;
 
 /// The inputs of a simulation.
 pub struct Simulation<'a> {
@@ -35,6 +44,22 @@ pub enum Scene<'a> {
 impl Scene<'_> {
     /// The names of scenes.
     pub const NAMES: [&'static str; 4] = ["digits", "leds", "moving", "two-moving"];
+}
+
+impl<'a> Scene<'a> {
+    /// The scene of a name, or the video of a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn read(text: &'a str) -> Result<Self> {
+        let path = Path::new(text);
+        // An error of the name says which there are.
+        let is_name = !path.exists() && path.extension().is_none();
+        if is_name || Self::NAMES.contains(&text) {
+            return Ok(Self::Named(text));
+        }
+        read_video(path).map(Self::Video)
+    }
 }
 
 /// The kind and the level of the noise.
@@ -184,7 +209,7 @@ pub fn speckle_for(
         camera.rows() + field_rows - 1,
         camera.columns() + field_columns - 1,
     );
-    phase_plate_psf(optics, diffuser_phase, rows | 1, columns | 1, seed).map_err(naming_option)
+    phase_plate_psf(optics, diffuser_phase, rows | 1, columns | 1, seed)
 }
 
 /// Checks that the noise can be simulated for `camera`: shot noise needs the gain and the read noise of the sensor.
@@ -192,23 +217,23 @@ pub fn speckle_for(
 /// # Errors
 /// Numbers of electrons that are not above zero, or a sensor without gain or read noise.
 pub fn check_noise(noise: NoiseChoice, camera: &Camera) -> Result<()> {
-    let (option, electrons, rule, remedy) = match noise {
+    let (parameter, electrons, rule, remedy) = match noise {
         NoiseChoice::Snr(_) => return Ok(()),
         NoiseChoice::PeakElectrons(electrons) => (
-            "--peak-electrons",
+            Parameter::PeakElectrons,
             electrons,
             "the brightest pixel holds a number of electrons above zero",
             "Give a number below the full well: full wells hold 10⁴ to 10⁶ electrons.",
         ),
         NoiseChoice::SceneElectrons(electrons) => (
-            "--scene-electrons",
+            Parameter::SceneElectrons,
             electrons,
             "the brightest scene pixel sends a number of electrons above zero in a bin",
             "Multiply the photons that pass the lens by the quantum efficiency; 200 are few.",
         ),
     };
     if !(electrons.is_finite() && electrons > 0.0) {
-        return Err(Error::input(option, electrons, rule, remedy));
+        return Err(Error::input(parameter, electrons, rule, remedy));
     }
     let sensor = camera.sensor();
     for (key, value) in [
@@ -217,22 +242,27 @@ pub fn check_noise(noise: NoiseChoice, camera: &Camera) -> Result<()> {
     ] {
         if value.is_none() {
             return Err(Error::input(
-                "[camera]",
+                Parameter::Camera,
                 format!("no `{key}`"),
-                format!("{option} needs the sensor's gain and read noise"),
-                format!("Add a line `{key} = …` to [camera], or use --snr."),
-            ));
+                phrase![parameter, " needs the sensor's gain and read noise"],
+                phrase![
+                    format!("Add a line `{key} = …` to "),
+                    Parameter::Camera,
+                    ", or use ",
+                    Parameter::Snr,
+                    "."
+                ],
+            )
+            .with_kind(ErrorKind::Missing));
         }
     }
     Ok(())
 }
 
 /// Puts the name of the experiment file in front of an error of its camera.
-pub fn naming_camera(mut error: Error, file: &str) -> Error {
-    if let Error::Input { subject, .. } = &mut error
-        && subject == "[camera]"
-    {
-        *subject = format!("{file}: [camera]");
+pub fn naming_camera(error: Error, file: &Path) -> Error {
+    if error.parameter() == Some(Parameter::Camera) {
+        return error.within(file);
     }
     error
 }
@@ -243,26 +273,6 @@ pub fn pixel_pitch_um(camera: &Camera) -> f64 {
         .sensor()
         .pixel_pitch_um
         .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
-}
-
-/// Replaces the parameter in an error of the optics by its command-line option, or by its key of the experiment
-/// file.
-fn naming_option(mut error: Error) -> Error {
-    if let Error::Input { subject, .. } = &mut error {
-        let option = match subject.as_str() {
-            "wavelength_nm" => "--wavelength-nm",
-            "diameter_mm" => "--pupil-mm",
-            "na" => "--na",
-            "focal_length_mm" | "image_distance_mm" => "--focal-length-mm",
-            "magnification" => "--magnification",
-            "diffuser_fwhm_deg" => "--diffuser-deg",
-            "pixel_pitch_um" => "[camera] pixel_pitch_um",
-            "rms_phase" => "--diffuser-phase",
-            other => other,
-        };
-        *subject = option.to_string();
-    }
-    error
 }
 
 /// A scene as a video.
@@ -277,7 +287,10 @@ struct RenderedScene {
 /// Renders the scene and its background.
 fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     let shape = camera.video_shape();
-    let of_font = |error: Error| error.within(format!("--digit-px {}", simulation.digit_height_px));
+    let of_font = |error: Error| {
+        let height = simulation.digit_height_px.to_string();
+        error.within(Place::Setting(Parameter::HeightPx, height))
+    };
     let moving =
         |digits| scene::moving_digit(shape, simulation.digit_height_px, digits, simulation.seed);
     let mut leds = Vec::new();
@@ -300,20 +313,21 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
         }
         Scene::Named(name) => {
             return Err(Error::input(
-                "--scene",
+                Parameter::Scene,
                 format!("\"{name}\""),
                 "a scene is digits, leds, moving, two-moving or a video file",
                 "Check the name, or give a .npy or multi-page .tif file.",
-            ));
+            )
+            .with_kind(ErrorKind::Unknown));
         }
         Scene::Video(video) => scene::fit(video, shape)?,
     };
     let background = match simulation.background {
         None => None,
         Some(times) => {
-            let picture = scene::background(shape, simulation.seed).map_err(naming_background)?;
+            let picture = scene::background(shape, simulation.seed)?;
             let added = scene::add_background(&mut video, &picture, times);
-            Some(added.map_err(naming_background)?)
+            Some(added?)
         }
     };
     Ok(RenderedScene {
@@ -321,17 +335,6 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
         background,
         leds,
     })
-}
-
-/// Puts the command-line option in front of an error of the background.
-fn naming_background(mut error: Error) -> Error {
-    if let Error::Input { subject, .. } = &mut error {
-        *subject = match subject.as_str() {
-            "background" => "--background".into(),
-            other => format!("--background: {other}"),
-        };
-    }
-    error
 }
 
 /// Subtracts the picture `still` from every bin of `video`; negative values become zero.
