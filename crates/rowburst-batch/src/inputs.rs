@@ -2,9 +2,10 @@
 
 use crate::identity::{hash_image, hash_psfs};
 use rowburst::Result;
-use rowburst::measurement::{Corrections, Measurement, correct};
+use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{ALGORITHM_REVISION, Model, Options};
 use rowburst_io::{Capture, Frames};
+use rowburst_run::{Bias, correct_capture};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -31,13 +32,14 @@ impl BatchInputs {
     /// The measurement that a frame is.
     ///
     /// # Errors
-    /// Those of [`correct`].
+    /// Those of [`correct_capture`].
     pub fn measurement(&self, capture: &Capture) -> Result<Measurement> {
-        let corrections = Corrections {
-            saturation_counts: capture.format.saturation_limit(),
-            ..self.corrections.clone()
-        };
-        correct(&capture.image, self.model.camera(), &corrections)
+        correct_capture(
+            capture,
+            Bias::Contained,
+            self.model.camera(),
+            &self.corrections,
+        )
     }
 
     /// All that decides what the videos are, by name; long ones as hashes.

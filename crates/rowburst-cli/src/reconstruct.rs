@@ -275,24 +275,23 @@ fn command_line(args: &ReconstructArgs) -> String {
 
 /// Prints the summary for a person.
 fn print_summary(artifacts: &Artifacts) {
-    let page = artifacts.page();
+    let file = artifacts.first_file();
     match &artifacts.summary {
         Summary::Whole(summary) => {
             print_whole(summary, &artifacts.trace_lines);
             print_warnings(&summary.warnings);
-            print_line(format_args!("open {}", page.display()));
+            print_line(format_args!("open {}", file.display()));
         }
         Summary::Chunked(summary) => {
             print_chunked(summary);
             print_warnings(&summary.warnings);
-            print_line(format_args!("open {}", page.display()));
+            print_line(format_args!("open {}", file.display()));
         }
         Summary::Colour(summary) => {
             print_colour(summary);
             print_warnings(&summary.warnings);
-            print_line(format_args!("video: {}", page.display()));
+            print_line(format_args!("video: {}", file.display()));
         }
-        _ => unreachable!("the layer has no other summary"),
     }
 }
 

@@ -12,18 +12,15 @@ use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
 use rowburst::ErrorKind;
 use rowburst::calibrate::psf::NamedCapture;
-use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate as calibrate_sensor};
-use rowburst::calibrate::timing::{
-    Extension, Lamp, Timing, TimingParams, Waveform, calibrate as calibrate_timing,
-};
+use rowburst::calibrate::timing::{Extension, Lamp, Waveform};
 use rowburst::{Error, Image, Parameter};
 use rowburst_io::{OutputFolder, read_colour_image};
 use rowburst_run::calibrate::psf::{
     CaptureGroup, PsfCalibration, PsfFolder, PsfInputs, read_captures,
 };
-use rowburst_run::calibrate::sensor;
-use rowburst_run::calibrate::timing::{KnownRowTime, TimingSummary, read_waveform, write_report};
-use serde_json::Value;
+use rowburst_run::calibrate::sensor::{CalibratedSensor, calibrate_frames, read_frames};
+use rowburst_run::calibrate::timing::{TimingCalibration, TimingInputs, read_waveform};
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 type Picture<'py> = PyResult<Bound<'py, PyArray2<f32>>>;
@@ -46,7 +43,7 @@ fn frames_of(value: &Bound<'_, PyAny>, parameter: Parameter) -> PyResult<Vec<(St
     let mut frames = Vec::new();
     for (part, value) in parts(value, parameter.name())? {
         if let Some(path) = path_of(&value) {
-            let files = detached(value.py(), || sensor::read_frames(parameter, &[path]))?;
+            let files = detached(value.py(), || read_frames(parameter, &[path]))?;
             frames.extend(files.map_err(to_py_err)?);
             continue;
         }
@@ -60,8 +57,7 @@ fn frames_of(value: &Bound<'_, PyAny>, parameter: Parameter) -> PyResult<Vec<(St
 /// A calibrated sensor.
 #[pyclass(name = "_SensorCalibration", module = "rowburst._rowburst", frozen)]
 pub struct PySensorCalibration {
-    calibration: SensorCalibration,
-    summary: Value,
+    sensor: CalibratedSensor,
 }
 
 #[pymethods]
@@ -73,46 +69,40 @@ impl PySensorCalibration {
             frames_of(flats, Parameter::Flats)?,
         );
         let made = interruptibly::<(), _>(py, None, None, move |_| {
-            let darks = Stack::new(Parameter::Darks, darks)?;
-            let flats = Stack::new(Parameter::Flats, flats)?;
-            let calibration = calibrate_sensor(&darks, &flats)?;
-            let summary = sensor::summary(&calibration, &darks, &flats);
-            Ok(Self {
-                calibration,
-                summary,
-            })
+            let sensor = calibrate_frames(darks, flats, None, &mut |_| ControlFlow::Continue(()))?;
+            Ok(Self { sensor })
         })?;
         made.map_err(to_py_err)
     }
 
     fn json(&self) -> String {
-        self.summary.to_string()
+        self.sensor.summary.to_string()
     }
 
     #[getter]
     fn dark<'py>(&self, py: Python<'py>) -> Picture<'py> {
-        from_image(py, self.calibration.dark.clone())
+        from_image(py, self.sensor.calibration.dark.clone())
     }
 
     #[getter]
     fn flat<'py>(&self, py: Python<'py>) -> Picture<'py> {
-        from_image(py, self.calibration.flat.clone())
+        from_image(py, self.sensor.calibration.flat.clone())
     }
 
     #[getter]
     fn response<'py>(&self, py: Python<'py>) -> Picture<'py> {
-        from_image(py, self.calibration.response.clone())
+        from_image(py, self.sensor.calibration.response.clone())
     }
 
     #[getter]
     fn read_noise<'py>(&self, py: Python<'py>) -> Picture<'py> {
-        from_image(py, self.calibration.read_noise.clone())
+        from_image(py, self.sensor.calibration.read_noise.clone())
     }
 
     #[getter]
     fn bad_pixels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
-        let dark = &self.calibration.dark;
-        let faults = &self.calibration.faults;
+        let dark = &self.sensor.calibration.dark;
+        let faults = &self.sensor.calibration.faults;
         let bad = (0..dark.data().len()).map(|i| faults.is_bad(i));
         PyArray1::from_iter(py, bad).reshape([dark.rows(), dark.columns()])
     }
@@ -120,7 +110,7 @@ impl PySensorCalibration {
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let write = || {
             let folder = OutputFolder::create(&folder)?;
-            sensor::write(&folder, &self.calibration, None, &self.summary, None)
+            self.sensor.write(&folder, None)
         };
         detached(py, write)?.map_err(to_py_err)
     }
@@ -138,15 +128,8 @@ fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<C
     for (part, value) in parts(captures, "captures")? {
         if let Some(path) = path_of(&value) {
             let files = detached(value.py(), || read_captures(&[path]))?;
-            groups.extend(
-                files
-                    .map_err(to_py_err)?
-                    .into_iter()
-                    .map(|file| CaptureGroup {
-                        shots: file.shots,
-                        saturation_limit: file.saturation_limit,
-                    }),
-            );
+            let files = files.map_err(to_py_err)?;
+            groups.extend(files.into_iter().map(CaptureGroup::from));
             continue;
         }
         let (mut shots, mut limits) = (Vec::new(), Vec::new());
@@ -167,12 +150,7 @@ fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<C
     if has_positions {
         return Ok(groups);
     }
-    let joined = groups.into_iter().reduce(|mut all, one| {
-        all.shots.extend(one.shots);
-        all.saturation_limit = all.saturation_limit.or(one.saturation_limit);
-        all
-    });
-    Ok(joined.into_iter().collect())
+    Ok(CaptureGroup::join(groups))
 }
 
 #[pymethods]
@@ -292,10 +270,7 @@ impl PyPsfCalibration {
 /// The timing of a shutter.
 #[pyclass(name = "_TimingCalibration", module = "rowburst._rowburst", frozen)]
 pub struct PyTimingCalibration {
-    timing: Timing,
-    summary: TimingSummary,
-    /// Rows of the frames in a row of the camera.
-    binning: usize,
+    timing: TimingCalibration,
 }
 
 /// A frame of a path or an array; the channels of one in colour are averaged. And where its kind of numbers ends.
@@ -376,47 +351,34 @@ impl PyTimingCalibration {
                 .map(|v| Ok::<_, PyErr>(light_frame(v, name)?.0))
                 .transpose()
         };
-        let camera = camera.map(|c| &c.camera);
-        let known = camera
-            .zip(images.first())
-            .map(|(c, i)| KnownRowTime::new(c, i.rows()));
-        let params = TimingParams {
+        let inputs = TimingInputs {
+            frames: images,
+            light,
             dark: other(dark, "dark")?,
             flat: other(flat, "flat")?,
-            saturation_counts: camera.and_then(|c| c.sensor().saturation_counts()).or(end),
-            expected_row_time_us: known.as_ref().and_then(|k| k.row_time_us),
-            ..TimingParams::default()
+            saturation_limit: end,
+            camera: camera.map(|c| c.camera.clone()),
         };
         let found = interruptibly::<(), _>(py, None, None, move |_| {
-            let mut timing = calibrate_timing(&images, &light, &params)?;
-            let binning = known.as_ref().map_or(1, |k| k.binning);
-            timing.warnings.extend(known.and_then(|k| k.warning));
-            let summary = TimingSummary::new(&timing, &images, &light);
-            Ok(Self {
-                timing,
-                summary,
-                binning,
-            })
+            let timing = inputs.calibrate(None)?;
+            Ok(Self { timing })
         })?;
         found.map_err(to_py_err)
     }
 
     fn json(&self) -> String {
-        serde_json::to_string(&self.summary).expect("plain numbers and text")
+        serde_json::to_string(&self.timing.summary).expect("plain numbers and text")
     }
 
     #[getter]
     fn binning(&self) -> usize {
-        self.binning
+        self.timing.binning
     }
 
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let write = || {
             let folder = OutputFolder::create(&folder)?;
-            folder.remove("timing.json")?;
-            write_report(&folder, &self.timing, false, None)?;
-            let json = serde_json::to_string_pretty(&self.summary).expect("plain numbers and text");
-            folder.write_bytes("timing.json", format!("{json}\n").as_bytes())
+            self.timing.write(&folder, None)
         };
         detached(py, write)?.map_err(to_py_err)
     }

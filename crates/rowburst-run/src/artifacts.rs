@@ -39,7 +39,6 @@ pub struct Artifacts {
 /// The content of `result.json`.
 #[derive(Debug, Clone, Serialize)]
 #[serde(untagged)]
-#[non_exhaustive]
 pub enum Summary {
     /// Of a video that was reconstructed as a whole.
     Whole(Box<ReconstructionSummary>),
@@ -67,8 +66,8 @@ impl Artifacts {
         })
     }
 
-    /// The page that a person reads: the report, or the video in colour.
-    pub fn page(&self) -> PathBuf {
+    /// The file that a person opens first: the report, or the video in colour.
+    pub fn first_file(&self) -> PathBuf {
         self.folder.join(match self.summary {
             Summary::Whole(_) | Summary::Chunked(_) => "report.html",
             Summary::Colour(_) => "colour.tif",

@@ -55,7 +55,7 @@ pub use player::{MakePlayer, PlayerPage, player_of};
 pub use request::{Request, RequestParams, read_experiment};
 pub use run_clock::RunClock;
 pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
-pub use setup::{Bias, Frame, Setup, bias_of_array};
+pub use setup::{Bias, Frame, Setup, bias_of_array, correct_capture};
 pub use summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
     ReconstructionSummary, peak_memory_bytes,

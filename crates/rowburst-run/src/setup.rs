@@ -125,24 +125,7 @@ impl Setup {
     /// Those of [`correct`], with the file at fault.
     pub fn measurement(&self, frame: &Frame) -> Result<Measurement> {
         let Frame { capture, bias, .. } = frame;
-        let mut corrections = Corrections {
-            saturation_counts: capture.format.saturation_limit(),
-            ..self.corrections.clone()
-        };
-        let subtracted = match bias {
-            Bias::Subtracted if corrections.dark.is_none() => self.camera.sensor().bias_counts,
-            Bias::Subtracted | Bias::Contained => None,
-        };
-        let corrected = match subtracted.filter(|bias| *bias > 0.0) {
-            None => correct(&capture.image, &self.camera, &corrections),
-            Some(bias) => {
-                if let Some(flat) = &mut corrections.flat {
-                    flat.data_mut().iter_mut().for_each(|p| *p -= bias as f32);
-                }
-                let camera = without_bias(&self.camera, bias);
-                camera.and_then(|camera| correct(&capture.image, &camera, &corrections))
-            }
-        };
+        let corrected = correct_capture(capture, *bias, &self.camera, &self.corrections);
         corrected.map_err(|error| self.naming(error, frame))
     }
 
@@ -185,6 +168,33 @@ impl Setup {
             _ => error.within("frame"),
         }
     }
+}
+
+/// Corrects a capture. It is saturated where its kind of numbers or the sensor ends.
+///
+/// # Errors
+/// Those of [`correct`].
+pub fn correct_capture(
+    capture: &Capture,
+    bias: Bias,
+    camera: &Camera,
+    corrections: &Corrections,
+) -> Result<Measurement> {
+    let mut corrections = Corrections {
+        saturation_counts: capture.format.saturation_limit(),
+        ..corrections.clone()
+    };
+    let subtracted = match bias {
+        Bias::Subtracted if corrections.dark.is_none() => camera.sensor().bias_counts,
+        Bias::Subtracted | Bias::Contained => None,
+    };
+    let Some(bias) = subtracted.filter(|bias| *bias > 0.0) else {
+        return correct(&capture.image, camera, &corrections);
+    };
+    if let Some(flat) = &mut corrections.flat {
+        flat.data_mut().iter_mut().for_each(|p| *p -= bias as f32);
+    }
+    correct(&capture.image, &without_bias(camera, bias)?, &corrections)
 }
 
 /// The camera of frames from which `bias` has been subtracted: it saturates that much earlier.

@@ -178,7 +178,7 @@ fn a_whole_video_is_the_same_from_files_and_from_values() {
         (summary.frames, summary.rows, summary.iterations),
         (SIDE, SIDE, 10)
     );
-    assert!(artifacts.page().is_file());
+    assert!(artifacts.first_file().is_file());
     let task = lab.setup().task(&lab.array(), None).unwrap();
     let completed = solve(task, Instant::now(), &mut |_| ControlFlow::Continue(())).unwrap();
     let written = read_video(&artifacts.video()).unwrap();
@@ -226,7 +226,7 @@ fn planes_of_a_colour_frame_come_green_first() {
         panic!("a video in colour");
     };
     assert_eq!((summary.frames, summary.planes.len()), (8, 4));
-    assert!(artifacts.video().is_file() && artifacts.page().is_file());
+    assert!(artifacts.video().is_file() && artifacts.first_file().is_file());
 
     let task = ColourTask {
         setup: lab.setup(),

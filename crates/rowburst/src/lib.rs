@@ -9,6 +9,41 @@
 //! b = A v,     v̂ = argmin_{v≥0} ½‖W(b − A v)‖² + τ‖Ψ v‖₁             (Eqs. 4, 5)
 //! ```
 //!
+//! [`reconstruct()`] makes the video of a corrected frame:
+//!
+//! ```
+//! use rowburst::{Camera, CameraParams, Measurement, Options, Sensor, Shutter};
+//! use rowburst::{noise::Noise, simulate, RollingShutter, LinearOperator, Image};
+//!
+//! let camera = Camera::new(CameraParams {
+//!     rows: 24,
+//!     columns: 24,
+//!     shutter: Shutter::DualInsideOut,
+//!     row_time_us: 9.6,
+//!     exposure_us: 9.6,
+//!     bins_per_row: 1,
+//!     field: None,
+//!     sensor: Sensor::default(),
+//! })?;
+//! // A frame of a moving digit, in place of one of your own.
+//! let psf = simulate::speckle_psf(&simulate::SpeckleOptics::demo(), 47, 47, 1)?;
+//! let truth = simulate::scene::moving_digit(camera.video_shape(), 12, 1, 1)?;
+//! let mut light = vec![0.0; 24 * 24];
+//! RollingShutter::<f32>::new(&camera, &psf).apply(truth.data(), &mut light);
+//! let noise = Noise::Gaussian { snr: 256.0 };
+//! let frame = noise.apply(&Image::new(24, 24, light)?, camera.sensor(), 1)?.frame;
+//!
+//! let frame = Measurement::new(frame)?;
+//! let result = rowburst::reconstruct(&frame, &camera, &psf, &Options::default())?;
+//! assert_eq!(result.video.shape(), camera.video_shape());
+//! println!("{}: {}", result.fit.verdict.name(), result.fit.reason);
+//! # Ok::<(), rowburst::Error>(())
+//! ```
+//!
+//! [`RawFrame::correct`] corrects a raw frame; [`Problem`] shows each iteration and can be stopped; [`Sequence`] makes the
+//! videos of consecutive frames, [`Chunked`] one that does not fit into memory. [`calibrate`] turns captures into the
+//! values that these need.
+//!
 //! The library is pure: it touches no files, clock, terminal or global state.
 //! Arrays are C order; a video is `[t, y, x]`, an image `[y, x]`, and `y` is the
 //! axis that the shutter scans.
@@ -39,14 +74,40 @@ pub mod traces;
 pub mod vecmath;
 pub mod video;
 
-pub use camera::{Camera, Sensor};
+pub use camera::{Camera, CameraParams, Sensor};
 pub use cancel::Cancel;
 pub use error::{Error, ErrorKind, Parameter, Result};
 pub use forward::RollingShutter;
 pub use image::Image;
+pub use linop::LinearOperator;
+pub use measurement::{Corrections, Measurement, RawFrame};
 pub use patches::PatchSet;
 pub use psf::Psf;
+pub use reconstruct::{
+    Chunked, Fit, Model, Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence, Tau,
+    Verdict,
+};
 pub use shape::{Shape, TimeGrid};
 pub use shutter::Shutter;
+pub use solve::StopReason;
 pub use support::Support;
 pub use video::Video;
+
+use std::ops::ControlFlow;
+
+/// Reconstructs the video `v[t, y, x]` of one corrected frame (Eqs. 4 and 5 in the head of the crate).
+///
+/// `psf` is one PSF for the whole field (`&Psf`) or one for each patch of it (`&PatchSet`). [`Problem`] does the same with
+/// an observer that sees each iteration.
+///
+/// # Errors
+/// A frame of another size than the sensor of `camera`, options that contradict the camera or are out of range, and
+/// numbers that overflow.
+pub fn reconstruct(
+    frame: &Measurement,
+    camera: &Camera,
+    psf: impl Into<PatchSet>,
+    options: &Options,
+) -> Result<Reconstruction> {
+    Problem::new(frame, camera, psf, *options)?.solve(&mut |_| ControlFlow::Continue(()))
+}

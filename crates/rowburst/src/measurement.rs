@@ -25,6 +25,51 @@ pub struct Measurement {
     saturated: usize,
 }
 
+/// A frame as the camera recorded it, in raw counts `[y, x]`.
+///
+/// A solver does not take it: [`RawFrame::correct`] makes a [`Measurement`] of it.
+///
+/// ```
+/// use rowburst::{Camera, CameraParams, Corrections, Image, RawFrame, Sensor, Shutter};
+///
+/// let camera = Camera::new(CameraParams {
+///     rows: 4,
+///     columns: 6,
+///     shutter: Shutter::TopDown,
+///     row_time_us: 9.6,
+///     exposure_us: 9.6,
+///     bins_per_row: 1,
+///     field: None,
+///     sensor: Sensor { bias_counts: Some(100.0), ..Sensor::default() },
+/// })?;
+/// let counts = Image::from_fn(4, 6, |y, x| 100.0 + (y * x) as f32);
+/// let frame = RawFrame::new(counts).correct(&camera, &Corrections::default())?;
+/// assert_eq!(frame.image().at(3, 5), 15.0);
+/// # Ok::<(), rowburst::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct RawFrame(Image);
+
+impl RawFrame {
+    /// A frame of these counts.
+    pub fn new(counts: Image) -> Self {
+        Self(counts)
+    }
+
+    /// The counts, `[y, x]`.
+    pub fn counts(&self) -> &Image {
+        &self.0
+    }
+
+    /// The frame with the sensor's effects undone; see [`correct`].
+    ///
+    /// # Errors
+    /// Those of [`correct`].
+    pub fn correct(&self, camera: &Camera, corrections: &Corrections) -> Result<Measurement> {
+        correct(&self.0, camera, corrections)
+    }
+}
+
 /// What is known of the sensor beside [`crate::Sensor`]; all on the grid of the frame, or
 /// on that of the raw pixels where the frame is already binned.
 #[derive(Debug, Clone, Default, PartialEq)]

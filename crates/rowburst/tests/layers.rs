@@ -108,11 +108,14 @@ const MODULES: [Module; 26] = [
 ];
 
 /// What is re-exported at the crate's root, and where it lives.
-const ROOT: [(&str, &str); 15] = [
+const ROOT: [(&str, &str); 18] = [
     ("Camera", "camera"),
     ("Sensor", "camera"),
     ("Cancel", "cancel"),
     ("Error", "error"),
+    ("ErrorKind", "error"),
+    ("Parameter", "error"),
+    ("phrase", "error"),
     ("Result", "error"),
     ("RollingShutter", "forward"),
     ("Image", "image"),

@@ -2,13 +2,12 @@
 
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
+use crate::progress::print_note;
 use clap::Args;
-use rowburst::ErrorKind;
-use rowburst::calibrate::sensor::{SensorCalibration, Stack, calibrate};
-use rowburst::error::Subject;
+use rowburst::calibrate::sensor::SensorCalibration;
 use rowburst::{Error, Parameter, Result};
 use rowburst_io::{Experiment, OutputFolder};
-use rowburst_run::calibrate::sensor::{read_frames, summary, write};
+use rowburst_run::calibrate::sensor::{calibrate_frames, read_frames};
 use rowburst_run::short;
 use std::path::{Path, PathBuf};
 
@@ -45,61 +44,23 @@ pub fn run(args: &SensorArgs) -> Result<()> {
         .as_deref()
         .map(|path| experiment_of(path, &args.flats))
         .transpose()?;
-    let darks = Stack::new(
-        Parameter::Darks,
-        read_frames(Parameter::Darks, &args.darks)?,
-    )?;
-    let flats = Stack::new(
-        Parameter::Flats,
-        read_frames(Parameter::Flats, &args.flats)?,
-    )?;
     if let Some(experiment) = &experiment {
-        check_fits(experiment, &darks)?;
         check_kept(experiment, &args.output)?;
     }
-    eprintln!("{} darks, {} flats", darks.len(), flats.len());
-    let calibration = calibrate(&darks, &flats)?;
-    for warning in &calibration.warnings {
+    let darks = read_frames(Parameter::Darks, &args.darks)?;
+    let flats = read_frames(Parameter::Flats, &args.flats)?;
+    let sensor = calibrate_frames(darks, flats, experiment, &mut print_note)?;
+    for warning in &sensor.calibration.warnings {
         eprintln!("warning: {warning}");
     }
-    let summary = summary(&calibration, &darks, &flats);
     let folder = OutputFolder::create(&args.output)?;
-    let reproduce = Some(command_line(args));
-    write(
-        &folder,
-        &calibration,
-        experiment,
-        &summary,
-        reproduce.as_deref(),
-    )?;
+    sensor.write(&folder, Some(&command_line(args)))?;
     if args.json {
-        print_line(format_args!("{summary:#}"));
+        print_line(format_args!("{:#}", sensor.summary));
     } else {
-        print_summary(&calibration, &folder);
+        print_summary(&sensor.calibration, &folder);
     }
     Ok(())
-}
-
-/// Calibration frames are raw: they have the sensor's pixels before binning.
-fn check_fits(experiment: &Experiment, darks: &Stack) -> Result<()> {
-    let params = &experiment.params;
-    let binning = params.sensor.binning;
-    let expected = (params.rows * binning, params.columns * binning);
-    if darks.size() == expected {
-        return Ok(());
-    }
-    let (rows, columns) = darks.size();
-    Err(Error::input(
-        Subject::item(Parameter::Darks, darks.name(0)),
-        format!("{rows}×{columns} pixels"),
-        format!(
-            "{} has {}×{} raw pixels (rows and columns times binning = {binning})",
-            experiment.path.display(),
-            expected.0,
-            expected.1
-        ),
-        "Record darks and flats as the raw frames are, or correct rows, columns and binning in [camera].",
-    ).with_kind(ErrorKind::Shape))
 }
 
 /// The experiment file that is given keeps its comments: it is not written over.

@@ -4,14 +4,12 @@ mod files;
 
 use crate::output::print_line;
 use clap::{Args, ValueHint};
-use files::TimingInputs;
+use files::TimingFiles;
 use rowburst::Parameter;
-use rowburst::calibrate::timing::{Timing, TimingParams, calibrate};
+use rowburst::calibrate::timing::Timing;
 use rowburst::{Error, Result};
-use rowburst_io::OutputFolder;
-use rowburst_run::calibrate::timing::{
-    TimingSummary, exposure, row_time, shutter_names, write_report,
-};
+use rowburst_io::{Calibration, OutputFolder};
+use rowburst_run::calibrate::timing::{exposure, row_time, shutter_names};
 use rowburst_run::inputs::naming_file;
 use rowburst_run::short;
 use std::path::PathBuf;
@@ -69,49 +67,29 @@ pub fn run(args: &TimingArgs) -> Result<()> {
         .as_deref()
         .map(OutputFolder::create)
         .transpose()?;
-    let inputs = TimingInputs::read(args)?;
-    let params = TimingParams {
-        dark: inputs.dark.clone(),
-        flat: inputs.flat.clone(),
-        saturation_counts: inputs.saturation_counts,
-        expected_row_time_us: inputs.expected_row_time_us,
-        ..TimingParams::default()
-    };
-    let mut timing =
-        calibrate(&inputs.frames, &inputs.light, &params).map_err(|e| naming(e, args, &inputs))?;
-    timing.warnings.extend(inputs.warnings.iter().cloned());
-    let written = match &folder {
-        Some(folder) => inputs.experiment_with(&timing, folder),
-        None => None,
-    };
-    if let Some((_, notes)) = &written {
-        timing.warnings.extend(notes.iter().cloned());
-    }
-    let summary = TimingSummary::new(&timing, &inputs.frames, &inputs.light);
-    let json = serde_json::to_string_pretty(&summary).expect("plain numbers and text");
+    let files = TimingFiles::read(args)?;
+    // Without a folder there is no copy of the experiment.
+    let experiment = files.experiment.as_ref().filter(|_| folder.is_some());
+    let calibrated = files.inputs.calibrate(experiment);
+    let calibrated = calibrated.map_err(|e| naming(e, args, &files.calibration))?;
     if let Some(folder) = &folder {
-        // That of an earlier run would vouch for files that are no longer its own.
-        folder.remove("timing.json")?;
-        let reproduce = Some(command_line(args));
-        write_report(folder, &timing, written.is_some(), reproduce.as_deref())?;
-        if let Some((experiment, _)) = &written {
-            inputs.write_experiment(folder, experiment)?;
-        }
-        folder.write_bytes("timing.json", format!("{json}\n").as_bytes())?;
+        calibrated.write(folder, Some(&command_line(args)))?;
     }
+    let timing = &calibrated.timing;
     for warning in &timing.warnings {
         eprintln!("warning: {warning}");
     }
     if args.json {
-        print_line(json);
+        let json = serde_json::to_string_pretty(&calibrated.summary);
+        print_line(json.expect("plain numbers and text"));
     } else {
-        print(&timing, args);
+        print(timing, args);
     }
     Ok(())
 }
 
 /// Names the file or the option in an error of the library.
-fn naming(error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
+fn naming(error: Error, args: &TimingArgs, calibration: &Calibration) -> Error {
     let path_text = |path: &PathBuf| path.display().to_string();
     match (error.parameter(), error.index()) {
         (Some(Parameter::Frames), Some(frame)) => match args.frames.get(frame) {
@@ -128,7 +106,7 @@ fn naming(error: Error, args: &TimingArgs, inputs: &TimingInputs) -> Error {
         }
         (Some(Parameter::ExpectedRowTimeUs), _) => error.named("[camera] row_time_us"),
         (Some(Parameter::Duty | Parameter::FrequencyHz), _) => error,
-        _ => naming_file(error, &args.frames[0], &inputs.calibration),
+        _ => naming_file(error, &args.frames[0], calibration),
     }
 }
 

@@ -218,10 +218,20 @@ impl Problem {
     /// Sets up the reconstruction of one of several frames that share `model`.
     ///
     /// # Errors
-    /// A `τ` or `σ` that is not finite and above zero, a prior with a term over time for a video of
-    /// one bin ([`Prior::check_bins`]), or [`Model::cancel`].
+    /// A frame of another size than the camera's, a `τ` or `σ` that is not finite and above zero, a prior with a term over
+    /// time for a video of one bin ([`Prior::check_bins`]), or [`Model::cancel`].
     pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
+        let image = measurement.image();
+        if (image.rows(), image.columns()) != (camera.rows(), camera.columns()) {
+            return Err(Error::input(
+                Parameter::Frame,
+                format!("{}×{} pixels", image.rows(), image.columns()),
+                format!("the camera has {}×{}", camera.rows(), camera.columns()),
+                phrase!["Give the frame of ", Parameter::Camera, "."],
+            )
+            .with_kind(ErrorKind::Shape));
+        }
         let tau = match options.tau {
             Tau::Given(tau) => Some(tau),
             Tau::Auto | Tau::HeldOut => None,

@@ -91,23 +91,11 @@ fn field_of(args: &PsfArgs, experiment: Option<&Experiment>) -> Option<(usize, u
 }
 
 fn groups(files: Vec<CaptureFile>, by_file: bool) -> Vec<CaptureGroup> {
-    let groups = files.into_iter().map(|file| CaptureGroup {
-        shots: file.shots,
-        saturation_limit: file.saturation_limit,
-    });
+    let groups = files.into_iter().map(CaptureGroup::from);
     if by_file {
         return groups.collect();
     }
-    let joined = groups.reduce(|mut all, one| {
-        all.shots.extend(one.shots);
-        all.saturation_limit = all.saturation_limit.or(one.saturation_limit);
-        all
-    });
-    // No capture at all is an error of the library.
-    vec![joined.unwrap_or(CaptureGroup {
-        shots: Vec::new(),
-        saturation_limit: None,
-    })]
+    CaptureGroup::join(groups)
 }
 
 /// Prints the warnings and the remarks to standard error.

@@ -32,6 +32,31 @@ pub struct CaptureGroup {
     pub saturation_limit: Option<f64>,
 }
 
+impl CaptureGroup {
+    /// All captures as those of one place.
+    pub fn join(groups: impl IntoIterator<Item = Self>) -> Vec<Self> {
+        let joined = groups.into_iter().reduce(|mut all, one| {
+            all.shots.extend(one.shots);
+            all.saturation_limit = all.saturation_limit.or(one.saturation_limit);
+            all
+        });
+        // No capture at all is an error of the library.
+        vec![joined.unwrap_or(Self {
+            shots: Vec::new(),
+            saturation_limit: None,
+        })]
+    }
+}
+
+impl From<CaptureFile> for CaptureGroup {
+    fn from(file: CaptureFile) -> Self {
+        Self {
+            shots: file.shots,
+            saturation_limit: file.saturation_limit,
+        }
+    }
+}
+
 /// Captures of a point source, with all that is known of them.
 pub struct PsfInputs {
     /// The captures of each place; of one place where there are no positions.

@@ -2,8 +2,9 @@
 
 mod report;
 
+use crate::event::{Event, Observer};
 use rowburst::ErrorKind;
-use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack};
+use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack, calibrate};
 use rowburst::error::Subject;
 use rowburst::{Error, Image, Result, Sensor};
 use rowburst::{Parameter, phrase};
@@ -77,8 +78,66 @@ fn files_of(parameter: Parameter, folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
+/// A calibrated sensor.
+pub struct CalibratedSensor {
+    /// Maps, levels and faults.
+    pub calibration: SensorCalibration,
+    /// The content of `sensor.json`.
+    pub summary: Value,
+    /// The experiment that the sensor is for.
+    experiment: Option<Experiment>,
+}
+
+/// Calibrates the sensor by `darks` and `flats`, frames with their names. A copy of `experiment` takes over the results.
+/// `observer` hears how many frames there are.
+///
+/// # Errors
+/// Those of [`Stack::new`] and [`calibrate`], and frames that do not have the pixels of the experiment's sensor.
+pub fn calibrate_frames(
+    darks: Vec<(String, Image)>,
+    flats: Vec<(String, Image)>,
+    experiment: Option<Experiment>,
+    observer: Observer,
+) -> Result<CalibratedSensor> {
+    let darks = Stack::new(Parameter::Darks, darks)?;
+    let flats = Stack::new(Parameter::Flats, flats)?;
+    if let Some(experiment) = &experiment {
+        check_fits(experiment, &darks)?;
+    }
+    let counts = format!("{} darks, {} flats", darks.len(), flats.len());
+    let _ = observer(Event::Note(&counts));
+    let calibration = calibrate(&darks, &flats)?;
+    Ok(CalibratedSensor {
+        summary: summary(&calibration, &darks, &flats),
+        calibration,
+        experiment,
+    })
+}
+
+/// Calibration frames are raw: they have the sensor's pixels before binning.
+fn check_fits(experiment: &Experiment, darks: &Stack) -> Result<()> {
+    let params = &experiment.params;
+    let binning = params.sensor.binning;
+    let expected = (params.rows * binning, params.columns * binning);
+    if darks.size() == expected {
+        return Ok(());
+    }
+    let (rows, columns) = darks.size();
+    Err(Error::input(
+        Subject::item(Parameter::Darks, darks.name(0)),
+        format!("{rows}×{columns} pixels"),
+        format!(
+            "{} has {}×{} raw pixels (rows and columns times binning = {binning})",
+            experiment.path.display(),
+            expected.0,
+            expected.1
+        ),
+        "Record darks and flats as the raw frames are, or correct rows, columns and binning in [camera].",
+    ).with_kind(ErrorKind::Shape))
+}
+
 /// The content of `sensor.json`.
-pub fn summary(calibration: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
+fn summary(calibration: &SensorCalibration, darks: &Stack, flats: &Stack) -> Value {
     let faults = &calibration.faults;
     let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
     let (rows, columns) = darks.size();
@@ -128,45 +187,41 @@ pub fn summary(calibration: &SensorCalibration, darks: &Stack, flats: &Stack) ->
     })
 }
 
-/// Writes maps, keys, report and, with an `experiment`, a copy of it with the results. `sensor.json` is written last:
-/// where it is, the calibration is whole. `reproduce` is the command that repeats it.
-///
-/// # Errors
-/// Failed writes.
-pub fn write(
-    folder: &OutputFolder,
-    calibration: &SensorCalibration,
-    experiment: Option<Experiment>,
-    summary: &Value,
-    reproduce: Option<&str>,
-) -> Result<()> {
-    let has_experiment = experiment.is_some();
-    folder.remove("sensor.json")?;
-    let maps = [
-        ("dark.npy", &calibration.dark),
-        ("flat.npy", &calibration.flat),
-        ("response.npy", &calibration.response),
-        ("read_noise.npy", &calibration.read_noise),
-    ];
-    for (name, map) in maps {
-        folder.write(name, |w| write_npy_image(w, map))?;
+impl CalibratedSensor {
+    /// Writes maps, keys, report and, with an experiment, a copy of it with the results. `sensor.json` is written last:
+    /// where it is, the calibration is whole. `reproduce` is the command that repeats it.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub fn write(&self, folder: &OutputFolder, reproduce: Option<&str>) -> Result<()> {
+        let calibration = &self.calibration;
+        folder.remove("sensor.json")?;
+        let maps = [
+            ("dark.npy", &calibration.dark),
+            ("flat.npy", &calibration.flat),
+            ("response.npy", &calibration.response),
+            ("read_noise.npy", &calibration.read_noise),
+        ];
+        for (name, map) in maps {
+            folder.write(name, |w| write_npy_image(w, map))?;
+        }
+        let (rows, columns) = (calibration.dark.rows(), calibration.dark.columns());
+        let mask: Vec<u8> = (0..rows * columns)
+            .map(|i| if calibration.faults.is_bad(i) { 255 } else { 0 })
+            .collect();
+        folder.write("bad_pixels.png", |w| write_png8(w, rows, columns, &mask))?;
+        folder.write_bytes("sensor.toml", keys(calibration).as_bytes())?;
+        if let Some(experiment) = self.experiment.clone() {
+            let text = calibrated(experiment, calibration, folder.path()).to_toml(folder.path());
+            folder.write_bytes("experiment.toml", text.as_bytes())?;
+        }
+        let report = report::render(calibration, self.experiment.is_some(), reproduce)?;
+        for picture in &report.pictures {
+            folder.write_bytes(&picture.name, &picture.png)?;
+        }
+        folder.write_bytes("report.html", report.html.as_bytes())?;
+        folder.write_bytes("sensor.json", format!("{:#}\n", self.summary).as_bytes())
     }
-    let (rows, columns) = (calibration.dark.rows(), calibration.dark.columns());
-    let mask: Vec<u8> = (0..rows * columns)
-        .map(|i| if calibration.faults.is_bad(i) { 255 } else { 0 })
-        .collect();
-    folder.write("bad_pixels.png", |w| write_png8(w, rows, columns, &mask))?;
-    folder.write_bytes("sensor.toml", keys(calibration).as_bytes())?;
-    if let Some(experiment) = experiment {
-        let text = calibrated(experiment, calibration, folder.path()).to_toml(folder.path());
-        folder.write_bytes("experiment.toml", text.as_bytes())?;
-    }
-    let report = report::render(calibration, has_experiment, reproduce)?;
-    for picture in &report.pictures {
-        folder.write_bytes(&picture.name, &picture.png)?;
-    }
-    folder.write_bytes("report.html", report.html.as_bytes())?;
-    folder.write_bytes("sensor.json", format!("{summary:#}\n").as_bytes())
 }
 
 /// `experiment` with what was `found` about the sensor; the files lie in `folder`.

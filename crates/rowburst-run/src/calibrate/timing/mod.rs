@@ -4,15 +4,126 @@
 
 mod report;
 
-pub use report::write_report;
+use report::write_report;
 
+use crate::artifacts::json_of;
 use crate::short;
 use rowburst::Parameter;
-use rowburst::calibrate::timing::{Lamp, Timing};
+use rowburst::calibrate::timing::{Lamp, Timing, TimingParams, calibrate};
 use rowburst::error::Subject;
 use rowburst::{Camera, Error, Image, Result, Shutter};
+use rowburst_io::{Experiment, OutputFolder, write_npy_i64};
 use serde::Serialize;
 use std::path::Path;
+
+/// Frames of a light, with all that is known of it and of the camera.
+pub struct TimingInputs {
+    /// The frames, all of one setting of the camera.
+    pub frames: Vec<Image>,
+    /// The light.
+    pub light: Lamp,
+    /// A frame without light.
+    pub dark: Option<Image>,
+    /// A frame of even light.
+    pub flat: Option<Image>,
+    /// The count at which the kind of the frames' numbers ends. The camera's takes precedence.
+    pub saturation_limit: Option<f64>,
+    /// The camera; its row time (within 30 %) resolves aliases.
+    pub camera: Option<Camera>,
+}
+
+/// The timing of a camera.
+pub struct TimingCalibration {
+    pub timing: Timing,
+    /// The content of `timing.json`.
+    pub summary: TimingSummary,
+    /// Rows of the frames in a row of the camera.
+    pub binning: usize,
+    /// The experiment with the timing, where one was given.
+    experiment: Option<Experiment>,
+}
+
+impl TimingInputs {
+    /// Calibrates the timing. A copy of `experiment` takes it over.
+    ///
+    /// # Errors
+    /// Those of [`calibrate`].
+    pub fn calibrate(&self, experiment: Option<&Experiment>) -> Result<TimingCalibration> {
+        let camera = self.camera.as_ref();
+        let known = camera
+            .zip(self.frames.first())
+            .map(|(camera, frame)| KnownRowTime::new(camera, frame.rows()));
+        let of_sensor = camera.and_then(|c| c.sensor().saturation_counts());
+        let params = TimingParams {
+            dark: self.dark.clone(),
+            flat: self.flat.clone(),
+            saturation_counts: of_sensor.or(self.saturation_limit),
+            expected_row_time_us: known.as_ref().and_then(|k| k.row_time_us),
+            ..TimingParams::default()
+        };
+        let mut timing = calibrate(&self.frames, &self.light, &params)?;
+        let binning = known.as_ref().map_or(1, |k| k.binning);
+        timing.warnings.extend(known.and_then(|k| k.warning));
+        let experiment = experiment.map(|given| with_timing(given.clone(), &mut timing, binning));
+        Ok(TimingCalibration {
+            summary: TimingSummary::new(&timing, &self.frames, &self.light),
+            timing,
+            binning,
+            experiment,
+        })
+    }
+}
+
+/// `experiment` with `timing`, of frames that have `binning` rows in a row of the experiment. Warns of what is left open.
+fn with_timing(mut experiment: Experiment, timing: &mut Timing, binning: usize) -> Experiment {
+    experiment.params.row_time_us = timing.row_time_us * binning as f64;
+    if let Some((exposure, _)) = timing.exposure_us {
+        experiment.params.exposure_us = exposure;
+    }
+    let before = &experiment.params.shutter;
+    match timing.shutters.as_slice() {
+        [only] => experiment.params.shutter = only.clone(),
+        several if several.contains(before) => {}
+        _ => timing.warnings.push(format!(
+            "the shutter of the experiment, {}, is not among those that fit the light: it was kept; decide which is right and correct it",
+            before.name()
+        )),
+    }
+    experiment
+}
+
+impl TimingCalibration {
+    /// Writes the report, the experiment file and `timing.json`, which is last: where it is, the result is whole.
+    /// `reproduce` is the command that repeats the calibration.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub fn write(&self, folder: &OutputFolder, reproduce: Option<&str>) -> Result<()> {
+        folder.remove("timing.json")?;
+        write_report(folder, &self.timing, self.experiment.is_some(), reproduce)?;
+        if let Some(experiment) = &self.experiment {
+            write_experiment(folder, experiment.clone())?;
+        }
+        let json = json_of(&self.summary);
+        folder.write_bytes("timing.json", format!("{json}\n").as_bytes())
+    }
+}
+
+/// Writes `experiment.toml`, and the order of a custom shutter beside it.
+fn write_experiment(folder: &OutputFolder, mut experiment: Experiment) -> Result<()> {
+    experiment.camera()?;
+    experiment.row_order = None;
+    if let Shutter::Custom(order) = &experiment.params.shutter {
+        let order: Vec<i64> = order.iter().map(|&k| k as i64).collect();
+        folder.write(ROW_ORDER, |w| write_npy_i64(w, &[order.len()], &order))?;
+        experiment.row_order = Some(folder.path().join(ROW_ORDER));
+    }
+    let text = experiment.to_toml(folder.path());
+    folder.write_bytes("experiment.toml", text.as_bytes())
+}
+
+/// The file of the order of a custom shutter.
+const ROW_ORDER: &str = "row_order.npy";
 
 /// Everything that `timing.json` says.
 #[derive(Debug, Serialize)]
@@ -55,7 +166,7 @@ pub struct CandidateSummary {
 
 impl TimingSummary {
     /// The numbers of `timing`, found from `frames` of `light`.
-    pub fn new(timing: &Timing, frames: &[Image], light: &Lamp) -> Self {
+    fn new(timing: &Timing, frames: &[Image], light: &Lamp) -> Self {
         let periodic = matches!(light, Lamp::Periodic { .. });
         let phases = timing.phases.clone();
         Self {
@@ -121,18 +232,18 @@ pub fn exposure(timing: &Timing) -> String {
 }
 
 /// What a camera says of the row time of frames.
-pub struct KnownRowTime {
+struct KnownRowTime {
     /// Rows of the frames in a row of the camera.
-    pub binning: usize,
+    binning: usize,
     /// The row time of the frames; `None` for a global shutter.
-    pub row_time_us: Option<f64>,
+    row_time_us: Option<f64>,
     /// A warning where frames and camera differ in rows.
-    pub warning: Option<String>,
+    warning: Option<String>,
 }
 
 impl KnownRowTime {
     /// Of frames of `rows` rows.
-    pub fn new(camera: &Camera, rows: usize) -> Self {
+    fn new(camera: &Camera, rows: usize) -> Self {
         let (mut binning, mut warning) = (1, None);
         let camera_binning = camera.sensor().binning;
         if rows == camera.rows() * camera_binning {

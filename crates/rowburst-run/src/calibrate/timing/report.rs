@@ -8,10 +8,7 @@ use rowburst_io::OutputFolder;
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
 /// Writes report.html and its pictures. `reproduce` is the command that repeats the calibration.
-///
-/// # Errors
-/// Failed writes.
-pub fn write_report(
+pub(super) fn write_report(
     folder: &OutputFolder,
     timing: &Timing,
     has_experiment: bool,
