@@ -167,7 +167,7 @@ def test_the_figure_is_that_of_the_command_line(result, saved, folder, tmp_path)
 def test_the_viewer_shows_the_result_until_it_is_closed(either, result):
     with either.view(port=0, open_browser=False) as view:
         assert view.url in repr(view)
-        with urllib.request.urlopen(view.url + "api/view", timeout=20) as answer:
+        with urllib.request.urlopen(view.url.replace("/?", "/api/view?"), timeout=20) as answer:
             description = json.load(answer)
         assert result.fit in json.dumps(description)
     with pytest.raises(OSError):

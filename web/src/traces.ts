@@ -4,7 +4,7 @@ import { Chart, type Curve } from "./chart";
 import { download, h } from "./dom";
 import { hertz, number } from "./format";
 import { align, alignedPoints, readSignal, type Signal } from "./photodiode";
-import { spectrum } from "./spectrum";
+import { type Spectrum, spectrum } from "./spectrum";
 import type { Region, Store } from "./store";
 import type { KnownTrace, Rect } from "./types";
 
@@ -238,7 +238,7 @@ export class Traces {
       const found = spectrum(values, this.rate());
       const scale = clock.step_us == null ? 1 : 1e-3;
       spectra.push({ label: name, colour, x: found.frequency.map((f) => f * scale), y: found.amplitude });
-      rows.push(this.item(region, name, found.peak_hz, known, values));
+      rows.push(this.item(region, name, found, known, values));
     }
     curves.push(...this.overlay(overlaid));
     this.list.replaceChildren(...rows);
@@ -252,15 +252,18 @@ export class Traces {
     this.time.element.hidden = this.frequency.element.hidden = curves.length === 0;
   }
 
-  private item(region: Region, name: string, peak: number | null, known: KnownTrace | undefined, values: Float64Array): HTMLElement {
+  private item(region: Region, name: string, { peak_hz: peak, isConstant }: Spectrum, known: KnownTrace | undefined, values: Float64Array): HTMLElement {
     const { store } = this;
     const swatch = h("span", { class: "swatch", "aria-hidden": "true" });
     swatch.style.background = region.colour;
-    const frequency = known?.frequency_hz ?? peak;
+    // Where the report has tested the trace, its answer counts.
+    const frequency = known ? known.frequency_hz : peak;
     const timed = store.clock.step_us != null;
     const text =
       frequency == null
-        ? "nothing changes"
+        ? isConstant
+          ? "nothing changes"
+          : "no frequency stands out"
         : timed
           ? hertz(frequency, known?.frequency_error_hz)
           : `${number(frequency, 3)} per bin`;

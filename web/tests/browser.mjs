@@ -43,7 +43,7 @@ export async function serve(args, where = "stdout") {
   let [out, err] = ["", ""];
   child.stdout.on("data", (data) => (out += data));
   child.stderr.on("data", (data) => (err += data));
-  const found = () => (where === "stdout" ? out : err).match(/http:\/\/127\.0\.0\.1:\d+\//)?.[0];
+  const found = () => (where === "stdout" ? out : err).match(/http:\/\/127\.0\.0\.1:\d+\/\?token=[0-9a-f]+/)?.[0];
   await until(() => found() || child.exitCode !== null, 20_000);
   assert.ok(found(), `no address: ${out}${err}`);
   return { url: found(), child, text: () => out + err, stop: () => child.kill("SIGINT") };
@@ -119,7 +119,7 @@ export async function freezeAt(page, url, isWanted) {
   const frozen = new Promise((resolve) => (tell = resolve));
   await page.setRequestInterception(true);
   page.on("request", async (request) => {
-    if (request.url() === `${url}api/live`) {
+    if (request.url() === new URL("api/live", url).href) {
       // Its last question is that for the state after the one that it has.
       if (last && isWanted(last)) return tell();
       const text = await (await fetch(request.url())).text();

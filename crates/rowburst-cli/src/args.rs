@@ -299,7 +299,7 @@ pub struct ReconstructArgs {
 ///
 /// The page is served on 127.0.0.1, which other machines cannot reach. To view results on a remote
 /// computer, run this command there with --no-open, run ssh -L 8787:localhost:8787 HOST here, and open
-/// http://localhost:8787/.
+/// the address that it printed. The address has a token: without it nothing is served.
 #[cfg(feature = "view")]
 #[derive(Debug, Args)]
 #[command(

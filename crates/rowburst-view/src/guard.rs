@@ -1,13 +1,15 @@
-//! Who may ask: this machine, from this page.
+//! Who may ask: this machine, from this page, with the token of this server.
 //!
 //! A server on 127.0.0.1 is out of reach of other machines, but not of other pages in the same
 //! browser. A page whose name was made to point to 127.0.0.1 (DNS rebinding) shows in `Host`, a
-//! request that another page sends shows in `Origin` and `Sec-Fetch-Site`.
+//! request that another page sends shows in `Origin` and `Sec-Fetch-Site`. Other users of the machine can reach the
+//! port as well: the address that is printed has a token, which the page then keeps in a cookie.
 
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use std::sync::Arc;
 
 /// Nothing from elsewhere. Pictures are made in the page (`blob:`), the chart library sets styles by
 /// script, which needs no permission.
@@ -15,14 +17,91 @@ pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self
     img-src 'self' blob: data:; connect-src 'self'; media-src 'self' blob:; base-uri 'none'; \
     form-action 'none'; frame-ancestors 'none'";
 
-/// Refuses what does not come from this machine, and puts the policy on what goes out.
-pub async fn guard(request: Request, next: Next) -> Response {
-    let mut response = if is_ours(request.headers()) {
+/// The secret of one server.
+#[derive(Clone)]
+pub struct Token {
+    text: Arc<str>,
+    cookie_name: Arc<str>,
+}
+
+impl Token {
+    /// A token of 128 random bits for the server on `port`. Browsers share cookies among ports, so each has its name.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn new(port: u16) -> Result<Self, getrandom::Error> {
+        let mut bytes = [0u8; 16];
+        getrandom::fill(&mut bytes)?;
+        let text: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self {
+            text: text.into(),
+            cookie_name: format!("rowburst-{port}").into(),
+        })
+    }
+
+    /// The token in an address.
+    pub fn query(&self) -> String {
+        format!("token={}", self.text)
+    }
+
+    fn cookie(&self) -> String {
+        format!(
+            "{}={}; Path=/; HttpOnly; SameSite=Strict",
+            self.cookie_name, self.text
+        )
+    }
+
+    fn is_in_query(&self, request: &Request) -> bool {
+        let query = request.uri().query().unwrap_or_default();
+        let mut tokens = query.split('&').filter_map(|p| p.strip_prefix("token="));
+        tokens.any(|text| self.is(text))
+    }
+
+    fn is_in_cookie(&self, headers: &HeaderMap) -> bool {
+        let cookies = headers.get_all(header::COOKIE).iter();
+        let pairs = cookies
+            .filter_map(|value| value.to_str().ok())
+            .flat_map(|v| v.split(';'))
+            .filter_map(|pair| pair.trim().split_once('='));
+        pairs
+            .filter(|(name, _)| *name == &*self.cookie_name)
+            .any(|(_, text)| self.is(text))
+    }
+
+    /// Compares in a time that does not depend on where the texts differ.
+    fn is(&self, text: &str) -> bool {
+        let pairs = self.text.bytes().zip(text.bytes());
+        text.len() == self.text.len() && pairs.fold(0, |acc, (a, b)| acc | (a ^ b)) == 0
+    }
+}
+
+/// Refuses what does not come from this machine and what lacks the token, and puts the policy on what goes out.
+pub async fn guard(State(token): State<Token>, request: Request, next: Next) -> Response {
+    let is_from_here =
+        is_ours(request.headers()) && request.uri().host().is_none_or(is_this_machine);
+    let refuse = |words: &'static str| (StatusCode::FORBIDDEN, words).into_response();
+    let mut response = if !is_from_here {
+        refuse(
+            "This viewer answers only to localhost, 127.0.0.1 and [::1]. Through ssh -L, \
+             open the address that rowburst has printed.\n",
+        )
+    } else if has_body(request.headers()) {
+        (
+            StatusCode::PAYLOAD_TOO_LARGE,
+            "No request has a body here.\n",
+        )
+            .into_response()
+    } else if token.is_in_query(&request) && request.uri().path() == "/" {
+        // The page goes on with the cookie, so that the token does not stay in the address.
+        let headers = [
+            (header::LOCATION, "/".to_string()),
+            (header::SET_COOKIE, token.cookie()),
+        ];
+        (StatusCode::SEE_OTHER, headers).into_response()
+    } else if token.is_in_query(&request) || token.is_in_cookie(request.headers()) {
         next.run(request).await
     } else {
-        let words = "This viewer answers only to localhost, 127.0.0.1 and [::1]. Through ssh -L, \
-                     open http://localhost:PORT/.\n";
-        (StatusCode::FORBIDDEN, words).into_response()
+        refuse("Open the address that rowburst has printed: it holds the token of this viewer.\n")
     };
     let headers = response.headers_mut();
     for (name, value) in [
@@ -43,6 +122,7 @@ pub async fn guard(request: Request, next: Next) -> Response {
 fn is_ours(headers: &HeaderMap) -> bool {
     let text = |name| headers.get(name).map(|v: &HeaderValue| v.to_str().ok());
     let host = text(header::HOST).flatten();
+    let has_one_host = headers.get_all(header::HOST).iter().count() == 1;
     let origin = match text(header::ORIGIN) {
         None => true,
         Some(origin) => origin
@@ -51,7 +131,13 @@ fn is_ours(headers: &HeaderMap) -> bool {
     };
     let site = headers.get("sec-fetch-site").map(HeaderValue::as_bytes);
     let site = !matches!(site, Some(b"cross-site"));
-    host.is_some_and(is_this_machine) && origin && site
+    has_one_host && host.is_some_and(is_this_machine) && origin && site
+}
+
+/// Whether a body follows. None of the requests of the page has one.
+fn has_body(headers: &HeaderMap) -> bool {
+    let length = headers.get(header::CONTENT_LENGTH);
+    headers.contains_key(header::TRANSFER_ENCODING) || length.is_some_and(|v| v.as_bytes() != b"0")
 }
 
 /// Whether `host` (with or without a port) is a name of this machine.
@@ -118,5 +204,23 @@ mod tests {
             assert!(!is_ours(&headers(&[host, bad])), "{bad:?}");
         }
         assert!(!is_ours(&HeaderMap::new()));
+        let mut two = headers(&[host]);
+        two.append("host", HeaderValue::from_static("evil.example"));
+        assert!(!is_ours(&two));
+    }
+
+    #[test]
+    fn a_token_is_compared_whole() {
+        let token = Token::new(8787).unwrap();
+        let text = token.query()["token=".len()..].to_string();
+        assert_eq!(text.len(), 32);
+        assert!(token.is(&text));
+        assert!(!token.is(&text[1..]) && !token.is(&format!("{text}0")) && !token.is(""));
+        assert_ne!(Token::new(8787).unwrap().query(), token.query());
+        let cookie = HeaderValue::from_str(&format!("a=b; rowburst-8787={text}")).unwrap();
+        let headers = HeaderMap::from_iter([(header::COOKIE, cookie)]);
+        assert!(token.is_in_cookie(&headers));
+        let other = HeaderValue::from_str(&format!("rowburst-8788={text}")).unwrap();
+        assert!(!token.is_in_cookie(&HeaderMap::from_iter([(header::COOKIE, other)])));
     }
 }

@@ -89,7 +89,7 @@ impl ResultFiles {
     }
 
     fn folder(path: &Path) -> Result<Self> {
-        let there = |name: &str| path.join(name).is_file();
+        let there = |name: &str| file_in(path, name).is_some();
         if !there("result.json") {
             return Err(incomplete_result(path));
         }
@@ -101,7 +101,15 @@ impl ResultFiles {
         } else {
             Value::Null
         };
-        let video = Array::open(&path.join("video.npy"), range(&view, "video"))?;
+        let Some(video_path) = file_in(path, "video.npy") else {
+            return Err(Error::input(
+                path,
+                "no video.npy in it, or a link to a file elsewhere",
+                "a result folder holds its video",
+                "Run the reconstruction again, or give the video itself.",
+            ));
+        };
+        let video = Array::open(&video_path, range(&view, "video"))?;
         let shape = video.shape();
         let mut arrays = vec![("video", video)];
         let truth = view["truth"].as_str();
@@ -220,8 +228,16 @@ impl ResultFiles {
     /// A file to be taken away, with its type.
     pub(crate) fn download(&self, name: &str) -> Option<(PathBuf, &'static str)> {
         let (name, kind) = DOWNLOADS.iter().find(|(n, _)| *n == name)?;
-        self.is_folder.then(|| (self.path.join(name), *kind))
+        let file = self.is_folder.then(|| file_in(&self.path, name))?;
+        Some((file?, *kind))
     }
+}
+
+/// The file `name` in `folder`; `None` where there is none, or where a symbolic link leads out of the folder.
+fn file_in(folder: &Path, name: &str) -> Option<PathBuf> {
+    let file = folder.join(name).canonicalize().ok()?;
+    let is_inside = file.starts_with(folder.canonicalize().ok()?);
+    (is_inside && file.is_file()).then_some(file)
 }
 
 fn range(view: &Value, name: &str) -> Option<(f32, f32)> {

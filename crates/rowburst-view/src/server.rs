@@ -1,6 +1,6 @@
 //! The server: routes, and the thread that it lives on.
 
-use crate::guard::guard;
+use crate::guard::{Token, guard};
 use crate::live::Live;
 use crate::page;
 use crate::result_files::ResultFiles;
@@ -10,6 +10,9 @@ use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::service::TowerToHyperService;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use rowburst::{Parameter, phrase};
@@ -17,13 +20,22 @@ use serde::Deserialize;
 use serde_json::json;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Duration;
+use tokio::net::TcpStream;
 use tokio::sync::{Notify, Semaphore};
+use tokio_io_timeout::TimeoutStream;
 
 /// Ports that are tried, from this one on, where none was asked for.
 const FIRST_PORT: u16 = 8787;
 const PORTS: u16 = 20;
 /// Most bytes of one answer: a page asks for a few bins at a time.
 const MAX_BYTES: usize = 64 << 20;
+/// Connections at once; more wait until one ends.
+const MAX_CONNECTIONS: usize = 64;
+/// Time in which a client sends the head of a request, also of the next one on its connection.
+const HEAD_TIME: Duration = Duration::from_secs(5);
+/// Time in which a client takes a part of an answer.
+const WRITE_TIME: Duration = Duration::from_secs(30);
 /// Answers that are being made at once; each holds its bins in memory.
 const MAX_CONCURRENT_ANSWERS: usize = 4;
 
@@ -36,6 +48,7 @@ struct ServerState {
 /// A server that runs on a thread of its own until it is stopped or the program ends.
 pub struct Server {
     address: SocketAddr,
+    token: Token,
     shared: Arc<ServerState>,
     stop: Arc<Notify>,
 }
@@ -77,7 +90,8 @@ impl Server {
             live,
             turns: Semaphore::new(MAX_CONCURRENT_ANSWERS),
         });
-        let routes = routes(Arc::clone(&shared));
+        let token = Token::new(address.port()).map_err(|e| failed(std::io::Error::other(e)))?;
+        let routes = routes(Arc::clone(&shared), token.clone());
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .enable_all()
@@ -88,9 +102,8 @@ impl Server {
         std::thread::spawn(move || {
             let served = runtime.block_on(async {
                 let listener = tokio::net::TcpListener::from_std(listener)?;
-                axum::serve(listener, routes)
-                    .with_graceful_shutdown(async move { stopped.notified().await })
-                    .await
+                serve(listener, routes, &stopped).await;
+                Ok::<(), std::io::Error>(())
             });
             if let Err(error) = served {
                 eprintln!("the viewer's server stopped: {error}");
@@ -98,6 +111,7 @@ impl Server {
         });
         Ok(Self {
             address,
+            token,
             shared,
             stop,
         })
@@ -108,9 +122,9 @@ impl Server {
         self.stop.notify_one();
     }
 
-    /// What to open in a browser.
+    /// What to open in a browser: the address with the token, without which no request is answered.
     pub fn url(&self) -> String {
-        format!("http://{}/", self.address)
+        format!("http://{}/?{}", self.address, self.token.query())
     }
 
     /// From now on these results are shown.
@@ -141,7 +155,46 @@ impl ServerState {
     }
 }
 
-fn routes(shared: Arc<ServerState>) -> Router {
+/// Accepts connections until `stop`, then finishes the answers that are being made.
+async fn serve(listener: tokio::net::TcpListener, routes: Router, stop: &Notify) {
+    let mut http = hyper::server::conn::http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);
+    let graceful = GracefulShutdown::new();
+    let connections = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    loop {
+        let accept = async {
+            let permit = Arc::clone(&connections).acquire_owned().await;
+            (permit, listener.accept().await)
+        };
+        let (permit, stream) = tokio::select! {
+            accepted = accept => accepted,
+            () = stop.notified() => break,
+        };
+        let Ok((stream, _)) = stream else {
+            // Out of file descriptors: some connection will end.
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
+        };
+        let service = TowerToHyperService::new(routes.clone());
+        let connection = http.serve_connection(TokioIo::new(timed(stream)), service);
+        let connection = graceful.watch(connection);
+        tokio::spawn(async move {
+            // A client that goes away, or is too slow, is no fault of the server.
+            let _ = connection.await;
+            drop(permit);
+        });
+    }
+    graceful.shutdown().await;
+}
+
+/// `stream`, which fails where the client takes nothing for [`WRITE_TIME`].
+fn timed(stream: TcpStream) -> std::pin::Pin<Box<TimeoutStream<TcpStream>>> {
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(WRITE_TIME));
+    Box::pin(stream)
+}
+
+fn routes(shared: Arc<ServerState>, token: Token) -> Router {
     Router::new()
         .route("/", get(index))
         .route("/{file}", get(page_asset))
@@ -152,7 +205,7 @@ fn routes(shared: Arc<ServerState>) -> Router {
         .route("/api/live", get(live))
         .route("/api/live/bins", get(live_bins))
         .route("/api/live/stop", post(stop))
-        .layer(axum::middleware::from_fn(guard))
+        .layer(axum::middleware::from_fn_with_state(token, guard))
         .with_state(shared)
 }
 

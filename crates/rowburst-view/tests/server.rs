@@ -29,12 +29,28 @@ fn served(base: &Path) -> Server {
     Server::start(Some(0), vec![opened], None).unwrap()
 }
 
+/// Address and token of the server.
+fn address_and_token(server: &Server) -> (String, String) {
+    let url = server.url();
+    let (address, token) = url["http://".len()..].split_once("/?token=").unwrap();
+    assert!(address.starts_with("127.0.0.1:"), "{address}");
+    (address.to_string(), token.to_string())
+}
+
+fn connect(server: &Server) -> TcpStream {
+    TcpStream::connect(address_and_token(server).0).unwrap()
+}
+
+/// The header with the cookie that the page has.
+fn cookie(server: &Server) -> String {
+    let (address, token) = address_and_token(server);
+    let port = address.rsplit(':').next().unwrap();
+    format!("Cookie: rowburst-{port}={token}\r\n")
+}
+
 /// Sends a request as it stands; returns status line with headers, and body.
 fn ask(server: &Server, request: &str) -> (String, Vec<u8>) {
-    let url = server.url();
-    let address = url.trim_start_matches("http://").trim_end_matches('/');
-    assert!(address.starts_with("127.0.0.1:"), "{address}");
-    let mut stream = TcpStream::connect(address).unwrap();
+    let mut stream = connect(server);
     stream.write_all(request.as_bytes()).unwrap();
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).unwrap();
@@ -44,7 +60,15 @@ fn ask(server: &Server, request: &str) -> (String, Vec<u8>) {
 }
 
 fn get(server: &Server, path: &str) -> (String, Vec<u8>) {
-    let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    get_with(
+        server,
+        path,
+        &format!("Host: localhost\r\n{}", cookie(server)),
+    )
+}
+
+fn get_with(server: &Server, path: &str, headers: &str) -> (String, Vec<u8>) {
+    let request = format!("GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n");
     ask(server, &request)
 }
 
@@ -187,8 +211,8 @@ fn other_names_and_other_pages_are_refused() {
     let base = folder();
     let server = served(base.path());
     let with = |headers: &str| {
-        let request = format!("GET /api/view HTTP/1.1\r\n{headers}Connection: close\r\n\r\n");
-        ask(&server, &request).0
+        let headers = format!("{headers}{}", cookie(&server));
+        get_with(&server, "/api/view", &headers).0
     };
     for host in ["localhost:8787", "127.0.0.1", "[::1]:9"] {
         assert!(
@@ -201,9 +225,130 @@ fn other_names_and_other_pages_are_refused() {
         "Host: localhost.evil.example:8787\r\n",
         "Host: localhost:8787\r\nOrigin: http://evil.example\r\n",
         "Host: localhost:8787\r\nSec-Fetch-Site: cross-site\r\n",
+        "Host: localhost:8787\r\nHost: evil.example\r\n",
+        "Host: localhost:8787\r\nHost: localhost:8787\r\n",
+        "",
     ] {
         let head = with(headers);
-        assert!(head.starts_with("http/1.1 403"), "{headers}: {head}");
+        assert!(head.starts_with("http/1.1 40"), "{headers}: {head}");
+    }
+    // An absolute address with another host.
+    let headers = format!("Host: localhost\r\n{}", cookie(&server));
+    let (head, _) = get_with(&server, "http://evil.example/api/view", &headers);
+    assert!(head.starts_with("http/1.1 40"), "{head}");
+}
+
+#[test]
+fn nothing_is_served_without_the_token() {
+    let base = folder();
+    let server = served(base.path());
+    let (address, token) = address_and_token(&server);
+    let host = "Host: localhost\r\n";
+    let port = address.rsplit(':').next().unwrap();
+    let paths = [
+        "/",
+        "/app.js",
+        "/api/view",
+        "/api/result/0/file/result.json",
+    ];
+    for path in paths {
+        for more in [
+            String::new(),
+            format!("Cookie: rowburst-{port}=\r\n"),
+            format!("Cookie: rowburst-{port}={}\r\n", "0".repeat(32)),
+            format!("Cookie: rowburst-1={token}\r\n"),
+        ] {
+            let (head, body) = get_with(&server, path, &format!("{host}{more}"));
+            assert!(head.starts_with("http/1.1 403"), "{path}, {more}: {head}");
+            assert!(!head.contains("set-cookie"), "{head}");
+            let words = String::from_utf8(body).unwrap();
+            assert!(
+                words.contains("address that rowburst has printed"),
+                "{words}"
+            );
+        }
+    }
+    let (head, _) = get_with(&server, "/?token=0", host);
+    assert!(head.starts_with("http/1.1 403"), "{head}");
+    // The printed address gives the cookie, and leads to the page without the token in its address.
+    let (head, _) = get_with(&server, &format!("/?token={token}"), host);
+    assert!(head.starts_with("http/1.1 303"), "{head}");
+    assert!(head.contains("location: /\r\n"), "{head}");
+    let set = format!("set-cookie: rowburst-{port}={token}; path=/; httponly; samesite=strict");
+    assert!(head.contains(&set), "{head}");
+    // Another program may give it with each request.
+    let (head, _) = get_with(&server, &format!("/api/view?token={token}"), host);
+    assert!(head.starts_with("http/1.1 200"), "{head}");
+}
+
+#[cfg(unix)]
+#[test]
+fn links_that_leave_the_folder_are_not_followed() {
+    use std::os::unix::fs::symlink;
+    let base = folder();
+    let result = base.path().join("result");
+    let outside = base.path().join("outside.txt");
+    symlink(&outside, result.join("traces.csv")).unwrap();
+    symlink("../outside.txt", result.join("report.html")).unwrap();
+    symlink("video.npy", result.join("background.npy")).unwrap();
+    let server = served(base.path());
+    for name in ["traces.csv", "report.html"] {
+        let (head, _) = get(&server, &format!("/api/result/0/file/{name}"));
+        assert!(head.starts_with("http/1.1 404"), "{name}: {head}");
+    }
+    let (_, meta) = get(&server, "/api/view");
+    let meta: serde_json::Value = serde_json::from_slice(&meta).unwrap();
+    let files = meta["results"][0]["files"].to_string();
+    assert!(
+        !files.contains("traces.csv") && files.contains("background.npy"),
+        "{files}"
+    );
+    // A link that was put there after the result was opened.
+    fs::remove_file(result.join("background.npy")).unwrap();
+    symlink(&outside, result.join("background.npy")).unwrap();
+    let (head, _) = get(&server, "/api/result/0/file/background.npy");
+    assert!(head.starts_with("http/1.1 404"), "{head}");
+    // The video itself elsewhere.
+    fs::rename(result.join("video.npy"), base.path().join("video.npy")).unwrap();
+    symlink("../video.npy", result.join("video.npy")).unwrap();
+    let error = ResultFiles::open(&result).err().unwrap().to_string();
+    assert!(error.contains("link to a file elsewhere"), "{error}");
+}
+
+#[test]
+fn slow_and_many_clients_do_not_block_others() {
+    let base = folder();
+    let server = served(base.path());
+    // More than the server keeps at once, none of which ends its request.
+    let mut slow: Vec<TcpStream> = (0..80).map(|_| connect(&server)).collect();
+    for stream in &mut slow {
+        stream.write_all(b"GET / HTTP/1.1\r\nHost: local").unwrap();
+    }
+    let begun = std::time::Instant::now();
+    let (head, _) = get(&server, "/api/view");
+    assert!(head.starts_with("http/1.1 200"), "{head}");
+    let waited = begun.elapsed().as_secs();
+    assert!(waited < 20, "{waited} s");
+    // The server has ended them.
+    let mut answer = Vec::new();
+    slow[0].read_to_end(&mut answer).unwrap();
+    assert!(
+        answer.is_empty() || answer.starts_with(b"HTTP/1.1 4"),
+        "{answer:?}"
+    );
+}
+
+#[test]
+fn bodies_are_refused() {
+    let base = folder();
+    let server = served(base.path());
+    for body in [
+        "Content-Length: 9999999\r\n",
+        "Transfer-Encoding: chunked\r\n",
+    ] {
+        let headers = format!("Host: localhost\r\n{}{body}", cookie(&server));
+        let (head, _) = get_with(&server, "/api/view", &headers);
+        assert!(head.starts_with("http/1.1 413"), "{head}");
     }
 }
 
@@ -287,9 +432,10 @@ fn a_running_reconstruction_is_watched_and_stopped() {
 
     let (head, _) = get(&server, "/api/live/stop");
     assert!(head.starts_with("http/1.1 405"), "{head}");
+    let cookie = cookie(&server);
     let post = |origin: &str| {
         let request = format!(
-            "POST /api/live/stop HTTP/1.1\r\nHost: localhost:1\r\nOrigin: {origin}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+            "POST /api/live/stop HTTP/1.1\r\nHost: localhost:1\r\nOrigin: {origin}\r\n{cookie}Content-Length: 0\r\nConnection: close\r\n\r\n"
         );
         ask(&server, &request).0
     };
