@@ -77,6 +77,7 @@ impl PySequence {
             self_calibration: SelfCalibration::Off,
             keep_all_pixels: true,
             is_preview: true,
+            ..Options::default()
         };
         let grey = camera.grey()?;
         let corrections = corrections_of(dark, flat, bad_pixels)?;

@@ -268,7 +268,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
                 &entry(state, "self_calibrate")?.extract::<String>()?,
             )?,
             keep_all_pixels: entry(state, "keep_all_pixels")?.extract()?,
-            is_preview: false,
+            ..Options::default()
         },
         budget: budget.map(Duration::from_secs_f64),
         truth: truth.map(|truth| video(&truth, "truth")).transpose()?,

@@ -342,7 +342,7 @@ pub fn options_from(
             most => most,
         },
         keep_all_pixels,
-        is_preview: false,
+        ..Options::default()
     })
 }
 

@@ -37,7 +37,7 @@ impl UserOptions<'_> {
             max_iterations: self.max_iterations,
             keep_all_pixels: self.keep_all_pixels,
             self_calibration: parse_self_calibration(self.self_calibrate)?,
-            is_preview: false,
+            ..Options::default()
         };
         Ok((options, parse_time_budget(self.time_budget_s)?))
     }

@@ -185,7 +185,6 @@ fn nothing_depends_on_the_units_of_the_frame() {
 /// With τ given, the result is the minimum: no nearby video has a lower objective.
 #[test]
 fn a_fixed_tau_reaches_the_minimum() {
-    use rowburst::prox::{Prox, Variation};
     let case = Case::new(Shutter::DualInsideOut, 10.0, None);
     let prior: Prior = "tv+0.5*tdiff".parse().unwrap();
     let auto = case.solve(Options {
@@ -200,7 +199,7 @@ fn a_fixed_tau_reaches_the_minimum() {
     };
     let found = case.solve(options);
     let operator = RollingShutter::new(&case.camera, &case.psf);
-    let penalty = Variation::new(case.camera.video_shape(), prior.variation);
+    let penalty = prior.prox(case.camera.video_shape());
     let objective = |video: &[f32]| {
         let mut frame = vec![0.0; operator.range_len()];
         operator.apply(video, &mut frame);

@@ -119,8 +119,6 @@ parameters! {
     FramePeriodUs = "frame_period_us",
     /// The prior.
     Prior = "prior",
-    /// Weight of a term of the prior.
-    PriorWeight = "prior_weight",
     /// The weight τ of the prior, or the rule for it.
     Tau = "tau",
     /// Standard deviation of the noise, in counts.

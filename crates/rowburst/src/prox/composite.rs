@@ -20,10 +20,21 @@
 //! It takes at least 2 and at most 4 steps (docs/design/012).
 
 use super::dual::DualTerm;
+use super::term::{TermForm, TermSpec};
 use super::{Prox, Variation, VariationWeights};
 use crate::vecmath::{distance_squared, simd};
 use crate::{Shape, Support};
 use rayon::prelude::*;
+
+/// The term `group`.
+pub const GROUP: TermSpec = TermSpec {
+    name: "group",
+    favours: "few active pixels, each with any trace",
+    couples_bins: true,
+    excludes: None,
+    unit: |shape| 2.0 * (shape.bins as f64).sqrt(),
+    form: TermForm::Traces,
+};
 
 /// Largest error bound of a prox over the last movement of `q`; smaller takes more steps.
 const ACCURACY: f64 = 1.0;
@@ -77,8 +88,7 @@ impl Composite {
 
     /// The sum plus `weight` times `term`.
     #[must_use]
-    pub fn with(mut self, weight: f64, term: impl DualTerm + 'static) -> Self {
-        let term = Box::new(term);
+    pub fn with(mut self, weight: f64, term: Box<dyn DualTerm>) -> Self {
         self.terms.push(WeightedTerm { weight, term });
         self
     }

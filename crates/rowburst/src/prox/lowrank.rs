@@ -12,10 +12,44 @@
 //! `P Pᵀ` (bins × bins), in f64: its eigenvalues span twice the decades of the singular values.
 
 use super::dual::{self, DualTerm};
+use super::term::{TermForm, TermSpec, one_voxel};
+use super::{Composite, VariationWeights};
 use crate::Shape;
+use crate::linop::Background;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
 use rayon::prelude::*;
+
+/// The term `lowrank`.
+pub const LOWRANK: TermSpec = TermSpec {
+    couples_bins: true,
+    // Three times the singular value of a shape on a hundredth of `P` pixels of the field, active half of the time at
+    // brightness 1: √(T·P/200).
+    unit: |shape| 3.0 * (shape.bins as f64 * shape.pixels() as f64 / 200.0).sqrt(),
+    ..TermSpec::dual("lowrank", "few shapes, each with its own trace", |shape| {
+        Box::new(LowRank::new(shape))
+    })
+};
+
+/// The term `lowrank-background`. Its weight grows with the larger of pixels and bins, as in Candès et al. (2011).
+pub const LOWRANK_BACKGROUND: TermSpec = TermSpec {
+    name: "lowrank-background",
+    favours: "a background that blinks as a whole",
+    couples_bins: true,
+    excludes: Some((
+        "background",
+        "a static background has low rank: use either background or lowrank-background",
+    )),
+    unit: one_voxel,
+    form: TermForm::Background {
+        kind: Background::PerBin,
+        prox: |shape| {
+            let term = Box::new(LowRank::new(shape));
+            Box::new(Composite::new(shape, VariationWeights::NONE, 0.0).with(1.0, term))
+        },
+        scale: |shape| (shape.pixels().max(shape.bins) as f64).sqrt(),
+    },
+};
 
 /// Pixels of one parallel task.
 const CHUNK: usize = 512;

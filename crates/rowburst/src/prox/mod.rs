@@ -1,14 +1,18 @@
 //! Proximal operators of the priors.
 //!
 //! [`Variation`] computes the terms of the default prior in one fused pass. [`Composite`] adds terms of any kind.
+//! [`TERMS`] lists them all.
 
 pub mod composite;
 pub mod dual;
+#[cfg(test)]
+mod example;
 pub mod lowrank;
 pub mod restricted;
 mod rows;
 pub mod sparse;
 pub mod sum_prior;
+pub mod term;
 pub mod variation;
 pub mod variation3d;
 mod wavefront;
@@ -19,6 +23,7 @@ pub use lowrank::LowRank;
 pub use restricted::Restricted;
 pub use sparse::Sparse;
 pub use sum_prior::SumPrior;
+pub use term::{TERMS, TermForm, TermSpec};
 pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 

@@ -4,14 +4,37 @@
 //! R(v) = Σ_bins Σ_k c_k |(K v)_k|
 //! ```
 //!
-//! with [`Cosine`](crate::linop::Cosine) (`dct`: smooth or periodic pictures; boundary
-//! half-sample symmetric) or [`Wavelet`](crate::linop::Wavelet) (`wavelet`: smooth shapes
+//! with [`Cosine`] (`dct`: smooth or periodic pictures; boundary
+//! half-sample symmetric) or [`Wavelet`] (`wavelet`: smooth shapes
 //! with some edges, at any place; boundary periodic) as `K`, and the weights `c_k` of its
 //! bands. The dual ball is a box, `|p_k| ≤ s w c_k`.
 
 use super::dual::{self, DualTerm};
-use crate::linop::{Band, BinTransform, LinearOperator, OverBins};
+use super::term::TermSpec;
+use crate::linop::{Band, BinTransform, Cosine, LinearOperator, OverBins, Wavelet};
 use rayon::prelude::*;
+
+/// The term `dct`.
+pub const DCT: TermSpec = TermSpec {
+    unit: |_| 3.0,
+    ..TermSpec::dual("dct", "smooth or periodic pictures", |shape| {
+        Box::new(Sparse::new(
+            shape.bins,
+            Cosine::new(shape.rows, shape.columns),
+        ))
+    })
+};
+
+/// The term `wavelet`.
+pub const WAVELET: TermSpec = TermSpec {
+    unit: |_| 5.0,
+    ..TermSpec::dual("wavelet", "smooth shapes with some edges", |shape| {
+        Box::new(Sparse::new(
+            shape.bins,
+            Wavelet::new(shape.rows, shape.columns),
+        ))
+    })
+};
 
 /// The weighted ℓ1 norm of the coefficients of every bin.
 pub struct Sparse<T> {

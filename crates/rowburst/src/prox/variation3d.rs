@@ -11,10 +11,31 @@
 //! the axes, and is cheaper for light that is switched on and off.
 
 use super::dual::{self, DualTerm};
+use super::term::TermSpec;
 use crate::Shape;
 use crate::vecmath::simd;
 use rayon::prelude::*;
 use std::ops::Range;
+
+/// The term `tv3d`.
+pub const TV3D: TermSpec = TermSpec {
+    couples_bins: true,
+    ..TermSpec::dual("tv3d", "moving shapes", |shape| {
+        Box::new(Variation3d::new(shape, Isotropy::Isotropic))
+    })
+};
+
+/// The term `tv3d-aniso`.
+pub const TV3D_ANISO: TermSpec = TermSpec {
+    couples_bins: true,
+    excludes: Some((
+        "tv3d",
+        "tv3d and tv3d-aniso are two forms of one term: use one of them",
+    )),
+    ..TermSpec::dual("tv3d-aniso", "boxy or blinking shapes", |shape| {
+        Box::new(Variation3d::new(shape, Isotropy::Anisotropic))
+    })
+};
 
 /// How the three differences at a voxel are put together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

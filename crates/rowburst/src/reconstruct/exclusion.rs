@@ -158,8 +158,8 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         self.effective_sigma = level;
-        let (rule, max_iterations) = (self.tau_rule(), self.options.max_iterations);
-        let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
+        let (rule, settings) = (self.tau_rule(), self.options.solver_settings());
+        let mut run = HeldOutRun::new(&mut self.data, prior, rule, settings);
         let (measured, is_usable) = (self.data.measurements().to_vec(), self.data.usable());
         let none = vec![false; measured.len()];
         let mut until = FIRST_CHECK_ITERATION;

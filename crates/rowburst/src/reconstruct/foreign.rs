@@ -7,6 +7,7 @@
 //! foreign pixels that are not found yet would force a loose fit to absorb them, too. Fainter ones are found by the
 //! rounds of `exclusion` (docs/design/020).
 
+use super::SolverSettings;
 use super::frame_data::FrameData;
 use super::{Prior, RunResult, observe_sum};
 use crate::measurement::Measurement;
@@ -60,10 +61,7 @@ const UNSETTLED_RATIO: f64 = 3.0;
 const MIN_INSTANT_PIXELS: usize = 20;
 
 /// The prior of the search: it assumes little, so that it suits any scene.
-const PRIOR: Prior = Prior {
-    support: false,
-    ..Prior::STANDARD
-};
+const PRIOR: Prior = Prior::STANDARD.without_support();
 
 /// Foreign pixels, and the noise level at which they were found.
 pub(super) struct Foreign {
@@ -110,7 +108,7 @@ pub(super) fn find(
     let params = AdmmParams {
         // Each level is another problem, so no certificate stops a run.
         tolerance: 0.0,
-        ..PRIOR.admm_params(shape, rule(level), None)
+        ..PRIOR.admm_params(shape, rule(level), SolverSettings::default())
     };
     let mut prox = data.prox(&PRIOR);
     let mut run = Admm::new(data, shape, params);

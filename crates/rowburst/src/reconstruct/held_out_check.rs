@@ -4,6 +4,7 @@
 //! where the model is wrong: an effective noise level of 0.85 times the error then serves the reconstruction best, and
 //! foreign pixels are looked for (docs/design/020).
 
+use super::SolverSettings;
 use super::choose::{self, Observer, rms};
 use super::foreign;
 use super::frame_data::FrameData;
@@ -47,11 +48,11 @@ impl HeldOutRun {
         data: &mut FrameData,
         prior: Prior,
         rule: TauRule,
-        max_iterations: Option<usize>,
+        settings: SolverSettings,
     ) -> Self {
         let held_out = data.held_out();
         data.reset(prior.background(), Some(held_out));
-        Self::without_reset(data, prior, rule, max_iterations)
+        Self::without_reset(data, prior, rule, settings)
     }
 
     /// A run from a zero video on all pixels of `data`, which is as new and for the background of `prior`.
@@ -59,9 +60,9 @@ impl HeldOutRun {
         data: &FrameData,
         prior: Prior,
         rule: TauRule,
-        max_iterations: Option<usize>,
+        settings: SolverSettings,
     ) -> Self {
-        let params = prior.admm_params(data.shape(), rule, max_iterations);
+        let params = prior.admm_params(data.shape(), rule, settings);
         Self {
             prior,
             prox: data.prox(&prior),
@@ -175,8 +176,8 @@ impl Problem {
         let rule = TauRule::Discrepancy {
             sigma: self.effective_sigma,
         };
-        let max_iterations = self.options.max_iterations;
-        let mut run = HeldOutRun::new(&mut self.data, prior, rule, max_iterations);
+        let settings = self.options.solver_settings();
+        let mut run = HeldOutRun::new(&mut self.data, prior, rule, settings);
         let mut until = FIRST_CHECK_ITERATION;
         let mut errors = Vec::new();
         let mut was_wide = false;

@@ -4,7 +4,6 @@
 //! consecutive frames of one scene, and [`Chunked`] for videos that do not fit into memory. [`Model`]
 //! holds `A`, [`Prior`] is `R`, and [`Fit`] says whether the result explains the frame.
 
-mod active_system;
 mod choose;
 mod chunked;
 mod data_step;
@@ -16,11 +15,11 @@ mod held_out;
 mod held_out_check;
 mod model;
 mod model_check;
-mod preconditioner;
 mod prior;
 mod self_calibration;
 mod sequence;
 mod sigma;
+mod x_step;
 
 use crate::ErrorKind;
 use crate::error::Subject;
@@ -31,7 +30,7 @@ pub use chunked::Chunked;
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
-pub use prior::{Prior, UnfusedWeights};
+pub use prior::Prior;
 pub use self_calibration::{
     Calibration, FoundParameter, ModelParameter, SelfCalibration, calibrate,
 };
@@ -41,7 +40,7 @@ pub use sigma::estimate_sigma;
 use crate::linop::Background;
 use crate::measurement::Measurement;
 use crate::prox::Prox;
-use crate::solve::admm::{self, Admm, Progress, Solution, TauRule};
+use crate::solve::admm::{self, Admm, Progress, Solution, TauRule, Tuning};
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::{Camera, Error, Image, Parameter, PatchSet, Result, Shape, Video};
 use frame_data::FrameData;
@@ -76,6 +75,26 @@ pub struct Options {
     pub keep_all_pixels: bool,
     /// Takes the frame and `σ` as they are: no search for foreign pixels and no effective `σ`, which take time.
     pub is_preview: bool,
+    /// The constants of the solver; unstable. The search for foreign pixels and self-calibration have the standard ones.
+    pub tuning: Tuning,
+}
+
+/// What the options say of every run of the solver.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct SolverSettings {
+    /// See [`Options::max_iterations`].
+    pub max_iterations: Option<usize>,
+    /// See [`Options::tuning`].
+    pub tuning: Tuning,
+}
+
+impl Options {
+    fn solver_settings(&self) -> SolverSettings {
+        SolverSettings {
+            max_iterations: self.max_iterations,
+            tuning: self.tuning,
+        }
+    }
 }
 
 /// The rule for `τ` of `½‖W(b − A v)‖² + τ R(v)`.
@@ -472,9 +491,8 @@ impl Problem {
         let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
-            let max_iterations = self.options.max_iterations;
-            self.sigma =
-                choose::noise_level(&mut self.data, default_prior, max_iterations, observer)?;
+            let settings = self.options.solver_settings();
+            self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
             info!("noise level by held-out pixels: σ {:.4} counts", self.sigma);
@@ -503,12 +521,12 @@ impl Problem {
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
-        let max_iterations = self.options.max_iterations;
+        let settings = self.options.solver_settings();
         choose::choose_prior(
             &mut self.data,
             rule,
             self.sigma,
-            max_iterations,
+            settings,
             self.is_dense,
             observer,
         )
@@ -538,7 +556,7 @@ impl Problem {
                 (c.best().prior, c.best().tau_factor)
             });
         let shape = self.data.shape();
-        let params = prior.admm_params(shape, rule, self.options.max_iterations);
+        let params = prior.admm_params(shape, rule, self.options.solver_settings());
         info!("final run: prior {prior}, factor {tau_factor} on τ");
         self.data.reset(prior.background(), None);
         let mut prox = self.data.prox(&prior);
@@ -631,7 +649,8 @@ struct RunResult {
 
 impl RunResult {
     fn new(prior: Prior, prox: &dyn Prox, shape: Shape, solution: Solution) -> Self {
-        let faint = (0.01 * admm::brightness(&solution.video[..shape.voxels()])) as f32;
+        let faint = (Tuning::STANDARD.flat_difference
+            * admm::brightness(&solution.video[..shape.voxels()])) as f32;
         Self {
             prior,
             degrees_of_freedom: prox.degrees_of_freedom(&solution.video, faint),

@@ -21,137 +21,97 @@
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
+use super::SolverSettings;
 use crate::ErrorKind;
 use crate::error::Phrase;
-use crate::linop::{Background, Cosine, Wavelet};
+use crate::linop::Background;
 use crate::phrase;
 use crate::prox::{
-    Composite, Isotropy, LowRank, Prox, Sparse, SumPrior, Variation, Variation3d, VariationWeights,
+    Composite, Prox, SumPrior, TERMS, TermForm, TermSpec, Variation, VariationWeights,
 };
 use crate::solve::admm::{AdmmParams, TauRule};
 use crate::{Error, Parameter, Result, Shape};
 
 /// A prior: the weights of its convex terms, and whether the video is restricted to a support.
 ///
-/// Its text form joins the terms by `+`, each with an optional weight, as in `tv+0.5*tdiff+support`:
-/// `l1` (absolute values), `tv` (isotropic total variation in space), `tdiff` (absolute differences
-/// in time), `tv3d` and `tv3d-aniso` (total variation in space and time), `dct` and `wavelet` (few
-/// coefficients in each bin), `group` (few active pixels), `lowrank` (few shapes), `background` and
-/// `lowrank-background` (a static background, and a background video of low rank), `support` (only
-/// bright voxels and their neighbours, see [`crate::solve::admm`]).
+/// Its text form joins the terms by `+`, each with an optional weight, as in `tv+0.5*tdiff+support`. The convex terms
+/// are those of [`TERMS`]; `support` permits only bright voxels and their neighbours, see [`crate::solve::admm`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
-    /// Weights of the terms that [`Variation`] computes together: `tv`, `tdiff` and `l1`.
-    pub variation: VariationWeights,
-    /// Weights of all other convex terms, which are not fused into one loop.
-    pub unfused: UnfusedWeights,
+    /// The weights of [`TERMS`]; a term with weight 0 is absent.
+    weights: [f64; TERMS.len()],
     /// Whether the video is restricted to a support, `support`.
     pub support: bool,
 }
 
-/// Weights of the terms that [`Variation`] does not compute; a term with weight 0 is absent.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct UnfusedWeights {
-    /// Isotropic total variation in space and time, `tv3d`.
-    pub tv3d: f64,
-    /// Anisotropic total variation in space and time, `tv3d-aniso`.
-    pub tv3d_aniso: f64,
-    /// Absolute cosine coefficients of each bin, `dct`.
-    pub dct: f64,
-    /// Absolute wavelet coefficients of each bin, `wavelet`.
-    pub wavelet: f64,
-    /// Norm over time of each pixel, `group`.
-    pub group: f64,
-    /// Nuclear norm of space × time, `lowrank`.
-    pub lowrank: f64,
-    /// Total variation of a static background, `background`.
-    pub background: f64,
-    /// Nuclear norm of a background video, `lowrank-background`.
-    pub lowrank_background: f64,
-}
-
-/// The terms that couple bins.
-const TEMPORAL_TERMS: [&str; 7] = [
-    "tdiff",
-    "tv3d",
-    "tv3d-aniso",
-    "group",
-    "lowrank",
-    "background",
-    "lowrank-background",
-];
-
-/// Units of `β` in [`Prior::threshold_factor`], in units of the brightness of a voxel; larger shrinks the term more in
-/// each iteration (docs/design/012). That of `group` is multiplied by `√T`, that of `lowrank` by the singular value of a
-/// typical picture.
-const GROUP_UNIT: f64 = 2.0;
-const LOWRANK_UNIT: f64 = 3.0;
-const WAVELET_UNIT: f64 = 5.0;
-const DCT_UNIT: f64 = 3.0;
-
-const NO_VARIATION: VariationWeights = VariationWeights {
-    space: 0.0,
-    time: 0.0,
-    l1: 0.0,
-};
-const NO_UNFUSED_TERMS: UnfusedWeights = UnfusedWeights {
-    tv3d: 0.0,
-    tv3d_aniso: 0.0,
-    dct: 0.0,
-    wavelet: 0.0,
-    group: 0.0,
-    lowrank: 0.0,
-    background: 0.0,
-    lowrank_background: 0.0,
-};
+/// The name of the restriction to a support.
+const SUPPORT: &str = "support";
 
 impl Prior {
     /// Default for sparse scenes, static or moving: `tv+0.5*tdiff+support` (`docs/design/012`).
-    pub const STANDARD: Self = Self {
-        variation: VariationWeights {
-            space: 1.0,
-            time: 0.5,
-            l1: 0.0,
-        },
-        unfused: NO_UNFUSED_TERMS,
-        support: true,
-    };
+    pub const STANDARD: Self = Self::SEPARABLE.with("tdiff", 0.5);
     /// Default for videos that are reconstructed in chunks, without a term over time: `tv+support`.
     pub const SEPARABLE: Self = Self {
-        variation: VariationWeights {
-            time: 0.0,
-            ..Self::STANDARD.variation
-        },
-        ..Self::STANDARD
-    };
+        weights: [0.0; TERMS.len()],
+        support: true,
+    }
+    .with("tv", 1.0);
+
+    /// The prior with another weight of the convex term `name`.
+    ///
+    /// # Panics
+    /// If no convex term has this name.
+    #[must_use]
+    pub const fn with(mut self, name: &str, weight: f64) -> Self {
+        let mut i = 0;
+        while !is_same(TERMS[i].name, name) {
+            i += 1;
+        }
+        self.weights[i] = weight;
+        self
+    }
+
+    /// The prior without a restriction to a support.
+    #[must_use]
+    pub const fn without_support(mut self) -> Self {
+        self.support = false;
+        self
+    }
+
     /// The names of the terms, in the order in which a prior is written.
-    pub const TERMS: [&'static str; 12] = [
-        "tv",
-        "tdiff",
-        "l1",
-        "tv3d",
-        "tv3d-aniso",
-        "dct",
-        "wavelet",
-        "group",
-        "lowrank",
-        "background",
-        "lowrank-background",
-        "support",
-    ];
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        TERMS.iter().map(|term| term.name).chain([SUPPORT])
+    }
+
+    /// The weight of the convex term `name`; 0 where it is absent.
+    pub fn weight(&self, name: &str) -> f64 {
+        self.terms()
+            .find(|(term, _)| term.name == name)
+            .map_or(0.0, |(_, weight)| weight)
+    }
+
+    /// The convex terms with a weight above zero.
+    fn terms(&self) -> impl Iterator<Item = (&'static TermSpec, f64)> {
+        let weights = self.weights;
+        TERMS
+            .iter()
+            .zip(weights)
+            .filter(|(_, weight)| *weight > 0.0)
+    }
 
     /// The parameters of the solver for videos of `shape`.
     pub(super) fn admm_params(
         &self,
         shape: Shape,
         rule: TauRule,
-        max_iterations: Option<usize>,
+        settings: SolverSettings,
     ) -> AdmmParams {
         let defaults = AdmmParams::new(rule);
         AdmmParams {
             support: self.support,
             threshold: defaults.threshold * self.threshold_factor(shape),
-            max_iterations: max_iterations.unwrap_or(defaults.max_iterations),
+            max_iterations: settings.max_iterations.unwrap_or(defaults.max_iterations),
+            tuning: settings.tuning,
             ..defaults
         }
     }
@@ -159,93 +119,54 @@ impl Prior {
     /// The proximal operator of the convex terms, for videos of `shape`. Where the prior has a background, its
     /// argument is the foreground followed by the background.
     pub fn prox(&self, shape: Shape) -> Box<dyn Prox> {
-        let UnfusedWeights {
-            background,
-            lowrank_background,
-            ..
-        } = self.unfused;
         let foreground = self.foreground_prox(shape);
-        let voxels = shape.voxels();
-        match self.background() {
-            Background::None => foreground,
-            Background::Static => {
-                let picture = Shape::new(1, shape.rows, shape.columns);
-                let weights = VariationWeights {
-                    space: 1.0,
-                    ..NO_VARIATION
-                };
-                let background_part = Variation::new(picture, weights);
-                let weight = background * (shape.bins as f64).sqrt();
-                Box::new(SumPrior::new(
-                    voxels,
-                    foreground,
-                    Box::new(background_part),
-                    weight,
-                ))
-            }
-            Background::PerBin => {
-                let background_part =
-                    Composite::new(shape, NO_VARIATION, 0.0).with(1.0, LowRank::new(shape));
-                let weight = lowrank_background * (shape.pixels().max(shape.bins) as f64).sqrt();
-                Box::new(SumPrior::new(
-                    voxels,
-                    foreground,
-                    Box::new(background_part),
-                    weight,
-                ))
+        let background = self.terms().find_map(|(term, weight)| match term.form {
+            TermForm::Background { prox, scale, .. } => Some((prox(shape), weight * scale(shape))),
+            _ => None,
+        });
+        match background {
+            None => foreground,
+            Some((prox, weight)) => {
+                Box::new(SumPrior::new(shape.voxels(), foreground, prox, weight))
             }
         }
     }
 
     /// The kind of background.
     pub fn background(&self) -> Background {
-        if self.unfused.background > 0.0 {
-            Background::Static
-        } else if self.unfused.lowrank_background > 0.0 {
-            Background::PerBin
-        } else {
-            Background::None
-        }
+        self.terms()
+            .find_map(|(term, _)| term.background())
+            .unwrap_or(Background::None)
     }
 
     /// The prox of the foreground alone.
     fn foreground_prox(&self, shape: Shape) -> Box<dyn Prox> {
-        let UnfusedWeights {
-            tv3d,
-            tv3d_aniso,
-            dct,
-            wavelet,
-            group,
-            lowrank,
-            ..
-        } = self.unfused;
-        if self.unfused_foreground_weights() == NO_UNFUSED_TERMS {
-            return Box::new(Variation::new(shape, self.variation));
-        }
-        let Shape {
-            bins,
-            rows,
-            columns,
-        } = shape;
-        let mut sum = Composite::new(shape, self.variation, group);
-        for (weight, isotropy) in [
-            (tv3d, Isotropy::Isotropic),
-            (tv3d_aniso, Isotropy::Anisotropic),
-        ] {
-            if weight > 0.0 {
-                sum = sum.with(weight, Variation3d::new(shape, isotropy));
+        let (mut variation, mut traces) = (VariationWeights::NONE, 0.0);
+        let mut dual_terms = Vec::new();
+        for (term, weight) in self.terms() {
+            match term.form {
+                TermForm::Fused(weight_of) => *weight_of(&mut variation) = weight,
+                TermForm::Traces => traces = weight,
+                TermForm::Dual(build) => dual_terms.push((weight, build)),
+                TermForm::Background { .. } => {}
             }
         }
-        if dct > 0.0 {
-            sum = sum.with(dct, Sparse::new(bins, Cosine::new(rows, columns)));
+        if self.is_fused() {
+            return Box::new(Variation::new(shape, variation));
         }
-        if wavelet > 0.0 {
-            sum = sum.with(wavelet, Sparse::new(bins, Wavelet::new(rows, columns)));
-        }
-        if lowrank > 0.0 {
-            sum = sum.with(lowrank, LowRank::new(shape));
-        }
-        Box::new(sum)
+        let sum = Composite::new(shape, variation, traces);
+        let terms = dual_terms.into_iter();
+        Box::new(terms.fold(sum, |sum, (weight, build)| sum.with(weight, build(shape))))
+    }
+
+    /// Whether [`Variation`] alone computes the foreground.
+    fn is_fused(&self) -> bool {
+        self.terms_of_foreground()
+            .all(|(term, _)| matches!(term.form, TermForm::Fused(_)))
+    }
+
+    fn terms_of_foreground(&self) -> impl Iterator<Item = (&'static TermSpec, f64)> {
+        self.terms().filter(|(term, _)| term.background().is_none())
     }
 
     /// Factor on the solver's threshold `β`: `min_i unit_i/w_i` over the terms. `unit_i` is the size
@@ -256,36 +177,12 @@ impl Prior {
     /// need thousands of iterations to act (`docs/design/012`). The factor is 1 for the terms of
     /// [`Variation`] alone.
     pub fn threshold_factor(&self, shape: Shape) -> f64 {
-        if self.unfused_foreground_weights() == NO_UNFUSED_TERMS {
+        if self.is_fused() {
             return 1.0;
         }
-        let bins = shape.bins as f64;
-        // Singular value of a shape on a hundredth of `P` pixels of the field, active half of the time at
-        // brightness 1: √(T·P/200).
-        let picture = (bins * shape.pixels() as f64 / 200.0).sqrt();
-        Self::TERMS
-            .into_iter()
-            .filter(|name| self.weight(name) > 0.0 && !name.ends_with("background"))
-            .map(|name| {
-                let unit = match name {
-                    "group" => GROUP_UNIT * bins.sqrt(),
-                    "lowrank" => LOWRANK_UNIT * picture,
-                    "wavelet" => WAVELET_UNIT,
-                    "dct" => DCT_UNIT,
-                    _ => 1.0,
-                };
-                unit / self.weight(name)
-            })
+        self.terms_of_foreground()
+            .map(|(term, weight)| (term.unit)(shape) / weight)
             .fold(f64::INFINITY, f64::min)
-    }
-
-    /// The unfused terms without the backgrounds.
-    fn unfused_foreground_weights(&self) -> UnfusedWeights {
-        UnfusedWeights {
-            background: 0.0,
-            lowrank_background: 0.0,
-            ..self.unfused
-        }
     }
 
     /// Checks that the prior suits a video of `bins` bins.
@@ -297,7 +194,7 @@ impl Prior {
         if bins > 1 || *self == Self::STANDARD {
             return Ok(());
         }
-        match TEMPORAL_TERMS.iter().find(|name| self.weight(name) > 0.0) {
+        match self.temporal_term() {
             None => Ok(()),
             Some(name) => Err(Error::input(
                 Parameter::Prior,
@@ -313,7 +210,7 @@ impl Prior {
     /// # Errors
     /// A term over time.
     pub fn check_separable_in_time(&self) -> Result<()> {
-        match TEMPORAL_TERMS.iter().find(|name| self.weight(name) > 0.0) {
+        match self.temporal_term() {
             None => Ok(()),
             Some(name) => Err(Error::input(
                 Parameter::Prior,
@@ -329,28 +226,21 @@ impl Prior {
         }
     }
 
-    /// The weight of the convex term `name`; 0 where it is absent.
-    fn weight(mut self, name: &str) -> f64 {
-        self.weight_mut(name).copied().unwrap_or(0.0)
+    /// The name of a term that couples bins.
+    fn temporal_term(&self) -> Option<&'static str> {
+        let mut names = self.terms().filter(|(term, _)| term.couples_bins);
+        names.next().map(|(term, _)| term.name)
     }
+}
 
-    /// The weight of the convex term `name`; `None` where no convex term has this name.
-    fn weight_mut(&mut self, name: &str) -> Option<&mut f64> {
-        Some(match name {
-            "tv" => &mut self.variation.space,
-            "tdiff" => &mut self.variation.time,
-            "l1" => &mut self.variation.l1,
-            "tv3d" => &mut self.unfused.tv3d,
-            "tv3d-aniso" => &mut self.unfused.tv3d_aniso,
-            "dct" => &mut self.unfused.dct,
-            "wavelet" => &mut self.unfused.wavelet,
-            "group" => &mut self.unfused.group,
-            "lowrank" => &mut self.unfused.lowrank,
-            "background" => &mut self.unfused.background,
-            "lowrank-background" => &mut self.unfused.lowrank_background,
-            _ => return None,
-        })
+/// `a == b`, where `==` is not possible yet.
+const fn is_same(a: &str, b: &str) -> bool {
+    let (a, b) = (a.as_bytes(), b.as_bytes());
+    let mut i = 0;
+    while i < a.len() && i < b.len() && a[i] == b[i] {
+        i += 1;
     }
+    i == a.len() && i == b.len()
 }
 
 /// The error of a prior's text: `found` breaks `rule`.
@@ -361,7 +251,7 @@ fn refuse<T>(found: &str, rule: impl Into<Phrase>) -> Result<T> {
         rule,
         format!(
             "Use auto, or terms of {} joined by +, each with a weight if it is not 1: tv+0.5*tdiff.",
-            Prior::TERMS.join(", ")
+            Prior::names().collect::<Vec<_>>().join(", ")
         ),
     ))
 }
@@ -371,8 +261,7 @@ impl std::str::FromStr for Prior {
 
     fn from_str(text: &str) -> Result<Self> {
         let mut prior = Self {
-            variation: NO_VARIATION,
-            unfused: NO_UNFUSED_TERMS,
+            weights: [0.0; TERMS.len()],
             support: false,
         };
         let mut seen: Vec<&str> = Vec::new();
@@ -388,35 +277,28 @@ impl std::str::FromStr for Prior {
                 return refuse(text, "each term may appear once");
             }
             seen.push(name);
-            match (name, prior.weight_mut(name)) {
-                (_, Some(slot)) => *slot = weight,
-                ("support", None) if weight == 1.0 => prior.support = true,
-                ("support", None) => return refuse(term, "support has no weight"),
+            let index = TERMS.iter().position(|term| term.name == name);
+            match (name, index) {
+                (_, Some(index)) => prior.weights[index] = weight,
+                (SUPPORT, None) if weight == 1.0 => prior.support = true,
+                (SUPPORT, None) => return refuse(term, "support has no weight"),
                 ("auto", None) => {
                     return refuse(text, "auto is the program's choice of a prior, not a term");
                 }
                 (_, None) => return refuse(term, unknown(name)),
             }
         }
-        if seen == ["support"] {
+        if seen == [SUPPORT] {
             return refuse(text, "support must be combined with a convex term");
         }
-        if prior.unfused.tv3d > 0.0 && prior.unfused.tv3d_aniso > 0.0 {
-            return refuse(
-                text,
-                "tv3d and tv3d-aniso are two forms of one term: use one of them",
-            );
+        for (term, _) in prior.terms() {
+            if let Some((other, rule)) = term.excludes
+                && prior.weight(other) > 0.0
+            {
+                return refuse(text, rule);
+            }
         }
-        if prior.unfused.background > 0.0 && prior.unfused.lowrank_background > 0.0 {
-            return refuse(
-                text,
-                "a static background has low rank: use either background or lowrank-background",
-            );
-        }
-        if seen
-            .iter()
-            .all(|name| name.ends_with("background") || *name == "support")
-        {
+        if prior.terms_of_foreground().next().is_none() {
             return refuse(
                 text,
                 "a background must be combined with a convex term for the foreground",
@@ -428,8 +310,7 @@ impl std::str::FromStr for Prior {
 
 /// The rule that an unknown `name` breaks, with the nearest name where one is similar.
 fn unknown(name: &str) -> String {
-    let nearest_term = Prior::TERMS
-        .iter()
+    let nearest_term = Prior::names()
         .map(|term| (edit_distance(name, term), term))
         .min();
     match nearest_term {
@@ -460,9 +341,9 @@ fn edit_distance(a: &str, b: &str) -> usize {
 impl std::fmt::Display for Prior {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut separator = "";
-        for name in Self::TERMS {
+        for name in Self::names() {
             let weight = match name {
-                "support" => f64::from(u8::from(self.support)),
+                SUPPORT => f64::from(u8::from(self.support)),
                 _ => self.weight(name),
             };
             if weight > 0.0 {
@@ -583,12 +464,12 @@ mod tests {
         let video: Vec<f32> = (0..shape.voxels())
             .map(|i| (i as f32 * 0.9).sin().max(0.0))
             .collect();
-        for name in Prior::TERMS.iter().filter(|name| **name != "support") {
+        for term in TERMS {
+            let name = term.name;
             // A background needs a foreground term.
-            let before = if name.ends_with("background") {
-                "1e-9*l1+"
-            } else {
-                ""
+            let before = match term.background() {
+                Some(_) => "1e-9*l1+",
+                None => "",
             };
             let value = |text: String| {
                 let prior: Prior = text.parse().unwrap();
@@ -601,9 +482,20 @@ mod tests {
             assert!(once > 1.0 && (twice / once - 2.0).abs() < 1e-6, "{name}");
             let combined = value(format!(
                 "{name}+0.5*{}",
-                if *name == "tv" { "l1" } else { "tv" }
+                if name == "tv" { "l1" } else { "tv" }
             ));
             assert!(combined > once, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_documentation_lists_every_term() {
+        let text = include_str!("prior.rs");
+        for term in TERMS {
+            let row = text
+                .lines()
+                .find(|line| line.starts_with(&format!("//! | `{}` |", term.name)));
+            assert!(row.is_some(), "{}", term.name);
         }
     }
 }

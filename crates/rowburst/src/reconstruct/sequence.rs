@@ -115,7 +115,7 @@ impl Sequence {
         };
         let (shape, prior) = (problem.data.shape(), problem.prior());
         problem.data.reset(prior.background(), None);
-        let params = prior.admm_params(shape, rule, self.options.max_iterations);
+        let params = prior.admm_params(shape, rule, self.options.solver_settings());
         Ok(Start::Ready(Box::new(FrameRun {
             run: Admm::new(&problem.data, shape, params),
             prox: problem.data.prox(&prior),

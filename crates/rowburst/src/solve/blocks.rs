@@ -11,7 +11,6 @@
 //! memory and of the time. The eigenvalues of `G` span six decades and more, and `ρ` has to exceed the rounding error
 //! of the largest; smaller `ρ` need f64 (`docs/design/003`).
 
-use super::GramSolver;
 use crate::Cancel;
 use crate::linop::Scalar;
 use crate::vecmath::simd;
@@ -129,6 +128,15 @@ impl<T: Scalar> Blocks<T> {
         }
     }
 
+    /// No blocks at all.
+    pub fn empty() -> Self {
+        Self {
+            blocks: Vec::new(),
+            is_ill_conditioned: false,
+            cancel: Cancel::default(),
+        }
+    }
+
     /// Whether rounding made a pivot of one of the present factors too small. `ρ` is then too small for `T`, and the
     /// last solution belongs to slightly different blocks.
     pub fn is_ill_conditioned(&self) -> bool {
@@ -188,14 +196,12 @@ impl<T: Scalar> Blocks<T> {
             .filter(|(i, _)| has_changed(*i))
             .for_each(|(i, block)| block.rebuild(i, &source));
     }
-}
 
-impl<T: Scalar> GramSolver for Blocks<T> {
-    /// Writes the solution to `y`. A block is factored again only if it or `ρ` changed.
+    /// Solves `(G + ρI) y = r`. A block is factored again only if it or `ρ` changed.
     ///
     /// # Panics
     /// If a block is not finite.
-    fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]) {
+    pub fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]) {
         let cancel = &self.cancel;
         let parts: Vec<Vec<T>> = self
             .blocks
@@ -215,6 +221,17 @@ impl<T: Scalar> GramSolver for Blocks<T> {
                 let value: f64 = value.into();
                 y[at] = value as f32;
             }
+        }
+    }
+
+    /// [`Self::solve`], and `gram_y = G y`.
+    ///
+    /// # Panics
+    /// If a block is not finite.
+    pub fn solve_with_product(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+        self.solve(r, rho, y);
+        for ((g, &r), &y) in gram_y.iter_mut().zip(r).zip(y.iter()) {
+            *g = (f64::from(r) - rho * f64::from(y)) as f32;
         }
     }
 }

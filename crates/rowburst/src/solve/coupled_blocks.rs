@@ -123,7 +123,6 @@ impl CoupledBlocks {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solve::GramSolver;
     use crate::solve::blocks::Blocks;
     use rand::{RngExt, SeedableRng};
 

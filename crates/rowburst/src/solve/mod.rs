@@ -8,15 +8,8 @@ pub mod blocks;
 pub mod certificate;
 pub mod conjugate_gradient;
 pub mod coupled_blocks;
-pub mod fista;
-pub mod gpsr_bb;
-pub mod objective;
-pub mod primal_dual;
-mod run;
 
-pub use certificate::{Certificate, Certifier};
-pub use objective::Objective;
-pub use run::{CertifiedSolution, Limits};
+pub use certificate::Certificate;
 
 use crate::Support;
 use crate::linop::{LinearOperator, WritePart};
@@ -46,25 +39,6 @@ impl StopReason {
     }
 }
 
-/// Solver of `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
-pub trait GramSolver: Send {
-    /// Writes the solution to `y`.
-    fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]);
-
-    /// Writes the solution to `y`, and `A P Aᵀ y` to `gram_y`.
-    fn solve_with_product(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
-        self.solve(r, rho, y);
-        gram_product(r, rho, y, gram_y);
-    }
-}
-
-/// `gram_y = r − ρy`.
-pub(crate) fn gram_product(r: &[f32], rho: f64, y: &[f32], gram_y: &mut [f32]) {
-    for ((g, &r), &y) in gram_y.iter_mut().zip(r).zip(y) {
-        *g = (f64::from(r) - rho * f64::from(y)) as f32;
-    }
-}
-
 /// The data term `½‖b − A v‖²` as a solver sees it.
 pub trait DataTerm: Send {
     /// `A`.
@@ -84,8 +58,8 @@ pub trait DataTerm: Send {
         0.0
     }
 
-    /// See [`GramSolver::solve_with_product`]. Returns whether the solution is accurate: the iteration reached its
-    /// tolerance, or the factor is well conditioned.
+    /// Solves `(A P Aᵀ + ρI) y = r` and writes `A P Aᵀ y` to `gram_y`. Returns whether the solution is accurate: the
+    /// iteration reached its tolerance, or the factor is well conditioned.
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool;
 
     /// For each bin, the root mean square of `residual` over the measurements that see it.
@@ -104,39 +78,9 @@ pub trait DataTerm: Send {
         }
     }
 
-    /// Computes [`Self::adjoint_on`] part by part; an implementation may do without memory for a whole video.
-    ///
-    /// Calls `write(start, part, target)` for each part, in any order and in parallel: `part` is the result from
-    /// element `start` on, and `target` has the same elements of the argument `target`. Parts without an active voxel
-    /// may be left out.
-    fn adjoint_each(
-        &self,
-        y: &[f32],
-        support: Option<&Support>,
-        target: &mut [f32],
-        write: WritePart,
-    ) {
-        let mut video = vec![0.0; target.len()];
-        self.adjoint_on(y, support, &mut video);
-        crate::linop::write_parts(&video, target, write);
-    }
-
     /// Whether the run is cancelled. Then [`Self::solve_gram`] may return early, with a wrong solution.
     fn is_cancelled(&self) -> bool {
         false
-    }
-
-    /// Whether a change of `ρ` costs far more than an iteration, since Gram blocks with thousands of measurements are
-    /// factored again.
-    fn has_large_blocks(&self) -> bool {
-        false
-    }
-
-    /// Most active voxels of a bin for which a restricted data step takes less time than an unrestricted one.
-    ///
-    /// A bin with more is unrestricted in the data step; the prior alone keeps its inactive voxels at zero.
-    fn max_restricted_voxels(&self) -> usize {
-        usize::MAX
     }
 
     /// Computes the weights of the measurements afresh, where the noise depends on the light of `video`.
@@ -146,4 +90,64 @@ pub trait DataTerm: Send {
     fn update_weights(&mut self, _video: &[f32]) -> bool {
         false
     }
+
+    /// What the solver may know of the cost of a step.
+    fn hints(&self) -> DataHints {
+        DataHints::default()
+    }
+
+    /// `P Aᵀ` without memory for a whole video; `None`: there is none.
+    fn fused_adjoint(&self) -> Option<&dyn FusedAdjoint> {
+        None
+    }
+}
+
+/// What a solver may know of the cost of a data term. It changes no solution, only the way there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DataHints {
+    /// How much a new `ρ` costs.
+    pub size: admm::ProblemSize,
+    /// Most active voxels of a bin for which a restricted x-step takes less time than an unrestricted one.
+    ///
+    /// A bin with more is unrestricted in the x-step; the prior alone keeps its inactive voxels at zero.
+    pub max_restricted_voxels: usize,
+}
+
+impl Default for DataHints {
+    fn default() -> Self {
+        Self {
+            size: admm::ProblemSize::Small,
+            max_restricted_voxels: usize::MAX,
+        }
+    }
+}
+
+/// A data term that computes `P Aᵀ y` part by part.
+pub trait FusedAdjoint {
+    /// Calls `write(start, part, target)` for each part of [`DataTerm::adjoint_on`], in any order and in parallel:
+    /// `part` is the result from element `start` on, and `target` has the same elements of the argument `target`.
+    /// Parts without an active voxel may be left out.
+    fn adjoint_each(
+        &self,
+        y: &[f32],
+        support: Option<&Support>,
+        target: &mut [f32],
+        write: WritePart,
+    );
+}
+
+/// [`FusedAdjoint::adjoint_each`] of any data term.
+pub(crate) fn write_adjoint(
+    data: &dyn DataTerm,
+    y: &[f32],
+    support: Option<&Support>,
+    target: &mut [f32],
+    write: WritePart,
+) {
+    if let Some(fused) = data.fused_adjoint() {
+        return fused.adjoint_each(y, support, target, write);
+    }
+    let mut video = vec![0.0; target.len()];
+    data.adjoint_on(y, support, &mut video);
+    crate::linop::write_parts(&video, target, write);
 }

@@ -15,6 +15,9 @@
 //! All steps of a call share one pass of the video through memory (`prox::wavefront`, docs/design/013).
 
 mod bin;
+mod terms;
+
+pub use terms::{BACKGROUND, L1, TDIFF, TV};
 
 use super::Prox;
 use super::rows::Rows;
@@ -46,6 +49,15 @@ pub struct VariationWeights {
     pub time: f64,
     /// `w_1`: absolute values.
     pub l1: f64,
+}
+
+impl VariationWeights {
+    /// All parts are absent.
+    pub const NONE: Self = Self {
+        space: 0.0,
+        time: 0.0,
+        l1: 0.0,
+    };
 }
 
 /// The prior `R` over videos of one shape; see the [module](self).

@@ -6,6 +6,7 @@
 //! Breiman et al. 1984). The path is run without the support, so that each problem is convex. At the end the
 //! selected `σ` and its neighbours are tried with the whole prior, and the best one is the result.
 
+use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, observe_sum};
 use super::trial::Trial;
@@ -34,15 +35,12 @@ const RISE_IN_STANDARD_ERRORS: f64 = 2.0;
 pub(in crate::reconstruct) fn noise_level(
     data: &mut FrameData,
     prior: Prior,
-    max_iterations: Option<usize>,
+    settings: SolverSettings,
     observer: &mut Observer,
 ) -> Result<f64, Box<RunResult>> {
     let shape = data.shape();
     let full_prior = prior;
-    let prior = Prior {
-        support: false,
-        ..prior
-    };
+    let prior = prior.without_support();
     let held_out = data.held_out();
     data.reset(prior.background(), Some(held_out.clone()));
     let rms_of_frame = norm(data.measurements()) / (data.measurement_count() as f64).sqrt();
@@ -51,7 +49,7 @@ pub(in crate::reconstruct) fn noise_level(
     // No stop by the certificate, since every noise level is another problem.
     let params = AdmmParams {
         tolerance: 0.0,
-        ..prior.admm_params(shape, rule(sigma), max_iterations)
+        ..prior.admm_params(shape, rule(sigma), settings)
     };
     let mut prox = data.prox(&prior);
     let mut run = Admm::new(data, shape, params);
@@ -94,7 +92,7 @@ pub(in crate::reconstruct) fn noise_level(
     let mut level_errors: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / SIGMA_STEP, level, level * SIGMA_STEP] {
         data.reset(full_prior.background(), Some(held_out.clone()));
-        let trial = Trial::new(data, full_prior, rule(sigma), 1.0, max_iterations);
+        let trial = Trial::new(data, full_prior, rule(sigma), 1.0, settings);
         let trial_result = trial.run(data, &[], 0.0, observer)?;
         level_errors.push((sigma, trial_result.candidate.error));
     }

@@ -16,6 +16,7 @@ mod trial;
 pub(super) use level::noise_level;
 pub(super) use trial::{TOLERANCE, is_settled};
 
+use super::SolverSettings;
 use super::frame_data::FrameData;
 use super::{Prior, RunResult};
 use crate::solve::StopReason;
@@ -207,7 +208,7 @@ pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
     sigma: f64,
-    max_iterations: Option<usize>,
+    settings: SolverSettings,
     is_dense: bool,
     observer: &mut Observer,
 ) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
@@ -223,7 +224,7 @@ pub(super) fn choose_prior(
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
         data.reset(prior.background(), Some(held_out.clone()));
-        let trial = Trial::new(data, prior, rule, sigma, max_iterations);
+        let trial = Trial::new(data, prior, rule, sigma, settings);
         let max_error = choice
             .candidates
             .iter()

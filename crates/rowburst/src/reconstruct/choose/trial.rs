@@ -1,5 +1,6 @@
 //! The trial of a candidate: a run on the pixels that are not held out.
 
+use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, observe_sum};
 use super::{Candidate, MIN_GAIN, Observer, gain, rms};
@@ -74,11 +75,11 @@ impl Trial {
         prior: Prior,
         rule: TauRule,
         sigma: f64,
-        max_iterations: Option<usize>,
+        settings: SolverSettings,
     ) -> Self {
         let params = AdmmParams {
             tolerance: TOLERANCE,
-            ..prior.admm_params(data.shape(), rule, max_iterations)
+            ..prior.admm_params(data.shape(), rule, settings)
         };
         Self {
             prior,

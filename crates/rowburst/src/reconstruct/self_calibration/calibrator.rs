@@ -3,7 +3,7 @@
 use super::super::frame_data::FrameData;
 use super::super::held_out::HeldOut;
 use super::super::held_out_check::HeldOutRun;
-use super::super::{Model, Prior, RunResult, choose};
+use super::super::{Model, Prior, RunResult, SolverSettings, choose};
 use super::parameters::{ModelParameter, Parameters};
 use super::psf_model::PsfModel;
 use crate::forward::psf_map::PsfMap;
@@ -285,7 +285,7 @@ impl<'p> Calibrator<'p> {
     ) -> Result<Trial, Box<RunResult>> {
         let mut data = self.data(frame, correction);
         let rule = TauRule::Discrepancy { sigma };
-        let mut run = HeldOutRun::without_reset(&data, self.prior, rule, None);
+        let mut run = HeldOutRun::without_reset(&data, self.prior, rule, SolverSettings::default());
         let mut labelled = |progress: &Progress| {
             observer(&Progress {
                 label: LABEL,

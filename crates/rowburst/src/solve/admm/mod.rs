@@ -7,8 +7,13 @@
 //! ```
 //!
 //! and `z` that of the prior: `z = prox(q)` with the threshold `β = τ/ρ` and `q = x̂ + u`. Here `x̂ = αx + (1−α)z` is
-//! the over-relaxed `x` (Boyd et al. 2011, section 3.4.3). The scaled dual is `u = q − z`, so it is not stored. An
-//! iteration has one product with `A`, which is `A z`: `A x` follows from the solve, and `A q` by addition.
+//! the over-relaxed `x` (Boyd et al. 2011, section 3.4.3). The dual step is `u ← u + x̂ − z = q − z`: `q` is stored in
+//! place of `u`. An iteration has one product with `A`, which is `A z`: `A x` follows from the solve, and `A q` by
+//! addition.
+//!
+//! [`Admm::run`] is the loop, and its `iteration` the three steps. What adapts between iterations is a controller, a file
+//! each; `controllers.rs` has their order, [`Phase`] what each waits for, and [`Tuning`] their constants. A run from its
+//! first to its last iteration is told in `docs/design/027`.
 //!
 //! **Threshold.** `β` is a fixed part of the video's brightness, so no constant of the solver has a unit. At first it
 //! is larger: large steps find the shapes, small ones the details (`docs/design/006`).
@@ -38,16 +43,30 @@
 //! `v_max` is twice the brightest voxel. The solver stops once the objective is proved to be within
 //! [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found (`docs/design/009`).
 
-mod state;
+mod active_set;
+mod brightness;
+mod continuation;
+mod controllers;
+mod discrepancy;
+mod noise_weights;
+mod penalty;
+mod phase;
+mod stopping;
 mod support_estimator;
+mod tuning;
+mod variables;
 
-pub(crate) use state::{MAX_FREEDOM, brightness};
+pub(crate) use brightness::brightness;
+pub use phase::Phase;
+pub use tuning::{PenaltyTuning, ProblemSize, Tuning, TuningError};
 
 use super::{Certificate, DataTerm, StopReason};
 use crate::Shape;
 use crate::prox::Prox;
-use state::State;
+use controllers::Controllers;
 use std::ops::ControlFlow;
+use stopping::Stopping;
+use variables::Variables;
 
 /// How `τ` is found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,6 +95,8 @@ pub struct AdmmParams {
     pub tolerance: f64,
     /// Whether the video is restricted to its support, see the module's head.
     pub support: bool,
+    /// The constants of the solver; unstable.
+    pub tuning: Tuning,
 }
 
 impl AdmmParams {
@@ -88,6 +109,7 @@ impl AdmmParams {
             max_iterations: 300,
             tolerance: 1e-3,
             support: true,
+            tuning: Tuning::STANDARD,
         }
     }
 }
@@ -157,15 +179,13 @@ pub fn solve(
 
 /// A run of the solver that can be stopped, take another rule for `τ`, and continue.
 pub struct Admm {
-    state: State,
     params: AdmmParams,
+    variables: Variables,
+    controllers: Controllers,
+    stopping: Stopping,
     /// `½‖b − A v‖² + τ R(v)` at the last iteration that computed it.
     objective: f64,
 }
-
-/// Iterations between certificates, and between objectives; smaller stops earlier, but each certificate costs a product
-/// with `Aᵀ` and a few passes.
-const CHECK_INTERVAL: usize = 5;
 
 impl Admm {
     /// A run that begins at `v = 0`.
@@ -173,9 +193,15 @@ impl Admm {
     /// # Panics
     /// If the shapes of `data` and `shape` disagree.
     pub fn new(data: &dyn DataTerm, shape: Shape, params: AdmmParams) -> Self {
+        assert!(
+            data.operator().domain_len() >= shape.voxels(),
+            "the operator takes videos of this shape"
+        );
         Self {
-            state: State::new(data, shape, &params),
             params,
+            variables: Variables::new(data, shape.columns),
+            controllers: Controllers::new(data, shape, &params),
+            stopping: Stopping::new(&params),
             objective: f64::INFINITY,
         }
     }
@@ -190,46 +216,27 @@ impl Admm {
         until: usize,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> StopReason {
-        let (state, params) = (&mut self.state, &self.params);
-        for k in state.iterations + 1..=until {
+        for k in self.iterations() + 1..=until {
             // Runs on a thread of the pool. Otherwise each parallel loop would wake a thread and wait for it.
             let change = rayon::scope(|_| {
                 if k > 1 {
-                    state.update_parameters(data, prior, params);
+                    self.controllers.adapt(&mut self.variables, data, prior);
                 }
-                let change = state.data_step(data, params);
-                if data.is_cancelled() {
-                    return None;
-                }
-                state.prior_step(data, prior);
-                Some(change)
+                self.iteration(data, prior)
             });
             let Some(change) = change else {
-                // The video is still that of the iteration before.
-                state.forget_data_step();
                 return StopReason::Interrupted;
             };
-            state.iterations = k;
-            if k % CHECK_INTERVAL == 1 {
-                self.objective = state.objective(data, prior);
+            self.controllers.schedule.finish_iteration();
+            if self.stopping.computes_objective(k) {
+                self.objective = stopping::objective(&self.variables, self.tau(), data, prior);
             }
-            let verdict = observer(&Progress {
-                label: "",
-                iteration: k,
-                max_iterations: params.max_iterations.max(until),
-                video: state.video(),
-                residual_rms: state.residual_rms(data),
-                objective: self.objective,
-                tau: state.tau(),
-                change,
-                support_fraction: state.support_fraction(),
-            });
-            if let ControlFlow::Break(reason) = verdict {
+            if let ControlFlow::Break(reason) = observer(&self.progress(until, change, data)) {
                 return reason;
             }
-            if k.is_multiple_of(CHECK_INTERVAL) && state.is_settled(params) {
-                let certificate = state.certify(data, prior);
-                if certificate.excess() <= params.tolerance {
+            if self.stopping.certifies(k) && self.controllers.is_settled() {
+                let certificate = self.certify(data, prior);
+                if self.stopping.has_converged(&certificate) {
                     return StopReason::Converged;
                 }
             }
@@ -237,19 +244,70 @@ impl Admm {
         StopReason::IterationLimit
     }
 
+    /// One iteration of ADMM; returns the change of `q`, see [`Progress::change`].
+    fn iteration(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) -> Option<f64> {
+        let Self {
+            variables,
+            controllers,
+            ..
+        } = self;
+        let support = controllers.active_set.data_support();
+        let rho = controllers.penalty.rho();
+        let change = variables.x_step(data, rho, self.params.relaxation, support);
+        if data.is_cancelled() {
+            // The video is still that of the iteration before, and this `y` bounds nothing.
+            variables.y.fill(0.0);
+            return None;
+        }
+        variables.z_step(prior, controllers.threshold(variables));
+        variables.dual_step(data);
+        Some(change)
+    }
+
+    fn progress<'a>(&'a self, until: usize, change: f64, data: &dyn DataTerm) -> Progress<'a> {
+        Progress {
+            label: "",
+            iteration: self.iterations(),
+            max_iterations: self.params.max_iterations.max(until),
+            video: &self.variables.z,
+            residual_rms: self.variables.residual_rms(data),
+            objective: self.objective,
+            tau: self.tau(),
+            change,
+            support_fraction: self.support_fraction(),
+        }
+    }
+
+    fn certify(&mut self, data: &dyn DataTerm, prior: &dyn Prox) -> Certificate {
+        let Self {
+            variables,
+            controllers,
+            stopping,
+            ..
+        } = self;
+        let (penalty, supports) = (&controllers.penalty, controllers.supports());
+        stopping.certify(variables, penalty, supports, data, prior)
+    }
+
     /// Sets how `τ` is found from now on.
     pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
-        self.state.set_tau_rule(rule, data);
+        self.controllers.set_tau_rule(rule, data);
     }
 
     /// Sets [`AdmmParams::tolerance`].
     pub fn set_tolerance(&mut self, tolerance: f64) {
         self.params.tolerance = tolerance;
+        self.stopping.set_tolerance(tolerance);
+    }
+
+    /// What the run is doing.
+    pub fn phase(&self) -> Phase {
+        self.controllers.schedule.phase()
     }
 
     /// Whether the run is still so short that its video says little about the scene.
     pub fn is_warming_up(&self) -> bool {
-        self.state.is_warming_up()
+        self.controllers.schedule.is_warming_up()
     }
 
     /// Most iterations.
@@ -259,32 +317,34 @@ impl Admm {
 
     /// `τ` of the last iteration.
     pub fn tau(&self) -> f64 {
-        self.state.tau()
+        self.controllers.penalty.tau()
     }
 
     /// Iterations done.
     pub fn iterations(&self) -> usize {
-        self.state.iterations
+        self.controllers.schedule.iterations()
     }
 
     /// Part of the voxels that are active, from 0 to 1.
     pub fn support_fraction(&self) -> f64 {
-        self.state.support_fraction()
+        self.controllers.active_set.fraction()
     }
 
     /// The video of the last iteration, `[t, y, x]`.
     pub fn video(&self) -> &[f32] {
-        self.state.video()
+        &self.variables.z
     }
 
     /// `A v` of that video.
     pub fn fitted(&self) -> &[f32] {
-        self.state.fitted()
+        &self.variables.az
     }
 
     /// Continues with `data`, which hold another frame, from the end of the last frame's run.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
-        self.state.warm_start(data);
+        self.controllers.warm_start(data);
+        // `A` contains the weights of the measurements, which may be others.
+        self.variables.update_products(data);
     }
 
     /// The result so far; the run can continue.
@@ -294,8 +354,8 @@ impl Admm {
         prior: &dyn Prox,
         stop_reason: StopReason,
     ) -> Solution {
-        let solution = self.state.finish(data, prior, stop_reason);
-        self.state.restore_video(&solution.video);
+        let solution = self.take_solution(data, prior, stop_reason);
+        self.variables.z.clone_from(&solution.video);
         solution
     }
 
@@ -306,6 +366,24 @@ impl Admm {
         prior: &dyn Prox,
         stop_reason: StopReason,
     ) -> Solution {
-        self.state.finish(data, prior, stop_reason)
+        self.take_solution(data, prior, stop_reason)
+    }
+
+    /// The result, with the video that it takes out of the variables.
+    fn take_solution(
+        &mut self,
+        data: &dyn DataTerm,
+        prior: &dyn Prox,
+        stop_reason: StopReason,
+    ) -> Solution {
+        Solution {
+            certificate: self.certify(data, prior),
+            residual: self.variables.residual(data),
+            tau: self.tau(),
+            iterations: self.iterations(),
+            stop_reason,
+            support_fraction: self.support_fraction(),
+            video: std::mem::take(&mut self.variables.z),
+        }
     }
 }

@@ -1,21 +1,8 @@
 //! Estimates the support: the set of active voxels (docs/design/007).
 
+use super::tuning::Tuning;
 use crate::{Shape, Support};
 use rayon::prelude::*;
-
-/// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze (docs/design/007).
-const SUPPORT_THRESHOLD: f64 = 0.12;
-/// Bin residual over the bound that widens its support; smaller reacts to noise (docs/design/007).
-const UNDERFIT_RATIO: f64 = 1.3;
-/// Residual over that of the last update above which it has stalled; smaller widens bins sooner (docs/design/007).
-const STALL_RATIO: f64 = 0.85;
-/// Factor on a bin's threshold at each widening; smaller makes bins unrestricted in fewer steps (docs/design/007).
-const WIDENING_FACTOR: f64 = 0.125;
-/// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer (docs/design/007).
-const UNRESTRICTED_LEVEL: usize = 5;
-/// Updates for which an underfit bin with a large block is unrestricted; fewer lose light, more cost time
-/// (docs/design/008).
-const UNRESTRICTED_UPDATES: usize = 5;
 
 /// The bright voxels of a video and their neighbours, updated every few iterations.
 ///
@@ -23,6 +10,7 @@ const UNRESTRICTED_UPDATES: usize = 5;
 /// measurements: the root mean square of its residual is too large and no longer falls.
 pub(super) struct SupportEstimator {
     shape: Shape,
+    tuning: Tuning,
     /// `None` before the first update.
     support: Option<Support>,
     /// The support with more unrestricted bins, see [`Self::data_support`].
@@ -31,8 +19,8 @@ pub(super) struct SupportEstimator {
     is_stable: bool,
     /// Most active voxels of a bin that is restricted in the data step; `usize::MAX` without large blocks.
     max_restricted: usize,
-    /// How often each bin has been widened. A level above [`UNRESTRICTED_LEVEL`] counts the updates down for which the
-    /// bin stays unrestricted.
+    /// How often each bin has been widened. A level above [`Tuning::unrestricted_level`] counts the updates down for
+    /// which the bin stays unrestricted.
     levels: Vec<usize>,
     /// Root mean square of each bin's residual at the last update; infinite before the first one, and after a widening.
     residual_rms: Vec<f64>,
@@ -41,18 +29,13 @@ pub(super) struct SupportEstimator {
 }
 
 impl SupportEstimator {
-    /// Iteration of the first update; smaller may lose shapes that the video does not show yet.
-    pub const FIRST_UPDATE: usize = 20;
-
-    /// Iterations between updates; smaller rebuilds more Gram blocks.
-    pub const UPDATE_INTERVAL: usize = 10;
-
     /// All voxels of videos of `shape` are active at first.
     ///
     /// A bin with more than `max_restricted` active voxels is never restricted in the data step.
-    pub fn new(shape: Shape, max_restricted: usize) -> Self {
+    pub fn new(shape: Shape, max_restricted: usize, tuning: &Tuning) -> Self {
         Self {
             shape,
+            tuning: *tuning,
             support: None,
             data_support: None,
             fraction: 1.0,
@@ -62,11 +45,6 @@ impl SupportEstimator {
             residual_rms: vec![f64::INFINITY; shape.bins],
             is_unrestricted: vec![true; shape.bins],
         }
-    }
-
-    /// Whether an update is due in iteration `k` of the schedule.
-    pub fn is_due(k: usize) -> bool {
-        k >= Self::FIRST_UPDATE && (k - Self::FIRST_UPDATE).is_multiple_of(Self::UPDATE_INTERVAL)
     }
 
     /// The support; `None`: every voxel.
@@ -102,15 +80,15 @@ impl SupportEstimator {
         self.residual_rms.fill(f64::INFINITY);
     }
 
-    /// The underfit bins: their `residual_rms` is above `reference` by [`UNDERFIT_RATIO`] and above [`STALL_RATIO`] of
-    /// the last one.
+    /// The underfit bins: their `residual_rms` is above `reference` by [`Tuning::underfit_ratio`] and above
+    /// [`Tuning::stall_ratio`] of the last one.
     ///
     /// Unrestricted bins are never underfit. `residual_rms` is kept for the next call.
     pub fn underfit_bins(&mut self, residual_rms: Vec<f64>, reference: f64) -> Vec<usize> {
         let is_underfit = |t: &usize| {
             let (now, before) = (residual_rms[*t], self.residual_rms[*t]);
-            now > UNDERFIT_RATIO * reference
-                && now > STALL_RATIO * before
+            now > self.tuning.underfit_ratio * reference
+                && now > self.tuning.stall_ratio * before
                 && !self.is_unrestricted[*t]
         };
         let underfit_bins: Vec<usize> = (0..residual_rms.len()).filter(is_underfit).collect();
@@ -123,7 +101,7 @@ impl SupportEstimator {
 
     /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
     ///
-    /// The threshold is [`SUPPORT_THRESHOLD`] of `brightness`. In the `underfit_bins` it is lowered, and the voxels with
+    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the `underfit_bins` it is lowered, and the voxels with
     /// the largest `correlation`, `Aᵀ(b − A v)`, are added.
     pub fn update(
         &mut self,
@@ -133,9 +111,13 @@ impl SupportEstimator {
         underfit_bins: &[usize],
     ) -> Support {
         self.widen(underfit_bins);
-        let threshold = |level: &usize| match *level {
-            UNRESTRICTED_LEVEL.. => 0.0,
-            level => SUPPORT_THRESHOLD * brightness * WIDENING_FACTOR.powi(level as i32),
+        let tuning = self.tuning;
+        let threshold = |level: &usize| {
+            if *level >= tuning.unrestricted_level {
+                0.0
+            } else {
+                tuning.support_threshold * brightness * tuning.widening_factor.powi(*level as i32)
+            }
         };
         let thresholds: Vec<f64> = self.levels.iter().map(threshold).collect();
         let support = Support::above(video, self.shape, &thresholds)
@@ -143,8 +125,11 @@ impl SupportEstimator {
         let fraction = support.fraction();
         self.is_stable = self.support.is_some()
             && underfit_bins.is_empty()
-            && fraction > 0.9 * self.fraction
-            && self.levels.iter().all(|level| *level <= UNRESTRICTED_LEVEL);
+            && fraction > tuning.stable_ratio * self.fraction
+            && self
+                .levels
+                .iter()
+                .all(|level| *level <= tuning.unrestricted_level);
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
         self.is_unrestricted = bins.map(|bin| !bin.contains(&0)).collect();
@@ -157,25 +142,26 @@ impl SupportEstimator {
         support
     }
 
-    /// Widens the `underfit_bins` by one level, or makes them unrestricted for [`UNRESTRICTED_UPDATES`] updates
-    /// where blocks are large.
+    /// Widens the `underfit_bins` by one level, or makes them unrestricted for [`Tuning::unrestricted_updates`]
+    /// updates where blocks are large.
     ///
     /// The remaining updates of a temporarily unrestricted bin are counted down; after the last one its level is 0.
     fn widen(&mut self, underfit_bins: &[usize]) {
+        let unrestricted = self.tuning.unrestricted_level;
         for level in self
             .levels
             .iter_mut()
-            .filter(|level| **level > UNRESTRICTED_LEVEL)
+            .filter(|level| **level > unrestricted)
         {
             *level -= 1;
-            if *level == UNRESTRICTED_LEVEL {
+            if *level == unrestricted {
                 *level = 0;
             }
         }
         let has_large_blocks = self.max_restricted < usize::MAX;
         for &t in underfit_bins {
             self.levels[t] = if has_large_blocks {
-                UNRESTRICTED_LEVEL + UNRESTRICTED_UPDATES
+                unrestricted + self.tuning.unrestricted_updates
             } else {
                 self.levels[t] + 1
             };
@@ -190,7 +176,7 @@ mod tests {
     #[test]
     fn a_bin_is_widened_once_its_residual_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
-        let mut estimator = SupportEstimator::new(shape, usize::MAX);
+        let mut estimator = SupportEstimator::new(shape, usize::MAX, &Tuning::STANDARD);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
@@ -222,14 +208,14 @@ mod tests {
     #[test]
     fn a_bin_of_a_large_sensor_is_unrestricted_for_a_while() {
         let shape = Shape::new(2, 9, 9);
-        let mut estimator = SupportEstimator::new(shape, 50);
+        let mut estimator = SupportEstimator::new(shape, 50, &Tuning::STANDARD);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         estimator.update(&video, 1.0, &video, &[]);
         estimator.underfit_bins(vec![1.0, 4.0], 1.0);
         assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
         estimator.update(&video, 1.0, &video, &[1]);
-        for _ in 1..UNRESTRICTED_UPDATES {
+        for _ in 1..Tuning::STANDARD.unrestricted_updates {
             assert_eq!(estimator.support().unwrap().pixels_of(1), None);
             assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
             estimator.update(&video, 1.0, &video, &[]);

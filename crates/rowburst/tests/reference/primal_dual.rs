@@ -14,12 +14,13 @@
 //! `½‖y‖² − ⟨b, y⟩` whatever the units, so `σ_A` is a number without one, and the rest follows
 //! from the norms.
 
-use super::admm::Progress;
-use super::certificate::{Certifier, residual};
+use super::certifier::{Certifier, residual};
 use super::fista::MARGIN;
 use super::run::{Iterate, Watch, begin, relative_change};
-use super::{CertifiedSolution, Limits, Objective, StopReason};
-use crate::linop::{LinearOperator, operator_norm};
+use super::{CertifiedSolution, Limits, Objective};
+use rowburst::linop::{LinearOperator, operator_norm};
+use rowburst::solve::StopReason;
+use rowburst::solve::admm::Progress;
 use std::ops::ControlFlow;
 
 /// Parameters of [`solve`].

@@ -6,14 +6,13 @@
 //!
 //! with the differences stacked in one operator `K`, so `τ R(v) = max ⟨K v, p⟩ + τ w_1 Σ v` over
 //! the `p` in the balls of radius `τ w`. This is written apart from
-//! [`crate::prox::Variation`], so that each can be checked against the other.
+//! [`rowburst::prox::Variation`], so that each can be checked against the other.
 
-use super::DataTerm;
-use crate::error::Subject;
-use crate::linop::{Axis, Differences, LinearOperator};
-use crate::prox::VariationWeights;
-use crate::vecmath::distance_squared;
-use crate::{Error, Parameter, Result, Shape};
+use rowburst::Shape;
+use rowburst::linop::{Axis, Differences, LinearOperator};
+use rowburst::prox::VariationWeights;
+use rowburst::solve::DataTerm;
+use rowburst::vecmath::distance_squared;
 
 /// `F` above, of one problem.
 pub struct Objective<'a> {
@@ -27,44 +26,17 @@ pub struct Objective<'a> {
 impl<'a> Objective<'a> {
     /// The objective of `data` over videos of `shape`.
     ///
-    /// # Errors
-    /// A `τ` that is not above zero, or a weight below zero.
-    ///
     /// # Panics
-    /// If the operator does not take videos of this shape.
-    pub fn new(
-        data: &'a dyn DataTerm,
-        shape: Shape,
-        weights: VariationWeights,
-        tau: f64,
-    ) -> Result<Self> {
+    /// If the operator does not take videos of this shape, `τ` is not above zero, or a weight is below zero.
+    pub fn new(data: &'a dyn DataTerm, shape: Shape, weights: VariationWeights, tau: f64) -> Self {
         assert_eq!(
             data.operator().domain_len(),
             shape.voxels(),
             "the operator takes videos of this shape"
         );
-        if !(tau.is_finite() && tau > 0.0) {
-            return Err(Error::input(
-                Parameter::Tau,
-                tau,
-                "a fixed tau is a finite number above zero",
-                "Give a number such as 0.001.",
-            ));
-        }
-        let parts = [
-            ("tv", weights.space),
-            ("tdiff", weights.time),
-            ("l1", weights.l1),
-        ];
-        for (name, weight) in parts {
-            if !(weight.is_finite() && weight >= 0.0) {
-                return Err(Error::input(
-                    Subject::item(Parameter::PriorWeight, format!("weight of {name}")),
-                    weight,
-                    "a weight is a finite number, zero or above",
-                    "Correct it.",
-                ));
-            }
+        assert!(tau.is_finite() && tau > 0.0, "τ is above zero: {tau}");
+        for weight in [weights.space, weights.time, weights.l1] {
+            assert!(weight.is_finite() && weight >= 0.0, "a weight: {weight}");
         }
         let mut axes = Vec::new();
         if weights.space > 0.0 {
@@ -73,13 +45,13 @@ impl<'a> Objective<'a> {
         if weights.time > 0.0 {
             axes.push(Axis::Time);
         }
-        Ok(Self {
+        Self {
             differences: Differences::new(shape, axes),
             data,
             shape,
             weights,
             tau,
-        })
+        }
     }
 
     /// `A`.

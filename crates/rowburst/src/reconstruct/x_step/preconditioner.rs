@@ -7,7 +7,7 @@ use crate::{RollingShutter, Support};
 use std::sync::Arc;
 
 /// Solves with the mean field along the rows; pixels with weight 0 are coupled to no others.
-pub(super) struct MeanFieldPreconditioner {
+pub struct MeanFieldPreconditioner {
     solver: MeanFieldSolver,
     weights: Option<Vec<f32>>,
 }
@@ -73,7 +73,7 @@ impl Preconditioner for MeanFieldPreconditioner {
 }
 
 /// Divides in Fourier space where the operator convolves whole planes, else divides by a constant.
-pub(super) struct PlanePreconditioner {
+pub struct PlanePreconditioner {
     pub shutter: Arc<RollingShutter>,
     /// Typical size of a diagonal element of `A Aᵀ`.
     pub scale: f64,

@@ -25,7 +25,7 @@ const PART: usize = 128;
 const MAX_COST: f64 = 4e4;
 
 /// `BᵀB` with its factor.
-pub(super) struct ActiveSystem {
+pub struct ActiveSystem {
     operator: Arc<WeightedOperator<Arc<RollingShutter>>>,
     support: Support,
     /// Indices of the active voxels.

@@ -9,14 +9,12 @@
 //! d = (v − α g)₊ − v,   v ← v + λ d,   α ← ‖d‖²/‖A d‖²
 //! ```
 
-use super::admm::Progress;
 use super::run::{Iterate, Watch, begin, relative_change};
-use super::{CertifiedSolution, Limits, Objective, StopReason};
-use crate::ErrorKind;
-use crate::error::Subject;
-use crate::linop::operator_norm;
-use crate::vecmath::{dot, norm_squared};
-use crate::{Error, Parameter, Result};
+use super::{CertifiedSolution, Limits, Objective};
+use rowburst::linop::operator_norm;
+use rowburst::solve::StopReason;
+use rowburst::solve::admm::Progress;
+use rowburst::vecmath::{dot, norm_squared};
 use std::ops::ControlFlow;
 
 /// How far a step goes.
@@ -52,24 +50,19 @@ impl Default for GpsrParams {
 
 /// Minimises an objective with `ℓ1` alone, from the video `start` or else from darkness.
 ///
-/// # Errors
-/// An objective with total variation or temporal differences in it.
+/// # Panics
+/// If the objective has total variation or temporal differences.
 pub fn solve(
     objective: &Objective,
     start: Option<&[f32]>,
     params: &GpsrParams,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> Result<CertifiedSolution> {
+) -> CertifiedSolution {
     let weights = objective.weights();
-    if weights.space > 0.0 || weights.time > 0.0 {
-        return Err(Error::input(
-            Subject::item(Parameter::Prior, "GPSR-BB"),
-            format!("weights tv {}, tdiff {}", weights.space, weights.time),
-            "this solver minimises with l1 alone",
-            "Take l1 as the prior, or another solver.",
-        )
-        .with_kind(ErrorKind::Unsupported));
-    }
+    assert!(
+        weights.space == 0.0 && weights.time == 0.0,
+        "this solver minimises with l1 alone"
+    );
     let operator = objective.operator();
     let unit = 1.0 / operator_norm(operator).powi(2).max(f64::MIN_POSITIVE);
     let (shortest, longest) = (params.step_bounds.0 * unit, params.step_bounds.1 * unit);
@@ -123,7 +116,7 @@ pub fn solve(
             p: &[],
         });
         if let ControlFlow::Break(reason) = verdict {
-            return Ok(watch.finish(video, reason));
+            return watch.finish(video, reason);
         }
     }
 }

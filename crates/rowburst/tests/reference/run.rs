@@ -1,8 +1,9 @@
 //! What the reference solvers share: when to stop, and what they return.
 
-use super::admm::Progress;
-use super::certificate::residual;
-use super::{Certificate, Certifier, Objective, StopReason};
+use super::certifier::residual;
+use super::{Certifier, Objective};
+use rowburst::solve::admm::Progress;
+use rowburst::solve::{Certificate, StopReason};
 use std::ops::ControlFlow;
 
 /// When a reference solver stops.
@@ -30,8 +31,6 @@ impl Default for Limits {
 pub struct CertifiedSolution {
     /// The video, `[t, y, x]`.
     pub video: Vec<f32>,
-    /// `b − A v`.
-    pub residual: Vec<f32>,
     /// Its objective, and the bound of the minimum.
     pub certificate: Certificate,
     /// Iterations done.
@@ -134,7 +133,6 @@ impl<'a, 'o> Watch<'a, 'o> {
         let mut light = vec![0.0; self.objective.operator().range_len()];
         self.objective.operator().apply(&video, &mut light);
         CertifiedSolution {
-            residual: residual(self.objective, &light),
             certificate: Certificate {
                 primal: self.objective.value_with(&video, &light),
                 dual: self.certifier.best(),
@@ -148,11 +146,11 @@ impl<'a, 'o> Watch<'a, 'o> {
 
 /// `‖a − b‖ / ‖a‖`, 0 where `a` is zero.
 pub(super) fn relative_change(now: &[f32], before: &[f32]) -> f64 {
-    let size = crate::vecmath::norm(now);
+    let size = rowburst::vecmath::norm(now);
     if size == 0.0 {
         0.0
     } else {
-        crate::vecmath::distance_squared(now, before).sqrt() / size
+        rowburst::vecmath::distance_squared(now, before).sqrt() / size
     }
 }
 

@@ -13,11 +13,12 @@
 //! (2009)), until its own duality gap `s(τR_K(z) − ⟨K z, p⟩)` says that its error is small
 //! against the step that it is part of. At the minimum that `p` is the certificate's.
 
-use super::admm::Progress;
 use super::run::{Iterate, Watch, begin, relative_change};
-use super::{CertifiedSolution, Limits, Objective, StopReason};
-use crate::linop::{LinearOperator, operator_norm};
-use crate::vecmath::{distance_squared, dot};
+use super::{CertifiedSolution, Limits, Objective};
+use rowburst::linop::{LinearOperator, operator_norm};
+use rowburst::solve::StopReason;
+use rowburst::solve::admm::Progress;
+use rowburst::vecmath::{distance_squared, dot};
 use std::ops::ControlFlow;
 
 /// Parameters of [`solve`].
@@ -69,7 +70,7 @@ pub fn solve(
     let mut watch = Watch::new(objective, params.limits, observer);
     let mut t = 1.0f64;
     loop {
-        let rest = super::certificate::residual(objective, &extrapolated_light);
+        let rest = super::certifier::residual(objective, &extrapolated_light);
         operator.adjoint(&rest, &mut pull);
         // q = y + s Aᵀ(b − A y)
         for (q, y) in pull.iter_mut().zip(&extrapolated) {

@@ -1,0 +1,287 @@
+//! Measurement and operator of a rolling-shutter frame, `½‖W(b − A v)‖²`.
+//!
+//! [`System`] has the operator with its weights, support and background; an [`XStep`] solves with it. This module
+//! keeps both in step with the frame: its counts, weights and held-out pixels.
+
+mod data_term;
+
+use super::held_out::HeldOut;
+use super::model::Model;
+use super::prior::Prior;
+use super::x_step::{self, ExactBlocks, Precision, System, XStep};
+use crate::linop::{Background, LinearOperator};
+use crate::measurement::{Measurement, NoiseModel};
+use crate::prox::{Prox, Restricted};
+use crate::{RollingShutter, Shape, Support};
+
+/// Sensitivity of a voxel over the largest one, below which the frame does not observe it; larger leaves more of the
+/// edges of a field dark (docs/design/020).
+const MIN_SENSITIVITY: f64 = 0.01;
+
+/// The data term of a frame.
+pub(super) struct FrameData {
+    system: System,
+    /// Solver of `(W A P Aᵀ W + ρI) y = r`.
+    x_step: Box<dyn XStep>,
+    precision: Precision,
+    /// `b`.
+    frame: Vec<f32>,
+    /// `W b`, 0 at held-out pixels.
+    measurements: Vec<f32>,
+    /// `W` of all pixels from the counts of the frame; held-out pixels keep their weights here.
+    initial_weights: Option<Vec<f32>>,
+    /// The present `W` of all pixels; [`crate::solve::DataTerm::update_weights`] computes it from the light of the
+    /// video.
+    weights: Option<Vec<f32>>,
+    noise: Option<NoiseModel>,
+    held_out: Option<HeldOut>,
+    /// Pixels with a weight above zero, without the held-out ones.
+    measurement_count: usize,
+    /// The voxels that the frame observes; `None`: all.
+    covered: Option<Support>,
+}
+
+impl FrameData {
+    pub fn new(model: &Model, measurement: &Measurement) -> Self {
+        Self::with_precision(model, measurement, Precision::Adaptive)
+    }
+
+    /// The same with f64 blocks from the start.
+    pub fn with_f64_blocks(model: &Model, measurement: &Measurement) -> Self {
+        Self::with_precision(model, measurement, Precision::Double)
+    }
+
+    fn with_precision(model: &Model, measurement: &Measurement, precision: Precision) -> Self {
+        let weights = measurement.weights().map(<[f32]>::to_vec);
+        let system = System::new(model, weights.clone());
+        let mut data = Self {
+            x_step: x_step::choose(&system, precision),
+            system,
+            precision,
+            frame: measurement.image().data().to_vec(),
+            measurements: Vec::new(),
+            initial_weights: weights.clone(),
+            weights,
+            noise: measurement.noise().cloned(),
+            held_out: None,
+            measurement_count: 0,
+            covered: None,
+        };
+        data.apply_weights_to_frame();
+        data.set_coverage();
+        data
+    }
+
+    fn set_coverage(&mut self) {
+        let coverage = self.coverage();
+        let shape = self.shape();
+        self.covered = coverage
+            .contains(&0)
+            .then(|| Support::from_mask(coverage, shape));
+    }
+
+    /// The present `W` of all pixels; held-out pixels keep their weights here. `None`: all 1.
+    pub fn weights(&self) -> Option<&[f32]> {
+        self.weights.as_deref()
+    }
+
+    /// The background of its videos.
+    pub fn background(&self) -> Background {
+        self.system.background()
+    }
+
+    /// What stops its runs.
+    pub fn cancel(&self) -> &crate::Cancel {
+        self.system.model().cancel()
+    }
+
+    pub fn psfs(&self) -> &crate::PatchSet {
+        self.system.model().psfs()
+    }
+
+    pub fn shutter(&self) -> &RollingShutter {
+        self.system.shutter()
+    }
+
+    pub fn shape(&self) -> Shape {
+        self.system.shape()
+    }
+
+    /// Draws the pixels to be held out.
+    pub fn held_out(&self) -> HeldOut {
+        self.held_out_set(0)
+    }
+
+    /// Draws one of several sets of pixels to be held out.
+    pub fn held_out_set(&self, set: u64) -> HeldOut {
+        HeldOut::draw(self.shutter(), self.weights(), set)
+    }
+
+    /// Resets to the initial weights and to all voxels, for videos with this background, without the
+    /// pixels of `held_out`. The results do not depend on earlier calls, to the bit.
+    pub fn reset(&mut self, background: Background, held_out: Option<HeldOut>) {
+        let is_unchanged = self.system.support().is_none()
+            && self.weights == self.initial_weights
+            && background == self.background()
+            && held_out == self.held_out;
+        let is_fresh = self.x_step.reset();
+        if is_unchanged && is_fresh {
+            return;
+        }
+        self.held_out = held_out;
+        self.weights.clone_from(&self.initial_weights);
+        self.system.set_background(background);
+        self.apply_weights();
+        if self.x_step.is_renewed_by_rebuild(background) {
+            self.x_step.rebuild(&self.system);
+        } else {
+            self.renew_x_step();
+        }
+    }
+
+    /// Replaces the frame by another one of the same camera and keeps the support. Weights that were
+    /// updated from the light are kept where the same pixels have weights above zero.
+    pub fn set_frame(&mut self, measurement: &Measurement) {
+        self.frame = measurement.image().data().to_vec();
+        let weights = measurement.weights().map(<[f32]>::to_vec);
+        let usable = |of: &Option<Vec<f32>>| -> Option<Vec<bool>> {
+            of.as_ref().map(|w| w.iter().map(|w| *w > 0.0).collect())
+        };
+        let uses_noise_law = self.noise.is_some() && measurement.noise().is_some();
+        if weights == self.initial_weights
+            || (uses_noise_law && usable(&weights) == usable(&self.initial_weights))
+        {
+            self.apply_weights_to_frame();
+            return;
+        }
+        self.noise = measurement.noise().cloned();
+        self.initial_weights = weights.clone();
+        self.weights = weights;
+        self.set_coverage();
+        self.apply_weights();
+        self.x_step.rebuild(&self.system);
+    }
+
+    /// The voxels that the frame observes: their sensitivity, the sum of `Aᵀ1` over the usable pixels, is at least
+    /// [`MIN_SENSITIVITY`] of the largest one.
+    pub fn coverage(&self) -> Vec<u8> {
+        let is_usable = |i: usize| self.initial_weights.as_ref().is_none_or(|w| w[i] > 0.0);
+        let usable: Vec<f32> = (0..self.frame.len())
+            .map(|i| f32::from(u8::from(is_usable(i))))
+            .collect();
+        let mut sensitivity = vec![0.0; self.shape().voxels()];
+        self.shutter().adjoint(&usable, &mut sensitivity);
+        let largest = sensitivity.iter().copied().fold(0.0, f32::max);
+        let is_covered = |s: &f32| f64::from(*s) >= MIN_SENSITIVITY * f64::from(largest);
+        sensitivity
+            .iter()
+            .map(|s| u8::from(is_covered(s)))
+            .collect()
+    }
+
+    /// The proximal operator of `prior`, for videos that are zero in voxels that the frame does not observe: a prior
+    /// would fill them with light of their neighbours.
+    pub fn prox(&self, prior: &Prior) -> Box<dyn Prox> {
+        let prox = prior.prox(self.shape());
+        match &self.covered {
+            Some(covered) => Box::new(Restricted::new(prox, covered.clone())),
+            None => prox,
+        }
+    }
+
+    /// Replaces `W b` until the next change of frame or weights.
+    pub fn set_measurements(&mut self, measurements: Vec<f32>) {
+        self.measurements = measurements;
+    }
+
+    /// Whether the present weight of each pixel is above zero.
+    pub fn usable(&self) -> Vec<bool> {
+        let weights = self.system.operator().weights();
+        (0..self.frame.len())
+            .map(|i| weights.is_none_or(|w| w[i] > 0.0))
+            .collect()
+    }
+
+    /// `A v`, the light of foreground and background at all pixels.
+    pub fn predicted(&self, video: &[f32]) -> Vec<f32> {
+        let mut light = vec![0.0; self.frame.len()];
+        self.shutter()
+            .apply(&self.background().sum(self.shape(), video), &mut light);
+        light
+    }
+
+    /// `W values`.
+    pub fn weigh(&self, values: &[f32]) -> Vec<f32> {
+        self.system.operator().weigh(values).into_owned()
+    }
+
+    /// Solves `(B Bᵀ + ρI) y = r` for an `r` that has nothing to do with the one before; `B` is `W A` on the support.
+    pub fn solve_alone(&mut self, r: &[f32], rho: f64) -> Vec<f64> {
+        let size = crate::vecmath::norm(r).max(f64::MIN_POSITIVE);
+        let unit: Vec<f32> = r.iter().map(|r| (f64::from(*r) / size) as f32).collect();
+        let (mut y, mut gram_y) = (vec![0.0; r.len()], vec![0.0; r.len()]);
+        self.x_step
+            .solve_alone(&self.system, &unit, rho, &mut y, &mut gram_y);
+        y.iter().map(|y| size * f64::from(*y)).collect()
+    }
+
+    /// `σ` in counts of a pixel with weight 1 under the noise model of the weights; `None` without a noise model.
+    pub fn calibrated_sigma(&self) -> Option<f64> {
+        self.noise.as_ref().map(NoiseModel::sigma)
+    }
+
+    /// The video: the sum of foreground and background.
+    pub fn sum(&self, stacked: Vec<f32>) -> Vec<f32> {
+        match self.background() {
+            Background::None => stacked,
+            background => background.sum(self.shape(), &stacked).into_owned(),
+        }
+    }
+
+    /// `W(b − A v)` at the held-out pixels, with the weights that they would have.
+    pub fn held_out_residuals(&self, video: &[f32]) -> Vec<f64> {
+        let Some(held_out) = &self.held_out else {
+            return Vec::new();
+        };
+        let light = self.predicted(video);
+        let pixels = held_out.pixels().iter();
+        pixels
+            .map(|&i| {
+                let weight = self.weights.as_ref().map_or(1.0, |w| f64::from(w[i]));
+                weight * (f64::from(self.frame[i]) - f64::from(light[i]))
+            })
+            .collect()
+    }
+
+    /// Applies the present weights and held-out pixels to system and frame, but not to the x-step.
+    fn apply_weights(&mut self) {
+        let mut weights = self.weights.clone();
+        if let Some(held_out) = &self.held_out {
+            let weights = weights.get_or_insert_with(|| vec![1.0; self.frame.len()]);
+            held_out.pixels().iter().for_each(|&i| weights[i] = 0.0);
+        }
+        self.system.set_weights(weights);
+        self.apply_weights_to_frame();
+    }
+
+    /// Replaces the x-step by a new one for the present system.
+    fn renew_x_step(&mut self) {
+        // Frees the old blocks before it builds the new ones.
+        self.x_step = Box::new(ExactBlocks::empty());
+        self.x_step = x_step::choose(&self.system, self.precision);
+    }
+
+    /// Sets `W b` and the number of measurements.
+    fn apply_weights_to_frame(&mut self) {
+        self.measurements = self.frame.clone();
+        self.measurement_count = self.frame.len();
+        if let Some(weights) = self.system.operator().weights() {
+            let pixels = self.measurements.iter_mut().zip(weights);
+            pixels.for_each(|(b, w)| *b *= w);
+            self.measurement_count = weights.iter().filter(|w| **w > 0.0).count();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,137 @@
+//! The x-step without blocks, for exposures longer than a row and for wide sensors (docs/design/004, 025).
+
+use super::active_system::ActiveSystem;
+use super::preconditioner::{MeanFieldPreconditioner, PlanePreconditioner};
+use super::{System, XStep};
+use crate::Support;
+use crate::linop::Background;
+use crate::solve::DataHints;
+use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner, TOLERANCE};
+use std::sync::Arc;
+
+/// Residual over `ρ‖y‖` of conjugate gradients where the solution itself is asked for.
+const EXACT_TOLERANCE: f64 = 0.01;
+
+/// Most calls of conjugate gradients for that.
+const MAX_EXACT_CALLS: usize = 10;
+
+/// Preconditioned conjugate gradients, unless an exact step on the support takes less time.
+pub struct ConjugateGradients {
+    solver: ConjugateGradient,
+    active: Option<ActiveSystem>,
+}
+
+impl ConjugateGradients {
+    /// For a system on all voxels.
+    pub fn new(system: &System) -> Self {
+        Self {
+            solver: ConjugateGradient::new(preconditioner(system), system.measurement_len()),
+            active: None,
+        }
+    }
+}
+
+impl XStep for ConjugateGradients {
+    fn solve(
+        &mut self,
+        system: &System,
+        r: &[f32],
+        rho: f64,
+        y: &mut [f32],
+        gram_y: &mut [f32],
+    ) -> bool {
+        if let Some(active) = &mut self.active {
+            if active.solve(r, rho, y, gram_y) {
+                return true;
+            }
+            self.active = None;
+        }
+        let operator = system.stacked_operator();
+        self.solver.solve(operator, r, rho, TOLERANCE, y, gram_y)
+    }
+
+    fn solve_alone(
+        &mut self,
+        system: &System,
+        r: &[f32],
+        rho: f64,
+        y: &mut [f32],
+        gram_y: &mut [f32],
+    ) {
+        if let Some(active) = &mut self.active {
+            active.reset();
+            if active.solve(r, rho, y, gram_y) {
+                return;
+            }
+        }
+        self.solver.forget();
+        let operator = system.stacked_operator();
+        for _ in 0..MAX_EXACT_CALLS {
+            if self
+                .solver
+                .solve(operator, r, rho, EXACT_TOLERANCE, y, gram_y)
+            {
+                break;
+            }
+        }
+    }
+
+    fn restrict(&mut self, system: &System, _before: Option<&Support>) {
+        if let Some(support) = system.support() {
+            self.solver.restrict(support, preconditioner(system));
+        }
+        self.active = active_system(system);
+    }
+
+    fn rebuild(&mut self, system: &System) {
+        self.solver
+            .restart(system.support(), preconditioner(system));
+        self.active = active_system(system);
+    }
+
+    fn reset(&mut self) -> bool {
+        false
+    }
+
+    fn is_renewed_by_rebuild(&self, _background: Background) -> bool {
+        true
+    }
+
+    fn hints(&self, _system: &System) -> DataHints {
+        DataHints::default()
+    }
+
+    #[cfg(test)]
+    fn method(&self) -> super::Method {
+        match self.active {
+            Some(_) => super::Method::ActiveSystem,
+            None => super::Method::ConjugateGradients,
+        }
+    }
+}
+
+/// The exact step on the support, where it takes less time than conjugate gradients.
+fn active_system(system: &System) -> Option<ActiveSystem> {
+    if system.background() != Background::None || system.shutter().convolves_planes() {
+        return None;
+    }
+    ActiveSystem::new(system.operator(), system.support()?)
+}
+
+/// The mean field along the rows, or of whole planes where the operator convolves these.
+fn preconditioner(system: &System) -> Box<dyn Preconditioner> {
+    let shutter = system.shutter();
+    if shutter.convolves_planes() {
+        return Box::new(PlanePreconditioner {
+            shutter: Arc::clone(shutter),
+            scale: system.model().scale(),
+        });
+    }
+    Box::new(MeanFieldPreconditioner::new(
+        system.model().mean_field(),
+        shutter,
+        system.background(),
+        system.support(),
+        system.operator().weights(),
+    ))
+}

@@ -1,0 +1,111 @@
+//! The x-step of a frame: the system `(B Bᵀ + ρI) y = r` for an active set and a penalty `ρ`.
+//!
+//! `B = W A P` has the weights `W`, the operator `A` and the projection `P` onto the support. [`XStep`] is the seam:
+//! one implementation for each way to solve the system. [`choose`] selects it.
+//!
+//! | implementation | system | where |
+//! |---|---|---|
+//! | [`ExactBlocks`] | Cholesky factors of the blocks of instants, or of the smaller system of the active columns (Woodbury, [`crate::solve::blocks`]) | no bin is seen by two instants, and the blocks fit in memory |
+//! | [`StaticBackground`] | the same blocks, with the Schur complement of a static background | as above, with a static background |
+//! | [`ConjugateGradients`] | preconditioned conjugate gradients, or on a small support the factor of `BᵀB + ρI`, banded in time ([`active_system`]) | else |
+
+mod active_system;
+mod conjugate_gradients;
+mod exact_blocks;
+mod preconditioner;
+mod static_background;
+mod system;
+
+pub(super) use conjugate_gradients::ConjugateGradients;
+pub(super) use exact_blocks::{ExactBlocks, Precision};
+pub(super) use static_background::StaticBackground;
+pub(super) use system::System;
+
+use crate::Support;
+use crate::linop::Background;
+use crate::solve::DataHints;
+
+/// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where no blocks are built; smaller is not stable.
+const MIN_RHO: f64 = 1e-9;
+
+/// A solver of `(B Bᵀ + ρI) y = r` for the [`System`] that each call is given.
+///
+/// It may keep factors and earlier solutions. It is told of every change of the system.
+pub(super) trait XStep: Send {
+    /// Solves the system for an `r` that converges over the iterations, and sets `gram_y = B Bᵀ y`. Returns whether
+    /// the solution is accurate.
+    fn solve(
+        &mut self,
+        system: &System,
+        r: &[f32],
+        rho: f64,
+        y: &mut [f32],
+        gram_y: &mut [f32],
+    ) -> bool;
+
+    /// Solves the system for an `r` that has nothing to do with the one before, as accurately as f32 permits.
+    fn solve_alone(
+        &mut self,
+        system: &System,
+        r: &[f32],
+        rho: f64,
+        y: &mut [f32],
+        gram_y: &mut [f32],
+    );
+
+    /// The system has another support; the last one was `before` (`None`: every voxel).
+    fn restrict(&mut self, system: &System, before: Option<&Support>);
+
+    /// The system has other weights, or also another support and background, see [`Self::is_renewed_by_rebuild`].
+    fn rebuild(&mut self, system: &System);
+
+    /// Forgets earlier solutions. Returns whether the next ones are then those of a new solver, to the bit.
+    fn reset(&mut self) -> bool;
+
+    /// Whether it solves like a new solver for systems with this background after [`Self::rebuild`].
+    fn is_renewed_by_rebuild(&self, background: Background) -> bool;
+
+    /// What it costs.
+    fn hints(&self, system: &System) -> DataHints;
+
+    /// How it solves now.
+    #[cfg(test)]
+    fn method(&self) -> Method;
+}
+
+/// How an [`XStep`] solves.
+#[cfg(test)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Method {
+    SingleBlocks,
+    DoubleBlocks,
+    StaticBackground,
+    ConjugateGradients,
+    ActiveSystem,
+}
+
+/// The solver for `system`.
+pub(super) fn choose(system: &System, precision: Precision) -> Box<dyn XStep> {
+    if !has_exact_blocks(system) {
+        Box::new(ConjugateGradients::new(system))
+    } else if system.background() == Background::Static {
+        Box::new(StaticBackground::new(system))
+    } else {
+        Box::new(ExactBlocks::new(system, precision))
+    }
+}
+
+/// Smallest `ρ` at which the x-step of `system` is numerically stable.
+pub(super) fn min_rho(system: &System) -> f64 {
+    // Without blocks there is no factor whose rounding could limit `ρ`.
+    let ratio = match system.model().gram_bytes() {
+        Some(_) => system.shutter().min_rho(),
+        None => MIN_RHO,
+    };
+    ratio * system.model().scale()
+}
+
+/// Whether `B Bᵀ` is block-diagonal in time with blocks that fit in memory.
+fn has_exact_blocks(system: &System) -> bool {
+    system.shutter().time().is_disjoint() && system.model().gram_bytes().is_some()
+}
