@@ -92,6 +92,11 @@ impl PyReconstruction {
         }
     }
 
+    /// A copy of the video, of a reconstruction whose video numpy does not own yet.
+    pub fn copied_video(&self, py: Python<'_>) -> Video {
+        self.state(py).completed.reconstruction.video.clone()
+    }
+
     fn state<'a>(&'a self, py: Python<'_>) -> MutexGuard<'a, State> {
         let state = self.state.lock_py_attached(py);
         state.unwrap_or_else(PoisonError::into_inner)

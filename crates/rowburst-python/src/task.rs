@@ -23,7 +23,7 @@ use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
 use rowburst_run::{
     Bias, ChunkedTask, ColourTask, CompletedTask, Event, Frame, MovieStyle, Output, Setup, Task,
-    TraceRequest, Traces, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
+    TraceRequest, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
 };
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -212,7 +212,7 @@ fn run(
     progress: Option<Py<PyAny>>,
     began: Instant,
 ) -> PyResult<PyReconstruction> {
-    let done = observed(py, pool, progress, began, move |watch| {
+    observed(py, pool, progress, began, move |watch| {
         let task = Task {
             cancel: watch.reporter.cancel().clone(),
             ..task
@@ -221,22 +221,8 @@ fn run(
             Some(model) => solve_with_model(&model, task, began, &mut |event| watch.answer(event))?,
             None => solve(task, began, &mut |event| watch.answer(event))?,
         };
-        Ok(watch.evaluated(completed, debias))
-    })?;
-    Ok(done.into_result())
-}
-
-/// A reconstruction with its traces, where they are known already, and the number of threads that made it.
-struct Evaluated {
-    completed: CompletedTask,
-    traces: Option<Traces>,
-    threads: usize,
-}
-
-impl Evaluated {
-    fn into_result(self) -> PyReconstruction {
-        PyReconstruction::new(self.completed, self.traces, self.threads)
-    }
+        Ok(watch.result(completed, debias))
+    })
 }
 
 /// Shows the events of a run to the progress function.
@@ -275,13 +261,10 @@ impl<T> Watch<'_, T> {
     }
 
     /// Refits the video where that is asked for; traces alone are left to the first question for them.
-    fn evaluated(&self, mut completed: CompletedTask, debias: bool) -> Evaluated {
-        let wants_traces = debias && !self.reporter.is_abandoned();
-        Evaluated {
-            traces: wants_traces.then(|| completed.evaluate(TraceRequest::default(), true)),
-            completed,
-            threads: rayon::current_num_threads(),
-        }
+    fn result(&self, mut completed: CompletedTask, debias: bool) -> PyReconstruction {
+        let refits = debias && !self.reporter.is_abandoned();
+        let traces = refits.then(|| completed.evaluate(TraceRequest::default(), true));
+        PyReconstruction::new(completed, traces, rayon::current_num_threads())
     }
 }
 
@@ -481,15 +464,15 @@ pub fn _reconstruct_colour<'py>(
         task.setup.cancel = watch.reporter.cancel().clone();
         let mut planes = Vec::new();
         task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
-            let evaluated = watch.evaluated(plane.completed, debias);
-            planes.push((plane.site, plane.start_us, evaluated));
+            let result = watch.result(plane.completed, debias);
+            planes.push((plane.site, plane.start_us, result));
             watch.check_wanted()
         })?;
         Ok(planes)
     })?;
     let videos: Vec<_> = planes
         .iter()
-        .map(|(site, _, plane)| (*site, plane.completed.reconstruction.video.clone()))
+        .map(|(site, _, result)| (*site, result.copied_video(py)))
         .collect();
     let colours = merge_planes(&videos).ok_or_else(|| {
         let found = "planes of different lengths: there is no video in colour";
@@ -506,7 +489,7 @@ pub fn _reconstruct_colour<'py>(
     let array = array.reshape([shape.bins, shape.rows, shape.columns, 3])?;
     let planes = planes
         .into_iter()
-        .map(|(site, start, plane)| (site.name(), start, plane.into_result()));
+        .map(|(site, start, result)| (site.name(), start, result));
     Ok((array, planes.collect()))
 }
 

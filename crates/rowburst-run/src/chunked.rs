@@ -190,6 +190,20 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
         let json = serde_json::to_vec(&state).expect("plain numbers and text");
         folder.write_bytes(STATE_FILE, &json)?;
     }
+    let summary = write_result(task, output, file, state.parts)?;
+    folder.remove(STATE_FILE)?;
+    Ok(Artifacts::new(output, summary, Vec::new()))
+}
+
+/// Ends the video and writes movie, report and `result.json`.
+fn write_result(
+    task: &ChunkedTask,
+    output: &Output,
+    mut file: ChunkedVideoFile,
+    parts: Vec<ChunkNumbers>,
+) -> Result<Summary> {
+    let (chunked, folder) = (&task.chunked, output.folder);
+    let shape = chunked.camera().video_shape();
     let statistics = VideoStatistics::read(&mut file, shape)?;
     file.finish()?;
     folder.remove("video.mp4")?;
@@ -203,7 +217,7 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     if let Some(mp4) = encode_movie(&statistics.preview, &time, output.movie)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
-    let mut summary = summarise(task, state.parts);
+    let mut summary = summarise(task, parts);
     let sheet = report_sheet(task, output, &summary, &statistics);
     let report = sheet.render()?;
     for picture in &report.pictures {
@@ -213,8 +227,7 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     summary.peak_memory_bytes = peak_memory_bytes();
     let summary = Summary::Chunked(summary.into());
     folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
-    folder.remove(STATE_FILE)?;
-    Ok(Artifacts::new(output, summary, Vec::new()))
+    Ok(summary)
 }
 
 /// Reconstructs a chunk; `None` where it was stopped.

@@ -47,12 +47,10 @@ impl SimulationRequest<'_> {
     /// # Errors
     /// Those of [`simulate`], files that cannot be read, too little memory, and failed writes.
     pub fn run(&self, folder: &OutputFolder, observer: Observer) -> Result<()> {
-        let inputs = self;
-        let camera = inputs.experiment.camera()?;
-        check_noise(inputs.noise, &camera)
-            .map_err(|e| naming_camera(e, &inputs.experiment.path))?;
-        check_memory(&inputs.experiment.path, &camera)?;
-        let psfs = psfs_of(inputs, &camera, observer)?;
+        let camera = self.experiment.camera()?;
+        check_noise(self.noise, &camera).map_err(|e| naming_camera(e, &self.experiment.path))?;
+        check_memory(&self.experiment.path, &camera)?;
+        let psfs = psfs_of(self, &camera, observer)?;
         let SimulatedCapture {
             recorded,
             noise,
@@ -63,21 +61,17 @@ impl SimulationRequest<'_> {
         } = simulate(&Simulation {
             camera: &camera,
             psfs: &psfs,
-            scene: Scene::read(inputs.scene)?,
-            background: inputs.background,
-            noise: inputs.noise,
-            seed: inputs.seed,
-            digit_height_px: inputs.digit_px,
+            scene: Scene::read(self.scene)?,
+            background: self.background,
+            noise: self.noise,
+            seed: self.seed,
+            digit_height_px: self.digit_px,
         })
         .map_err(|e| {
             // What the frame's light makes impossible is the scene's.
             let is_of_scene =
                 e.locations().is_empty() && e.parameter() != Some(Parameter::Background);
-            if is_of_scene {
-                e.within(inputs.scene)
-            } else {
-                e
-            }
+            if is_of_scene { e.within(self.scene) } else { e }
         })?;
         for led in &leds {
             let (y, x, hertz) = (led.y, led.x, led.frequency_hz);
@@ -92,12 +86,12 @@ impl SimulationRequest<'_> {
         let light = write_background(folder, truth, background)?;
         folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
         folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
-        if inputs.scene == "leds" {
-            write_photodiodes(inputs, folder, &camera)?;
+        if self.scene == "leds" {
+            write_photodiodes(self, folder, &camera)?;
         }
-        let record = record(inputs, &camera, &recorded, noise, &leds, light);
+        let record = record(self, &camera, &recorded, noise, &leds, light);
         folder.write_bytes("simulation.json", format!("{record:#}\n").as_bytes())?;
-        let experiment = written_experiment(inputs, folder, psf_file);
+        let experiment = written_experiment(self, folder, psf_file);
         write_row_order(folder, &experiment, &camera)?;
         let text = experiment.to_toml(folder.path());
         folder.write_bytes("experiment.toml", text.as_bytes())?;
@@ -106,7 +100,7 @@ impl SimulationRequest<'_> {
             camera.rows(),
             camera.columns(),
             short(recorded.sigma),
-            noise_text(inputs.noise),
+            noise_text(self.noise),
             recorded.saturated
         );
         note(observer, &frame);
@@ -142,7 +136,7 @@ fn write_background(
 
 /// The contents of `simulation.json`; `background_light` is what [`write_background`] returns.
 fn record(
-    inputs: &SimulationRequest,
+    request: &SimulationRequest,
     camera: &Camera,
     recorded: &SimulatedFrame,
     noise: Noise,
@@ -151,20 +145,20 @@ fn record(
 ) -> Value {
     json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "scene": inputs.scene,
-        "background": inputs.background.map(|times| json!({
+        "scene": request.scene,
+        "background": request.background.map(|times| json!({
             "brightest_over_scene": times,
             "light_over_scene": background_light,
         })),
         "leds": leds.iter().map(|led| json!({
             "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
         })).collect::<Vec<_>>(),
-        "seed": inputs.seed,
-        "noise": noise_record(inputs.noise, noise),
+        "seed": request.seed,
+        "noise": noise_record(request.noise, noise),
         "noise_sigma": recorded.sigma,
         "counts_per_unit_of_scene": recorded.scale,
         "saturated_pixels": recorded.saturated,
-        "psf": psf_record(inputs, camera),
+        "psf": psf_record(request, camera),
     })
 }
 
@@ -189,21 +183,21 @@ fn noise_record(choice: NoiseChoice, noise: Noise) -> Value {
 }
 
 /// The file of the PSF, or the optics of the speckle.
-fn psf_record(inputs: &SimulationRequest, camera: &Camera) -> Value {
-    match &inputs
+fn psf_record(request: &SimulationRequest, camera: &Camera) -> Value {
+    match &request
         .psf
         .map(Path::to_path_buf)
-        .or(inputs.experiment.calibration.psf.clone())
+        .or(request.experiment.calibration.psf.clone())
     {
         Some(path) => json!(path.display().to_string()),
         None => json!({
-            "wavelength_nm": inputs.optics.wavelength_nm,
-            "pupil_mm": inputs.optics.na.is_none().then_some(inputs.optics.pupil_mm),
-            "na": inputs.optics.na,
-            "focal_length_mm": inputs.optics.focal_length_mm,
-            "magnification": inputs.optics.magnification,
-            "diffuser_fwhm_deg": inputs.optics.diffuser_deg,
-            "diffuser_phase_rad": inputs.diffuser_phase,
+            "wavelength_nm": request.optics.wavelength_nm,
+            "pupil_mm": request.optics.na.is_none().then_some(request.optics.pupil_mm),
+            "na": request.optics.na,
+            "focal_length_mm": request.optics.focal_length_mm,
+            "magnification": request.optics.magnification,
+            "diffuser_fwhm_deg": request.optics.diffuser_deg,
+            "diffuser_phase_rad": request.diffuser_phase,
             "pixel_pitch_um": pixel_pitch_um(camera),
         }),
     }
@@ -244,12 +238,12 @@ pub fn photodiode_file(number: usize) -> String {
 
 /// Writes what a fast photodiode before each LED records: 1 where it is lit, 0 where not.
 fn write_photodiodes(
-    inputs: &SimulationRequest,
+    request: &SimulationRequest,
     folder: &OutputFolder,
     camera: &Camera,
 ) -> Result<()> {
     let (shape, bin_us) = (camera.video_shape(), camera.time().bin_duration_us());
-    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), inputs.seed)?;
+    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), request.seed)?;
     let step_us = bin_us / SAMPLES_PER_BIN as f64;
     let heading = ["time_us".to_string(), "value".to_string()];
     for (i, led) in leds.iter().enumerate() {
@@ -266,11 +260,11 @@ fn write_photodiodes(
 /// The experiment as it is after the simulation: the frame is on the working grid, and
 /// the PSF lies beside it.
 fn written_experiment(
-    inputs: &SimulationRequest,
+    request: &SimulationRequest,
     folder: &OutputFolder,
     psf_file: &str,
 ) -> Experiment {
-    let mut experiment = inputs.experiment.clone();
+    let mut experiment = request.experiment.clone();
     experiment.params.sensor.binning = 1;
     experiment.calibration = rowburst_io::Calibration {
         psf: Some(folder.path().join(psf_file)),
@@ -292,9 +286,12 @@ fn write_psfs(folder: &OutputFolder, psfs: &PatchSet) -> Result<&'static str> {
     Ok("psf-patches.toml")
 }
 
-fn psfs_of(inputs: &SimulationRequest, camera: &Camera, observer: Observer) -> Result<PatchSet> {
-    if let Some(path) = inputs.psf.or(inputs.experiment.calibration.psf.as_deref()) {
-        if inputs.optics != LensOptics::demo() || inputs.diffuser_phase != 4.0 {
+fn psfs_of(request: &SimulationRequest, camera: &Camera, observer: Observer) -> Result<PatchSet> {
+    if let Some(path) = request
+        .psf
+        .or(request.experiment.calibration.psf.as_deref())
+    {
+        if request.optics != LensOptics::demo() || request.diffuser_phase != 4.0 {
             let path = path.display();
             let text =
                 format!("note: the options of the speckle PSF have no effect: the PSF is {path}");
@@ -306,8 +303,8 @@ fn psfs_of(inputs: &SimulationRequest, camera: &Camera, observer: Observer) -> R
         }
         return Ok(psfs);
     }
-    let optics = inputs.optics.optics(pixel_pitch_um(camera));
-    let psf = speckle_for(camera, &optics, inputs.diffuser_phase, inputs.seed)?;
+    let optics = request.optics.optics(pixel_pitch_um(camera));
+    let psf = speckle_for(camera, &optics, request.diffuser_phase, request.seed)?;
     let (grain, envelope) = (optics.grain_px(), optics.envelope_fwhm_px());
     note(
         observer,
