@@ -144,7 +144,7 @@ impl Phase {
 pub const INTERRUPTED: u8 = 130;
 
 /// Longest time from Ctrl-C to the end where there is nothing to write.
-const GRACE: Duration = Duration::from_millis(800);
+const GRACE: Duration = Duration::from_millis(500);
 
 /// Whether Ctrl-C has ended the run.
 pub fn is_interrupted() -> bool {
