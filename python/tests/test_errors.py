@@ -25,6 +25,8 @@ def test_parameter_kind_and_value_are_data(camera, psf, capture, tmp_path):
         (lambda: rb.reconstruct(np.zeros_like(bad_frame), camera, psf), "frame", "no-signal", None),
         (lambda: rb.reconstruct(capture.frame, camera, psf, dark=np.zeros((2, 2))), "dark", "shape", None),
         (lambda: rb.reconstruct(capture.frame, camera, psf, prior="tb"), "prior", "invalid", None),
+        (lambda: rb.reconstruct(capture.frame, camera, psf, tuning={"rho": 1.0}), "tuning", "invalid", None),
+        (lambda: rb.reconstruct(capture.frame, camera, psf, tuning={"decline": 0.0}), "tuning", "invalid", None),
         (lambda: rb.Psf(-np.ones((3, 3))), "psf", "invalid", None),
         (lambda: camera.replace(row_time_us=-1), "row_time_us", "invalid", "-1"),
     ]

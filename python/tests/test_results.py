@@ -31,6 +31,14 @@ def test_numbers_are_computed_once(capture, camera, psf, monkeypatch):
     assert result.numbers["tau"] is not None
 
 
+def test_constants_of_the_solver_can_be_set(capture, camera, psf):
+    def video(**options):
+        return rb.reconstruct(capture.frame, camera, psf, prior="tv", max_iterations=10, **options).video
+
+    np.testing.assert_array_equal(video(), video(tuning={}))
+    assert not np.array_equal(video(), video(tuning={"continuation_factor": 1.0}))
+
+
 @pytest.fixture(scope="module")
 def hot():
     """A capture with 1 % hot pixels: camera, PSF, frame and the mask of the hot pixels."""

@@ -86,6 +86,9 @@ impl BatchInputs {
             ),
             ("number of frames", self.frames.count().to_string()),
         ];
-        parts.into_iter().map(|(k, v)| (k.to_string(), v)).collect()
+        let tuning = options.tuning.changes().into_iter();
+        let tuning = tuning.map(|(name, value)| (format!("tuning {name}"), value.to_string()));
+        let parts = parts.into_iter().map(|(k, v)| (k.to_string(), v));
+        parts.chain(tuning).collect()
     }
 }

@@ -7,7 +7,7 @@ use crate::array::{finite_image, from_image, from_video, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::psf::PyPsf;
-use crate::task::{prior_from, tau_from};
+use crate::task::{prior_from, tau_from, tuning_from};
 use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -168,6 +168,7 @@ fn of_task<'py>(py: Python<'py>, task: &Task) -> PyResult<Bound<'py, PyDict>> {
     state.set_item("max_iterations", options.max_iterations)?;
     state.set_item("self_calibrate", options.self_calibration.name())?;
     state.set_item("keep_all_pixels", options.keep_all_pixels)?;
+    state.set_item("tuning", options.tuning.changes())?;
     state.set_item("budget_s", task.budget.map(|b| b.as_secs_f64()))?;
     let truth = task.truth.clone().map(|truth| from_video(py, truth));
     state.set_item("truth", truth.transpose()?)?;
@@ -268,6 +269,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
                 &entry(state, "self_calibrate")?.extract::<String>()?,
             )?,
             keep_all_pixels: entry(state, "keep_all_pixels")?.extract()?,
+            tuning: tuning_from(entry(state, "tuning")?.extract::<Vec<(String, f64)>>()?)?,
             ..Options::default()
         },
         budget: budget.map(Duration::from_secs_f64),

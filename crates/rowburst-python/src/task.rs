@@ -17,6 +17,7 @@ use rowburst::error::Subject;
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
+use rowburst::solve::admm::Tuning;
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result};
 use rowburst_io::{OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
@@ -25,6 +26,7 @@ use rowburst_run::{
     Bias, ChunkedTask, ColourTask, CompletedTask, Event, Frame, MovieStyle, Output, Setup, Task,
     TraceRequest, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
 };
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -44,8 +46,8 @@ struct FrameInputs<'a, 'py> {
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
     time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
     direct=None, progress=None, seed=Whole::of(0), experiment=None, self_calibrate="auto", keep_all_pixels=false,
-    debias=false, threads=None),
-    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None)")]
+    debias=false, threads=None, tuning=None),
+    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None, tuning=None)")]
 #[allow(clippy::too_many_arguments)]
 pub fn reconstruct(
     py: Python<'_>,
@@ -69,10 +71,12 @@ pub fn reconstruct(
     keep_all_pixels: bool,
     debias: bool,
     threads: Option<Whole>,
+    tuning: Option<BTreeMap<String, f64>>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
     let options = Options {
         self_calibration: self_calibration_from(self_calibrate)?,
+        tuning: tuning_from(tuning.unwrap_or_default())?,
         ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -301,6 +305,24 @@ fn answer_of(py: Python<'_>, progress: &Py<PyAny>, iteration: PyProgress) -> PyR
     } else {
         Answer::Finish
     })
+}
+
+/// The standard constants of the solver with other values of some.
+pub fn tuning_from(values: impl IntoIterator<Item = (String, f64)>) -> PyResult<Tuning> {
+    let mut tuning = Tuning::STANDARD;
+    for (name, value) in values {
+        tuning.set(&name, value).map_err(|error| {
+            let remedy = "The names are the fields of rowburst::solve::admm::Tuning.";
+            let found = format!("{name} = {value}");
+            to_py_err(Error::input(
+                Parameter::Tuning,
+                found,
+                error.to_string(),
+                remedy,
+            ))
+        })?;
+    }
+    Ok(tuning)
 }
 
 /// The options of frames that use PSF and camera as given.

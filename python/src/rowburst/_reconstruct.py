@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from os import PathLike, fspath
@@ -432,6 +432,7 @@ def reconstruct(
     keep_all_pixels: bool = False,
     debias: bool = False,
     threads: int | None = None,
+    tuning: Mapping[str, float] | None = None,
 ) -> Result:
     """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``, bit for bit.
 
@@ -481,6 +482,9 @@ def reconstruct(
         Whether the active voxels are estimated anew without the bias of the prior, as by ``--debias`` of the command line.
     threads : int, optional
         Threads of this call alone; by default all those of the process (:func:`threads`). The video is the same.
+    tuning : mapping, optional
+        Other values for constants of the solver, such as ``{"support_threshold": 0.1}``. Unstable: names, meanings and
+        values change between versions. The names are the fields of ``rowburst::solve::admm::Tuning``.
 
     Returns
     -------
@@ -516,6 +520,7 @@ def reconstruct(
             keep_all_pixels=keep_all_pixels,
             debias=debias,
             threads=threads,
+            tuning=None if tuning is None else dict(tuning),
             **settings,
         )
     finally:

@@ -1,6 +1,6 @@
 """The extension module: see the package for what it is for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any, Literal, TypeAlias, final
 
@@ -636,6 +636,7 @@ def reconstruct(
     keep_all_pixels: bool = False,
     debias: bool = False,
     threads: int | None = None,
+    tuning: Mapping[str, float] | None = None,
 ) -> Result: ...
 def simulate(
     camera: Camera,

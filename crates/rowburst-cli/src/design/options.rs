@@ -206,7 +206,7 @@ impl DesignArgs {
                     format!("\"{other}\""),
                     "a shutter is top-down, bottom-up, dual-inside-out, dual-outside-in or global",
                     "Check the name; an order of your own goes into an experiment file (--experiment).",
-                ).with_kind(ErrorKind::Unknown));
+                ).with_kind(ErrorKind::Unknown).named(option_names::design_option(Parameter::Shutter)));
             }
         };
         let row_time_us = args.row_time_us.unwrap_or(base.row_time_us);

@@ -175,6 +175,16 @@ impl Subject {
         }
     }
 
+    /// A line of a text file, counted from 1.
+    pub fn line(path: impl Into<PathBuf>, line: usize) -> Self {
+        let path = path.into();
+        Self {
+            label: Some(format!("{}, line {line}", path.display())),
+            path: Some(path),
+            ..Self::default()
+        }
+    }
+
     /// What has no parameter, such as work: "writing PNG".
     pub fn named(label: impl Into<String>) -> Self {
         Self {

@@ -125,6 +125,8 @@ parameters! {
     NoiseSigma = "noise_sigma",
     /// Limit of the number of iterations.
     MaxIterations = "max_iterations",
+    /// The constants of the solver.
+    Tuning = "tuning",
     /// When a frame corrects its PSF and camera.
     SelfCalibrate = "self_calibrate",
     /// Limit of the time, in s.

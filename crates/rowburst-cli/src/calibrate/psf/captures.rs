@@ -22,8 +22,7 @@ pub fn read_positions(csv: &Path, files: &[CaptureFile]) -> Result<Vec<(f64, f64
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let subject =
-            Subject::in_file(csv, format!("line {}", number + 1)).of(Parameter::PositionsMm);
+        let subject = Subject::line(csv, number + 1).of(Parameter::PositionsMm);
         let fields: Vec<&str> = line.split([',', ';', '\t']).map(str::trim).collect();
         let numbers: Vec<Option<f64>> = fields.iter().skip(1).map(|f| f.parse().ok()).collect();
         let (x, y) = match numbers[..] {

@@ -290,7 +290,7 @@ pub fn read_waveform(path: &Path) -> Result<Vec<(f64, f64)>> {
             _ if points.is_empty() && line.starts_with(|c: char| c.is_alphabetic()) => {}
             _ => {
                 return Err(Error::input(
-                    Subject::in_file(path, format!("line {}", i + 1)).of(Parameter::Signal),
+                    Subject::line(path, i + 1).of(Parameter::Signal),
                     format!("\"{line}\""),
                     "a line has two numbers, time_us,value",
                     "Write the time in microseconds, a comma and the light, with a point for decimals.",

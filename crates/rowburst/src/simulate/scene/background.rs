@@ -9,6 +9,8 @@
 //! ```
 
 use super::require_field_size;
+use crate::ErrorKind;
+use crate::error::Place;
 use crate::{Error, Image, Parameter, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -139,7 +141,9 @@ pub fn add_background(video: &mut Video, picture: &Image, times: f64) -> Result<
             format!("a brightest value of {brightest}"),
             "a background is as bright in proportion to a scene that has light",
             "Take a scene that is not dark, or leave the background out.",
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal)
+        .within(Place::Setting(Parameter::Background, times.to_string())));
     }
     let scale = times * brightest / peak;
     let scaled = |p: &f32| (scale * f64::from(*p)) as f32;

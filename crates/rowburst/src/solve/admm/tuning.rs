@@ -309,6 +309,13 @@ impl Tuning {
         }
     }
 
+    /// The names and values of all constants that differ from [`Self::STANDARD`].
+    pub fn changes(self) -> Vec<(String, f64)> {
+        let pairs = self.values().into_iter().zip(Self::STANDARD.values());
+        let changed = pairs.filter(|(value, standard)| value != standard);
+        changed.map(|(value, _)| value).collect()
+    }
+
     /// The names and values of all constants.
     pub fn values(mut self) -> Vec<(String, f64)> {
         let fields = self.fields().into_iter();
@@ -329,6 +336,7 @@ mod tests {
         for (i, name) in names.iter().enumerate() {
             let mut tuning = Tuning::STANDARD;
             tuning.set(name, 7.0).unwrap();
+            assert_eq!(tuning.changes(), [(name.clone(), 7.0)]);
             for (j, (other, value)) in tuning.values().into_iter().enumerate() {
                 let standard = Tuning::STANDARD.values()[j].1;
                 assert_eq!(value, if i == j { 7.0 } else { standard }, "{name} {other}");
