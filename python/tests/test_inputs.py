@@ -303,5 +303,5 @@ def test_a_video_beyond_the_memory_is_refused_at_once():
     frame = np.random.default_rng(1).uniform(1, 2, (4096, 4096)).astype(np.float32)
     psf = np.ones((3, 3))
     for call in (lambda: rb.reconstruct(frame, vast, psf), lambda: rb.LiveView(vast, psf), lambda: rb.simulate(vast, "digits", psf)):
-        with pytest.raises(rb.WorkError, match="no memory for 12 copies of a video of .*Make field smaller"):
+        with pytest.raises(rb.WorkError, match="no memory for a video of .* needed.*Make field smaller"):
             call()

@@ -4,9 +4,7 @@
 //! other (see ARCHITECTURE.md). Each frame at work needs its own memory, which is the bound.
 
 use rowburst::reconstruct::Model;
-
-/// Copies of the video, in float32, that a reconstruction holds at its peak.
-const COPIES: usize = 12;
+use rowburst_run::available_memory_bytes;
 
 /// Part of the free memory that is used.
 const SHARE: f64 = 0.8;
@@ -24,9 +22,8 @@ impl ThreadAllocation {
     /// Divides `threads` among `frames` that each need what `model` needs; never more at once
     /// than `most`, or than fit the memory that is free now.
     pub fn new(threads: usize, frames: usize, model: &Model, most: Option<usize>) -> Self {
-        let video = model.camera().video_shape().voxels() * size_of::<f32>();
-        let each = COPIES * video + model.gram_bytes().unwrap_or(0);
-        let fitting = free_bytes().map_or(usize::MAX, |free| {
+        let each = Model::run_bytes(model.camera()).unwrap_or(u64::MAX);
+        let fitting = available_memory_bytes().map_or(usize::MAX, |free| {
             (free as f64 * SHARE / each.max(1) as f64) as usize
         });
         Self::divide(threads, frames, fitting, most)
@@ -40,29 +37,6 @@ impl ThreadAllocation {
             threads_per_frame: (threads / concurrent_frames).max(1),
         }
     }
-}
-
-/// Memory that this process may still take (Linux): of the machine and of its control group.
-fn free_bytes() -> Option<u64> {
-    let number = |path: &str| -> Option<u64> {
-        let text = std::fs::read_to_string(path).ok()?;
-        text.trim().parse().ok()
-    };
-    let machine = || -> Option<u64> {
-        let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-        let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
-        let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
-        Some(kib * 1024)
-    };
-    let group = || -> Option<u64> {
-        let text = std::fs::read_to_string("/proc/self/cgroup").ok()?;
-        let name = text.lines().find_map(|l| l.strip_prefix("0::"))?;
-        let folder = format!("/sys/fs/cgroup{}", name.trim_end_matches('/'));
-        let most = number(&format!("{folder}/memory.max"))?;
-        let used = number(&format!("{folder}/memory.current"))?;
-        Some(most.saturating_sub(used))
-    };
-    [machine(), group()].into_iter().flatten().min()
 }
 
 #[cfg(test)]
@@ -82,11 +56,5 @@ mod tests {
         assert_eq!(allocation(8, 100, 50, Some(1)), (1, 8));
         assert_eq!(allocation(2, 100, 50, Some(9)), (2, 1));
         assert_eq!(allocation(2, 0, 50, None), (1, 2));
-    }
-
-    #[cfg(target_os = "linux")]
-    #[test]
-    fn free_memory_is_known() {
-        assert!(free_bytes().unwrap() > 1 << 20);
     }
 }

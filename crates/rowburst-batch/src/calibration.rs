@@ -3,8 +3,8 @@
 //! It is found once and kept in the job: the same for all processes that work on it, and after every kill. So every
 //! process takes it from the files, also the one that found it.
 
-use crate::choice::read_measurement;
 use crate::inputs::BatchInputs;
+use crate::measurement::read_measurement;
 use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Calibration, Model, SelfCalibration, calibrate};

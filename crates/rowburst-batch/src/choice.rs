@@ -7,29 +7,19 @@
 use crate::calibration::RecordingCalibration;
 use crate::identity::hash_image;
 use crate::inputs::BatchInputs;
+use crate::measurement::{is_of_correction, read_measurement};
 use rowburst::Parameter;
-use rowburst::error::Subject;
-use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
 use rowburst::{Error, Result};
-use rowburst_io::{Capture, SampleFormat};
+use rowburst_io::SampleFormat;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Frames that are looked at before the job begins.
 const PROBES: usize = 9;
-
-/// Whether `error` is about a dark, a flat or a mask rather than about a frame.
-pub fn is_of_correction(error: &Error) -> bool {
-    matches!(
-        error.parameter(),
-        Some(Parameter::Dark | Parameter::Flat | Parameter::BadPixels)
-    )
-}
 
 /// A frame that was looked at.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -117,31 +107,6 @@ pub(crate) fn is_same_recording(begun: &[Probe], now: &[Probe]) -> bool {
         }
     };
     begun.iter().all(same)
-}
-
-pub(crate) fn read_measurement(
-    inputs: &BatchInputs,
-    frame: usize,
-) -> Result<(Capture, Measurement)> {
-    catch_panic(|| {
-        let capture = inputs.frames.read(frame)?;
-        let measurement = inputs.measurement(&capture)?;
-        Ok((capture, measurement))
-    })
-}
-
-/// What `work` returns, or its panic as an error: a frame that breaks the program is one frame
-/// lost.
-pub(crate) fn catch_panic<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let text = panic.downcast_ref::<String>().map(String::as_str);
-        let text = text.or(panic.downcast_ref::<&str>().copied());
-        Err(Error::work(
-            Subject::named("the program"),
-            text.unwrap_or("a panic"),
-            "Report this frame.",
-        ))
-    })
 }
 
 /// The kind of numbers in words.

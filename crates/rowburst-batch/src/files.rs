@@ -1,13 +1,14 @@
 //! A plan from files and what is typed, for the command line and for Python.
 
-use crate::choice::is_of_correction;
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
+use crate::measurement::is_of_correction;
 use rowburst::ErrorKind;
 use rowburst::reconstruct::{Model, Options, Prior};
 use rowburst::{Error, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
-use rowburst_run::inputs::{check_memory, naming_file};
+use rowburst_run::check_memory;
+use rowburst_run::inputs::naming_file;
 use rowburst_run::options::UserOptions;
 use rowburst_run::{Event, Observer, Setup};
 use rowburst_zarr::{is_zarr, open_zarr_recording};

@@ -24,15 +24,17 @@ mod clock;
 mod files;
 mod identity;
 mod inputs;
+mod measurement;
 mod run;
 mod state;
 mod stitch;
 mod table;
 
 pub use allocation::ThreadAllocation;
-pub use choice::{ChosenPrior, is_of_correction};
+pub use choice::ChosenPrior;
 pub use clock::Clock;
 pub use files::{BatchFiles, LoadedBatch, load_batch, name_correction_file};
 pub use inputs::BatchInputs;
+pub use measurement::is_of_correction;
 pub use run::{Batch, Event, RetryPolicy};
 pub use table::{FrameRow, Status};

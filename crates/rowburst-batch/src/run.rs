@@ -2,12 +2,11 @@
 
 use crate::allocation::ThreadAllocation;
 use crate::calibration::{CalibrationFile, RecordingCalibration};
-use crate::choice::{
-    ChosenPrior, RecordingSurvey, catch_panic, is_same_recording, pixel_format_name,
-};
+use crate::choice::{ChosenPrior, RecordingSurvey, is_same_recording, pixel_format_name};
 use crate::clock::Clock;
 use crate::identity::check_same;
 use crate::inputs::BatchInputs;
+use crate::measurement::catch_panic;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
 use rowburst::ErrorKind;

@@ -2,6 +2,7 @@
 
 use crate::calibrate::CalibrateArgs;
 use crate::design::DesignArgs;
+use crate::shared_args::{CalibrationArgs, OpticsArgs};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -12,6 +13,9 @@ pub struct Cli {
     /// Threads to use [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Log every step with its time to standard error, in place of the progress bar
+    #[arg(long, global = true)]
+    pub verbose: bool,
     #[command(subcommand)]
     pub verb: Verb,
 }
@@ -38,6 +42,8 @@ pub enum Verb {
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
     Design(DesignArgs),
+    /// Print the JSON Schema of the experiment file or of result.json
+    Schema(SchemaArgs),
     /// Print the script that completes commands in a shell
     Completions(CompletionsArgs),
     /// Write manual pages for `man`
@@ -104,6 +110,29 @@ pub struct InitArgs {
     /// The file; one that exists is not replaced
     #[arg(short, long, default_value = "experiment.toml")]
     pub output: PathBuf,
+}
+
+/// Print the JSON Schema of the experiment file or of result.json.
+///
+/// Editors check and complete by it; programs check what they read. result.json has a schema_version, which is raised
+/// where a key is removed or gets another meaning. New keys do not raise it.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  rowburst schema result > result.schema.json\n  rowburst schema experiment > experiment.schema.json\n  then write #:schema ./experiment.schema.json as first line of experiment.toml, for editors that know it"
+)]
+pub struct SchemaArgs {
+    /// Which file
+    #[arg(value_enum)]
+    pub file: SchemaOf,
+}
+
+/// A file that has a schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SchemaOf {
+    /// The experiment file, in TOML
+    Experiment,
+    /// result.json, of one video, of one in chunks (--part-bins) or of one in colour
+    Result,
 }
 
 /// Print the script that completes commands in a shell.
@@ -176,48 +205,6 @@ pub struct SimulateArgs {
     /// Folder for experiment.toml, frame.npy, psf.npy, truth.npy and the frame without diffuser
     #[arg(short, long)]
     pub output: PathBuf,
-}
-
-/// The optics of the computed speckle PSF. The defaults give a grain of 2.5 pixels of
-/// 6.5 µm and an envelope that reaches over 108 rows.
-#[derive(Debug, Clone, Copy, PartialEq, Args)]
-#[command(next_help_heading = "Speckle PSF")]
-pub struct OpticsArgs {
-    /// Wavelength in nanometres
-    #[arg(long, default_value_t = 532.0, allow_hyphen_values = true)]
-    pub wavelength_nm: f64,
-    /// Diameter of the pupil in millimetres
-    #[arg(long, default_value_t = 1.71, allow_hyphen_values = true)]
-    pub pupil_mm: f64,
-    /// Focal length of the lens in millimetres
-    #[arg(long, default_value_t = 50.0, allow_hyphen_values = true)]
-    pub focal_length_mm: f64,
-    /// Magnification from scene to sensor
-    #[arg(long, default_value_t = 1.0 / 22.5, allow_hyphen_values = true)]
-    pub magnification: f64,
-    /// Image-side numerical aperture, instead of the pupil's diameter
-    #[arg(long, conflicts_with = "pupil_mm", allow_hyphen_values = true)]
-    pub na: Option<f64>,
-    /// Full width at half maximum of the diffuser's scattering, in degrees
-    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
-    pub diffuser_deg: f64,
-}
-
-/// Files that stand in for those of `[calibration]`.
-#[derive(Debug, Clone, Default, Args)]
-pub struct CalibrationArgs {
-    /// The PSF, instead of the experiment's
-    #[arg(long)]
-    pub psf: Option<PathBuf>,
-    /// A frame without light, instead of the experiment's
-    #[arg(long)]
-    pub dark: Option<PathBuf>,
-    /// A frame of even light, instead of the experiment's
-    #[arg(long)]
-    pub flat: Option<PathBuf>,
-    /// A mask of pixels not to use (anything but 0), instead of the experiment's
-    #[arg(long)]
-    pub bad_pixels: Option<PathBuf>,
 }
 
 /// Recover the video from one frame.

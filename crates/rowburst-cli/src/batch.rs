@@ -3,7 +3,7 @@
 use crate::args::BatchArgs;
 use crate::inputs::calibration_from_args;
 use crate::output::print_line;
-use crate::progress::{print_note, stop_on_ctrl_c};
+use crate::progress::{Interrupt, Kept, print_note};
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::ErrorKind;
@@ -14,7 +14,7 @@ use rowburst_batch::{
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{UserOptions, parse_prior, parse_tau};
-use rowburst_run::{MetadataNumbers, peak_memory_bytes, short};
+use rowburst_run::{MetadataNumbers, is_logging, peak_memory_bytes, short};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
@@ -71,7 +71,7 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
             "Leave it out, and start the workers with dask worker --nthreads.",
         ));
     }
-    let stop = stop_on_ctrl_c("finished frames are kept; the same command resumes");
+    let stop = Interrupt::listen(Kept::Frames).run;
     if !args.sweep.is_empty() {
         return run_sweep(args, &stop);
     }
@@ -307,7 +307,7 @@ fn parse_frame_range(text: Option<&str>, count: usize) -> Result<Range<usize>> {
 }
 
 fn bar(left: usize, of: usize) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
+    if !std::io::stderr().is_terminal() || is_logging() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(of as u64);

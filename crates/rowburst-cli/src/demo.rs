@@ -1,8 +1,9 @@
 //! `rowburst demo`: the paper's simulation, from scene to report.
 
-use crate::args::{CalibrationArgs, DemoArgs, DemoScene, ReconstructArgs};
+use crate::args::{DemoArgs, DemoScene, ReconstructArgs};
 use crate::progress::print_note;
 use crate::reconstruct;
+use crate::shared_args::CalibrationArgs;
 use rowburst::camera::CameraParams;
 use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
 use rowburst::{Result, Sensor};

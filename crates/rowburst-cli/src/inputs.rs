@@ -1,6 +1,6 @@
 //! The files that the command line names.
 
-use crate::args::CalibrationArgs;
+use crate::shared_args::CalibrationArgs;
 use rowburst_io::Calibration;
 
 /// The calibration files of the command line.

@@ -2,7 +2,7 @@
 //!
 //! Turns arguments into calls of the library and writes files; it holds no maths. Results go to
 //! standard output, messages to standard error. Exit status: 0 success, 1 the work failed, 2 the
-//! input or the command line is wrong.
+//! input or the command line is wrong, 130 Ctrl-C.
 
 mod args;
 #[cfg(feature = "batch")]
@@ -15,10 +15,13 @@ mod design;
 mod figure;
 mod init;
 mod inputs;
+mod log;
 mod option_names;
 mod output;
 mod progress;
 mod reconstruct;
+mod schema;
+mod shared_args;
 mod shell;
 mod simulate;
 mod sweep;
@@ -35,13 +38,29 @@ use std::time::Instant;
 pub fn run(arguments: Vec<OsString>) -> u8 {
     let process_start = Instant::now();
     let cli = Cli::parse_from(typed(arguments));
-    if let Some(threads) = cli.threads
-        && let Err(error) = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads.into())
-            .build_global()
-    {
-        eprintln!("error: --threads {threads}: {error}");
-        return 1;
+    if cli.verbose {
+        log::start(process_start);
+    }
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(cli.threads.map_or(0, usize::from))
+        .stack_size(STACK_BYTES)
+        .build();
+    match pool {
+        Ok(pool) => pool.install(|| run_verb(cli, process_start)),
+        Err(error) => {
+            eprintln!("error: no threads: {error}");
+            1
+        }
+    }
+}
+
+/// Stack of a thread: that of a main thread.
+const STACK_BYTES: usize = 8 << 20;
+
+/// Runs the command on the threads of the present pool; the exit status.
+fn run_verb(cli: Cli, process_start: Instant) -> u8 {
+    if cli.verbose {
+        log::describe_machine();
     }
     let done = rowburst::vecmath::check_environment().and_then(|()| match cli.verb {
         Verb::Demo(args) => demo::run(&args, process_start),
@@ -55,11 +74,17 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
         Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
+        Verb::Schema(args) => schema::run(&args),
         Verb::Completions(args) => shell::completions(&args),
         Verb::Man(args) => shell::man(&args),
     });
     match done {
+        Ok(()) if progress::is_interrupted() => progress::INTERRUPTED,
         Ok(()) => 0,
+        Err(error) if progress::is_interrupted() => {
+            eprintln!("{error}");
+            progress::INTERRUPTED
+        }
         Err(error) => {
             eprintln!("error: {}", option_names::message(&error));
             if error.is_input() { 2 } else { 1 }

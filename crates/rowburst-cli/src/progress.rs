@@ -1,13 +1,15 @@
 //! Progress bar and Ctrl-C: observers of the solver.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use rowburst::Cancel;
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
-use rowburst_run::{Chunk, Event, IterationMetrics};
+use rowburst_run::{Chunk, Event, IterationMetrics, is_logging};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::time::Duration;
 
 /// The bar of a run.
 pub struct Bar {
@@ -16,9 +18,9 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// A bar, hidden where standard error is no terminal; the run ends where `stop` is set.
+    /// A bar, hidden where standard error is no terminal or has the log; the run ends where `stop` is set.
     pub fn new(stop: Arc<AtomicBool>) -> Self {
-        let bar = if std::io::stderr().is_terminal() {
+        let bar = if std::io::stderr().is_terminal() && !is_logging() {
             ProgressBar::new(1)
         } else {
             ProgressBar::hidden()
@@ -35,13 +37,15 @@ impl Bar {
     }
 
     /// The flag that ends the run.
-    #[cfg(feature = "view")]
     pub fn stop(&self) -> &Arc<AtomicBool> {
         &self.stop
     }
 
     /// Shows an event. The answer ends the run where the flag is set.
     pub fn show(&mut self, event: Event) -> ControlFlow<StopReason> {
+        if let Event::Iteration { .. } = event {
+            Phase::Running.enter();
+        }
         match event {
             Event::Note(note) => eprintln!("{note}"),
             Event::Plane(site) => {
@@ -56,7 +60,12 @@ impl Bar {
             Event::Iteration {
                 progress, metrics, ..
             } => self.show_iteration(progress, metrics),
-            Event::Writing => self.finish(),
+            Event::Writing => {
+                self.finish();
+                if !is_interrupted() {
+                    Phase::Writing.enter();
+                }
+            }
             _ => {}
         }
         if self.stop.load(Ordering::Relaxed) {
@@ -103,32 +112,100 @@ pub fn print_note(event: Event) -> ControlFlow<StopReason> {
     ControlFlow::Continue(())
 }
 
-/// Set once all work is done, and the program is there to be looked at.
-static IS_DONE: AtomicBool = AtomicBool::new(false);
+/// What Ctrl-C finds the program at.
+static PHASE: AtomicU8 = AtomicU8::new(Phase::SetUp as u8);
+/// Whether Ctrl-C has ended the run.
+static IS_INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// What the program is at.
+#[derive(Clone, Copy)]
+enum Phase {
+    /// Reading and setting up: there is no result yet.
+    SetUp,
+    /// Iterating.
+    Running,
+    /// Writing a result that is complete.
+    Writing,
+    /// All work is done, and the program is there to be looked at.
+    Done,
+}
+
+impl Phase {
+    fn enter(self) {
+        PHASE.store(self as u8, Ordering::Relaxed);
+    }
+
+    fn is_now(self) -> bool {
+        PHASE.load(Ordering::Relaxed) == self as u8
+    }
+}
+
+/// Exit status of a program that Ctrl-C has ended.
+pub const INTERRUPTED: u8 = 130;
+
+/// Longest time from Ctrl-C to the end where there is nothing to write.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// Whether Ctrl-C has ended the run.
+pub fn is_interrupted() -> bool {
+    IS_INTERRUPTED.load(Ordering::Relaxed)
+}
 
 /// Waits for Ctrl-C, which then ends the program with status 0.
 #[cfg(feature = "view")]
 pub fn wait_for_ctrl_c() -> ! {
-    IS_DONE.store(true, Ordering::Relaxed);
+    Phase::Done.enter();
     loop {
         std::thread::park();
     }
 }
 
-/// A flag that Ctrl-C sets, after which the program says `talk`; a second Ctrl-C ends the program
-/// at once.
-pub fn stop_on_ctrl_c(talk: &'static str) -> Arc<AtomicBool> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    // A handler that cannot be set leaves Ctrl-C to end the program: no reason to fail.
-    let _ = ctrlc::set_handler(move || {
-        if IS_DONE.load(Ordering::Relaxed) {
-            std::process::exit(0);
-        }
-        if flag.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-        eprintln!("\nstopping; {talk} (Ctrl-C again to quit immediately)");
-    });
-    stop
+/// What Ctrl-C cancels.
+#[derive(Clone, Default)]
+pub struct Interrupt {
+    /// Reading, set-up and iterations; the result so far is then written.
+    pub run: Arc<AtomicBool>,
+    /// Writing: by Ctrl-C during it, or by the second one.
+    pub writing: Cancel,
+}
+
+/// What is kept after Ctrl-C.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kept {
+    /// The result so far, if there is one.
+    Result,
+    /// The frames that are finished, from which the same command resumes.
+    Frames,
+}
+
+impl Interrupt {
+    /// Listens for Ctrl-C. Where there is no result to write the program ends within a second, as after a second Ctrl-C.
+    pub fn listen(kept: Kept) -> Self {
+        let interrupt = Self::default();
+        let cancelled = interrupt.clone();
+        // A handler that cannot be set leaves Ctrl-C to end the program: no reason to fail.
+        let _ = ctrlc::set_handler(move || {
+            if Phase::Done.is_now() {
+                std::process::exit(0);
+            }
+            IS_INTERRUPTED.store(true, Ordering::Relaxed);
+            let is_second = cancelled.run.swap(true, Ordering::Relaxed);
+            if !is_second && Phase::Running.is_now() {
+                eprintln!(
+                    "\nstopping; the current result will be written (Ctrl-C again to quit immediately)"
+                );
+                return;
+            }
+            match kept {
+                Kept::Result => eprintln!("\nstopping"),
+                Kept::Frames => {
+                    eprintln!("\nstopping; finished frames are kept; the same command resumes");
+                }
+            }
+            cancelled.writing.cancel();
+            std::thread::sleep(GRACE);
+            std::process::exit(INTERRUPTED.into());
+        });
+        interrupt
+    }
 }

@@ -3,11 +3,11 @@
 use crate::args::ReconstructArgs;
 use crate::inputs::calibration_from_args;
 use crate::output::print_line;
-use crate::progress::{Bar, stop_on_ctrl_c};
+use crate::progress::{Bar, Interrupt, Kept};
 use crate::sweep;
 use rowburst::error::Subject;
 use rowburst::reconstruct::Verdict;
-use rowburst::{Error, ErrorKind, Parameter, Result};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Experiment, OutputFolder};
 use rowburst_run::options::UserOptions;
 use rowburst_run::{
@@ -17,16 +17,16 @@ use rowburst_run::{
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 /// Runs the command. `process_start` is the time at which the process started.
 pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
-    let stop = stop_on_ctrl_c("the current result will be written");
+    let interrupt = Interrupt::listen(Kept::Result);
     if !args.sweep.is_empty() {
-        return run_sweep(args, &stop);
+        return run_sweep(args, &interrupt);
     }
-    let mut bar = Bar::new(Arc::clone(&stop));
+    let mut bar = Bar::new(Arc::clone(&interrupt.run));
     let experiment = read_experiment(&args.experiment, &args.frame, &mut |e| bar.show(e))?;
     #[cfg(feature = "view")]
     if args.view && experiment.bayer.is_some() {
@@ -38,7 +38,7 @@ pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
         )
         .with_kind(ErrorKind::Unsupported));
     }
-    let run = run_one(args, &experiment, process_start, bar)?;
+    let run = run_one(args, &experiment, process_start, bar, &interrupt.writing)?;
     if args.json {
         print_line(run.artifacts.summary.json());
     } else {
@@ -65,9 +65,13 @@ fn run_one(
     experiment: &Experiment,
     process_start: Instant,
     mut bar: Bar,
+    stop_writing: &Cancel,
 ) -> Result<Run> {
-    let folder = OutputFolder::create(&args.output)?;
-    let params = request_params(args)?;
+    let folder = OutputFolder::create(&args.output)?.with_cancel(stop_writing);
+    let params = RequestParams {
+        cancel: Arc::clone(bar.stop()).into(),
+        ..request_params(args)?
+    };
     let request = Request::read(experiment, &args.frame, params, &mut |e| bar.show(e))?;
     #[cfg(feature = "view")]
     let mut page = match &request {
@@ -122,6 +126,7 @@ fn request_params(args: &ReconstructArgs) -> Result<RequestParams<'_>> {
         bins_per_chunk: args.part_bins,
         debias: args.debias,
         seed: args.seed,
+        ..RequestParams::default()
     })
 }
 
@@ -142,7 +147,7 @@ fn parse_bins(text: &str) -> Result<Range<usize>> {
 }
 
 /// Runs every point of the sweep. A run that fails does not stop the others; the sweep fails if all do.
-fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
+fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
     let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
@@ -165,7 +170,7 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     for (point, point_args) in runs {
         let point_start = Instant::now();
         eprintln!("{point}");
-        let run = run_point(&point_args, point_start, Bar::new(Arc::clone(stop)));
+        let run = run_point(&point_args, point_start, interrupt);
         let summary = match &run {
             Ok(Artifacts {
                 summary: Summary::Whole(summary),
@@ -188,7 +193,7 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         if let Err(error) = run {
             first_error.get_or_insert(error);
         }
-        if stop.load(Ordering::Relaxed) {
+        if interrupt.run.load(Ordering::Relaxed) {
             break;
         }
     }
@@ -206,7 +211,12 @@ fn run_sweep(args: &ReconstructArgs, stop: &Arc<AtomicBool>) -> Result<()> {
 }
 
 /// Runs a point of a sweep. Refuses colour frames, which a sweep cannot compare.
-fn run_point(args: &ReconstructArgs, point_start: Instant, mut bar: Bar) -> Result<Artifacts> {
+fn run_point(
+    args: &ReconstructArgs,
+    point_start: Instant,
+    interrupt: &Interrupt,
+) -> Result<Artifacts> {
+    let mut bar = Bar::new(Arc::clone(&interrupt.run));
     let experiment = read_experiment(&args.experiment, &args.frame, &mut |e| bar.show(e))?;
     if let Some(mosaic) = experiment.bayer {
         return Err(Error::input(
@@ -216,7 +226,7 @@ fn run_point(args: &ReconstructArgs, point_start: Instant, mut bar: Bar) -> Resu
             "Leave --sweep out.",
         ));
     }
-    Ok(run_one(args, &experiment, point_start, bar)?.artifacts)
+    Ok(run_one(args, &experiment, point_start, bar, &interrupt.writing)?.artifacts)
 }
 
 /// The command that reproduces the result, quoted for a shell.

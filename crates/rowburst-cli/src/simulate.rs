@@ -1,8 +1,9 @@
 //! `rowburst simulate`: the frame that a camera would record of a scene.
 
-use crate::args::{OpticsArgs, SimulateArgs};
+use crate::args::SimulateArgs;
 use crate::output::print_line;
 use crate::progress::print_note;
+use crate::shared_args::OpticsArgs;
 use rowburst::Result;
 use rowburst_io::{Experiment, OutputFolder};
 use rowburst_run::simulate::{LensOptics, NoiseChoice, SimulationRequest};

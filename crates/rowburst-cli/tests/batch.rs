@@ -258,7 +258,7 @@ fn an_interrupt_is_reported_and_the_job_resumes() {
     Command::new("kill").args(["-INT", &id]).status().unwrap();
     let Output { status, stderr, .. } = child.wait_with_output().unwrap();
     let stderr = String::from_utf8(stderr).unwrap();
-    assert_eq!(status.code(), Some(1), "{stderr}");
+    assert_eq!(status.code(), Some(130), "{stderr}");
     assert!(
         stderr.contains("Run the same command to resume"),
         "{stderr}"

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Every verb.
-const VERBS: [&str; 14] = [
+const VERBS: [&str; 15] = [
     "",
     "demo",
     "init",
@@ -27,6 +27,7 @@ const VERBS: [&str; 14] = [
     "calibrate psf",
     "calibrate sensor",
     "calibrate timing",
+    "schema",
     "completions",
     "man",
 ];

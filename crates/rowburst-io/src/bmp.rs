@@ -1,6 +1,6 @@
 //! Windows bitmaps: 8 bits with a palette of greys, or 24 and 32 bits of grey colours.
 
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use image::codecs::bmp::BmpDecoder;
 use image::{ColorType, ImageDecoder};
@@ -35,7 +35,8 @@ pub(crate) fn read(source: &Source, file: impl BufRead + Seek) -> Result<Pages> 
 
 #[cfg(test)]
 mod tests {
-    use crate::read::{SampleFormat, read_image};
+    use crate::pages::SampleFormat;
+    use crate::read::read_image;
     use std::path::Path;
 
     /// 24-bit pixels (blue, green, red), the bottom row first, rows padded to 4 bytes.

@@ -1,13 +1,15 @@
 //! The experiment file: a camera, its calibration, the field and the recipe, in TOML.
 
 mod from_metadata;
+mod sections;
 
 pub use from_metadata::FromMetadata;
+pub use sections::experiment_schema;
 
 use crate::fault;
 use crate::metadata::Metadata;
 use crate::npy;
-use crate::read::SampleFormat;
+use crate::pages::SampleFormat;
 use crate::source::{Colour, Source};
 use crate::table::{Table, nearest};
 use from_metadata::Filling;
@@ -16,27 +18,10 @@ use rowburst::camera::CameraParams;
 use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Result, Sensor, Shutter};
 use rowburst::{Parameter, phrase};
+use sections::{CALIBRATION, CAMERA, FIELD, RECONSTRUCTION, RECORDING, SECTIONS};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
-
-const CAMERA_KEYS: [&str; 15] = [
-    "rows",
-    "columns",
-    "shutter",
-    "row_time_us",
-    "exposure_us",
-    "row_order",
-    "binning",
-    "bins_per_row",
-    "pixel_pitch_um",
-    "bit_depth",
-    "bias_counts",
-    "gain_electrons_per_count",
-    "read_noise_electrons",
-    "full_well_counts",
-    "bayer",
-];
 
 /// What an experiment file says. Paths are those of the file's folder joined with
 /// what is written.
@@ -163,35 +148,29 @@ impl Experiment {
             text,
             name: "",
             entries: Some(document.get_ref()),
+            keys: &[],
         };
-        file.check_keys(&[
-            "camera",
-            "calibration",
-            "field",
-            "reconstruction",
-            "recording",
-        ])?;
-        let calibration = file.table("calibration")?;
-        calibration.check_keys(&["psf", "dark", "flat", "bad_pixels"])?;
+        file.check_keys(&SECTIONS.map(|section| section.name))?;
+        let calibration = file.table(&CALIBRATION)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let resolved = |table: &Table, key| -> Result<Option<PathBuf>> {
             Ok(table.text(key)?.map(|name| folder.join(name)))
         };
-        let camera = file.table("camera")?;
+        let camera = file.table(&CAMERA)?;
         let listed_order = camera.counts("row_order")?;
         let row_order = match listed_order {
             Some(_) => None,
             None => resolved(&camera, "row_order")?,
         };
         let mut filling = Filling::new(path, metadata);
-        let field = file.table("field")?;
+        let field = file.table(&FIELD)?;
         let order = match (listed_order, &row_order) {
             (Some(order), _) => Some(RowOrder::Listed(order)),
             (None, Some(path)) => Some(RowOrder::File(path)),
             (None, None) => None,
         };
         let params = read_params(&camera, &field, order, &mut filling)?;
-        let mut recording = read_recording(&file.table("recording")?)?;
+        let mut recording = read_recording(&file.table(&RECORDING)?)?;
         recording.frame_period_us = filling.number(
             "frame_period_us",
             recording.frame_period_us,
@@ -209,7 +188,7 @@ impl Experiment {
                 flat: resolved(&calibration, "flat")?,
                 bad_pixels: resolved(&calibration, "bad_pixels")?,
             },
-            reconstruction: read_reconstruction(&file.table("reconstruction")?)?,
+            reconstruction: read_reconstruction(&file.table(&RECONSTRUCTION)?)?,
             recording,
             from_metadata: filling.from_metadata,
         })
@@ -320,8 +299,6 @@ fn read_params(
     row_order: Option<RowOrder>,
     filling: &mut Filling,
 ) -> Result<CameraParams> {
-    camera.check_keys(&CAMERA_KEYS)?;
-    field.check_keys(&["rows", "columns"])?;
     let metadata = filling.metadata;
     let (rows, columns, binning) = filling.size(
         camera.side("rows")?,
@@ -437,7 +414,6 @@ fn read_row_order(path: &Path) -> Result<Vec<usize>> {
 }
 
 fn read_reconstruction(table: &Table) -> Result<Reconstruction> {
-    table.check_keys(&["prior", "tau"])?;
     let tau = match (table.number("tau"), table.text("tau")) {
         (Ok(None), _) => None,
         (_, Ok(Some("auto"))) => Some(Tau::Auto),
@@ -464,7 +440,6 @@ fn read_reconstruction(table: &Table) -> Result<Reconstruction> {
 }
 
 fn read_recording(table: &Table) -> Result<Recording> {
-    table.check_keys(&["frame_period_us"])?;
     let frame_period_us = table.number("frame_period_us")?;
     if let Some(period) = frame_period_us.filter(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(table.error(

@@ -6,7 +6,7 @@
 //! Standard 4.0. Compressed images are not read.
 
 use crate::arrays::{ArrayInfo, choose};
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::Result;
 use std::io::{Read, Seek, SeekFrom};
@@ -94,7 +94,7 @@ impl<R: Read + Seek> Stack<R> {
     }
 }
 
-impl<R: Read + Seek + Send> crate::stack::Stack for Stack<R> {
+impl<R: Read + Seek + Send> crate::pages::Stack for Stack<R> {
     fn count(&self) -> usize {
         self.count
     }
@@ -303,7 +303,8 @@ fn value_of(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use crate::metadata::read_metadata;
-    use crate::read::{SampleFormat, read_image, read_stack};
+    use crate::pages::SampleFormat;
+    use crate::read::{read_image, read_stack};
 
     fn block(cards: &[&str]) -> Vec<u8> {
         let mut bytes: Vec<u8> = cards

@@ -2,12 +2,13 @@
 
 use crate::fault;
 use rowburst::error::With;
-use rowburst::{Error, Result};
+use rowburst::{Cancel, Error, Result};
 use rowburst::{Parameter, phrase};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
+use tracing::info;
 
 /// A folder that results are written to. One that was made for them and has got none
 /// is removed when dropped: a run that was refused leaves nothing behind.
@@ -15,6 +16,7 @@ use tempfile::NamedTempFile;
 pub struct OutputFolder {
     path: PathBuf,
     is_new: bool,
+    cancel: Cancel,
 }
 
 impl Drop for OutputFolder {
@@ -52,7 +54,15 @@ impl OutputFolder {
         Ok(Self {
             path: path.into(),
             is_new,
+            cancel: Cancel::default(),
         })
+    }
+
+    /// The same folder, to which nothing is written any more once `cancel` asks for the end.
+    #[must_use]
+    pub fn with_cancel(mut self, cancel: &Cancel) -> Self {
+        self.cancel = cancel.clone();
+        self
     }
 
     /// Its path.
@@ -79,22 +89,27 @@ impl OutputFolder {
     /// name is as it was.
     ///
     /// # Errors
-    /// Those of `write`, with the file's path in front, and failed writes.
+    /// Those of `write`, with the file's path in front, failed writes, and [`Self::with_cancel`].
     pub fn write(
         &self,
         name: &str,
         write: impl FnOnce(&mut BufWriter<File>) -> Result<()>,
     ) -> Result<()> {
+        self.cancel.check()?;
         let path = self.path.join(name);
         let fault = |error: io::Error| fault::write_error(&error).within(&path);
         let (file, hidden) = temporary(&self.path, name).map_err(fault)?.into_parts();
         let mut writer = BufWriter::new(file);
         write(&mut writer).map_err(|e| e.within(&path))?;
+        self.cancel.check()?;
         writer.flush().map_err(fault)?;
         let file = writer.into_inner().map_err(|e| fault(e.into_error()))?;
+        let bytes = file.metadata().map_or(0, |metadata| metadata.len());
         // A disk that is full may say so only now.
         file.sync_all().map_err(fault)?;
-        hidden.persist(&path).map_err(|e| fault(e.error))
+        hidden.persist(&path).map_err(|e| fault(e.error))?;
+        info!("wrote {}, {bytes} bytes", path.display());
+        Ok(())
     }
 
     /// Writes `bytes` as the file `name`, as [`OutputFolder::write`] does.
@@ -150,6 +165,21 @@ mod tests {
         assert!(message.contains("note.txt: solver: gave up"), "{message}");
         assert_eq!(fs::read(&file).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["note.txt"]);
+    }
+
+    #[test]
+    fn nothing_is_written_after_the_end_was_asked_for() {
+        let base = tempfile::tempdir().unwrap();
+        let cancel = Cancel::default();
+        let folder = OutputFolder::create(base.path()).unwrap();
+        let folder = folder.with_cancel(&cancel);
+        folder.write_bytes("a", b"a").unwrap();
+        let during = folder.write("b", |_| {
+            cancel.cancel();
+            Ok(())
+        });
+        assert!(during.is_err() && folder.write_bytes("c", b"c").is_err());
+        assert_eq!(names(folder.path()), ["a"]);
     }
 
     #[test]

@@ -4,9 +4,8 @@
 //! `[frame, column, row]`: frames lie one after the other, each transposed.
 
 use crate::arrays::{ArrayInfo, choose};
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Axes, Pages, SampleFormat};
 use crate::source::{ArrayPath, Source};
-use crate::stack::Axes;
 use hdf5_pure::{DType, Dataset, File, Group};
 use rowburst::Result;
 
@@ -95,7 +94,7 @@ impl Stack {
     }
 }
 
-impl crate::stack::Stack for Stack {
+impl crate::pages::Stack for Stack {
     fn count(&self) -> usize {
         self.count
     }
@@ -180,7 +179,8 @@ fn search(
 
 #[cfg(test)]
 mod tests {
-    use crate::read::{SampleFormat, read_image, read_stack};
+    use crate::pages::SampleFormat;
+    use crate::read::{read_image, read_stack};
     use crate::recording::open_recording;
     use hdf5_pure::FileBuilder;
     use std::path::{Path, PathBuf};

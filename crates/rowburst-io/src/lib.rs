@@ -25,12 +25,15 @@ mod fits;
 mod folder;
 #[cfg(feature = "hdf5")]
 mod hdf5;
+mod keys;
 mod mat;
 mod metadata;
 #[cfg(feature = "mp4")]
 mod mp4;
 mod npy;
 mod npy_chunked;
+mod ome_sizes;
+mod pages;
 mod patches;
 mod photron;
 mod png;
@@ -42,7 +45,9 @@ mod table;
 mod tiff;
 
 pub use csv::{read_photodiode, write_csv};
-pub use experiment::{Calibration, Experiment, FromMetadata, Reconstruction, Recording};
+pub use experiment::{
+    Calibration, Experiment, FromMetadata, Reconstruction, Recording, experiment_schema,
+};
 pub use fault::write_error;
 pub use folder::OutputFolder;
 pub use metadata::{Metadata, read_metadata};
@@ -52,11 +57,10 @@ pub use npy::{
     write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_u8, write_npy_video,
 };
 pub use npy_chunked::ChunkedVideoFile;
+pub use pages::{Capture, SampleFormat};
 pub use patches::{is_patch_set, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
-pub use read::{
-    Capture, SampleFormat, read_colour_image, read_frames, read_image, read_stack, read_video,
-};
+pub use read::{read_colour_image, read_frames, read_image, read_stack, read_video};
 pub use recording::{Frames, gaps, open_recording};
 pub use source::{ENDINGS as IMAGE_ENDINGS, is_image};
 pub use tiff::{TiffScale, write_tiff_colour, write_tiff_image, write_tiff_video};

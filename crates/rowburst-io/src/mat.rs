@@ -8,7 +8,7 @@
 //! Read here because the crate at hand does not read scipy's files.
 
 use crate::arrays::{ArrayInfo, choose};
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use flate2::bufread::ZlibDecoder;
 use rowburst::Result;
@@ -139,7 +139,7 @@ impl Variable {
     }
 }
 
-impl crate::stack::Stack for Variable {
+impl crate::pages::Stack for Variable {
     fn count(&self) -> usize {
         self.count
     }

@@ -4,7 +4,7 @@
 //! damaged header claims. Format: `numpy.lib.format`, versions 1 to 3.
 
 use crate::fault;
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::{Image, Result, Shape, Video};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -174,7 +174,7 @@ impl<R: Read + Seek> OpenStack<R> {
     }
 }
 
-impl<R: Read + Seek + Send> crate::stack::Stack for OpenStack<R> {
+impl<R: Read + Seek + Send> crate::pages::Stack for OpenStack<R> {
     fn count(&self) -> usize {
         self.stack.count
     }
@@ -407,7 +407,8 @@ fn write<T: Copy, const N: usize>(
 
 #[cfg(test)]
 mod tests {
-    use crate::read::{SampleFormat, read_image, read_stack, read_video};
+    use crate::pages::SampleFormat;
+    use crate::read::{read_image, read_stack, read_video};
     use rowburst::{Image, Shape, Video};
     use std::path::{Path, PathBuf};
 

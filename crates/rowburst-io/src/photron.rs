@@ -5,7 +5,7 @@
 //! the maker; as pyMRAW reads them, and as a FASTCAM Nova S16 wrote them.
 
 use crate::fault;
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::Result;
 use roxmltree::Document;
@@ -70,7 +70,7 @@ impl Stack {
     }
 }
 
-impl crate::stack::Stack for Stack {
+impl crate::pages::Stack for Stack {
     fn count(&self) -> usize {
         self.header.count
     }
@@ -320,7 +320,8 @@ fn checked(source: &Source, values: &Values) -> Result<Header> {
 #[cfg(test)]
 mod tests {
     use crate::metadata::read_metadata;
-    use crate::read::{SampleFormat, read_stack};
+    use crate::pages::SampleFormat;
+    use crate::read::read_stack;
     use crate::recording::open_recording;
     use std::path::Path;
 

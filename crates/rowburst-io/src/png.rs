@@ -1,7 +1,7 @@
 //! PNG: grey images of 8 and 16 bits.
 
 use crate::fault;
-use crate::read::{Pages, SampleFormat};
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
 use rowburst::ErrorKind;

@@ -1,46 +1,11 @@
 //! Reading images, stacks and videos: the format is that of the file's name.
 
+use crate::pages::{Capture, Pages, SampleFormat, all_pages, single};
 use crate::source::{Colour, Format, open};
-use crate::stack::{all_pages, open_stack};
+use crate::stack::open_stack;
 use crate::{bmp, npy, png, tiff};
-use rowburst::ErrorKind;
-use rowburst::error::Tool;
-use rowburst::phrase;
-use rowburst::{Error, Image, Result, Shape, Video};
+use rowburst::{Image, Result, Shape, Video};
 use std::path::Path;
-
-/// One image as it was read.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Capture {
-    /// The pixels. Integers beyond 2²⁴ are rounded to the nearest f32.
-    pub image: Image,
-    /// What kind of numbers the file holds.
-    pub format: SampleFormat,
-}
-
-/// What kind of numbers a file holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SampleFormat {
-    /// Integers: counts of a sensor.
-    Counts {
-        /// Bits that the largest count of the container takes, not those of the converter:
-        /// 12-bit counts lie in 16 bits. 1, 8, 16, 32 or 64, one fewer where there is a sign.
-        bits: u32,
-    },
-    /// Floating point.
-    Float,
-}
-
-impl SampleFormat {
-    /// The largest count that the container holds, where a sensor may reach it: of integers
-    /// of up to 16 bits.
-    pub fn saturation_limit(self) -> Option<f64> {
-        match self {
-            Self::Counts { bits } if bits <= 16 => Some(f64::from(bits).exp2() - 1.0),
-            Self::Counts { .. } | Self::Float => None,
-        }
-    }
-}
 
 /// Reads one image: `.npy` (2-D), `.tif`, `.png`, `.bmp`, HDF5, MATLAB, FITS or Photron.
 ///
@@ -102,41 +67,6 @@ pub fn read_frames(path: &Path) -> Result<(Video, SampleFormat)> {
 
 fn capture(path: &Path, colour: Colour) -> Result<Capture> {
     single(path, read_pages(path, colour)?)
-}
-
-/// The one image that `pages` must be.
-pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
-    if pages.count != 1 {
-        return Err(Error::input(
-            path,
-            format!(
-                "a stack of {} pages of {}×{} pixels",
-                pages.count, pages.rows, pages.columns
-            ),
-            "one image is needed here",
-            phrase![
-                "Save the page that you mean as a separate file; ",
-                Tool::Batch,
-                " reads recordings."
-            ],
-        )
-        .with_kind(ErrorKind::Shape));
-    }
-    let image = Image::new(pages.rows, pages.columns, pages.data);
-    Ok(Capture {
-        image: image.map_err(|e| e.within(path))?,
-        format: pages.format,
-    })
-}
-
-/// The pages of a file, all of one size, one after the other.
-#[derive(Debug, Clone)]
-pub(crate) struct Pages {
-    pub count: usize,
-    pub rows: usize,
-    pub columns: usize,
-    pub data: Vec<f32>,
-    pub format: SampleFormat,
 }
 
 fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {

@@ -1,35 +1,11 @@
-//! Frames of one file, read one at a time: the road of every format that holds several.
+//! Opens a file of frames, by its format.
 
-use crate::read::Pages;
+use crate::pages::{Axes, Pages, Stack};
 use crate::source::{Format, Source};
 use crate::{bmp, fits, mat, npy, photron, png, tiff};
-use rowburst::ErrorKind;
 use rowburst::Result;
 use std::fs::File;
 use std::io::BufReader;
-
-/// In which order the sides of a frame lie in HDF5.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Axes {
-    /// `[frame, y, x]`.
-    Plain,
-    /// `[frame, x, y]`: MATLAB's `(y, x, frame)`.
-    Matlab,
-}
-
-/// An opened file of frames.
-pub(crate) trait Stack: Send {
-    /// Number of frames, at least one.
-    fn count(&self) -> usize;
-
-    /// What a user calls a frame.
-    fn name(&self, at: usize) -> String {
-        format!("[{at}]")
-    }
-
-    /// Reads one frame; sizes and kinds of numbers may differ from frame to frame.
-    fn page(&mut self, source: &Source, at: usize) -> Result<Pages>;
-}
 
 /// Opens a file for reading frame by frame; one of a format with a single image is read.
 pub(crate) fn open_stack(
@@ -65,43 +41,6 @@ fn open_hdf5(source: &Source, _: Axes) -> Result<Box<dyn Stack>> {
         "this program was built without the feature hdf5",
         "Build it with --features hdf5, or convert the file to .npy.",
     ))
-}
-
-/// All frames of a file, which must have one size and one kind of numbers.
-pub(crate) fn all_pages(source: &Source, stack: &mut dyn Stack) -> Result<Pages> {
-    let count = stack.count();
-    let mut all = stack.page(source, 0)?;
-    for at in 1..count {
-        let page = stack.page(source, at)?;
-        if (page.rows, page.columns, page.format) != (all.rows, all.columns, all.format) {
-            return Err(source.error(
-                format!(
-                    "{} of {}×{} pixels after frames of {}×{}, or of another kind",
-                    stack.name(at),
-                    page.rows,
-                    page.columns,
-                    all.rows,
-                    all.columns
-                ),
-                "the frames of a stack have one size and one kind of pixel",
-                "Save the frames that belong together as one stack.",
-            ));
-        }
-        if at == 1 {
-            let missing = page.data.len().saturating_mul(count - 1);
-            all.data.try_reserve_exact(missing).map_err(|_| {
-                rowburst::Error::work(
-                    source.path,
-                    format!("no memory for {count} frames"),
-                    "Crop or bin the images, or use a machine with more memory.",
-                )
-                .with_kind(ErrorKind::Memory)
-            })?;
-        }
-        all.data.extend(page.data);
-    }
-    all.count = count;
-    Ok(all)
 }
 
 /// A file of one image.

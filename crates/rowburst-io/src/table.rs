@@ -1,5 +1,6 @@
 //! A TOML table that is read key by key, with errors that name the line.
 
+use crate::keys::{Key, Kind, Section};
 use rowburst::camera::MAX_SIDE;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
@@ -17,6 +18,8 @@ pub(crate) struct Table<'a> {
     pub name: &'a str,
     /// `None` where the file does not have the table.
     pub entries: Option<&'a DeTable<'a>>,
+    /// The keys that it may have; empty for the file itself.
+    pub keys: &'static [Key],
 }
 
 impl<'a> Table<'a> {
@@ -59,22 +62,34 @@ impl<'a> Table<'a> {
         .with_kind(ErrorKind::Unknown))
     }
 
-    /// The table `name` in this one.
-    pub fn table(&self, name: &'a str) -> Result<Table<'a>> {
+    /// The table of `section` in this one. Other keys than those of the section are refused.
+    pub fn table(&self, section: &'static Section) -> Result<Table<'a>> {
+        let name = section.name;
         let entries = match self.value(name) {
             None => None,
             Some(value) => Some(value.get_ref().as_table().ok_or_else(|| {
                 self.wrong_type(name, value, &format!("a table, written [{name}]"))
             })?),
         };
-        Ok(Table {
+        let table = Table {
             name,
             entries,
+            keys: section.keys,
             ..*self
-        })
+        };
+        let names: Vec<&str> = section.keys.iter().map(|key| key.name).collect();
+        table.check_keys(&names)?;
+        Ok(table)
+    }
+
+    /// The kind of the values of `key`.
+    fn kind(&self, key: &str) -> Kind {
+        let known = self.keys.iter().find(|known| known.name == key);
+        known.expect("only keys of the section are read").kind
     }
 
     pub fn text(&self, key: &str) -> Result<Option<&'a str>> {
+        debug_assert!(self.kind(key).has_text(), "{key} is read as a text");
         let Some(value) = self.value(key) else {
             return Ok(None);
         };
@@ -85,6 +100,7 @@ impl<'a> Table<'a> {
     }
 
     pub fn number(&self, key: &str) -> Result<Option<f64>> {
+        debug_assert!(self.kind(key).has_number(), "{key} is read as a number");
         let Some(value) = self.value(key) else {
             return Ok(None);
         };
@@ -99,6 +115,10 @@ impl<'a> Table<'a> {
     }
 
     pub fn count(&self, key: &str) -> Result<Option<usize>> {
+        debug_assert!(
+            matches!(self.kind(key), Kind::Count(..)),
+            "{key} is read as a whole number"
+        );
         let Some(value) = self.value(key) else {
             return Ok(None);
         };
@@ -110,6 +130,11 @@ impl<'a> Table<'a> {
 
     /// The whole numbers from 0 of a list; `None` where the key is missing or holds a text.
     pub fn counts(&self, key: &str) -> Result<Option<Vec<usize>>> {
+        debug_assert_eq!(
+            self.kind(key),
+            Kind::FileOrCounts,
+            "{key} is read as a list"
+        );
         let Some(value) = self.value(key).filter(|value| !value.get_ref().is_str()) else {
             return Ok(None);
         };

@@ -1,8 +1,8 @@
 //! TIFF: single images, and stacks that ImageJ and Fiji open as a time series.
 
 use crate::fault;
-use crate::metadata::ome_sizes;
-use crate::read::{Pages, SampleFormat};
+use crate::ome_sizes::ome_sizes;
+use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::ErrorKind;
 use rowburst::error::Subject;
@@ -105,7 +105,7 @@ impl Stack {
     }
 }
 
-impl crate::stack::Stack for Stack {
+impl crate::pages::Stack for Stack {
     fn count(&self) -> usize {
         self.count
     }

@@ -3,6 +3,7 @@
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::frames::{ArrayFrames, PyFrames};
+use crate::log;
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
 use crate::task::{corrections_of, options_from, self_calibration_from};
@@ -211,8 +212,8 @@ impl PyBatch {
             let error = rowburst::Error::input(Parameter::Frames, bad, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
-        threads::start()?;
-        let threads = threads.unwrap_or_else(rayon::current_num_threads);
+        let pool = threads::start()?;
+        let threads = threads.unwrap_or_else(|| pool.current_num_threads());
         let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |stop| -> Result<()> {
             let Some(prior) = self.batch.prior(stop, &|_| ())? else {
@@ -287,16 +288,20 @@ fn interruptibly<T: Send>(
 ) -> PyResult<T> {
     /// Between two looks for Ctrl-C.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
-    threads::start()?;
+    let pool = threads::start()?;
+    log::begin(py)?;
     let stop = AtomicBool::new(false);
     let mut interruption = None;
     let done = py.detach(|| {
         std::thread::scope(|scope| {
-            let worker = scope.spawn(|| work(&stop));
+            let worker = scope.spawn(|| pool.install(|| work(&stop)));
             while !worker.is_finished() {
                 std::thread::park_timeout(POLL_INTERVAL);
                 if interruption.is_none()
-                    && let Err(error) = Python::attach(|py| py.check_signals())
+                    && let Err(error) = Python::attach(|py| {
+                        log::flush(py)?;
+                        py.check_signals()
+                    })
                 {
                     interruption = Some(error);
                     stop.store(true, Ordering::Relaxed);
@@ -305,6 +310,9 @@ fn interruptibly<T: Send>(
             worker.join()
         })
     });
+    if interruption.is_none() {
+        log::flush(py)?;
+    }
     match (interruption, done) {
         (Some(error), _) => Err(error),
         (None, Ok(done)) => Ok(done),

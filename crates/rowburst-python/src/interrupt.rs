@@ -1,16 +1,16 @@
 //! Work on a thread of its own, which Ctrl-C leaves at once.
 //!
 //! The calling thread waits and listens for signals, and calls the progress function, since programs with windows
-//! allow that on their own thread alone. The set-up of a reconstruction looks at no flag: after Ctrl-C it ends in the
-//! background, before the first iteration.
+//! allow that on their own thread alone. After Ctrl-C the work ends in the background, within a second where it looks at
+//! [`Reporter::cancel`].
 
 use crate::error::to_py_err;
+use crate::log;
 use crate::threads;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
-use rowburst::{Error, Parameter};
+use rowburst::{Cancel, Error, Parameter};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -37,7 +37,7 @@ pub enum Answer {
 
 /// The way of the thread that works to the one that waits.
 pub struct Reporter<P, T> {
-    is_abandoned: Arc<AtomicBool>,
+    cancel: Cancel,
     messages: SyncSender<Message<P, T>>,
     answers: Receiver<Answer>,
     is_heard: bool,
@@ -59,7 +59,12 @@ impl<P, T> Reporter<P, T> {
 
     /// Whether nobody waits for the result any more.
     pub fn is_abandoned(&self) -> bool {
-        self.is_abandoned.load(Ordering::Relaxed)
+        self.cancel.is_cancelled()
+    }
+
+    /// Cancelled where nobody waits for the result any more.
+    pub fn cancel(&self) -> &Cancel {
+        &self.cancel
     }
 }
 
@@ -76,8 +81,15 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     on_progress: Option<OnProgress<'_, P>>,
     work: impl FnOnce(&Reporter<P, T>) -> T + Send + 'static,
 ) -> PyResult<T> {
-    threads::start()?;
-    let is_abandoned = Arc::new(AtomicBool::new(false));
+    let pool = match pool {
+        Some(pool) => {
+            threads::start()?;
+            pool
+        }
+        None => threads::start()?,
+    };
+    log::begin(py)?;
+    let cancel = Cancel::default();
     let (messages, inbox) = sync_channel(0);
     // Only to lend it to the closure below: there is one receiver.
     let inbox = Mutex::new(inbox);
@@ -87,16 +99,15 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     };
     let (answer, answers) = sync_channel(0);
     let reporter = Reporter {
-        is_abandoned: Arc::clone(&is_abandoned),
+        cancel: cancel.clone(),
         messages,
         answers,
         is_heard: on_progress.is_some(),
     };
     let result = reporter.messages.clone();
     let job = move || {
-        let done = catch_unwind(AssertUnwindSafe(move || match pool {
-            Some(pool) => pool.install(move || work(&reporter)),
-            None => work(&reporter),
+        let done = catch_unwind(AssertUnwindSafe(move || {
+            pool.install(move || work(&reporter))
         }));
         // Where nobody waits any more, the result is dropped.
         let _ = result.send(Message::Done(done));
@@ -107,11 +118,13 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
         to_py_err(Error::work(Parameter::Threads, error, remedy))
     })?;
     let abandon = |error: PyErr| {
-        is_abandoned.store(true, Ordering::Relaxed);
+        cancel.cancel();
         error
     };
     loop {
-        match py.detach(next) {
+        let message = py.detach(next);
+        log::flush(py).map_err(abandon)?;
+        match message {
             Ok(Message::Done(Ok(done))) => return Ok(done),
             Ok(Message::Done(Err(panic))) => resume_unwind(panic),
             Ok(Message::Progress(progress)) => {

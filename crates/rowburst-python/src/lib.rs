@@ -14,6 +14,7 @@ mod experiment;
 mod frames;
 mod html;
 mod interrupt;
+mod log;
 mod memory;
 mod operator;
 mod psf;

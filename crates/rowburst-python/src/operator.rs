@@ -38,7 +38,7 @@ pub fn model_of(
 ) -> PyResult<Model> {
     let (camera, psfs) = (camera.clone(), psfs.clone());
     interruptibly::<(), _>(py, pool, None, move |reporter| {
-        let model = Model::new(&camera, psfs);
+        let model = Model::new(&camera, psfs).with_cancel(reporter.cancel());
         if gram == Gram::Cached && !reporter.is_abandoned() {
             model.with_cached_gram()
         } else {
@@ -182,8 +182,10 @@ impl PyDataTerm {
         let model = operator.model.clone();
         let setup = Setup::new(model.camera().clone(), model.psfs().clone());
         let measurement = measured(frame, setup)?;
-        let step =
-            interruptibly::<(), _>(py, None, None, move |_| DataStep::new(&model, &measurement))?;
+        let step = interruptibly::<(), _>(py, None, None, move |reporter| {
+            let model = model.with_cancel(reporter.cancel());
+            DataStep::new(&model, &measurement)
+        })?;
         Ok(Self {
             length: operator.shutter().domain_len(),
             step: Mutex::new(step),

@@ -18,7 +18,7 @@ use rowburst::reconstruct::{
     Prior, Reconstruction, SelfCalibration, SigmaSource, Tau, TrimmedChiSquared, Verdict,
 };
 use rowburst::solve::{Certificate, StopReason};
-use rowburst::{Image, Video};
+use rowburst::{Cancel, Image, Video};
 use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
 use rowburst_run::{CompletedTask, Task};
@@ -284,6 +284,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
             values,
             warnings,
         },
+        cancel: Cancel::default(),
     })
 }
 

@@ -217,6 +217,10 @@ fn run(
     began: Instant,
 ) -> PyResult<PyReconstruction> {
     observed(py, pool, progress, began, move |watch| {
+        let task = Task {
+            cancel: watch.reporter.cancel().clone(),
+            ..task
+        };
         let completed = match model {
             Some(model) => solve_with_model(&model, task, began, &mut |event| watch.answer(event))?,
             None => solve(task, began, &mut |event| watch.answer(event))?,
@@ -468,7 +472,7 @@ pub fn _reconstruct_colour<'py>(
     let setup = setup_of(&camera.camera, psf, corrections, options, experiment)?;
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
     let (frame, setup) = frame_of(frame, Setup { budget, ..setup })?;
-    let task = ColourTask {
+    let mut task = ColourTask {
         setup,
         mosaic,
         frame,
@@ -479,6 +483,7 @@ pub fn _reconstruct_colour<'py>(
     crate::memory::check(&task.setup.camera)?;
     let pool = pool_from(threads)?;
     let planes = observed(py, pool, progress, began, move |watch| {
+        task.setup.cancel = watch.reporter.cancel().clone();
         let mut planes = Vec::new();
         task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
             let result = watch.result(plane.completed, debias);
@@ -548,6 +553,10 @@ pub fn _reconstruct_chunked(
     let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
     let pool = pool_from(threads)?;
     let artifacts = observed(py, pool, progress, began, move |watch| {
+        let task = Task {
+            cancel: watch.reporter.cancel().clone(),
+            ..task
+        };
         let task = ChunkedTask::new(task, bins_per_chunk)?;
         let output = Output {
             folder: &OutputFolder::create(&folder)?,

@@ -4,6 +4,7 @@
 //! without its threads, and waits for them for ever; so the process that started them is recorded.
 
 use crate::error::{WorkError, to_py_err};
+use crate::log;
 use pyo3::prelude::*;
 use rayon::ThreadPool;
 use rowburst::{Error, Parameter};
@@ -14,23 +15,26 @@ use std::sync::{Arc, OnceLock};
 static OWNER: AtomicU32 = AtomicU32::new(0);
 /// Number of threads to start; 0 for rayon's default.
 static REQUESTED: AtomicUsize = AtomicUsize::new(0);
-/// The started pool, or why it could not be started.
-static POOL: OnceLock<Result<(), String>> = OnceLock::new();
+/// The started pool, or why it could not be started. It is not rayon's global one, which other libraries may use.
+static POOL: OnceLock<Result<Arc<ThreadPool>, String>> = OnceLock::new();
 
 /// Runs `work` on the threads of this process, without the interpreter's lock.
 ///
 /// # Errors
 /// A process that was forked after the threads were started.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
-    start()?;
-    Ok(py.detach(work))
+    let pool = start()?;
+    log::begin(py)?;
+    let done = py.detach(|| pool.install(work));
+    log::flush(py)?;
+    Ok(done)
 }
 
-/// Starts the threads of this process, if they do not run yet.
+/// The threads of this process. They are started if they do not run yet.
 ///
 /// # Errors
 /// A process that was forked after the threads were started, or threads that the system refuses.
-pub fn start() -> PyResult<()> {
+pub fn start() -> PyResult<Arc<ThreadPool>> {
     let here = std::process::id();
     let owner = OWNER.compare_exchange(0, here, Ordering::AcqRel, Ordering::Acquire);
     if owner.is_err_and(|owner| owner != here) {
@@ -39,7 +43,9 @@ pub fn start() -> PyResult<()> {
     let pool = POOL.get_or_init(|| {
         let threads = REQUESTED.load(Ordering::Relaxed);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        pool.build_global().map_err(|error| error.to_string())
+        pool.build()
+            .map(Arc::new)
+            .map_err(|error| error.to_string())
     });
     pool.clone().map_err(|reason| {
         let remedy = "Call rowburst.set_threads with a smaller number before anything is computed.";
@@ -93,7 +99,7 @@ pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
     if owner != std::process::id() {
         return Err(forked());
     }
-    let running = rayon::current_num_threads();
+    let running = running_threads();
     if running == threads {
         return Ok(());
     }
@@ -107,11 +113,17 @@ pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
     )))
 }
 
+/// Number of threads that run.
+fn running_threads() -> usize {
+    let pool = POOL.get().and_then(|pool| pool.as_ref().ok());
+    pool.map_or(0, |pool| pool.current_num_threads())
+}
+
 /// Number of threads that computations use.
 #[pyfunction]
 pub fn threads() -> usize {
     if OWNER.load(Ordering::Acquire) == std::process::id() {
-        return rayon::current_num_threads();
+        return running_threads();
     }
     // As rayon counts, without starting the threads.
     let requested = Some(REQUESTED.load(Ordering::Relaxed));

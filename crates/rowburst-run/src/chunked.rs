@@ -10,12 +10,14 @@
 
 use crate::artifacts::{Artifacts, Output, Summary};
 use crate::event::{Chunk, Event, IterationMetrics, Observer};
+use crate::format::short;
 use crate::movie::encode_movie;
 use crate::numbers::thousands;
-use crate::summary::{MetadataNumbers, peak_memory_bytes, short};
+use crate::schema::RESULT_SCHEMA_VERSION;
+use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use crate::task::Task;
 use rowburst::error::Subject;
-use rowburst::reconstruct::{Chunked, Tau, Verdict};
+use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
@@ -25,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::Range;
 use std::time::Instant;
+use tracing::info;
 
 /// Longest side of `video.mp4` in pixels; larger makes a larger file.
 const PREVIEW_MAX_SIDE: usize = 256;
@@ -51,7 +54,8 @@ impl ChunkedTask {
     pub fn new(task: Task, bins_per_chunk: usize) -> Result<Self> {
         Ok(Self {
             tau: task.options.tau,
-            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?,
+            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
+                .with_cancel(&task.cancel),
             bins_per_chunk: Some(bins_per_chunk).filter(|n| *n > 0),
             from_metadata: task.from_metadata,
         })
@@ -60,6 +64,7 @@ impl ChunkedTask {
 
 /// A completed chunk, in `result.json` and `parts.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ChunkNumbers {
     /// Its first bin in the written video.
     pub first_bin: usize,
@@ -77,7 +82,10 @@ pub struct ChunkNumbers {
 
 /// The content of `result.json` of a video that was reconstructed in chunks.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ChunkedSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
     pub version: &'static str,
     pub prior: String,
     pub tau_rule: &'static str,
@@ -154,18 +162,8 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
             bins: range.clone(),
             video_bins: shape.bins,
         };
-        let reconstruction = chunked.solve(range.clone(), &mut |progress| {
-            observer(Event::Iteration {
-                progress,
-                metrics: &IterationMetrics {
-                    seconds: run_start.elapsed().as_secs_f64(),
-                    residual_over_sigma: progress.residual_rms / chunked.sigma().0,
-                    psnr_db: None,
-                },
-                chunk: Some(&chunk),
-            })
-        })?;
-        if reconstruction.stop_reason == StopReason::Interrupted {
+        let reconstruction = solve_chunk(chunked, &chunk, run_start, observer)?;
+        let Some(reconstruction) = reconstruction else {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
                 Subject::named("reconstruction"),
@@ -173,8 +171,9 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
                 "Run the same command again to resume.",
             )
             .with_kind(ErrorKind::Cancelled));
-        }
+        };
         file.write(range.start, reconstruction.video.data())?;
+        info!("wrote bins {range:?} of {}", shape.bins);
         state.parts.push(ChunkNumbers {
             first_bin: range.start,
             end_bin: range.end,
@@ -229,6 +228,31 @@ fn write_result(
     let summary = Summary::Chunked(summary.into());
     folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
     Ok(summary)
+}
+
+/// Reconstructs a chunk; `None` where it was stopped.
+fn solve_chunk(
+    chunked: &Chunked,
+    chunk: &Chunk,
+    run_start: Instant,
+    observer: Observer,
+) -> Result<Option<Reconstruction>> {
+    let solved = chunked.solve(chunk.bins.clone(), &mut |progress| {
+        observer(Event::Iteration {
+            progress,
+            metrics: &IterationMetrics {
+                seconds: run_start.elapsed().as_secs_f64(),
+                residual_over_sigma: progress.residual_rms / chunked.sigma().0,
+                psnr_db: None,
+            },
+            chunk: Some(chunk),
+        })
+    });
+    match solved {
+        Err(_) if chunked.cancel().is_cancelled() => Ok(None),
+        Ok(solved) if solved.stop_reason == StopReason::Interrupted => Ok(None),
+        solved => solved.map(Some),
+    }
 }
 
 /// A hash of frame, PSFs, camera, prior, `τ`, `σ` and chunks. A run is resumed only if it is equal.
@@ -339,6 +363,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         warnings.push(format!("{saturated} saturated pixels were excluded"));
     }
     ChunkedSummary {
+        schema_version: RESULT_SCHEMA_VERSION,
         version: env!("CARGO_PKG_VERSION"),
         prior: task.chunked.prior().to_string(),
         tau_rule: match task.tau {

@@ -4,6 +4,7 @@
 use crate::artifacts::{Artifacts, Output, Summary};
 use crate::completed_task::CompletedTask;
 use crate::event::{Event, Observer};
+use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::setup::{Frame, Setup};
 use crate::summary::MetadataNumbers;
 use crate::task::{Task, solve};
@@ -42,7 +43,10 @@ pub struct Plane {
 
 /// The content of `result.json` of a raw colour frame.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ColourSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
     pub version: &'static str,
     pub bayer: &'static str,
     pub frames: usize,
@@ -56,10 +60,11 @@ pub struct ColourSummary {
 
 /// A plane, whose own `result.json` says more.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PlaneNumbers {
     pub name: String,
     pub folder: String,
-    /// See [`Plane::start_us`].
+    /// From the start of the sensor's first instant to that of the plane's, in microseconds.
     pub start_us: f64,
     pub prior: String,
     pub tau: f64,
@@ -213,6 +218,7 @@ impl ColourTask {
         let mut warnings = from_metadata.warnings.clone();
         warnings.extend(offset_warning(&planes));
         let summary = Summary::Colour(Box::new(ColourSummary {
+            schema_version: RESULT_SCHEMA_VERSION,
             version: env!("CARGO_PKG_VERSION"),
             bayer: self.mosaic.name(),
             frames: shape.bins,

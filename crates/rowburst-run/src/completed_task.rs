@@ -1,12 +1,14 @@
 //! A completed reconstruction: its numbers, its report and its folder of results.
 
 use crate::artifacts::{Output, json_of};
+use crate::format::percent;
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage, player_of};
+use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
-    ReconstructionSummary, peak_memory_bytes, percent,
+    ReconstructionSummary, peak_memory_bytes,
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
@@ -22,6 +24,7 @@ use rowburst_io::{
 };
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
+use tracing::info;
 
 /// Files of a result, with their descriptions.
 const FILES: &[(&str, &str)] = &[
@@ -151,6 +154,7 @@ impl CompletedTask {
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
         let shape = reconstruction.video.shape();
         ReconstructionSummary {
+            schema_version: RESULT_SCHEMA_VERSION,
             version: env!("CARGO_PKG_VERSION"),
             prior: reconstruction.prior.to_string(),
             prior_choice: self.choice(),
@@ -302,6 +306,10 @@ impl CompletedTask {
     pub fn write(&self, traces: &Traces, output: &Output) -> Result<ReconstructionSummary> {
         let folder = output.folder;
         let mut summary = self.summary(traces);
+        info!(
+            "residual {:.4} σ, the fit is {}",
+            summary.residual_over_sigma, summary.fit
+        );
         let video = &self.reconstruction.video;
         let camera = &self.task.camera;
         // The file of an earlier run does not describe the new files.

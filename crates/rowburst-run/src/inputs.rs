@@ -10,6 +10,7 @@ use rowburst_io::{
     read_video,
 };
 use std::path::Path;
+use tracing::info;
 
 /// The calibration files: each of `given`, or else that of the experiment file.
 pub fn resolve_calibration(given: Calibration, experiment: &Experiment) -> Calibration {
@@ -55,9 +56,17 @@ pub fn read_corrections(calibration: &Calibration) -> Result<Corrections> {
     })
 }
 
+/// Reads an image, such as a frame or a correction.
+pub(crate) fn read_capture(path: &Path) -> Result<Capture> {
+    let capture = read_image(path)?;
+    let (rows, columns) = (capture.image.rows(), capture.image.columns());
+    info!("read {}: {rows}×{columns} pixels", path.display());
+    Ok(capture)
+}
+
 /// Reads a correction. All its pixels have to be finite.
 fn read_finite(path: &Path) -> Result<Image> {
-    let image = read_image(path)?.image;
+    let image = read_capture(path)?.image;
     match image.first_non_finite() {
         None => Ok(image),
         Some((y, x)) => Err(Error::input(
@@ -81,39 +90,6 @@ pub fn naming_file(error: Error, frame: &Path, calibration: &Calibration) -> Err
     };
     error.within(path.unwrap_or(frame))
 }
-
-/// Checks that this machine has memory for the video, before anything is allocated. Without the check
-/// the operating system could end the program without a message. `experiment` names the file in the error.
-///
-/// # Errors
-/// The memory of a reconstruction cannot be reserved.
-pub fn check_memory(experiment: &Path, camera: &Camera) -> Result<()> {
-    let shape = camera.video_shape();
-    let voxels = shape
-        .rows
-        .checked_mul(shape.columns)
-        .and_then(|pixels| pixels.checked_mul(shape.bins));
-    let needed = voxels.and_then(|n| n.checked_mul(VIDEO_COPIES));
-    // At least 64 MiB: freeing a smaller block makes glibc keep later blocks of that size instead of
-    // returning them, and the peak memory rises.
-    let reserved = needed.map(|n| n.max(16 << 20));
-    if reserved.is_some_and(|n| Vec::<f32>::new().try_reserve_exact(n).is_ok()) {
-        return Ok(());
-    }
-    Err(Error::work(
-        experiment,
-        format!("no memory for {VIDEO_COPIES} copies of a video of {shape}"),
-        phrase![
-            "Make ",
-            Parameter::Field,
-            " smaller, bin the frame, or use a machine with more memory."
-        ],
-    )
-    .with_kind(ErrorKind::Memory))
-}
-
-/// Copies of the video in f32 that a reconstruction holds at its peak.
-const VIDEO_COPIES: usize = 12;
 
 /// The PSF of a capture on the working grid of `camera`, and a note for the user if the capture was binned.
 ///
@@ -169,9 +145,11 @@ pub fn read_psfs(
     dark: Option<&Image>,
 ) -> Result<(PatchSet, Option<String>)> {
     if is_patch_set(path) {
-        return Ok((read_patch_set(path)?, None));
+        let set = read_patch_set(path)?;
+        info!("read {}: {} PSFs", path.display(), set.psfs().len());
+        return Ok((set, None));
     }
-    let capture = read_image(path)?;
+    let capture = read_capture(path)?;
     let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path))?;
     let note = found.1.map(|note| format!("{}: {note}", path.display()));
     Ok((found.0.into(), note))
@@ -182,7 +160,9 @@ pub fn read_psfs(
 /// # Errors
 /// A file that cannot be read, and those of [`checked_truth`].
 pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
-    checked_truth(read_video(path)?, path.into(), camera)
+    let video = read_video(path)?;
+    info!("read {}: {}", path.display(), video.shape());
+    checked_truth(video, path.into(), camera)
 }
 
 /// Checks that `video` is finite and has the shape that `camera` gives. `subject` is the truth in errors.

@@ -22,13 +22,17 @@ mod completed_task;
 pub mod design;
 mod event;
 mod figure;
+mod format;
 pub mod inputs;
+mod log;
+mod memory;
 mod movie;
 mod numbers;
 pub mod options;
 mod player;
 mod request;
 mod run_clock;
+mod schema;
 mod setup;
 pub mod simulate;
 mod summary;
@@ -42,15 +46,19 @@ pub use colour::{ColourSummary, ColourTask, Plane, PlaneNumbers, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta};
 pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
+pub use format::short;
+pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
+pub use memory::{available_memory_bytes, check_memory};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use request::{Request, RequestParams, read_experiment};
 pub use run_clock::RunClock;
+pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
 pub use setup::{Bias, Frame, Setup, bias_of_array, correct_capture};
 pub use summary::{
     CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
-    ReconstructionSummary, peak_memory_bytes, short,
+    ReconstructionSummary, peak_memory_bytes,
 };
 pub use task::{Task, solve, solve_with_model};
 pub use traces::{

@@ -1,6 +1,7 @@
 //! The numbers of a run in the report: the headline, and the table of all settings.
 
-use crate::summary::{ReconstructionSummary, percent, short};
+use crate::format::{percent, short};
+use crate::summary::ReconstructionSummary;
 use crate::task::Task;
 use crate::traces::StandardErrorNumbers;
 

@@ -4,14 +4,15 @@ use crate::artifacts::{Artifacts, Output, Summary};
 use crate::chunked::{ChunkedTask, run_chunked};
 use crate::colour::ColourTask;
 use crate::event::{Event, Observer};
-use crate::inputs::{check_memory, read_truth};
+use crate::inputs::{read_capture, read_truth};
+use crate::memory::check_memory;
 use crate::options::UserOptions;
 use crate::setup::{Frame, Setup};
 use crate::task::{Task, solve};
 use crate::traces::TraceRequest;
 use rowburst::reconstruct::SelfCalibration;
-use rowburst::{Error, ErrorKind, Parameter, Result};
-use rowburst_io::{Calibration, Experiment, read_image, read_metadata};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
+use rowburst_io::{Calibration, Experiment, read_metadata};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -56,6 +57,8 @@ pub struct RequestParams<'a> {
     pub debias: bool,
     /// Seed of the simulation that made the frame; only reported.
     pub seed: u64,
+    /// Stops the run, reading and set-up included.
+    pub cancel: Cancel,
 }
 
 /// Reads an experiment file. Metadata of the frame's file fills the keys that are left open, which a note says.
@@ -84,8 +87,13 @@ impl Request {
         if experiment.bayer.is_some() {
             refuse_colour(&params)?;
         }
-        let setup = Setup::read(experiment, params.calibration, &params.options, observer)?;
+        let setup = Setup {
+            cancel: params.cancel.clone(),
+            ..Setup::read(experiment, params.calibration, &params.options, observer)?
+        };
+        params.cancel.check()?;
         let frame = Frame::read(frame)?;
+        params.cancel.check()?;
         if let Some(mosaic) = experiment.bayer {
             let task = ColourTask {
                 setup,
@@ -101,13 +109,13 @@ impl Request {
         let mut task = setup.task(&frame, params.bins)?;
         if let Some(bins_per_chunk) = params.bins_per_chunk {
             let task = ChunkedTask::new(task, bins_per_chunk)?;
-            return Ok(Self::Chunked(task.into()));
+            return Ok(Self::Chunked(Box::new(task)));
         }
         check_memory(&experiment.path, &task.camera)?;
         let truth = params.truth.map(|path| read_truth(path, &task.camera));
         task.truth = truth.transpose()?;
         task.truth_file = params.truth.map(Path::to_path_buf);
-        let direct = params.direct.map(read_image).transpose()?;
+        let direct = params.direct.map(read_capture).transpose()?;
         task.direct = direct.map(|capture| capture.image);
         task.seed = params.seed;
         let shape = task.camera.video_shape();

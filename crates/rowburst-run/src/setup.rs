@@ -1,14 +1,16 @@
 //! What the frames of an experiment share, and a frame as a [`Task`].
 
 use crate::event::{Event, Observer};
-use crate::inputs::{naming_file, psf_path, read_corrections, read_psfs, resolve_calibration};
+use crate::inputs::{
+    naming_file, psf_path, read_capture, read_corrections, read_psfs, resolve_calibration,
+};
 use crate::options::UserOptions;
 use crate::task::Task;
 use rowburst::camera::CameraParams;
 use rowburst::measurement::{Corrections, Measurement, correct};
 use rowburst::reconstruct::Options;
-use rowburst::{Camera, Error, Parameter, PatchSet, Result, Sensor};
-use rowburst_io::{Calibration, Capture, Experiment, FromMetadata, SampleFormat, read_image};
+use rowburst::{Camera, Cancel, Error, Parameter, PatchSet, Result, Sensor};
+use rowburst_io::{Calibration, Capture, Experiment, FromMetadata, SampleFormat};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -32,6 +34,8 @@ pub struct Setup {
     pub experiment: Option<PathBuf>,
     /// The files of the corrections, which errors name.
     pub calibration: Calibration,
+    /// Stops the runs.
+    pub cancel: Cancel,
 }
 
 /// A frame as it was recorded.
@@ -60,7 +64,7 @@ impl Frame {
     /// A file that cannot be read.
     pub fn read(path: &Path) -> Result<Self> {
         Ok(Self {
-            capture: read_image(path)?,
+            capture: read_capture(path)?,
             bias: Bias::Contained,
             file: Some(path.into()),
         })
@@ -79,6 +83,7 @@ impl Setup {
             from_metadata: FromMetadata::default(),
             experiment: None,
             calibration: Calibration::default(),
+            cancel: Cancel::default(),
         }
     }
 
@@ -110,6 +115,7 @@ impl Setup {
             from_metadata: experiment.from_metadata.clone(),
             experiment: Some(experiment.path.clone()),
             calibration,
+            cancel: Cancel::default(),
         })
     }
 
@@ -146,6 +152,7 @@ impl Setup {
             direct: None,
             seed: 0,
             from_metadata: self.from_metadata,
+            cancel: self.cancel,
         })
     }
 

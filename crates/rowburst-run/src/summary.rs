@@ -3,6 +3,7 @@
 //! Fields are the keys of the file; the README explains them.
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
+use crate::format::{percent, short};
 use crate::traces::{DebiasNumbers, StandardErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Calibration, Candidate, FitStatistics};
 use rowburst_io::FromMetadata;
@@ -13,7 +14,10 @@ use std::fmt;
 
 /// The content of `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ReconstructionSummary {
+    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
+    pub schema_version: u32,
     pub version: &'static str,
     pub prior: String,
     pub prior_choice: PriorChoice,
@@ -76,6 +80,7 @@ pub struct ReconstructionSummary {
 
 /// Values from the metadata of the frame's file.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct MetadataNumbers {
     /// Sources of metadata that were found.
     pub sources: Vec<String>,
@@ -94,6 +99,7 @@ impl From<&FromMetadata> for MetadataNumbers {
 
 /// The correction of PSF and camera by the frame.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct CalibrationNumbers {
     /// The parameters that were found, by their names.
     #[serde(flatten)]
@@ -110,6 +116,7 @@ pub struct CalibrationNumbers {
 
 /// A parameter that was found.
 #[derive(Debug, Clone, Copy, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ParameterNumbers {
     pub value: f64,
     /// Its standard error.
@@ -180,6 +187,7 @@ impl fmt::Display for CalibrationNumbers {
 
 /// A recorded iteration.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HistoryPoint {
     pub iteration: usize,
     /// Time since the start of the process, without comparisons with the truth and calls of the observer.
@@ -204,6 +212,7 @@ impl HistoryPoint {
 
 /// How the prior was chosen.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PriorChoice {
     pub reason: String,
     /// Null where the prior was not chosen.
@@ -213,6 +222,7 @@ pub struct PriorChoice {
 
 /// A prior that was tried.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PriorCandidate {
     pub prior: String,
     /// Factor on the `τ` of the discrepancy principle.
@@ -243,6 +253,7 @@ impl From<&Candidate> for PriorCandidate {
 
 /// The statistics of the fit, on which the verdict rests; see [`FitStatistics`].
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct FitNumbers {
     pub chi_squared: f64,
     pub chi_squared_error: f64,
@@ -300,37 +311,4 @@ pub fn peak_memory_bytes() -> Option<u64> {
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib * 1024)
-}
-
-/// A fraction in percent, with one decimal.
-pub(crate) fn percent(fraction: f64) -> String {
-    let percent = 100.0 * fraction;
-    if percent > 0.0 && percent < 0.1 {
-        "under 0.1 %".into()
-    } else {
-        format!("{percent:.1} %")
-    }
-}
-
-/// A number with about four significant digits.
-pub fn short(value: f64) -> String {
-    if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
-        let digits = (3.0 - value.abs().max(1e-3).log10().floor()).clamp(0.0, 6.0) as usize;
-        format!("{value:.digits$}")
-    } else {
-        format!("{value:.3e}")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn small_fractions_are_not_zero_percent() {
-        assert_eq!(percent(0.0), "0.0 %");
-        assert_eq!(percent(1e-6), "under 0.1 %");
-        assert_eq!(percent(0.0623), "6.2 %");
-        assert_eq!(percent(1.0), "100.0 %");
-    }
 }

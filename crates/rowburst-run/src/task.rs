@@ -5,7 +5,7 @@ use crate::event::{Event, Observer};
 use crate::run_clock::RunClock;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Model, Options, Prior, Problem};
-use rowburst::{Camera, Image, PatchSet, Result, Video};
+use rowburst::{Camera, Cancel, Image, PatchSet, Result, Video};
 use rowburst_io::FromMetadata;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -32,6 +32,8 @@ pub struct Task {
     pub seed: u64,
     /// The values of the camera that came from the metadata of the frame's file.
     pub from_metadata: FromMetadata,
+    /// Stops the run, its set-up included.
+    pub cancel: Cancel,
 }
 
 /// Reconstructs the frame of `task`. `process_start` is the start of the program, the zero of the convergence curve's
@@ -73,7 +75,8 @@ fn solve_since(
         is_preview: task.budget.is_some(),
         ..task.options
     };
-    let problem = Problem::with_model(model, &task.measurement, options)?;
+    let model = model.clone().with_cancel(&task.cancel);
+    let problem = Problem::with_model(&model, &task.measurement, options)?;
     let setup = setup_start.elapsed();
     let remaining = task.budget.map(|b| b.saturating_sub(setup));
     let mut clock = RunClock::new(problem.sigma(), task.truth.as_ref(), remaining);

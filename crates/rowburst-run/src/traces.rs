@@ -3,7 +3,7 @@
 //! Fields of the structs for `result.json` are the keys of the file; the README explains them.
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
-use crate::summary::short;
+use crate::format::short;
 use rowburst::measurement::Measurement;
 use rowburst::phrase;
 use rowburst::reconstruct::Reconstruction;
@@ -109,6 +109,7 @@ pub struct Traces {
 
 /// The estimate of the standard errors, in `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct StandardErrorNumbers {
     /// The reason why there are no standard errors.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -126,6 +127,7 @@ pub struct StandardErrorNumbers {
 
 /// A trace in `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TraceNumbers {
     pub region: RegionNumbers,
     /// Largest value of the refit.
@@ -152,6 +154,7 @@ pub struct TraceNumbers {
 
 /// First pixel and size of a region.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RegionNumbers {
     pub y: usize,
     pub x: usize,
@@ -161,6 +164,7 @@ pub struct RegionNumbers {
 
 /// A harmonic of the fitted frequency, and the frequency at which it appears.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HarmonicNumbers {
     pub order: usize,
     pub appears_at_hz: f64,
@@ -169,6 +173,7 @@ pub struct HarmonicNumbers {
 
 /// A photodiode that is aligned with the trace.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PhotodiodeNumbers {
     pub file: String,
     pub correlation: f64,
@@ -180,6 +185,7 @@ pub struct PhotodiodeNumbers {
 
 /// Comparison of a trace with that of the truth.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TruthNumbers {
     /// Root mean square error of the refitted trace.
     pub rms_error: f64,
@@ -491,6 +497,7 @@ fn against(trace: &Trace, truth: &Video) -> TruthNumbers {
 
 /// The effect of debiasing, in `result.json`.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct DebiasNumbers {
     /// Sum of the refitted video over that of the reconstruction.
     pub light_ratio: f64,

@@ -51,6 +51,7 @@
 pub mod bayer;
 pub mod calibrate;
 pub mod camera;
+mod cancel;
 pub mod design;
 pub mod error;
 mod fft2;
@@ -74,6 +75,7 @@ pub mod vecmath;
 pub mod video;
 
 pub use camera::{Camera, CameraParams, Sensor};
+pub use cancel::Cancel;
 pub use error::{Error, ErrorKind, Parameter, Result};
 pub use forward::RollingShutter;
 pub use image::Image;

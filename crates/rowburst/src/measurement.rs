@@ -13,6 +13,7 @@ use crate::ErrorKind;
 use crate::phrase;
 use crate::{Camera, Error, Image, Parameter, Result};
 use std::borrow::Cow;
+use tracing::info;
 
 /// A frame that may be handed to a solver.
 #[derive(Debug, Clone, PartialEq)]
@@ -324,6 +325,7 @@ pub fn correct(raw: &Image, camera: &Camera, corrections: &Corrections) -> Resul
         subtract(&mut response, dark.as_deref());
         divide_by_response(&mut image, variances.as_mut(), &response, &usable)?;
     }
+    info!("corrected the frame: {bad} bad pixels, {saturated} saturated ones, of {pixels}");
     finish(image, &usable, variances, binning, (bad, saturated))
 }
 

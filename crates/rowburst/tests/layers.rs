@@ -14,7 +14,8 @@ const fn module(name: &'static str, layer: usize, uses: &'static [&'static str])
     Module { name, layer, uses }
 }
 
-const MODULES: [Module; 25] = [
+const MODULES: [Module; 26] = [
+    module("cancel", 0, &[]),
     module("error", 0, &[]),
     module("fft2", 0, &[]),
     module("shape", 0, &[]),
@@ -107,9 +108,10 @@ const MODULES: [Module; 25] = [
 ];
 
 /// What is re-exported at the crate's root, and where it lives.
-const ROOT: [(&str, &str); 17] = [
+const ROOT: [(&str, &str); 18] = [
     ("Camera", "camera"),
     ("Sensor", "camera"),
+    ("Cancel", "cancel"),
     ("Error", "error"),
     ("ErrorKind", "error"),
     ("Parameter", "error"),

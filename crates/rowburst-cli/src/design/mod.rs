@@ -8,9 +8,9 @@ use crate::output::print_line;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Camera, Psf, Result};
 use rowburst_io::OutputFolder;
-use rowburst_run::Event;
 use rowburst_run::design::DesignSummary;
 use rowburst_run::inputs::read_psfs;
+use rowburst_run::{Event, is_logging};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -58,7 +58,7 @@ fn psf_of(path: &Path, camera: &Camera) -> Result<Psf> {
 
 /// The progress bar of the trials.
 fn bar() -> ProgressBar {
-    let bar = if std::io::stderr().is_terminal() {
+    let bar = if std::io::stderr().is_terminal() && !is_logging() {
         ProgressBar::new(1000)
     } else {
         ProgressBar::hidden()

@@ -1,7 +1,7 @@
 //! The options of `rowburst design`, and what they mean.
 
-use crate::args::OpticsArgs;
 use crate::option_names;
+use crate::shared_args::OpticsArgs;
 use clap::Args;
 use rowburst::ErrorKind;
 use rowburst::camera::CameraParams;

@@ -7,8 +7,7 @@ mod andor;
 mod micro_manager;
 mod ome;
 
-pub(crate) use ome::ome_sizes;
-
+use crate::ome_sizes::is_ome;
 use crate::recording::images_in;
 use crate::source::{ArrayPath, Colour, Format, Source};
 use crate::{fits, photron, tiff};
@@ -127,7 +126,7 @@ fn in_tiff(path: &Path) -> Metadata {
             &format!("Micro-Manager's tag in {name}"),
         ));
     }
-    if let Some(xml) = tags.description.as_deref().filter(|d| ome::is_ome(d)) {
+    if let Some(xml) = tags.description.as_deref().filter(|d| is_ome(d)) {
         found.fill(ome::parse(xml, &format!("OME-XML in {name}")));
     }
     found.fill(andor::of_tags(&tags, &format!("Andor's tags in {name}")));

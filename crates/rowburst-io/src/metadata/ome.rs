@@ -5,27 +5,8 @@
 //! the schema of 2016-06 names them.
 
 use super::{Metadata, binning_of, bits_of, positive};
+use crate::ome_sizes::TagNameExt;
 use roxmltree::{Document, Node};
-
-/// Whether a TIFF's description is OME-XML.
-pub(super) fn is_ome(description: &str) -> bool {
-    let start = description.trim_start_matches('\u{feff}').trim_start();
-    start.starts_with('<') && start.contains("<OME")
-}
-
-/// `SizeC`, `SizeZ` and `SizeT` of the first image, where the text is OME-XML.
-pub(crate) fn ome_sizes(
-    description: &str,
-) -> Option<(Option<usize>, Option<usize>, Option<usize>)> {
-    if !is_ome(description) {
-        return None;
-    }
-    let document = Document::parse(description.trim_start_matches('\u{feff}').trim()).ok()?;
-    let mut elements = document.descendants();
-    let pixels = elements.find(|n| n.has_tag_name_of("Pixels"))?;
-    let size = |key: &str| pixels.attribute(key)?.trim().parse().ok();
-    Some((size("SizeC"), size("SizeZ"), size("SizeT")))
-}
 
 /// What the first image of the text says.
 pub(super) fn parse(xml: &str, source: &str) -> Metadata {
@@ -80,17 +61,6 @@ pub(super) fn parse(xml: &str, source: &str) -> Metadata {
         pixel_pitch_um: pitch.and_then(positive),
         notes,
         ..Metadata::default()
-    }
-}
-
-/// Names without their namespace, which changes with the version of the schema.
-trait TagNameExt {
-    fn has_tag_name_of(&self, name: &str) -> bool;
-}
-
-impl TagNameExt for Node<'_, '_> {
-    fn has_tag_name_of(&self, name: &str) -> bool {
-        self.is_element() && self.tag_name().name() == name
     }
 }
 

@@ -2,7 +2,8 @@
 
 use super::{Frames, names, open_file};
 use crate::fault;
-use crate::read::{Capture, read_image};
+use crate::pages::Capture;
+use crate::read::read_image;
 use crate::source::{ENDINGS, Format, is_image};
 use rowburst::{Error, Result};
 use std::path::{Path, PathBuf};

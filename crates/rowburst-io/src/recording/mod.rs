@@ -7,9 +7,10 @@
 mod folder;
 mod names;
 
-use crate::read::{Capture, read_image, single};
+use crate::pages::{Capture, Stack, single};
+use crate::read::read_image;
 use crate::source::{Colour, Format, Source, open};
-use crate::stack::{Stack, open_stack};
+use crate::stack::open_stack;
 pub(crate) use folder::images_in;
 use folder::{Chain, Folder};
 use rowburst::Result;

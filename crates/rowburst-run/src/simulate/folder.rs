@@ -5,8 +5,9 @@ use super::{
     pixel_pitch_um, simulate, speckle_for, subtract_background,
 };
 use crate::event::{Event, Observer};
-use crate::inputs::{check_memory, read_psfs};
-use crate::summary::short;
+use crate::format::short;
+use crate::inputs::read_psfs;
+use crate::memory::check_memory;
 use rowburst::noise::{Noise, SimulatedFrame};
 use rowburst::simulate::scene::{self, Led};
 use rowburst::{Camera, Image, Parameter, PatchSet, Result, Video};

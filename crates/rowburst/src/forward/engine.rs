@@ -2,58 +2,11 @@
 //!
 //! An engine convolves the light of an instant with a PSF and keeps the rows that the instant reads.
 
+use super::geometry::Geometry;
+use super::jobs::{AdjointJob, ForwardJob};
 use super::{planar::Planar, rowwise::Rowwise};
+use crate::Psf;
 use crate::linop::Scalar;
-use crate::vecmath::is_portable;
-use crate::{Camera, Psf};
-use rustfft::{Fft, FftPlanner, FftPlannerScalar};
-use std::sync::Arc;
-
-/// Sizes of the whole sensor and of the field, and the offset of the field (see [`Camera::field_offset`]).
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Geometry {
-    pub rows: usize,
-    pub columns: usize,
-    pub field_rows: usize,
-    pub field_columns: usize,
-    pub offset_rows: usize,
-    pub offset_columns: usize,
-}
-
-impl Geometry {
-    pub fn new(camera: &Camera) -> Self {
-        let (field_rows, field_columns) = camera.field();
-        let (offset_rows, offset_columns) = camera.field_offset();
-        Self {
-            rows: camera.params().rows,
-            columns: camera.columns(),
-            field_rows,
-            field_columns,
-            offset_rows,
-            offset_columns,
-        }
-    }
-
-    /// Row displacement from field row `y` to sensor row `r`.
-    pub fn row_displacement(&self, r: usize, y: usize) -> isize {
-        r as isize - y as isize + self.offset_rows as isize
-    }
-
-    /// Column displacement from field column `x'` to sensor column `x`.
-    pub fn column_displacement(&self, x: usize, field_x: usize) -> isize {
-        x as isize - field_x as isize + self.offset_columns as isize
-    }
-
-    /// FFT length along x at which a circular convolution does not wrap around.
-    pub fn fft_columns(&self) -> usize {
-        smooth_length(self.columns + self.field_columns - 1)
-    }
-
-    /// FFT length along y at which a circular convolution does not wrap around.
-    pub fn fft_rows(&self) -> usize {
-        smooth_length(self.rows + self.field_rows - 1)
-    }
-}
 
 /// A convolution with one PSF.
 pub(super) enum Engine<T: Scalar> {
@@ -69,22 +22,6 @@ pub(super) enum Scratch<T> {
         /// Light of the field.
         light: Vec<T>,
     },
-}
-
-/// Forward product of one instant: `values[i, x]` becomes sensor row `rows[i]` of the convolved `light` `[y, x]`.
-pub(super) struct ForwardJob<'a, T> {
-    pub light: &'a [T],
-    pub rows: &'a [usize],
-    pub values: &'a mut [T],
-}
-
-/// Adjoint product of one instant: from `values[i, x]` in sensor row `rows[i]` to the light of the field.
-///
-/// Field rows that are zero in `mask` need not be computed.
-pub(super) struct AdjointJob<'a, T> {
-    pub values: &'a [T],
-    pub rows: &'a [usize],
-    pub mask: Option<&'a [u8]>,
 }
 
 impl<T: Scalar> Engine<T> {
@@ -156,36 +93,4 @@ impl<T: Scalar> Engine<T> {
             _ => unreachable!("scratch comes from the same engine"),
         }
     }
-}
-
-/// The forward and the inverse complex FFT of a length; scalar code if [`is_portable`].
-pub(super) fn transforms<T: Scalar>(length: usize) -> (Arc<dyn Fft<T>>, Arc<dyn Fft<T>>) {
-    if is_portable() {
-        let mut planner = FftPlannerScalar::new();
-        (
-            planner.plan_fft_forward(length),
-            planner.plan_fft_inverse(length),
-        )
-    } else {
-        let mut planner = FftPlanner::new();
-        (
-            planner.plan_fft_forward(length),
-            planner.plan_fft_inverse(length),
-        )
-    }
-}
-
-/// Smallest even number ≥ `length` whose only prime factors are 2, 3 and 5: FFTs of such lengths are fast.
-pub(super) fn smooth_length(length: usize) -> usize {
-    let is_smooth = |mut n: usize| {
-        for factor in [2, 3, 5] {
-            while n.is_multiple_of(factor) {
-                n /= factor;
-            }
-        }
-        n == 1
-    };
-    (length.max(2)..)
-        .find(|&n| n.is_multiple_of(2) && is_smooth(n))
-        .expect("a smooth number lies below twice any number")
 }

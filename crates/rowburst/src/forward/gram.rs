@@ -12,7 +12,7 @@
 //! A PSF that changes over the field has no such diagonals. Then the columns of `S_i` are formed in batches and
 //! multiplied (docs/design/002).
 
-use super::engine::smooth_length;
+use super::geometry::smooth_length;
 use super::{Layer, RollingShutter};
 use crate::linop::Scalar;
 use crate::{Psf, Support};

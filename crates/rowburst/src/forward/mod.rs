@@ -16,7 +16,9 @@
 //! (docs/design/001).
 
 mod engine;
+mod geometry;
 pub(crate) mod gram;
+mod jobs;
 pub(crate) mod mean_field;
 mod planar;
 pub(crate) mod psf_map;
@@ -26,7 +28,9 @@ mod tests;
 
 use crate::linop::{LinearOperator, Scalar, WritePart, write_parts};
 use crate::{Camera, PatchSet, Psf, Shape, Support, TimeGrid};
-use engine::{AdjointJob, Engine, ForwardJob, Geometry};
+use engine::Engine;
+use geometry::Geometry;
+use jobs::{AdjointJob, ForwardJob};
 use planar::{Divisor, Planar};
 use rayon::prelude::*;
 use std::borrow::Cow;

@@ -1,6 +1,6 @@
 //! Convolution of the whole plane by 2-D FFTs, for instants that read many rows.
 
-use super::engine::{Geometry, transforms};
+use super::geometry::{Geometry, transforms};
 use crate::Psf;
 use crate::linop::Scalar;
 use rayon::prelude::*;

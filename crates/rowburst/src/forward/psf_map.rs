@@ -8,7 +8,7 @@
 //! with light are computed, so it is fast for sparse videos.
 
 use super::RollingShutter;
-use super::engine::Geometry;
+use super::geometry::Geometry;
 use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex32;

@@ -21,7 +21,8 @@
 //! spectrum of a real line, which `Re F⁻¹` keeps. The bracket is also the spectrum of a real line, so its `i`-fold is
 //! dropped. The spectra of two rows are never separated.
 
-use super::engine::{AdjointJob, ForwardJob, Geometry, transforms};
+use super::geometry::{Geometry, transforms};
+use super::jobs::{AdjointJob, ForwardJob};
 use crate::Psf;
 use crate::linop::Scalar;
 use crate::vecmath::{add_conjugate_products, add_products, simd};
@@ -178,7 +179,7 @@ impl<T: Scalar> Rowwise<T> {
         }
     }
 
-    /// The adjoint of [`Self::apply_batch`]; see [`super::engine::Engine::adjoint_batch`].
+    /// The adjoint of [`Self::apply_batch`]; see `Engine::adjoint_batch`.
     ///
     /// Row pairs that are zero in the job's mask are left out.
     pub fn adjoint_batch(

@@ -21,7 +21,7 @@ use crate::measurement::Measurement;
 use crate::phrase;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
-use crate::{Camera, Error, Parameter, PatchSet, Result};
+use crate::{Camera, Cancel, Error, Parameter, PatchSet, Result};
 use std::ops::{ControlFlow, Range};
 
 /// Bytes of a chunk where its size is left open; smaller makes more chunks (docs/design/008).
@@ -39,6 +39,7 @@ pub struct Chunked {
     options: Options,
     sigma: f64,
     sigma_source: SigmaSource,
+    cancel: Cancel,
 }
 
 impl Chunked {
@@ -100,7 +101,22 @@ impl Chunked {
             measurement,
             sigma,
             sigma_source,
+            cancel: Cancel::default(),
         })
+    }
+
+    /// The same, whose runs `cancel` stops.
+    #[must_use]
+    pub fn with_cancel(self, cancel: &Cancel) -> Self {
+        Self {
+            cancel: cancel.clone(),
+            ..self
+        }
+    }
+
+    /// What stops its runs.
+    pub fn cancel(&self) -> &Cancel {
+        &self.cancel
     }
 
     /// The camera of the whole frame.
@@ -174,7 +190,7 @@ impl Chunked {
             noise_sigma: Some(self.sigma),
             ..self.options
         };
-        let model = Model::new(&part, self.psfs.clone());
+        let model = Model::new(&part, self.psfs.clone()).with_cancel(&self.cancel);
         Problem::with_model(&model, &measurement, options)?.solve(observer)
     }
 }

@@ -6,13 +6,13 @@
 
 use super::SolverSettings;
 use super::choose::{self, Observer, rms};
-use super::exclusion::count;
-use super::foreign::{self, BrokenLines, Foreign};
+use super::foreign;
 use super::frame_data::FrameData;
-use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau, observe_sum};
+use super::{Prior, Problem, RunResult, observe_sum};
 use crate::prox::Prox;
 use crate::solve::StopReason;
 use crate::solve::admm::{Admm, TauRule};
+use tracing::info;
 
 /// Most iterations of a check; fewer compare a video that has not settled.
 pub(super) const CHECK_ITERATIONS: usize = 100;
@@ -31,21 +31,8 @@ const MAX_HELD_OUT_ERROR: f64 = 1.35;
 const DEVIATIONS: f64 = 2.0;
 /// Effective noise level over the held-out error; larger smooths more, smaller follows the error of the model.
 pub(super) const EFFECTIVE_SIGMA: f64 = 0.85;
-/// The same over what a refined PSF leaves, where the check calls the frame explained.
-const EXPLAINED_SIGMA: f64 = 0.72;
 /// Part of the pixels with a residual far above the others that noise explains.
 const MAX_OUTLIERS: f64 = 2e-4;
-
-/// Held-out error after a correction of the model over that before, below which it is made before the rest of the foreign
-/// pixels is looked for; larger corrects the model for what foreign pixels do.
-const CLEAR_CORRECTION: f64 = 0.7;
-/// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
-const MAX_ERROR_RATIO: f64 = 0.98;
-/// The same where many are left out, or the PSF has been corrected: the error falls by that alone, since they are no longer
-/// held out.
-const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
-/// Part of the pixels from which they are many.
-const MANY_EXCLUDED: f64 = 0.01;
 
 /// A run on the pixels that are not held out.
 pub(super) struct HeldOutRun {
@@ -155,173 +142,12 @@ impl HeldOutCheck {
 
     /// The noise level that serves the reconstruction best where the model does not explain the frame, at least
     /// `sigma`.
-    fn effective_sigma(&self, sigma: f64) -> f64 {
+    pub fn effective_sigma(&self, sigma: f64) -> f64 {
         (EFFECTIVE_SIGMA * self.held_out_rms).max(sigma)
     }
 }
 
 impl Problem {
-    /// Checks the model on held-out pixels. Where it does not explain the frame, leaves foreign pixels out and sets the
-    /// effective noise level. The error is the result so far of a run that the observer stopped.
-    pub(super) fn check_model(
-        &mut self,
-        mut prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<(), Box<RunResult>> {
-        if !self.is_checked() {
-            return Ok(());
-        }
-        let mut check = self.held_out_check(prior, observer)?;
-        if self.is_dense && self.options.prior.is_none() {
-            prior = choose::open_prior();
-            check = self.held_out_check(prior, observer)?;
-        }
-        if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
-            return Ok(());
-        }
-        check = self.correct_model(check, prior, observer)?;
-        let is_estimated =
-            self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
-        if is_estimated {
-            self.effective_sigma = self.effective_sigma_after(&check);
-        }
-        Ok(())
-    }
-
-    /// The noise level that serves the reconstruction best after all corrections, with `check` as the last check. What a
-    /// refined PSF leaves is known from the pixels that its search has not seen.
-    fn effective_sigma_after(&self, check: &HeldOutCheck) -> f64 {
-        let refined = self.calibration.as_ref();
-        let refined = refined.filter(|calibration| calibration.psf_refinement.is_some());
-        let left = refined.map_or(0.0, |calibration| calibration.held_out_after * self.sigma);
-        if self.is_explained(check) {
-            (EXPLAINED_SIGMA * left).max(self.sigma)
-        } else {
-            check
-                .effective_sigma(self.sigma)
-                .max(EFFECTIVE_SIGMA * left)
-        }
-    }
-
-    /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, PSF or camera. Returns the
-    /// check after the corrections.
-    ///
-    /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. Without them PSF and
-    /// camera are corrected first: if that explains the frame, no pixel is foreign.
-    fn correct_model(
-        &mut self,
-        check: HeldOutCheck,
-        prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let found = self.find_foreign(observer)?;
-        if !self.calibrates() {
-            return self.exclude_foreign(found, check, prior, observer);
-        }
-        let none = vec![false; self.excluded.len()];
-        let mut without = None;
-        if found.pixels.contains(&true) {
-            self.exclude(found.pixels.clone());
-            without = Some(self.held_out_check(prior, observer)?);
-        }
-        let without = without.as_ref().unwrap_or(&check);
-        let is_explained = self.is_explained(without);
-        let mut pending = None;
-        if !is_explained || self.options.self_calibration == SelfCalibration::On {
-            pending = self.find_correction(prior, without, observer)?;
-        }
-        self.exclude(none.clone());
-        if let Some(finding) =
-            pending.take_if(|found| found.explains || found.error_ratio() < CLEAR_CORRECTION)
-        {
-            self.apply_correction(finding.calibration, none);
-            let check = self.held_out_check(prior, observer)?;
-            if self.is_explained(&check) {
-                return Ok(check);
-            }
-            let found = self.find_foreign(observer)?;
-            return self.exclude_foreign(found, check, prior, observer);
-        }
-        let check = self.exclude_foreign(found, check, prior, observer)?;
-        if is_explained || self.is_explained(&check) {
-            return Ok(check);
-        }
-        if self.excluded.contains(&true) {
-            pending = self.find_correction(prior, &check, observer)?.or(pending);
-        }
-        let Some(finding) = pending else {
-            return Ok(check);
-        };
-        self.apply_correction(finding.calibration, self.excluded.clone());
-        self.held_out_check(prior, observer)
-    }
-
-    /// Pixels that stand out at a loose fit, if foreign pixels are to be left out.
-    pub(super) fn find_foreign(
-        &mut self,
-        observer: &mut Observer,
-    ) -> Result<Foreign, Box<RunResult>> {
-        if self.options.keep_all_pixels {
-            return Ok(Foreign {
-                pixels: vec![false; self.excluded.len()],
-                level: self.sigma,
-            });
-        }
-        // Foreign pixels may have raised an estimate from the frame.
-        let least_level = match self.sigma_source {
-            SigmaSource::Given | SigmaSource::Calibration => self.sigma,
-            SigmaSource::Frame | SigmaSource::HeldOut => 0.0,
-        };
-        let instants = self.camera.instants();
-        let lines = BrokenLines::new(&self.measurement, instants);
-        foreign::find(&mut self.data, instants, &lines, least_level, observer)
-    }
-
-    /// Leaves the pixels `found`, and others that prove to be foreign, out where the video then predicts better than in
-    /// `check`. Returns the check that holds then.
-    fn exclude_foreign(
-        &mut self,
-        found: Foreign,
-        check: HeldOutCheck,
-        prior: Prior,
-        observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
-        if !found.pixels.contains(&true) {
-            return Ok(check);
-        }
-        let lines = BrokenLines::new(&self.measurement, self.camera.instants());
-        let without = self.check_without(found, &lines.is_broken, prior, observer)?;
-        let excluded_fraction = count(&self.excluded) as f64 / self.excluded.len() as f64;
-        // What a corrected PSF leaves is largest at bright pixels, which are not foreign.
-        let is_doubtful = self.calibration.is_some();
-        let max_ratio = if is_doubtful || excluded_fraction >= MANY_EXCLUDED {
-            MAX_ERROR_RATIO_OF_MANY
-        } else {
-            MAX_ERROR_RATIO
-        };
-        if self.is_explained(&without) && !is_doubtful
-            || without.held_out_rms < max_ratio * check.held_out_rms
-        {
-            if self.sigma_source == SigmaSource::HeldOut {
-                // Foreign pixels have disturbed the noise level.
-                self.resolve_tau_rule(observer)?;
-            }
-            return Ok(without);
-        }
-        // The video predicts no better without them: it is the model that is wrong.
-        self.exclude(vec![false; self.excluded.len()]);
-        Ok(check)
-    }
-
-    /// Whether the frame may correct PSF and camera.
-    fn calibrates(&self) -> bool {
-        match self.options.self_calibration {
-            SelfCalibration::Off => false,
-            SelfCalibration::Auto => !self.is_dense,
-            SelfCalibration::On => true,
-        }
-    }
-
     /// Whether the model explains the pixels that are not left out to the noise of the sensor.
     pub(super) fn is_explained(&self, check: &HeldOutCheck) -> bool {
         let foreign = self.foreign(check, 1.0);
@@ -338,21 +164,6 @@ impl Problem {
         self.is_dense
             && check.residual_rms <= MAX_RESIDUAL * self.effective_sigma
             && choose::is_settled(errors)
-    }
-
-    /// Whether the model is checked on held-out pixels before the run.
-    pub(super) fn is_checked(&self) -> bool {
-        let has_use = !self.options.keep_all_pixels
-            || self.options.noise_sigma.is_none()
-            || self.options.self_calibration != SelfCalibration::Off;
-        let is_long = self
-            .options
-            .max_iterations
-            .is_none_or(|max| max > CHECK_ITERATIONS);
-        // A guess of the noise level tells nothing about the model.
-        let is_known =
-            self.sigma_source != SigmaSource::HeldOut || !matches!(self.options.tau, Tau::Given(_));
-        has_use && is_known && is_long && !self.options.is_preview && choose::can_choose(&self.data)
     }
 
     /// Runs `prior` on the pixels that are not held out, at most until the model explains the frame.
@@ -381,6 +192,12 @@ impl Problem {
             was_wide = is_wide;
             if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {
                 self.is_dense |= is_dense;
+                info!(
+                    "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",
+                    check.residual_rms / self.sigma,
+                    check.held_out_rms / self.sigma,
+                    100.0 * check.support_fraction
+                );
                 return Ok(check);
             }
             until += CHECK_STEP;

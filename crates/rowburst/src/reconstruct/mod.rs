@@ -14,6 +14,7 @@ mod frame_data;
 mod held_out;
 mod held_out_check;
 mod model;
+mod model_check;
 mod prior;
 mod self_calibration;
 mod sequence;
@@ -45,6 +46,7 @@ use crate::{Camera, Error, Image, Parameter, PatchSet, Result, Shape, Video};
 use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;
+use tracing::info;
 
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
@@ -235,8 +237,8 @@ impl Problem {
     /// Sets up the reconstruction of one of several frames that share `model`.
     ///
     /// # Errors
-    /// A frame of another size than the camera's, a `τ` or `σ` that is not finite and above zero, or a prior with a term over time for a video of
-    /// one bin ([`Prior::check_bins`]).
+    /// A frame of another size than the camera's, a `τ` or `σ` that is not finite and above zero, a prior with a term over
+    /// time for a video of one bin ([`Prior::check_bins`]), or [`Model::cancel`].
     pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
         let image = measurement.image();
@@ -283,10 +285,18 @@ impl Problem {
         if let Some(prior) = options.prior {
             prior.check_bins(camera.video_shape().bins)?;
         }
+        model.cancel().check()?;
+        let data = FrameData::new(model, measurement);
+        model.cancel().check()?;
+        info!(
+            "set up a frame: σ {sigma:.4} counts {}, {} usable pixels",
+            sigma_source.name(),
+            data.measurement_count()
+        );
         Ok(Self {
             camera: camera.clone(),
             bands,
-            data: FrameData::new(model, measurement),
+            data,
             excluded: vec![false; measurement.image().data().len()],
             measurement: measurement.clone(),
             options,
@@ -325,7 +335,7 @@ impl Problem {
     /// is called after every iteration and may stop the run; the result is then the video so far.
     ///
     /// # Errors
-    /// An objective that is not finite: the numbers overflowed.
+    /// An objective that is not finite: the numbers overflowed. A run that is cancelled before its first iteration.
     pub fn solve(
         mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
@@ -338,6 +348,13 @@ impl Problem {
             residual_history.push(progress.residual_rms);
             observer(progress)
         });
+        let iterations = match &found {
+            Ok(found) => found.solution.iterations,
+            Err(partial) => partial.solution.iterations,
+        };
+        if iterations == 0 {
+            self.data.cancel().check()?;
+        }
         let found = found.unwrap_or_else(|partial| {
             // It may be of a search with another prior than that of the data.
             let background = partial.prior.background();
@@ -478,6 +495,7 @@ impl Problem {
             self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
+            info!("noise level by held-out pixels: σ {:.4} counts", self.sigma);
         }
         Ok(self.tau_rule())
     }
@@ -539,6 +557,7 @@ impl Problem {
             });
         let shape = self.data.shape();
         let params = prior.admm_params(shape, rule, self.options.solver_settings());
+        info!("final run: prior {prior}, factor {tau_factor} on τ");
         self.data.reset(prior.background(), None);
         let mut prox = self.data.prox(&prior);
         let mut run = Admm::new(&self.data, shape, params);
@@ -567,6 +586,12 @@ impl Problem {
         let stop_reason = stop_reason
             .unwrap_or_else(|| run_until(&mut run, &mut self.data, params.max_iterations));
         let solution = run.into_solution(&self.data, &*prox, stop_reason);
+        info!(
+            "final run: {} iterations, {}, τ {:.4e}",
+            solution.iterations,
+            stop_reason.name(),
+            solution.tau
+        );
         let result = RunResult::new(prior, &*prox, shape, solution);
         Ok(self.better_result(result, choice, best_trial))
     }

@@ -3,16 +3,33 @@
 use crate::forward::RollingShutter;
 use crate::forward::gram::element_bytes;
 use crate::forward::mean_field::MeanField;
-use crate::{Camera, PatchSet};
+use crate::{Camera, Cancel, PatchSet};
 use faer::Mat;
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
+use tracing::debug;
 
 /// Measurements of a block above which no blocks are built; then conjugate gradients solve the data step
 /// (docs/design/004).
 const MAX_BLOCK_SIZE: usize = 4096;
 /// Bytes of all blocks above which none are built; larger allows exact steps on larger sensors (docs/design/004).
 const MAX_GRAM_BYTES: usize = 4 << 30;
+
+/// Copies of the video in f32 that a reconstruction holds at its peak, beside the blocks.
+const VIDEO_COPIES: usize = 8;
+
+/// Memory of the blocks of `A Aᵀ` in bytes; `None` where they are too large to be built.
+fn gram_bytes(camera: &Camera) -> Option<usize> {
+    let columns = camera.columns();
+    let mut row_counts = vec![0; camera.time().instants().len()];
+    camera.instants().iter().for_each(|&k| row_counts[k] += 1);
+    let sizes = || row_counts.iter().map(|rows| rows * columns);
+    let bytes: usize = sizes()
+        .map(|size| element_bytes(columns) * size * size)
+        .sum();
+    let is_small = sizes().all(|size| size <= MAX_BLOCK_SIZE) && bytes <= MAX_GRAM_BYTES;
+    is_small.then_some(bytes)
+}
 
 /// Camera and PSF, with the values that depend on them alone: the operator `A` with the spectra of the
 /// PSF and, if cached, the blocks of `A Aᵀ`.
@@ -27,6 +44,7 @@ pub struct Model {
     /// The cached blocks of `A Aᵀ`, one for each instant.
     gram: Option<Arc<Vec<Mat<f64>>>>,
     mean_field: Arc<OnceLock<Arc<MeanField>>>,
+    cancel: Cancel,
 }
 
 impl Model {
@@ -41,6 +59,11 @@ impl Model {
         let scale = shutter
             .pixel_power(row.expect("a frame has rows"), columns / 4)
             .max(f64::MIN_POSITIVE);
+        debug!(
+            "set up the operator: video of {}, frame of {rows}×{columns}, PSFs: {}",
+            shutter.video_shape(),
+            psfs.psfs().len()
+        );
         Self {
             camera: camera.clone(),
             psfs,
@@ -48,7 +71,22 @@ impl Model {
             scale,
             gram: None,
             mean_field: Arc::default(),
+            cancel: Cancel::default(),
         }
+    }
+
+    /// The same model, for runs that `cancel` stops, their set-up included.
+    #[must_use]
+    pub fn with_cancel(self, cancel: &Cancel) -> Self {
+        Self {
+            cancel: cancel.clone(),
+            ..self
+        }
+    }
+
+    /// What stops its runs.
+    pub fn cancel(&self) -> &Cancel {
+        &self.cancel
     }
 
     /// Caches the blocks of `A Aᵀ` for all voxels, so that later frames are set up faster. The numbers
@@ -62,10 +100,14 @@ impl Model {
             let blocks = rows.map(|(instant, rows)| {
                 let size = rows.len() * columns;
                 let mut block = Mat::zeros(size, size);
-                self.shutter.add_gram_block(instant, None, block.as_mut());
+                if !self.cancel.is_cancelled() {
+                    self.shutter.add_gram_block(instant, None, block.as_mut());
+                }
                 block
             });
-            self.gram = Some(Arc::new(blocks.collect()));
+            let blocks: Vec<_> = blocks.collect();
+            // Those of a cancelled set-up are not complete.
+            self.gram = (!self.cancel.is_cancelled()).then(|| Arc::new(blocks));
         }
         self
     }
@@ -100,14 +142,21 @@ impl Model {
     /// Each frame that is being reconstructed has blocks of its own. On sensors of less than 1024 columns
     /// they take half of this memory as long as f32 suffices. A support takes up to three quarters more.
     pub fn gram_bytes(&self) -> Option<usize> {
-        let (_, columns) = self.shutter.frame_shape();
-        let rows = self.shutter.rows_of_instants().iter();
-        let sizes = || rows.clone().map(|rows| rows.len() * columns);
-        let bytes: usize = sizes()
-            .map(|size| element_bytes(columns) * size * size)
-            .sum();
-        let is_small = sizes().all(|size| size <= MAX_BLOCK_SIZE) && bytes <= MAX_GRAM_BYTES;
-        is_small.then_some(bytes)
+        gram_bytes(&self.camera)
+    }
+
+    /// Typical peak memory of a reconstruction in bytes, before anything is allocated; `None` where the number itself is
+    /// too large.
+    pub fn run_bytes(camera: &Camera) -> Option<u64> {
+        let shape = camera.video_shape();
+        let sides = [shape.bins, shape.rows, shape.columns, VIDEO_COPIES, 4];
+        let sides = sides.iter().map(|&side| side as u64);
+        let videos = sides.reduce(|a, b| a.saturating_mul(b))?;
+        let has_blocks = camera.time().is_disjoint();
+        let gram = gram_bytes(camera).filter(|_| has_blocks).unwrap_or(0) as u64;
+        // Blocks begin in f32.
+        let gram = gram / element_bytes(camera.columns()) as u64 * 4;
+        videos.checked_add(gram).filter(|bytes| *bytes < u64::MAX)
     }
 
     /// The mean field of `A Aᵀ`; the first call computes it.

@@ -11,6 +11,7 @@
 //! memory and of the time. The eigenvalues of `G` span six decades and more, and `ρ` has to exceed the rounding error
 //! of the largest; smaller `ρ` need f64 (`docs/design/003`).
 
+use crate::Cancel;
 use crate::linop::Scalar;
 use crate::vecmath::simd;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -50,6 +51,7 @@ impl<T, F: Fn(usize, MatMut<T>) + Sync> BlockSource<T> for F {
 pub struct Blocks<T> {
     blocks: Vec<Block<T>>,
     is_ill_conditioned: bool,
+    cancel: Cancel,
 }
 
 /// A diagonal block of `G`.
@@ -111,9 +113,19 @@ impl<T: Scalar> Blocks<T> {
         let mut blocks = Self {
             blocks: indices.into_iter().map(empty).collect(),
             is_ill_conditioned: false,
+            cancel: Cancel::default(),
         };
         blocks.rebuild_changed(|_| true, source);
         blocks
+    }
+
+    /// The same blocks, which solve nothing once `cancel` asks for the end.
+    #[must_use]
+    pub fn with_cancel(self, cancel: &Cancel) -> Self {
+        Self {
+            cancel: cancel.clone(),
+            ..self
+        }
     }
 
     /// No blocks at all.
@@ -121,6 +133,7 @@ impl<T: Scalar> Blocks<T> {
         Self {
             blocks: Vec::new(),
             is_ill_conditioned: false,
+            cancel: Cancel::default(),
         }
     }
 
@@ -139,10 +152,14 @@ impl<T: Scalar> Blocks<T> {
     /// # Panics
     /// If a block is not finite.
     pub fn solve_incremental(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) {
+        let cancel = &self.cancel;
         let parts: Vec<Vec<(f32, f32)>> = self
             .blocks
             .par_iter_mut()
             .map_init(Vec::new, |scratch, block| {
+                if cancel.is_cancelled() {
+                    return Vec::new();
+                }
                 block.solve_incremental(r, rho, scratch)
             })
             .collect();
@@ -185,10 +202,14 @@ impl<T: Scalar> Blocks<T> {
     /// # Panics
     /// If a block is not finite.
     pub fn solve(&mut self, r: &[f32], rho: f64, y: &mut [f32]) {
+        let cancel = &self.cancel;
         let parts: Vec<Vec<T>> = self
             .blocks
             .par_iter_mut()
             .map_init(Vec::new, |scratch, block| {
+                if cancel.is_cancelled() {
+                    return Vec::new();
+                }
                 let mut y = block.indices.iter().map(|&i| T::from(r[i])).collect();
                 block.solve(&mut y, rho, scratch);
                 y

@@ -78,6 +78,11 @@ pub trait DataTerm: Send {
         }
     }
 
+    /// Whether the run is cancelled. Then [`Self::solve_gram`] may return early, with a wrong solution.
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+
     /// Computes the weights of the measurements afresh, where the noise depends on the light of `video`.
     ///
     /// Returns whether it did. If so, [`Self::operator`] and [`Self::measurements`] have changed, since they contain

@@ -23,6 +23,7 @@ use crate::solve::StopReason;
 use crate::solve::admm::{Progress, Solution, TauRule};
 use crate::vecmath::norm;
 use std::ops::ControlFlow;
+use tracing::info;
 use trial::Trial;
 
 /// A callback after every iteration, which may stop the run.
@@ -245,6 +246,16 @@ pub(super) fn choose_prior(
                 .map(|before| gain(before, &trial_result.residuals)),
             ..trial_result.candidate
         };
+        info!(
+            "tried prior {prior}: held-out error {:.4} σ, factor {} on τ{}",
+            candidate.error,
+            candidate.tau_factor,
+            if candidate.stopped_early {
+                ", stopped early"
+            } else {
+                ""
+            }
+        );
         choice.candidates.push(candidate);
         if choice.best() == candidate {
             best_residuals = Some(trial_result.residuals);

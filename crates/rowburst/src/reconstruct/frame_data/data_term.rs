@@ -31,6 +31,10 @@ impl DataTerm for FrameData {
         self.x_step.solve(&self.system, r, rho, y, gram_y)
     }
 
+    fn is_cancelled(&self) -> bool {
+        self.cancel().is_cancelled()
+    }
+
     fn residual_rms_of_bins(&self, residual: &[f32]) -> Vec<f64> {
         let operator = self.shutter();
         let mut sums = vec![(0.0, 0usize); self.shape().bins];

@@ -90,6 +90,11 @@ impl FrameData {
         self.system.background()
     }
 
+    /// What stops its runs.
+    pub fn cancel(&self) -> &crate::Cancel {
+        self.system.model().cancel()
+    }
+
     pub fn psfs(&self) -> &crate::PatchSet {
         self.system.model().psfs()
     }

@@ -10,7 +10,8 @@ use crate::forward::psf_map::PsfMap;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::solve::admm::{Progress, TauRule};
-use crate::{Camera, PatchSet, Psf, RollingShutter};
+use crate::{Camera, Cancel, PatchSet, Psf, RollingShutter};
+use tracing::debug;
 
 /// The label of the runs of self-calibration.
 const LABEL: &str = "self-calibration";
@@ -85,6 +86,7 @@ impl Frame {
 /// Frames of one camera with what their model is made from.
 pub(super) struct Calibrator<'p> {
     camera: &'p Camera,
+    cancel: &'p Cancel,
     frames: Vec<Frame>,
     /// The PSFs as given.
     given: &'p PatchSet,
@@ -112,6 +114,7 @@ impl<'p> Calibrator<'p> {
     pub fn new(
         shutter: &RollingShutter,
         camera: &'p Camera,
+        cancel: &'p Cancel,
         given: &'p PatchSet,
         anchor: Option<&Psf>,
         measurements: &[Measurement],
@@ -129,6 +132,7 @@ impl<'p> Calibrator<'p> {
         let frames = measurements.iter();
         Self {
             camera,
+            cancel,
             mean: sum / count.max(1) as f64,
             frames: frames
                 .map(|measurement| Frame::new(shutter, measurement.clone()))
@@ -264,7 +268,7 @@ impl<'p> Calibrator<'p> {
 
     /// Operator and fitted pixels of a frame under `correction`.
     fn data(&mut self, frame: usize, correction: &Correction) -> FrameData {
-        let model = Model::new(self.camera, self.psfs(correction));
+        let model = Model::new(self.camera, self.psfs(correction)).with_cancel(self.cancel);
         let (gain, offset) = self.pixels(correction);
         FrameData::new(&model, &self.frames[frame].fitted.adjusted(&gain, &offset))
     }
@@ -290,6 +294,10 @@ impl<'p> Calibrator<'p> {
             })
         };
         run.run(&mut data, iterations, &mut labelled)?;
+        debug!(
+            "self-calibration: frame {frame} at σ {sigma:.4} counts, residual {:.4} counts",
+            run.residual_rms()
+        );
         let video = run.admm.video().to_vec();
         let light = data.predicted(&video);
         let (gain, offset) = self.pixels(correction);

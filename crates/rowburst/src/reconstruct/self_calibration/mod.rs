@@ -25,12 +25,13 @@ use crate::linop::Background;
 use crate::measurement::Measurement;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
-use crate::{Camera, Image, PatchSet, Psf, Result, RollingShutter};
+use crate::{Camera, Cancel, Image, PatchSet, Psf, Result, RollingShutter};
 use calibrator::Calibrator;
 use decision::{MAX_MISFIT, MIN_GAIN};
 use psf_error::Capture;
 use search::{Proposal, Search};
 use std::ops::ControlFlow;
+use tracing::info;
 
 /// When a frame corrects its PSF and its camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -106,6 +107,7 @@ pub struct FoundParameter {
 pub(super) struct Frames<'f> {
     pub camera: &'f Camera,
     pub shutter: &'f RollingShutter,
+    pub cancel: &'f Cancel,
     pub psfs: &'f PatchSet,
     /// The frames without foreign pixels.
     pub measurements: &'f [Measurement],
@@ -154,6 +156,7 @@ impl Frames<'_> {
             calibrator: Calibrator::new(
                 self.shutter,
                 self.camera,
+                self.cancel,
                 self.psfs,
                 anchor.as_ref(),
                 self.measurements,
@@ -174,9 +177,18 @@ impl Frames<'_> {
         let is_identity = found.correction.is_identity() && anchor.is_none();
         let limit = (MIN_GAIN * given.error).min(MAX_MISFIT * search.calibrator.contrast());
         if is_identity || found.error > limit {
+            info!("self-calibration: nothing found");
             return Ok(None);
         }
-        search.confirm(&found, given.error, anchor.is_some())
+        let finding = search.confirm(&found, given.error, anchor.is_some())?;
+        match &finding {
+            Some(Finding { calibration, .. }) => info!(
+                "self-calibration: confirmed, held-out error {:.3} σ before and {:.3} σ after",
+                calibration.held_out_before, calibration.held_out_after
+            ),
+            None => info!("self-calibration: not confirmed"),
+        }
+        Ok(finding)
     }
 }
 
@@ -211,6 +223,7 @@ pub fn calibrate(
     let frames = Frames {
         camera: model.camera(),
         shutter: model.shutter(),
+        cancel: model.cancel(),
         psfs: model.psfs(),
         sigma: rms(|check| check.sigma),
         held_out_error: rms(|check| check.held_out_error),
@@ -268,6 +281,7 @@ impl Problem {
         let frames = Frames {
             camera: &self.camera,
             shutter: self.data.shutter(),
+            cancel: self.data.cancel(),
             psfs: self.data.psfs(),
             measurements: &[self.measurement.without(&self.excluded)],
             sigma: self.sigma,
@@ -280,6 +294,7 @@ impl Problem {
     pub(super) fn apply_correction(&mut self, calibration: Calibration, excluded: Vec<bool>) {
         self.measurement = calibration.corrected(&self.measurement);
         let model = Model::new(&self.camera, calibration.psfs.clone());
+        let model = model.with_cancel(self.data.cancel());
         self.data = FrameData::new(&model, &self.measurement);
         self.calibration = Some(calibration);
         self.exclude(excluded);

@@ -22,6 +22,7 @@ use crate::{Image, Psf};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
+use tracing::info;
 
 /// Rounds of a reconstruction and a refinement.
 const ROUNDS: usize = 5;
@@ -68,6 +69,11 @@ impl Search<'_, '_, '_> {
             let mut trials = self.run(&correction, level, self.iterations_at(level))?;
             let proposal = Proposal::new(&correction, level, &trials);
             let error = proposal.error;
+            info!(
+                "self-calibration, round {round} of the PSF: noise level {:.3} σ, held-out error {:.3} σ",
+                level / self.sigma,
+                error / self.sigma
+            );
             let best_error = best.as_ref().map_or(f64::INFINITY, |best| best.error);
             if error <= LATER * best_error {
                 best = Some(proposal);

@@ -5,6 +5,7 @@ use super::super::choose::{self, Observer};
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::ModelParameter;
 use super::step::{Free, StepReport, step};
+use tracing::info;
 
 /// Most iterations of a reconstruction between two steps.
 const ITERATIONS: usize = 120;
@@ -125,6 +126,11 @@ impl Search<'_, '_, '_> {
         for round in 1.. {
             let mut trials = self.run(&correction, level, self.iterations_at(level))?;
             let proposal = Proposal::new(&correction, level, &trials);
+            info!(
+                "self-calibration, round {round}: noise level {:.3} σ, held-out error {:.3} σ",
+                level / self.sigma,
+                proposal.error / self.sigma
+            );
             let has_stalled = last.as_ref().is_some_and(|last| {
                 level > MAX_LEVEL_RATIO * last.level
                     && proposal.error > (1.0 - MIN_FALL) * last.error
@@ -215,7 +221,12 @@ impl Search<'_, '_, '_> {
     fn blurred(&mut self, start: &Proposal, blur: f64) -> Result<Proposal, Box<RunResult>> {
         let mut correction = start.correction.clone();
         correction.parameters[ModelParameter::Blur] = blur;
-        self.judge(&correction, start.level)
+        let proposal = self.judge(&correction, start.level)?;
+        info!(
+            "self-calibration, blur {blur:.3} px²: held-out error {:.3} σ",
+            proposal.error / self.sigma
+        );
+        Ok(proposal)
     }
 }
 

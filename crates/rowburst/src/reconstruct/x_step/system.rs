@@ -131,11 +131,14 @@ impl System {
     pub fn blocks<T: Scalar>(&self) -> Blocks<T> {
         let shutter = self.shutter();
         let indices = (0..shutter.rows_of_instants().len()).map(|i| shutter.indices_of(i));
-        Blocks::new(indices.collect(), self)
+        Blocks::new(indices.collect(), self).with_cancel(self.model().cancel())
     }
 
     /// Adds the block of the foreground and that of a background video.
     fn add_sum_of_blocks<T: Scalar>(&self, instant: usize, mut sum: MatMut<T>) {
+        if self.model().cancel().is_cancelled() {
+            return;
+        }
         let shutter = self.shutter();
         shutter.add_gram_block(instant, self.support(), sum.rb_mut());
         if self.background == Background::PerBin {

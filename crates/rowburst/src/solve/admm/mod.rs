@@ -208,7 +208,7 @@ impl Admm {
 
     /// Iterates up to iteration `until`, counted from the start of the run, or until it converges.
     ///
-    /// `observer` sees every iteration and may stop the run.
+    /// `observer` sees every iteration and may stop the run, as [`DataTerm::is_cancelled`] does within an iteration.
     pub fn run(
         &mut self,
         data: &mut dyn DataTerm,
@@ -224,6 +224,9 @@ impl Admm {
                 }
                 self.iteration(data, prior)
             });
+            let Some(change) = change else {
+                return StopReason::Interrupted;
+            };
             self.controllers.schedule.finish_iteration();
             if self.stopping.computes_objective(k) {
                 self.objective = stopping::objective(&self.variables, self.tau(), data, prior);
@@ -242,7 +245,7 @@ impl Admm {
     }
 
     /// One iteration of ADMM; returns the change of `q`, see [`Progress::change`].
-    fn iteration(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) -> f64 {
+    fn iteration(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) -> Option<f64> {
         let Self {
             variables,
             controllers,
@@ -251,9 +254,14 @@ impl Admm {
         let support = controllers.active_set.data_support();
         let rho = controllers.penalty.rho();
         let change = variables.x_step(data, rho, self.params.relaxation, support);
+        if data.is_cancelled() {
+            // The video is still that of the iteration before, and this `y` bounds nothing.
+            variables.y.fill(0.0);
+            return None;
+        }
         variables.z_step(prior, controllers.threshold(variables));
         variables.dual_step(data);
-        change
+        Some(change)
     }
 
     fn progress<'a>(&'a self, until: usize, change: f64, data: &dyn DataTerm) -> Progress<'a> {
