@@ -11,9 +11,8 @@ use crate::threads::{self, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
-use rowburst::Parameter;
-use rowburst::Result;
 use rowburst::reconstruct::Options;
+use rowburst::{Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
     load_batch, name_correction_file,

@@ -5,8 +5,7 @@
 //! [`Reporter::cancel`].
 
 use crate::error::to_py_err;
-use crate::log;
-use crate::threads;
+use crate::{log, threads};
 use pyo3::prelude::*;
 use rayon::ThreadPool;
 use rowburst::{Cancel, Error, Parameter};

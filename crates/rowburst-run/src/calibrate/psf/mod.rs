@@ -8,15 +8,13 @@ pub use captures::{CaptureFile, read_captures};
 pub use summary::{MemorySummary, PsfSummary, RowReach};
 
 use report::{PsfReportInput, render};
-use rowburst::ErrorKind;
-use rowburst::Parameter;
 use rowburst::calibrate::psf::{
     Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
     SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect, merge, noise_of,
     patch_set, patches_needed, row_reach, select_patches, span_px, statistics, suppress_noise,
 };
 use rowburst::error::Subject;
-use rowburst::{Error, Image, PatchSet, Psf, Result};
+use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result};
 use rowburst_io::{Experiment, OutputFolder, write_npy_image, write_patch_set};
 use std::path::PathBuf;
 use summary::{remarks, warnings};
