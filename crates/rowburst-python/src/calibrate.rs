@@ -254,7 +254,6 @@ impl PyPsfCalibration {
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let beside = PsfFolder {
             experiment: None,
-            dark: None,
             field: None,
             reproduce: None,
         };

@@ -16,7 +16,6 @@ use rowburst::calibrate::psf::{
 use rowburst::error::Subject;
 use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result};
 use rowburst_io::{Experiment, OutputFolder, write_npy_image, write_patch_set};
-use std::path::PathBuf;
 use summary::{remarks, warnings};
 
 /// Standard deviations of noise above which light is light.
@@ -95,10 +94,8 @@ pub struct PsfCalibration {
 
 /// What a folder of [`PsfCalibration::write`] gets beside the PSF.
 pub struct PsfFolder<'a> {
-    /// An experiment, of which a copy with the PSF is written.
+    /// An experiment, of which a copy with the PSF is written. Its dark stays: that of the captures has their exposure.
     pub experiment: Option<Experiment>,
-    /// The dark frame that the copy names.
-    pub dark: Option<PathBuf>,
     /// The field of the copy.
     pub field: Option<(usize, usize)>,
     /// The command that repeats the calibration.
@@ -213,9 +210,6 @@ impl PsfCalibration {
                 "psf.npy"
             };
             experiment.calibration.psf = Some(folder.path().join(file));
-            if beside.dark.is_some() {
-                experiment.calibration.dark = beside.dark;
-            }
             experiment.params.sensor.binning = self.summary.binning;
             experiment.params.field = beside.field.or(experiment.params.field);
             experiment.camera()?;
