@@ -547,7 +547,8 @@ fn check_light(image: &Image) -> Result<()> {
             found,
             "a frame holds a speckle pattern",
             remedy,
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     Ok(())
 }
