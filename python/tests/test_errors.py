@@ -54,3 +54,15 @@ def test_attributes_are_none_by_default_and_survive_pickling(camera, psf, captur
     error = raised(lambda: rb.reconstruct(capture.frame, camera, psf, tau=-1.0))
     copy = pickle.loads(pickle.dumps(error))
     assert (copy.parameter, copy.kind, copy.value, str(copy)) == ("tau", "invalid", "-1", str(error))
+
+
+def test_errors_of_the_python_side_are_data_too(camera, psf, capture, tmp_path):
+    cases = [
+        (lambda: rb.load(tmp_path), None, "missing", str(tmp_path)),
+        (lambda: rb.reconstruct(capture.frame, camera, psf, progress="x"), "progress", "invalid", None),
+        (lambda: rb.calibrate.psf([capture.frame], positions_mm=[1.0, 2.0]), "positions_mm", "shape", None),
+    ]
+    for call, parameter, kind, path in cases:
+        error = raised(call)
+        assert (error.parameter, error.kind, error.path) == (parameter, kind, path), error
+        assert str(error).endswith(f"found {error.value}; {error.rule}. {error.remedy}")

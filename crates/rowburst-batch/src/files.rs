@@ -3,9 +3,8 @@
 use crate::clock::Clock;
 use crate::inputs::BatchInputs;
 use crate::measurement::is_of_correction;
-use rowburst::ErrorKind;
 use rowburst::reconstruct::{Model, Options, Prior};
-use rowburst::{Error, Result};
+use rowburst::{Error, ErrorKind, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::check_memory;
 use rowburst_run::inputs::naming_file;

@@ -1,9 +1,7 @@
 //! Fingerprints: whether two jobs are one.
 
-use rowburst::ErrorKind;
 use rowburst::error::With;
-use rowburst::{Error, Image, PatchSet, Result};
-use rowburst::{Parameter, phrase};
+use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Result, phrase};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;

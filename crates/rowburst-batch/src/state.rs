@@ -3,10 +3,8 @@
 use crate::calibration::CalibrationFile;
 use crate::choice::{ChosenPrior, Probe};
 use crate::table::FrameRow;
-use rowburst::ErrorKind;
 use rowburst::error::With;
-use rowburst::{Error, Result};
-use rowburst::{Parameter, phrase};
+use rowburst::{Error, ErrorKind, Parameter, Result, phrase};
 use rowburst_zarr::{Lock, Scratch};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};

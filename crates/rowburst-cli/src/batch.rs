@@ -6,8 +6,7 @@ use crate::output::print_line;
 use crate::progress::{Interrupt, Kept, print_note};
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
-use rowburst::ErrorKind;
-use rowburst::{Error, Parameter, Result};
+use rowburst::{Error, ErrorKind, Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, ChosenPrior, Event, FrameRow, RetryPolicy, Status,
     ThreadAllocation, load_batch, name_correction_file,

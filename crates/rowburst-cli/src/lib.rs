@@ -30,6 +30,7 @@ mod view;
 
 use args::{Cli, Verb};
 use clap::Parser;
+use rowburst::ErrorKind;
 use std::ffi::OsString;
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -81,8 +82,8 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
     match done {
         Ok(()) if progress::is_interrupted() => progress::INTERRUPTED,
         Ok(()) => 0,
-        Err(error) if progress::is_interrupted() => {
-            eprintln!("{error}");
+        Err(error) if progress::is_interrupted() && error.kind() == ErrorKind::Cancelled => {
+            eprintln!("{}", option_names::message(&error));
             progress::INTERRUPTED
         }
         Err(error) => {

@@ -95,8 +95,6 @@ fn option(parameter: Parameter) -> Option<&'static str> {
         Parameter::MaxIterations => "--max-iterations",
         Parameter::SelfCalibrate => "--self-calibrate",
         Parameter::TimeBudgetS => "--time-budget-s",
-        Parameter::KeepAllPixels => "--keep-all-pixels",
-        Parameter::Debias => "--debias",
         Parameter::Bins => "--bins",
         Parameter::PartBins => "--part-bins",
         Parameter::Threads => "--threads",

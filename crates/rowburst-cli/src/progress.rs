@@ -112,12 +112,12 @@ pub fn print_note(event: Event) -> ControlFlow<StopReason> {
     ControlFlow::Continue(())
 }
 
-/// What Ctrl-C finds the program at.
+/// The phase that the program is in.
 static PHASE: AtomicU8 = AtomicU8::new(Phase::SetUp as u8);
 /// Whether Ctrl-C has ended the run.
 static IS_INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// What the program is at.
+/// A phase of the program, which decides what Ctrl-C does.
 #[derive(Clone, Copy)]
 enum Phase {
     /// Reading and setting up: there is no result yet.
@@ -138,6 +138,11 @@ impl Phase {
     fn is_now(self) -> bool {
         PHASE.load(Ordering::Relaxed) == self as u8
     }
+}
+
+/// A run begins: it has no result yet.
+pub fn begin_run() {
+    Phase::SetUp.enter();
 }
 
 /// Exit status of a program that Ctrl-C has ended.
@@ -165,7 +170,7 @@ pub fn wait_for_ctrl_c() -> ! {
 pub struct Interrupt {
     /// Reading, set-up and iterations; the result so far is then written.
     pub run: Arc<AtomicBool>,
-    /// Writing: by Ctrl-C during it, or by the second one.
+    /// Writing: by the second Ctrl-C.
     pub writing: Cancel,
 }
 
@@ -176,10 +181,27 @@ pub enum Kept {
     Result,
     /// The frames that are finished, from which the same command resumes.
     Frames,
+    /// The chunks that are finished, from which the same command resumes.
+    Chunks,
+}
+
+impl Kept {
+    /// Whether the program has or will have something to keep, so that it ends by itself.
+    fn has_something(self) -> bool {
+        self == Self::Frames || Phase::Running.is_now() || Phase::Writing.is_now()
+    }
+
+    fn text(self) -> &'static str {
+        match self {
+            Self::Result => "the current result will be written",
+            Self::Frames => "finished frames are kept; the same command resumes",
+            Self::Chunks => "finished chunks are kept; the same command resumes",
+        }
+    }
 }
 
 impl Interrupt {
-    /// Listens for Ctrl-C. Where there is no result to write the program ends within a second, as after a second Ctrl-C.
+    /// Listens for Ctrl-C. Where nothing is to be kept the program ends within a second, as after a second Ctrl-C.
     pub fn listen(kept: Kept) -> Self {
         let interrupt = Self::default();
         let cancelled = interrupt.clone();
@@ -190,18 +212,14 @@ impl Interrupt {
             }
             IS_INTERRUPTED.store(true, Ordering::Relaxed);
             let is_second = cancelled.run.swap(true, Ordering::Relaxed);
-            if !is_second && Phase::Running.is_now() {
+            if !is_second && kept.has_something() {
                 eprintln!(
-                    "\nstopping; the current result will be written (Ctrl-C again to quit immediately)"
+                    "\nstopping; {} (Ctrl-C again to quit immediately)",
+                    kept.text()
                 );
                 return;
             }
-            match kept {
-                Kept::Result => eprintln!("\nstopping"),
-                Kept::Frames => {
-                    eprintln!("\nstopping; finished frames are kept; the same command resumes");
-                }
-            }
+            eprintln!("\nstopping");
             cancelled.writing.cancel();
             std::thread::sleep(GRACE);
             std::process::exit(INTERRUPTED.into());

@@ -2,8 +2,9 @@
 
 use crate::args::ReconstructArgs;
 use crate::inputs::calibration_from_args;
+use crate::option_names;
 use crate::output::print_line;
-use crate::progress::{Bar, Interrupt, Kept};
+use crate::progress::{Bar, Interrupt, Kept, begin_run};
 use crate::sweep;
 use rowburst::error::Subject;
 use rowburst::reconstruct::Verdict;
@@ -22,7 +23,11 @@ use std::time::Instant;
 
 /// Runs the command. `process_start` is the time at which the process started.
 pub fn run(args: &ReconstructArgs, process_start: Instant) -> Result<()> {
-    let interrupt = Interrupt::listen(Kept::Result);
+    let kept = match args.part_bins {
+        Some(_) => Kept::Chunks,
+        None => Kept::Result,
+    };
+    let interrupt = Interrupt::listen(kept);
     if !args.sweep.is_empty() {
         return run_sweep(args, &interrupt);
     }
@@ -167,7 +172,9 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
     let runs: Vec<(String, ReconstructArgs)> = runs.collect::<Result<_>>()?;
     let mut rows: Vec<sweep::Row> = Vec::new();
     let mut first_error = None;
+    let mut table = None;
     for (point, point_args) in runs {
+        begin_run();
         let point_start = Instant::now();
         eprintln!("{point}");
         let run = run_point(&point_args, point_start, interrupt);
@@ -188,21 +195,24 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
             ssim: summary.and_then(|s| s.ssim),
             fit: summary.map(|s| s.fit.to_string()),
             seconds: point_start.elapsed().as_secs_f64(),
-            error: run.as_ref().err().map(ToString::to_string),
+            error: run.as_ref().err().map(option_names::message),
         });
         if let Err(error) = run {
             first_error.get_or_insert(error);
         }
+        // What Ctrl-C ends in the middle of a later point keeps the table of these.
+        table = Some(sweep::write(&args.output, &rows)?);
         if interrupt.run.load(Ordering::Relaxed) {
             break;
         }
     }
-    let table = sweep::write(&args.output, &rows)?;
     if args.json {
         print_line(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
     } else {
         sweep::lines(&rows).into_iter().for_each(print_line);
-        print_line(format_args!("table: {}", table.display()));
+        if let Some(table) = table {
+            print_line(format_args!("table: {}", table.display()));
+        }
     }
     match first_error {
         Some(error) if rows.iter().all(|row| row.error.is_some()) => Err(error),

@@ -30,6 +30,34 @@ fn warned(result: &Value, of: &str) -> bool {
     warnings.iter().any(|w| w.as_str().unwrap().contains(of))
 }
 
+/// The dark of the captures, which are long exposures, is not that of the frames.
+#[test]
+fn the_dark_of_the_frames_stays_in_the_experiment() {
+    let lab = Lab::empty();
+    let light = grains(3);
+    lab.image("psf-dark.png", 96, 90, |_, _| 100.0);
+    lab.image("point.png", 96, 90, |y, x| {
+        (100.0 + 2.0 * light(y, x)).round()
+    });
+    let camera = common::CAMERA
+        .replace("rows = 12", "rows = 96")
+        .replace("columns = 10", "columns = 90");
+    for (calibration, expected) in [
+        ("[calibration]\ndark = \"frames-dark.npy\"\n", true),
+        ("", false),
+    ] {
+        lab.image("frames-dark.npy", 96, 90, |_, _| 7.0);
+        lab.experiment(&format!("{camera}{calibration}"));
+        calibrated(
+            &lab,
+            "point.png --dark psf-dark.png --experiment experiment.toml",
+        );
+        let written = String::from_utf8(lab.read("out/experiment.toml")).unwrap();
+        assert!(!written.contains("psf-dark"), "{written}");
+        assert_eq!(written.contains("frames-dark.npy"), expected, "{written}");
+    }
+}
+
 #[test]
 fn ground_glass_has_its_contrast_and_only_1500_grit_a_core() {
     let Some(data) = shared("speckle-grits") else {

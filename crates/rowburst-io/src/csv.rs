@@ -1,10 +1,9 @@
 //! Tables of numbers as text: signals of a photodiode, traces.
 
 use crate::fault;
-use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::traces::Photodiode;
-use rowburst::{Error, Result};
+use rowburst::{Error, ErrorKind, Result};
 use std::io::Write;
 use std::path::Path;
 

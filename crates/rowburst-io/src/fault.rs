@@ -1,10 +1,8 @@
 //! What an [`io::Error`] means for the user.
 
-use rowburst::Error;
 use rowburst::ErrorKind as Kind;
-use rowburst::error::Subject;
-use rowburst::error::With;
-use rowburst::{Parameter, phrase};
+use rowburst::error::{Subject, With};
+use rowburst::{Error, Parameter, phrase};
 use std::io::{self, ErrorKind};
 use std::path::Path;
 

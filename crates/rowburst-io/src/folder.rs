@@ -2,8 +2,7 @@
 
 use crate::fault;
 use rowburst::error::With;
-use rowburst::{Cancel, Error, Result};
-use rowburst::{Parameter, phrase};
+use rowburst::{Cancel, Error, Parameter, Result, phrase};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};

@@ -10,8 +10,7 @@ use crate::folder::OutputFolder;
 use crate::npy::write_npy_video;
 use crate::read::read_stack;
 use rowburst::error::Tool;
-use rowburst::phrase;
-use rowburst::{Error, PatchSet, Psf, Result, Shape, Video};
+use rowburst::{Error, PatchSet, Psf, Result, Shape, Video, phrase};
 use std::path::Path;
 
 /// Whether `path` names a patch set and not an image.

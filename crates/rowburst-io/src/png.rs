@@ -4,9 +4,8 @@ use crate::fault;
 use crate::pages::{Pages, SampleFormat};
 use crate::source::Source;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
-use rowburst::ErrorKind;
 use rowburst::error::Subject;
-use rowburst::{Error, Result};
+use rowburst::{Error, ErrorKind, Result};
 use std::io::{BufRead, Seek, Write};
 
 /// Reads one image; grey below 8 bits is stretched to 8.

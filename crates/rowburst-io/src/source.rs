@@ -1,9 +1,8 @@
 //! The file that is being read: where it is, what format it has, and the words of its errors.
 
 use crate::fault;
-use rowburst::ErrorKind;
 use rowburst::error::Phrase;
-use rowburst::{Error, Result};
+use rowburst::{Error, ErrorKind, Result};
 use std::fmt::Display;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};

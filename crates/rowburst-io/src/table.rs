@@ -3,8 +3,7 @@
 use crate::keys::{Key, Kind, Section};
 use rowburst::camera::MAX_SIDE;
 use rowburst::error::Subject;
-use rowburst::{Error, Result};
-use rowburst::{ErrorKind, Parameter};
+use rowburst::{Error, ErrorKind, Parameter, Result};
 use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};

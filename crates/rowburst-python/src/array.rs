@@ -7,8 +7,7 @@ use numpy::{
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use rowburst::ErrorKind;
-use rowburst::{Error, Image, Shape, Video};
+use rowburst::{Error, ErrorKind, Image, Shape, Video};
 use rowburst_io::{Capture, SampleFormat, read_image, read_video};
 use std::path::PathBuf;
 

@@ -7,13 +7,12 @@ use crate::log;
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
 use crate::task::{corrections_of, options_from, self_calibration_from};
-use crate::threads::{self, detached};
+use crate::threads::{self, Threads, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
-use rowburst::Parameter;
-use rowburst::Result;
 use rowburst::reconstruct::Options;
+use rowburst::{Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
     load_batch, name_correction_file,
@@ -212,8 +211,8 @@ impl PyBatch {
             let error = rowburst::Error::input(Parameter::Frames, bad, rule, "Count them from 0.");
             return Err(to_py_err(error));
         }
-        let pool = threads::start()?;
-        let threads = threads.unwrap_or_else(|| pool.current_num_threads());
+        threads::check_process()?;
+        let threads = threads.unwrap_or_else(threads::threads);
         let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |stop| -> Result<()> {
             let Some(prior) = self.batch.prior(stop, &|_| ())? else {
@@ -288,7 +287,7 @@ fn interruptibly<T: Send>(
 ) -> PyResult<T> {
     /// Between two looks for Ctrl-C.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
-    let pool = threads::start()?;
+    let pool = Threads::borrow(None)?;
     log::begin(py)?;
     let stop = AtomicBool::new(false);
     let mut interruption = None;

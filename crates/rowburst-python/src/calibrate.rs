@@ -10,10 +10,9 @@ use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
-use rowburst::ErrorKind;
 use rowburst::calibrate::psf::NamedCapture;
 use rowburst::calibrate::timing::{Extension, Lamp, Waveform};
-use rowburst::{Error, Image, Parameter};
+use rowburst::{Error, ErrorKind, Image, Parameter};
 use rowburst_io::{OutputFolder, read_colour_image};
 use rowburst_run::calibrate::psf::{
     CaptureGroup, PsfCalibration, PsfFolder, PsfInputs, read_captures,
@@ -255,7 +254,6 @@ impl PyPsfCalibration {
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let beside = PsfFolder {
             experiment: None,
-            dark: None,
             field: None,
             reproduce: None,
         };

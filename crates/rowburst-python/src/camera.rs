@@ -5,10 +5,9 @@ use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
-use rowburst::ErrorKind;
 use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
-use rowburst::{Camera, Error, Parameter, Sensor, Shutter};
+use rowburst::{Camera, Error, ErrorKind, Parameter, Sensor, Shutter};
 use rowburst_io::Experiment;
 use std::path::PathBuf;
 

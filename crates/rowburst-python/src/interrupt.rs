@@ -6,13 +6,12 @@
 
 use crate::error::to_py_err;
 use crate::log;
-use crate::threads;
+use crate::threads::Threads;
 use pyo3::prelude::*;
-use rayon::ThreadPool;
 use rowburst::{Cancel, Error, Parameter};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -71,23 +70,17 @@ impl<P, T> Reporter<P, T> {
 /// A progress function: its answer, or the exception that it raised.
 pub type OnProgress<'f, P> = &'f dyn Fn(Python<'_>, P) -> PyResult<Answer>;
 
-/// Does `work` without the interpreter's lock, on the threads of `pool` or of this process.
+/// Does `work` without the interpreter's lock, on `threads` threads; `None`: as many as the process has.
 ///
 /// # Errors
-/// Ctrl-C, an exception of `on_progress`, and those of [`threads::start`].
+/// Ctrl-C, an exception of `on_progress`, and those of [`Threads::borrow`].
 pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     py: Python<'_>,
-    pool: Option<Arc<ThreadPool>>,
+    threads: Option<usize>,
     on_progress: Option<OnProgress<'_, P>>,
     work: impl FnOnce(&Reporter<P, T>) -> T + Send + 'static,
 ) -> PyResult<T> {
-    let pool = match pool {
-        Some(pool) => {
-            threads::start()?;
-            pool
-        }
-        None => threads::start()?,
-    };
+    let threads = Threads::borrow(threads)?;
     log::begin(py)?;
     let cancel = Cancel::default();
     let (messages, inbox) = sync_channel(0);
@@ -107,7 +100,7 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     let result = reporter.messages.clone();
     let job = move || {
         let done = catch_unwind(AssertUnwindSafe(move || {
-            pool.install(move || work(&reporter))
+            threads.install(move || work(&reporter))
         }));
         // Where nobody waits any more, the result is dropped.
         let _ = result.send(Message::Done(done));

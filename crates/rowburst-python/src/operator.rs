@@ -11,12 +11,11 @@ use crate::threads::detached;
 use numpy::{Element, PyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
-use rayon::ThreadPool;
 use rowburst::linop::{LinearOperator, Scalar};
 use rowburst::reconstruct::{DataStep, Model};
 use rowburst::{Camera, Error, Parameter, PatchSet, RollingShutter};
 use rowburst_run::Setup;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Whether the blocks of `A Aᵀ` are computed with a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,11 +32,11 @@ pub fn model_of(
     py: Python<'_>,
     camera: &Camera,
     psfs: &PatchSet,
-    pool: Option<Arc<ThreadPool>>,
+    thread_count: Option<usize>,
     gram: Gram,
 ) -> PyResult<Model> {
     let (camera, psfs) = (camera.clone(), psfs.clone());
-    interruptibly::<(), _>(py, pool, None, move |reporter| {
+    interruptibly::<(), _>(py, thread_count, None, move |reporter| {
         let model = Model::new(&camera, psfs).with_cancel(reporter.cancel());
         if gram == Gram::Cached && !reporter.is_abandoned() {
             model.with_cached_gram()

@@ -109,7 +109,7 @@ impl PyReconstruction {
         work: impl FnOnce(&CompletedTask, &mut Option<Traces>) -> T + Send,
     ) -> PyResult<T> {
         // Another thread may have held the lock when this process was forked.
-        threads::start()?;
+        threads::check_process()?;
         let mut work = Some(work);
         loop {
             let lent = self.state(py).video.as_ref().map(|v| v.clone_ref(py));

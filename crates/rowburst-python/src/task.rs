@@ -8,11 +8,10 @@ use crate::interrupt::{Answer, OnProgress, Reporter, interruptibly};
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
-use crate::threads::pool_of;
+use crate::threads::checked_count;
 use crate::whole::{Whole, is_bool, optional};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
-use rayon::ThreadPool;
 use rowburst::error::Subject;
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
@@ -29,7 +28,6 @@ use rowburst_run::{
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// A frame, and what it is compared with.
@@ -81,7 +79,7 @@ pub fn reconstruct(
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-    let pool = pool_from(threads)?;
+    let thread_count = threads_from(threads)?;
     let inputs = FrameInputs {
         frame,
         truth,
@@ -90,7 +88,7 @@ pub fn reconstruct(
         seed,
     };
     let task = task_of(setup, &inputs)?;
-    run(py, task, None, pool, debias, progress, began)
+    run(py, task, None, thread_count, debias, progress, began)
 }
 
 /// A set-up whose operator and Gram blocks all frames share.
@@ -98,7 +96,7 @@ pub fn reconstruct(
 pub struct PyReconstructor {
     setup: Setup,
     /// The threads of these frames alone, if they have some.
-    pool: Option<Arc<ThreadPool>>,
+    thread_count: Option<usize>,
     model: Model,
 }
 
@@ -130,10 +128,14 @@ impl PyReconstructor {
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-        let pool = pool_from(threads)?;
+        let thread_count = threads_from(threads)?;
         crate::memory::check(&setup.camera)?;
-        let model = model_of(py, &setup.camera, &setup.psfs, pool.clone(), Gram::Cached)?;
-        Ok(Self { setup, pool, model })
+        let model = model_of(py, &setup.camera, &setup.psfs, thread_count, Gram::Cached)?;
+        Ok(Self {
+            setup,
+            thread_count,
+            model,
+        })
     }
 
     /// The video of a frame.
@@ -161,7 +163,7 @@ impl PyReconstructor {
         let model = Some(self.model.clone());
         let began = Instant::now();
         let task = task_of(self.setup.clone(), &inputs)?;
-        run(py, task, model, self.pool.clone(), debias, progress, began)
+        run(py, task, model, self.thread_count, debias, progress, began)
     }
 }
 
@@ -185,8 +187,8 @@ pub fn setup_of(
 }
 
 /// The threads of a caller alone, if it asks for some.
-fn pool_from(threads: Option<Whole>) -> PyResult<Option<Arc<ThreadPool>>> {
-    optional(threads, "threads")?.map(pool_of).transpose()
+fn threads_from(threads: Option<Whole>) -> PyResult<Option<usize>> {
+    optional(threads, "threads")?.map(checked_count).transpose()
 }
 
 /// A frame of `setup` as a task.
@@ -211,12 +213,12 @@ fn run(
     py: Python<'_>,
     task: Task,
     model: Option<Model>,
-    pool: Option<Arc<ThreadPool>>,
+    thread_count: Option<usize>,
     debias: bool,
     progress: Option<Py<PyAny>>,
     began: Instant,
 ) -> PyResult<PyReconstruction> {
-    observed(py, pool, progress, began, move |watch| {
+    observed(py, thread_count, progress, began, move |watch| {
         let task = Task {
             cancel: watch.reporter.cancel().clone(),
             ..task
@@ -275,7 +277,7 @@ impl<T> Watch<'_, T> {
 /// Does `work` on a thread of its own, and shows its iterations to `progress`.
 fn observed<T: Send + 'static>(
     py: Python<'_>,
-    pool: Option<Arc<ThreadPool>>,
+    thread_count: Option<usize>,
     progress: Option<Py<PyAny>>,
     began: Instant,
     work: impl FnOnce(&Watch<Result<T>>) -> Result<T> + Send + 'static,
@@ -289,7 +291,7 @@ fn observed<T: Send + 'static>(
         Some(_) => Some(&call),
         None => None,
     };
-    let done = interruptibly(py, pool, on_progress, move |reporter| {
+    let done = interruptibly(py, thread_count, on_progress, move |reporter| {
         work(&Watch { reporter, began })
     })?;
     done.map_err(to_py_err)
@@ -480,9 +482,9 @@ pub fn _reconstruct_colour<'py>(
         debias,
     };
     task.check().map_err(to_py_err)?;
-    crate::memory::check(&task.setup.camera)?;
-    let pool = pool_from(threads)?;
-    let planes = observed(py, pool, progress, began, move |watch| {
+    crate::memory::check(&task.first_plane().map_err(to_py_err)?)?;
+    let thread_count = threads_from(threads)?;
+    let planes = observed(py, thread_count, progress, began, move |watch| {
         task.setup.cancel = watch.reporter.cancel().clone();
         let mut planes = Vec::new();
         task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
@@ -551,8 +553,8 @@ pub fn _reconstruct_chunked(
     };
     let task = setup.task(&frame, bins).map_err(to_py_err)?;
     let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
-    let pool = pool_from(threads)?;
-    let artifacts = observed(py, pool, progress, began, move |watch| {
+    let thread_count = threads_from(threads)?;
+    let artifacts = observed(py, thread_count, progress, began, move |watch| {
         let task = Task {
             cancel: watch.reporter.cancel().clone(),
             ..task

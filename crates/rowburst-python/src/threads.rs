@@ -1,7 +1,7 @@
 //! The threads of this process: started by the first computation, and absent after a fork.
 //!
-//! A fork copies the memory of a process and only the thread that called it. Rayon's pool then exists
-//! without its threads, and waits for them for ever; so the process that started them is recorded.
+//! A fork copies the memory of a process and only the thread that called it. Rayon's pools then exist without their
+//! threads, and would never answer; so the process that started them is recorded.
 
 use crate::error::{WorkError, to_py_err};
 use crate::log;
@@ -9,65 +9,103 @@ use pyo3::prelude::*;
 use rayon::ThreadPool;
 use rowburst::{Error, Parameter};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// The process that started the threads; 0 before they are started.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 /// Number of threads to start; 0 for rayon's default.
 static REQUESTED: AtomicUsize = AtomicUsize::new(0);
-/// The started pool, or why it could not be started. It is not rayon's global one, which other libraries may use.
-static POOL: OnceLock<Result<Arc<ThreadPool>, String>> = OnceLock::new();
+/// Number of threads of a call that does not choose its own, once some are started.
+static STARTED: OnceLock<usize> = OnceLock::new();
+/// Pools that no call uses. They are not rayon's global one, which other libraries may use.
+static IDLE: Mutex<Vec<ThreadPool>> = Mutex::new(Vec::new());
+/// Most pools that are kept.
+const MAX_IDLE: usize = 8;
 
-/// Runs `work` on the threads of this process, without the interpreter's lock.
+/// The threads of one call. Each call has a pool of its own: in a shared one a thread that waits could begin another
+/// call, and wait for a lock that it holds itself.
+pub struct Threads(Option<ThreadPool>);
+
+impl Threads {
+    /// Idle threads of this process, or new ones; `None`: as many as [`set_threads`] says.
+    ///
+    /// # Errors
+    /// A process that was forked after threads were started, or threads that the system refuses.
+    pub fn borrow(count: Option<usize>) -> PyResult<Self> {
+        check_process()?;
+        let count = count.or_else(|| STARTED.get().copied());
+        let mut idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner);
+        let same = |pool: &ThreadPool| Some(pool.current_num_threads()) == count;
+        if let Some(at) = idle.iter().position(same) {
+            return Ok(Self(Some(idle.swap_remove(at))));
+        }
+        drop(idle);
+        let requested = count.unwrap_or_else(|| REQUESTED.load(Ordering::Relaxed));
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(requested);
+        let pool = pool.build().map_err(|reason| {
+            let remedy = "Give a smaller number, or call rowburst.set_threads with one first.";
+            to_py_err(Error::work(Parameter::Threads, reason, remedy))
+        })?;
+        if count.is_none() {
+            STARTED.get_or_init(|| pool.current_num_threads());
+        }
+        Ok(Self(Some(pool)))
+    }
+
+    /// Runs `work` on these threads.
+    pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.0
+            .as_ref()
+            .expect("it is there until the drop")
+            .install(work)
+    }
+}
+
+impl Drop for Threads {
+    fn drop(&mut self) {
+        let mut idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner);
+        if idle.len() < MAX_IDLE {
+            idle.extend(self.0.take());
+        }
+    }
+}
+
+/// Runs `work` on threads of this process, without the interpreter's lock.
 ///
 /// # Errors
-/// A process that was forked after the threads were started.
+/// Those of [`Threads::borrow`].
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
-    let pool = start()?;
+    let threads = Threads::borrow(None)?;
     log::begin(py)?;
-    let done = py.detach(|| pool.install(work));
+    let done = py.detach(|| threads.install(work));
     log::flush(py)?;
     Ok(done)
 }
 
-/// The threads of this process. They are started if they do not run yet.
+/// Checks that threads of this process can run.
 ///
 /// # Errors
-/// A process that was forked after the threads were started, or threads that the system refuses.
-pub fn start() -> PyResult<Arc<ThreadPool>> {
+/// A process that was forked after threads were started.
+pub fn check_process() -> PyResult<()> {
     let here = std::process::id();
     let owner = OWNER.compare_exchange(0, here, Ordering::AcqRel, Ordering::Acquire);
     if owner.is_err_and(|owner| owner != here) {
         return Err(forked());
     }
-    let pool = POOL.get_or_init(|| {
-        let threads = REQUESTED.load(Ordering::Relaxed);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        pool.build()
-            .map(Arc::new)
-            .map_err(|error| error.to_string())
-    });
-    pool.clone().map_err(|reason| {
-        let remedy = "Call rowburst.set_threads with a smaller number before anything is computed.";
-        to_py_err(Error::work(Parameter::Threads, reason, remedy))
-    })
+    Ok(())
 }
 
-/// Threads for one caller alone.
+/// Checks the number of threads of a call.
 ///
 /// # Errors
-/// No thread, or more than the system allows.
-pub fn pool_of(threads: usize) -> PyResult<Arc<ThreadPool>> {
+/// No thread.
+pub fn checked_count(threads: usize) -> PyResult<usize> {
     if threads == 0 {
         let rule = "there is at least one";
         let error = Error::input(Parameter::Threads, 0, rule, "Leave it out for all threads.");
         return Err(to_py_err(error));
     }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map(Arc::new).map_err(|reason| {
-        let remedy = "Give a smaller number.";
-        to_py_err(Error::work(Parameter::Threads, reason, remedy))
-    })
+    Ok(threads)
 }
 
 /// The error of a process whose threads stayed in its parent.
@@ -113,10 +151,9 @@ pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
     )))
 }
 
-/// Number of threads that run.
+/// Number of threads of a call, once some are started.
 fn running_threads() -> usize {
-    let pool = POOL.get().and_then(|pool| pool.as_ref().ok());
-    pool.map_or(0, |pool| pool.current_num_threads())
+    STARTED.get().copied().unwrap_or_else(expected_threads)
 }
 
 /// Number of threads that computations use.
@@ -125,7 +162,11 @@ pub fn threads() -> usize {
     if OWNER.load(Ordering::Acquire) == std::process::id() {
         return running_threads();
     }
-    // As rayon counts, without starting the threads.
+    expected_threads()
+}
+
+/// Number of threads as rayon counts, without starting them.
+fn expected_threads() -> usize {
     let requested = Some(REQUESTED.load(Ordering::Relaxed));
     let variable = || std::env::var("RAYON_NUM_THREADS").ok()?.parse().ok();
     let cores = || std::thread::available_parallelism().map_or(1, usize::from);

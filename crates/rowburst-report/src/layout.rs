@@ -2,8 +2,7 @@
 
 use crate::figure::{Anchor, Figure};
 use crate::{ReportInput, check, figures};
-use rowburst::phrase;
-use rowburst::{Error, Parameter, Result};
+use rowburst::{Error, Parameter, Result, phrase};
 
 /// What stands where.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -107,6 +107,14 @@ impl ColourTask {
         Ok(())
     }
 
+    /// The camera of a plane. All planes have its size, and one is in memory at a time.
+    ///
+    /// # Errors
+    /// Those of [`plane_camera`].
+    pub fn first_plane(&self) -> Result<Camera> {
+        Ok(plane_camera(&self.setup.camera, self.mosaic.sites()[0])?.camera)
+    }
+
     /// Reconstructs the planes one after another and gives each to `finish`. Green comes first, since it has half of the
     /// pixels: the prior is chosen on it, for all.
     ///

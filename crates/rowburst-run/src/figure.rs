@@ -3,9 +3,8 @@
 use crate::completed_task::CompletedTask;
 use crate::traces::Traces;
 use rowburst::error::{Subject, Tool};
-use rowburst::phrase;
 use rowburst::traces::{Region, Trace, frequency_of};
-use rowburst::{Error, Image, Result, TimeGrid, Video};
+use rowburst::{Error, Image, Result, TimeGrid, Video, phrase};
 use rowburst_io::{read_image, read_video};
 use rowburst_report::{
     AlignedSignal, AnnotatedTrace, ComposedFigure, Direct, DirectOrigin, Layout, ReportInput,

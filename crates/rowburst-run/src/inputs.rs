@@ -1,10 +1,8 @@
 //! Reads the files of an experiment: frames, corrections, PSFs and true videos.
 
-use rowburst::ErrorKind;
 use rowburst::error::Subject;
 use rowburst::measurement::Corrections;
-use rowburst::{Camera, Error, Image, PatchSet, Psf, Result, Video};
-use rowburst::{Parameter, phrase};
+use rowburst::{Camera, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, Video, phrase};
 use rowburst_io::{
     Calibration, Capture, Experiment, SampleFormat, is_patch_set, read_image, read_patch_set,
     read_video,

@@ -103,7 +103,7 @@ impl Request {
                 debias: params.debias,
             };
             task.check()?;
-            check_memory(&experiment.path, &task.setup.camera)?;
+            check_memory(&experiment.path, &task.first_plane()?)?;
             return Ok(Self::Colour(Box::new(task)));
         }
         let mut task = setup.task(&frame, params.bins)?;

@@ -5,14 +5,13 @@
 
 use crate::format::short;
 use rowburst::measurement::Measurement;
-use rowburst::phrase;
 use rowburst::reconstruct::Reconstruction;
 use rowburst::traces::{
     Alignment, Frequency, Photodiode, Refit, RefitInput, Region, Trace, brightest_regions,
     frequency_of,
 };
 use rowburst::{
-    Camera, Error, Parameter, PatchSet, Result, RollingShutter, Shape, TimeGrid, Video,
+    Camera, Error, Parameter, PatchSet, Result, RollingShutter, Shape, TimeGrid, Video, phrase,
 };
 use rowburst_io::{OutputFolder, read_photodiode, write_csv};
 use rowburst_report::{AlignedSignal, AnnotatedTrace};

@@ -1,7 +1,6 @@
 //! A video that is read bin by bin, as 16-bit numbers with their scale.
 
-use rowburst::ErrorKind;
-use rowburst::{Error, Result, Video};
+use rowburst::{Error, ErrorKind, Result, Video};
 use rowburst_io::{Frames, open_recording};
 use std::path::Path;
 

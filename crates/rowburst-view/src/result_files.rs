@@ -5,10 +5,8 @@
 //! numbers.
 
 use crate::array::Array;
-use rowburst::error::Tool;
-use rowburst::error::With;
-use rowburst::{Error, Result};
-use rowburst::{Parameter, phrase};
+use rowburst::error::{Tool, With};
+use rowburst::{Error, Parameter, Result, phrase};
 use rowburst_io::read_image;
 use serde_json::{Map, Value, json};
 use std::fs;

@@ -2,10 +2,8 @@
 
 use crate::Scratch;
 use crate::store::AtomicStore;
-use rowburst::error::Phrase;
-use rowburst::error::With;
-use rowburst::{Error, Result};
-use rowburst::{Parameter, phrase};
+use rowburst::error::{Phrase, With};
+use rowburst::{Error, Parameter, Result, phrase};
 use rowburst_io::write_error;
 use serde_json::{Value, json};
 use std::ops::Range;

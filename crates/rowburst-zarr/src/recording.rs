@@ -1,8 +1,7 @@
 //! A Zarr array `[frame, y, x]` as a recording.
 
-use rowburst::ErrorKind;
 use rowburst::error::Subject;
-use rowburst::{Error, Image, Result};
+use rowburst::{Error, ErrorKind, Image, Result};
 use rowburst_io::{Capture, Frames, SampleFormat};
 use serde_json::Value;
 use std::path::{Path, PathBuf};

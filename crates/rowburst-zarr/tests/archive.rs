@@ -143,7 +143,7 @@ fn recordings_of_version_2_are_read_frame_by_frame() {
     let frames = open_zarr_recording(&path).unwrap();
     assert_eq!(frames.read(1).unwrap().image.data()[0], 106.0);
     let message = frames.read(2).err().unwrap().to_string();
-    assert!(message.contains("a.zarr[2]"), "{message}");
+    assert!(message.contains("a.zarr: frame 2"), "{message}");
 }
 
 #[test]

@@ -11,10 +11,10 @@
 //! row parities are a row time apart; a dual shutter whose halves meet in different parities gives
 //! every plane a row in each instant, and nothing is lost in time.
 
-use crate::ErrorKind;
 use crate::camera::CameraParams;
-use crate::phrase;
-use crate::{Camera, Error, Image, Parameter, PatchSet, Psf, Result, Sensor, Shutter};
+use crate::{
+    Camera, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, Sensor, Shutter, phrase,
+};
 
 /// Which colour stands where in a cell of 2×2 pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

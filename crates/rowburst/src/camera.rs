@@ -1,8 +1,7 @@
 //! The camera: its readout order, the time grid, the field, and the calibration of its counts.
 
 use crate::error::Phrase;
-use crate::{Error, Result, Shape, Shutter, TimeGrid};
-use crate::{Parameter, phrase};
+use crate::{Error, Parameter, Result, Shape, Shutter, TimeGrid, phrase};
 use std::ops::Range;
 
 /// A rolling-shutter camera and the field that is reconstructed from its frames.

@@ -1,7 +1,6 @@
 //! A two-dimensional array of f32.
 
-use crate::ErrorKind;
-use crate::{Error, Parameter, Result};
+use crate::{Error, ErrorKind, Parameter, Result};
 
 /// An image `[y, x]` in C order: a frame, a PSF, a map.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,9 +9,7 @@ mod noise_model;
 
 pub use noise_model::NoiseModel;
 
-use crate::ErrorKind;
-use crate::phrase;
-use crate::{Camera, Error, Image, Parameter, Result};
+use crate::{Camera, Error, ErrorKind, Image, Parameter, Result, phrase};
 use std::borrow::Cow;
 use tracing::info;
 
@@ -549,7 +547,8 @@ fn check_light(image: &Image) -> Result<()> {
             found,
             "a frame holds a speckle pattern",
             remedy,
-        ));
+        )
+        .with_kind(ErrorKind::NoSignal));
     }
     Ok(())
 }

@@ -18,8 +18,7 @@
 //!
 //! Reference: J. R. Janesick, Photon Transfer (SPIE 2007), chapter 3.
 
-use crate::ErrorKind;
-use crate::{Error, Image, Parameter, Result, Sensor};
+use crate::{Error, ErrorKind, Image, Parameter, Result, Sensor};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use rand_pcg::Pcg64;

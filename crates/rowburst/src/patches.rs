@@ -6,8 +6,7 @@
 //! (Eq. 1) becomes `I = Σ_c (a_c O) ⊛ p_c`.
 
 use crate::error::Tool;
-use crate::phrase;
-use crate::{Error, Parameter, Psf, Result};
+use crate::{Error, Parameter, Psf, Result, phrase};
 
 /// PSFs with the places that they were recorded at.
 #[derive(Debug, Clone, PartialEq)]

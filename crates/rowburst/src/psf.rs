@@ -1,7 +1,6 @@
 //! The point-spread function.
 
-use crate::ErrorKind;
-use crate::{Error, Image, Parameter, Result};
+use crate::{Error, ErrorKind, Image, Parameter, Result};
 use std::sync::Arc;
 
 /// Largest distance from 1 of the sum of a stored PSF; larger admits PSFs that were never normalized.

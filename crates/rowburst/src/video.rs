@@ -1,7 +1,6 @@
 //! The reconstructed or simulated video.
 
-use crate::ErrorKind;
-use crate::{Error, Parameter, Result, Shape};
+use crate::{Error, ErrorKind, Parameter, Result, Shape};
 
 /// A video `[t, y, x]` in C order, in the units of the frame per unit of PSF sum.
 #[derive(Debug, Clone, PartialEq)]

@@ -10,8 +10,9 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from . import _rowburst
+from ._errors import input_error
 from ._reconstruct import _settings
-from ._rowburst import Camera, Experiment, InputError, Psf, _Batch, __version__
+from ._rowburst import Camera, Experiment, Psf, _Batch, __version__
 
 
 def batch(
@@ -80,7 +81,7 @@ def batch(
     (2, 0)
     """
     if threads is not None and threads < 1:
-        raise InputError(f"threads: found {threads}; there is at least one. Leave it out for all.")
+        raise input_error("threads", threads, "there is at least one", "Leave it out for all.")
     if isinstance(camera, (str, PathLike)):
         camera = Experiment(camera, frames if isinstance(frames, (str, PathLike)) else None)
     if isinstance(camera, Experiment) and frame_period_us is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from ._rowburst import InputError
+from ._errors import input_error
 
 # Name of the module: name on PyPI.
 _PACKAGES = {"matplotlib": "matplotlib", "xarray": "xarray", "tifffile": "tifffile", "torch": "torch", "deepinv": "deepinv"}
@@ -17,7 +17,5 @@ def need(module: str, caller: str) -> Any:
         return import_module(module)
     except ImportError as error:
         package = _PACKAGES.get(module.split(".")[0], module)
-        raise InputError(
-            f"{caller}: found no {package}; it needs this package, which rowburst does not install. "
-            f"Install it: pip install {package}"
-        ) from error
+        rule = "it needs this package, which rowburst does not install"
+        raise input_error(caller, f"no {package}", rule, f"Install it: pip install {package}", kind="missing") from error

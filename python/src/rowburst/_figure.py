@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from ._rowburst import InputError
+from ._errors import input_error
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,7 +26,7 @@ class Figure:
         elif target.suffix.lower() == ".png":
             target.write_bytes(self.png)
         else:
-            raise InputError(f"path: found {str(path)!r}; a figure is an .svg or a .png file. Give the file one of these endings.")
+            raise input_error("path", repr(str(path)), "a figure is an .svg or a .png file", "Give the file one of these endings.")
         return target
 
     def __repr__(self) -> str:

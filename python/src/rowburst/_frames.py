@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _rowburst
+from ._errors import input_error
 from ._extras import need
-from ._rowburst import InputError
 
 _TIFF = (".tif", ".tiff", ".btf", ".tf8")
 
@@ -55,23 +55,23 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
 def _channel(path: Path, channel: int) -> NDArray[Any]:
     """One channel of a TIFF stack, in the order of time."""
     if not path.name.lower().endswith(_TIFF):
-        raise InputError(f"{path}: found channel={channel}; only TIFF stacks have channels here. Leave it out.")
+        raise input_error("channel", channel, f"only TIFF stacks have channels here, not {path}", "Leave it out.")
     tifffile = need("tifffile", "read_frames(channel=)")
     try:
         with tifffile.TiffFile(path) as file:
             series = file.series[0]
             axes, array = series.axes, series.asarray()
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: found a file that tifffile cannot read ({error}). Save or copy it again.") from error
+        found = f"a file that tifffile cannot read ({error})"
+        raise input_error(path, found, "a TIFF stack is needed", "Save or copy it again.", kind="unreadable") from error
     channels = dict(zip(axes, array.shape, strict=True)).get("C", 1)
     if not 0 <= channel < channels:
-        raise InputError(f"channel: found {channel}; {path} has {channels} channels, counted from 0. Give one of them.")
+        raise input_error("channel", channel, f"{path} has {channels} channels, counted from 0", "Give one of them.")
     if "C" in axes:
         array = np.take(array, channel, axis=axes.index("C"))
         axes = axes.replace("C", "")
     if array.ndim > 3 or not axes.endswith("YX"):
-        raise InputError(
-            f"{path}: found the axes {axes}; the frames of a recording have one channel and one depth. "
-            "Save the part that you mean as a file of its own."
-        )
+        rule = "the frames of a recording have one channel and one depth"
+        remedy = "Save the part that you mean as a file of its own."
+        raise input_error(path, f"the axes {axes}", rule, remedy, kind="shape")
     return np.ascontiguousarray(array.reshape(-1, *array.shape[-2:]))

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from . import _rowburst
 from ._display import result_html
+from ._errors import input_error
 from ._figure import Figure, save_figure
 from ._reconstruct import Trace
-from ._rowburst import InputError
 from ._video import VideoResult
 from ._view import View
 
@@ -28,10 +28,9 @@ class SavedResult(VideoResult):
     def __init__(self, folder: str | PathLike[str]) -> None:
         self.folder = Path(folder)
         if not (self.folder / "result.json").is_file():
-            raise InputError(
-                f"{self.folder}: found no result.json; a result is a folder that Result.save or `rowburst reconstruct` has "
-                "written whole. Check the path, or run the reconstruction again."
-            )
+            rule = "a result is a folder that Result.save or `rowburst reconstruct` has written whole"
+            remedy = "Check the path, or run the reconstruction again."
+            raise input_error(self.folder, "no result.json", rule, remedy, kind="missing")
         self._numbers: dict[str, Any] = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
         self._arrays: dict[str, NDArray[Any]] = {}
 
@@ -40,10 +39,9 @@ class SavedResult(VideoResult):
             try:
                 self._arrays[name] = np.load(self.folder / name, mmap_mode="r")
             except (OSError, ValueError) as error:
-                raise InputError(
-                    f"{self.folder / name}: found a file that cannot be read ({error}); a whole result has it. "
-                    "Run the reconstruction again."
-                ) from error
+                found = f"a file that cannot be read ({error})"
+                remedy = "Run the reconstruction again."
+                raise input_error(self.folder / name, found, "a whole result has it", remedy, kind="unreadable") from error
         return self._arrays[name]
 
     def _optional(self, name: str) -> NDArray[Any] | None:

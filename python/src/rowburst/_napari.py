@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import _load, _reconstruct, _rowburst
+from ._errors import input_error
 from ._extras import need
 
 if TYPE_CHECKING:
@@ -89,10 +90,9 @@ def reconstruct_frame(
     elif "rowburst_camera" in metadata:
         camera, psf = metadata["rowburst_camera"], metadata["rowburst_psf"]
     else:
-        raise _rowburst.InputError(
-            f"experiment: found {str(experiment)!r}; an experiment file says camera and PSF. "
-            "Choose an experiment file, as `rowburst init` writes it."
-        )
+        rule = "an experiment file says camera and PSF"
+        remedy = "Choose an experiment file, as `rowburst init` writes it."
+        raise input_error("experiment", repr(str(experiment)), rule, remedy, kind="missing")
     result = _reconstruct.reconstruct(np.asarray(frame), camera, psf, prior=prior or None)
     return _video_layer(result, f"{name}: video, the fit is {result.fit}")
 

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
 from ._display import result_html
+from ._errors import input_error
 from ._figure import Figure, save_figure
-from ._rowburst import Camera, Experiment, InputError, Progress, Psf
+from ._rowburst import Camera, Experiment, Progress, Psf
 from ._video import VideoResult
 from ._view import View
 
@@ -337,10 +338,9 @@ def _region_text(region: object) -> str:
             return ",".join(map(str, whole))
     except (TypeError, ValueError, OverflowError):
         pass
-    raise InputError(
-        f"regions: found {region!r}; a region is (y, x) or (y, x, rows, columns) in whole numbers from 0. "
-        "Give a list of regions, such as [(40, 52)]; round positions that are not whole."
-    )
+    rule = "a region is (y, x) or (y, x, rows, columns) in whole numbers from 0"
+    remedy = "Give a list of regions, such as [(40, 52)]; round positions that are not whole."
+    raise input_error("regions", repr(region), rule, remedy)
 
 
 class _Bar:
@@ -350,10 +350,9 @@ class _Bar:
         try:
             from tqdm.auto import tqdm
         except ImportError as error:
-            raise InputError(
-                "progress: found True; the bar needs tqdm, which is not installed. "
-                "Install it: pip install tqdm, or give a function that is called with a rowburst.Progress."
-            ) from error
+            rule = "the bar needs tqdm, which is not installed"
+            remedy = "Install it: pip install tqdm, or give a function that is called with a rowburst.Progress."
+            raise input_error("progress", "True", rule, remedy, kind="missing") from error
         self.bar = tqdm(unit="iteration", leave=False)
 
     def __call__(self, progress: Progress) -> None:
@@ -374,10 +373,8 @@ def _callback(progress: object) -> tuple[_Bar | None, Callable[[Progress], objec
     if isinstance(progress, (bool, np.bool_)):
         bar = _Bar() if progress else None
         return bar, bar
-    raise InputError(
-        f"progress: found {progress!r}; it is True for a tqdm bar, or a function of a rowburst.Progress. "
-        "Give progress=True, or leave it out."
-    )
+    rule = "it is True for a tqdm bar, or a function of a rowburst.Progress"
+    raise input_error("progress", repr(progress), rule, "Give progress=True, or leave it out.")
 
 
 def _settings(

@@ -11,8 +11,9 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from . import _rowburst
+from ._errors import input_error
 from ._reconstruct import Result, _callback, _settings
-from ._rowburst import Camera, Experiment, InputError, LiveView, Progress, Psf
+from ._rowburst import Camera, Experiment, LiveView, Progress, Psf
 
 
 class Reconstructor:
@@ -157,7 +158,7 @@ class Reconstructor:
         (12, 24, 30)
         """
         if workers < 1:
-            raise InputError(f"workers: found {workers}; at least one works. Leave it out.")
+            raise input_error("workers", workers, "at least one works", "Leave it out.")
         recording: Any = _rowburst._Frames(fspath(frames)) if isinstance(frames, (str, PathLike)) else frames
         return self._mapped(_each(recording), workers, debias)
 

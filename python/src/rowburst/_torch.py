@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from ._rowburst import InputError
+from ._errors import input_error
 
 if TYPE_CHECKING:
     from ._operator import RollingShutterOperator
@@ -52,10 +52,10 @@ class TorchOperator:
         """The operator or its adjoint of each array of a batch."""
         given, wanted = (self.frame_shape, self.video_shape) if is_adjoint else (self.video_shape, self.frame_shape)
         if tuple(values.shape[-len(given) :]) != given:
-            raise InputError(
-                f"{'frame' if is_adjoint else 'video'}: found a tensor of shape {tuple(values.shape)}; its last axes are {given}. "
-                "Reshape it: videos are [..., t, y, x], frames [..., y, x]."
-            )
+            tensor = f"a tensor of shape {tuple(values.shape)}"
+            remedy = "Reshape it: videos are [..., t, y, x], frames [..., y, x]."
+            subject = "frame" if is_adjoint else "video"
+            raise input_error(subject, tensor, f"its last axes are {given}", remedy, kind="shape")
         native = self.operator._native
         double = values.dtype == torch.float64
         function = (

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._errors import input_error
 from ._extras import need
-from ._rowburst import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -142,7 +142,7 @@ class VideoResult:
 
         for name, value in (("frames", frames), ("columns", 1 if columns is None else columns)):
             if value < 1:
-                raise InputError(f"{name}: found {value}; there is at least one. Leave it out.")
+                raise input_error(name, value, "there is at least one", "Leave it out.")
         return _plot.montage(self, frames, columns, cmap)
 
     def time_colour(self, ax: Axes | None = None, cmap: str = "turbo") -> Axes:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._rowburst import Camera, InputError, Psf
+from ._errors import input_error
+from ._rowburst import Camera, Psf
 
 __all__ = ["PsfCalibration", "SensorCalibration", "TimingCalibration", "psf", "sensor", "timing"]
 
@@ -201,10 +202,8 @@ def psf(
     """
     positions = None if positions_mm is None else np.asarray(positions_mm, float)
     if positions is not None and (positions.ndim != 2 or positions.shape[1] != 2):
-        raise InputError(
-            f"positions_mm: found an array of shape {positions.shape}; it is [capture, 2], a pair (y, x) for each capture. "
-            "Give a list of pairs."
-        )
+        found, rule = f"an array of shape {positions.shape}", "it is [capture, 2], a pair (y, x) for each capture"
+        raise input_error("positions_mm", found, rule, "Give a list of pairs.", kind="shape")
     native = _rowburst._PsfCalibration(
         captures,
         dark=dark,
@@ -316,10 +315,9 @@ def timing(
     if signal is not None and not isinstance(signal, (str, PathLike)):
         array = np.asarray(signal, float)
         if array.ndim != 2 or array.shape[1] != 2:
-            raise InputError(
-                f"signal: found an array of shape {array.shape}; it is [point, 2], a pair (time_us, value) for each point. "
-                "Give a list of pairs, or the name of a CSV file."
-            )
+            found, rule = f"an array of shape {array.shape}", "it is [point, 2], a pair (time_us, value) for each point"
+            remedy = "Give a list of pairs, or the name of a CSV file."
+            raise input_error("signal", found, rule, remedy, kind="shape")
         points = [(float(time), float(value)) for time, value in array]
     # A list of numbers is one frame, not a list of frames.
     if not isinstance(frames, (str, PathLike)) and not hasattr(frames, "ndim"):

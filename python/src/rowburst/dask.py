@@ -19,6 +19,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ._errors import input_error
 from ._rowburst import InputError, WorkError, _Batch, __version__
 
 if TYPE_CHECKING:
@@ -103,10 +104,8 @@ def reconstruct(
     from distributed import as_completed
 
     if threads_per_task < 1 or (frames_per_task is not None and frames_per_task < 1):
-        raise InputError(
-            f"frames_per_task: found {frames_per_task}, threads_per_task {threads_per_task}; "
-            "both are at least 1. Leave them out."
-        )
+        found = f"{frames_per_task}, threads_per_task {threads_per_task}"
+        raise input_error("frames_per_task", found, "both are at least 1", "Leave them out.")
     given = {name: value for name, value in options.items() if value is not None}
     for name in _FILES:
         if name in given:

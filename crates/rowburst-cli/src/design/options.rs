@@ -3,11 +3,10 @@
 use crate::option_names;
 use crate::shared_args::OpticsArgs;
 use clap::Args;
-use rowburst::ErrorKind;
 use rowburst::camera::CameraParams;
 use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
-use rowburst::{Camera, Error, Parameter, Result, Sensor, Shutter};
+use rowburst::{Camera, Error, ErrorKind, Parameter, Result, Sensor, Shutter};
 use rowburst_io::Experiment;
 use rowburst_run::design::{DesignInputs, checked_snrs, light_of, paper_camera};
 use std::path::PathBuf;

@@ -2,10 +2,8 @@
 
 use crate::args::InitArgs;
 use crate::output::print_line;
-use rowburst::ErrorKind;
-use rowburst::Parameter;
 use rowburst::error::Subject;
-use rowburst::{Error, Result};
+use rowburst::{Error, ErrorKind, Parameter, Result};
 use rowburst_io::OutputFolder;
 use std::path::Path;
 

@@ -5,10 +5,9 @@
 //! warning, from 1 % on where it is a measured number.
 
 use crate::metadata::Metadata;
-use rowburst::Parameter;
 use rowburst::bayer::Bayer;
 use rowburst::error::Subject;
-use rowburst::{Error, Result, Shutter};
+use rowburst::{Error, Parameter, Result, Shutter};
 use std::path::Path;
 
 /// What came from the metadata of a frame, and where it contradicts the experiment file.

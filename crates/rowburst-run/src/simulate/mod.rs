@@ -4,14 +4,15 @@ mod folder;
 
 pub use folder::{SimulationRequest, photodiode_file};
 
-use rowburst::ErrorKind;
 use rowburst::error::Place;
 use rowburst::linop::LinearOperator;
 use rowburst::noise::{Noise, SimulatedFrame};
-use rowburst::phrase;
 use rowburst::simulate::scene::{self, Led};
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
-use rowburst::{Camera, Error, Image, Parameter, PatchSet, Psf, Result, RollingShutter, Video};
+use rowburst::{
+    Camera, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, RollingShutter, Video,
+    phrase,
+};
 use rowburst_io::read_video;
 use std::path::Path;
 

@@ -12,14 +12,15 @@
 //! speckle grain (no optics tell apart what lies closer), has less than
 //! [`SparsityParams::tolerance`] of the norm of the truth.
 
-use crate::ErrorKind;
 use crate::camera::CameraParams;
 use crate::linop::LinearOperator;
 use crate::measurement::Measurement;
 use crate::noise::Noise;
-use crate::phrase;
 use crate::reconstruct::{Options, Prior, Problem};
-use crate::{Camera, Error, Image, Parameter, Psf, Result, RollingShutter, Sensor, Shutter, Video};
+use crate::{
+    Camera, Error, ErrorKind, Image, Parameter, Psf, Result, RollingShutter, Sensor, Shutter,
+    Video, phrase,
+};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::ops::ControlFlow;

@@ -75,8 +75,6 @@ parameters! {
     Experiment = "experiment",
     /// The folder or file of results.
     Output = "output",
-    /// A folder of results.
-    Result = "result",
     /// The camera.
     Camera = "camera",
     /// Rows of the sensor.
@@ -131,10 +129,6 @@ parameters! {
     SelfCalibrate = "self_calibrate",
     /// Limit of the time, in s.
     TimeBudgetS = "time_budget_s",
-    /// Uses foreign pixels as well.
-    KeepAllPixels = "keep_all_pixels",
-    /// Re-estimates the active voxels without the prior.
-    Debias = "debias",
     /// Standard errors of traces.
     StandardErrors = "standard_errors",
     /// The bins that are reconstructed.

@@ -15,13 +15,11 @@ use super::sigma::Bands;
 use super::{
     Model, Options, Prior, Problem, Reconstruction, SelfCalibration, SigmaSource, noise_of,
 };
-use crate::ErrorKind;
 use crate::forward::gram::element_bytes;
 use crate::measurement::Measurement;
-use crate::phrase;
 use crate::solve::StopReason;
 use crate::solve::admm::Progress;
-use crate::{Camera, Cancel, Error, Parameter, PatchSet, Result};
+use crate::{Camera, Cancel, Error, ErrorKind, Parameter, PatchSet, Result, phrase};
 use std::ops::{ControlFlow, Range};
 
 /// Bytes of a chunk where its size is left open; smaller makes more chunks (docs/design/008).

@@ -21,9 +21,7 @@ mod sequence;
 mod sigma;
 mod x_step;
 
-use crate::ErrorKind;
 use crate::error::Subject;
-use crate::phrase;
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
 pub use chunked::Chunked;
@@ -42,7 +40,7 @@ use crate::measurement::Measurement;
 use crate::prox::Prox;
 use crate::solve::admm::{self, Admm, Progress, Solution, TauRule, Tuning};
 use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::{Camera, Error, Image, Parameter, PatchSet, Result, Shape, Video};
+use crate::{Camera, Error, ErrorKind, Image, Parameter, PatchSet, Result, Shape, Video, phrase};
 use frame_data::FrameData;
 use sigma::Bands;
 use std::ops::ControlFlow;

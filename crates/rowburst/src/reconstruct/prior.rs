@@ -22,15 +22,13 @@
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
 use super::SolverSettings;
-use crate::ErrorKind;
 use crate::error::Phrase;
 use crate::linop::Background;
-use crate::phrase;
 use crate::prox::{
     Composite, Prox, SumPrior, TERMS, TermForm, TermSpec, Variation, VariationWeights,
 };
 use crate::solve::admm::{AdmmParams, TauRule};
-use crate::{Error, Parameter, Result, Shape};
+use crate::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 
 /// A prior: the weights of its convex terms, and whether the video is restricted to a support.
 ///

@@ -102,7 +102,8 @@ pub trait DataTerm: Send {
     }
 }
 
-/// What a solver may know of the cost of a data term. It changes no solution, only the way there.
+/// What a solver may know of the cost of a data term. It chooses constants of the iteration, and with them, where the
+/// support makes the problem non-convex, which of its solutions is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DataHints {
     /// How much a new `ρ` costs.

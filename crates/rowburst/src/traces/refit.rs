@@ -29,10 +29,9 @@
 use super::kernel::{Voxel, covariance, scales};
 use super::posterior::{Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
-use crate::ErrorKind;
 use crate::shape::InstantWeights;
 use crate::solve::admm::brightness;
-use crate::{Error, Parameter, Result, RollingShutter, Shape, Support, Video};
+use crate::{Error, ErrorKind, Parameter, Result, RollingShutter, Shape, Support, Video};
 use faer::Mat;
 use rayon::prelude::*;
 

@@ -1,7 +1,6 @@
 //! A place of the field, and its light over time.
 
-use crate::ErrorKind;
-use crate::{Error, Parameter, Result, Shape, Video};
+use crate::{Error, ErrorKind, Parameter, Result, Shape, Video};
 
 /// A rectangle of the field, in its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -1,8 +1,7 @@
 //! Where the source of each capture was.
 
-use rowburst::Parameter;
 use rowburst::error::Subject;
-use rowburst::{Error, Result};
+use rowburst::{Error, Parameter, Result};
 use rowburst_run::calibrate::psf::CaptureFile;
 use std::path::Path;
 

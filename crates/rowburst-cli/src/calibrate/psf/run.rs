@@ -25,7 +25,6 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     let reproduce = command_line(args);
     let beside = PsfFolder {
         experiment,
-        dark: args.dark.clone(),
         field: args.field,
         reproduce: Some(&reproduce),
     };

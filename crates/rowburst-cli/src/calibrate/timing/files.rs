@@ -2,10 +2,9 @@
 
 use super::TimingArgs;
 use crate::calibrate::experiment_of;
-use rowburst::ErrorKind;
 use rowburst::calibrate::timing::{Extension, Lamp, Waveform};
 use rowburst::error::Subject;
-use rowburst::{Error, Image, Result};
+use rowburst::{Error, ErrorKind, Image, Result};
 use rowburst_io::{Calibration, Experiment, read_colour_image};
 use rowburst_run::calibrate::timing::{TimingInputs, read_waveform};
 

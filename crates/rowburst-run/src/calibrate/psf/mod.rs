@@ -8,17 +8,14 @@ pub use captures::{CaptureFile, read_captures};
 pub use summary::{MemorySummary, PsfSummary, RowReach};
 
 use report::{PsfReportInput, render};
-use rowburst::ErrorKind;
-use rowburst::Parameter;
 use rowburst::calibrate::psf::{
     Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
     SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect, merge, noise_of,
     patch_set, patches_needed, row_reach, select_patches, span_px, statistics, suppress_noise,
 };
 use rowburst::error::Subject;
-use rowburst::{Error, Image, PatchSet, Psf, Result};
+use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result};
 use rowburst_io::{Experiment, OutputFolder, write_npy_image, write_patch_set};
-use std::path::PathBuf;
 use summary::{remarks, warnings};
 
 /// Standard deviations of noise above which light is light.
@@ -97,10 +94,8 @@ pub struct PsfCalibration {
 
 /// What a folder of [`PsfCalibration::write`] gets beside the PSF.
 pub struct PsfFolder<'a> {
-    /// An experiment, of which a copy with the PSF is written.
+    /// An experiment, of which a copy with the PSF is written. Its dark stays: that of the captures has their exposure.
     pub experiment: Option<Experiment>,
-    /// The dark frame that the copy names.
-    pub dark: Option<PathBuf>,
     /// The field of the copy.
     pub field: Option<(usize, usize)>,
     /// The command that repeats the calibration.
@@ -215,9 +210,6 @@ impl PsfCalibration {
                 "psf.npy"
             };
             experiment.calibration.psf = Some(folder.path().join(file));
-            if beside.dark.is_some() {
-                experiment.calibration.dark = beside.dark;
-            }
             experiment.params.sensor.binning = self.summary.binning;
             experiment.params.field = beside.field.or(experiment.params.field);
             experiment.camera()?;

@@ -3,11 +3,9 @@
 mod report;
 
 use crate::event::{Event, Observer};
-use rowburst::ErrorKind;
 use rowburst::calibrate::sensor::{FullSign, SensorCalibration, Stack, calibrate};
 use rowburst::error::Subject;
-use rowburst::{Error, Image, Result, Sensor};
-use rowburst::{Parameter, phrase};
+use rowburst::{Error, ErrorKind, Image, Parameter, Result, Sensor, phrase};
 use rowburst_io::{
     Calibration, Experiment, IMAGE_ENDINGS, OutputFolder, is_image, read_stack, write_npy_image,
     write_png8,

@@ -8,10 +8,9 @@ use report::write_report;
 
 use crate::artifacts::json_of;
 use crate::short;
-use rowburst::Parameter;
 use rowburst::calibrate::timing::{Lamp, Timing, TimingParams, calibrate};
 use rowburst::error::Subject;
-use rowburst::{Camera, Error, Image, Result, Shutter};
+use rowburst::{Camera, Error, Image, Parameter, Result, Shutter};
 use rowburst_io::{Experiment, OutputFolder, write_npy_i64};
 use serde::Serialize;
 use std::path::Path;

@@ -15,8 +15,7 @@
 use super::filter::{shifted, smoothed};
 use super::fourier::{Correlation, Spectrum};
 use super::merge::Sums;
-use crate::phrase;
-use crate::{Error, Image, Parameter, Result};
+use crate::{Error, Image, Parameter, Result, phrase};
 use rayon::prelude::*;
 
 /// A capture at a known place of the source.

@@ -7,10 +7,8 @@
 //! the rest.
 
 use super::black_level::{BlackLevel, estimate_black_level};
-use crate::ErrorKind;
 use crate::error::Subject;
-use crate::phrase;
-use crate::{Error, Image, Parameter, Result};
+use crate::{Error, ErrorKind, Image, Parameter, Result, phrase};
 
 /// One capture with the name that errors call it by.
 #[derive(Debug, Clone, PartialEq)]

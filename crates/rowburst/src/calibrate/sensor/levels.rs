@@ -3,8 +3,7 @@
 use super::stack::Stack;
 use super::stats::{mean, median};
 use crate::error::Phrase;
-use crate::phrase;
-use crate::{Error, Parameter, Result};
+use crate::{Error, Parameter, Result, phrase};
 
 /// Flats of nearly the same light.
 #[derive(Debug, Clone, PartialEq)]

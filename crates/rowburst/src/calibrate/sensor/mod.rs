@@ -23,8 +23,7 @@ pub mod stats;
 pub mod transfer;
 mod warnings;
 
-use crate::ErrorKind;
-use crate::{Error, Image, Parameter, Result};
+use crate::{Error, ErrorKind, Image, Parameter, Result};
 use levels::{Level, check_light, end_of_counts, levels, lights};
 use pixels::ROUNDING_VARIANCE;
 use rows::Banding;

@@ -1,9 +1,8 @@
 //! Lights and frames that do not tell the row time, and what to change.
 
 use super::{MIN_PERIODS, MIN_ROWS_PER_PERIOD, TimingParams, count_of, periodogram};
-use crate::ErrorKind;
 use crate::error::Subject;
-use crate::{Error, Parameter, Result};
+use crate::{Error, ErrorKind, Parameter, Result};
 
 pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
     Error::input(

@@ -1,9 +1,8 @@
 //! From frames to one number per row.
 
 use super::TimingParams;
-use crate::ErrorKind;
 use crate::error::Subject;
-use crate::{Error, Image, Parameter, Result};
+use crate::{Error, ErrorKind, Image, Parameter, Result};
 
 /// Mean of each row of each frame, over the mean of its frame.
 pub(super) struct RowSignals {

@@ -97,7 +97,7 @@ pub(super) fn choose(system: &System, precision: Precision) -> Box<dyn XStep> {
 
 /// Smallest `ρ` at which the x-step of `system` is numerically stable.
 pub(super) fn min_rho(system: &System) -> f64 {
-    // Without blocks there is no factor whose rounding could limit `ρ`.
+    // Without blocks conjugate gradients solve, whose accuracy does not depend on the rounding of a factor.
     let ratio = match system.model().gram_bytes() {
         Some(_) => system.shutter().min_rho(),
         None => MIN_RHO,

@@ -9,9 +9,8 @@
 //! ```
 
 use super::require_field_size;
-use crate::ErrorKind;
 use crate::error::Place;
-use crate::{Error, Image, Parameter, Result, Shape, Video};
+use crate::{Error, ErrorKind, Image, Parameter, Result, Shape, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

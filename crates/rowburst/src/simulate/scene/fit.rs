@@ -5,8 +5,7 @@
 //! sees). More: linear interpolation between the centres of the old samples, constant
 //! beyond the first and the last. As many: unchanged.
 
-use crate::ErrorKind;
-use crate::{Error, Parameter, Result, Shape, Video};
+use crate::{Error, ErrorKind, Parameter, Result, Shape, Video};
 
 /// `video` resampled to `shape`.
 ///

@@ -38,7 +38,8 @@
 //! min F ≥ ⟨b, y⟩ − ½‖y‖² − v_max Σ (Aᵀy − c)₊     over videos 0 ≤ v ≤ v_max on the support
 //! ```
 //!
-//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). The data step gives `y = b − A x` and the prior's step `c`. Their
+//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). The x-step gives `y = b − A x` (the variables hold it over `ρ`) and the
+//! prior's step `c`. Their
 //! excess `(Aᵀy − c)₊` is at most `ρ` times the change of the video, so the gap closes as the iteration converges.
 //! `v_max` is twice the brightest voxel. The solver stops once the objective is proved to be within
 //! [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found (`docs/design/009`).
@@ -206,7 +207,7 @@ impl Admm {
         }
     }
 
-    /// Iterates up to iteration `until`, counted from the start of the run, or until it converges.
+    /// Iterates up to iteration `until`, counted from the start of the frame, or until it converges.
     ///
     /// `observer` sees every iteration and may stop the run, as [`DataTerm::is_cancelled`] does within an iteration.
     pub fn run(
@@ -255,7 +256,8 @@ impl Admm {
         let rho = controllers.penalty.rho();
         let change = variables.x_step(data, rho, self.params.relaxation, support);
         if data.is_cancelled() {
-            // The video is still that of the iteration before, and this `y` bounds nothing.
+            // The video is that of the iteration before, on the present support, and this `y` bounds nothing. The run
+            // cannot continue from here.
             variables.y.fill(0.0);
             return None;
         }

@@ -53,7 +53,6 @@ impl Stopping {
 
     /// The certificate of the variables; see **Stopping** in the head of [`super`]. Overwrites the scratch buffer.
     ///
-    /// The x-step is restricted to `data_support`, the video to `support`; `None`: every voxel.
     pub fn certify(
         &self,
         variables: &mut Variables,

@@ -130,7 +130,8 @@ constants! {
     /// assert!(tuning.set("support_treshold", 0.1).is_err());
     /// ```
     Tuning {
-        /// Step of the first restriction, in iterations; smaller may lose shapes that the video does not show yet,
+        /// Step at which the warm-up ends, in iterations; the first restriction is at the next multiple of 10. Smaller may
+        /// lose shapes that the video does not show yet,
         /// larger takes longer (docs/design/006, 007).
         first_restriction: usize,
         /// Step from which `β` is constant and the run may stop, in iterations; larger delays the first certificate
@@ -145,7 +146,7 @@ constants! {
         decline_window: usize,
         /// Iteration at which the wait ends at the latest; smaller may leave bins without light (docs/design/008).
         latest_first_restriction: usize,
-        /// Step at which a warm start begins at the latest, in iterations; smaller repeats more of the warm-up
+        /// Step to which a warm start goes back, plus up to 9 that keep the rhythm of the updates, in iterations; smaller repeats more of the warm-up
         /// (docs/design/014).
         warm_start_step: usize,
         /// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).
