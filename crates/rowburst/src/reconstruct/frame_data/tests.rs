@@ -154,6 +154,17 @@ fn starts_afresh() {
             assert_eq!(solution(&mut used), expected);
         }
     }
+    // A static background keeps no solution of an earlier run either.
+    let mut first = data(Shutter::DualInsideOut);
+    first.reset(Background::Static, None);
+    let expected = solution(&mut first);
+    assert_ne!(
+        solution(&mut first),
+        expected,
+        "each solve goes on from the last one"
+    );
+    first.reset(Background::Static, None);
+    assert_eq!(solution(&mut first), expected);
     let camera = used.system.model().camera().clone();
     let frame = Image::from_fn(12, 20, |y, x| (5 + (3 * y + 5 * x) % 11) as f32);
     let measurement = correct(&frame, &camera, &Corrections::default()).unwrap();

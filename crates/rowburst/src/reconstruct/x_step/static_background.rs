@@ -73,6 +73,7 @@ impl XStep for StaticBackground {
     }
 
     fn reset(&mut self) -> bool {
+        self.coupled.reset();
         true
     }
 

@@ -74,7 +74,7 @@ impl ActiveSet {
 
     /// Whether an update is due in this iteration.
     pub fn is_due(&self, schedule: &Schedule) -> bool {
-        self.is_used && schedule.is_past_warm_up() && schedule.is_multiple_of(self.interval)
+        self.is_used && !schedule.is_warming_up() && schedule.is_multiple_of(self.interval)
     }
 
     /// Prepares for another frame, which starts from the support of the last one.

@@ -129,7 +129,7 @@ impl Controllers {
     fn correct_penalty(&mut self, variables: &Variables) {
         let now = Circumstances {
             is_warming_up: self.schedule.is_warming_up(),
-            has_passed_warm_up_steps: self.schedule.has_passed_warm_up_steps(),
+            has_reached_first_restriction: self.schedule.has_reached_first_restriction(),
             has_unrestricted_bin: self.active_set.has_unrestricted_bin(),
             iterations: self.schedule.iterations(),
         };
@@ -147,8 +147,8 @@ impl Controllers {
 
     fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {
         let tuning = &self.params.tuning;
-        let is_due = self.schedule.is_past_warm_up()
-            && self.schedule.is_multiple_of(tuning.freedom_interval);
+        let is_due =
+            !self.schedule.is_warming_up() && self.schedule.is_multiple_of(tuning.freedom_interval);
         if let (TauRule::Discrepancy { sigma }, true) = (self.penalty.rule(), is_due) {
             let faint = tuning.flat_difference * brightness(self.foreground(variables));
             let df = prior.degrees_of_freedom(&variables.z, faint as f32);

@@ -29,7 +29,7 @@ impl NoiseWeights {
         } else {
             self.late_interval
         };
-        schedule.is_past_warm_up() && schedule.is_multiple_of(interval)
+        !schedule.is_warming_up() && schedule.is_multiple_of(interval)
     }
 }
 

@@ -34,7 +34,7 @@ pub(super) struct Circumstances {
     /// The video is still taking shape.
     pub is_warming_up: bool,
     /// The steps of the warm-up are done, though the video may wait.
-    pub has_passed_warm_up_steps: bool,
+    pub has_reached_first_restriction: bool,
     /// Some bin is unrestricted though a support is used.
     pub has_unrestricted_bin: bool,
     /// Iterations done.
@@ -138,7 +138,7 @@ impl Penalty {
         }
         let is_costly = self.size == ProblemSize::Wide && now.has_unrestricted_bin;
         let is_due = !is_costly
-            || (now.has_passed_warm_up_steps
+            || (now.has_reached_first_restriction
                 && now.iterations.is_multiple_of(self.unrestricted_interval));
         let tuning = &self.tuning;
         let deadband = if now.is_warming_up || is_costly {
@@ -217,7 +217,7 @@ pub(super) mod tests {
 
     const SETTLED: Circumstances = Circumstances {
         is_warming_up: false,
-        has_passed_warm_up_steps: true,
+        has_reached_first_restriction: true,
         has_unrestricted_bin: false,
         iterations: 31,
     };
@@ -285,7 +285,7 @@ pub(super) mod tests {
         };
         assert!(is_corrected(wide, 9.0, fifth));
         let too_early = Circumstances {
-            has_passed_warm_up_steps: false,
+            has_reached_first_restriction: false,
             ..fifth
         };
         assert!(!is_corrected(wide, 9.0, too_early));

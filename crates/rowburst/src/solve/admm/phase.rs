@@ -61,13 +61,8 @@ impl Schedule {
         matches!(self.phase, Phase::WarmUp | Phase::WaitingForDecline)
     }
 
-    /// Whether the restriction of the video has begun.
-    pub fn is_past_warm_up(&self) -> bool {
-        !self.is_warming_up()
-    }
-
-    /// Whether the steps of the warm-up are done, though the video may wait.
-    pub fn has_passed_warm_up_steps(&self) -> bool {
+    /// Whether the step of the first restriction is reached, though the video may wait.
+    pub fn has_reached_first_restriction(&self) -> bool {
         self.phase != Phase::WarmUp || self.step >= self.tuning.first_restriction
     }
 
