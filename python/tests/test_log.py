@@ -9,7 +9,7 @@ import rowburst as rb
 
 
 def capture() -> tuple[np.ndarray, rb.Camera, rb.Psf]:
-    camera = rb.Camera(rows=24, columns=20, shutter="dual-inside-out", row_time_us=10, exposure_us=10)
+    camera = rb.Camera(rows=54, columns=54, shutter="dual-inside-out", row_time_us=10, exposure_us=10)
     simulation = rb.simulate(camera, "digits", seed=1)
     return simulation.frame, camera, simulation.psf
 
@@ -19,7 +19,7 @@ def test_steps_are_logged(caplog: pytest.LogCaptureFixture) -> None:
         rb.reconstruct(*capture())
     logged = [(record.name, record.levelno) for record in caplog.records]
     assert set(logged) == {("rowburst", logging.INFO)}
-    for step in ["set up a frame", "tried prior", "final run"]:
+    for step in ["set up a frame", "check of the model", "tried prior", "final run"]:
         assert step in caplog.text
 
 
