@@ -287,7 +287,7 @@ impl Problem {
         let data = FrameData::new(model, measurement);
         model.cancel().check()?;
         info!(
-            "set up a frame: σ {sigma:.4} counts {}, {} usable pixels",
+            "set up a frame: σ {sigma:.4e} counts {}, {} usable pixels",
             sigma_source.name(),
             data.measurement_count()
         );
@@ -493,7 +493,7 @@ impl Problem {
             self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
-            info!("noise level by held-out pixels: σ {:.4} counts", self.sigma);
+            info!("noise level by held-out pixels: σ {:.4e} counts", self.sigma);
         }
         Ok(self.tau_rule())
     }

@@ -46,7 +46,7 @@ impl Problem {
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {
             self.effective_sigma = self.effective_sigma_after(&check);
-            info!("effective σ {:.4} counts", self.effective_sigma);
+            info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
     }
