@@ -122,7 +122,8 @@ export async function freezeAt(page, url, isWanted) {
     if (request.url() === new URL("api/live", url).href) {
       // Its last question is that for the state after the one that it has.
       if (last && isWanted(last)) return tell();
-      const text = await (await fetch(request.url())).text();
+      // This program has no cookie of the page: it gives the token.
+      const text = await (await fetch(request.url() + new URL(url).search)).text();
       last = JSON.parse(text);
       return request.respond({ contentType: "application/json", body: text });
     }
