@@ -493,7 +493,10 @@ impl Problem {
             self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
-            info!("noise level by held-out pixels: σ {:.4e} counts", self.sigma);
+            info!(
+                "noise level by held-out pixels: σ {:.4e} counts",
+                self.sigma
+            );
         }
         Ok(self.tau_rule())
     }
