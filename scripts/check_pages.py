@@ -6,7 +6,7 @@
     python3 scripts/check_pages.py target/release/rowburst README.md docs/tutorial.md
 
 Blocks marked `sh`, `python` and `matlab` are run, a page at a time and in its order, in an empty folder of its own: of
-`sh` the lines that run Rowburst, but for `view`; `python` with --python, `matlab` in GNU Octave where it is installed. The folder has
+`sh` the lines that run Rowburst, but for `view` and `live`; `python` with --python, `matlab` in GNU Octave where it is installed. The folder has
 the first `toml` block of the page as `experiment.toml` (or that of the tutorial) and the files that a page names
 without making them, such as `capture.tif` or `darks/`: simulated captures. Write `text` above what cannot run.
 Needs numpy and Pillow: what is missing is installed by pip into a virtual environment.
@@ -123,8 +123,8 @@ def shell(block, folder, page, program):
             continue
         say(f"  {line}")
         words = shlex.split(line[len(start):], comments=True)
-        if words[0] == "view":
-            # It serves until Ctrl-C; tests/view.rs runs it.
+        if words[0] in ("view", "live"):
+            # They serve until Ctrl-C; tests run them.
             continue
         run([str(program), *words], folder, f"{page}: {line}", program)
         for option in ("-o", "--output"):

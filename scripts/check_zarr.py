@@ -123,7 +123,7 @@ def check_archive(program, folder, out, frames):
         np.save(folder / "one.npy", frames[number])
         alone = folder / "alone"
         run(program, "reconstruct", folder / "experiment.toml", "--frame", folder / "one.npy",
-            "--psf", folder / "sim0/psf.npy", *OPTIONS, "-o", alone)
+            "--psf", folder / "sim0/psf.npy", *OPTIONS, "--write", "npy,zarr", "-o", alone)
         check(f"frame {number}: the video of rowburst reconstruct, to the bit",
               same(videos[number], np.load(alone / "video.npy")))
     image = group.attrs["ome"]["multiscales"][0]

@@ -92,7 +92,7 @@ class Experiment:
         self.program, self.folder = program, folder
         folder.mkdir()
         (folder / "camera.toml").write_text(camera(SIDE, SIDE, "dual-inside-out", 1))
-        self.call("simulate", folder / "camera.toml", "--seed", SEED, *words, "-o", folder)
+        self.call("simulate", folder / "camera.toml", "--seed", SEED, *words, "--force", "-o", folder)
         self.frame, self.psf, self.truth = (np.load(folder / f"{n}.npy") for n in ("frame", "psf", "truth"))
 
     def call(self, *words):

@@ -247,7 +247,7 @@ class Bench:
             if psf is not None:
                 np.save(folder / "given-psf.npy", psf)
                 words += ["--psf", folder / "given-psf.npy"]
-            self.run("simulate", folder / "camera.toml", *words, "--snr", "inf", "--seed", seed, "-o", folder)
+            self.run("simulate", folder / "camera.toml", *words, "--snr", "inf", "--seed", seed, "--force", "-o", folder)
             (folder / "complete").touch()
         light, psf, truth = (np.load(folder / f"{n}.npy") for n in ("frame", "psf", "truth"))
         return SimpleNamespace(camera=camera, light=light.astype(float), psf=psf, truth=truth)

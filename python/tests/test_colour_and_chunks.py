@@ -87,6 +87,21 @@ def test_chunks_are_those_of_the_command_line_and_go_on(files, camera, tmp_path)
     pytest.importorskip("matplotlib").use("Agg")
     saved.plot()
     saved.montage(3)
+    page = saved._repr_html_()
+    assert "20 to 20 in 3 chunks" in page and saved.fit in page
+    for absent in (lambda: saved.residual, saved.figure):
+        with pytest.raises(rb.InputError, match="a video in chunks|a result in one piece"):
+            absent()
+
+
+def test_the_command_of_the_package_checks_the_memory(tmp_path):
+    large = rb.Camera(rows=4096, columns=4096, shutter="top-down", row_time_us=9.6, exposure_us=9.6)
+    (tmp_path / "experiment.toml").write_text(large.to_toml())
+    np.save(tmp_path / "frame.npy", np.resize(np.arange(251, dtype=np.uint8), large.frame_shape))
+    np.save(tmp_path / "psf.npy", np.ones((3, 3)))
+    words = ["reconstruct", tmp_path / "experiment.toml", "--frame", tmp_path / "frame.npy", "--psf", tmp_path / "psf.npy"]
+    done = subprocess.run([sys.executable, "-m", "rowburst", *words, "-o", tmp_path / "out"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and "no memory for a video of 4096×4096×4096" in done.stderr
 
 
 @pytest.mark.parametrize("start", [[sys.executable, "-m", "rowburst"], [os.path.join(os.path.dirname(sys.executable), "rowburst")]])

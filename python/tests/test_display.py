@@ -1,5 +1,6 @@
 """Pictures, labelled axes, folders of results, and what notebooks show."""
 
+import gc
 import json
 import os
 import pickle
@@ -173,6 +174,27 @@ def test_the_viewer_shows_the_result_until_it_is_closed(either, result):
     with pytest.raises(OSError):
         for _ in range(100):
             urllib.request.urlopen(view.url, timeout=5).close()
+
+
+def test_a_view_that_nobody_holds_goes_on(result):
+    url = result.view(port=0, open_browser=False).url
+    gc.collect()
+    try:
+        # 409 where the files are gone.
+        with urllib.request.urlopen(url.replace("/?", "/api/view?"), timeout=20) as answer:
+            assert answer.status == 200
+    finally:
+        for view in [view for view in rb._view._OPEN if view.url == url]:
+            view.close()
+    assert url not in {view.url for view in rb._view._OPEN}
+
+
+def test_values_describe_themselves_in_one_line(capture, camera, psf, tmp_path):
+    assert repr(capture) == "<rowburst.Simulation: a frame of 24×30, 12 bins of 24×30 in truth>"
+    np.save(tmp_path / "psf.npy", psf.array)
+    text = camera.to_toml() + '[calibration]\npsf = "psf.npy"\n[reconstruction]\nprior = "tv"\n'
+    (tmp_path / "experiment.toml").write_text(text)
+    assert repr(rb.Experiment(tmp_path / "experiment.toml")) == "<rowburst.Experiment: 24×30, prior tv, with psf>"
 
 
 def test_the_package_is_found_from_its_own_folder():

@@ -101,6 +101,31 @@ def test_results(options, camera, psf, capture, tmp_path):
     np.testing.assert_array_equal(np.load(tmp_path / "out" / "video.npy"), original.video)
 
 
+def test_a_refitted_result_stays_refitted(camera, psf, capture):
+    prior = "tv+0.5*tdiff+support"
+    original = rb.reconstruct(capture.frame, camera, psf, truth=capture.truth, prior=prior, debias=True)
+    plain = rb.reconstruct(capture.frame, camera, psf, truth=capture.truth, prior=prior)
+    same = pickle.loads(pickle.dumps(original))
+    assert same.numbers["debias"] == original.numbers["debias"]
+    # The stored state itself, which no cache holds.
+    again = rb.Result(pickle.loads(pickle.dumps(original._native)), camera)
+    assert again.numbers["debias"] == original.numbers["debias"] and "debias" not in plain.numbers
+    # Traces are those of the video before it was refitted, of any region, as on the command line.
+    for result in (original, again):
+        for a, b in zip(result.traces([(8, 9)]), plain.traces([(8, 9)]), strict=True):
+            np.testing.assert_array_equal(a.value, b.value)
+            np.testing.assert_array_equal(a.debiased, b.debiased)
+
+
+def test_joblib_gives_the_same(camera, psf, capture):
+    joblib = pytest.importorskip("joblib")
+    reconstructor = rb.Reconstructor(camera, psf, prior="tv", max_iterations=10, threads=1)
+    frames = [capture.frame, 2 * capture.frame]
+    found = joblib.Parallel(n_jobs=2)(joblib.delayed(reconstructor)(frame) for frame in frames)
+    for frame, result in zip(frames, found, strict=True):
+        np.testing.assert_array_equal(result.video, reconstructor(frame).video)
+
+
 def test_operators_and_data_terms(camera, psf, capture):
     operator = rb.operator(camera, psf, dtype=np.float32)
     video = capture.truth.ravel()

@@ -168,3 +168,55 @@ def test_a_live_view_takes_dark_flat_and_bad_pixels(camera, psf, capture):
     spoilt = rb.LiveView(camera, psf, prior="tv").next(raw)
     error = lambda look: np.abs(look.video - plain.video).sum() / plain.video.sum()
     assert error(mended) < 0.05 < 0.5 < error(spoilt)
+
+
+def test_constants_of_the_solver_are_taken_everywhere(capture, camera, psf, tmp_path):
+    constants = {"support_threshold": 0.4}
+    expected = rb.reconstruct(capture.frame, camera, psf, prior=PRIOR, tuning=constants).video
+    standard = rb.reconstruct(capture.frame, camera, psf, prior=PRIOR).video
+    assert np.abs(expected - standard).max() > 0
+    reconstructor = rb.Reconstructor(camera, psf, prior=PRIOR, tuning=constants)
+    np.testing.assert_array_equal(reconstructor(capture.frame).video, expected)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(reconstructor))(capture.frame).video, expected)
+    rb.batch(capture.frame[None], tmp_path / "videos.zarr", camera, psf, prior=PRIOR, tuning=constants)
+    archive = rb._rowburst._Batch.of_values(
+        camera, psf, capture.frame[None], tmp_path / "videos.zarr", prior=PRIOR, tuning=constants
+    )
+    np.testing.assert_array_equal(archive.video(0), expected)
+    with pytest.raises(rb.InputError, match="other|begun"):
+        rb.batch(capture.frame[None], tmp_path / "videos.zarr", camera, psf, prior=PRIOR)
+    wrong = {"no_such_constant": 1.0}
+    mosaic = camera.replace(bayer="rggb")
+    for call in (
+        lambda: rb.Reconstructor(camera, psf, tuning=wrong),
+        lambda: rb.LiveView(camera, psf, tuning=wrong),
+        lambda: rb.batch(capture.frame[None], tmp_path / "no.zarr", camera, psf, tuning=wrong),
+        lambda: rb.reconstruct_chunked(capture.frame, tmp_path / "no", camera, psf, prior="tv", tuning=wrong),
+        lambda: rb.reconstruct_colour(capture.frame, mosaic, psf, tuning=wrong),
+    ):
+        with pytest.raises(rb.InputError, match="no_such_constant"):
+            call()
+
+
+def test_a_corrected_frame_is_used_as_it_is(camera, psf, tmp_path):
+    biased = camera.replace(bit_depth=16, bias_counts=100.0, gain_electrons_per_count=0.5, read_noise_electrons=1.0)
+    counts = rb.simulate(biased, "moving", psf, peak_electrons=20000, digit_px=8).frame
+    assert counts.dtype == np.uint16 and counts.min() >= 100
+    np.save(tmp_path / "psf.npy", psf.array)
+    np.save(tmp_path / "dark.npy", np.full(camera.frame_shape, 100, np.uint16))
+    files = '[calibration]\npsf = "psf.npy"\ndark = "dark.npy"\n[reconstruction]\nprior = "tv"\n'
+    (tmp_path / "experiment.toml").write_text(biased.to_toml() + files)
+    experiment = rb.Experiment(tmp_path / "experiment.toml")
+    raw = rb.reconstruct(counts, experiment, max_iterations=10).video
+    subtracted = counts - np.uint16(100)
+    for frame in (subtracted, subtracted.astype(np.float64)):
+        result = rb.reconstruct(frame, experiment, corrected=True, max_iterations=10)
+        np.testing.assert_allclose(result.video, raw, rtol=1e-5, atol=1e-4 * raw.max())
+    reconstructor = experiment.reconstructor(corrected=True, max_iterations=10, threads=1)
+    assert isinstance(reconstructor, rb.Reconstructor)
+    np.testing.assert_array_equal(reconstructor(subtracted).video, result.video)
+    rb.batch(subtracted[None].astype(float), tmp_path / "v.zarr", experiment, corrected=True, max_iterations=10)
+    with pytest.raises(rb.InputError, match="dark: found dark and corrected=True"):
+        rb.reconstruct(counts, experiment, dark=counts, corrected=True)
+    with pytest.raises(rb.WorkError, match="corrected=True"):
+        rb.batch(subtracted[None].astype(float), tmp_path / "w.zarr", biased, psf)

@@ -8,6 +8,7 @@ import { h } from "./dom";
 import { Evidence, settings } from "./evidence";
 import { Limits } from "./limits";
 import { Live } from "./live";
+import { Monitor } from "./monitor";
 import { Save } from "./save";
 import { Slices } from "./slices";
 import { openSource, report, type Source } from "./source";
@@ -93,7 +94,7 @@ function header(source: Source): HTMLElement {
     {},
     h("h1", { title: meta.view?.title }, title),
     fit && !second && h("span", { class: fit.verdict === "good" ? "pill" : "pill doubtful", title: fit.reason }, `fit: ${fit.verdict}`),
-    source.live && h("span", { class: "pill" }, "running"),
+    source.live && h("span", { class: "pill" }, source.isMonitor ? "live" : "running"),
     !second && numbers.length > 0 && h("dl", {}, ...numbers.map(([n, v]) => h("div", {}, h("dt", {}, n), h("dd", {}, v)))),
   );
 }
@@ -150,7 +151,7 @@ function panel(store: Store): HTMLElement {
 }
 
 function watch(store: Store): HTMLElement {
-  return h("div", { class: "right" }, new Live(store).element);
+  return h("div", { class: "right" }, (store.source.isMonitor ? new Monitor(store) : new Live(store)).element);
 }
 
 void start();

@@ -11,6 +11,8 @@ const LANES = 3;
 export interface Source {
   readonly isOffline: boolean;
   readonly live: boolean;
+  /** A camera that is looked at. */
+  readonly isMonitor: boolean;
   readonly results: Meta[];
   /** A video of result `at`; its bins come in the order in which they are wanted. */
   volume(at: number, name: string, wanted: () => number, onLoad: () => void): Volume | null;
@@ -28,6 +30,7 @@ class ServerSource implements Source {
 
   private constructor(
     readonly live: boolean,
+    readonly isMonitor: boolean,
     readonly results: Meta[],
   ) {}
 
@@ -35,8 +38,8 @@ class ServerSource implements Source {
     const answer = await fetch("api/view");
     if (answer.status === 409) throw new Error(await answer.text());
     if (!answer.ok) throw new Error(`The server answered ${answer.status}: ${await answer.text()}`);
-    const { live, results } = (await answer.json()) as { live: boolean; results: Meta[] };
-    return new ServerSource(live, results);
+    const { live, monitor, results } = (await answer.json()) as { live: boolean; monitor?: boolean; results: Meta[] };
+    return new ServerSource(live, monitor ?? false, results);
   }
 
   volume(at: number, name: string, wanted: () => number, onLoad: () => void): Volume | null {
@@ -99,6 +102,7 @@ interface Embedded {
 class EmbeddedSource implements Source {
   readonly isOffline = true;
   readonly live = false;
+  readonly isMonitor = false;
   readonly results: Meta[];
 
   private constructor(

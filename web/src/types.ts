@@ -82,3 +82,42 @@ export interface LiveState {
   snapshot: number;
   error: string | null;
 }
+
+/** A camera that is looked at, as /api/monitor has it. */
+export interface MonitorState {
+  reconstructs: boolean;
+  frame_snapshot: number;
+  video_snapshot: number;
+  frames?: number;
+  frames_per_second?: number;
+  dropped?: number;
+  incomplete?: number;
+  /** Frames that came while the solver was busy. */
+  skipped?: number;
+  /** Frames of the recording that goes on. */
+  recording?: number | null;
+  exposure?: {
+    number: number;
+    histogram: number[];
+    saturation_counts: number;
+    saturated_fraction: number;
+    mean: number;
+    max: number;
+    contrast: number | null;
+    grain_px: number | null;
+  };
+  video?: {
+    number: number;
+    latency_ms: number;
+    solver_ms: number;
+    videos_per_second: number | null;
+    iterations: number;
+    residual_over_sigma: number;
+    warm_start: boolean;
+    fit: string;
+  };
+  warnings?: string[];
+  message?: string;
+  ended?: string;
+  error?: string | null;
+}

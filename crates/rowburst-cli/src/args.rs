@@ -1,8 +1,15 @@
 //! The command line.
 
 use crate::calibrate::CalibrateArgs;
+use crate::capture::CaptureArgs;
+use crate::check::CheckArgs;
 use crate::design::DesignArgs;
-use crate::shared_args::{CalibrationArgs, OpticsArgs};
+#[cfg(feature = "view")]
+use crate::live::LiveArgs;
+use crate::project::{NewArgs, StatusArgs};
+#[cfg(feature = "view")]
+use crate::shared_args::BrowserArgs;
+use crate::shared_args::{CalibrationArgs, ForceArgs, OpticsArgs};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -38,10 +45,25 @@ pub enum Verb {
     View(ViewArgs),
     /// Draw a figure for a paper from a result, as SVG or PNG
     Figure(FigureArgs),
+    /// Repeat a run from its result.json alone, and compare the videos
+    Rerun(RerunArgs),
+    /// Print a methods paragraph for a result, with BibTeX
+    Cite(CiteArgs),
     /// Calibrate a camera and a diffuser from captures of your own
     Calibrate(CalibrateArgs),
     /// What a camera, a lens and a diffuser can do before they are bought
     Design(DesignArgs),
+    /// Make a folder that leads through calibration, acquisition and reconstruction
+    New(NewArgs),
+    /// Say what the folder of an experiment holds, and what is next
+    Status(StatusArgs),
+    /// Tell by one frame of a blinking light whether a set-up is good
+    Check(CheckArgs),
+    /// Record frames with all settings of the camera
+    Capture(CaptureArgs),
+    /// Look at a camera in the browser: exposure, and the video of the latest frame
+    #[cfg(feature = "view")]
+    Live(LiveArgs),
     /// Print the JSON Schema of the experiment file or of result.json
     Schema(SchemaArgs),
     /// Print the script that completes commands in a shell
@@ -71,6 +93,8 @@ pub struct DemoArgs {
     /// Folder for all results
     #[arg(short, long, default_value = "rowburst-demo")]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArgs,
     /// Print result.json to standard output instead of a summary
     #[arg(long)]
     pub json: bool,
@@ -164,8 +188,8 @@ pub struct ManArgs {
 pub struct SimulateArgs {
     /// The camera, as an experiment file
     pub experiment: PathBuf,
-    /// digits, leds, moving, two-moving (they may cross), or a video file (.npy, multi-page .tif)
-    /// that is fitted to the field
+    /// digits, leds, moving, two-moving (they may cross), one of the dense scenes still, bench, beam,
+    /// wheel and cells, or a video file (.npy, multi-page .tif) that is fitted to the field
     #[arg(long)]
     pub scene: String,
     /// Add a static, textured background whose brightest pixel is this many times as bright as the
@@ -200,11 +224,17 @@ pub struct SimulateArgs {
         allow_hyphen_values = true
     )]
     pub diffuser_phase: f64,
+    /// Also take pictures of the scene with a second camera at these times, in µs from the start of the
+    /// frame's first exposure: guide-1.npy and so on, listed in experiment.toml
+    #[arg(long, value_name = "T,T", value_delimiter = ',')]
+    pub guide_times_us: Vec<f64>,
     #[command(flatten)]
     pub optics: OpticsArgs,
     /// Folder for experiment.toml, frame.npy, psf.npy, truth.npy and the frame without diffuser
     #[arg(short, long)]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArgs,
 }
 
 /// Recover the video from one frame.
@@ -227,9 +257,15 @@ pub struct ReconstructArgs {
     /// A frame of the scene taken without the diffuser, of any size, shown beside the reconstruction
     #[arg(long)]
     pub direct: Option<PathBuf>,
-    /// The prior: auto, or terms of tv, tdiff, l1, tv3d, tv3d-aniso, dct, wavelet, group, lowrank,
-    /// background, lowrank-background, support joined by +, such as tv+0.5*tdiff
-    #[arg(long, allow_hyphen_values = true)]
+    /// A picture of the same scene by an ordinary second camera, taken at an unknown time within the
+    /// frame: for dense scenes. Several pictures with their times stand in the experiment file, [[guide]]
+    #[arg(long, value_name = "IMAGE", conflicts_with_all = ["part_bins", "bins"])]
+    pub guide: Option<PathBuf>,
+    /// What the scene does with the light of the guide: auto, motion, gain (places change their
+    /// brightness) or still
+    #[arg(long, value_name = "MODEL", conflicts_with_all = ["part_bins", "bins"])]
+    pub guide_model: Option<String>,
+    #[arg(long, allow_hyphen_values = true, help = prior_help())]
     pub prior: Option<String>,
     /// Weight of the prior: auto (by the noise level), held-out (by held-out pixels), or a number above
     /// zero
@@ -262,6 +298,10 @@ pub struct ReconstructArgs {
     /// Re-estimate the active voxels by least squares, without the bias of the prior (debiasing)
     #[arg(long)]
     pub debias: bool,
+    /// Formats of the video: npy, tif, zarr, mp4, mat and h5 with commas between them; npy is written in any case
+    /// [default: npy,mp4, and tif up to 64 MB]
+    #[arg(long, value_name = "FORMATS")]
+    pub write: Option<String>,
     /// Omit the strip with the time in µs below the picture of video.mp4, as for a paper's supplement
     #[arg(long)]
     pub no_stamp: bool,
@@ -290,6 +330,8 @@ pub struct ReconstructArgs {
     /// Folder for all results
     #[arg(short, long)]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArgs,
     /// Seed of the simulation that the frame comes from, for result.json
     #[arg(skip)]
     pub seed: u64,
@@ -312,6 +354,34 @@ pub struct ViewArgs {
     pub results: Vec<PathBuf>,
     #[command(flatten)]
     pub browser: BrowserArgs,
+}
+
+/// Repeat a run from its result.json alone, and compare the videos.
+///
+/// result.json has camera, options and the SHA-256 of each input. An input that has changed since is named, and nothing is
+/// computed. On the same kind of processor the new video is equal to the bit.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  rowburst rerun result -o again")]
+pub struct RerunArgs {
+    /// The folder that rowburst reconstruct has written
+    #[arg(value_name = "RESULT")]
+    pub result: PathBuf,
+    /// Folder for the new result [default: the name of the old one with -rerun]
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+    #[command(flatten)]
+    pub force: ForceArgs,
+}
+
+/// Print a methods paragraph for a result, with BibTeX.
+///
+/// The paragraph has the numbers of the run, in LaTeX; the entries are those of the program and of the methods that it used.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  rowburst cite result > methods.tex")]
+pub struct CiteArgs {
+    /// The folder that rowburst reconstruct has written
+    #[arg(value_name = "RESULT")]
+    pub result: PathBuf,
 }
 
 /// Draw a figure for a paper from a result.
@@ -337,18 +407,6 @@ pub enum FigureLayout {
     Fig2,
     /// Frame, PSF, all bins in one, bright points in space and time, traces (the paper's Fig. 3)
     Fig3,
-}
-
-/// Where the page is, and who opens it.
-#[cfg(feature = "view")]
-#[derive(Debug, Clone, Default, Args)]
-pub struct BrowserArgs {
-    /// Port of the page on 127.0.0.1; 0 for any [default: 8787, or the next that is free]
-    #[arg(long)]
-    pub port: Option<u16>,
-    /// Only print the page's address
-    #[arg(long)]
-    pub no_open: bool,
 }
 
 /// Recover the videos of a recording of many frames, into one Zarr archive.
@@ -437,4 +495,11 @@ fn parse_snr(text: &str) -> Result<f64, String> {
         Ok(snr) if snr > 0.0 => Ok(snr),
         _ => Err("the ratio is a number above zero, or inf for no noise".into()),
     }
+}
+
+/// The help of `--prior`, with all terms.
+fn prior_help() -> String {
+    let names: Vec<&str> = rowburst::Prior::names().collect();
+    let names = names.join(", ");
+    format!("The prior: auto, or terms of {names} joined by +, such as tv+0.5*tdiff")
 }

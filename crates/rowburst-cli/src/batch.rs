@@ -4,6 +4,7 @@ use crate::args::BatchArgs;
 use crate::inputs::calibration_from_args;
 use crate::output::print_line;
 use crate::progress::{Interrupt, Kept, print_note};
+use crate::shared_args::ForceArgs;
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Error, ErrorKind, Parameter, Result};
@@ -129,7 +130,8 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
             error: None,
         });
     }
-    let table = sweep::write(folder.path(), &rows)?;
+    // An archive knows itself whether it is of the same batch.
+    let table = sweep::write(folder.path(), ForceArgs { force: true }, &rows)?;
     if args.json {
         print_line(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
     } else {
@@ -295,7 +297,12 @@ fn parse_frame_range(text: Option<&str>, count: usize) -> Result<Range<usize>> {
     let ends = text.split_once(':');
     let ends = ends.and_then(|(a, b)| Some((number(a, 0)?, number(b, count)?)));
     match ends {
-        Some((first, end)) if first < end && first < count => Ok(first..end.min(count)),
+        Some((first, end)) if first < end && first < count => {
+            if end > count {
+                eprintln!("note: --frames-range {text} ends beyond the last of the {count} frames");
+            }
+            Ok(first..end.min(count))
+        }
         _ => Err(Error::input(
             Parameter::FramesRange,
             format!("\"{text}\""),

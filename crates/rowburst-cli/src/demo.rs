@@ -7,7 +7,7 @@ use crate::shared_args::CalibrationArgs;
 use rowburst::camera::CameraParams;
 use rowburst::simulate::scene::LED_FREQUENCIES_HZ;
 use rowburst::{Result, Sensor};
-use rowburst_io::{Experiment, OutputFolder};
+use rowburst_io::Experiment;
 use rowburst_run::design::paper_camera;
 use rowburst_run::simulate::{LensOptics, NoiseChoice, SimulationRequest, photodiode_file};
 use std::time::Instant;
@@ -37,8 +37,9 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         digit_px: 12,
         diffuser_phase: 4.0,
         optics: LensOptics::demo(),
+        guide_times_us: &[],
     };
-    let folder = OutputFolder::create(&args.output)?;
+    let folder = args.force.claim(&args.output, "simulate")?;
     simulation.run(&folder, &mut print_note)?;
     let reconstruction = ReconstructArgs {
         bins: None,
@@ -48,6 +49,8 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         calibration: CalibrationArgs::default(),
         truth: Some(args.output.join("truth.npy")),
         direct: Some(args.output.join("without-diffuser.tif")),
+        guide: None,
+        guide_model: None,
         prior: None,
         tau: None,
         noise_sigma: None,
@@ -57,6 +60,8 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         max_iterations: None,
         debias: args.debias,
         no_stamp: false,
+        write: None,
+        force: args.force,
         region: Vec::new(),
         photodiode: match args.scene {
             DemoScene::Leds => (1..=LED_FREQUENCIES_HZ.len())
@@ -67,7 +72,7 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         #[cfg(feature = "view")]
         view: false,
         #[cfg(feature = "view")]
-        browser: crate::args::BrowserArgs::default(),
+        browser: crate::shared_args::BrowserArgs::default(),
         sweep: Vec::new(),
         json: args.json,
         seed: args.seed,

@@ -7,7 +7,12 @@
 mod args;
 #[cfg(feature = "batch")]
 mod batch;
+#[cfg(feature = "view")]
+mod browser;
 mod calibrate;
+mod capture;
+mod check;
+mod cite;
 #[cfg(feature = "batch")]
 mod cluster;
 mod demo;
@@ -15,11 +20,15 @@ mod design;
 mod figure;
 mod init;
 mod inputs;
+#[cfg(feature = "view")]
+mod live;
 mod log;
 mod option_names;
 mod output;
 mod progress;
+mod project;
 mod reconstruct;
+mod rerun;
 mod schema;
 mod shared_args;
 mod shell;
@@ -72,9 +81,17 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
         Verb::Batch(args) => batch::run(&args, cli.threads),
         #[cfg(feature = "view")]
         Verb::View(args) => view::run(&args),
+        Verb::Rerun(args) => rerun::run(&args, process_start),
+        Verb::Cite(args) => cite::run(&args),
         Verb::Figure(args) => figure::run(&args),
         Verb::Calibrate(args) => calibrate::run(&args),
         Verb::Design(args) => design::run(&args),
+        Verb::New(args) => project::create(&args),
+        Verb::Status(args) => project::status(&args),
+        Verb::Check(args) => check::run(&args),
+        Verb::Capture(args) => capture::run(&args),
+        #[cfg(feature = "view")]
+        Verb::Live(args) => live::run(&args),
         Verb::Schema(args) => schema::run(&args),
         Verb::Completions(args) => shell::completions(&args),
         Verb::Man(args) => shell::man(&args),

@@ -183,12 +183,16 @@ pub enum Kept {
     Frames,
     /// The chunks that are finished, from which the same command resumes.
     Chunks,
+    /// The frames that are recorded.
+    Recorded,
 }
 
 impl Kept {
     /// Whether the program has or will have something to keep, so that it ends by itself.
     fn has_something(self) -> bool {
-        self == Self::Frames || Phase::Running.is_now() || Phase::Writing.is_now()
+        matches!(self, Self::Frames | Self::Recorded)
+            || Phase::Running.is_now()
+            || Phase::Writing.is_now()
     }
 
     fn text(self) -> &'static str {
@@ -196,6 +200,7 @@ impl Kept {
             Self::Result => "the current result will be written",
             Self::Frames => "finished frames are kept; the same command resumes",
             Self::Chunks => "finished chunks are kept; the same command resumes",
+            Self::Recorded => "the frames so far are kept",
         }
     }
 }

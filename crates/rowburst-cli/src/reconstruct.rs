@@ -9,11 +9,11 @@ use crate::sweep;
 use rowburst::error::Subject;
 use rowburst::reconstruct::Verdict;
 use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
-use rowburst_io::{Experiment, OutputFolder};
-use rowburst_run::options::UserOptions;
+use rowburst_io::Experiment;
+use rowburst_run::options::{UserOptions, parse_prior, parse_tau};
 use rowburst_run::{
     Artifacts, ChunkedSummary, ColourSummary, MovieStyle, Output, ReconstructionSummary, Request,
-    RequestParams, Summary, read_experiment, short, thousands,
+    RequestParams, RunRecord, Summary, VideoFormat, read_experiment, short, thousands,
 };
 use std::ops::Range;
 use std::path::PathBuf;
@@ -72,28 +72,42 @@ fn run_one(
     mut bar: Bar,
     stop_writing: &Cancel,
 ) -> Result<Run> {
-    let folder = OutputFolder::create(&args.output)?.with_cancel(stop_writing);
+    let folder = args
+        .force
+        .claim(&args.output, "reconstruct")?
+        .with_cancel(stop_writing);
     let params = RequestParams {
         cancel: Arc::clone(bar.stop()).into(),
         ..request_params(args)?
     };
+    let reproduce = command_line(args);
+    let formats = args
+        .write
+        .as_deref()
+        .map(VideoFormat::parse_list)
+        .transpose()?;
+    let movie = if args.no_stamp {
+        MovieStyle::Plain
+    } else {
+        MovieStyle::Stamped
+    };
+    let record = RunRecord::new(experiment, &args.frame, &params, &reproduce);
     let request = Request::read(experiment, &args.frame, params, &mut |e| bar.show(e))?;
+    let mut record = record?;
+    record.options = record.options.with_files(movie, formats.clone());
     #[cfg(feature = "view")]
     let mut page = match &request {
         Request::Whole { task, .. } => crate::view::open_live_page(args, &task.camera, bar.stop())?,
         Request::Chunked(_) | Request::Colour(_) => None,
     };
     let title = format!("Rowburst: {}", args.frame.display());
-    let reproduce = command_line(args);
     let output = Output {
         folder: &folder,
         title: &title,
         reproduce: Some(&reproduce),
-        movie: if args.no_stamp {
-            MovieStyle::Plain
-        } else {
-            MovieStyle::Stamped
-        },
+        movie,
+        formats: formats.as_deref(),
+        record: Some(&record),
     };
     let artifacts = request.run(&output, process_start, &mut |event| {
         #[cfg(feature = "view")]
@@ -125,6 +139,8 @@ fn request_params(args: &ReconstructArgs) -> Result<RequestParams<'_>> {
         },
         truth: args.truth.as_deref(),
         direct: args.direct.as_deref(),
+        guides: args.guide.as_slice(),
+        guide_model: args.guide_model.as_deref(),
         regions: &args.region,
         photodiodes: &args.photodiode,
         bins: args.bins.as_deref().map(parse_bins).transpose()?,
@@ -160,8 +176,14 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
         point_args.output = sweep::point_path(&args.output, point, "");
         for (key, value) in point {
             match *key {
-                "prior" => point_args.prior = Some(value.clone()),
-                "tau" => point_args.tau = Some(value.clone()),
+                "prior" => {
+                    parse_prior(value)?;
+                    point_args.prior = Some(value.clone());
+                }
+                "tau" => {
+                    parse_tau(value)?;
+                    point_args.tau = Some(value.clone());
+                }
                 "noise-sigma" => point_args.noise_sigma = Some(sweep::parse_number(key, value)?),
                 _ => point_args.max_iterations = Some(sweep::parse_count(key, value)?),
             }
@@ -201,7 +223,7 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
             first_error.get_or_insert(error);
         }
         // What Ctrl-C ends in the middle of a later point keeps the table of these.
-        table = Some(sweep::write(&args.output, &rows)?);
+        table = Some(sweep::write(&args.output, args.force, &rows)?);
         if interrupt.run.load(Ordering::Relaxed) {
             break;
         }
@@ -256,6 +278,8 @@ fn command_line(args: &ReconstructArgs) -> String {
     option("--bad-pixels", bad_pixels.map(path));
     option("--truth", args.truth.as_ref().map(path));
     option("--direct", args.direct.as_ref().map(path));
+    option("--guide", args.guide.as_ref().map(path));
+    option("--guide-model", args.guide_model.clone());
     for region in &args.region {
         option("--region", Some(region.clone()));
     }
@@ -272,6 +296,7 @@ fn command_line(args: &ReconstructArgs) -> String {
     option("--max-iterations", max_iterations);
     option("--bins", args.bins.clone());
     option("--part-bins", args.part_bins.map(|v| v.to_string()));
+    option("--write", args.write.clone());
     let flags = [
         ("--keep-all-pixels", args.keep_all_pixels),
         ("--debias", args.debias),
@@ -284,7 +309,7 @@ fn command_line(args: &ReconstructArgs) -> String {
 }
 
 /// Prints the summary for a person.
-fn print_summary(artifacts: &Artifacts) {
+pub fn print_summary(artifacts: &Artifacts) {
     let file = artifacts.first_file();
     match &artifacts.summary {
         Summary::Whole(summary) => {

@@ -1,7 +1,9 @@
 //! Arguments that several verbs have.
 
 use clap::Args;
-use std::path::PathBuf;
+use rowburst::Result;
+use rowburst_io::{ForeignFiles, OutputFolder};
+use std::path::{Path, PathBuf};
 
 /// Files that stand in for those of `[calibration]`.
 #[derive(Debug, Clone, Default, Args)]
@@ -18,6 +20,26 @@ pub struct CalibrationArgs {
     /// A mask of pixels not to use (anything but 0), instead of the experiment's
     #[arg(long)]
     pub bad_pixels: Option<PathBuf>,
+}
+
+/// Whether a folder with foreign files is written to.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct ForceArgs {
+    /// Write to a folder that holds files which Rowburst did not write; those of the same names are replaced
+    #[arg(long)]
+    pub force: bool,
+}
+
+impl ForceArgs {
+    /// The folder of the results of `writer`.
+    pub fn claim(self, path: &Path, writer: &'static str) -> Result<OutputFolder> {
+        let foreign = if self.force {
+            ForeignFiles::Accept
+        } else {
+            ForeignFiles::Refuse
+        };
+        OutputFolder::claim(path, writer, foreign)
+    }
 }
 
 /// The optics of the computed speckle PSF. The defaults give a grain of 2.5 pixels of
@@ -43,4 +65,16 @@ pub struct OpticsArgs {
     /// Full width at half maximum of the diffuser's scattering, in degrees
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub diffuser_deg: f64,
+}
+
+/// Where the page is, and who opens it.
+#[cfg(feature = "view")]
+#[derive(Debug, Clone, Default, Args)]
+pub struct BrowserArgs {
+    /// Port of the page on 127.0.0.1; 0 for any [default: 8787, or the next that is free]
+    #[arg(long)]
+    pub port: Option<u16>,
+    /// Only print the page's address
+    #[arg(long)]
+    pub no_open: bool,
 }

@@ -5,7 +5,7 @@ use crate::output::print_line;
 use crate::progress::print_note;
 use crate::shared_args::OpticsArgs;
 use rowburst::Result;
-use rowburst_io::{Experiment, OutputFolder};
+use rowburst_io::Experiment;
 use rowburst_run::simulate::{LensOptics, NoiseChoice, SimulationRequest};
 
 pub fn run(args: &SimulateArgs) -> Result<()> {
@@ -14,7 +14,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         (None, Some(electrons)) => NoiseChoice::SceneElectrons(electrons),
         (None, None) => NoiseChoice::Snr(args.snr),
     };
-    let folder = OutputFolder::create(&args.output)?;
+    let folder = args.force.claim(&args.output, "simulate")?;
     let request = SimulationRequest {
         experiment: Experiment::read(&args.experiment)?,
         scene: &args.scene,
@@ -25,6 +25,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         digit_px: args.digit_px,
         diffuser_phase: args.diffuser_phase,
         optics: args.optics.lens(),
+        guide_times_us: &args.guide_times_us,
     };
     request.run(&folder, &mut print_note)?;
     let folder = args.output.display();

@@ -1,8 +1,8 @@
 //! `--sweep`: one run for each combination of values, and one table that compares them.
 
+use crate::shared_args::ForceArgs;
 use rowburst::error::{Phrase, Subject};
 use rowburst::{Error, Result};
-use rowburst_io::OutputFolder;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -110,7 +110,7 @@ pub fn parse_count(key: &str, value: &str) -> Result<u32> {
 }
 
 /// Writes `sweep.csv` into `output`, and says where.
-pub fn write(output: &Path, rows: &[Row]) -> Result<PathBuf> {
+pub fn write(output: &Path, force: ForceArgs, rows: &[Row]) -> Result<PathBuf> {
     let mut text =
         String::from("point,prior,tau,residual_over_sigma,psnr_db,ssim,fit,seconds,output,error\n");
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
@@ -131,7 +131,9 @@ pub fn write(output: &Path, rows: &[Row]) -> Result<PathBuf> {
         ];
         text += &(cells.join(",") + "\n");
     }
-    OutputFolder::create(output)?.write_bytes("sweep.csv", text.as_bytes())?;
+    force
+        .claim(output, "sweep")?
+        .write_bytes("sweep.csv", text.as_bytes())?;
     Ok(output.join("sweep.csv"))
 }
 

@@ -1,7 +1,7 @@
 //! `rowburst view`, and the page of a reconstruction that is running.
 
-use crate::args::{BrowserArgs, ReconstructArgs, ViewArgs};
-use crate::output::print_line;
+use crate::args::{ReconstructArgs, ViewArgs};
+use crate::browser::{open, open_page};
 use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Result};
@@ -16,23 +16,10 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     let results = args.results.iter().map(|path| ResultFiles::open(path));
     let results = results.collect::<Result<Vec<_>>>()?;
     let server = Server::start(args.browser.port, results, None)?;
-    print_line(server.url());
-    open(&server, &args.browser);
+    open_page(&server, &args.browser);
     eprintln!("Ctrl-C ends it");
     loop {
         std::thread::park();
-    }
-}
-
-/// Opens the page where that is wanted and there is a screen.
-fn open(server: &Server, args: &BrowserArgs) {
-    let url = server.url();
-    let has_screen = !cfg!(target_os = "linux")
-        || ["DISPLAY", "WAYLAND_DISPLAY"]
-            .iter()
-            .any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty()));
-    if !args.no_open && has_screen && open::that_detached(&url).is_err() {
-        eprintln!("no browser could be started: open {url} yourself");
     }
 }
 

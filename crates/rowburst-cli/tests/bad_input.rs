@@ -365,7 +365,7 @@ fn files() {
             "reconstruct experiment.toml --frame bad.tif -o out",
             [
                 "bad.tif",
-                "cannot be read",
+                "ends too early",
                 "must be whole",
                 "copy it again",
             ],
@@ -379,7 +379,7 @@ fn files() {
             "reconstruct experiment.toml --frame bad.tif -o out",
             [
                 "bad.tif",
-                "cannot be read",
+                "ends too early",
                 "must be whole",
                 "copy it again",
             ],
@@ -415,9 +415,9 @@ fn files() {
             BAD_FRAME,
             [
                 "bad.npy",
-                "cannot be read",
+                "a text file",
                 "of the format that its name says",
-                "copy it again",
+                "Save the numbers",
             ],
         ),
         case(
@@ -997,7 +997,7 @@ fn options() {
             [
                 "--scene",
                 "\"letters\"",
-                "digits, leds, moving, two-moving or a video",
+                "still, bench, beam, wheel, cells or a video",
                 "Check the name",
             ],
         ),
@@ -1218,7 +1218,7 @@ fn a_full_disk_keeps_no_result_of_an_earlier_run() {
     lab.done(GOOD);
     assert!(lab.path("out/result.json").exists());
     disk.fill();
-    let output = lab.run("reconstruct experiment.toml --frame frame.npy --tau 1e-3 -o out");
+    let output = lab.run("reconstruct experiment.toml --frame frame.npy --tau 1e-3 --force -o out");
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("Free space"), "{text}");
@@ -1260,4 +1260,297 @@ fn unknown_simd_paths_are_refused() {
         assert!(text.contains(part), "lacks {part}: {text}");
     }
     assert!(lab.files("out").is_empty());
+}
+
+/// Slips that are in range: each is named with the unit or the file that was probably meant.
+#[test]
+#[expect(clippy::too_many_lines, reason = "one table of slips")]
+fn likely_slips() {
+    refused(&[
+        case(
+            "row time in seconds",
+            |lab| camera(lab, "row_time_us = 9.6", "row_time_us = 9.6e-6"),
+            GOOD,
+            [
+                "row_time_us",
+                "9.6e-6",
+                "0.05 µs or more",
+                "Are these seconds? Then write 9.6.",
+            ],
+        ),
+        case(
+            "exposure in milliseconds",
+            |lab| camera(lab, "exposure_us = 9.6", "exposure_us = 0.0096"),
+            GOOD,
+            [
+                "exposure_us",
+                "0.0096",
+                "0.05 µs or more",
+                "Are these milliseconds? Then write 9.6.",
+            ],
+        ),
+        case(
+            "pitch in metres",
+            |lab| more(lab, "pixel_pitch_um = 6.5e-6"),
+            GOOD,
+            [
+                "pixel_pitch_um",
+                "6.5e-6",
+                "0.2 to 500 µm",
+                "Are these metres? Then write 6.5.",
+            ],
+        ),
+        case(
+            "a gain of no camera",
+            |lab| more(lab, "gain_electrons_per_count = 1e300"),
+            GOOD,
+            [
+                "gain_electrons_per_count",
+                "1e300",
+                "0.001 to 10000 electrons",
+                "data sheet",
+            ],
+        ),
+        case(
+            "more counts than bits",
+            |lab| {
+                more(lab, "bit_depth = 12");
+                lab.image("bad.png", ROWS, COLUMNS, |y, x| {
+                    9000.0 + 900.0 * pattern(y, x)
+                });
+            },
+            "reconstruct experiment.toml --frame bad.png -o out",
+            [
+                "bad.png",
+                "counts up to 9",
+                "bit_depth = 12 ends at 4095",
+                "Set bit_depth to 14",
+            ],
+        ),
+        case(
+            "full well of another gain",
+            |lab| {
+                more(lab, "full_well_counts = 500");
+                lab.image("bad.png", ROWS, COLUMNS, |y, x| {
+                    9000.0 + 900.0 * pattern(y, x)
+                });
+            },
+            "reconstruct experiment.toml --frame bad.png -o out",
+            [
+                "bad.png",
+                "120 of 120 pixels",
+                "full_well_counts = 500",
+                "leave it out",
+            ],
+        ),
+        case(
+            "a mask for the frame",
+            |lab| {
+                lab.image("bad.npy", ROWS, COLUMNS, |y, x| {
+                    f32::from(u8::from((x + y) % 3 == 0))
+                });
+            },
+            BAD_FRAME,
+            [
+                "bad.npy",
+                "only the values 0 and 1",
+                "many values",
+                "Is this a mask",
+            ],
+        ),
+        case(
+            "the frame for the PSF",
+            nothing,
+            "reconstruct experiment.toml --frame frame.npy --psf frame.npy -o out",
+            [
+                "frame.npy",
+                "the frame itself, 12×10",
+                "another capture",
+                "point source",
+            ],
+        ),
+        case(
+            "a flat PSF",
+            |lab| lab.image("bad.npy", 9, 9, |_, _| 7.0),
+            BAD_PSF,
+            [
+                "bad.npy",
+                "a contrast of 0.0 %",
+                "bright in few places",
+                "point source",
+            ],
+        ),
+        case(
+            "text for an array",
+            |lab| lab.write("bad.npy", "1 2 3\n4 5 6\n"),
+            BAD_FRAME,
+            [
+                "bad.npy",
+                "a text file (\"1 2 3\")",
+                "format that its name says",
+                "Save the numbers",
+            ],
+        ),
+        case(
+            "an array of nothing",
+            |lab| {
+                let array = ndarray::Array2::<f32>::zeros((0, 0));
+                ndarray_npy::write_npy(lab.path("bad.npy"), &array).unwrap();
+            },
+            BAD_FRAME,
+            [
+                "bad.npy",
+                "an empty array",
+                "at least one pixel",
+                "what was saved",
+            ],
+        ),
+        case(
+            "a tau for no frame",
+            nothing,
+            "reconstruct experiment.toml --frame frame.npy --prior tv --tau 1e300 -o out",
+            [
+                "--tau",
+                "1e300",
+                "the video of this frame is zero",
+                "Leave it out",
+            ],
+        ),
+        case(
+            "a wavelength in micrometres",
+            |lab| lab.experiment(CAMERA),
+            "simulate experiment.toml --scene digits --digit-px 7 --wavelength-nm 0.532 -o out",
+            [
+                "--wavelength-nm",
+                "0.532",
+                "nanometres",
+                "Are these micrometres? Then write 532",
+            ],
+        ),
+        case(
+            "a row time of a planned camera in seconds",
+            nothing,
+            "design --rows 48 --columns 48 --row-time-us 9.6e-6 --quick -o out",
+            [
+                "--row-time-us",
+                "9.6e-6",
+                "0.05 µs or more",
+                "Are these seconds?",
+            ],
+        ),
+        case(
+            "a format of no video",
+            nothing,
+            "reconstruct experiment.toml --frame frame.npy --write avi -o out",
+            [
+                "--write",
+                "\"avi\"",
+                "npy, tif, zarr, mp4, mat, h5",
+                "commas",
+            ],
+        ),
+        case(
+            "a prior of a sweep that is none",
+            nothing,
+            "reconstruct experiment.toml --frame frame.npy --sweep prior=tv,foo -o out",
+            ["--prior", "\"foo\"", "no prior has this name", "Use auto"],
+        ),
+    ]);
+}
+
+/// A cut TIFF, and the folder of another command in the viewer.
+#[test]
+fn files_that_end_too_early_and_folders_of_other_commands() {
+    let lab = Lab::new();
+    lab.image("whole.tif", ROWS, COLUMNS, pattern);
+    lab.truncate("whole.tif", 0.5, "bad.tif");
+    let output = lab.run("reconstruct experiment.toml --frame bad.tif -o out");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        text.contains("ends too early") && text.contains("cut short"),
+        "{text}"
+    );
+    std::fs::create_dir(lab.path("plan")).unwrap();
+    lab.write("plan/design.json", "{}");
+    let output = lab.run("view plan --no-open --port 0");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(text.contains("a folder of rowburst design"), "{text}");
+}
+
+/// Own files of the user survive; those of earlier runs are replaced, and stale ones removed.
+#[test]
+fn files_of_the_user_are_never_replaced_unasked() {
+    let lab = Lab::new();
+    let mine = format!("# my notes\n{CAMERA}");
+    lab.experiment(&mine);
+    for arguments in [
+        "simulate experiment.toml --scene digits --digit-px 7 -o .",
+        "reconstruct experiment.toml --psf psf.npy --frame frame.npy -o .",
+    ] {
+        let output = lab.run(arguments);
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(
+            text.contains("experiment.toml, frame.npy, psf.npy"),
+            "{text}"
+        );
+        assert!(text.contains("--force"), "{text}");
+        assert_eq!(lab.read("experiment.toml"), mine.as_bytes());
+    }
+    let run = "reconstruct experiment.toml --psf psf.npy --frame frame.npy --prior tv -o out";
+    lab.done(&format!("{run} --direct frame.npy --write tif,mat"));
+    let files = lab.files("out");
+    for (name, is_there) in [
+        ("direct.png", true),
+        ("video.tif", true),
+        ("video.mat", true),
+        ("video.mp4", false),
+    ] {
+        assert_eq!(
+            files.iter().any(|f| f == name),
+            is_there,
+            "{name} in {files:?}"
+        );
+    }
+    lab.done(&format!("{run} --write npy"));
+    let files = lab.files("out");
+    for stale in ["direct.png", "video.tif", "video.mat"] {
+        assert!(!files.iter().any(|f| f == stale), "{stale} in {files:?}");
+    }
+    lab.write("out/notes.txt", "mine");
+    assert_eq!(lab.run(run).status.code(), Some(2));
+    lab.done(&format!("{run} --force"));
+    assert_eq!(lab.read("out/notes.txt"), b"mine");
+}
+
+/// `result.json` alone repeats the run; an input that has changed is named.
+#[test]
+fn a_run_is_repeated_from_its_result_alone() {
+    let lab = Lab::new();
+    let frame = "reconstruct experiment.toml --frame frame.npy";
+    lab.done(&format!("{frame} --prior tv --tau 0.5 --bins 1..4 -o out"));
+    // The experiment file is not needed any more.
+    lab.experiment("[camera]\n");
+    let text = lab.done("rerun out -o again");
+    assert!(text.contains("video.npy is equal to the bit"), "{text}");
+    assert_eq!(lab.read("again/video.npy"), lab.read("out/video.npy"));
+    let again = lab.done("rerun again -o third");
+    assert!(again.contains("equal to the bit"), "{again}");
+    let methods = lab.done("cite out");
+    for words in [
+        "@software{rowburst",
+        "@article{rudin1992",
+        "9.600 µs per row",
+    ] {
+        assert!(methods.contains(words), "{words}: {methods}");
+    }
+    lab.image("psf.npy", 9, 7, pattern);
+    let output = lab.run("rerun out -o fourth");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(
+        text.contains("psf ") && text.contains("has changed"),
+        "{text}"
+    );
+    assert!(!text.contains("frame.npy has changed"), "{text}");
 }

@@ -87,9 +87,9 @@ fn a_hand_with_separate_fingers_is_seen() {
         "--max-iterations",
         "60",
         "-o",
-        text(out.path()),
+        text(&out.path().join("result")),
     ]);
-    let video = rowburst_io::read_video(&out.path().join("video.npy")).unwrap();
+    let video = rowburst_io::read_video(&out.path().join("result/video.npy")).unwrap();
     assert_eq!((video.shape().rows, video.shape().columns), (300, 400));
     let across: Vec<f32> = (125..190)
         .map(|y| {

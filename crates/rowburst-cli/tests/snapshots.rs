@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Every verb.
-const VERBS: [&str; 15] = [
+const VERBS: [&str; 22] = [
     "",
     "demo",
     "init",
@@ -27,6 +27,13 @@ const VERBS: [&str; 15] = [
     "calibrate psf",
     "calibrate sensor",
     "calibrate timing",
+    "new",
+    "status",
+    "check",
+    "capture",
+    "capture record",
+    "capture settings",
+    "live",
     "schema",
     "completions",
     "man",

@@ -34,12 +34,18 @@ fn points_are_compared_in_one_table() {
 }
 
 #[test]
-fn failed_values_are_in_the_table_and_unknown_options_are_refused() {
+fn bad_values_and_options_are_refused_before_the_first_run() {
     let lab = Lab::new();
-    let said = lab.done(
+    let refused = lab.run(
         "reconstruct experiment.toml --frame frame.npy --sweep prior=tv,tvv --max-iterations 5 -o out",
     );
-    assert!(said.contains("failed") && said.contains("tvv"), "{said}");
+    assert_eq!(refused.status.code(), Some(2));
+    let words = String::from_utf8(refused.stderr).unwrap();
+    assert!(
+        words.contains("--prior") && words.contains("tvv"),
+        "{words}"
+    );
+    assert!(!lab.path("out").exists());
     let refused = lab
         .command("reconstruct experiment.toml --frame frame.npy --sweep seed=1,2 -o out2")
         .output()

@@ -69,9 +69,9 @@ mod tests {
                 .contains("in colour")
         );
         let cases = [
-            (bitmap(1, 2, &pixels[..2]), "cannot be read"),
+            (bitmap(1, 2, &pixels[..2]), "ends too early"),
             (bitmap(60_000, 60_000, &pixels), "60000×60000"),
-            (b"BM and no more".to_vec(), "cannot be read"),
+            (b"BM and no more".to_vec(), "a text file"),
         ];
         for (bytes, expected) in cases {
             std::fs::write(&path, bytes).unwrap();

@@ -8,6 +8,7 @@ pub use sections::experiment_schema;
 
 use crate::metadata::Metadata;
 use crate::pages::SampleFormat;
+use crate::relative::relative_path;
 use crate::source::{Colour, Source};
 use crate::table::{Table, nearest};
 use crate::{fault, npy};
@@ -16,7 +17,7 @@ use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::reconstruct::Tau;
 use rowburst::{Camera, Parameter, Result, Sensor, Shutter, phrase};
-use sections::{CALIBRATION, CAMERA, FIELD, RECONSTRUCTION, RECORDING, SECTIONS};
+use sections::{CALIBRATION, CAMERA, FIELD, GUIDE, RECONSTRUCTION, RECORDING, SECTIONS};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
@@ -39,6 +40,8 @@ pub struct Experiment {
     pub reconstruction: Reconstruction,
     /// How frames follow each other.
     pub recording: Recording,
+    /// Pictures of the scene by a second camera.
+    pub guides: Vec<GuideFile>,
     /// What of all this came from the metadata of a frame.
     pub from_metadata: FromMetadata,
 }
@@ -48,6 +51,17 @@ pub struct Experiment {
 pub struct Recording {
     /// From the start of a frame to that of the next, in microseconds.
     pub frame_period_us: Option<f64>,
+}
+
+/// What a `[[guide]]` says.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct GuideFile {
+    /// The picture.
+    pub image: PathBuf,
+    /// Middle of its exposure in microseconds from the start of the frame's first exposure; `None`: unknown.
+    pub time_us: Option<f64>,
+    /// Its exposure in microseconds.
+    pub exposure_us: Option<f64>,
 }
 
 /// Files of `[calibration]`.
@@ -83,6 +97,7 @@ impl Experiment {
             calibration: Calibration::default(),
             reconstruction: Reconstruction::default(),
             recording: Recording::default(),
+            guides: Vec::new(),
             from_metadata: FromMetadata::default(),
         }
     }
@@ -188,22 +203,23 @@ impl Experiment {
             },
             reconstruction: read_reconstruction(&file.table(&RECONSTRUCTION)?)?,
             recording,
+            guides: read_guides(&file.tables(&GUIDE)?, folder)?,
             from_metadata: filling.from_metadata,
         })
     }
 
     /// The text of an experiment file that lies in `folder` and says the same.
     ///
-    /// Paths in `folder` are written relative to it, others as absolute paths. The order of a
+    /// Paths are written relative to `folder`, or absolute where they have no folder in common with it but the root. The order of a
     /// custom shutter is written as a list where `row_order` is `None`; the file that
     /// `row_order` names must be written by the caller.
     pub fn to_toml(&self, folder: &Path) -> String {
         let path = |path: &PathBuf| -> toml::Value {
             let written = match path.strip_prefix(folder) {
-                Ok(inside) => inside.to_path_buf(),
-                Err(_) => std::path::absolute(path).unwrap_or_else(|_| path.clone()),
+                Ok(inside) => inside.to_string_lossy().into_owned(),
+                Err(_) => relative_path(path, folder),
             };
-            written.to_string_lossy().into_owned().into()
+            written.into()
         };
         let mut text = "# Every quantity carries its unit in its name.\n[camera]\n".to_string();
         let (params, sensor) = (&self.params, &self.params.sensor);
@@ -265,6 +281,12 @@ impl Experiment {
         if let Some(period) = self.recording.frame_period_us {
             text += "\n[recording]\n";
             line(&mut text, "frame_period_us", Some(period));
+        }
+        for guide in &self.guides {
+            text += "\n[[guide]]\n";
+            line(&mut text, "image", Some(path(&guide.image)));
+            line(&mut text, "time_us", guide.time_us);
+            line(&mut text, "exposure_us", guide.exposure_us);
         }
         text
     }
@@ -346,6 +368,28 @@ fn read_params(
             full_well_counts: camera.number("full_well_counts")?,
         },
     })
+}
+
+/// Reads the tables `[[guide]]`.
+fn read_guides(tables: &[Table], folder: &Path) -> Result<Vec<GuideFile>> {
+    let read = |table: &Table| {
+        let image = table.required("image", table.text("image")?)?;
+        let guide = GuideFile {
+            image: folder.join(image),
+            time_us: table.number("time_us")?,
+            exposure_us: table.number("exposure_us")?,
+        };
+        if let Some(below) = guide.exposure_us.filter(|e| *e < 0.0) {
+            return Err(table.error(
+                "exposure_us",
+                below,
+                "an exposure is not below zero",
+                "Correct this line.",
+            ));
+        }
+        Ok(guide)
+    };
+    tables.iter().map(read).collect()
 }
 
 fn read_shutter(camera: &Table, row_order: Option<RowOrder>) -> Result<Option<Shutter>> {

@@ -1,8 +1,9 @@
 //! A folder of results, in which a file is either whole or not there.
 
 use crate::fault;
+use crate::file_log::FileLog;
 use rowburst::error::With;
-use rowburst::{Cancel, Error, Parameter, Result, phrase};
+use rowburst::{Cancel, Error, ErrorKind as Kind, Parameter, Result, phrase};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -16,7 +17,21 @@ pub struct OutputFolder {
     path: PathBuf,
     is_new: bool,
     cancel: Cancel,
+    /// The list of the files that were written; `None` in a folder that was not claimed.
+    log: Option<FileLog>,
 }
+
+/// What is done where a folder holds files that the program has not written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ForeignFiles {
+    /// The folder is refused.
+    Refuse,
+    /// They stay, but for those of the names that are written.
+    Accept,
+}
+
+/// Foreign files that an error names.
+const MAX_NAMED_FILES: usize = 3;
 
 impl Drop for OutputFolder {
     fn drop(&mut self) {
@@ -54,7 +69,72 @@ impl OutputFolder {
             path: path.into(),
             is_new,
             cancel: Cancel::default(),
+            log: None,
         })
+    }
+
+    /// Like [`Self::create`], for the results of the command `writer`: files that the program has not written, or that
+    /// were changed since, are treated by `foreign`. Lists the files that are written, so that the next run knows them.
+    /// Hidden files and subfolders of the user are no obstacle.
+    ///
+    /// # Errors
+    /// Those of [`Self::create`], and a folder with foreign files where they are refused.
+    pub fn claim(path: &Path, writer: &'static str, foreign: ForeignFiles) -> Result<Self> {
+        let mut folder = Self::create(path)?;
+        let log = FileLog::open(path, writer);
+        let found = match foreign {
+            ForeignFiles::Refuse => log.foreign(),
+            ForeignFiles::Accept => Vec::new(),
+        };
+        if let Some(error) = foreign_error(path, &found) {
+            return Err(error);
+        }
+        if log.exists() {
+            remove_temporary(path);
+            // One line for each file. Without room for it the longer list stays.
+            let _ = folder.write_bytes(FileLog::name(), log.compacted().as_bytes());
+        }
+        folder.log = Some(log);
+        Ok(folder)
+    }
+
+    /// A folder within this one, claimed for the same command.
+    ///
+    /// # Errors
+    /// Those of [`Self::claim`].
+    pub fn subfolder(&self, name: &str, writer: &'static str) -> Result<Self> {
+        let folder = Self::claim(&self.path.join(name), writer, ForeignFiles::Accept)?;
+        Ok(folder.with_cancel(&self.cancel))
+    }
+
+    /// Lists a file that is written step by step, or an archive of many files, before it is begun.
+    ///
+    /// # Errors
+    /// A failed write.
+    pub fn list(&self, name: &str) -> Result<()> {
+        let Some(log) = &self.log else {
+            return Ok(());
+        };
+        let noted = log.note_any(name);
+        noted.map_err(|e| fault::write_error(&e).within(self.path.join(name)))
+    }
+
+    /// Removes the files of an earlier run of the same command that this one has not written again.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove_stale(&self) -> Result<()> {
+        let stale = self.log.iter().flat_map(FileLog::stale);
+        for name in stale {
+            let path = self.path.join(&name);
+            info!("removing {}, of an earlier run", path.display());
+            if path.is_dir() {
+                fs::remove_dir_all(&path).map_err(|e| fault::write_error(&e).within(path))?;
+            } else {
+                self.remove(&name)?;
+            }
+        }
+        Ok(())
     }
 
     /// The same folder, to which nothing is written any more once `cancel` asks for the end.
@@ -106,6 +186,9 @@ impl OutputFolder {
         let bytes = file.metadata().map_or(0, |metadata| metadata.len());
         // A disk that is full may say so only now.
         file.sync_all().map_err(fault)?;
+        if let Some(log) = &self.log {
+            log.note(name, &hidden).map_err(fault)?;
+        }
         hidden.persist(&path).map_err(|e| fault(e.error))?;
         info!("wrote {}, {bytes} bytes", path.display());
         Ok(())
@@ -122,12 +205,52 @@ impl OutputFolder {
     }
 }
 
+/// The error of a folder with these foreign files; `None` without any.
+fn foreign_error(path: &Path, names: &[String]) -> Option<Error> {
+    if names.is_empty() {
+        return None;
+    }
+    let mut found = names[..names.len().min(MAX_NAMED_FILES)].join(", ");
+    if names.len() > MAX_NAMED_FILES {
+        found += &format!(" and {} more", names.len() - MAX_NAMED_FILES);
+    }
+    let files = if names.len() == 1 { "a file" } else { "files" };
+    let error = Error::input(
+        path,
+        format!("{files} that Rowburst did not write, or that changed since: {found}"),
+        "results go to a folder of their own, so that nothing of yours is replaced",
+        phrase![
+            "Choose a new folder",
+            With(Parameter::Output),
+            ", or go on with ",
+            Parameter::Force,
+            ", which replaces files of the same names."
+        ],
+    );
+    Some(error.with_kind(Kind::Exists))
+}
+
+/// Ending of hidden files that are being written.
+const TEMPORARY: &str = ".part";
+
+/// Removes the hidden files that a killed process has left.
+fn remove_temporary(folder: &Path) {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    for entry in entries {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with('.') && name.ends_with(TEMPORARY) {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// A hidden file in `folder` that is removed when dropped, with the permissions of
 /// any new file.
 fn temporary(folder: &Path, name: &str) -> io::Result<NamedTempFile> {
     let prefix = format!(".{name}.");
     let mut builder = tempfile::Builder::new();
-    builder.prefix(&prefix).suffix(".part");
+    builder.prefix(&prefix).suffix(TEMPORARY);
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)
@@ -164,6 +287,79 @@ mod tests {
         assert!(message.contains("note.txt: solver: gave up"), "{message}");
         assert_eq!(fs::read(&file).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["note.txt"]);
+    }
+
+    fn claim(path: &Path, writer: &'static str) -> Result<OutputFolder> {
+        OutputFolder::claim(path, writer, ForeignFiles::Refuse)
+    }
+
+    #[test]
+    fn foreign_files_are_refused_and_own_ones_replaced() {
+        let base = tempfile::tempdir().unwrap();
+        let path = base.path();
+        claim(path, "simulate")
+            .unwrap()
+            .write_bytes("experiment.toml", b"rows = 1")
+            .unwrap();
+        fs::create_dir(path.join("captures")).unwrap();
+        fs::write(path.join(".hidden"), "").unwrap();
+        let again = claim(path, "reconstruct").unwrap();
+        again.write_bytes("video.npy", b"1").unwrap();
+        claim(path, "simulate").unwrap();
+
+        fs::write(path.join("experiment.toml"), "rows = 1 # my note").unwrap();
+        fs::write(path.join("notes.txt"), "").unwrap();
+        let error = claim(path, "simulate").unwrap_err();
+        let message = error.to_string();
+        assert!(message.contains("experiment.toml, notes.txt"), "{message}");
+        assert!(
+            error.is_input() && !message.contains("video.npy"),
+            "{message}"
+        );
+        OutputFolder::claim(path, "simulate", ForeignFiles::Accept).unwrap();
+    }
+
+    #[test]
+    fn what_an_earlier_run_left_is_removed() {
+        let base = tempfile::tempdir().unwrap();
+        let path = base.path();
+        let simulated = claim(path, "simulate").unwrap();
+        simulated.write_bytes("frame.npy", b"1").unwrap();
+        let first = claim(path, "reconstruct").unwrap();
+        for name in ["video.npy", "direct.png", "kept.txt"] {
+            first.write_bytes(name, b"1").unwrap();
+        }
+        fs::write(path.join("kept.txt"), "of the user now").unwrap();
+        fs::create_dir(path.join("video.zarr")).unwrap();
+        first.list("video.zarr").unwrap();
+        let second = OutputFolder::claim(path, "reconstruct", ForeignFiles::Accept).unwrap();
+        second.write_bytes("video.npy", b"2").unwrap();
+        second.remove_stale().unwrap();
+        let mut left = names(path);
+        left.sort();
+        let expected = [".rowburst-files", "frame.npy", "kept.txt", "video.npy"];
+        assert_eq!(left, expected);
+    }
+
+    /// A process that is killed before, between and after the two renames leaves no file that is foreign.
+    #[test]
+    fn a_killed_process_leaves_no_foreign_file() {
+        let base = tempfile::tempdir().unwrap();
+        let path = base.path();
+        let folder = claim(path, "reconstruct").unwrap();
+        folder.write_bytes("video.npy", b"old").unwrap();
+        let log = folder.log.as_ref().unwrap();
+        fs::write(path.join(".video.npy.x.part"), "new").unwrap();
+        log.note("video.npy", &path.join(".video.npy.x.part"))
+            .unwrap();
+        claim(path, "reconstruct").unwrap();
+        assert!(!path.join(".video.npy.x.part").exists());
+        fs::write(path.join("video.npy"), "new").unwrap();
+        log.note("video.npy", &path.join("video.npy")).unwrap();
+        let list = path.join(FileLog::name());
+        let text = fs::read_to_string(&list).unwrap();
+        fs::write(&list, text + "{\"name\": \"cut").unwrap();
+        claim(path, "reconstruct").unwrap();
     }
 
     #[test]

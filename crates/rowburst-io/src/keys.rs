@@ -93,8 +93,13 @@ impl Kind {
     }
 }
 
-/// The JSON Schema of a file of `sections`, as text.
-pub(crate) fn schema(title: &str, description: &str, sections: &[&Section]) -> String {
+/// The JSON Schema of a file of `sections`, as text. Of those named in `repeated` a file may have several.
+pub(crate) fn schema(
+    title: &str,
+    description: &str,
+    sections: &[&Section],
+    repeated: &[&str],
+) -> String {
     let sections = sections.iter().map(|section| {
         let keys = section.keys.iter();
         let required: Vec<&str> = keys
@@ -115,6 +120,9 @@ pub(crate) fn schema(title: &str, description: &str, sections: &[&Section]) -> S
         });
         if !required.is_empty() {
             schema["required"] = required.into();
+        }
+        if repeated.contains(&section.name) {
+            schema = json!({ "type": "array", "items": schema });
         }
         (section.name.to_string(), schema)
     });

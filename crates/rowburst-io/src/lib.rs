@@ -21,6 +21,7 @@ mod bmp;
 mod csv;
 mod experiment;
 mod fault;
+mod file_log;
 mod fits;
 mod folder;
 #[cfg(feature = "hdf5")]
@@ -39,18 +40,24 @@ mod photron;
 mod png;
 mod read;
 mod recording;
+mod relative;
 mod source;
 mod stack;
 mod table;
 mod tiff;
+mod video_formats;
 
 pub use csv::{read_photodiode, write_csv};
 pub use experiment::{
-    Calibration, Experiment, FromMetadata, Reconstruction, Recording, experiment_schema,
+    Calibration, Experiment, FromMetadata, GuideFile, Reconstruction, Recording, experiment_schema,
 };
 pub use fault::write_error;
-pub use folder::OutputFolder;
-pub use metadata::{Metadata, read_metadata};
+pub use file_log::sha256;
+pub use folder::{ForeignFiles, OutputFolder};
+pub use metadata::{
+    CAPTURE_KIND, CameraReading, Finding, Metadata, Origin, Provenance, capture_record_path,
+    read_capture_record, read_metadata, read_properties, reading_of_record,
+};
 #[cfg(feature = "mp4")]
 pub use mp4::{StampRenderer, write_mp4};
 pub use npy::{
@@ -58,9 +65,11 @@ pub use npy::{
 };
 pub use npy_chunked::ChunkedVideoFile;
 pub use pages::{Capture, SampleFormat};
-pub use patches::{is_patch_set, read_patch_set, write_patch_set};
+pub use patches::{is_patch_set, patch_set_stack, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
 pub use read::{read_colour_image, read_frames, read_image, read_stack, read_video};
 pub use recording::{Frames, gaps, open_recording};
+pub use relative::relative_path;
 pub use source::{ENDINGS as IMAGE_ENDINGS, is_image};
 pub use tiff::{TiffScale, write_tiff_colour, write_tiff_image, write_tiff_video};
+pub use video_formats::{write_hdf5_video, write_mat_video};

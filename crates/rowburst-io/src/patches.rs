@@ -11,7 +11,7 @@ use crate::npy::write_npy_video;
 use crate::read::read_stack;
 use rowburst::error::Tool;
 use rowburst::{Error, PatchSet, Psf, Result, Shape, Video, phrase};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Whether `path` names a patch set and not an image.
 pub fn is_patch_set(path: &Path) -> bool {
@@ -61,6 +61,13 @@ pub fn read_patch_set(path: &Path) -> Result<PatchSet> {
         })
         .collect::<Result<Vec<_>>>()?;
     PatchSet::new(psfs, offsets).map_err(|e| e.within(path))
+}
+
+/// The file of the PSFs of a patch set; `None` where `path` is no patch set.
+pub fn patch_set_stack(path: &Path) -> Option<PathBuf> {
+    let file: toml::Table = std::fs::read_to_string(path).ok()?.parse().ok()?;
+    let name = file.get("psfs")?.as_str()?;
+    Some(path.parent().unwrap_or(Path::new("")).join(name))
 }
 
 /// Writes `set` as `NAME.toml` and the stack `NAME.npy` beside it.

@@ -100,7 +100,7 @@ mod tests {
             ("b.tif", Some(png), "the content of a Png file"),
             ("c.PNG", Some(png), "cannot be read"),
             ("d.npy", None, "no such file"),
-            ("e.bmp", Some(b"x".as_slice()), "cannot be read"),
+            ("e.bmp", Some(b"x".as_slice()), "ends too early"),
         ];
         for (name, content, expected) in cases {
             let path = folder.path().join(name);

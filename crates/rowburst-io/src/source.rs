@@ -61,6 +61,9 @@ impl ArrayPath {
 /// Pixels that a byte of a file can stand for. Deflate reaches 1032 bytes for
 /// one, LZW 2600, and a bilevel byte has 8 pixels: a file that claims more is damaged.
 const PIXELS_PER_BYTE: u64 = 32_768;
+/// Bytes by which a file of text is known, and how few may look like text by chance.
+const TEXT_BYTES: u64 = 256;
+const MIN_TEXT_BYTES: usize = 8;
 
 impl<'a> Source<'a> {
     /// Opens `path`, which must be a file with something in it.
@@ -97,11 +100,41 @@ impl<'a> Source<'a> {
 
     /// The error of a file that its format's library cannot read.
     pub fn unreadable(&self, reason: impl Display) -> Error {
+        if let Some(line) = self.text_line() {
+            return self.error(
+                format!("a text file (\"{line}\")"),
+                "the file must be of the format that its name says",
+                "Save the numbers in this format, or give the file its own ending.",
+            );
+        }
+        let reason = reason.to_string();
+        // The words of the standard library for the end of a file.
+        if reason.contains("failed to fill whole buffer") {
+            return self.error(
+                format!("a file that ends too early, after {} bytes", self.bytes),
+                "the file must be whole",
+                "Save or copy it again: it is cut short.",
+            );
+        }
         self.error(
             format!("a file that cannot be read ({reason})"),
             "the file must be whole and of the format that its name says",
             "Save or copy it again: it may be cut short or damaged.",
         )
+    }
+
+    /// The begin of the first line where the file is one of text.
+    fn text_line(&self) -> Option<String> {
+        let mut start = Vec::new();
+        let file = File::open(ArrayPath::of(self.path).file).ok()?;
+        file.take(TEXT_BYTES).read_to_end(&mut start).ok()?;
+        let text = String::from_utf8(start).ok()?;
+        let is_text = |c: char| !c.is_control() || c.is_ascii_whitespace();
+        if text.len() < MIN_TEXT_BYTES || !text.chars().all(is_text) {
+            return None;
+        }
+        let line = text.lines().find(|line| !line.trim().is_empty())?;
+        Some(line.trim().chars().take(24).collect())
     }
 
     /// The error of a kind of pixel that is not read.
@@ -115,6 +148,13 @@ impl<'a> Source<'a> {
 
     /// An empty vector with room for the pixels, if a file this long can hold them.
     pub fn reserve_pixels(&self, count: usize, rows: usize, columns: usize) -> Result<Vec<f32>> {
+        if count.min(rows).min(columns) == 0 {
+            return Err(self.error(
+                "an empty array",
+                "an image has at least one pixel",
+                "Check what was saved: nothing was in it.",
+            ));
+        }
         let total = rows.checked_mul(columns).and_then(|p| p.checked_mul(count));
         let most = self.bytes.saturating_mul(PIXELS_PER_BYTE);
         let total =

@@ -81,6 +81,28 @@ impl<'a> Table<'a> {
         Ok(table)
     }
 
+    /// The tables of `section`, of which the file may have several, written `[[name]]`.
+    pub fn tables(&self, section: &'static Section) -> Result<Vec<Table<'a>>> {
+        let Some(value) = self.value(section.name) else {
+            return Ok(Vec::new());
+        };
+        let expected = format!("tables, each written [[{}]]", section.name);
+        let wrong = || self.wrong_type(section.name, value, &expected);
+        let list = value.get_ref().as_array().ok_or_else(wrong)?;
+        let names: Vec<&str> = section.keys.iter().map(|key| key.name).collect();
+        let tables = list.iter().map(|item| {
+            let table = Table {
+                name: section.name,
+                entries: Some(item.get_ref().as_table().ok_or_else(wrong)?),
+                keys: section.keys,
+                ..*self
+            };
+            table.check_keys(&names)?;
+            Ok(table)
+        });
+        tables.collect()
+    }
+
     /// The kind of the values of `key`.
     fn kind(&self, key: &str) -> Kind {
         let known = self.keys.iter().find(|known| known.name == key);

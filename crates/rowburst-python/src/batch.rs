@@ -6,7 +6,7 @@ use crate::frames::{ArrayFrames, PyFrames};
 use crate::log;
 use crate::operator::{Gram, model_of};
 use crate::psf::psfs_of;
-use crate::task::{corrections_of, options_from, self_calibration_from};
+use crate::task::{Constants, corrections_of, options_from, self_calibration_from, tuning_from};
 use crate::threads::{self, Threads, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;
@@ -111,7 +111,8 @@ impl PyBatch {
     /// The batch of a recording in memory or on disk, with the calibration as values.
     #[staticmethod]
     #[pyo3(signature = (camera, psf, frames, out, *, dark=None, flat=None, bad_pixels=None, prior="auto", tau=None,
-        noise_sigma=None, max_iterations=None, frame_period_us=None, self_calibrate="auto", keep_all_pixels=false))]
+        noise_sigma=None, max_iterations=None, frame_period_us=None, self_calibrate="auto", keep_all_pixels=false,
+        tuning=None))]
     #[allow(clippy::too_many_arguments)]
     fn of_values(
         py: Python<'_>,
@@ -129,9 +130,11 @@ impl PyBatch {
         frame_period_us: Option<f64>,
         self_calibrate: &str,
         keep_all_pixels: bool,
+        tuning: Option<Constants>,
     ) -> PyResult<Self> {
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
+            tuning: tuning_from(tuning.unwrap_or_default())?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;

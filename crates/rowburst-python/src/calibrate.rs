@@ -13,7 +13,7 @@ use pyo3::types::{PyList, PyTuple};
 use rowburst::calibrate::psf::NamedCapture;
 use rowburst::calibrate::timing::{Extension, Lamp, Waveform};
 use rowburst::{Error, ErrorKind, Image, Parameter};
-use rowburst_io::{OutputFolder, read_colour_image};
+use rowburst_io::{ForeignFiles, OutputFolder, read_colour_image};
 use rowburst_run::calibrate::psf::{
     CaptureGroup, PsfCalibration, PsfFolder, PsfInputs, read_captures,
 };
@@ -108,7 +108,7 @@ impl PySensorCalibration {
 
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let write = || {
-            let folder = OutputFolder::create(&folder)?;
+            let folder = OutputFolder::claim(&folder, "calibrate sensor", ForeignFiles::Accept)?;
             self.sensor.write(&folder, None)
         };
         detached(py, write)?.map_err(to_py_err)
@@ -258,8 +258,10 @@ impl PyPsfCalibration {
             reproduce: None,
         };
         let write = || {
-            self.calibration
-                .write(&OutputFolder::create(&folder)?, beside)
+            self.calibration.write(
+                &OutputFolder::claim(&folder, "calibrate psf", ForeignFiles::Accept)?,
+                beside,
+            )
         };
         detached(py, write)?.map_err(to_py_err)
     }
@@ -375,7 +377,7 @@ impl PyTimingCalibration {
 
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let write = || {
-            let folder = OutputFolder::create(&folder)?;
+            let folder = OutputFolder::claim(&folder, "calibrate timing", ForeignFiles::Accept)?;
             self.timing.write(&folder, None)
         };
         detached(py, write)?.map_err(to_py_err)

@@ -13,9 +13,47 @@ use std::path::PathBuf;
 
 /// A rolling-shutter camera and the field that it is asked to reconstruct.
 ///
-/// The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
-/// instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
-/// reconstructed by :func:`reconstruct_colour`.
+/// The names are the keys of the experiment file. Frames of a sensor with a mosaic (``bayer``) are reconstructed by
+/// :func:`reconstruct_colour`.
+///
+/// Parameters
+/// ----------
+/// rows, columns : int
+///     Pixels of the frame, before binning.
+/// shutter : str
+///     ``"top-down"``, ``"bottom-up"``, ``"dual-inside-out"``, ``"dual-outside-in"``, ``"custom"`` or ``"global"``.
+/// exposure_us : float
+///     Exposure of a row in microseconds.
+/// row_time_us : float, optional
+///     Time from the readout of one row to that of the next in microseconds; needed unless the shutter is global.
+/// row_order : sequence of int, optional
+///     The instant of every row, for the shutter ``"custom"``.
+/// binning : int
+///     Raw pixels along a side of a pixel of the working grid.
+/// bins_per_row : int
+///     Bins of the video in a row time.
+/// field : tuple of int, optional
+///     Rows and columns of the video, if it is larger than the sensor.
+/// pixel_pitch_um : float, optional
+///     Width of a pixel in micrometres.
+/// bit_depth : int, optional
+///     Bits of the converter.
+/// bias_counts, gain_electrons_per_count, read_noise_electrons, full_well_counts : float, optional
+///     The numbers of :func:`rowburst.calibrate.sensor`.
+/// bayer : str, optional
+///     The mosaic: ``"rggb"``, ``"bggr"``, ``"grbg"`` or ``"gbrg"``.
+///
+/// Raises
+/// ------
+/// InputError
+///     A value breaks a rule.
+///
+/// Examples
+/// --------
+/// >>> zyla = rb.Camera(rows=108, columns=108, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
+/// >>> zyla.video_shape, round(zyla.frame_rate_hz)
+/// ((54, 108, 108), 104167)
+#[allow(clippy::doc_lazy_continuation)]
 #[pyclass(name = "Camera", module = "rowburst", frozen, eq, from_py_object)]
 #[derive(Clone, PartialEq)]
 pub struct PyCamera {

@@ -11,7 +11,7 @@ use rowburst::Camera;
 use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
 use rowburst::solve::StopReason;
-use rowburst_io::OutputFolder;
+use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_run::Event;
 use rowburst_run::design::{Design, DesignInputs, checked_snrs, light_of, paper_camera};
 use rowburst_run::simulate::LensOptics;
@@ -84,6 +84,7 @@ impl PyDesign {
             light,
             psf_file: None,
             trial_snrs: checked_snrs(&trial_snrs).map_err(to_py_err)?,
+            scene: None,
             seed: seed.named("seed")? as u64,
         };
         let call = |py: Python<'_>, part: f64| {
@@ -127,7 +128,7 @@ impl PyDesign {
 
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
         let write = || {
-            let folder = OutputFolder::create(&folder)?;
+            let folder = OutputFolder::claim(&folder, "design", ForeignFiles::Accept)?;
             self.design.write(&folder, None)
         };
         detached(py, write)?.map_err(to_py_err)

@@ -17,6 +17,27 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// The content of an experiment file and of the files that it names.
+///
+/// Parameters
+/// ----------
+/// path : path
+///     The experiment file, as ``rowburst init`` writes it.
+/// frame : path, optional
+///     A frame or a recording: keys that the file leaves open are taken from its metadata.
+///
+/// Raises
+/// ------
+/// InputError
+///     The file or one that it names is missing or breaks a rule.
+///
+/// Examples
+/// --------
+/// >>> experiment = rb.Experiment("experiment.toml")
+/// >>> experiment.prior, experiment.psf.shape
+/// ('tv', (47, 59))
+/// >>> experiment.reconstructor(max_iterations=5)(frame).prior
+/// 'tv'
+#[allow(clippy::doc_lazy_continuation)]
 #[pyclass(name = "Experiment", module = "rowburst", frozen)]
 pub struct PyExperiment {
     camera: PyCamera,
@@ -120,9 +141,41 @@ impl PyExperiment {
         self.from_metadata.warnings.clone()
     }
 
+    /// A reconstructor with everything that the file says; ``options`` are the arguments of :class:`Reconstructor`.
+    #[pyo3(signature = (**options))]
+    fn reconstructor<'py>(
+        slf: &Bound<'py, Self>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let package = slf.py().import("rowburst")?;
+        package.getattr("Reconstructor")?.call((slf,), options)
+    }
+
     #[getter]
     fn frame_period_us(&self) -> Option<f64> {
         self.frame_period_us
+    }
+
+    fn __repr__(&self) -> String {
+        let has = |there: bool, name: &'static str| there.then_some(name);
+        let files = [
+            has(self.psfs.is_some(), "psf"),
+            has(self.dark.is_some(), "dark"),
+            has(self.flat.is_some(), "flat"),
+            has(self.bad_pixels.is_some(), "bad_pixels"),
+        ];
+        let files: Vec<_> = files.into_iter().flatten().collect();
+        format!(
+            "<rowburst.Experiment: {}×{}, prior {}, with {}>",
+            self.camera.camera.rows(),
+            self.camera.camera.columns(),
+            self.prior,
+            if files.is_empty() {
+                "no calibration".into()
+            } else {
+                files.join(", ")
+            }
+        )
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<State<'py>> {

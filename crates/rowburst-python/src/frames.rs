@@ -2,11 +2,12 @@
 
 use crate::array::{capture, dtype_of, from_capture, from_video};
 use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
 use crate::threads::detached;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use rowburst::error::Subject;
-use rowburst::{Error, ErrorKind, Parameter, Result, Shape, Video};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result, Shape, Video};
 use rowburst_io::{Capture, Frames, open_recording};
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use std::path::{Path, PathBuf};
@@ -58,7 +59,10 @@ impl PyFrames {
 
     /// All frames, `[frame, y, x]`.
     fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let read = detached(py, || all_frames(&*self.frames))?;
+        let frames = Arc::clone(&self.frames);
+        let read = interruptibly::<(), _>(py, None, None, move |reporter| {
+            all_frames(&*frames, reporter.cancel())
+        })?;
         let (video, dtype) = read.map_err(to_py_err)?;
         let array = from_video(py, video)?;
         match dtype {
@@ -69,7 +73,7 @@ impl PyFrames {
 }
 
 /// All frames as a video, and the type of their integers.
-fn all_frames(frames: &dyn Frames) -> Result<(Video, Option<&'static str>)> {
+fn all_frames(frames: &dyn Frames, cancel: &Cancel) -> Result<(Video, Option<&'static str>)> {
     let first = frames.read(0)?;
     let (rows, columns) = (first.image.rows(), first.image.columns());
     let dtype = dtype_of(first.format);
@@ -85,6 +89,7 @@ fn all_frames(frames: &dyn Frames) -> Result<(Video, Option<&'static str>)> {
     })?;
     data.extend_from_slice(first.image.data());
     for index in 1..frames.count() {
+        cancel.check()?;
         let frame = frames.read(index)?;
         let size = (frame.image.rows(), frame.image.columns());
         if size != (rows, columns) || dtype_of(frame.format) != dtype {
@@ -141,7 +146,7 @@ impl Frames for ArrayFrames {
                 Subject::item(Parameter::Frames, format!("frame {index}")),
                 "floating-point numbers",
                 "bias_counts of the camera is subtracted from raw frames, which are integers",
-                "Give integers, or leave bias_counts out where it is subtracted already.",
+                "Give integers, or corrected=True where it is subtracted already.",
             ));
         }
         Ok(capture)

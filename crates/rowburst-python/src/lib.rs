@@ -7,6 +7,7 @@ mod array;
 mod batch;
 mod calibrate;
 mod camera;
+mod capture;
 mod command;
 mod design;
 mod error;
@@ -44,6 +45,8 @@ mod _rowburst {
     use crate::calibrate::{PyPsfCalibration, PySensorCalibration, PyTimingCalibration};
     #[pymodule_export]
     use crate::camera::PyCamera;
+    #[pymodule_export]
+    use crate::capture::{_read_properties, PyRecorder, PySource};
     #[pymodule_export]
     use crate::command::_command;
     #[pymodule_export]

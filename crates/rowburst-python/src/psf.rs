@@ -3,8 +3,8 @@
 use crate::array::{capture, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
 use crate::state::State2;
-use crate::threads::detached;
 use crate::whole::Whole;
 use numpy::PyArray2;
 use pyo3::prelude::*;
@@ -20,6 +20,23 @@ type Stored<'py> = State2<'py, Vec<Bound<'py, PyArray2<f32>>>, Vec<(f64, f64)>>;
 /// A point-spread function that sums to 1, or several that share out the field.
 ///
 /// The element at ``(height // 2, width // 2)`` is zero displacement.
+///
+/// Parameters
+/// ----------
+/// values : array
+///     The PSF ``[y, x]``, not negative; it is scaled to the sum 1.
+///
+/// Raises
+/// ------
+/// InputError
+///     An element is negative or not finite, or all are zero.
+///
+/// Examples
+/// --------
+/// >>> centred = rb.Psf(np.eye(5))
+/// >>> centred.shape, float(centred.array.sum())
+/// ((5, 5), 1.0)
+#[allow(clippy::doc_lazy_continuation)]
 #[pyclass(name = "Psf", module = "rowburst", frozen, eq)]
 #[derive(Clone, PartialEq)]
 pub struct PyPsf {
@@ -153,7 +170,42 @@ pub fn psfs_of(
     Ok(psf.into())
 }
 
-/// A random speckle PSF of a diffuser behind a lens, for every displacement that ``camera`` sees.
+/// A random speckle PSF of a diffuser behind a lens, for every displacement that a camera sees.
+///
+/// Parameters
+/// ----------
+/// camera : Camera
+///     The camera; its pixel pitch is that of the paper where it has none.
+/// wavelength_nm : float
+///     Wavelength in nanometres.
+/// pupil_mm, focal_length_mm : float
+///     Diameter of the pupil and focal length of the lens in millimetres.
+/// magnification : float
+///     Size on the sensor over size in the scene.
+/// na : float, optional
+///     Numerical aperture on the side of the sensor, instead of the diameter of the pupil.
+/// diffuser_deg : float
+///     Full width at half maximum of its scattering in degrees.
+/// diffuser_phase : float
+///     Rms of its phase in radians.
+/// seed : int
+///     The seed of the diffuser.
+///
+/// Returns
+/// -------
+/// Psf
+///     The PSF ``[y, x]``.
+///
+/// Raises
+/// ------
+/// InputError
+///     An argument breaks a rule.
+///
+/// Examples
+/// --------
+/// >>> rb.speckle_psf(camera).shape
+/// (47, 59)
+#[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
 #[pyo3(signature = (camera, *, wavelength_nm=532.0, pupil_mm=1.71, focal_length_mm=50.0,
     magnification=1.0 / 22.5, na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=Whole::of(1)),
@@ -171,7 +223,7 @@ pub fn speckle_psf(
     diffuser_phase: f64,
     seed: Whole,
 ) -> PyResult<PyPsf> {
-    let camera = &camera.camera;
+    let camera = camera.camera.clone();
     let seed = seed.named("seed")? as u64;
     let optics = LensOptics {
         wavelength_nm,
@@ -181,8 +233,10 @@ pub fn speckle_psf(
         na,
         diffuser_deg,
     };
-    let optics = optics.optics(pixel_pitch_um(camera));
-    let psf = detached(py, || speckle_for(camera, &optics, diffuser_phase, seed))?;
+    let optics = optics.optics(pixel_pitch_um(&camera));
+    let psf = interruptibly::<(), _>(py, None, None, move |_| {
+        speckle_for(&camera, &optics, diffuser_phase, seed)
+    })?;
     Ok(PyPsf {
         psfs: psf.map_err(to_py_err)?.into(),
     })

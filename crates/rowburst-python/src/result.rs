@@ -1,10 +1,11 @@
 //! `rowburst.Result` and what a progress callback is given.
 
-use crate::array::{from_image, from_video, make_read_only};
+use crate::array::{from_image, from_video, make_read_only, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
 use crate::psf::PyPsf;
-use crate::state::{self, State as Stored, entry};
+use crate::state::{self, State as Stored, entry, optional_entry};
 use crate::threads::{self, detached};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -12,14 +13,15 @@ use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict, PyType};
 use rowburst::solve::admm::Progress;
 use rowburst::{Error, Parameter, Shape, Video};
-use rowburst_io::OutputFolder;
+use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_report::Layout;
 use rowburst_run::{
     CompletedTask, MovieStyle, Output, ReportMeta, TraceRequest, Traces, figure_of_folder,
     player_of,
 };
+use std::mem::swap;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// An iteration, as a progress callback sees it.
 #[pyclass(name = "Progress", module = "rowburst", frozen, get_all)]
@@ -64,7 +66,7 @@ impl PyProgress {
 /// A reconstructed video with what is needed to judge it.
 #[pyclass(name = "Result", module = "rowburst._rowburst", frozen)]
 pub struct PyReconstruction {
-    state: Mutex<State>,
+    state: Arc<Mutex<State>>,
     shape: Shape,
     /// Number of threads that reconstructed it.
     threads: usize,
@@ -74,21 +76,54 @@ struct State {
     completed: CompletedTask,
     /// The video once it was asked for: numpy owns it then, and nobody may change it.
     video: Option<Py<PyArray3<f32>>>,
+    /// The video before it was refitted; `None`: it was not to be refitted.
+    estimate: Option<Video>,
     /// Of the brightest spots.
     traces: Option<Traces>,
 }
 
+impl State {
+    /// Requested traces. They are those of the video before it was refitted, as on the command line.
+    fn traces_of(&mut self, request: TraceRequest) -> Traces {
+        let completed = &mut self.completed;
+        let Some(estimate) = &mut self.estimate else {
+            return completed.traces(request, false);
+        };
+        swap(&mut completed.reconstruction.video, estimate);
+        let mut traces = completed.traces(request, false);
+        swap(&mut completed.reconstruction.video, estimate);
+        traces.debias_was_wanted = true;
+        traces
+    }
+
+    /// The reconstruction, and the traces of its brightest spots.
+    fn with_spots(&mut self) -> (&CompletedTask, &Traces) {
+        if self.traces.is_none() {
+            self.traces = Some(self.traces_of(TraceRequest::default()));
+        }
+        let traces = self.traces.as_ref().expect("they were just computed");
+        (&self.completed, traces)
+    }
+}
+
 impl PyReconstruction {
-    /// `traces` are those of the brightest spots, where they are known already.
-    pub fn new(completed: CompletedTask, traces: Option<Traces>, threads: usize) -> Self {
+    /// `estimate` is the video before it was refitted, if it was; `traces` are those of the brightest spots, where they
+    /// are known already.
+    pub fn new(
+        completed: CompletedTask,
+        estimate: Option<Video>,
+        traces: Option<Traces>,
+        threads: usize,
+    ) -> Self {
         Self {
             shape: completed.reconstruction.video.shape(),
             threads,
-            state: Mutex::new(State {
+            state: Arc::new(Mutex::new(State {
                 completed,
                 video: None,
+                estimate,
                 traces,
-            }),
+            })),
         }
     }
 
@@ -102,15 +137,16 @@ impl PyReconstruction {
         state.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets `work` see the whole reconstruction, its video among it, without the interpreter.
-    fn with<T: Send>(
+    /// Lets `work` see the whole reconstruction, its video among it, without the interpreter. Ctrl-C is raised at once;
+    /// the work then ends in the background.
+    fn with<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&CompletedTask, &mut Option<Traces>) -> T + Send,
+        work: impl FnOnce(&mut State) -> T + Send + 'static,
     ) -> PyResult<T> {
         // Another thread may have held the lock when this process was forked.
         threads::check_process()?;
-        let mut work = Some(work);
+        let work = Arc::new(Mutex::new(Some(work)));
         loop {
             let lent = self.state(py).video.as_ref().map(|v| v.clone_ref(py));
             // numpy owns the video: a copy for as long as it is needed.
@@ -121,17 +157,17 @@ impl PyReconstruction {
                 }
                 None => None,
             };
-            let done = detached(py, || {
-                let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-                let state = &mut *state;
+            let (state, work) = (Arc::clone(&self.state), Arc::clone(&work));
+            let done = interruptibly::<(), _>(py, None, None, move |_| {
+                let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
                 match (state.video.is_some(), copy) {
                     (true, Some(copy)) => state.completed.reconstruction.video = copy,
                     (false, _) => (),
                     // Another thread has just asked for it.
                     (true, None) => return None,
                 }
-                let work = work.take().expect("it is done once");
-                let done = work(&state.completed, &mut state.traces);
+                let work = work.lock().unwrap_or_else(PoisonError::into_inner).take();
+                let done = work.expect("it is done once")(&mut state);
                 if state.video.is_some() {
                     state.completed.reconstruction.video = placeholder();
                 }
@@ -191,7 +227,10 @@ impl PyReconstruction {
         let (this, py) = (slf.get(), slf.py());
         // The video goes to numpy first, so that it is not copied for the state.
         let video = this.video(py)?;
+        let estimate = this.state(py).estimate.clone();
         let state = state::of_completed(py, &this.state(py).completed, video)?;
+        let estimate = estimate.map(|video| from_video(py, video)).transpose()?;
+        state.set_item("estimate", estimate)?;
         state.set_item("threads", this.threads)?;
         Ok((slf.get_type().getattr("_restore")?, (state,)))
     }
@@ -201,15 +240,18 @@ impl PyReconstruction {
     fn _restore(_cls: &Bound<'_, PyType>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
         let threads = entry(state, "threads")?.extract()?;
         let completed = state::to_completed(state)?;
-        Ok(Self::new(completed, None, threads))
+        let estimate = optional_entry(state, "estimate")?;
+        let estimate = estimate.map(|v| video(&v, "estimate")).transpose()?;
+        Ok(Self::new(completed, estimate, None, threads))
     }
 
     /// The numbers of `result.json`, as its text.
     fn _json(&self, py: Python<'_>) -> PyResult<String> {
-        self.with(py, |completed, traces| {
-            let traces = traces.get_or_insert_with(|| spots(completed));
+        let threads = self.threads;
+        self.with(py, move |state| {
+            let (completed, traces) = state.with_spots();
             let mut summary = completed.summary(traces);
-            summary.threads = self.threads;
+            summary.threads = threads;
             serde_json::to_string(&summary).expect("plain numbers and text")
         })
     }
@@ -322,14 +364,10 @@ impl PyReconstruction {
     ) -> PyResult<(Vec<Bound<'py, PyDict>>, String)> {
         let request = TraceRequest::read(&regions, &photodiodes, self.shape).map_err(to_py_err)?;
         let is_plain = regions.is_empty() && photodiodes.is_empty();
-        let (traces, numbers) = self.with(py, |completed, kept| {
-            let requested;
-            let selected = if is_plain {
-                &*kept.get_or_insert_with(|| spots(completed))
-            } else {
-                requested = completed.traces(request, false);
-                &requested
-            };
+        let (traces, numbers) = self.with(py, move |state| {
+            let requested = (!is_plain).then(|| state.traces_of(request));
+            let (completed, spots) = state.with_spots();
+            let selected = requested.as_ref().unwrap_or(spots);
             let numbers = selected.trace_numbers(completed.task.truth.as_ref());
             let numbers =
                 serde_json::json!({ "traces": numbers, "errors": selected.standard_errors });
@@ -350,8 +388,8 @@ impl PyReconstruction {
 
     /// The page of the report.
     fn _report(&self, py: Python<'_>, title: String) -> PyResult<String> {
-        let page = self.with(py, |completed, traces| {
-            let traces = traces.get_or_insert_with(|| spots(completed));
+        let page = self.with(py, move |state| {
+            let (completed, traces) = state.with_spots();
             let report_meta = ReportMeta {
                 title: &title,
                 reproduce: None,
@@ -371,8 +409,8 @@ impl PyReconstruction {
         layout: &str,
     ) -> PyResult<(String, Bound<'py, PyBytes>)> {
         let layout = layout_of(layout).map_err(to_py_err)?;
-        let figure = self.with(py, |completed, traces| {
-            let traces = traces.get_or_insert_with(|| spots(completed));
+        let figure = self.with(py, move |state| {
+            let (completed, traces) = state.with_spots();
             completed.figure(traces, "Rowburst", layout)
         })?;
         let figure = figure.map_err(to_py_err)?;
@@ -381,14 +419,16 @@ impl PyReconstruction {
 
     /// Writes all files of `rowburst reconstruct` into a folder.
     fn _save(&self, py: Python<'_>, folder: PathBuf, title: String) -> PyResult<()> {
-        let saved = self.with(py, |completed, traces| {
-            let folder = OutputFolder::create(&folder)?;
-            let traces = traces.get_or_insert_with(|| spots(completed));
+        let saved = self.with(py, move |state| {
+            let folder = OutputFolder::claim(&folder, "reconstruct", ForeignFiles::Accept)?;
+            let (completed, traces) = state.with_spots();
             let output = Output {
                 folder: &folder,
                 title: &title,
                 reproduce: None,
                 movie: MovieStyle::Stamped,
+                formats: None,
+                record: None,
             };
             completed.write(traces, &output).map(|_| ())
         })?;
@@ -420,9 +460,4 @@ fn layout_of(name: &str) -> rowburst::Result<Layout> {
             "Leave it out for \"fig2\".",
         )),
     }
-}
-
-/// The traces of the brightest spots.
-fn spots(completed: &CompletedTask) -> Traces {
-    completed.traces(TraceRequest::default(), false)
 }

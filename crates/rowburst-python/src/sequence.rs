@@ -5,7 +5,9 @@ use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
-use crate::task::{corrections_of, measured, prior_from, setup_of, tau_from};
+use crate::task::{
+    Constants, corrections_of, measured, prior_from, setup_of, tau_from, tuning_from,
+};
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -19,14 +21,35 @@ use std::time::Instant;
 
 /// A live view: frames of one scene, each warm-started from the previous one.
 ///
-/// A frame that was stopped early is not lost: the next one continues from its state. Where the last
-/// video explains less than half of the variance of the frame, the solver starts from zero. Videos
-/// depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
-/// standard prior ``tv+0.5*tdiff+support`` here. ``dark``, ``flat`` and ``bad_pixels`` are those of :func:`reconstruct`.
+/// A frame that was stopped early is not lost: the next one continues from its state. Where the last video explains less
+/// than half of the variance of the frame, the solver starts from zero. Videos depend on earlier frames: use them for
+/// display, not for measurement.
 ///
-///     live = rowburst.LiveView(camera, psf)
-///     look = live.next(frame, time_budget_s=0.1)
-///     show(look.video)
+/// Parameters
+/// ----------
+/// camera : Camera
+///     The camera.
+/// psf : Psf, array or path
+///     The point-spread function ``[y, x]``.
+/// prior : str
+///     ``"auto"`` is the standard prior ``tv+0.5*tdiff+support`` here.
+/// tau, noise_sigma, dark, flat, bad_pixels, tuning
+///     Those of :func:`reconstruct`.
+///
+/// Raises
+/// ------
+/// InputError
+///     An argument breaks a rule.
+/// WorkError
+///     The machine has too little memory.
+///
+/// Examples
+/// --------
+/// >>> live = rb.LiveView(camera, psf)
+/// >>> look = live.next(frame, time_budget_s=0.1)
+/// >>> look.video.shape, look.went_on
+/// ((12, 24, 30), False)
+#[allow(clippy::doc_lazy_continuation)]
 #[pyclass(name = "LiveView", module = "rowburst", frozen)]
 pub struct PySequence {
     setup: Setup,
@@ -56,7 +79,7 @@ pub struct PyLook {
 impl PySequence {
     #[new]
     #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None, dark=None, flat=None,
-        bad_pixels=None))]
+        bad_pixels=None, tuning=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -68,6 +91,7 @@ impl PySequence {
         dark: Option<&Bound<'_, PyAny>>,
         flat: Option<&Bound<'_, PyAny>>,
         bad_pixels: Option<&Bound<'_, PyAny>>,
+        tuning: Option<Constants>,
     ) -> PyResult<Self> {
         let options = Options {
             prior: prior_from(prior)?,
@@ -76,8 +100,8 @@ impl PySequence {
             max_iterations: None,
             self_calibration: SelfCalibration::Off,
             keep_all_pixels: true,
+            tuning: tuning_from(tuning.unwrap_or_default())?,
             is_preview: true,
-            ..Options::default()
         };
         let grey = camera.grey()?;
         let corrections = corrections_of(dark, flat, bad_pixels)?;

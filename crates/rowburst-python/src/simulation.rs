@@ -3,9 +3,9 @@
 use crate::array::{finite_image, from_image, from_video, is_array, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::interrupt::interruptibly;
 use crate::psf::{PyPsf, psfs_of};
 use crate::state::{State, entry, optional_entry};
-use crate::threads::detached;
 use crate::whole::Whole;
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -128,19 +128,65 @@ impl PySimulation {
         })
     }
 
+    fn __repr__(&self) -> String {
+        let (shape, frame) = (self.truth.shape(), &self.frame);
+        format!(
+            "<rowburst.Simulation: a frame of {}×{}, {} bins of {}×{} in truth>",
+            frame.rows(),
+            frame.columns(),
+            shape.bins,
+            shape.rows,
+            shape.columns
+        )
+    }
+
     /// What notebooks show.
     fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
         crate::html::of(slf, "simulation_html")
     }
 }
 
-/// The frame that ``camera`` records of a scene.
+/// The frame that a camera records of a scene.
 ///
-/// ``scene`` is ``digits`` (the default), ``leds``, ``moving``, ``two-moving`` or a video ``[t, y, x]``
-/// (an array or the name of a file) that is fitted to the field. Without ``psf`` a speckle PSF is
-/// computed. ``snr`` is the rms of the noiseless frame over the noise, ``inf`` for none;
-/// ``peak_electrons`` (in the brightest pixel of the frame) or ``scene_electrons`` (from the brightest
-/// scene pixel in a bin) give shot and read noise instead, and need gain and read noise of the camera.
+/// Parameters
+/// ----------
+/// camera : Camera
+///     The camera.
+/// scene : str, path or array, optional
+///     ``"digits"`` (the default), ``"leds"``, ``"moving"``, ``"two-moving"``, or a video ``[t, y, x]`` that is fitted to
+///     the field.
+/// psf : Psf, array or path, optional
+///     The point-spread function ``[y, x]``; by default a speckle PSF is computed.
+/// snr : float
+///     Rms of the noiseless frame over the noise; ``inf`` for none.
+/// peak_electrons, scene_electrons : float, optional
+///     Shot and read noise instead of ``snr``: electrons in the brightest pixel of the frame, or from the brightest pixel
+///     of the scene in a bin. The camera needs gain and read noise.
+/// background : float, optional
+///     Brightness of a static background over that of the scene.
+/// seed : int
+///     The seed of scene and noise.
+/// digit_px : int
+///     Height of the digits in pixels.
+///
+/// Returns
+/// -------
+/// Simulation
+///     The frame with the true video.
+///
+/// Raises
+/// ------
+/// InputError
+///     An argument breaks a rule.
+/// WorkError
+///     The machine has too little memory.
+///
+/// Examples
+/// --------
+/// >>> made = rb.simulate(camera, "moving", psf, snr=100)
+/// >>> made.frame.shape, made.truth.shape
+/// ((24, 30), (12, 24, 30))
+#[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
 #[pyo3(signature = (camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None,
     scene_electrons=None, background=None, seed=Whole::of(1), digit_px=Whole::of(12)),
@@ -161,16 +207,12 @@ pub fn simulate(
     let (seed, digit_px) = (seed.named("seed")? as u64, digit_px.named("digit_px")?);
     let (py_camera, camera) = (camera.clone(), camera.camera.clone());
     crate::memory::check(&camera)?;
-    let name: String;
-    let scene = match scene {
-        None => Scene::Named("digits"),
-        Some(value) if is_array(value) => Scene::Video(video(value, "scene")?),
+    let (name, given) = match scene {
+        None => ("digits".to_string(), None),
+        Some(value) if is_array(value) => (String::new(), Some(video(value, "scene")?)),
         Some(value) => match value.extract::<String>() {
-            Ok(text) => {
-                name = text;
-                Scene::read(&name).map_err(to_py_err)?
-            }
-            Err(_) => Scene::Video(video(value, "scene")?),
+            Ok(name) => (name, None),
+            Err(_) => (String::new(), Some(video(value, "scene")?)),
         },
     };
     let noise = match (peak_electrons, scene_electrons) {
@@ -179,13 +221,17 @@ pub fn simulate(
         (None, None) => NoiseChoice::Snr(snr),
     };
     let psfs = psf.map(|p| psfs_of(p, &camera, None)).transpose()?;
-    let made = detached(py, || {
+    let made = interruptibly::<(), _>(py, None, None, move |_| {
         let psfs = match psfs {
             Some(psfs) => psfs,
             None => {
                 let optics = LensOptics::demo().optics(pixel_pitch_um(&camera));
                 speckle_for(&camera, &optics, 4.0, seed)?.into()
             }
+        };
+        let scene = match given {
+            Some(video) => Scene::Video(video),
+            None => Scene::read(&name)?,
         };
         let made = simulated(&Simulation {
             camera: &camera,

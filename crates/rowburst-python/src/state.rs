@@ -21,7 +21,7 @@ use rowburst::solve::{Certificate, StopReason};
 use rowburst::{Cancel, Image, Video};
 use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
-use rowburst_run::{CompletedTask, Task};
+use rowburst_run::{CompletedTask, DebiasNumbers, GuideOutcome, Task};
 use std::time::Duration;
 
 /// What `__reduce__` gives: a function, and the state that it is called with.
@@ -87,6 +87,7 @@ pub fn of_completed<'py>(
         "certificate",
         (found.certificate.primal, found.certificate.dual),
     )?;
+    state.set_item("debias", completed.debias.as_ref().map(of_debias))?;
     state.set_item("weights", found.weights.as_ref().map(floats))?;
     state.set_item("sigma", found.sigma)?;
     state.set_item("effective_sigma", found.effective_sigma)?;
@@ -98,6 +99,7 @@ pub fn of_completed<'py>(
     state.set_item("support_fraction", found.support_fraction)?;
     state.set_item("fit", (found.fit.verdict.name(), &found.fit.reason))?;
     state.set_item("statistics", of_statistics(py, &found.fit.statistics)?)?;
+    of_guide(py, &state, completed.guide.as_ref())?;
     let given = completed.given_psfs.clone().map(|psfs| PyPsf { psfs });
     state.set_item("given_psf", given)?;
     state.set_item(
@@ -139,6 +141,30 @@ pub fn of_completed<'py>(
         completed.convergence.iter().map(point).collect::<Vec<_>>(),
     )?;
     Ok(state)
+}
+
+/// The numbers of a refit: light ratio, that of the bright voxels, bins left as they were, PSNR and SSIM before it.
+type Debias = (f64, f64, usize, Option<f64>, Option<f64>);
+
+fn of_debias(numbers: &DebiasNumbers) -> Debias {
+    (
+        numbers.light_ratio,
+        numbers.bright_light_ratio,
+        numbers.untouched_bins,
+        numbers.psnr_db_before,
+        numbers.ssim_before,
+    )
+}
+
+fn to_debias(stored: Debias) -> DebiasNumbers {
+    let (light_ratio, bright_light_ratio, untouched_bins, psnr_db_before, ssim_before) = stored;
+    DebiasNumbers {
+        light_ratio,
+        bright_light_ratio,
+        untouched_bins,
+        psnr_db_before,
+        ssim_before,
+    }
 }
 
 fn of_task<'py>(py: Python<'py>, task: &Task) -> PyResult<Bound<'py, PyDict>> {
@@ -233,14 +259,44 @@ pub fn to_completed(state: &Bound<'_, PyDict>) -> PyResult<CompletedTask> {
     let given = given.map(|psf| -> PyResult<_> { Ok(psf.cast::<PyPsf>()?.get().psfs.clone()) });
     Ok(CompletedTask {
         reconstruction: to_reconstruction(state, &task)?,
+        guide: to_guide(state)?,
         task,
         given_psfs: given.transpose()?,
-        debias: None,
+        debias: entry(state, "debias")?
+            .extract::<Option<Debias>>()?
+            .map(to_debias),
         setup_seconds,
         seconds,
         start_offset_s,
         convergence: convergence.into_iter().map(point).collect(),
     })
+}
+
+fn of_guide(
+    py: Python<'_>,
+    state: &Bound<'_, PyDict>,
+    guide: Option<&GuideOutcome>,
+) -> PyResult<()> {
+    let numbers =
+        |g: &GuideOutcome| serde_json::to_string(&g.numbers).expect("plain numbers and text");
+    state.set_item("guide", guide.map(numbers))?;
+    let picture = guide.map(|g| from_image(py, g.registered.clone()));
+    state.set_item("guide_picture", picture.transpose()?)
+}
+
+fn to_guide(state: &Bound<'_, PyDict>) -> PyResult<Option<GuideOutcome>> {
+    let numbers: Option<String> = entry(state, "guide")?.extract()?;
+    let numbers = numbers.map(|text| {
+        let numbers = serde_json::from_str(&text);
+        numbers.map_err(|error| PyValueError::new_err(format!("state: guide: {error}")))
+    });
+    let picture = optional_entry(state, "guide_picture")?;
+    let picture = picture.map(|value| finite_image(&value, "guide_picture"));
+    let parts = numbers.transpose()?.zip(picture.transpose()?);
+    Ok(parts.map(|(numbers, registered)| GuideOutcome {
+        numbers,
+        registered,
+    }))
 }
 
 fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
@@ -278,6 +334,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
         direct: direct
             .map(|value| finite_image(&value, "direct"))
             .transpose()?,
+        guide: None,
         seed: entry(state, "seed")?.extract()?,
         from_metadata: FromMetadata {
             sources,

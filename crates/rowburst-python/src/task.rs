@@ -13,17 +13,20 @@ use crate::whole::{Whole, is_bool, optional};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rowburst::error::Subject;
+use rowburst::guide::{Guide, GuideExposure};
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Tuning;
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result};
-use rowburst_io::{OutputFolder, SampleFormat};
+use rowburst_io::{ForeignFiles, OutputFolder, SampleFormat};
 use rowburst_run::inputs::checked_truth;
-use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau, parse_time_budget};
+use rowburst_run::options::{
+    parse_guide_model, parse_prior, parse_self_calibration, parse_tau, parse_time_budget,
+};
 use rowburst_run::{
-    Bias, ChunkedTask, ColourTask, CompletedTask, Event, Frame, MovieStyle, Output, Setup, Task,
-    TraceRequest, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
+    Bias, ChunkedTask, ColourTask, CompletedTask, Event, Frame, GuideTask, MovieStyle, Output,
+    Setup, Task, TraceRequest, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
 };
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -37,6 +40,7 @@ struct FrameInputs<'a, 'py> {
     direct: Option<&'a Bound<'py, PyAny>>,
     time_budget_s: Option<f64>,
     seed: Whole,
+    is_corrected: bool,
 }
 
 /// The video of a frame.
@@ -44,8 +48,8 @@ struct FrameInputs<'a, 'py> {
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
     time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
     direct=None, progress=None, seed=Whole::of(0), experiment=None, self_calibrate="auto", keep_all_pixels=false,
-    debias=false, threads=None, tuning=None),
-    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None, tuning=None)")]
+    debias=false, threads=None, tuning=None, corrected=false, guide=None, guide_exposures_us=None, guide_model=None),
+    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None, tuning=None, corrected=False, guide=None, guide_exposures_us=None, guide_model=None)")]
 #[allow(clippy::too_many_arguments)]
 pub fn reconstruct(
     py: Python<'_>,
@@ -69,7 +73,11 @@ pub fn reconstruct(
     keep_all_pixels: bool,
     debias: bool,
     threads: Option<Whole>,
-    tuning: Option<BTreeMap<String, f64>>,
+    tuning: Option<Constants>,
+    corrected: bool,
+    guide: Option<Vec<Bound<'_, PyAny>>>,
+    guide_exposures_us: Option<Vec<(f64, f64)>>,
+    guide_model: Option<&str>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
     let options = Options {
@@ -86,8 +94,12 @@ pub fn reconstruct(
         direct,
         time_budget_s,
         seed,
+        is_corrected: corrected,
     };
-    let task = task_of(setup, &inputs)?;
+    let mut task = task_of(setup, &inputs)?;
+    task.guide = guide
+        .map(|pictures| guide_from(&pictures, guide_exposures_us, guide_model))
+        .transpose()?;
     run(py, task, None, thread_count, debias, progress, began)
 }
 
@@ -97,6 +109,8 @@ pub struct PyReconstructor {
     setup: Setup,
     /// The threads of these frames alone, if they have some.
     thread_count: Option<usize>,
+    /// Whether bias, dark and flat are applied to its frames already.
+    is_corrected: bool,
     model: Model,
 }
 
@@ -104,7 +118,8 @@ pub struct PyReconstructor {
 impl PyReconstructor {
     #[new]
     #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None, max_iterations=None, dark=None,
-        flat=None, bad_pixels=None, experiment=None, self_calibrate="auto", keep_all_pixels=false, threads=None))]
+        flat=None, bad_pixels=None, experiment=None, self_calibrate="auto", keep_all_pixels=false, threads=None,
+        tuning=None, corrected=false))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -121,9 +136,12 @@ impl PyReconstructor {
         self_calibrate: &str,
         keep_all_pixels: bool,
         threads: Option<Whole>,
+        tuning: Option<Constants>,
+        corrected: bool,
     ) -> PyResult<Self> {
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
+            tuning: tuning_from(tuning.unwrap_or_default())?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -134,6 +152,7 @@ impl PyReconstructor {
         Ok(Self {
             setup,
             thread_count,
+            is_corrected: corrected,
             model,
         })
     }
@@ -159,12 +178,50 @@ impl PyReconstructor {
             direct,
             time_budget_s,
             seed,
+            is_corrected: self.is_corrected,
         };
         let model = Some(self.model.clone());
         let began = Instant::now();
         let task = task_of(self.setup.clone(), &inputs)?;
         run(py, task, model, self.thread_count, debias, progress, began)
     }
+}
+
+/// The pictures of a second camera, with the middle of the exposure and its length in µs where they are known.
+fn guide_from(
+    pictures: &[Bound<'_, PyAny>],
+    exposures_us: Option<Vec<(f64, f64)>>,
+    model: Option<&str>,
+) -> PyResult<GuideTask> {
+    let exposures_us = exposures_us.unwrap_or_default();
+    if !exposures_us.is_empty() && exposures_us.len() != pictures.len() {
+        return Err(to_py_err(Error::input(
+            Parameter::Guide,
+            format!(
+                "{} exposures for {} pictures",
+                exposures_us.len(),
+                pictures.len()
+            ),
+            "there is an exposure for each picture, or none",
+            "Give a pair of time and exposure, in µs, for each picture.",
+        )));
+    }
+    let mut exposures = exposures_us.into_iter();
+    let guides = pictures.iter().map(|picture| {
+        Ok(Guide {
+            image: finite_image(picture, "guide")?,
+            exposure: exposures
+                .next()
+                .map(|(time_us, exposure_us)| GuideExposure {
+                    time_us,
+                    exposure_us,
+                }),
+        })
+    });
+    Ok(GuideTask {
+        guides: guides.collect::<PyResult<_>>()?,
+        model: parse_guide_model(model).map_err(to_py_err)?,
+    })
 }
 
 /// What the frames of a camera share.
@@ -195,7 +252,7 @@ fn threads_from(threads: Option<Whole>) -> PyResult<Option<usize>> {
 fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     let seed = inputs.seed.clone().named("seed")? as u64;
     let budget = parse_time_budget(inputs.time_budget_s).map_err(to_py_err)?;
-    let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup })?;
+    let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup }, inputs.is_corrected)?;
     let mut task = setup.task(&frame, None).map_err(to_py_err)?;
     crate::memory::check(&task.camera)?;
     let truth = inputs.truth.map(|value| {
@@ -269,8 +326,9 @@ impl<T> Watch<'_, T> {
     /// Refits the video where that is asked for; traces alone are left to the first question for them.
     fn result(&self, mut completed: CompletedTask, debias: bool) -> PyReconstruction {
         let refits = debias && !self.reporter.is_abandoned();
+        let estimate = refits.then(|| completed.reconstruction.video.clone());
         let traces = refits.then(|| completed.evaluate(TraceRequest::default(), true));
-        PyReconstruction::new(completed, traces, rayon::current_num_threads())
+        PyReconstruction::new(completed, estimate, traces, rayon::current_num_threads())
     }
 }
 
@@ -308,6 +366,9 @@ fn answer_of(py: Python<'_>, progress: &Py<PyAny>, iteration: PyProgress) -> PyR
         Answer::Finish
     })
 }
+
+/// Other values of the solver's constants, by name.
+pub type Constants = BTreeMap<String, f64>;
 
 /// The standard constants of the solver with other values of some.
 pub fn tuning_from(values: impl IntoIterator<Item = (String, f64)>) -> PyResult<Tuning> {
@@ -379,13 +440,17 @@ pub fn corrections_of(
 
 /// A frame, corrected.
 pub fn measured(frame: &Bound<'_, PyAny>, setup: Setup) -> PyResult<Measurement> {
-    let (frame, setup) = frame_of(frame, setup)?;
+    let (frame, setup) = frame_of(frame, setup, false)?;
     setup.measurement(&frame).map_err(to_py_err)
 }
 
 /// A frame: a raw capture, or an array of floating-point numbers from which the bias has been subtracted. The masked
 /// pixels of a masked array are bad pixels of the set-up.
-fn frame_of(frame: &Bound<'_, PyAny>, mut setup: Setup) -> PyResult<(Frame, Setup)> {
+fn frame_of(
+    frame: &Bound<'_, PyAny>,
+    mut setup: Setup,
+    is_corrected: bool,
+) -> PyResult<(Frame, Setup)> {
     let (capture, mask) = masked_capture(frame, "frame")?;
     if capture.format == (SampleFormat::Counts { bits: 1 }) {
         return Err(to_py_err(Error::input(
@@ -396,7 +461,9 @@ fn frame_of(frame: &Bound<'_, PyAny>, mut setup: Setup) -> PyResult<(Frame, Setu
         )));
     }
     setup.corrections.bad_pixels = with_masked(setup.corrections.bad_pixels, mask);
-    let bias = if is_array(frame) {
+    let bias = if is_corrected {
+        Bias::Subtracted
+    } else if is_array(frame) {
         bias_of_array(capture.format)
     } else {
         Bias::Contained
@@ -441,7 +508,7 @@ type PlaneResult = (String, f64, PyReconstruction);
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None, time_budget_s=None,
     max_iterations=None, dark=None, flat=None, bad_pixels=None, progress=None, seed=Whole::of(0), experiment=None,
-    keep_all_pixels=false, debias=false, threads=None))]
+    keep_all_pixels=false, debias=false, threads=None, tuning=None))]
 #[allow(clippy::too_many_arguments, clippy::too_many_lines)]
 pub fn _reconstruct_colour<'py>(
     py: Python<'py>,
@@ -462,6 +529,7 @@ pub fn _reconstruct_colour<'py>(
     keep_all_pixels: bool,
     debias: bool,
     threads: Option<Whole>,
+    tuning: Option<Constants>,
 ) -> PyResult<(Bound<'py, PyArray4<f32>>, Vec<PlaneResult>)> {
     let began = Instant::now();
     let mosaic = camera.bayer.ok_or_else(|| {
@@ -469,11 +537,14 @@ pub fn _reconstruct_colour<'py>(
         let remedy = "Give bayer=\"rggb\" to the Camera, or call rowburst.reconstruct.";
         to_py_err(Error::input(Parameter::Bayer, "None", rule, remedy))
     })?;
-    let options = options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?;
+    let options = Options {
+        tuning: tuning_from(tuning.unwrap_or_default())?,
+        ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
+    };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(&camera.camera, psf, corrections, options, experiment)?;
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-    let (frame, setup) = frame_of(frame, Setup { budget, ..setup })?;
+    let (frame, setup) = frame_of(frame, Setup { budget, ..setup }, false)?;
     let mut task = ColourTask {
         setup,
         mosaic,
@@ -521,7 +592,7 @@ pub fn _reconstruct_colour<'py>(
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, folder, *, bins_per_chunk=None, bins=None, prior="auto", tau=None,
     noise_sigma=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, progress=None, experiment=None,
-    threads=None))]
+    threads=None, tuning=None))]
 #[allow(clippy::too_many_arguments)]
 pub fn _reconstruct_chunked(
     py: Python<'_>,
@@ -541,12 +612,16 @@ pub fn _reconstruct_chunked(
     progress: Option<Py<PyAny>>,
     experiment: Option<&PyExperiment>,
     threads: Option<Whole>,
+    tuning: Option<Constants>,
 ) -> PyResult<String> {
     let began = Instant::now();
-    let options = options_from(prior, tau, noise_sigma, max_iterations, false)?;
+    let options = Options {
+        tuning: tuning_from(tuning.unwrap_or_default())?,
+        ..options_from(prior, tau, noise_sigma, max_iterations, false)?
+    };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-    let (frame, setup) = frame_of(frame, setup)?;
+    let (frame, setup) = frame_of(frame, setup, false)?;
     let bins = match bins {
         None => None,
         Some((first, end)) => Some(first.named("bins")?..end.named("bins")?),
@@ -561,10 +636,12 @@ pub fn _reconstruct_chunked(
         };
         let task = ChunkedTask::new(task, bins_per_chunk)?;
         let output = Output {
-            folder: &OutputFolder::create(&folder)?,
+            folder: &OutputFolder::claim(&folder, "reconstruct", ForeignFiles::Accept)?,
             title: "Rowburst",
             reproduce: None,
             movie: MovieStyle::Stamped,
+            formats: None,
+            record: None,
         };
         run_chunked(&task, &output, &mut |event| watch.answer(event))
     })?;

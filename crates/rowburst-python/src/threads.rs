@@ -121,6 +121,23 @@ fn forked() -> PyErr {
 /// Sets the number of threads of this process, before anything is computed.
 ///
 /// Later only the number that runs already is accepted.
+///
+/// Parameters
+/// ----------
+/// threads : int
+///     Number of threads.
+///
+/// Raises
+/// ------
+/// InputError
+///     The number is below 1.
+/// WorkError
+///     Another number runs already, or the process was forked.
+///
+/// Examples
+/// --------
+/// >>> rb.set_threads(rb.threads())
+#[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
 pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
     let threads = threads.named("threads")?;
@@ -157,6 +174,17 @@ fn running_threads() -> usize {
 }
 
 /// Number of threads that computations use.
+///
+/// Returns
+/// -------
+/// int
+///     Threads of this process.
+///
+/// Examples
+/// --------
+/// >>> rb.threads() >= 1
+/// True
+#[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
 pub fn threads() -> usize {
     if OWNER.load(Ordering::Acquire) == std::process::id() {

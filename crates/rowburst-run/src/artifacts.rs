@@ -2,7 +2,9 @@
 
 use crate::chunked::ChunkedSummary;
 use crate::colour::ColourSummary;
+use crate::formats::VideoFormat;
 use crate::movie::MovieStyle;
+use crate::record::RunRecord;
 use crate::summary::ReconstructionSummary;
 use rowburst_io::OutputFolder;
 use serde::Serialize;
@@ -19,6 +21,10 @@ pub struct Output<'a> {
     pub reproduce: Option<&'a str>,
     /// Whether `video.mp4` shows the time of each bin.
     pub movie: MovieStyle,
+    /// The formats of the video; `None`: `.npy`, `.mp4`, and up to 64 MB `.tif`.
+    pub formats: Option<&'a [VideoFormat]>,
+    /// What repeats the run; `None` for arrays in memory.
+    pub record: Option<&'a RunRecord>,
 }
 
 /// A folder of results that is complete.
@@ -93,8 +99,17 @@ impl<'a> Output<'a> {
         Self {
             folder,
             title,
+            record: None,
             ..*self
         }
+    }
+
+    /// The record of the run for `result.json`, beside the file `video`.
+    pub(crate) fn finished_record(&self, video: &str) -> rowburst::Result<Option<RunRecord>> {
+        let record = self
+            .record
+            .map(|record| record.finished(self.path(), video));
+        record.transpose()
     }
 
     /// The path of the folder.

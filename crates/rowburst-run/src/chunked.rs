@@ -13,6 +13,7 @@ use crate::event::{Chunk, Event, IterationMetrics, Observer};
 use crate::format::short;
 use crate::movie::encode_movie;
 use crate::numbers::thousands;
+use crate::record::RunRecord;
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use crate::task::Task;
@@ -116,6 +117,8 @@ pub struct ChunkedSummary {
     pub metadata: MetadataNumbers,
     pub parts: Vec<ChunkNumbers>,
     pub warnings: Vec<String>,
+    /// See [`crate::ReconstructionSummary::run`].
+    pub run: Option<RunRecord>,
 }
 
 /// The content of `parts.json`.
@@ -140,6 +143,8 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     let run_start = Instant::now();
     let shape = chunked.camera().video_shape();
     let ranges = chunked.ranges(task.bins_per_chunk);
+    folder.list("video.npy.part")?;
+    folder.list("video.npy")?;
     let mut file = ChunkedVideoFile::open(&folder.path().join("video.npy"), shape)?;
     let job = job_hash(task, &ranges);
     let begun = std::fs::read(folder.path().join(STATE_FILE)).ok();
@@ -225,6 +230,9 @@ fn write_result(
     }
     folder.write_bytes("report.html", report.html.as_bytes())?;
     summary.peak_memory_bytes = peak_memory_bytes();
+    summary.run = output.finished_record("video.npy")?;
+    folder.remove(STATE_FILE)?;
+    folder.remove_stale()?;
     let summary = Summary::Chunked(summary.into());
     folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
     Ok(summary)
@@ -391,6 +399,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         metadata: MetadataNumbers::from(&task.from_metadata),
         parts,
         warnings,
+        run: None,
     }
 }
 

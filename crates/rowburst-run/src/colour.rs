@@ -4,6 +4,7 @@
 use crate::artifacts::{Artifacts, Output, Summary};
 use crate::completed_task::CompletedTask;
 use crate::event::{Event, Observer};
+use crate::record::RunRecord;
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::setup::{Frame, Setup};
 use crate::summary::MetadataNumbers;
@@ -13,7 +14,7 @@ use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration};
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result, Video};
-use rowburst_io::{Capture, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour};
+use rowburst_io::{Capture, TiffScale, write_npy_colour, write_tiff_colour};
 use serde::Serialize;
 use std::time::Instant;
 
@@ -56,6 +57,8 @@ pub struct ColourSummary {
     pub metadata: MetadataNumbers,
     pub planes: Vec<PlaneNumbers>,
     pub warnings: Vec<String>,
+    /// See [`crate::ReconstructionSummary::run`].
+    pub run: Option<RunRecord>,
 }
 
 /// A plane, whose own `result.json` says more.
@@ -236,7 +239,9 @@ impl ColourTask {
             metadata: MetadataNumbers::from(from_metadata),
             planes,
             warnings,
+            run: output.finished_record("colour.npy")?,
         }));
+        folder.remove_stale()?;
         folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
         Ok(Artifacts::new(output, summary, Vec::new()))
     }
@@ -249,7 +254,7 @@ impl ColourTask {
             mut completed,
         } = plane;
         let traces = completed.evaluate(TraceRequest::default(), self.debias);
-        let folder = OutputFolder::create(&output.path().join(site.name()))?;
+        let folder = output.folder.subfolder(&site.name(), "reconstruct")?;
         let title = format!("{}, {}", output.title, site.name());
         let summary = completed.write(&traces, &output.part(&folder, &title))?;
         let numbers = PlaneNumbers {

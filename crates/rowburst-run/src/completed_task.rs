@@ -2,26 +2,26 @@
 
 use crate::artifacts::{Output, json_of};
 use crate::format::percent;
+use crate::formats::{VideoFormat, is_written, write_formats};
+use crate::guide::{GUIDE_PICTURE, GuideOutcome, write_picture};
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage, player_of};
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{
-    CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
-    ReconstructionSummary, peak_memory_bytes,
+    CalibrationNumbers, ChangeNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate,
+    PriorChoice, ReconstructionSummary, peak_memory_bytes,
 };
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
 use crate::view_files::{self, TRUTH, ViewFiles};
+use rowburst::design::count::{ChangeCount, change_rms, count_change};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Image, PatchSet, Result};
-use rowburst_io::{
-    OutputFolder, TiffScale, write_npy_image, write_npy_u8, write_npy_video, write_patch_set,
-    write_tiff_video,
-};
+use rowburst::{Image, PatchSet, Result, RollingShutter};
+use rowburst_io::{OutputFolder, write_npy_image, write_npy_u8, write_npy_video, write_patch_set};
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
 use tracing::info;
@@ -33,8 +33,9 @@ const FILES: &[(&str, &str)] = &[
         "video.tif",
         "the same as an ImageJ time stack (Fiji, napari)",
     ),
-    #[cfg(feature = "zarr")]
     ("video.ome.zarr", "the same as an OME-Zarr image (napari)"),
+    ("video.mat", "the same for MATLAB, (rows, columns, frames)"),
+    ("video.h5", "the same as HDF5, [t, y, x]"),
     #[cfg(feature = "mp4")]
     ("video.mp4", "the same slowed down, for browsers and slides"),
     (
@@ -61,6 +62,10 @@ const FILES: &[(&str, &str)] = &[
 /// pixels.
 const MIN_WARNED_FRACTION: f64 = 0.005;
 
+/// Part of the voxels in the support from which a scene is dense; smaller counts for sparse scenes, whose change need not be
+/// white.
+const DENSE_FRACTION: f64 = 0.3;
+
 /// The further file of a run that corrected its PSF.
 const CORRECTED_PSF: &str = "psf-corrected.npy";
 const CORRECTED_PSF_FILE: (&str, &str) = (
@@ -74,6 +79,12 @@ const BACKGROUND_FILE: (&str, &str) = (
     "the part of the video that is background, float32 [t, y, x]",
 );
 
+/// The further file of a run with a guide.
+const GUIDE_FILE: (&str, &str) = (
+    GUIDE_PICTURE,
+    "the guide as seen from the field, left, and the mean of the video over time: they must show the same places",
+);
+
 /// A task with its reconstruction.
 pub struct CompletedTask {
     /// The task. After self-calibration it has the corrected PSFs and the corrected frame.
@@ -82,6 +93,9 @@ pub struct CompletedTask {
     pub given_psfs: Option<PatchSet>,
     /// The reconstruction. After [`Self::evaluate`] with `debias` its video is the refitted one.
     pub reconstruction: Reconstruction,
+    /// What the guide gave; `None` without one. Where it is used, the video is that of its model, and the prior of the
+    /// reconstruction means nothing.
+    pub guide: Option<GuideOutcome>,
     /// The effect of debiasing; `None` without it.
     pub debias: Option<DebiasNumbers>,
     /// Time of the set-up in seconds: operator, Gram blocks, noise level.
@@ -156,10 +170,16 @@ impl CompletedTask {
         ReconstructionSummary {
             schema_version: RESULT_SCHEMA_VERSION,
             version: env!("CARGO_PKG_VERSION"),
-            prior: reconstruction.prior.to_string(),
+            prior: match self.used_guide() {
+                Some(guide) => format!("guide {}", guide.numbers.model),
+                None => reconstruction.prior.to_string(),
+            },
+            change_count: self.change_count(),
+            guide: self.guide.as_ref().map(|guide| guide.numbers.clone()),
             prior_choice: self.choice(),
             tau: reconstruction.tau,
             tau_rule: match (options.tau, reconstruction.sigma_source) {
+                _ if self.used_guide().is_some() => "none: the video is that of a guide",
                 (Tau::Given(_), _) => "given",
                 (_, SigmaSource::HeldOut) => "held-out pixels",
                 _ if reconstruction
@@ -214,11 +234,57 @@ impl CompletedTask {
                 .map(|point| HistoryPoint::new(point, self.start_offset_s))
                 .collect(),
             warnings: self.warnings(traces),
+            run: None,
         }
+    }
+
+    /// The guide that the video is made with.
+    fn used_guide(&self) -> Option<&GuideOutcome> {
+        self.guide.as_ref().filter(|guide| guide.numbers.used)
+    }
+
+    /// How many numbers of an instant speak about the change of a dense scene.
+    fn change_count(&self) -> Option<ChangeNumbers> {
+        let reconstruction = &self.reconstruction;
+        let video = &reconstruction.video;
+        if reconstruction.support_fraction < DENSE_FRACTION || video.shape().bins == 1 {
+            return None;
+        }
+        let operator = RollingShutter::new(&self.task.camera, self.task.psfs.clone());
+        let change_rms = change_rms(video);
+        let count = count_change(&operator, reconstruction.sigma, change_rms)?;
+        Some(ChangeNumbers {
+            informative: count.informative,
+            of: count.of,
+            change_rms,
+        })
+    }
+
+    /// The warning of a dense scene whose change the frame does not tell.
+    fn density_warning(&self) -> Option<String> {
+        let numbers = self.change_count()?;
+        let count = ChangeCount {
+            informative: numbers.informative,
+            of: numbers.of,
+        };
+        let is_told = self.used_guide().is_some() || !count.is_too_few();
+        (!is_told).then(|| {
+            format!(
+                "too dense: {:.0} of {} numbers an instant speak about the change; believe the still part only",
+                count.informative, count.of
+            )
+        })
     }
 
     /// How the prior was chosen.
     fn choice(&self) -> PriorChoice {
+        if let Some(guide) = self.used_guide() {
+            return PriorChoice {
+                reason: format!("guide {}", guide.numbers.reason),
+                held_out_pixels: None,
+                candidates: Vec::new(),
+            };
+        }
         let prior = self.task.options.prior;
         match &self.reconstruction.choice {
             Some(choice) => PriorChoice {
@@ -265,6 +331,10 @@ impl CompletedTask {
                 "the frame has corrected its PSF and camera: {numbers}; {CORRECTED_PSF} is the PSF for the next frames"
             ));
         }
+        if let Some(guide) = self.guide.as_ref().filter(|guide| !guide.numbers.used) {
+            warnings.push(format!("the guide was {}", guide.numbers.reason));
+        }
+        warnings.extend(self.density_warning());
         warnings.extend(self.coverage_warnings());
         warnings.extend(traces.warnings());
         if let (true, Some(why)) = (
@@ -316,15 +386,7 @@ impl CompletedTask {
         folder.remove("result.json")?;
         folder.write("video.npy", |w| write_npy_video(w, video))?;
         folder.remove("video.mp4")?;
-        folder.remove("background.npy")?;
-        folder.remove(CORRECTED_PSF)?;
-        folder.remove("psf-correction.png")?;
-        if let Some(found) = &self.reconstruction.calibration {
-            write_corrected_psf(folder, &found.psfs)?;
-        }
-        if let Some(background) = &self.reconstruction.background {
-            folder.write("background.npy", |w| write_npy_video(w, background))?;
-        }
+        self.write_optional(folder)?;
         let frame = self.task.measurement.image();
         folder.write("excluded.npy", |w| {
             write_npy_u8(
@@ -338,30 +400,28 @@ impl CompletedTask {
             let shape = [shape.bins, shape.rows, shape.columns];
             write_npy_u8(w, &shape, &self.reconstruction.coverage)
         })?;
-        let scale = TiffScale {
-            frame_interval_s: camera.time().bin_duration_us() * 1e-6,
-            pixel_pitch_um: camera.sensor().pixel_pitch_um,
-        };
-        folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
-        #[cfg(feature = "zarr")]
-        rowburst_zarr::write_video(
-            &folder.path().join("video.ome.zarr"),
-            video,
-            camera.time().bin_duration_us(),
-            camera.sensor().pixel_pitch_um,
-        )?;
+        write_formats(folder, output.formats, video, camera)?;
         traces.write(folder, camera.time())?;
         let mp4 = encode_movie(video, camera.time(), output.movie)?;
-        if let Some(mp4) = &mp4 {
+        let writes_mp4 = is_written(output.formats, VideoFormat::Mp4, video.shape().voxels());
+        if let Some(mp4) = mp4.as_ref().filter(|_| writes_mp4) {
             folder.write_bytes("video.mp4", mp4)?;
         }
 
         summary.peak_memory_bytes = peak_memory_bytes();
+        let is_there = |name: &str| {
+            let of_video = VideoFormat::ALL.into_iter().find(|format| {
+                name.strip_prefix("video.")
+                    .is_some_and(|end| end.ends_with(format.name()))
+            });
+            of_video.is_none_or(|format| is_written(output.formats, format, video.shape().voxels()))
+        };
         let report_meta = ReportMeta {
             title: output.title,
             reproduce: output.reproduce,
             files: FILES
                 .iter()
+                .filter(|(name, _)| is_there(name))
                 .chain(
                     self.reconstruction
                         .background
@@ -369,6 +429,7 @@ impl CompletedTask {
                         .map(|_| &BACKGROUND_FILE),
                 )
                 .chain(self.given_psfs.as_ref().map(|_| &CORRECTED_PSF_FILE))
+                .chain(self.guide.as_ref().map(|_| &GUIDE_FILE))
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
@@ -381,9 +442,34 @@ impl CompletedTask {
         folder.write_bytes("report.html", report.html.as_bytes())?;
         drop(report);
         summary.peak_memory_bytes = peak_memory_bytes();
+        summary.run = output.finished_record("video.npy")?;
+        folder.remove_stale()?;
         let json = json_of(&summary);
         folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
         Ok(summary)
+    }
+
+    /// Writes the files that only some runs have, and removes those of an earlier run.
+    fn write_optional(&self, folder: &OutputFolder) -> Result<()> {
+        for name in [
+            "background.npy",
+            CORRECTED_PSF,
+            "psf-correction.png",
+            GUIDE_PICTURE,
+        ] {
+            folder.remove(name)?;
+        }
+        let found = &self.reconstruction;
+        if let Some(guide) = &self.guide {
+            write_picture(folder, &guide.registered, &found.video)?;
+        }
+        if let Some(calibration) = &found.calibration {
+            write_corrected_psf(folder, &calibration.psfs)?;
+        }
+        if let Some(background) = &found.background {
+            folder.write("background.npy", |w| write_npy_video(w, background))?;
+        }
+        Ok(())
     }
 
     /// The report alone, with the movie and the viewer's page in it where there are any.

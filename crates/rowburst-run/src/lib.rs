@@ -16,20 +16,27 @@
 
 mod artifacts;
 pub mod calibrate;
+mod check;
 mod chunked;
+mod cite;
 mod colour;
 mod completed_task;
 pub mod design;
 mod event;
 mod figure;
 mod format;
+mod formats;
+mod guide;
 pub mod inputs;
 mod log;
 mod memory;
 mod movie;
 mod numbers;
 pub mod options;
+mod plausibility;
 mod player;
+mod record;
+mod record_of_request;
 mod request;
 mod run_clock;
 mod schema;
@@ -41,24 +48,30 @@ mod traces;
 mod view_files;
 
 pub use artifacts::{Artifacts, Output, Summary};
+pub use check::{CheckItem, CheckParams, SetupCheck};
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
+pub use cite::cite;
 pub use colour::{ColourSummary, ColourTask, Plane, PlaneNumbers, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta};
 pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
 pub use format::short;
+pub use formats::VideoFormat;
+pub use guide::{AffineNumbers, GuideNumbers, GuideOutcome, GuideTask, GuideTrialNumbers};
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
 pub use memory::{available_memory_bytes, check_memory};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
+pub use plausibility::check_camera;
 pub use player::{MakePlayer, PlayerPage, player_of};
+pub use record::{CameraNumbers, FurtherFiles, InputFile, OptionNumbers, RunRecord};
 pub use request::{Request, RequestParams, read_experiment};
 pub use run_clock::RunClock;
 pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
 pub use setup::{Bias, Frame, Setup, bias_of_array, correct_capture};
 pub use summary::{
-    CalibrationNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate, PriorChoice,
-    ReconstructionSummary, peak_memory_bytes,
+    CalibrationNumbers, ChangeNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate,
+    PriorChoice, ReconstructionSummary, peak_memory_bytes,
 };
 pub use task::{Task, solve, solve_with_model};
 pub use traces::{

@@ -1,6 +1,7 @@
 //! The numbers of a run in the report: the headline, and the table of all settings.
 
 use crate::format::{percent, short};
+use crate::guide::GuideNumbers;
 use crate::summary::ReconstructionSummary;
 use crate::task::Task;
 use crate::traces::StandardErrorNumbers;
@@ -94,6 +95,7 @@ fn reconstruction_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<
         ),
     ];
     lines.extend(fit_settings(summary));
+    lines.extend(summary.guide.iter().flat_map(GuideNumbers::lines));
     lines.extend([
         pair(
             "objective at the end",

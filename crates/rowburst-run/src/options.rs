@@ -1,5 +1,6 @@
 //! Parses the options of the user: prior, `τ` and time budget.
 
+use rowburst::guide::GuideModel;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration, Tau};
 use rowburst::{Error, Parameter, Result};
 use rowburst_io::Experiment;
@@ -115,6 +116,25 @@ pub fn parse_self_calibration(text: Option<&str>) -> Result<SelfCalibration> {
             format!("\"{text}\""),
             "self-calibration is off, auto or on",
             "Leave it out: a frame that the model does not explain corrects its PSF and camera.",
+        )
+    })
+}
+
+/// Parses the model of a guide: `auto`, `motion`, `gain` or `still`; `None` is `auto`.
+///
+/// # Errors
+/// Another text.
+pub fn parse_guide_model(text: Option<&str>) -> Result<GuideModel> {
+    let Some(text) = text else {
+        return Ok(GuideModel::default());
+    };
+    let known = GuideModel::ALL.into_iter().find(|m| m.name() == text);
+    known.ok_or_else(|| {
+        Error::input(
+            Parameter::GuideModel,
+            format!("\"{text}\""),
+            "the model is auto, motion, gain or still",
+            "Leave it out: the program chooses it.",
         )
     })
 }

@@ -4,6 +4,7 @@ use crate::artifacts::{Artifacts, Output, Summary};
 use crate::chunked::{ChunkedTask, run_chunked};
 use crate::colour::ColourTask;
 use crate::event::{Event, Observer};
+use crate::guide::GuideTask;
 use crate::inputs::{read_capture, read_truth};
 use crate::memory::check_memory;
 use crate::options::UserOptions;
@@ -45,6 +46,10 @@ pub struct RequestParams<'a> {
     pub truth: Option<&'a Path>,
     /// A frame of the scene without the diffuser.
     pub direct: Option<&'a Path>,
+    /// Pictures of the scene by a second camera, at unknown times; empty: those of the experiment file.
+    pub guides: &'a [PathBuf],
+    /// What the scene does with their light; see [`parse_guide_model`](crate::options::parse_guide_model).
+    pub guide_model: Option<&'a str>,
     /// Regions of the field whose traces are requested; see [`TraceRequest::read`].
     pub regions: &'a [String],
     /// Files of photodiodes that are compared with the traces.
@@ -117,6 +122,7 @@ impl Request {
         task.truth_file = params.truth.map(Path::to_path_buf);
         let direct = params.direct.map(read_capture).transpose()?;
         task.direct = direct.map(|capture| capture.image);
+        task.guide = GuideTask::read(params.guides, experiment, params.guide_model)?;
         task.seed = params.seed;
         let shape = task.camera.video_shape();
         Ok(Self::Whole {
@@ -166,6 +172,7 @@ fn refuse_colour(params: &RequestParams) -> Result<()> {
     let given = [
         (Parameter::Truth, params.truth.is_some()),
         (Parameter::Direct, params.direct.is_some()),
+        (Parameter::Guide, !params.guides.is_empty()),
         (Parameter::Region, !params.regions.is_empty()),
         (Parameter::Photodiode, !params.photodiodes.is_empty()),
         (Parameter::Bins, params.bins.is_some()),

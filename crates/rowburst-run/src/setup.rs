@@ -5,6 +5,7 @@ use crate::inputs::{
     naming_file, psf_path, read_capture, read_corrections, read_psfs, resolve_calibration,
 };
 use crate::options::UserOptions;
+use crate::plausibility::{check_camera, check_frame, check_psfs};
 use crate::task::Task;
 use rowburst::camera::CameraParams;
 use rowburst::measurement::{Corrections, Measurement, correct};
@@ -97,6 +98,7 @@ impl Setup {
         options: &UserOptions,
         observer: Observer,
     ) -> Result<Self> {
+        let warnings = check_camera(&experiment.params).map_err(|e| e.within(&experiment.path))?;
         let camera = experiment.camera()?;
         let (options, budget) = options.resolve(experiment)?;
         let calibration = resolve_calibration(given, experiment);
@@ -106,13 +108,16 @@ impl Setup {
         if let Some(note) = note {
             let _ = observer(Event::Note(&note));
         }
+        check_psfs(&psfs).map_err(|e| e.within(psf_path))?;
+        let mut from_metadata = experiment.from_metadata.clone();
+        from_metadata.warnings.extend(warnings);
         Ok(Self {
             camera,
             psfs,
             corrections,
             options,
             budget,
-            from_metadata: experiment.from_metadata.clone(),
+            from_metadata,
             experiment: Some(experiment.path.clone()),
             calibration,
             cancel: Cancel::default(),
@@ -133,7 +138,10 @@ impl Setup {
     ///
     /// # Errors
     /// Those of [`Self::measurement`] and [`Camera::subset`].
-    pub fn task(self, frame: &Frame, bins: Option<Range<usize>>) -> Result<Task> {
+    pub fn task(mut self, frame: &Frame, bins: Option<Range<usize>>) -> Result<Task> {
+        let checked = check_frame(&frame.capture, &self.camera, &self.psfs);
+        let warnings = checked.map_err(|error| self.naming(error, frame))?;
+        self.from_metadata.warnings.extend(warnings);
         let mut measurement = self.measurement(frame)?;
         let mut camera = self.camera;
         if let Some(bins) = bins {
@@ -150,6 +158,7 @@ impl Setup {
             truth: None,
             truth_file: None,
             direct: None,
+            guide: None,
             seed: 0,
             from_metadata: self.from_metadata,
             cancel: self.cancel,
@@ -158,13 +167,20 @@ impl Setup {
 
     /// Names the file, or else the input, that is at fault in an error of the corrections.
     pub(crate) fn naming(&self, error: Error, frame: &Frame) -> Error {
+        if let (Some(Parameter::Psf), Some(file)) = (error.parameter(), &self.calibration.psf) {
+            return error.within(file);
+        }
         if let Some(file) = &frame.file {
             return naming_file(error, file, &self.calibration);
         }
         match error.parameter() {
-            Some(Parameter::Frame | Parameter::Dark | Parameter::Flat | Parameter::BadPixels) => {
-                error
-            }
+            Some(
+                Parameter::Psf
+                | Parameter::Frame
+                | Parameter::Dark
+                | Parameter::Flat
+                | Parameter::BadPixels,
+            ) => error,
             _ => error.within("frame"),
         }
     }

@@ -4,6 +4,8 @@
 #![allow(missing_docs, reason = "the fields are the keys of result.json")]
 
 use crate::format::{percent, short};
+use crate::guide::GuideNumbers;
+use crate::record::RunRecord;
 use crate::traces::{DebiasNumbers, StandardErrorNumbers, TraceNumbers};
 use rowburst::reconstruct::{Calibration, Candidate, FitStatistics};
 use rowburst_io::FromMetadata;
@@ -64,6 +66,11 @@ pub struct ReconstructionSummary {
     pub psnr_db: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim: Option<f64>,
+    /// How many numbers of an instant speak about the change of a dense scene; null for sparse ones, and for instants
+    /// of more than 2048 pixels.
+    pub change_count: Option<ChangeNumbers>,
+    /// The guide of a second camera; null without one.
+    pub guide: Option<GuideNumbers>,
     /// The verdict: `good`, `suspicious` or `bad`.
     pub fit: &'static str,
     pub fit_reason: String,
@@ -76,6 +83,8 @@ pub struct ReconstructionSummary {
     /// The recorded iterations of the run that gave the video.
     pub history: Vec<HistoryPoint>,
     pub warnings: Vec<String>,
+    /// Camera, options and inputs, by which the run can be repeated; null for arrays in memory.
+    pub run: Option<RunRecord>,
 }
 
 /// Values from the metadata of the frame's file.
@@ -183,6 +192,18 @@ impl fmt::Display for CalibrationNumbers {
             self.held_out_after
         )
     }
+}
+
+/// How many numbers of an instant speak about the change of a scene.
+#[derive(Debug, Clone, Copy, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct ChangeNumbers {
+    /// Numbers that speak about it.
+    pub informative: f64,
+    /// Numbers of the instant.
+    pub of: usize,
+    /// Rms of the video less its mean over time, in counts.
+    pub change_rms: f64,
 }
 
 /// A recorded iteration.

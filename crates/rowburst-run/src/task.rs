@@ -2,6 +2,7 @@
 
 use crate::completed_task::CompletedTask;
 use crate::event::{Event, Observer};
+use crate::guide::{GuideOutcome, GuideTask};
 use crate::run_clock::RunClock;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Model, Options, Prior, Problem};
@@ -28,6 +29,8 @@ pub struct Task {
     pub truth_file: Option<PathBuf>,
     /// A frame of the scene without the diffuser, for the report.
     pub direct: Option<Image>,
+    /// Pictures of the scene by a second camera.
+    pub guide: Option<GuideTask>,
     /// Seed of the simulation that made the frame; only reported.
     pub seed: u64,
     /// The values of the camera that came from the metadata of the frame's file.
@@ -80,17 +83,28 @@ fn solve_since(
     let setup = setup_start.elapsed();
     let remaining = task.budget.map(|b| b.saturating_sub(setup));
     let mut clock = RunClock::new(problem.sigma(), task.truth.as_ref(), remaining);
-    let result = problem.solve(&mut |progress| {
-        let flow = clock.observe(progress);
-        clock.untimed(|metrics| {
-            observer(Event::Iteration {
-                progress,
-                metrics,
-                chunk: None,
-            })
-        })?;
-        flow
-    });
+    let guide = task
+        .guide
+        .as_ref()
+        .map(|guide| guide.fit(&problem, &task.camera, &task.cancel))
+        .transpose()?;
+    let outcome = guide.as_ref().map(GuideOutcome::new);
+    let result = if let Some(found) = guide.filter(|found| found.used) {
+        let degrees_of_freedom = found.degrees_of_freedom;
+        problem.judge(found.video, degrees_of_freedom)
+    } else {
+        problem.solve(&mut |progress| {
+            let flow = clock.observe(progress);
+            clock.untimed(|metrics| {
+                observer(Event::Iteration {
+                    progress,
+                    metrics,
+                    chunk: None,
+                })
+            })?;
+            flow
+        })
+    };
     let seconds = clock.seconds();
     let reconstruction = result?;
     clock.rescale(reconstruction.sigma);
@@ -105,6 +119,7 @@ fn solve_since(
         task,
         given_psfs,
         reconstruction,
+        guide: outcome,
         debias: None,
         setup_seconds: setup.as_secs_f64(),
         seconds,

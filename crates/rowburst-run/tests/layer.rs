@@ -142,6 +142,8 @@ impl Lab {
             title: "Test",
             reproduce: None,
             movie: MovieStyle::Stamped,
+            formats: None,
+            record: None,
         };
         let artifacts = request.run(&output, Instant::now(), &mut observe)?;
         events.dedup();

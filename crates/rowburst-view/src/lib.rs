@@ -3,6 +3,7 @@
 //! ```text
 //! folder, .npy ─▶ Opened (description + arrays read bin by bin) ─┐
 //! solver ─▶ Live (latest video, course, stop) ───────────────────┼─▶ Server ─▶ page
+//! camera ─▶ Monitor (latest frame, latest video, requests) ────────┤
 //! page/ (made from web/) ────────────────────────────────────────┘
 //! ```
 //!
@@ -16,6 +17,8 @@ mod array;
 mod guard;
 #[cfg(feature = "server")]
 mod live;
+#[cfg(feature = "server")]
+mod monitor;
 pub mod offline;
 mod page;
 #[cfg(feature = "server")]
@@ -26,6 +29,8 @@ mod server;
 pub use array::{Array, QuantisedBins, quantise8, range_of_video};
 #[cfg(feature = "server")]
 pub use live::{Live, LiveStart, ProgressPoint, RunStatus};
+#[cfg(feature = "server")]
+pub use monitor::{Monitor, MonitorRequest, MonitorStart};
 pub use offline::Offline;
 pub use page::{BUNDLE, Bundle};
 #[cfg(feature = "server")]

@@ -267,8 +267,32 @@ fn read_json(path: &Path) -> Result<Value> {
     serde_json::from_slice(&text).map_err(|e| bad(e.to_string()))
 }
 
+/// Files of folders that other commands write, and these commands.
+const OTHER_RESULTS: [(&str, &str); 6] = [
+    ("design.json", "design"),
+    ("sensor.json", "calibrate sensor"),
+    ("psf.json", "calibrate psf"),
+    ("timing.json", "calibrate timing"),
+    ("simulation.json", "simulate"),
+    (
+        "sweep.csv",
+        "reconstruct --sweep: each point has a folder of its own in it",
+    ),
+];
+
 /// A folder without `result.json`, which is written last.
 fn incomplete_result(path: &Path) -> Error {
+    if let Some((file, verb)) = OTHER_RESULTS
+        .iter()
+        .find(|(file, _)| path.join(file).is_file())
+    {
+        return Error::input(
+            path,
+            format!("{file}: a folder of rowburst {verb}"),
+            "the viewer shows the result of a reconstruction, which has result.json",
+            "Open the report.html in it with a browser, or give the folder of a reconstruction.",
+        );
+    }
     let begun = ["video.npy", "view.json", "report.html", "video.tif"];
     let begun = begun.iter().find(|name| path.join(name).is_file());
     let (found, remedy) = match begun {

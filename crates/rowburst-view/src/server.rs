@@ -2,6 +2,7 @@
 
 use crate::guard::{Token, guard};
 use crate::live::Live;
+use crate::monitor::{Monitor, MonitorRequest};
 use crate::page;
 use crate::result_files::ResultFiles;
 use axum::body::{Body, Bytes};
@@ -41,6 +42,7 @@ const MAX_CONCURRENT_ANSWERS: usize = 4;
 struct ServerState {
     results: RwLock<Arc<Vec<ResultFiles>>>,
     live: Option<Arc<Live>>,
+    monitor: Option<Arc<Monitor>>,
     turns: Semaphore,
 }
 
@@ -62,6 +64,23 @@ impl Server {
         port: Option<u16>,
         results: Vec<ResultFiles>,
         live: Option<Arc<Live>>,
+    ) -> Result<Self> {
+        Self::listen(port, results, live, None)
+    }
+
+    /// Like [`Server::start`], for a camera that is looked at.
+    ///
+    /// # Errors
+    /// Those of [`Server::start`].
+    pub fn start_monitor(port: Option<u16>, monitor: Arc<Monitor>) -> Result<Self> {
+        Self::listen(port, Vec::new(), None, Some(monitor))
+    }
+
+    fn listen(
+        port: Option<u16>,
+        results: Vec<ResultFiles>,
+        live: Option<Arc<Live>>,
+        monitor: Option<Arc<Monitor>>,
     ) -> Result<Self> {
         let failed = |reason: std::io::Error| {
             let subject = port.map_or(Subject::named("the viewer's server"), |p| {
@@ -87,6 +106,7 @@ impl Server {
         let shared = Arc::new(ServerState {
             results: RwLock::new(Arc::new(results)),
             live,
+            monitor,
             turns: Semaphore::new(MAX_CONCURRENT_ANSWERS),
         });
         let token = Token::new(address.port()).map_err(|e| failed(std::io::Error::other(e)))?;
@@ -204,6 +224,10 @@ fn routes(shared: Arc<ServerState>, token: Token) -> Router {
         .route("/api/live", get(live))
         .route("/api/live/bins", get(live_bins))
         .route("/api/live/stop", post(stop))
+        .route("/api/monitor", get(monitor))
+        .route("/api/monitor/frame", get(monitor_frame))
+        .route("/api/monitor/bins", get(monitor_bins))
+        .route("/api/monitor/request/{name}", post(monitor_request))
         .layer(axum::middleware::from_fn_with_state(token, guard))
         .with_state(shared)
 }
@@ -260,6 +284,10 @@ async fn view(State(shared): State<Arc<ServerState>>) -> Response {
         Some(live) if results.is_empty() => vec![live.meta()],
         _ => results.iter().map(|r| r.meta().clone()).collect(),
     };
+    if let Some(monitor) = &shared.monitor {
+        let metas = [monitor.meta()];
+        return Json(json!({ "live": true, "monitor": true, "results": metas })).into_response();
+    }
     let running = shared.live.is_some() && results.is_empty();
     Json(json!({ "live": running, "results": metas })).into_response()
 }
@@ -390,6 +418,45 @@ async fn stop(State(shared): State<Arc<ServerState>>) -> Response {
         Some(live) => {
             live.ask_to_stop();
             StatusCode::NO_CONTENT.into_response()
+        }
+        None => not_found(),
+    }
+}
+
+async fn monitor(State(shared): State<Arc<ServerState>>) -> Response {
+    match &shared.monitor {
+        Some(monitor) => Json(monitor.state()).into_response(),
+        None => not_found(),
+    }
+}
+
+/// The latest frame as 16-bit counts, with its size in `X-Shape`.
+async fn monitor_frame(State(shared): State<Arc<ServerState>>) -> Response {
+    match shared.monitor.as_ref().and_then(|monitor| monitor.frame()) {
+        Some((bytes, (rows, columns))) => binary(bytes, [(SHAPE, format!("{rows} {columns}"))]),
+        None => not_found(),
+    }
+}
+
+async fn monitor_bins(State(shared): State<Arc<ServerState>>) -> Response {
+    match shared.monitor.as_ref().and_then(|monitor| monitor.video()) {
+        Some((bytes, (low, high))) => binary(bytes, [(RANGE, format!("{low} {high}"))]),
+        None => not_found(),
+    }
+}
+
+async fn monitor_request(
+    State(shared): State<Arc<ServerState>>,
+    Path(name): Path<String>,
+) -> Response {
+    let request = MonitorRequest::from_name(&name);
+    match shared.monitor.as_ref().zip(request) {
+        Some((monitor, request)) if monitor.request(request) => {
+            StatusCode::NO_CONTENT.into_response()
+        }
+        Some(_) => {
+            let words = "Earlier requests still wait: try again.\n";
+            (StatusCode::TOO_MANY_REQUESTS, words).into_response()
         }
         None => not_found(),
     }

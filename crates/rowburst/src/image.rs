@@ -120,11 +120,39 @@ impl Image {
         })
     }
 
+    /// Convolution with a Gaussian of standard deviation `sigma_px`; the image is mirrored at its edges.
+    #[must_use]
+    pub fn blurred(&self, sigma_px: f64) -> Self {
+        if sigma_px <= 0.0 {
+            return self.clone();
+        }
+        let reach = (4.0 * sigma_px).ceil() as isize;
+        let tap = |d: isize| (-0.5 * (d as f64 / sigma_px).powi(2)).exp();
+        let sum: f64 = (-reach..=reach).map(tap).sum();
+        let taps: Vec<(isize, f64)> = (-reach..=reach).map(|d| (d, tap(d) / sum)).collect();
+        let along = |n: usize, i: usize, value: &dyn Fn(usize) -> f32| -> f32 {
+            let terms = taps
+                .iter()
+                .map(|&(d, w)| w * f64::from(value(mirrored(i as isize + d, n))));
+            terms.sum::<f64>() as f32
+        };
+        let (rows, columns) = (self.rows, self.columns);
+        let lines = Self::from_fn(rows, columns, |y, x| along(columns, x, &|x| self.at(y, x)));
+        Self::from_fn(rows, columns, |y, x| along(rows, y, &|y| lines.at(y, x)))
+    }
+
     /// Position `(y, x)` of the first pixel that is not finite.
     pub fn first_non_finite(&self) -> Option<(usize, usize)> {
         let at = self.data.iter().position(|p| !p.is_finite())?;
         Some((at / self.columns, at % self.columns))
     }
+}
+
+/// Index of the element at `i` of a line of `n` that is mirrored at its edges.
+fn mirrored(i: isize, n: usize) -> usize {
+    let period = 2 * n as isize;
+    let at = i.rem_euclid(period);
+    at.min(period - 1 - at) as usize
 }
 
 #[cfg(test)]
@@ -143,5 +171,19 @@ mod tests {
     fn wrong_length_is_an_error() {
         assert!(Image::new(2, 3, vec![0.0; 5]).is_err());
         assert!(Image::new(0, 3, vec![]).is_err());
+    }
+
+    #[test]
+    fn a_blur_keeps_the_light_and_has_its_width() {
+        let point = Image::from_fn(41, 31, |y, x| f32::from(y == 20 && x == 15));
+        let blurred = point.blurred(2.0);
+        let total: f64 = blurred.data().iter().map(|v| f64::from(*v)).sum();
+        assert!((total - 1.0).abs() < 1e-5);
+        let variance: f64 = (0..41)
+            .map(|y| f64::from(blurred.row(y).iter().sum::<f32>()) * (y as f64 - 20.0).powi(2))
+            .sum();
+        assert!((variance - 4.0).abs() < 0.05);
+        let flat = Image::from_fn(5, 4, |_, _| 3.0).blurred(6.0);
+        assert!(flat.data().iter().all(|v| (v - 3.0).abs() < 1e-5));
     }
 }

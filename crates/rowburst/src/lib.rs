@@ -56,6 +56,7 @@ pub mod design;
 pub mod error;
 mod fft2;
 pub mod forward;
+pub mod guide;
 pub mod image;
 pub mod linop;
 pub mod measurement;

@@ -521,7 +521,7 @@ fn check_finite(frame: &Image) -> Result<()> {
         Some((y, x)) => Err(Error::input(
             Parameter::Frame,
             format!("{} at row {y}, column {x}", frame.at(y, x)),
-            "every pixel of a frame is a finite number",
+            "every pixel of a frame is a finite number, below 3.4e38",
             "Mark the pixel in bad_pixels and give it any finite value.",
         )
         .with_kind(ErrorKind::NotFinite)),

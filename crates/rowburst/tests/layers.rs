@@ -14,7 +14,7 @@ const fn module(name: &'static str, layer: usize, uses: &'static [&'static str])
     Module { name, layer, uses }
 }
 
-const MODULES: [Module; 26] = [
+const MODULES: [Module; 27] = [
     module("cancel", 0, &[]),
     module("error", 0, &[]),
     module("fft2", 0, &[]),
@@ -79,6 +79,19 @@ const MODULES: [Module; 26] = [
             "support",
         ],
     ),
+    // What a frame says of the changes of a picture by a second camera.
+    module(
+        "guide",
+        3,
+        &[
+            "image",
+            "video",
+            "camera",
+            "linop",
+            "measurement",
+            "forward",
+        ],
+    ),
     // What a finished video says of a place, with errors.
     module(
         "traces",
@@ -108,7 +121,7 @@ const MODULES: [Module; 26] = [
 ];
 
 /// What is re-exported at the crate's root, and where it lives.
-const ROOT: [(&str, &str); 18] = [
+const ROOT: [(&str, &str); 22] = [
     ("Camera", "camera"),
     ("Sensor", "camera"),
     ("Cancel", "cancel"),
@@ -118,6 +131,10 @@ const ROOT: [(&str, &str); 18] = [
     ("phrase", "error"),
     ("Result", "error"),
     ("RollingShutter", "forward"),
+    ("LinearOperator", "linop"),
+    ("Measurement", "measurement"),
+    ("Corrections", "measurement"),
+    ("RawFrame", "measurement"),
     ("Image", "image"),
     ("PatchSet", "patches"),
     ("Psf", "psf"),

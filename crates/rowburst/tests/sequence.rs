@@ -131,6 +131,32 @@ fn short_runs_add_up() {
     assert!(course[14] > course[0] + 10.0, "{course:.1?}");
 }
 
+/// The support follows a scene that moves, also where a frame has as many iterations as lie between two updates.
+#[test]
+fn a_moving_scene_is_followed() {
+    let model = model();
+    for iterations in [5, 10, 11] {
+        let mut truth = digits(model.camera().video_shape());
+        let mut sequence = Sequence::new(model.clone(), options());
+        let first = measured(&model, &truth, 1);
+        sequence.reconstruct(&first, &mut after(1000)).unwrap();
+        let mut course = Vec::new();
+        for seed in 2..20 {
+            if seed % 3 == 0 {
+                truth = moved(&truth);
+            }
+            let frame = measured(&model, &truth, seed);
+            let (found, is_warm_started) = sequence
+                .reconstruct(&frame, &mut after(iterations))
+                .unwrap();
+            assert!(is_warm_started);
+            course.push(psnr_db(found.video.data(), truth.data()));
+        }
+        let is_good = course.iter().all(|db| *db > 22.0);
+        assert!(is_good, "{iterations} iterations a frame: {course:.1?}");
+    }
+}
+
 /// A frame of another scene is what it would be by itself, to the bit.
 #[test]
 fn another_scene_starts_afresh() {

@@ -5,13 +5,13 @@ shutter scans. Errors are :class:`InputError` (a ``ValueError``) where something
 and :class:`WorkError` (a ``RuntimeError``) where the work itself failed.
 """
 
-from . import calibrate
+from . import calibrate, capture
 from ._batch import batch
 from ._chunked import reconstruct_chunked
 from ._colour import ColourResult, reconstruct_colour
 from ._design import Design, design
 from ._figure import Figure
-from ._frames import read_frames
+from ._frames import read_frames, read_settings
 from ._load import SavedResult, load
 from ._operator import DataTerm, RollingShutterOperator, operator
 from ._reconstruct import Report, Result, Trace, reconstruct
@@ -58,10 +58,12 @@ __all__ = [
     "__version__",
     "batch",
     "calibrate",
+    "capture",
     "design",
     "load",
     "operator",
     "read_frames",
+    "read_settings",
     "reconstruct",
     "reconstruct_chunked",
     "reconstruct_colour",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from os import PathLike, fspath
 from typing import Any
 
@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from . import _rowburst
 from ._errors import input_error
-from ._reconstruct import _settings
+from ._frames import recording_of
+from ._reconstruct import _constants, _settings
 from ._rowburst import Camera, Experiment, Psf, _Batch, __version__
 
 
@@ -34,6 +35,8 @@ def batch(
     threads: int | None = None,
     retry_failed: bool = False,
     progress: Callable[[int, int], object] | None = None,
+    tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
 ) -> dict[str, Any]:
     """Reconstructs every frame of a recording into one OME-Zarr archive, on this machine.
 
@@ -60,6 +63,10 @@ def batch(
         Whether frames that failed before are tried again.
     progress : callable, optional
         Called as ``progress(done, of)`` after each group of frames.
+    tuning : mapping, optional
+        Other values for constants of the solver, such as ``{"support_threshold": 0.1}``: see :func:`reconstruct`.
+    corrected : bool
+        Whether the frames are corrected already: neither bias nor dark nor flat are applied.
 
     Returns
     -------
@@ -86,10 +93,11 @@ def batch(
         camera = Experiment(camera, frames if isinstance(frames, (str, PathLike)) else None)
     if isinstance(camera, Experiment) and frame_period_us is None:
         frame_period_us = camera.frame_period_us
-    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
+    if corrected:
+        settings["camera"] = settings["camera"].replace(bias_counts=None)
     settings.pop("experiment")
-    if isinstance(frames, (str, PathLike)):
-        frames = _rowburst._Frames(fspath(frames))
+    frames = recording_of(frames)
     job = _Batch.of_values(
         frames=frames,
         out=out,
@@ -98,6 +106,7 @@ def batch(
         self_calibrate=self_calibrate,
         keep_all_pixels=keep_all_pixels,
         frame_period_us=frame_period_us,
+        tuning=_constants(tuning),
         **settings,
     )
     return _run(job, fspath(out), threads or _rowburst.threads(), retry_failed, progress)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from os import PathLike
 
 from numpy.typing import ArrayLike
 
 from . import _rowburst
 from ._load import SavedResult
-from ._reconstruct import _callback, _settings
+from ._reconstruct import _callback, _constants, _settings
 from ._rowburst import Camera, Experiment, Progress, Psf
 
 
@@ -30,6 +30,7 @@ def reconstruct_chunked(
     bad_pixels: ArrayLike | PathLike[str] | None = None,
     progress: Callable[[Progress], object] | bool | None = None,
     threads: int | None = None,
+    tuning: Mapping[str, float] | None = None,
 ) -> SavedResult:
     """The video of a frame in chunks of bins, each written to a folder before the next one starts.
 
@@ -48,7 +49,7 @@ def reconstruct_chunked(
         Bins of a chunk; by default as many as 3 GiB hold.
     bins : tuple of int, optional
         The first bin, and the one after the last, of a part of the video.
-    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, threads
+    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, threads, tuning
         Those of :func:`reconstruct`.
 
     Returns
@@ -81,6 +82,7 @@ def reconstruct_chunked(
             max_iterations=max_iterations,
             progress=callback,
             threads=threads,
+            tuning=_constants(tuning),
             **settings,
         )
     finally:

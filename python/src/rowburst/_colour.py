@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._reconstruct import Result, _callback, _settings
+from ._reconstruct import Result, _callback, _constants, _settings
 from ._rowburst import Camera, Experiment, Progress, Psf
 
 
@@ -58,6 +58,7 @@ def reconstruct_colour(
     keep_all_pixels: bool = False,
     debias: bool = False,
     threads: int | None = None,
+    tuning: Mapping[str, float] | None = None,
 ) -> ColourResult:
     """The video in colour of a raw frame of a sensor with a mosaic, with the numbers of ``rowburst reconstruct``.
 
@@ -69,8 +70,10 @@ def reconstruct_colour(
         The raw frame ``[y, x]``, before any colours are made of it.
     camera : Camera or Experiment
         The camera, with ``bayer``.
-    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, seed, keep_all_pixels, debias, threads
+    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, seed, keep_all_pixels
         Those of :func:`reconstruct`, on the raw pixels.
+    debias, threads, tuning
+        Those of :func:`reconstruct`.
     time_budget_s : float, optional
         Limit for all planes together, in seconds.
 
@@ -105,6 +108,7 @@ def reconstruct_colour(
             keep_all_pixels=keep_all_pixels,
             debias=debias,
             threads=threads,
+            tuning=_constants(tuning),
             **settings,
         )
     finally:

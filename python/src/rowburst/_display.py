@@ -93,6 +93,14 @@ def simulation_html(simulation: Simulation) -> str:
     return table_html("rowburst.Simulation", table) + pictures
 
 
+def _iterations(numbers: Mapping[str, Any]) -> str:
+    """The iterations of a result; a video in chunks has those of each chunk."""
+    if "parts" not in numbers:
+        return f"{numbers['iterations']} ({numbers['stop_reason']})"
+    counts = [part["iterations"] for part in numbers["parts"]]
+    return f"{min(counts)} to {max(counts)} in {len(counts)} chunks"
+
+
 def result_html(result: VideoResult, kind: str) -> str:
     """A result: its main numbers and the maximum over time."""
     numbers = result.numbers
@@ -104,7 +112,7 @@ def result_html(result: VideoResult, kind: str) -> str:
         "residual/σ": f"{numbers['residual_over_sigma']:.3f}",
         "prior": numbers["prior"],
         "PSNR": None if psnr is None else f"{psnr:.2f} dB",
-        "iterations": f"{numbers['iterations']} ({numbers['stop_reason']})",
-        "warnings": "; ".join(numbers["warnings"]) or None,
+        "iterations": _iterations(numbers),
+        "warnings": "; ".join(numbers.get("warnings", [])) or None,
     }
     return table_html(f"rowburst.{kind}", table) + _image(result.video.max(axis=0), "maximum over time")

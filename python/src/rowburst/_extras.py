@@ -8,7 +8,16 @@ from typing import Any
 from ._errors import input_error
 
 # Name of the module: name on PyPI.
-_PACKAGES = {"matplotlib": "matplotlib", "xarray": "xarray", "tifffile": "tifffile", "torch": "torch", "deepinv": "deepinv"}
+_PACKAGES = {
+    "dcimg": "dcimg",
+    "deepinv": "deepinv",
+    "matplotlib": "matplotlib",
+    "pco_tools": "pco-tools",
+    "sif_parser": "sif_parser",
+    "tifffile": "tifffile",
+    "torch": "torch",
+    "xarray": "xarray",
+}
 
 
 def need(module: str, caller: str) -> Any:

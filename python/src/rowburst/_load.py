@@ -36,6 +36,9 @@ class SavedResult(VideoResult):
 
     def _array(self, name: str) -> NDArray[Any]:
         if name not in self._arrays:
+            if "parts" in self._numbers and not (self.folder / name).exists():
+                rule = "a video in chunks has video.npy, and its report shows the rest"
+                raise input_error(self.folder / name, "no such file", rule, "Open report.html.", kind="missing")
             try:
                 self._arrays[name] = np.load(self.folder / name, mmap_mode="r")
             except (OSError, ValueError) as error:
@@ -146,6 +149,10 @@ class SavedResult(VideoResult):
 
     def figure(self, path: str | PathLike[str] | None = None, layout: str = "fig2") -> Figure:
         """The figure for a paper, as :meth:`Result.figure` draws it."""
+        if "parts" in self._numbers:
+            rule = "a figure is drawn from a result in one piece"
+            remedy = "Reconstruct a part of its bins by rb.reconstruct, or use plot()."
+            raise input_error(self.folder, "a video in chunks", rule, remedy, kind="missing")
         return save_figure(Figure(*_rowburst._figure_of_folder(self.folder, layout)), path)
 
     def view(self, port: int | None = None, open_browser: bool = True) -> View:

@@ -18,6 +18,7 @@ from . import _rowburst
 from ._display import result_html
 from ._errors import input_error
 from ._figure import Figure, save_figure
+from ._frames import frame_of
 from ._rowburst import Camera, Experiment, Progress, Psf
 from ._video import VideoResult
 from ._view import View
@@ -288,8 +289,8 @@ class Result(VideoResult):
     def view(self, port: int | None = None, open_browser: bool = True) -> View:
         """Opens the viewer of ``rowburst view`` on this result.
 
-        The page is served by this process, on 127.0.0.1 alone. The files of the result are written to a temporary folder,
-        which goes with the view.
+        The page is served by this process, on 127.0.0.1 alone, until ``close()`` or the end of the process. The files of
+        the result are written to a temporary folder, which goes with the view.
 
         Parameters
         ----------
@@ -385,14 +386,20 @@ def _settings(
     dark: ArrayLike | PathLike[str] | None,
     flat: ArrayLike | PathLike[str] | None,
     bad_pixels: ArrayLike | PathLike[str] | None,
+    corrected: bool = False,
 ) -> dict[str, Any]:
     """The arguments that an experiment gives where they are left out, and the experiment."""
+    for name, value in ("dark", dark), ("flat", flat):
+        if corrected and value is not None:
+            rule = "a corrected frame needs no dark and no flat"
+            raise input_error(name, f"{name} and corrected=True", rule, f"Leave one of them out: {name} or corrected.")
     experiment = None
     if isinstance(camera, Experiment):
         experiment, camera = camera, camera.camera
         psf = experiment.psf if psf is None else psf
-        dark = experiment.dark if dark is None else dark
-        flat = experiment.flat if flat is None else flat
+        if not corrected:
+            dark = experiment.dark if dark is None else dark
+            flat = experiment.flat if flat is None else flat
         bad_pixels = experiment.bad_pixels if bad_pixels is None else bad_pixels
         prior = experiment.prior if prior is None else prior
         tau = experiment.tau if tau is None else tau
@@ -406,6 +413,20 @@ def _settings(
         "bad_pixels": bad_pixels,
         "experiment": experiment,
     }
+
+
+def _constants(tuning: Mapping[str, float] | None) -> dict[str, float] | None:
+    """The constants of the solver as the extension takes them."""
+    return None if tuning is None else dict(tuning)
+
+
+def _pictures(guide: ArrayLike | Sequence[ArrayLike] | None) -> list[ArrayLike] | None:
+    """The pictures of a guide as a list."""
+    if guide is None:
+        return None
+    if isinstance(guide, (list, tuple)) and all(isinstance(g, (str, PathLike)) or np.ndim(g) == 2 for g in guide):
+        return list(guide)
+    return [guide]
 
 
 def reconstruct(
@@ -430,6 +451,10 @@ def reconstruct(
     debias: bool = False,
     threads: int | None = None,
     tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
+    guide: ArrayLike | Sequence[ArrayLike] | None = None,
+    guide_exposures_us: Sequence[tuple[float, float]] | None = None,
+    guide_model: str | None = None,
 ) -> Result:
     """The video of one raw ``frame``, with the numbers of ``rowburst reconstruct``, bit for bit.
 
@@ -482,6 +507,17 @@ def reconstruct(
     tuning : mapping, optional
         Other values for constants of the solver, such as ``{"support_threshold": 0.1}``. Unstable: names, meanings and
         values change between versions. The names are the fields of ``rowburst::solve::admm::Tuning``.
+    corrected : bool
+        Whether the frame is corrected already, integers as well: neither bias nor dark nor flat of the camera or the
+        experiment are applied. ``dark`` and ``flat`` may not be given then.
+    guide : array, path, or a sequence of them, optional
+        Pictures ``[y, x]`` of the same scene by an ordinary second camera, for dense scenes. What they gave is
+        ``result.numbers["guide"]``.
+    guide_exposures_us : sequence of pairs, optional
+        For each picture the middle of its exposure, from the start of the frame's first exposure, and its length, in µs.
+        By default the one picture was taken at an unknown time within the frame; several pictures need times.
+    guide_model : str, optional
+        What the scene does with the light of the guide: ``"auto"`` (the default), ``"motion"``, ``"gain"`` or ``"still"``.
 
     Returns
     -------
@@ -501,11 +537,11 @@ def reconstruct(
     >>> result.video.shape, result.prior
     ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
-    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
     bar, callback = _callback(progress)
     try:
         found = _rowburst.reconstruct(
-            frame,
+            frame_of(frame),
             noise_sigma=noise_sigma,
             time_budget_s=time_budget_s,
             max_iterations=max_iterations,
@@ -517,7 +553,11 @@ def reconstruct(
             keep_all_pixels=keep_all_pixels,
             debias=debias,
             threads=threads,
-            tuning=None if tuning is None else dict(tuning),
+            tuning=_constants(tuning),
+            corrected=corrected,
+            guide=_pictures(guide),
+            guide_exposures_us=None if guide_exposures_us is None else list(guide_exposures_us),
+            guide_model=guide_model,
             **settings,
         )
     finally:

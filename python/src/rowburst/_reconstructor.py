@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from os import PathLike, fspath
+from os import PathLike
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _rowburst
 from ._errors import input_error
-from ._reconstruct import Result, _callback, _settings
+from ._frames import frame_of, recording_of
+from ._reconstruct import Result, _callback, _constants, _settings
 from ._rowburst import Camera, Experiment, LiveView, Progress, Psf
 
 
@@ -32,6 +34,8 @@ class Reconstructor:
         Those of :func:`reconstruct`.
     threads : int, optional
         Threads of this reconstructor alone; by default all those of the process (:func:`threads`).
+    tuning, corrected
+        Those of :func:`reconstruct`.
 
     Raises
     ------
@@ -64,6 +68,8 @@ class Reconstructor:
         self_calibrate: str = "auto",
         keep_all_pixels: bool = False,
         threads: int | None = None,
+        tuning: Mapping[str, float] | None = None,
+        corrected: bool = False,
     ) -> None:
         self._given = dict(
             psf=psf,
@@ -77,9 +83,11 @@ class Reconstructor:
             self_calibrate=self_calibrate,
             keep_all_pixels=keep_all_pixels,
             threads=threads,
+            tuning=tuning,
+            corrected=corrected,
         )
         self._source = camera
-        settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+        settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
         self.camera: Camera = settings["camera"]
         self._settings = settings
         self._threads = threads
@@ -90,6 +98,8 @@ class Reconstructor:
             self_calibrate=self_calibrate,
             keep_all_pixels=keep_all_pixels,
             threads=threads,
+            tuning=_constants(tuning),
+            corrected=corrected,
         )
 
     def __call__(
@@ -107,7 +117,7 @@ class Reconstructor:
         bar, callback = _callback(progress)
         try:
             found = self._native.reconstruct(
-                frame,
+                frame_of(frame),
                 truth=truth,
                 direct=direct,
                 progress=callback,
@@ -157,10 +167,9 @@ class Reconstructor:
         (12, 24, 30)
         (12, 24, 30)
         """
-        if workers < 1:
+        if not isinstance(workers, (int, np.integer)) or workers < 1:
             raise input_error("workers", workers, "at least one works", "Leave it out.")
-        recording: Any = _rowburst._Frames(fspath(frames)) if isinstance(frames, (str, PathLike)) else frames
-        return self._mapped(_each(recording), workers, debias)
+        return self._mapped(_each(recording_of(frames)), workers, debias)
 
     def _mapped(self, frames: Iterator[Any], workers: int, debias: bool) -> Iterator[Result]:
         if workers == 1:
@@ -183,7 +192,8 @@ class Reconstructor:
     def live(self) -> LiveView:
         """A live view with the camera, PSF, corrections, prior and tau of this reconstructor."""
         settings = {name: value for name, value in self._settings.items() if name != "experiment"}
-        return LiveView(**settings, noise_sigma=self._given["noise_sigma"])  # type: ignore[arg-type]
+        tuning = _constants(self._given["tuning"])  # type: ignore[arg-type]
+        return LiveView(**settings, noise_sigma=self._given["noise_sigma"], tuning=tuning)  # type: ignore[arg-type]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._source, self._given)

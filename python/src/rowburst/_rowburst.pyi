@@ -25,12 +25,15 @@ __all__ = [
     "_Operator",
     "_PsfCalibration",
     "_Reconstructor",
+    "_Recorder",
     "_SensorCalibration",
+    "_Source",
     "_TimingCalibration",
     "_View",
     "__version__",
     "_command",
     "_figure_of_folder",
+    "_read_properties",
     "_reconstruct_chunked",
     "_reconstruct_colour",
     "reconstruct",
@@ -42,6 +45,8 @@ __all__ = [
 
 __version__: str
 
+# number, time, counts, fault, last number
+_Delivery: TypeAlias = tuple[int, int | None, NDArray[np.uint16] | None, str | None, int]
 # frame, name, whether it has its video, residual/sigma, fit, seconds, message
 _Line: TypeAlias = tuple[int, str, bool, float | None, str | None, float, str]
 
@@ -76,9 +81,46 @@ class WorkError(RuntimeError):
 class Camera:
     """A rolling-shutter camera and the field that it is asked to reconstruct.
 
-    The keys are those of the experiment file; ``field`` is ``(rows, columns)``, and ``row_order`` the
-    instant of every row for the shutter ``custom``. Frames of a sensor with a mosaic (``bayer``) are
-    reconstructed by :func:`reconstruct_colour`.
+    The names are the keys of the experiment file. Frames of a sensor with a mosaic (``bayer``) are reconstructed by
+    :func:`reconstruct_colour`.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Pixels of the frame, before binning.
+    shutter : str
+        ``"top-down"``, ``"bottom-up"``, ``"dual-inside-out"``, ``"dual-outside-in"``, ``"custom"`` or ``"global"``.
+    exposure_us : float
+        Exposure of a row in microseconds.
+    row_time_us : float, optional
+        Time from the readout of one row to that of the next in microseconds; needed unless the shutter is global.
+    row_order : sequence of int, optional
+        The instant of every row, for the shutter ``"custom"``.
+    binning : int
+        Raw pixels along a side of a pixel of the working grid.
+    bins_per_row : int
+        Bins of the video in a row time.
+    field : tuple of int, optional
+        Rows and columns of the video, if it is larger than the sensor.
+    pixel_pitch_um : float, optional
+        Width of a pixel in micrometres.
+    bit_depth : int, optional
+        Bits of the converter.
+    bias_counts, gain_electrons_per_count, read_noise_electrons, full_well_counts : float, optional
+        The numbers of :func:`rowburst.calibrate.sensor`.
+    bayer : str, optional
+        The mosaic: ``"rggb"``, ``"bggr"``, ``"grbg"`` or ``"gbrg"``.
+
+    Raises
+    ------
+    InputError
+        A value breaks a rule.
+
+    Examples
+    --------
+    >>> zyla = rb.Camera(rows=108, columns=108, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
+    >>> zyla.video_shape, round(zyla.frame_rate_hz)
+    ((54, 108, 108), 104167)
     """
 
     def __new__(
@@ -165,6 +207,22 @@ class Psf:
     """A point-spread function that sums to 1, or several that share out the field.
 
     The element at ``(height // 2, width // 2)`` is zero displacement.
+
+    Parameters
+    ----------
+    values : array
+        The PSF ``[y, x]``, not negative; it is scaled to the sum 1.
+
+    Raises
+    ------
+    InputError
+        An element is negative or not finite, or all are zero.
+
+    Examples
+    --------
+    >>> centred = rb.Psf(np.eye(5))
+    >>> centred.shape, float(centred.array.sum())
+    ((5, 5), 1.0)
     """
 
     def __new__(cls, values: ArrayLike) -> Psf: ...
@@ -188,12 +246,32 @@ class Psf:
 
 @final
 class Experiment:
-    """The content of an experiment file and of the files that it names."""
+    """The content of an experiment file and of the files that it names.
+
+    Parameters
+    ----------
+    path : path
+        The experiment file, as ``rowburst init`` writes it.
+    frame : path, optional
+        A frame or a recording: keys that the file leaves open are taken from its metadata.
+
+    Raises
+    ------
+    InputError
+        The file or one that it names is missing or breaks a rule.
+
+    Examples
+    --------
+    >>> experiment = rb.Experiment("experiment.toml")
+    >>> experiment.prior, experiment.psf.shape
+    ('tv', (47, 59))
+    >>> experiment.reconstructor(max_iterations=5)(frame).prior
+    'tv'
+    """
 
     def __new__(
         cls, path: str | PathLike[str], frame: str | PathLike[str] | None = None
-    ) -> Experiment:
-        """Keys missing from the file are taken from the metadata of ``frame``, a file or a folder."""
+    ) -> Experiment: ...
     @property
     def camera(self) -> Camera: ...
     @property
@@ -208,6 +286,8 @@ class Experiment:
     def prior(self) -> str: ...
     @property
     def tau(self) -> str | float: ...
+    def reconstructor(self, **options: Any) -> Any:
+        """A reconstructor with everything that the file says; ``options`` are the arguments of :class:`Reconstructor`."""
     @property
     def frame_period_us(self) -> float | None: ...
     @property
@@ -272,14 +352,34 @@ class Progress:
 class LiveView:
     """A live view: frames of one scene, each warm-started from the previous one.
 
-    A frame that was stopped early is not lost: the next one continues from its state. Where the last
-    video explains less than half of the variance of the frame, the solver starts from zero. Videos
-    depend on earlier frames: use them for display, not for measurement. The prior ``"auto"`` is the
-    standard prior ``tv+0.5*tdiff+support`` here. ``dark``, ``flat`` and ``bad_pixels`` are those of :func:`reconstruct`.
+    A frame that was stopped early is not lost: the next one continues from its state. Where the last video explains less
+    than half of the variance of the frame, the solver starts from zero. Videos depend on earlier frames: use them for
+    display, not for measurement.
 
-        live = rowburst.LiveView(camera, psf)
-        look = live.next(frame, time_budget_s=0.1)
-        show(look.video)
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    psf : Psf, array or path
+        The point-spread function ``[y, x]``.
+    prior : str
+        ``"auto"`` is the standard prior ``tv+0.5*tdiff+support`` here.
+    tau, noise_sigma, dark, flat, bad_pixels, tuning
+        Those of :func:`reconstruct`.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule.
+    WorkError
+        The machine has too little memory.
+
+    Examples
+    --------
+    >>> live = rb.LiveView(camera, psf)
+    >>> look = live.next(frame, time_budget_s=0.1)
+    >>> look.video.shape, look.went_on
+    ((12, 24, 30), False)
     """
 
     def __new__(
@@ -293,6 +393,7 @@ class LiveView:
         dark: ArrayLike | PathLike[str] | None = None,
         flat: ArrayLike | PathLike[str] | None = None,
         bad_pixels: ArrayLike | PathLike[str] | None = None,
+        tuning: Mapping[str, float] | None = None,
     ) -> LiveView: ...
     def next(self, frame: ArrayLike | PathLike[str], *, time_budget_s: float | None = None) -> Look:
         """The video of the next frame; the budget limits the iterations, not the evaluation after them.
@@ -389,6 +490,8 @@ class _Reconstructor:
         self_calibrate: str = "auto",
         keep_all_pixels: bool = False,
         threads: int | None = None,
+        tuning: Mapping[str, float] | None = None,
+        corrected: bool = False,
     ) -> _Reconstructor: ...
     def reconstruct(
         self,
@@ -409,6 +512,29 @@ class _Frames:
     def __getitem__(self, index: int, /) -> NDArray[Any]: ...
     def name(self, index: int) -> str: ...
     def read(self) -> NDArray[Any]: ...
+
+@final
+class _Source:
+    def __new__(cls, name: str) -> _Source: ...
+    def settings(self) -> str: ...
+    def next(self) -> _Delivery | None: ...
+
+@final
+class _Recorder:
+    def __new__(
+        cls,
+        path: str | PathLike[str],
+        purpose: str,
+        source: str,
+        properties: Sequence[tuple[str, str | None, str]],
+        requested: int | None = None,
+    ) -> _Recorder: ...
+    def take(
+        self, number: int, time_us: int | None, counts: NDArray[np.uint16] | None, incomplete: str | None, last: int
+    ) -> None: ...
+    def finish(self, ended: str) -> str: ...
+
+def _read_properties(source: str, properties: Sequence[tuple[str, str | None, str]]) -> str: ...
 
 @final
 class _View:
@@ -475,6 +601,7 @@ class _Batch:
         frame_period_us: float | None = None,
         self_calibrate: str = "auto",
         keep_all_pixels: bool = False,
+        tuning: Mapping[str, float] | None = None,
     ) -> _Batch: ...
     @property
     def count(self) -> int: ...
@@ -593,6 +720,7 @@ def _reconstruct_colour(
     keep_all_pixels: bool = False,
     debias: bool = False,
     threads: int | None = None,
+    tuning: Mapping[str, float] | None = None,
 ) -> tuple[NDArray[np.float32], list[tuple[str, float, Result]]]: ...
 def _reconstruct_chunked(
     frame: ArrayLike | PathLike[str],
@@ -612,6 +740,7 @@ def _reconstruct_chunked(
     progress: Callable[[Progress], object] | None = None,
     experiment: Experiment | None = None,
     threads: int | None = None,
+    tuning: Mapping[str, float] | None = None,
 ) -> str: ...
 def _figure_of_folder(folder: str | PathLike[str], layout: str) -> tuple[str, bytes]: ...
 def reconstruct(
@@ -637,6 +766,10 @@ def reconstruct(
     debias: bool = False,
     threads: int | None = None,
     tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
+    guide: list[ArrayLike] | None = None,
+    guide_exposures_us: list[tuple[float, float]] | None = None,
+    guide_model: str | None = None,
 ) -> Result: ...
 def simulate(
     camera: Camera,
@@ -650,13 +783,46 @@ def simulate(
     seed: int = 1,
     digit_px: int = 12,
 ) -> Simulation:
-    """The frame that ``camera`` records of a scene.
+    """The frame that a camera records of a scene.
 
-    ``scene`` is ``digits`` (the default), ``leds``, ``moving``, ``two-moving`` or a video ``[t, y, x]``
-    (an array or the name of a file) that is fitted to the field. Without ``psf`` a speckle PSF is
-    computed. ``snr`` is the rms of the noiseless frame over the noise, ``inf`` for none;
-    ``peak_electrons`` (in the brightest pixel of the frame) or ``scene_electrons`` (from the brightest
-    scene pixel in a bin) give shot and read noise instead, and need gain and read noise of the camera.
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    scene : str, path or array, optional
+        ``"digits"`` (the default), ``"leds"``, ``"moving"``, ``"two-moving"``, or a video ``[t, y, x]`` that is fitted to
+        the field.
+    psf : Psf, array or path, optional
+        The point-spread function ``[y, x]``; by default a speckle PSF is computed.
+    snr : float
+        Rms of the noiseless frame over the noise; ``inf`` for none.
+    peak_electrons, scene_electrons : float, optional
+        Shot and read noise instead of ``snr``: electrons in the brightest pixel of the frame, or from the brightest pixel
+        of the scene in a bin. The camera needs gain and read noise.
+    background : float, optional
+        Brightness of a static background over that of the scene.
+    seed : int
+        The seed of scene and noise.
+    digit_px : int
+        Height of the digits in pixels.
+
+    Returns
+    -------
+    Simulation
+        The frame with the true video.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule.
+    WorkError
+        The machine has too little memory.
+
+    Examples
+    --------
+    >>> made = rb.simulate(camera, "moving", psf, snr=100)
+    >>> made.frame.shape, made.truth.shape
+    ((24, 30), (12, 24, 30))
     """
 
 def speckle_psf(
@@ -671,13 +837,75 @@ def speckle_psf(
     diffuser_phase: float = 4.0,
     seed: int = 1,
 ) -> Psf:
-    """A random speckle PSF of a diffuser behind a lens, for every displacement that ``camera`` sees."""
+    """A random speckle PSF of a diffuser behind a lens, for every displacement that a camera sees.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera; its pixel pitch is that of the paper where it has none.
+    wavelength_nm : float
+        Wavelength in nanometres.
+    pupil_mm, focal_length_mm : float
+        Diameter of the pupil and focal length of the lens in millimetres.
+    magnification : float
+        Size on the sensor over size in the scene.
+    na : float, optional
+        Numerical aperture on the side of the sensor, instead of the diameter of the pupil.
+    diffuser_deg : float
+        Full width at half maximum of its scattering in degrees.
+    diffuser_phase : float
+        Rms of its phase in radians.
+    seed : int
+        The seed of the diffuser.
+
+    Returns
+    -------
+    Psf
+        The PSF ``[y, x]``.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule.
+
+    Examples
+    --------
+    >>> rb.speckle_psf(camera).shape
+    (47, 59)
+    """
 
 def set_threads(threads: int) -> None:
     """Sets the number of threads of this process, before anything is computed.
 
     Later only the number that runs already is accepted.
+
+    Parameters
+    ----------
+    threads : int
+        Number of threads.
+
+    Raises
+    ------
+    InputError
+        The number is below 1.
+    WorkError
+        Another number runs already, or the process was forked.
+
+    Examples
+    --------
+    >>> rb.set_threads(rb.threads())
     """
 
 def threads() -> int:
-    """Number of threads that computations use."""
+    """Number of threads that computations use.
+
+    Returns
+    -------
+    int
+        Threads of this process.
+
+    Examples
+    --------
+    >>> rb.threads() >= 1
+    True
+    """

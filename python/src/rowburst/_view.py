@@ -12,9 +12,12 @@ from types import TracebackType
 
 from . import _rowburst
 
+# Views that are open: a view that nobody holds goes on until the end of the process.
+_OPEN: set[View] = set()
+
 
 class View:
-    """The viewer's page of results on 127.0.0.1, until :meth:`close` or the end of the process.
+    """The viewer's page of results on 127.0.0.1, until :meth:`close` or the end of the process, whether it is kept or not.
 
     It is what :meth:`Result.view` and :meth:`SavedResult.view` return, and a context manager.
     """
@@ -28,6 +31,7 @@ class View:
     ) -> None:
         self._native = _rowburst._View(list(results), port)
         self._folder = folder
+        _OPEN.add(self)
         if open_browser and _has_screen():
             webbrowser.open(self.url)
 
@@ -39,6 +43,7 @@ class View:
     def close(self) -> None:
         """Ends the server and removes its temporary files."""
         self._native.close()
+        _OPEN.discard(self)
         if self._folder is not None:
             self._folder.cleanup()
 

@@ -3,6 +3,7 @@
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
 use crate::progress::print_note;
+use crate::shared_args::ForceArgs;
 use clap::Args;
 use rowburst::calibrate::sensor::SensorCalibration;
 use rowburst::{Error, Parameter, Result};
@@ -36,6 +37,8 @@ pub struct SensorArgs {
     /// Folder for maps, summary and report
     #[arg(short, long)]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArgs,
 }
 
 pub fn run(args: &SensorArgs) -> Result<()> {
@@ -53,7 +56,7 @@ pub fn run(args: &SensorArgs) -> Result<()> {
     for warning in &sensor.calibration.warnings {
         eprintln!("warning: {warning}");
     }
-    let folder = OutputFolder::create(&args.output)?;
+    let folder = args.force.claim(&args.output, "calibrate sensor")?;
     sensor.write(&folder, Some(&command_line(args)))?;
     if args.json {
         print_line(format_args!("{:#}", sensor.summary));
@@ -91,12 +94,18 @@ fn print_summary(calibration: &SensorCalibration, folder: &OutputFolder) {
         Some(full) => print_line(format_args!("full well {} counts", short(full.counts))),
         None => print_line("full well not reached by these flats"),
     }
+    let kinds = [&faults.hot, &faults.dead, &faults.unstable].map(|flags| count(flags));
+    let several = if kinds.iter().sum::<usize>() > faults.count() {
+        " (some are of several kinds)"
+    } else {
+        ""
+    };
     print_line(format_args!(
-        "{} bad pixels: {} hot, {} dead, {} unstable",
+        "{} bad pixels: {} hot, {} dead, {} unstable{several}",
         faults.count(),
-        count(&faults.hot),
-        count(&faults.dead),
-        count(&faults.unstable)
+        kinds[0],
+        kinds[1],
+        kinds[2]
     ));
     print_line(format_args!("{}/report.html", folder.path().display()));
 }

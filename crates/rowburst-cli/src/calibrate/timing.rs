@@ -3,11 +3,12 @@
 mod files;
 
 use crate::output::print_line;
+use crate::shared_args::ForceArgs;
 use clap::{Args, ValueHint};
 use files::TimingFiles;
 use rowburst::calibrate::timing::Timing;
 use rowburst::{Error, Parameter, Result};
-use rowburst_io::{Calibration, OutputFolder};
+use rowburst_io::Calibration;
 use rowburst_run::calibrate::timing::{exposure, row_time, shutter_names};
 use rowburst_run::inputs::naming_file;
 use rowburst_run::short;
@@ -58,13 +59,15 @@ pub struct TimingArgs {
     /// Folder for timing.json, report.html, plots and experiment.toml
     #[arg(short, long)]
     pub output: Option<PathBuf>,
+    #[command(flatten)]
+    pub force: ForceArgs,
 }
 
 pub fn run(args: &TimingArgs) -> Result<()> {
     let folder = args
         .output
         .as_deref()
-        .map(OutputFolder::create)
+        .map(|path| args.force.claim(path, "calibrate timing"))
         .transpose()?;
     let files = TimingFiles::read(args)?;
     // Without a folder there is no copy of the experiment.

@@ -7,10 +7,9 @@ pub use options::DesignArgs;
 use crate::output::print_line;
 use indicatif::{ProgressBar, ProgressStyle};
 use rowburst::{Camera, Psf, Result};
-use rowburst_io::OutputFolder;
 use rowburst_run::design::DesignSummary;
 use rowburst_run::inputs::read_psfs;
-use rowburst_run::{Event, is_logging};
+use rowburst_run::{Event, check_camera, is_logging};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -19,13 +18,16 @@ use std::time::Instant;
 pub fn run(args: &DesignArgs) -> Result<()> {
     let started = Instant::now();
     let inputs = args.inputs()?;
+    for warning in check_camera(inputs.camera.params()).map_err(|e| args.naming_option(e))? {
+        eprintln!("warning: {warning}");
+    }
     let given = inputs
         .psf_file
         .as_deref()
         .map(|path| psf_of(path, &inputs.camera))
         .transpose()?;
     let folder = match &args.output {
-        Some(path) => Some(OutputFolder::create(path)?),
+        Some(path) => Some(args.force.claim(path, "design")?),
         None => None,
     };
     let bar = bar();

@@ -1,13 +1,13 @@
 //! The options of `rowburst design`, and what they mean.
 
 use crate::option_names;
-use crate::shared_args::OpticsArgs;
+use crate::shared_args::{ForceArgs, OpticsArgs};
 use clap::Args;
 use rowburst::camera::CameraParams;
 use rowburst::design::LightParams;
 use rowburst::simulate::SpeckleOptics;
 use rowburst::{Camera, Error, ErrorKind, Parameter, Result, Sensor, Shutter};
-use rowburst_io::Experiment;
+use rowburst_io::{Experiment, read_video};
 use rowburst_run::design::{DesignInputs, checked_snrs, light_of, paper_camera};
 use std::path::PathBuf;
 
@@ -25,6 +25,10 @@ pub struct DesignArgs {
     /// A recorded PSF or patch set; without one, speckle of these optics is computed
     #[arg(long)]
     pub psf: Option<PathBuf>,
+    /// A video of the scene (.npy, multi-page .tif), fitted to the field: how many numbers of an
+    /// instant speak about its change, at the expected SNR
+    #[arg(long, value_name = "VIDEO")]
+    pub scene: Option<PathBuf>,
     #[command(flatten)]
     pub optics: OpticsArgs,
     #[command(flatten)]
@@ -52,6 +56,8 @@ pub struct DesignArgs {
     /// Folder for report.html, its pictures and design.json [default: none are written]
     #[arg(short, long, help_heading = "Run")]
     pub output: Option<PathBuf>,
+    #[command(flatten)]
+    pub force: ForceArgs,
 }
 
 /// The camera; what is not given comes from the experiment, or else from the paper.
@@ -160,6 +166,7 @@ impl DesignArgs {
             light,
             psf_file: psf_file.or(experiment.and_then(|e| e.calibration.psf)),
             trial_snrs,
+            scene: self.scene.as_deref().map(read_video).transpose()?,
             seed: self.seed,
         })
     }

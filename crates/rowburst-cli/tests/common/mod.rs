@@ -162,7 +162,7 @@ impl Lab {
         ndarray_npy::read_npy(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
 
-    /// Names of all files below `folder`, hidden ones too, sorted.
+    /// Names of all files in `folder` but Rowburst's own list of them, sorted; hidden ones too.
     pub fn files(&self, folder: &str) -> Vec<String> {
         let Ok(entries) = std::fs::read_dir(self.path(folder)) else {
             return Vec::new();
@@ -170,6 +170,7 @@ impl Lab {
         let mut names: Vec<String> = entries
             .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
             .collect();
+        names.retain(|name| name != ".rowburst-files");
         names.sort();
         names
     }

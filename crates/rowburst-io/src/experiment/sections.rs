@@ -134,8 +134,35 @@ pub(super) static RECORDING: Section = Section {
     )],
 };
 
-pub(super) static SECTIONS: [&Section; 5] =
-    [&CAMERA, &CALIBRATION, &FIELD, &RECONSTRUCTION, &RECORDING];
+pub(super) static GUIDE: Section = Section {
+    name: "guide",
+    meaning: "Pictures of the same scene by an ordinary second camera, each in a table [[guide]].",
+    keys: &[
+        Key::required("image", Kind::File, "The picture."),
+        Key::optional(
+            "time_us",
+            Kind::NonNegative,
+            "Middle of its exposure, in µs from the start of the frame's first exposure; left out: at an unknown time within the frame.",
+        ),
+        Key::optional(
+            "exposure_us",
+            Kind::NonNegative,
+            "Its exposure, in µs; 0 where it is left out.",
+        ),
+    ],
+};
+
+pub(super) static SECTIONS: [&Section; 6] = [
+    &CAMERA,
+    &CALIBRATION,
+    &FIELD,
+    &RECONSTRUCTION,
+    &RECORDING,
+    &GUIDE,
+];
+
+/// The sections of which a file may have several.
+pub(super) static REPEATED: [&str; 1] = [GUIDE.name];
 
 const SIDE: Kind = Kind::Count(1, MAX_SIDE);
 
@@ -145,6 +172,7 @@ pub fn experiment_schema() -> String {
         "Rowburst experiment file",
         "A camera, its calibration, the field and how to reconstruct, in TOML. Paths are relative to the file.",
         &SECTIONS,
+        &REPEATED,
     )
 }
 

@@ -2,10 +2,10 @@
 //!
 //! Keys as of Micro-Manager 1.4 and 2.0 (`Exposure-ms`, `ROI`, `Binning`, `BitDepth`,
 //! `PixelSizeUm`); a property of a device is `DEVICE-PROPERTY`, as the device adapters name them:
-//! `LightScanPlus-…` is Andor's SDK3, `Line Time [us]` PCO.
+//! the table of `properties.rs` knows them.
 
+use super::properties::read_properties;
 use super::{Metadata, binning_of, bits_of, name_of, positive, stem_of};
-use rowburst::Shutter;
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -107,35 +107,16 @@ fn of_records(records: &[&Map<String, Value>], source: &str) -> Metadata {
     let roi = text("ROI").and_then(|roi| roi_of(&roi));
     let size = number("Height").zip(number("Width"));
     let size = size.map(|(rows, columns)| (rows as usize, columns as usize));
-    let mut notes = Vec::new();
-    let shutter = match property("LightScanPlus-SensorReadoutMode").as_deref() {
-        _ if is_global(property("ElectronicShutteringMode")) => Some(Shutter::Global),
-        Some("Centre Out Simultaneous") => Some(Shutter::DualInsideOut),
-        Some("Outside In Simultaneous") => Some(Shutter::DualOutsideIn),
-        Some("Top Down Sequential") => Some(Shutter::TopDown),
-        Some("Bottom Up Sequential") => Some(Shutter::BottomUp),
-        Some(other) => {
-            notes.push(format!(
-                "{source} has the readout mode \"{other}\", which has no name here: give shutter = \"custom\" with row_order"
-            ));
-            None
-        }
-        None => None,
-    };
-    let scan_speed = match property("LightScanPlus-ScanSpeedControlEnable").as_deref() {
-        Some("On" | "1") => property("LightScanPlus-LineScanSpeed [lines/sec]"),
-        _ => None,
-    };
-    let line_time_us = property("Line Time [us]").and_then(|t| t.trim().parse().ok());
-    let lines_hz = scan_speed.and_then(|s| s.trim().parse::<f64>().ok());
-    let row_time_us = line_time_us.or(lines_hz.map(|hz| 1e6 / hz));
+    let reading = read_properties(&property).metadata;
+    let notes = reading.notes.into_iter();
+    let notes = notes.map(|note| format!("{source}: {note}")).collect();
     let binning = text("Binning").or(property("Binning"));
     Metadata {
         sources: vec![source.into()],
         size: roi.map(|(_, size)| size).or(size).filter(|s| s.0 * s.1 > 0),
         origin: roi.map(|(origin, _)| origin),
-        shutter,
-        row_time_us: row_time_us.and_then(positive),
+        shutter: reading.shutter,
+        row_time_us: reading.row_time_us,
         exposure_us: number("Exposure-ms").and_then(|ms| positive(ms * 1e3)),
         // What was asked for, not what was kept: Interval_ms is no frame period.
         frame_period_us: None,
@@ -147,10 +128,6 @@ fn of_records(records: &[&Map<String, Value>], source: &str) -> Metadata {
         bayer: None,
         notes,
     }
-}
-
-fn is_global(mode: Option<String>) -> bool {
-    mode.is_some_and(|mode| mode.starts_with("Global"))
 }
 
 /// A text or a number, bare or as the property maps of version 2 wrap it.

@@ -1,11 +1,16 @@
 //! What the files of a frame say of how it was recorded.
 //!
 //! Micro-Manager (TIFF tag 51123, `metadata.txt`), OME-XML, Andor Solis (TIFF tags, text beside
-//! the file). Nothing here fails: what cannot be read is a note, since the pixels do not need it.
+//! the file), `rowburst capture` (JSON beside the file). Nothing here fails: what cannot be read is a note, since the pixels do not need it.
 
 mod andor;
+mod capture;
 mod micro_manager;
 mod ome;
+mod properties;
+
+pub use capture::{CAPTURE_KIND, capture_record_path, read_capture_record, reading_of_record};
+pub use properties::{CameraReading, Finding, Origin, Provenance, read_properties};
 
 use crate::ome_sizes::is_ome;
 use crate::recording::images_in;
@@ -106,6 +111,7 @@ pub fn read_metadata(path: &Path) -> Metadata {
         Some(Format::Photron) => in_photron(&file),
         _ => Metadata::default(),
     };
+    found.fill(capture::sidecar(&file));
     found.fill(micro_manager::sidecar(&file));
     found.fill(andor::sidecar(&file));
     found

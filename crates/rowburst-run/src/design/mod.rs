@@ -8,10 +8,13 @@ pub use summary::{DesignSummary, SuccessMapSummary};
 use crate::event::{Event, Observer};
 use page::Page;
 use rowburst::camera::CameraParams;
+use rowburst::design::count::{ChangeCount, change_rms, count_change};
 use rowburst::design::sparsity::{SparsityParams, SuccessMap, success_map, trial_camera};
 use rowburst::design::{Assessment, LightParams, assess};
-use rowburst::simulate::{SpeckleOptics, speckle_psf};
-use rowburst::{Camera, Error, Parameter, Psf, Result, Sensor, Shutter};
+use rowburst::linop::LinearOperator;
+use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::vecmath::norm_squared;
+use rowburst::{Camera, Error, Parameter, Psf, Result, RollingShutter, Sensor, Shutter, Video};
 use rowburst_io::OutputFolder;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -28,6 +31,8 @@ pub struct DesignInputs {
     pub psf_file: Option<PathBuf>,
     /// SNR of the trials, ascending; empty for the usual ones.
     pub trial_snrs: Vec<f64>,
+    /// A video of the scene, which is fitted to the field.
+    pub scene: Option<Video>,
     /// Seed of speckle, scenes and noise.
     pub seed: u64,
 }
@@ -78,6 +83,10 @@ impl DesignInputs {
         observer: Observer,
     ) -> Result<Design> {
         let assessment = self.assess(psf.as_ref())?;
+        let change = match &self.scene {
+            Some(scene) => self.count_change(scene, &assessment, psf.as_ref())?,
+            None => None,
+        };
         let map = if trials {
             Some(self.success_map(&assessment, psf.as_ref(), observer)?)
         } else {
@@ -85,12 +94,34 @@ impl DesignInputs {
         };
         let seconds = start.elapsed().as_secs_f64();
         Ok(Design {
-            summary: DesignSummary::new(&self, &assessment, map.as_ref(), seconds),
+            summary: DesignSummary::new(&self, &assessment, map.as_ref(), seconds)
+                .with_change(change),
             inputs: self,
             assessment,
             map,
             psf,
         })
+    }
+
+    /// How many numbers of an instant speak about the change of `scene`; the noise is that of the expected SNR. `None`
+    /// where an instant reads too many pixels.
+    fn count_change(
+        &self,
+        scene: &Video,
+        assessment: &Assessment,
+        psf: Option<&Psf>,
+    ) -> Result<Option<ChangeCount>> {
+        let psf = match psf {
+            Some(psf) => psf.clone(),
+            None => self.simulated(&self.camera, assessment.envelope_fwhm_px)?,
+        };
+        let video = scene::fit(scene, self.camera.video_shape())?;
+        let operator = RollingShutter::new(&self.camera, &psf);
+        let mut frame = vec![0.0; operator.range_len()];
+        operator.apply(video.data(), &mut frame);
+        let rms = (norm_squared(&frame) / frame.len() as f64).sqrt();
+        let sigma = rms / assessment.signal.snr;
+        Ok(count_change(&operator, sigma, change_rms(&video)))
     }
 
     /// The closed forms, with a recorded PSF if there is one.

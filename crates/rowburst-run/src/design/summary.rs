@@ -4,6 +4,7 @@
 
 use super::DesignInputs;
 use crate::short;
+use rowburst::design::count::ChangeCount;
 use rowburst::design::sparsity::{SuccessMap, recoverable, usual_constant};
 use rowburst::design::{Assessment, fits_full_well, shortcomings};
 use serde::Serialize;
@@ -56,6 +57,9 @@ pub struct DesignSummary {
     /// "trials", or "rule" where the trials were left out.
     pub sparsity_source: &'static str,
     pub success_map: Option<SuccessMapSummary>,
+    /// Numbers of an instant that speak about the change of the given scene; null without one.
+    pub informative_measurements: Option<f64>,
+    pub measurements_of_instant: Option<usize>,
     pub seed: u64,
     pub seconds: f64,
     pub warnings: Vec<String>,
@@ -158,6 +162,8 @@ impl DesignSummary {
             sparsity_constant: constant,
             sparsity_source: if map.is_some() { "trials" } else { "rule" },
             success_map: map.map(SuccessMapSummary::new),
+            informative_measurements: None,
+            measurements_of_instant: None,
             seed: inputs.seed,
             seconds,
             warnings: shortcomings(
@@ -168,6 +174,19 @@ impl DesignSummary {
                 pixels,
             ),
         }
+    }
+
+    /// The summary with the count of a scene.
+    pub(super) fn with_change(mut self, change: Option<ChangeCount>) -> Self {
+        self.informative_measurements = change.map(|c| c.informative);
+        self.measurements_of_instant = change.map(|c| c.of);
+        if let Some(count) = change.filter(ChangeCount::is_too_few) {
+            self.warnings.push(format!(
+                "the scene is too dense: {:.0} of {} numbers an instant speak about its change; a second camera may help",
+                count.informative, count.of
+            ));
+        }
+        self
     }
 
     pub fn json(&self) -> String {
@@ -302,7 +321,7 @@ impl DesignSummary {
             ),
             None => "rule of the paper's camera; the trials were left out".into(),
         };
-        vec![
+        let mut lines = vec![
             line(
                 "measurements of a bin",
                 format!(
@@ -329,7 +348,15 @@ impl DesignSummary {
                     .map_or("none: nothing is recovered".into(), |c| format!("{c:.2}")),
             ),
             line("found by", source),
-        ]
+        ];
+        let count = self
+            .informative_measurements
+            .zip(self.measurements_of_instant);
+        lines.extend(count.map(|(informative, of)| {
+            let value = format!("{informative:.0} of {of} numbers of an instant");
+            line("speak about the scene's change", value)
+        }));
+        lines
     }
 }
 

@@ -1,8 +1,8 @@
 //! The folder of a simulated capture, which a reconstruction reads as it stands.
 
 use super::{
-    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, naming_camera,
-    pixel_pitch_um, simulate, speckle_for, subtract_background,
+    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, guides,
+    naming_camera, pixel_pitch_um, simulate, speckle_for, subtract_background,
 };
 use crate::event::{Event, Observer};
 use crate::format::short;
@@ -38,6 +38,9 @@ pub struct SimulationRequest<'a> {
     pub diffuser_phase: f64,
     /// The optics of the speckle PSF.
     pub optics: LensOptics,
+    /// Times at which a second camera takes pictures of the scene, in microseconds from the start of the frame's first
+    /// exposure; each is exposed for one row time.
+    pub guide_times_us: &'a [f64],
 }
 
 impl SimulationRequest<'_> {
@@ -48,6 +51,7 @@ impl SimulationRequest<'_> {
     /// Those of [`simulate`], files that cannot be read, too little memory, and failed writes.
     pub fn run(&self, folder: &OutputFolder, observer: Observer) -> Result<()> {
         let camera = self.experiment.camera()?;
+        guides::check_times(self.guide_times_us, &camera)?;
         check_noise(self.noise, &camera).map_err(|e| naming_camera(e, &self.experiment.path))?;
         check_memory(&self.experiment.path, &camera)?;
         let psfs = psfs_of(self, &camera, observer)?;
@@ -83,6 +87,7 @@ impl SimulationRequest<'_> {
 
         let psf_file = write_psfs(folder, &psfs)?;
         folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
+        let guides = guides::write(folder, &truth, &camera, self.guide_times_us, self.seed)?;
         let light = write_background(folder, truth, background)?;
         folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
         folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
@@ -91,10 +96,12 @@ impl SimulationRequest<'_> {
         }
         let record = record(self, &camera, &recorded, noise, &leds, light);
         folder.write_bytes("simulation.json", format!("{record:#}\n").as_bytes())?;
-        let experiment = written_experiment(self, folder, psf_file);
+        let mut experiment = written_experiment(self, folder, psf_file);
+        experiment.guides = guides;
         write_row_order(folder, &experiment, &camera)?;
         let text = experiment.to_toml(folder.path());
         folder.write_bytes("experiment.toml", text.as_bytes())?;
+        folder.remove_stale()?;
         let frame = format!(
             "frame: {}×{} pixels, noise {} ({}), {} saturated",
             camera.rows(),
@@ -104,8 +111,45 @@ impl SimulationRequest<'_> {
             recorded.saturated
         );
         note(observer, &frame);
+        if let Some(warning) = light_warning(self.noise, &recorded, &camera) {
+            note(observer, &warning);
+        }
         Ok(())
     }
+}
+
+/// Light over noise of a frame below which a video is dark or noise.
+const MIN_LIGHT_OVER_NOISE: f64 = 10.0;
+/// Part of the pixels that may saturate without a warning.
+const MANY_SATURATED: f64 = 0.02;
+
+/// What is wrong with the light of a frame, and how much would do.
+fn light_warning(noise: NoiseChoice, recorded: &SimulatedFrame, camera: &Camera) -> Option<String> {
+    let (name, electrons) = match noise {
+        NoiseChoice::PeakElectrons(n) => ("peak", n),
+        NoiseChoice::SceneElectrons(n) => ("scene", n),
+        NoiseChoice::Snr(_) => return None,
+    };
+    let pixels = recorded.frame.data();
+    if recorded.saturated as f64 > MANY_SATURATED * pixels.len() as f64 {
+        return Some(format!(
+            "warning: {} of {} pixels are saturated by {electrons} {name} electrons, and nothing can be reconstructed from them: use fewer",
+            recorded.saturated,
+            pixels.len()
+        ));
+    }
+    let bias = camera.sensor().bias_counts.unwrap_or(0.0);
+    let power: f64 = pixels.iter().map(|v| (f64::from(*v) - bias).powi(2)).sum();
+    let mean_square = power / pixels.len() as f64;
+    let light = (mean_square - recorded.sigma.powi(2)).max(0.0).sqrt();
+    let ratio = light / recorded.sigma;
+    (ratio < MIN_LIGHT_OVER_NOISE).then(|| {
+        format!(
+            "warning: the light in the frame is only {} times the noise, and the video will be dark: about {} {name} electrons would do",
+            short(ratio),
+            short(electrons * (MIN_LIGHT_OVER_NOISE / ratio.max(1e-3)).powi(2))
+        )
+    })
 }
 
 fn note(observer: Observer, text: &str) {

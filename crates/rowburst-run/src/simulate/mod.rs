@@ -1,13 +1,14 @@
 //! Simulated captures: a scene, a PSF and noise, by name or as values.
 
 mod folder;
+mod guides;
 
 pub use folder::{SimulationRequest, photodiode_file};
 
 use rowburst::error::Place;
 use rowburst::linop::LinearOperator;
 use rowburst::noise::{Noise, SimulatedFrame};
-use rowburst::simulate::scene::{self, Led};
+use rowburst::simulate::scene::{self, DenseScene, Led};
 use rowburst::simulate::{Aperture, SpeckleOptics, direct_frame, peak_electrons, phase_plate_psf};
 use rowburst::{
     Camera, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, RollingShutter, Video,
@@ -44,7 +45,17 @@ pub enum Scene<'a> {
 
 impl Scene<'_> {
     /// The names of scenes.
-    pub const NAMES: [&'static str; 4] = ["digits", "leds", "moving", "two-moving"];
+    pub const NAMES: [&'static str; 9] = [
+        "digits",
+        "leds",
+        "moving",
+        "two-moving",
+        "still",
+        "bench",
+        "beam",
+        "wheel",
+        "cells",
+    ];
 }
 
 impl<'a> Scene<'a> {
@@ -276,6 +287,11 @@ pub fn pixel_pitch_um(camera: &Camera) -> f64 {
         .unwrap_or(SpeckleOptics::demo().pixel_pitch_um)
 }
 
+/// The dense scene of a name.
+fn dense_scene(name: &str) -> Option<DenseScene> {
+    DenseScene::ALL.into_iter().find(|s| s.name() == name)
+}
+
 /// A scene as a video.
 struct RenderedScene {
     /// The video, with the background.
@@ -312,11 +328,15 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
             leds = found;
             video
         }
+        Scene::Named(name) if dense_scene(name).is_some() => {
+            let scene = dense_scene(name).expect("a dense scene");
+            scene::dense(scene, shape, simulation.seed)?
+        }
         Scene::Named(name) => {
             return Err(Error::input(
                 Parameter::Scene,
                 format!("\"{name}\""),
-                "a scene is digits, leds, moving, two-moving or a video file",
+                "a scene is digits, leds, moving, two-moving, still, bench, beam, wheel, cells or a video file",
                 "Check the name, or give a .npy or multi-page .tif file.",
             )
             .with_kind(ErrorKind::Unknown));

@@ -2,7 +2,8 @@
 //!
 //! From the optics, the camera and the light: grain, reach of the PSF and light lost
 //! ([`spread`]), the speckle's contrast over colour ([`speckle`]), frame rate, expected
-//! signal-to-noise ratio, and how many pixels of a bin may be lit ([`sparsity`]).
+//! signal-to-noise ratio, how many pixels of a bin may be lit ([`sparsity`]), and how many numbers of an instant speak
+//! about the change of a dense scene ([`count`]).
 //!
 //! **Reach.** The paper asks that light from the bottom of the field reach the top row.
 //! An envelope is taken to reach to where it has fallen to a tenth of its middle,
@@ -21,6 +22,7 @@
 //! in the units of the paper, rms of the noiseless frame over the noise. Bright pixels at
 //! places of their own are assumed; those within a grain of each other add up to more.
 
+pub mod count;
 mod shortcomings;
 pub mod sparsity;
 pub mod speckle;

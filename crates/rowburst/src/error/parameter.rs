@@ -55,6 +55,12 @@ parameters! {
     Truth = "truth",
     /// A frame of the scene without the diffuser.
     Direct = "direct",
+    /// Pictures of the scene by a second camera.
+    Guide = "guide",
+    /// What a scene does with the light of a guide.
+    GuideModel = "guide_model",
+    /// Times at which a simulation takes guides, in µs.
+    GuideTimesUs = "guide_times_us",
     /// The scene of a simulation.
     Scene = "scene",
     /// A video.
@@ -75,6 +81,10 @@ parameters! {
     Experiment = "experiment",
     /// The folder or file of results.
     Output = "output",
+    /// Whether a folder with foreign files is written to.
+    Force = "force",
+    /// The files that are written.
+    Write = "write",
     /// The camera.
     Camera = "camera",
     /// Rows of the sensor.

@@ -133,7 +133,7 @@ pub(super) fn find(
             });
             if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
                 let solution = run.into_solution(data, &*prox, reason);
-                return Err(Box::new(RunResult::new(PRIOR, &*prox, shape, solution)));
+                return Err(Box::new(RunResult::new(PRIOR, solution)));
             }
             robust = judge(run.fitted(), &robust.is_foreign, level);
         }

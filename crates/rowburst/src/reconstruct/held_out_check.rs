@@ -94,12 +94,7 @@ impl HeldOutRun {
             });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = self.admm.snapshot(data, &*self.prox, reason);
-            return Err(Box::new(RunResult::new(
-                prior,
-                &*self.prox,
-                shape,
-                solution,
-            )));
+            return Err(Box::new(RunResult::new(prior, solution)));
         }
         Ok(reason == StopReason::Converged)
     }

@@ -11,6 +11,7 @@ mod exclusion;
 mod fit;
 mod foreign;
 mod frame_data;
+mod given_video;
 mod held_out;
 mod held_out_check;
 mod model;
@@ -37,8 +38,7 @@ pub use sigma::estimate_sigma;
 
 use crate::linop::Background;
 use crate::measurement::Measurement;
-use crate::prox::Prox;
-use crate::solve::admm::{self, Admm, Progress, Solution, TauRule, Tuning};
+use crate::solve::admm::{Admm, Progress, Solution, TauRule, Tuning};
 use crate::solve::{Certificate, DataTerm, StopReason};
 use crate::{Camera, Error, ErrorKind, Image, Parameter, PatchSet, Result, Shape, Video, phrase};
 use frame_data::FrameData;
@@ -49,7 +49,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 9;
+pub const ALGORITHM_REVISION: u32 = 10;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -266,6 +266,7 @@ impl Problem {
                 ));
             }
         }
+        check_tau_has_use(tau, measurement, camera)?;
         let bands = Bands::new(measurement, psf.central());
         let (sigma, sigma_source) = noise_of(measurement, &bands, &options);
         if !(sigma.is_finite() && sigma > 0.0) {
@@ -372,7 +373,6 @@ impl Problem {
     ) -> Result<Reconstruction> {
         let RunResult {
             prior,
-            degrees_of_freedom,
             choice,
             solution,
         } = found;
@@ -417,7 +417,8 @@ impl Problem {
             camera: &self.camera,
             bands: &self.bands,
             video: &video,
-            degrees_of_freedom,
+            degrees_of_freedom: solution.degrees_of_freedom,
+            max_freedom: self.options.tuning.max_freedom,
             residual_history,
             sigma: self.sigma,
             effective_sigma: self.effective_sigma,
@@ -593,7 +594,7 @@ impl Problem {
             stop_reason.name(),
             solution.tau
         );
-        let result = RunResult::new(prior, &*prox, shape, solution);
+        let result = RunResult::new(prior, solution);
         Ok(self.better_result(result, choice, best_trial))
     }
 
@@ -610,7 +611,7 @@ impl Problem {
             (stop_reason, best_trial)
             && best_trial.misfit() < crate::vecmath::norm(&result.solution.residual)
         {
-            let found = best_trial.stopped(&self.data, stop_reason);
+            let found = best_trial.stopped(stop_reason);
             return RunResult { choice, ..*found };
         }
         RunResult { choice, ..result }
@@ -642,22 +643,38 @@ fn observe_sum(
 /// The result of a run of the solver.
 struct RunResult {
     prior: Prior,
-    /// Degrees of freedom of the video (see [`Prox::degrees_of_freedom`]).
-    degrees_of_freedom: f64,
     choice: Option<Choice>,
     solution: Solution,
 }
 
 impl RunResult {
-    fn new(prior: Prior, prox: &dyn Prox, shape: Shape, solution: Solution) -> Self {
-        let faint = (Tuning::STANDARD.flat_difference
-            * admm::brightness(&solution.video[..shape.voxels()])) as f32;
+    fn new(prior: Prior, solution: Solution) -> Self {
         Self {
             prior,
-            degrees_of_freedom: prox.degrees_of_freedom(&solution.video, faint),
             choice: None,
             solution,
         }
+    }
+}
+
+/// A given `τ` over the largest sum of the frame's light that a voxel can explain, above which the video is zero by far.
+const MAX_TAU_OVER_LIGHT: f64 = 1e3;
+
+/// Refuses a `τ` so large that the video is zero for any frame of this brightness.
+fn check_tau_has_use(tau: Option<f64>, measurement: &Measurement, camera: &Camera) -> Result<()> {
+    let values = measurement.image().data().iter();
+    let brightest = values.fold(0.0f64, |max, v| max.max(f64::from(v.abs())));
+    let params = camera.params();
+    let row_times = 1.0 + params.exposure_us / params.row_time_us;
+    let limit = MAX_TAU_OVER_LIGHT * brightest * row_times;
+    match tau.filter(|tau| *tau > limit) {
+        None => Ok(()),
+        Some(tau) => Err(Error::input(
+            Parameter::Tau,
+            format!("{tau:e}"),
+            format!("above {limit:.1e} the video of this frame is zero"),
+            "Leave it out: the program finds it.",
+        )),
     }
 }
 

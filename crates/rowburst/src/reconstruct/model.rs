@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 use tracing::debug;
 
-/// Measurements of a block above which no blocks are built; then conjugate gradients solve the data step
+/// Measurements of a block above which no blocks are built; then conjugate gradients solve the x-step
 /// (docs/design/004).
 const MAX_BLOCK_SIZE: usize = 4096;
 /// Bytes of all blocks above which none are built; larger allows exact steps on larger sensors (docs/design/004).

@@ -33,8 +33,7 @@ impl Problem {
             return Ok(());
         }
         let mut check = self.held_out_check(prior, observer)?;
-        if self.is_dense && self.options.prior.is_none() {
-            prior = choose::open_prior();
+        if self.opens(&mut prior) {
             check = self.held_out_check(prior, observer)?;
         }
         if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
@@ -49,6 +48,15 @@ impl Problem {
             info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
+    }
+
+    /// Where the scene is dense and no prior is given, sets `prior` to the one that assumes least. Returns whether it did.
+    fn opens(&self, prior: &mut Prior) -> bool {
+        let is_open = self.is_dense && self.options.prior.is_none();
+        if is_open {
+            *prior = choose::open_prior();
+        }
+        is_open
     }
 
     /// The noise level that serves the reconstruction best after all corrections, with `check` as the last check. What a
@@ -74,7 +82,7 @@ impl Problem {
     fn correct_model(
         &mut self,
         check: HeldOutCheck,
-        prior: Prior,
+        mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let found = self.find_foreign(observer)?;
@@ -86,6 +94,12 @@ impl Problem {
         if found.pixels.contains(&true) {
             self.exclude(found.pixels.clone());
             without = Some(self.held_out_check(prior, observer)?);
+        }
+        if !self.calibrates() {
+            // Foreign pixels have hidden that the scene is dense.
+            self.opens(&mut prior);
+            self.exclude(none);
+            return self.exclude_foreign(found, check, prior, observer);
         }
         let without = without.as_ref().unwrap_or(&check);
         let is_explained = self.is_explained(without);

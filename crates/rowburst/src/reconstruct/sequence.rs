@@ -2,7 +2,7 @@
 //!
 //! Most of a scene stays the same from one frame to the next. So the solver starts each frame from the
 //! end of the last one: its video, its duals, the support, `ρ`, and the factors of the Gram blocks, which
-//! are valid as long as support and `ρ` stay. The data step finds changes of active voxels, and the
+//! are valid as long as support and `ρ` stay. The x-step finds changes of active voxels, and the
 //! updates of the support find new active voxels (see [`crate::solve::admm`]). A frame that was stopped
 //! early is continued by the next one. A frame starts from zero where the last video explains too little
 //! of it (docs/design/014).
@@ -154,7 +154,7 @@ impl FrameRun {
     ) -> Result<Reconstruction> {
         let (problem, prox) = (&self.problem, &*self.prox);
         let solution = self.run.snapshot(&problem.data, prox, reason);
-        let found = RunResult::new(problem.prior(), prox, problem.data.shape(), solution);
+        let found = RunResult::new(problem.prior(), solution);
         problem.build_reconstruction(found, residual_history)
     }
 

@@ -52,6 +52,8 @@ pub(super) struct Bands {
     noise_band: Vec<usize>,
     /// The frequencies that the optics pass best.
     passed_band: Vec<usize>,
+    /// The highest frequencies, which no optics of a grain above two pixels pass, whatever the PSF.
+    fine_band: Vec<usize>,
     /// See [`Self::leak`].
     leak: f64,
 }
@@ -84,6 +86,8 @@ impl Bands {
         };
         let noise_band = complex(&order[..band_size(NOISE_BAND, 1)]);
         let passed_band = complex(&order[order.len() - band_size(PASSED_BAND, 2)..]);
+        let highest = (1..power.len()).rev().take(band_size(NOISE_BAND, 2));
+        let fine_band = complex(&highest.collect::<Vec<_>>());
         let mean =
             |band: &[usize]| band.iter().map(|&f| power[f]).sum::<f64>() / band.len().max(1) as f64;
         Self {
@@ -93,6 +97,7 @@ impl Bands {
             window,
             noise_band,
             passed_band,
+            fine_band,
         }
     }
 
@@ -110,7 +115,16 @@ impl Bands {
     /// picture `value(i)`, where `i` is the index of a pixel. `None` without windows. A few disturbed rows
     /// do not change the median.
     pub fn noise_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
-        let mut powers = self.powers(&self.noise_band, value);
+        self.median_rms(&self.noise_band, value)
+    }
+
+    /// Like [`Self::noise_rms`], at the highest frequencies of the rows: it does not depend on the PSF.
+    pub fn fine_rms(&self, value: impl Fn(usize) -> f64) -> Option<f64> {
+        self.median_rms(&self.fine_band, value)
+    }
+
+    fn median_rms(&self, band: &[usize], value: impl Fn(usize) -> f64) -> Option<f64> {
+        let mut powers = self.powers(band, value);
         if powers.is_empty() {
             return None;
         }

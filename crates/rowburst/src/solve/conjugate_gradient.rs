@@ -8,7 +8,7 @@ use crate::vecmath::{dot, norm};
 
 /// An approximate inverse of `A Aᵀ + ρI`, symmetric and positive definite.
 pub trait Preconditioner: Send {
-    /// Most iterations of a call for videos that are restricted to a support or not. Larger makes fewer data steps
+    /// Most iterations of a call for videos that are restricted to a support or not. Larger makes fewer x-steps
     /// inexact and costs time (docs/design/025).
     fn max_iterations(&self, is_restricted: bool) -> usize;
 
@@ -16,7 +16,7 @@ pub trait Preconditioner: Send {
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]);
 }
 
-/// Residual over `ρ‖y‖` at which a data step stops; larger drives `ρ` to nothing, smaller costs time (docs/design/004).
+/// Residual over `ρ‖y‖` at which a x-step stops; larger drives `ρ` to nothing, smaller costs time (docs/design/004).
 pub const TOLERANCE: f64 = 0.1;
 
 /// Calls after which `A P Aᵀ y` is computed afresh; more let rounding errors add up.

@@ -13,7 +13,7 @@
 use crate::linop::LinearOperator;
 use crate::vecmath::{dot, norm};
 
-/// Most iterations of a call; larger makes fewer data steps inexact and costs time.
+/// Most iterations of a call; larger makes fewer x-steps inexact and costs time.
 const ITERATIONS: usize = 60;
 /// Iterations between checks of the error, each of which costs a product with `C`; larger stops later.
 const CHECK_INTERVAL: usize = 3;

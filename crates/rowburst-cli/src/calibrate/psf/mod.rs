@@ -3,6 +3,7 @@
 mod captures;
 mod run;
 
+use crate::shared_args::ForceArgs;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -61,6 +62,8 @@ pub struct PsfArgs {
     /// Folder for psf.npy, psf.json, the report and the patches
     #[arg(short, long)]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub force: ForceArgs,
 }
 
 fn parse_field(text: &str) -> Result<(usize, usize), String> {

@@ -7,14 +7,14 @@ use crate::output::print_line;
 use rowburst::calibrate::psf::MemoryEffect;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
-use rowburst_io::{Experiment, OutputFolder, read_image};
+use rowburst_io::{Experiment, read_image};
 use rowburst_run::calibrate::psf::{
     CaptureFile, CaptureGroup, PsfFolder, PsfInputs, PsfSummary, read_captures,
 };
 use rowburst_run::short;
 
 pub fn run(args: &PsfArgs) -> Result<()> {
-    let folder = OutputFolder::create(&args.output)?;
+    let folder = args.force.claim(&args.output, "calibrate psf")?;
     let experiment = args
         .experiment
         .as_deref()

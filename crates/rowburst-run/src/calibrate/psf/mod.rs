@@ -231,6 +231,7 @@ impl PsfCalibration {
             folder.write_bytes(&picture.name, &picture.png)?;
         }
         folder.write_bytes("report.html", report.html.as_bytes())?;
+        folder.remove_stale()?;
         let json = serde_json::to_string_pretty(&self.summary).expect("plain numbers and text");
         folder.write_bytes("psf.json", format!("{json}\n").as_bytes())
     }

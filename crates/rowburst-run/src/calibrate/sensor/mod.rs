@@ -218,6 +218,7 @@ impl CalibratedSensor {
             folder.write_bytes(&picture.name, &picture.png)?;
         }
         folder.write_bytes("report.html", report.html.as_bytes())?;
+        folder.remove_stale()?;
         folder.write_bytes("sensor.json", format!("{:#}\n", self.summary).as_bytes())
     }
 }

@@ -103,6 +103,7 @@ impl TimingCalibration {
         if let Some(experiment) = &self.experiment {
             write_experiment(folder, experiment.clone())?;
         }
+        folder.remove_stale()?;
         let json = json_of(&self.summary);
         folder.write_bytes("timing.json", format!("{json}\n").as_bytes())
     }

@@ -71,7 +71,7 @@ pub(in crate::reconstruct) fn noise_level(
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.into_solution(data, &*prox, reason);
-            return Err(Box::new(RunResult::new(prior, &*prox, shape, solution)));
+            return Err(Box::new(RunResult::new(prior, solution)));
         }
         let errors = data.held_out_residuals(run.video());
         let (error, standard_error) = (rms(&errors), (0.5 / errors.len() as f64).sqrt());

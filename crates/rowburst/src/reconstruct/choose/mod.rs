@@ -2,7 +2,7 @@
 //!
 //! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). A later one replaces the best
 //! before it where its squared error at these pixels is smaller by more than [`MIN_GAIN`] standard errors of the paired
-//! differences. The best is then run on the whole frame. Candidates that are far behind it are stopped early. Where the
+//! differences; one with a background already where it is not clearly worse. The best is then run on the whole frame. Candidates that are far behind it are stopped early. Where the
 //! scene is dense [`OPEN_CANDIDATES`] take their place.
 //!
 //! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
@@ -19,6 +19,7 @@ pub(super) use trial::{TOLERANCE, is_settled};
 use super::SolverSettings;
 use super::frame_data::FrameData;
 use super::{Prior, RunResult};
+use crate::linop::Background;
 use crate::solve::StopReason;
 use crate::solve::admm::{Progress, Solution, TauRule};
 use crate::vecmath::norm;
@@ -38,12 +39,12 @@ pub const CANDIDATES: [&str; 3] = [
 ];
 
 /// Priors of `auto` in place of [`CANDIDATES`] where the support exceeds a third of the voxels: it tells nothing there.
-/// The stillest comes first: the frame says little of what a dense scene does meanwhile (`docs/design/020`).
-pub const OPEN_CANDIDATES: [&str; 3] = ["tv+32*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
+/// The stiller one comes first: the frame says little of what a dense scene does meanwhile (`docs/design/020`).
+pub const OPEN_CANDIDATES: [&str; 2] = ["tv+8*tdiff", "tv+2*tdiff"];
 
 /// Priors that `auto` also tries where the support of the best candidate exceeds a third of the voxels: much of the
-/// light may be a background then (`docs/design/011`).
-pub const DENSE_CANDIDATES: [&str; 1] = ["tv+0.5*tdiff+0.3*l1+background+support"];
+/// light is still then (`docs/design/011`).
+pub const DENSE_CANDIDATES: [&str; 1] = ["tv+2*tdiff+background"];
 /// Part of the voxels in the support above which [`DENSE_CANDIDATES`] are tried; smaller tries them on more scenes.
 pub(super) const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 
@@ -106,6 +107,15 @@ pub struct Candidate {
 }
 
 impl Candidate {
+    /// The gain from which it replaces the best one before it. A background assumes least of a dense scene: that most of it
+    /// is still.
+    fn min_gain(&self) -> f64 {
+        match self.prior.background() {
+            Background::None => MIN_GAIN,
+            Background::Static | Background::PerBin => -MIN_GAIN,
+        }
+    }
+
     /// The name of the prior, with the factor on `τ` where it is not 1.
     pub fn name(&self) -> String {
         if self.tau_factor == 1.0 {
@@ -117,14 +127,15 @@ impl Candidate {
 }
 
 impl Choice {
-    /// The best candidate. A candidate replaces the best one before it where its error is smaller by more than chance.
+    /// The best candidate. A candidate replaces the best one before it where its error is smaller by more than chance, one
+    /// with a background where its error is not larger by more than chance.
     ///
     /// # Panics
     /// If there are no candidates.
     pub fn best(&self) -> Candidate {
         let better = |best: Candidate, next: &Candidate| {
             // A candidate whose error is NaN is never the best.
-            if next.gain.is_none_or(|gain| gain > MIN_GAIN) || best.error.is_nan() {
+            if next.gain.is_none_or(|gain| gain > next.min_gain()) || best.error.is_nan() {
                 *next
             } else {
                 best
@@ -161,7 +172,7 @@ impl Choice {
                 String::new()
             } else {
                 format!(
-                    "; differences of at most {MIN_GAIN} standard error are not significant, so the earlier prior is kept"
+                    "; differences of at most {MIN_GAIN} standard error are not significant, so the prior that assumes less is kept"
                 )
             }
         )
@@ -188,17 +199,10 @@ impl BestTrial {
         norm(&self.solution.residual)
     }
 
-    /// The trial as the result of a run that was stopped for `reason`. `data` has to be in the state of the trial's
-    /// prior.
-    pub fn stopped(mut self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
+    /// The trial as the result of a run that was stopped for `reason`.
+    pub fn stopped(mut self, reason: StopReason) -> Box<RunResult> {
         self.solution.stop_reason = reason;
-        let prox = data.prox(&self.prior);
-        Box::new(RunResult::new(
-            self.prior,
-            &*prox,
-            data.shape(),
-            self.solution,
-        ))
+        Box::new(RunResult::new(self.prior, self.solution))
     }
 }
 
@@ -237,7 +241,7 @@ pub(super) fn choose_prior(
                     return Err(stopped);
                 };
                 data.reset(best_trial.prior.background(), Some(held_out.clone()));
-                return Err(best_trial.stopped(data, stopped.solution.stop_reason));
+                return Err(best_trial.stopped(stopped.solution.stop_reason));
             }
         };
         let candidate = Candidate {
@@ -267,11 +271,12 @@ pub(super) fn choose_prior(
         }
         Ok(())
     };
-    for name in if is_dense {
-        OPEN_CANDIDATES
+    let candidates: &[&str] = if is_dense {
+        &OPEN_CANDIDATES
     } else {
-        CANDIDATES
-    } {
+        &CANDIDATES
+    };
+    for name in candidates {
         run(&mut choice, name)?;
     }
     if choice.best().support_fraction > DENSE_SUPPORT {
@@ -323,6 +328,13 @@ mod tests {
             "{}",
             choice.reason()
         );
+        // A background is taken where it is not clearly worse.
+        for (gain, is_taken) in [(-0.8, true), (-1.2, false)] {
+            let mut dense = choice.clone();
+            let background = candidate("tv+2*tdiff+background", 1.07, Some(gain));
+            dense.candidates.push(background);
+            assert_eq!(dense.best() == background, is_taken);
+        }
         // A run that overflowed is never the best.
         choice
             .candidates

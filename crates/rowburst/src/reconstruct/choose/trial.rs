@@ -220,11 +220,6 @@ impl Trial {
     /// The result so far, stopped for `reason`.
     fn into_result(self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
         let solution = self.run.into_solution(data, &*self.prox, reason);
-        Box::new(RunResult::new(
-            self.prior,
-            &*self.prox,
-            data.shape(),
-            solution,
-        ))
+        Box::new(RunResult::new(self.prior, solution))
     }
 }

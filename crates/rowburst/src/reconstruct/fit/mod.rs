@@ -147,6 +147,8 @@ pub(super) struct FitInput<'a> {
     pub video: &'a Video,
     /// `df` as the prior counts it.
     pub degrees_of_freedom: f64,
+    /// See [`Tuning::max_freedom`](crate::solve::admm::Tuning::max_freedom).
+    pub max_freedom: f64,
     /// Rms of the residual after each iteration.
     pub residual_history: &'a [f64],
     pub sigma: f64,

@@ -1,7 +1,6 @@
 //! The numbers of a residual.
 
 use super::{FitInput, FitStatistics, TrimmedChiSquared};
-use crate::solve::admm::Tuning;
 use crate::{Camera, Video};
 
 /// `|r|` of a pixel that stands out: noise passes it in one pixel of 1.7 million.
@@ -34,9 +33,7 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
     let usable = |at: usize| evidence.weights.is_none_or(|w| w[at] > 0.0);
     let pixels: Vec<usize> = (0..r.len()).filter(|&at| usable(at)).collect();
     let m = pixels.len().max(1) as f64;
-    let spent = evidence
-        .degrees_of_freedom
-        .min(Tuning::STANDARD.max_freedom * m);
+    let spent = evidence.degrees_of_freedom.min(evidence.max_freedom * m);
     // χ² of a part of the pixels: each has its share of the freedom.
     let chi = |sum: f64, count: usize| sum / (count.max(1) as f64 * (1.0 - spent / m));
     let power = |at: usize| f64::from(r[at]).powi(2);

@@ -31,6 +31,8 @@ const DENSE_SUPPORT: f64 = 0.11;
 /// Iterations before which no video has taken shape: the solver looks for the support from
 /// the 20th on, and follows the brightness for 40.
 const MIN_ITERATIONS: usize = 60;
+/// Iterations from which a run that has not converged was not stopped too early: the model is wrong.
+const FULL_RUN: usize = 250;
 /// Residual over that at four fifths of the iterations, where it still falls.
 const FALLING_RATIO: f64 = 0.85;
 /// Residual over the frame itself beyond which more iterations are not what is missing.
@@ -41,6 +43,14 @@ const MIN_LIGHT_OVER_NOISE: f64 = 0.1;
 const LARGE_MISFIT: f64 = 0.1;
 /// Part of the pixels that were left out as foreign from which the verdict says so.
 const MANY_EXCLUDED: f64 = 0.005;
+/// Multiples of σ below zero that noise does not reach, and the part of the pixels that may lie there.
+const BELOW_ZERO: f64 = 5.0;
+const MANY_BELOW_ZERO: f64 = 0.05;
+/// Light of an isolated bright pixel in σ, and how many times that of each neighbour it is.
+const LONE_LIGHT: f64 = 30.0;
+const LONE_RATIO: f64 = 3.0;
+/// Level at the highest frequencies over that of the passed band, from which a frame is white.
+const WHITE_LEVEL: f64 = 0.5;
 /// Residual over the frame itself at which the solver has gone astray, of which a dark video leaves 1.
 const DIVERGED: f64 = 1.5;
 
@@ -57,23 +67,12 @@ pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
 
 /// The verdict on the pixels that were not left out as foreign.
 fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
-    if evidence.video.max() <= 0.0 {
-        return (
-            Verdict::Bad,
-            "the video is zero everywhere: the frame is consistent with noise of this level alone"
-                .into(),
-        );
+    if let Some(found) = untestable(evidence, s) {
+        return found;
     }
-    if s.residual_over_frame > DIVERGED && evidence.residual_history.len() >= MIN_ITERATIONS {
-        return (
-            Verdict::Bad,
-            format!(
-                "the residual is {} times the frame: the solver diverged. Likely causes: dead, hot or saturated pixels that are not marked, a σ that is too small, or a wrong PSF or shutter",
-                digits(s.residual_over_frame)
-            ),
-        );
-    }
-    if let Some(found) = noise_level(evidence, s) {
+    if !is_model_wrong(evidence, s)
+        && let Some(found) = noise_level(evidence, s)
+    {
         return found;
     }
     let suspicious = |reason: String| (Verdict::Suspicious, reason);
@@ -132,6 +131,39 @@ fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     (Verdict::Good, reason)
 }
 
+/// The verdict where the residual cannot test noise level and model.
+fn untestable(evidence: &FitInput, s: &FitStatistics) -> Option<(Verdict, String)> {
+    if let Some(below) = below_zero(evidence) {
+        return Some((
+            Verdict::Bad,
+            format!(
+                "{:.0} % of the pixels lie more than {BELOW_ZERO:.0} σ below zero after the subtraction of dark or bias: the dark or the bias does not belong to this frame",
+                100.0 * below
+            ),
+        ));
+    }
+    if evidence.video.max() <= 0.0 {
+        return Some((
+            Verdict::Bad,
+            "the video is zero everywhere: the frame is consistent with noise of this level alone"
+                .into(),
+        ));
+    }
+    if s.residual_over_frame > DIVERGED && evidence.residual_history.len() >= MIN_ITERATIONS {
+        return Some((
+            Verdict::Bad,
+            format!(
+                "the residual is {} times the frame: the solver diverged. Likely causes: dead, hot or saturated pixels that are not marked, a σ that is too small, or a wrong PSF or shutter",
+                digits(s.residual_over_frame)
+            ),
+        ));
+    }
+    if let Some(reason) = ended_early(evidence, s) {
+        return Some((Verdict::Suspicious, reason));
+    }
+    frame_without_optics(evidence, s).map(|reason| (Verdict::Bad, reason))
+}
+
 /// `⟨(W b/σ)²⟩ − 1` over the pixels that hold information.
 fn light_over_noise(evidence: &FitInput) -> f64 {
     let informative = |i: &usize| evidence.weights.is_none_or(|w| w[*i] > 0.0);
@@ -141,6 +173,87 @@ fn light_over_noise(evidence: &FitInput) -> f64 {
         count += 1;
     }
     power / count.max(1) as f64 - 1.0
+}
+
+/// Part of the pixels that dark or bias leave far below zero, where these are too many for noise.
+fn below_zero(evidence: &FitInput) -> Option<f64> {
+    let values = evidence.measured.iter();
+    let below = values.filter(|b| f64::from(**b) < -BELOW_ZERO).count();
+    let part = below as f64 / evidence.measured.len().max(1) as f64;
+    (part > MANY_BELOW_ZERO).then_some(part)
+}
+
+/// The sentence on a run that was ended before the video explained the frame: nothing else can be told of it.
+fn ended_early(evidence: &FitInput, s: &FitStatistics) -> Option<String> {
+    let end = match evidence.stop_reason {
+        StopReason::Interrupted => "the run was interrupted",
+        StopReason::TimeBudget => "the time budget ended",
+        StopReason::Converged | StopReason::IterationLimit => return None,
+    };
+    let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
+    (s.chi_squared > limit).then(|| {
+        format!(
+            "stopped early: {end} after {} iterations, and the residual is still {} times the noise; let it run to its end before judging the fit",
+            evidence.residual_history.len(),
+            digits(s.chi_squared.sqrt())
+        )
+    })
+}
+
+/// Whether the model is wrong rather than σ. The residual is then larger where the optics pass light than where they do
+/// not, and σ is the noise that the frame has at the highest frequencies, whatever the PSF.
+fn is_model_wrong(evidence: &FitInput, s: &FitStatistics) -> bool {
+    let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
+    let frame_noise = evidence
+        .bands
+        .fine_rms(|at| f64::from(evidence.measured[at]));
+    let allowed = SIGMA_RATIO_SUSPICIOUS * (1.0 + DEVIATIONS * s.noise_floor_error);
+    let is_sigma_right = frame_noise.is_none_or(|noise| noise < allowed);
+    s.chi_squared > limit && structure(s).is_some() && is_sigma_right
+}
+
+/// The sentence on a frame that no optics have made: pixels that stand alone, or that all differ from their neighbours.
+fn frame_without_optics(evidence: &FitInput, s: &FitStatistics) -> Option<String> {
+    let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
+    if s.chi_squared <= limit {
+        return None;
+    }
+    let lone = lone_bright_pixels(evidence);
+    if lone > 0 && lone as f64 <= FEW_PIXELS * evidence.measured.len() as f64 {
+        return Some(format!(
+            "{lone} isolated pixels are far brighter than their neighbours: mark them as bad pixels, or let foreign pixels be left out"
+        ));
+    }
+    let value = |at: usize| f64::from(evidence.measured[at]);
+    let (fine, passed) = (
+        evidence.bands.fine_rms(value)?,
+        evidence.bands.passed_rms(value)?,
+    );
+    let is_white = fine > WHITE_LEVEL * passed && fine > SIGMA_RATIO_BAD;
+    is_white.then(|| {
+        "pixels of the frame do not resemble their neighbours, as behind no optics: bytes in the wrong order, or a file of another size or kind".into()
+    })
+}
+
+/// Pixels whose neighbours all have a small part of their light.
+fn lone_bright_pixels(evidence: &FitInput) -> usize {
+    let columns = evidence.camera.columns();
+    let rows = evidence.measured.len() / columns;
+    let usable = |at: usize| evidence.weights.is_none_or(|w| w[at] > 0.0);
+    let neighbours = |at: usize| {
+        let (y, x) = (at / columns, at % columns);
+        let near = |v: usize, end: usize| v.saturating_sub(1)..(v + 2).min(end);
+        near(y, rows).flat_map(move |r| near(x, columns).map(move |c| r * columns + c))
+    };
+    let is_lone = |at: &usize| {
+        let value = f64::from(evidence.measured[*at]);
+        value > LONE_LIGHT
+            && usable(*at)
+            && neighbours(*at)
+                .filter(|n| n != at)
+                .all(|n| LONE_RATIO * f64::from(evidence.measured[n]) < value)
+    };
+    (0..evidence.measured.len()).filter(is_lone).count()
 }
 
 fn noise_level(evidence: &FitInput, s: &FitStatistics) -> Option<(Verdict, String)> {
@@ -195,7 +308,8 @@ fn misfit(evidence: &FitInput, s: &FitStatistics, limit: f64) -> (Verdict, Strin
     if let Some(reason) = local_misfit(s, limit, stopped) {
         return suspicious(reason);
     }
-    if stopped && s.residual_trend < FALLING_RATIO && s.residual_over_frame < FAR_FROM_FRAME {
+    let is_short = stopped && iterations < FULL_RUN;
+    if is_short && s.residual_trend < FALLING_RATIO && s.residual_over_frame < FAR_FROM_FRAME {
         return suspicious(format!(
             "stopped early, after {iterations} iterations: the residual is {ratio} times the noise and still falling; allow more iterations; if it stays this large, {}",
             possible_causes(evidence, s)
@@ -275,6 +389,9 @@ fn possible_causes(evidence: &FitInput, s: &FitStatistics) -> String {
     let mut list = Vec::new();
     if evidence.tau_is_given {
         list.push("the given τ is too large");
+    }
+    if evidence.residual_history.is_empty() {
+        list.push("the scene does not follow the model of the guide");
     }
     list.push("the PSF does not belong to this frame (another diffuser or distance, turned, or with a background left in it)");
     if s.tests_timing {

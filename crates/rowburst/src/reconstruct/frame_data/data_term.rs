@@ -28,7 +28,8 @@ impl DataTerm for FrameData {
     }
 
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
-        self.x_step.solve(&self.system, r, rho, y, gram_y)
+        let equation = x_step::Equation { r, rho, y, gram_y };
+        self.x_step.solve(&self.system, equation)
     }
 
     fn is_cancelled(&self) -> bool {

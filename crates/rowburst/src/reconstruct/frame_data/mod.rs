@@ -220,8 +220,13 @@ impl FrameData {
         let size = crate::vecmath::norm(r).max(f64::MIN_POSITIVE);
         let unit: Vec<f32> = r.iter().map(|r| (f64::from(*r) / size) as f32).collect();
         let (mut y, mut gram_y) = (vec![0.0; r.len()], vec![0.0; r.len()]);
-        self.x_step
-            .solve_alone(&self.system, &unit, rho, &mut y, &mut gram_y);
+        let equation = x_step::Equation {
+            r: &unit,
+            rho,
+            y: &mut y,
+            gram_y: &mut gram_y,
+        };
+        self.x_step.solve_alone(&self.system, equation);
         y.iter().map(|y| size * f64::from(*y)).collect()
     }
 

@@ -86,6 +86,9 @@ const PLAUSIBLE: f64 = 2.5;
 /// Error after a correction over that before, up to which a larger error counts: a wrong PSF is bent a little towards the
 /// frames.
 const LARGE_GAIN: f64 = 0.5;
+/// Floor over the mean of the PSF's capture, above which it is not plausible: the light under a capture is fainter than
+/// the speckle.
+const MAX_FLOOR: f64 = 0.7;
 /// Standard errors of the paired differences by which the squared residuals of the judging pixels must fall.
 const MIN_JUDGING_GAIN: f64 = 4.0;
 /// The same of the confirming pixels, among which nothing was chosen.
@@ -166,6 +169,7 @@ impl Search<'_, '_, '_> {
         let is_plausible =
             error_after < PLAUSIBLE * self.sigma || error_after < LARGE_GAIN * error_before;
         if !is_plausible
+            || found.correction.parameters[ModelParameter::Floor] > MAX_FLOOR
             || !is_clear_gain(&judged_before, &judged_after, MIN_JUDGING_GAIN)
             || !is_clear_gain(
                 &confirming(&before),

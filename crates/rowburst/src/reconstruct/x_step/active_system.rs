@@ -1,6 +1,6 @@
-//! The exact data step on a support whose bins are seen by several instants.
+//! The exact x-step on a support whose bins are seen by several instants.
 //!
-//! With `B = W A P`, one column for each active voxel, the data step is
+//! With `B = W A P`, one column for each active voxel, the x-step is
 //!
 //! ```text
 //! y = (r − B s)/ρ,   (BᵀB + ρI) s = Bᵀ r

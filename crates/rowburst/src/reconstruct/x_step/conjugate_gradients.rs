@@ -2,7 +2,7 @@
 
 use super::active_system::ActiveSystem;
 use super::preconditioner::{MeanFieldPreconditioner, PlanePreconditioner};
-use super::{System, XStep};
+use super::{Equation, System, XStep};
 use crate::Support;
 use crate::linop::Background;
 use crate::solve::DataHints;
@@ -32,14 +32,8 @@ impl ConjugateGradients {
 }
 
 impl XStep for ConjugateGradients {
-    fn solve(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) -> bool {
+    fn solve(&mut self, system: &System, equation: Equation) -> bool {
+        let Equation { r, rho, y, gram_y } = equation;
         if let Some(active) = &mut self.active {
             if active.solve(r, rho, y, gram_y) {
                 return true;
@@ -50,14 +44,8 @@ impl XStep for ConjugateGradients {
         self.solver.solve(operator, r, rho, TOLERANCE, y, gram_y)
     }
 
-    fn solve_alone(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) {
+    fn solve_alone(&mut self, system: &System, equation: Equation) {
+        let Equation { r, rho, y, gram_y } = equation;
         if let Some(active) = &mut self.active {
             active.reset();
             if active.solve(r, rho, y, gram_y) {

@@ -1,6 +1,6 @@
 //! The exact x-step by the blocks of instants, where no bin is seen by two of them (docs/design/003).
 
-use super::{System, XStep};
+use super::{Equation, System, XStep};
 use crate::Support;
 use crate::linop::Background;
 use crate::solve::DataHints;
@@ -73,14 +73,8 @@ impl ExactBlocks {
 }
 
 impl XStep for ExactBlocks {
-    fn solve(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) -> bool {
+    fn solve(&mut self, system: &System, equation: Equation) -> bool {
+        let Equation { r, rho, y, gram_y } = equation;
         let min_rho_single = MIN_RHO_SINGLE * system.max_squared_weight() * system.model().scale();
         if let AnyBlocks::Single(blocks) = &mut self.blocks
             && rho >= min_rho_single
@@ -95,14 +89,8 @@ impl XStep for ExactBlocks {
         !blocks.is_ill_conditioned()
     }
 
-    fn solve_alone(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) {
+    fn solve_alone(&mut self, system: &System, equation: Equation) {
+        let Equation { r, rho, y, gram_y } = equation;
         self.make_double(system)
             .solve_with_product(r, rho, y, gram_y);
     }

@@ -28,30 +28,24 @@ use crate::solve::DataHints;
 /// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where no blocks are built; smaller is not stable.
 const MIN_RHO: f64 = 1e-9;
 
+/// `(B Bᵀ + ρI) y = r`, and where its solution is written.
+pub(super) struct Equation<'a> {
+    pub r: &'a [f32],
+    pub rho: f64,
+    pub y: &'a mut [f32],
+    /// `B Bᵀ y`.
+    pub gram_y: &'a mut [f32],
+}
+
 /// A solver of `(B Bᵀ + ρI) y = r` for the [`System`] that each call is given.
 ///
 /// It may keep factors and earlier solutions. It is told of every change of the system.
 pub(super) trait XStep: Send {
-    /// Solves the system for an `r` that converges over the iterations, and sets `gram_y = B Bᵀ y`. Returns whether
-    /// the solution is accurate.
-    fn solve(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) -> bool;
+    /// Solves for an `r` that converges over the iterations. Returns whether the solution is accurate.
+    fn solve(&mut self, system: &System, equation: Equation) -> bool;
 
-    /// Solves the system for an `r` that has nothing to do with the one before, as accurately as f32 permits.
-    fn solve_alone(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    );
+    /// Solves for an `r` that has nothing to do with the one before, as accurately as f32 permits.
+    fn solve_alone(&mut self, system: &System, equation: Equation);
 
     /// The system has another support; the last one was `before` (`None`: every voxel).
     fn restrict(&mut self, system: &System, before: Option<&Support>);

@@ -1,7 +1,7 @@
 //! The exact x-step with a static background, which couples all blocks (docs/design/012).
 
 use super::exact_blocks::block_hints;
-use super::{System, XStep};
+use super::{Equation, System, XStep};
 use crate::linop::{Background, LinearOperator, WeightedOperator, sum_of_bins};
 use crate::solve::DataHints;
 use crate::solve::blocks::Blocks;
@@ -26,14 +26,8 @@ impl StaticBackground {
 }
 
 impl XStep for StaticBackground {
-    fn solve(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) -> bool {
+    fn solve(&mut self, system: &System, equation: Equation) -> bool {
+        let Equation { r, rho, y, gram_y } = equation;
         let coupling = StaticBackgroundOperator(system.operator());
         let inverse = |g: &[f32], rho: f64, h: f64| {
             let divided = system
@@ -52,15 +46,8 @@ impl XStep for StaticBackground {
         is_good && !self.blocks.is_ill_conditioned()
     }
 
-    fn solve_alone(
-        &mut self,
-        system: &System,
-        r: &[f32],
-        rho: f64,
-        y: &mut [f32],
-        gram_y: &mut [f32],
-    ) {
-        self.solve(system, r, rho, y, gram_y);
+    fn solve_alone(&mut self, system: &System, equation: Equation) {
+        self.solve(system, equation);
     }
 
     fn restrict(&mut self, system: &System, before: Option<&Support>) {

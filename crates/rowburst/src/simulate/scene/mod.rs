@@ -3,15 +3,18 @@
 //! Values lie between 0 and 1, and most pixels are zero: the scenes of the paper
 //! are sparse. [`digits`] follows its Fig. 2, [`leds`] its Figs. 3 and 4,
 //! [`moving_digit`] has the sub-pixel motion that a temporal prior is for, and
-//! [`fit`] takes any video as a scene, and [`add_background`] puts something static behind it.
+//! [`fit`] takes any video as a scene, [`add_background`] puts something static behind it, and [`dense`] has light
+//! everywhere.
 
 mod background;
+mod dense;
 mod digits;
 mod fit;
 mod glyph;
 mod leds;
 
 pub use background::{add_background, background};
+pub use dense::{DenseScene, dense};
 pub use digits::{digits, moving_digit};
 pub use fit::fit;
 pub use leds::{LED_FREQUENCIES_HZ, Led, leds};

@@ -30,6 +30,10 @@ use super::require_positive;
 use crate::{Error, Image, Parameter, Psf, Result};
 use diffraction::{Grid, RMS_PHASE};
 
+/// Wavelengths in nm that sensors see, X-rays and thermal radiation excluded.
+const MIN_WAVELENGTH_NM: f64 = 50.0;
+const MAX_WAVELENGTH_NM: f64 = 30_000.0;
+
 /// The opening that bounds the light: its size seen from the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aperture {
@@ -201,6 +205,33 @@ impl SpeckleOptics {
         }
     }
 
+    /// Refuses a wavelength that is in another unit.
+    fn check_wavelength(&self) -> Result<()> {
+        let wavelength = self.wavelength_nm;
+        if (MIN_WAVELENGTH_NM..=MAX_WAVELENGTH_NM).contains(&wavelength) {
+            return Ok(());
+        }
+        let (unit, factor) = if wavelength < 1e-3 {
+            ("metres", 1e9)
+        } else {
+            ("micrometres", 1e3)
+        };
+        let remedy = if wavelength < MIN_WAVELENGTH_NM {
+            format!(
+                "Are these {unit}? Then write {:.0}; visible light has 400 to 700.",
+                wavelength * factor
+            )
+        } else {
+            "Visible light has 400 to 700.".to_string()
+        };
+        Err(Error::input(
+            Parameter::WavelengthNm,
+            wavelength,
+            format!("sensors see {MIN_WAVELENGTH_NM} to {MAX_WAVELENGTH_NM} nanometres"),
+            remedy,
+        ))
+    }
+
     /// Checks that the optics can be.
     ///
     /// # Errors
@@ -212,6 +243,7 @@ impl SpeckleOptics {
             "nanometres",
             "Visible light has 400 to 700.",
         )?;
+        self.check_wavelength()?;
         require_positive(
             Parameter::PixelPitchUm,
             self.pixel_pitch_um,

@@ -1,9 +1,9 @@
-//! The active set: the voxels to which the video is restricted (docs/design/007).
+//! The controller that restricts the video to its support, the set of active voxels (docs/design/007).
 
 use super::AdmmParams;
 use super::brightness::brightness;
 use super::phase::Schedule;
-use super::support_estimator::SupportEstimator;
+use super::support_estimator::{SupportEstimator, Underfit};
 use super::variables::Variables;
 use crate::prox::Prox;
 use crate::solve::DataTerm;
@@ -29,19 +29,18 @@ pub(super) struct ActiveSet {
 pub(super) enum Restriction {
     /// Nothing, since the support is stable.
     None,
-    /// The first support with inactive voxels was found.
-    First,
+    /// A support was found, and all voxels were active before.
+    Begins,
     /// Another support was found.
-    Later,
+    Changes,
 }
 
 impl ActiveSet {
     /// All voxels are active.
     pub fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
-        let max_restricted = data.hints().max_restricted_voxels;
         Self {
             shape,
-            estimator: SupportEstimator::new(shape, max_restricted, &params.tuning),
+            estimator: SupportEstimator::new(shape, data.hints(), &params.tuning),
             is_used: params.support,
             interval: params.tuning.support_interval,
         }
@@ -52,9 +51,9 @@ impl ActiveSet {
         self.estimator.support()
     }
 
-    /// The support of the x-step, see [`SupportEstimator::data_support`].
-    pub fn data_support(&self) -> Option<&Support> {
-        self.estimator.data_support()
+    /// The support of the x-step, see [`SupportEstimator::x_step_support`].
+    pub fn x_step_support(&self) -> Option<&Support> {
+        self.estimator.x_step_support()
     }
 
     /// Part of the voxels that are active, from 0 to 1.
@@ -102,22 +101,22 @@ impl ActiveSet {
                 return Restriction::None;
             }
             if !underfit_bins.is_empty() {
-                // `Aᵀ(b − A v)` is largest where the video lacks light.
                 data.operator().adjoint(&residual, &mut variables.scratch);
             }
         }
         let foreground = &variables.z[..self.shape.voxels()];
-        let correlation = &variables.scratch[..self.shape.voxels()];
+        let underfit = (!underfit_bins.is_empty()).then(|| Underfit {
+            bins: &underfit_bins,
+            correlation: &variables.scratch[..self.shape.voxels()],
+        });
         let bright = brightness(foreground);
-        let support = self
-            .estimator
-            .update(foreground, bright, correlation, &underfit_bins);
+        let support = self.estimator.update(foreground, bright, underfit);
         prior.restrict(&support);
         self.restrict(variables, data, &support);
         if was_unrestricted && self.fraction() < 1.0 {
-            Restriction::First
+            Restriction::Begins
         } else {
-            Restriction::Later
+            Restriction::Changes
         }
     }
 
@@ -136,10 +135,10 @@ impl ActiveSet {
                 *q -= *z;
                 *z = 0.0;
             });
-        if let Some(data_support) = self.data_support() {
-            data.restrict(data_support);
+        if let Some(x_step_support) = self.x_step_support() {
+            data.restrict(x_step_support);
             // Where the x-step is restricted too, the dual becomes zero.
-            data_support.zero_outside(&mut variables.q);
+            x_step_support.zero_outside(&mut variables.q);
         }
         variables.update_products(data);
     }
@@ -223,11 +222,11 @@ mod tests {
         assert!(active_set.has_unrestricted_bin() && !active_set.is_settled());
         let mut update =
             |variables: &mut Variables| active_set.update(variables, &mut data, &mut prior, 1.0);
-        assert_eq!(update(&mut variables), Restriction::First);
+        assert_eq!(update(&mut variables), Restriction::Begins);
         let active = |values: &[f32]| values.iter().filter(|v| **v != 0.0).count();
         assert_eq!((active(&variables.z), active(&variables.q)), (9, 9));
         assert_eq!((&variables.az, &variables.aq), (&variables.z, &variables.q));
-        assert_eq!(update(&mut variables), Restriction::Later);
+        assert_eq!(update(&mut variables), Restriction::Changes);
         assert_eq!(update(&mut variables), Restriction::None);
         assert!(active_set.is_settled() && !active_set.has_unrestricted_bin());
         assert_eq!(data.support.unwrap().fraction(), active_set.fraction());

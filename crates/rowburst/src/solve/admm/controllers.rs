@@ -9,7 +9,7 @@ use super::penalty::{Circumstances, Penalty};
 use super::phase::{DeclineDetector, Phase, Schedule};
 use super::stopping::Supports;
 use super::variables::Variables;
-use super::{AdmmParams, TauRule};
+use super::{AdmmParams, TauRule, Tuning};
 use crate::Shape;
 use crate::prox::Prox;
 use crate::solve::DataTerm;
@@ -24,7 +24,7 @@ pub(super) struct Controllers {
     continuation: Continuation,
     noise_weights: NoiseWeights,
     decline: DeclineDetector,
-    params: AdmmParams,
+    tuning: Tuning,
 }
 
 impl Controllers {
@@ -39,7 +39,7 @@ impl Controllers {
             continuation: Continuation::new(params.threshold, tuning),
             noise_weights: NoiseWeights::new(tuning),
             decline: DeclineDetector::new(shape.bins, tuning),
-            params: *params,
+            tuning: *tuning,
         };
         controllers.set_tau_rule(params.tau, data);
         controllers
@@ -58,11 +58,12 @@ impl Controllers {
         self.set_tau_rule(self.penalty.rule(), data);
     }
 
-    /// Lets each controller act before an iteration. The first iteration has none of this, since there is nothing to
-    /// adapt to.
+    /// Lets each controller act before an iteration. The first iteration of a run has none of this, since there is
+    /// nothing to adapt to.
     ///
     /// The order matters:
-    /// 1. `ρ` first: it compares the residual of the last x-step with the bound that held then.
+    /// 1. `ρ` first: it compares the residual of the last x-step with the bound that held then. The first iteration of
+    ///    a frame has no x-step to compare.
     /// 2. The phase, which says what else is due.
     /// 3. The bound, for the next correction of `ρ`. It counts the degrees of freedom of the video as the prior left
     ///    it, before a restriction changes the video.
@@ -90,10 +91,7 @@ impl Controllers {
         if self.noise_weights.is_due(&self.schedule) && data.update_weights(&variables.z) {
             variables.update_products(data);
         }
-        if self
-            .schedule
-            .is_multiple_of(self.params.tuning.refresh_interval)
-        {
+        if self.schedule.is_multiple_of(self.tuning.refresh_interval) {
             // `A q` is a running sum: compute it afresh, so that rounding errors do not add up.
             variables.update_aq(data);
         }
@@ -122,11 +120,14 @@ impl Controllers {
     pub fn supports(&self) -> Supports<'_> {
         Supports {
             of_video: self.active_set.support(),
-            of_x_step: self.active_set.data_support(),
+            of_x_step: self.active_set.x_step_support(),
         }
     }
 
     fn correct_penalty(&mut self, variables: &Variables) {
+        let Some(x_residual_norm) = variables.x_residual_norm else {
+            return;
+        };
         let now = Circumstances {
             is_warming_up: self.schedule.is_warming_up(),
             has_reached_first_restriction: self.schedule.has_reached_first_restriction(),
@@ -134,27 +135,32 @@ impl Controllers {
             iterations: self.schedule.iterations(),
         };
         let bound = self.discrepancy.bound();
-        self.penalty.correct(bound, variables.x_residual_norm, now);
+        self.penalty.correct(bound, x_residual_norm, now);
     }
 
     fn advance_phase(&mut self, variables: &Variables) {
         let shape = self.shape;
-        let is_undersampled = shape.voxels() > self.params.tuning.undersampled * variables.az.len();
+        let is_undersampled = shape.voxels() > self.tuning.undersampled * variables.az.len();
         let decline = &mut self.decline;
         self.schedule
             .advance(|| is_undersampled && decline.is_rising(&variables.z, shape));
     }
 
     fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {
-        let tuning = &self.params.tuning;
+        let tuning = &self.tuning;
         let is_due =
             !self.schedule.is_warming_up() && self.schedule.is_multiple_of(tuning.freedom_interval);
         if let (TauRule::Discrepancy { sigma }, true) = (self.penalty.rule(), is_due) {
-            let faint = tuning.flat_difference * brightness(self.foreground(variables));
-            let df = prior.degrees_of_freedom(&variables.z, faint as f32);
+            let df = self.degrees_of_freedom(variables, prior);
             self.discrepancy
                 .set_degrees_of_freedom(df, sigma, data.measurement_count());
         }
+    }
+
+    /// The degrees of freedom of the video.
+    pub fn degrees_of_freedom(&self, variables: &Variables, prior: &dyn Prox) -> f64 {
+        let faint = self.tuning.flat_difference * brightness(self.foreground(variables));
+        prior.degrees_of_freedom(&variables.z, faint as f32)
     }
 
     fn set_threshold(&mut self, variables: &Variables) {
@@ -179,7 +185,7 @@ impl Controllers {
         let restriction = self
             .active_set
             .update(variables, data, prior, reference_rms);
-        if restriction == Restriction::First {
+        if restriction == Restriction::Begins {
             self.penalty.raise_lower_bound();
         }
     }

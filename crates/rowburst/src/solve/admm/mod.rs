@@ -12,7 +12,7 @@
 //! addition.
 //!
 //! [`Admm::run`] is the loop, and its `iteration` the three steps. What adapts between iterations is a controller, a file
-//! each; `controllers.rs` has their order, [`Phase`] what each waits for, and [`Tuning`] their constants. A run from its
+//! each; `controllers.rs` has their order, `phase.rs` what each waits for, and [`Tuning`] their constants. A run from its
 //! first to its last iteration is told in `docs/design/027`.
 //!
 //! **Threshold.** `β` is a fixed part of the video's brightness, so no constant of the solver has a unit. At first it
@@ -58,7 +58,6 @@ mod tuning;
 mod variables;
 
 pub(crate) use brightness::brightness;
-pub use phase::Phase;
 pub use tuning::{PenaltyTuning, ProblemSize, Tuning, TuningError};
 
 use super::{Certificate, DataTerm, StopReason};
@@ -155,6 +154,8 @@ pub struct Solution {
     pub stop_reason: StopReason,
     /// Part of the voxels that are active, from 0 to 1.
     pub support_fraction: f64,
+    /// Degrees of freedom of the video, see [`Prox::degrees_of_freedom`].
+    pub degrees_of_freedom: f64,
     /// `½‖b − A v‖² + τ R(v)` at the end, and a lower bound of its minimum.
     pub certificate: Certificate,
 }
@@ -180,7 +181,10 @@ pub fn solve(
 
 /// A run of the solver that can be stopped, take another rule for `τ`, and continue.
 pub struct Admm {
-    params: AdmmParams,
+    /// See [`AdmmParams::relaxation`].
+    relaxation: f64,
+    /// See [`AdmmParams::max_iterations`].
+    max_iterations: usize,
     variables: Variables,
     controllers: Controllers,
     stopping: Stopping,
@@ -199,7 +203,8 @@ impl Admm {
             "the operator takes videos of this shape"
         );
         Self {
-            params,
+            relaxation: params.relaxation,
+            max_iterations: params.max_iterations,
             variables: Variables::new(data, shape.columns),
             controllers: Controllers::new(data, shape, &params),
             stopping: Stopping::new(&params),
@@ -220,7 +225,7 @@ impl Admm {
         for k in self.iterations() + 1..=until {
             // Runs on a thread of the pool. Otherwise each parallel loop would wake a thread and wait for it.
             let change = rayon::scope(|_| {
-                if k > 1 {
+                if self.controllers.schedule.step() > 0 {
                     self.controllers.adapt(&mut self.variables, data, prior);
                 }
                 self.iteration(data, prior)
@@ -252,9 +257,9 @@ impl Admm {
             controllers,
             ..
         } = self;
-        let support = controllers.active_set.data_support();
+        let support = controllers.active_set.x_step_support();
         let rho = controllers.penalty.rho();
-        let change = variables.x_step(data, rho, self.params.relaxation, support);
+        let change = variables.x_step(data, rho, self.relaxation, support);
         if data.is_cancelled() {
             // The video is that of the iteration before, on the present support, and this `y` bounds nothing. The run
             // cannot continue from here.
@@ -270,7 +275,7 @@ impl Admm {
         Progress {
             label: "",
             iteration: self.iterations(),
-            max_iterations: self.params.max_iterations.max(until),
+            max_iterations: self.max_iterations.max(until),
             video: &self.variables.z,
             residual_rms: self.variables.residual_rms(data),
             objective: self.objective,
@@ -298,13 +303,7 @@ impl Admm {
 
     /// Sets [`AdmmParams::tolerance`].
     pub fn set_tolerance(&mut self, tolerance: f64) {
-        self.params.tolerance = tolerance;
         self.stopping.set_tolerance(tolerance);
-    }
-
-    /// What the run is doing.
-    pub fn phase(&self) -> Phase {
-        self.controllers.schedule.phase()
     }
 
     /// Whether the run is still so short that its video says little about the scene.
@@ -314,7 +313,7 @@ impl Admm {
 
     /// Most iterations.
     pub fn max_iterations(&self) -> usize {
-        self.params.max_iterations
+        self.max_iterations
     }
 
     /// `τ` of the last iteration.
@@ -345,6 +344,7 @@ impl Admm {
     /// Continues with `data`, which hold another frame, from the end of the last frame's run.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
         self.controllers.warm_start(data);
+        self.variables.x_residual_norm = None;
         // `A` contains the weights of the measurements, which may be others.
         self.variables.update_products(data);
     }
@@ -385,6 +385,7 @@ impl Admm {
             iterations: self.iterations(),
             stop_reason,
             support_fraction: self.support_fraction(),
+            degrees_of_freedom: self.controllers.degrees_of_freedom(&self.variables, prior),
             video: std::mem::take(&mut self.variables.z),
         }
     }

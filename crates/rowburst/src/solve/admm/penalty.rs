@@ -9,8 +9,8 @@ use crate::solve::DataTerm;
 /// Two of the three determine the third. Where `τ` is given, `ρ = τ/β` follows from `β`. Under the discrepancy
 /// principle `τ = ρβ` follows, and `ρ` is the Lagrange multiplier of the bound on the residual: `‖b − A x‖` rises with
 /// `ρ`, at most in proportion, so `ρ` is multiplied by the bound over the residual until both agree. A new `ρ` costs
-/// new factors of the data step. Small corrections are therefore skipped, and larger ones while the residual still
-/// falls by itself. Bounds keep `ρ` where the data step is numerically stable, and on a support, where the problem is
+/// new factors of the x-step. Small corrections are therefore skipped, and larger ones while the residual still
+/// falls by itself. Bounds keep `ρ` where the x-step is numerically stable, and on a support, where the problem is
 /// not convex, near its value before.
 pub(super) struct Penalty {
     rule: TauRule,
@@ -119,7 +119,7 @@ impl Penalty {
         }
     }
 
-    /// Sets `ρ = τ/β` where `τ` is given. Where the data step is not stable at this `ρ`, takes a smaller `β`.
+    /// Sets `ρ = τ/β` where `τ` is given. Where the x-step is not stable at this `ρ`, takes a smaller `β`.
     fn set_rho_for_tau(&mut self) {
         let TauRule::Fixed(tau) = self.rule else {
             return;
@@ -233,7 +233,7 @@ pub(super) mod tests {
         assert_eq!((penalty.rho(), penalty.tau()), (2.0, 0.2));
         penalty.correct(1.0, 10.0, SETTLED);
         assert_eq!(penalty.rho(), 2.0);
-        // At ρ = 0.2 the data step would not be stable.
+        // At ρ = 0.2 the x-step would not be stable.
         penalty.set_beta(1.0);
         assert_eq!((penalty.rho(), penalty.beta()), (0.5, 0.4));
         penalty.set_rule(TauRule::Fixed(0.4));

@@ -8,7 +8,7 @@ use crate::Shape;
 ///
 /// A *step* is an iteration that brings the run forward: all but those that a wait repeats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phase {
+pub(super) enum Phase {
     /// The video takes shape while `β` falls. Ends at step [`Tuning::first_restriction`].
     WarmUp,
     /// The warm-up of an undersampled video: with hundreds of voxels for each measurement its bins still get brighter

@@ -52,7 +52,6 @@ impl Stopping {
     }
 
     /// The certificate of the variables; see **Stopping** in the head of [`super`]. Overwrites the scratch buffer.
-    ///
     pub fn certify(
         &self,
         variables: &mut Variables,
@@ -62,9 +61,7 @@ impl Stopping {
         prior: &dyn Prox,
     ) -> Certificate {
         let b = data.measurements();
-        let Variables {
-            z, az, y, scratch, ..
-        } = variables;
+        let Variables { z, y, scratch, .. } = &mut *variables;
         let brightest = z.par_iter().copied().reduce(|| 0.0, f32::max);
         // `adjoint_on` zeroes the voxels outside the support, since `group` reads a pixel's whole trace. They are
         // zeroed again after `subtract_dual`, whose result may be non-zero there.
@@ -84,7 +81,7 @@ impl Stopping {
         let linear = rho * (dot(b, y) - self.brightness_bound * f64::from(brightest) * excess);
         let quadratic = rho * rho * norm_squared(y);
         Certificate {
-            primal: 0.5 * distance_squared(b, az) + penalty.tau() * prior.value(z),
+            primal: objective(variables, penalty.tau(), data, prior),
             dual: best_scaled(linear, quadratic),
         }
     }

@@ -1,6 +1,7 @@
 //! Estimates the support: the set of active voxels (docs/design/007).
 
-use super::tuning::Tuning;
+use super::tuning::{ProblemSize, Tuning};
+use crate::solve::DataHints;
 use crate::{Shape, Support};
 use rayon::prelude::*;
 
@@ -13,12 +14,11 @@ pub(super) struct SupportEstimator {
     tuning: Tuning,
     /// `None` before the first update.
     support: Option<Support>,
-    /// The support with more unrestricted bins, see [`Self::data_support`].
-    data_support: Option<Support>,
+    /// The support with more unrestricted bins, see [`Self::x_step_support`].
+    x_step_support: Option<Support>,
     fraction: f64,
     is_stable: bool,
-    /// Most active voxels of a bin that is restricted in the data step; `usize::MAX` without large blocks.
-    max_restricted: usize,
+    hints: DataHints,
     /// How often each bin has been widened. A level above [`Tuning::unrestricted_level`] counts the updates down for
     /// which the bin stays unrestricted.
     levels: Vec<usize>,
@@ -28,19 +28,28 @@ pub(super) struct SupportEstimator {
     is_unrestricted: Vec<bool>,
 }
 
+/// The bins that their support cannot explain.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Underfit<'a> {
+    /// Indices of the bins; at least one.
+    pub bins: &'a [usize],
+    /// `Aᵀ(b − A v)`, which is largest where the video lacks light.
+    pub correlation: &'a [f32],
+}
+
 impl SupportEstimator {
     /// All voxels of videos of `shape` are active at first.
     ///
-    /// A bin with more than `max_restricted` active voxels is never restricted in the data step.
-    pub fn new(shape: Shape, max_restricted: usize, tuning: &Tuning) -> Self {
+    /// A bin with more than [`DataHints::max_restricted_voxels`] is never restricted in the x-step.
+    pub fn new(shape: Shape, hints: DataHints, tuning: &Tuning) -> Self {
         Self {
             shape,
             tuning: *tuning,
             support: None,
-            data_support: None,
+            x_step_support: None,
             fraction: 1.0,
             is_stable: false,
-            max_restricted,
+            hints,
             levels: vec![0; shape.bins],
             residual_rms: vec![f64::INFINITY; shape.bins],
             is_unrestricted: vec![true; shape.bins],
@@ -52,10 +61,11 @@ impl SupportEstimator {
         self.support.as_ref()
     }
 
-    /// The support of the data step, in which bins with more than `max_restricted` active voxels are unrestricted:
+    /// The support of the x-step, in which bins with more than
+    /// [`DataHints::max_restricted_voxels`] active voxels are unrestricted:
     /// their restricted blocks would take longer. The prior alone keeps the other voxels of such a bin at zero.
-    pub fn data_support(&self) -> Option<&Support> {
-        self.data_support.as_ref()
+    pub fn x_step_support(&self) -> Option<&Support> {
+        self.x_step_support.as_ref()
     }
 
     /// Part of the voxels that are active, from 0 to 1.
@@ -101,15 +111,15 @@ impl SupportEstimator {
 
     /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
     ///
-    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the `underfit_bins` it is lowered, and the voxels with
-    /// the largest `correlation`, `Aᵀ(b − A v)`, are added.
+    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, and the
+    /// voxels with the largest correlation are added.
     pub fn update(
         &mut self,
         video: &[f32],
         brightness: f64,
-        correlation: &[f32],
-        underfit_bins: &[usize],
+        underfit: Option<Underfit>,
     ) -> Support {
+        let underfit_bins = underfit.map_or(&[][..], |underfit| underfit.bins);
         self.widen(underfit_bins);
         let tuning = self.tuning;
         let threshold = |level: &usize| {
@@ -120,8 +130,10 @@ impl SupportEstimator {
             }
         };
         let thresholds: Vec<f64> = self.levels.iter().map(threshold).collect();
-        let support = Support::above(video, self.shape, &thresholds)
-            .with_correlated(correlation, underfit_bins);
+        let mut support = Support::above(video, self.shape, &thresholds);
+        if let Some(Underfit { bins, correlation }) = underfit {
+            support = support.with_correlated(correlation, bins);
+        }
         let fraction = support.fraction();
         self.is_stable = self.support.is_some()
             && underfit_bins.is_empty()
@@ -133,17 +145,17 @@ impl SupportEstimator {
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
         self.is_unrestricted = bins.map(|bin| !bin.contains(&0)).collect();
-        self.data_support = Some(
+        self.x_step_support = Some(
             support
                 .clone()
-                .with_crowded_bins_unrestricted(self.max_restricted),
+                .with_crowded_bins_unrestricted(self.hints.max_restricted_voxels),
         );
         self.support = Some(support.clone());
         support
     }
 
     /// Widens the `underfit_bins` by one level, or makes them unrestricted for [`Tuning::unrestricted_updates`]
-    /// updates where blocks are large.
+    /// updates in a wide problem.
     ///
     /// The remaining updates of a temporarily unrestricted bin are counted down; after the last one its level is 0.
     fn widen(&mut self, underfit_bins: &[usize]) {
@@ -158,9 +170,8 @@ impl SupportEstimator {
                 *level = 0;
             }
         }
-        let has_large_blocks = self.max_restricted < usize::MAX;
         for &t in underfit_bins {
-            self.levels[t] = if has_large_blocks {
+            self.levels[t] = if self.hints.size == ProblemSize::Wide {
                 unrestricted + self.tuning.unrestricted_updates
             } else {
                 self.levels[t] + 1
@@ -173,15 +184,22 @@ impl SupportEstimator {
 mod tests {
     use super::*;
 
+    fn second_bin(correlation: &[f32]) -> Option<Underfit<'_>> {
+        Some(Underfit {
+            bins: &[1],
+            correlation,
+        })
+    }
+
     #[test]
     fn a_bin_is_widened_once_its_residual_no_longer_falls() {
         let shape = Shape::new(2, 9, 9);
-        let mut estimator = SupportEstimator::new(shape, usize::MAX, &Tuning::STANDARD);
+        let mut estimator = SupportEstimator::new(shape, DataHints::default(), &Tuning::STANDARD);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
         let mut faint = video.clone();
         faint[81 + 10] = 0.1;
-        let support = estimator.update(&video, 1.0, &video, &[]);
+        let support = estimator.update(&video, 1.0, None);
         assert_eq!(support.fraction(), 2.0 * 9.0 / 162.0);
         assert!(!estimator.is_stable());
         // A first residual, one that falls, and one that has stalled: only the last is underfit, and not twice in a
@@ -189,16 +207,16 @@ mod tests {
         assert!(estimator.underfit_bins(vec![1.0, 8.0], 1.0).is_empty());
         assert!(estimator.underfit_bins(vec![1.0, 4.0], 1.0).is_empty());
         assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-        let support = estimator.update(&faint, 1.0, &faint, &[1]);
+        let support = estimator.update(&faint, 1.0, second_bin(&faint));
         assert_eq!(support.mask()[81 + 10], 1);
         assert!(!estimator.is_stable());
         assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
-        estimator.update(&faint, 1.0, &faint, &[]);
+        estimator.update(&faint, 1.0, None);
         assert!(estimator.is_stable());
         // After five widenings a bin is unrestricted and is not widened further.
         for _ in 0..4 {
             assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-            estimator.update(&faint, 1.0, &faint, &[1]);
+            estimator.update(&faint, 1.0, second_bin(&faint));
             estimator.underfit_bins(vec![1.0, 3.9], 1.0);
         }
         assert_eq!(estimator.support().unwrap().pixels_of(1), None);
@@ -208,22 +226,26 @@ mod tests {
     #[test]
     fn a_bin_of_a_large_sensor_is_unrestricted_for_a_while() {
         let shape = Shape::new(2, 9, 9);
-        let mut estimator = SupportEstimator::new(shape, 50, &Tuning::STANDARD);
+        let hints = DataHints {
+            size: ProblemSize::Wide,
+            max_restricted_voxels: 50,
+        };
+        let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
         let mut video = vec![0.0f32; shape.voxels()];
         (video[40], video[81 + 40]) = (1.0, 1.0);
-        estimator.update(&video, 1.0, &video, &[]);
+        estimator.update(&video, 1.0, None);
         estimator.underfit_bins(vec![1.0, 4.0], 1.0);
         assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
-        estimator.update(&video, 1.0, &video, &[1]);
+        estimator.update(&video, 1.0, second_bin(&video));
         for _ in 1..Tuning::STANDARD.unrestricted_updates {
             assert_eq!(estimator.support().unwrap().pixels_of(1), None);
             assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
-            estimator.update(&video, 1.0, &video, &[]);
+            estimator.update(&video, 1.0, None);
             assert!(!estimator.is_stable());
         }
-        estimator.update(&video, 1.0, &video, &[]);
+        estimator.update(&video, 1.0, None);
         assert_eq!(estimator.support().unwrap().pixels_of(1).unwrap().len(), 9);
-        estimator.update(&video, 1.0, &video, &[]);
+        estimator.update(&video, 1.0, None);
         assert!(estimator.is_stable());
     }
 }

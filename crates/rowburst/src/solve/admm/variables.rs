@@ -22,8 +22,8 @@ pub(super) struct Variables {
     pub aq: Vec<f32>,
     /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last x-step: `ρ y = b − A x`.
     pub y: Vec<f32>,
-    /// `‖b − A x‖` of the last x-step.
-    pub x_residual_norm: f64,
+    /// `‖b − A x‖` of the last x-step; `None` before the first one of a frame.
+    pub x_residual_norm: Option<f64>,
     /// Scratch buffer the size of a video.
     pub scratch: Vec<f32>,
     /// Elements of a part of the sums of an x-step.
@@ -40,7 +40,7 @@ impl Variables {
             az: vec![0.0; m],
             aq: vec![0.0; m],
             y: vec![0.0; m],
-            x_residual_norm: 0.0,
+            x_residual_norm: None,
             scratch: vec![0.0; n],
             slot: columns.min(WRITE_PART_LEN),
         }
@@ -65,11 +65,12 @@ impl Variables {
         let is_exact = data.solve_gram(&rhs, rho, &mut self.y, &mut gram_y);
         // Both are the same for an exact step. The error of an inexact one is larger for a smaller `ρ`, which it would
         // drive to nothing.
-        self.x_residual_norm = if is_exact {
+        let x_residual_norm = if is_exact {
             distance_squared(&rhs, &gram_y).sqrt()
         } else {
             rho * norm_squared(&self.y).sqrt()
         };
+        self.x_residual_norm = Some(x_residual_norm);
         let (z, slot) = (&self.z, self.slot);
         // Each part has a slot of its own for its two sums, as two f32 in a u64. So the order of the threads does not
         // matter.

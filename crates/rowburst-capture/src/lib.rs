@@ -1,0 +1,34 @@
+//! From a camera to files: frames with their settings, recorded whole, judged, and put in a folder that leads through
+//! the experiment.
+//!
+//! ```text
+//! play:PATH, a camera ─▶ Source ─▶ Delivery (frame, dropped, incomplete) ─▶ Recorder ─▶ NAME.tif, NAME.json
+//!                          └────▶ Settings (properties, origin) ─▶ experiment.toml, findings
+//! NAME.json ─▶ Fingerprint ─▶ Project::status
+//! ```
+//!
+//! A [`Source`] gives frames of 16-bit counts, `y` the axis that the shutter scans. A frame that was dropped or is
+//! incomplete is a value, not an error. A [`Recorder`] writes beside and renames: a recording is whole or not there.
+
+mod experiment;
+mod exposure;
+mod open;
+mod play;
+mod project;
+mod record;
+mod recorder;
+mod settings;
+mod source;
+
+pub use experiment::experiment_text;
+pub use exposure::{Exposure, HISTOGRAM_BINS};
+pub use open::open_source;
+pub use play::Playback;
+pub use project::{
+    CaptureCorrelation, PROJECT_FILE, Project, Step, StepState, correlation_of_captures,
+    create_project,
+};
+pub use record::{CaptureRecord, FrameRecord, Lost};
+pub use recorder::{Ended, Recorder, record};
+pub use settings::{Fingerprint, Property, Settings};
+pub use source::{Delivery, Frame, Source};

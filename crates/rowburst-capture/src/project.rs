@@ -1,0 +1,606 @@
+//! The folder of an experiment: what is there, what is missing, what is out of date, and the next command.
+//!
+//! ```text
+//! rowburst.toml                 the source
+//! captures/NAME.tif, NAME.json  timing, darks, flats, psf, psf-again, frame
+//! experiment.toml               from the settings of the camera
+//! timing/ sensor/ psf/ result/  what calibrate and reconstruct write
+//! ```
+
+use crate::record::CaptureRecord;
+use rowburst::error::Subject;
+use rowburst::{Error, ErrorKind, Image, Result};
+use rowburst_io::{Experiment, OutputFolder, read_capture_record, read_stack};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// The file that makes a folder that of an experiment.
+pub const PROJECT_FILE: &str = "rowburst.toml";
+
+/// Correlation of two captures of the PSF below which the diffuser has drifted.
+const MIN_CORRELATION: f64 = 0.95;
+
+/// Largest shift that is looked for, in pixels.
+const MAX_SHIFT: isize = 6;
+
+/// Longest side of the part of a capture that is correlated.
+const MAX_SIDE: usize = 256;
+
+/// How far a step is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StepState {
+    /// It is there and fits the others.
+    Done,
+    /// It is not there.
+    Missing,
+    /// It was made with other settings, or before what it is made of.
+    OutOfDate,
+    /// It is not there, and the others do without it.
+    Optional,
+}
+
+impl StepState {
+    /// Its name as data.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::Missing => "missing",
+            Self::OutOfDate => "out-of-date",
+            Self::Optional => "optional",
+        }
+    }
+}
+
+/// A step of the experiment.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Step {
+    /// Its name.
+    pub name: &'static str,
+    /// How far it is.
+    pub state: StepState,
+    /// Why, in words.
+    pub detail: String,
+    /// The command that does it.
+    pub command: String,
+}
+
+/// The folder of an experiment.
+pub struct Project {
+    folder: PathBuf,
+    source: String,
+}
+
+/// A capture of the folder, and the settings that it must share with the frame.
+struct CaptureStep {
+    name: &'static str,
+    command: &'static str,
+    keys: &'static [&'static str],
+}
+
+const TIMING: CaptureStep = CaptureStep {
+    name: "timing",
+    command: "rowburst capture timing -n 3",
+    keys: &["size", "origin", "binning", "row time", "shutter"],
+};
+const DARKS: CaptureStep = CaptureStep {
+    name: "darks",
+    command: "rowburst capture darks -n 50",
+    keys: &["size", "origin", "binning", "exposure", "bit depth"],
+};
+const FLATS: CaptureStep = CaptureStep {
+    name: "flats",
+    command: "rowburst capture flats -n 20",
+    keys: &["size", "origin", "binning", "bit depth"],
+};
+const PSF: CaptureStep = CaptureStep {
+    name: "psf",
+    command: "rowburst capture psf -n 20",
+    keys: &["size", "origin", "binning"],
+};
+const FRAME: CaptureStep = CaptureStep {
+    name: "frame",
+    command: "rowburst capture frame",
+    keys: &[],
+};
+
+/// Makes the folder of an experiment whose frames come from `source`.
+///
+/// # Errors
+/// A folder that holds one already, or cannot be written to.
+pub fn create_project(folder: &Path, source: &str) -> Result<()> {
+    if folder.join(PROJECT_FILE).exists() {
+        return Err(Error::input(
+            folder,
+            "the folder of an experiment",
+            "an experiment is never replaced",
+            "Choose another name.",
+        )
+        .with_kind(ErrorKind::Exists));
+    }
+    let mut text = String::from(
+        "# An experiment of rowburst. In this folder, rowburst status says what is there and what is next.\n\n",
+    );
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "source = {}", toml::Value::from(source));
+    OutputFolder::create(folder)?.write_bytes(PROJECT_FILE, text.as_bytes())
+}
+
+impl Project {
+    /// Opens the folder of an experiment.
+    ///
+    /// # Errors
+    /// A folder that is none, or whose file cannot be read.
+    pub fn open(folder: &Path) -> Result<Self> {
+        let file = folder.join(PROJECT_FILE);
+        let no_project = || {
+            Error::input(
+                folder,
+                format!("no {PROJECT_FILE}"),
+                "the folder of an experiment has one",
+                "Make one with rowburst new NAME, and go into it.",
+            )
+            .with_kind(ErrorKind::NotFound)
+        };
+        let text = std::fs::read_to_string(&file).map_err(|_| no_project())?;
+        let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
+            let remedy = "Write source = \"play:recording.tif\", for example.";
+            Error::input(
+                &file,
+                error.message(),
+                "it is a TOML file with the key source",
+                remedy,
+            )
+        })?;
+        let source = table.get("source").and_then(toml::Value::as_str);
+        Ok(Self {
+            folder: folder.into(),
+            source: source.unwrap_or_default().into(),
+        })
+    }
+
+    /// The source of the frames.
+    ///
+    /// # Errors
+    /// None is named.
+    pub fn source(&self) -> Result<&str> {
+        if self.source.is_empty() {
+            return Err(Error::input(
+                self.folder.join(PROJECT_FILE),
+                "no source",
+                "the source of the frames is needed",
+                "Write source = \"play:recording.tif\", for example.",
+            )
+            .with_kind(ErrorKind::Missing));
+        }
+        Ok(&self.source)
+    }
+
+    /// The file of a capture.
+    pub fn capture(&self, name: &str) -> PathBuf {
+        self.folder.join("captures").join(format!("{name}.tif"))
+    }
+
+    fn record(&self, name: &str) -> Option<CaptureRecord> {
+        serde_json::from_value(read_capture_record(&self.capture(name))?).ok()
+    }
+
+    /// The steps of the experiment, in their order.
+    ///
+    /// # Errors
+    /// Captures of the PSF that cannot be read.
+    pub fn status(&self) -> Result<Vec<Step>> {
+        let reference = self.reference();
+        let reference = reference.as_ref();
+        let knows_timing = self.knows_timing();
+        let before_timing = if self.has("timing/experiment.toml") {
+            "timing/experiment.toml"
+        } else {
+            "experiment.toml"
+        };
+        let before_psf = if self.has("sensor/sensor.json") {
+            "sensor/experiment.toml"
+        } else {
+            before_timing
+        };
+        let mut steps = vec![self.settings_step()];
+        let mut timing = [
+            self.capture_step(&TIMING, reference),
+            self.result_step(
+                "calibrate timing",
+                &["timing"],
+                "timing/timing.json",
+                "rowburst calibrate timing captures/timing.tif --frequency-hz HZ -o timing".into(),
+            ),
+        ];
+        if knows_timing {
+            timing.iter_mut().for_each(make_optional);
+        }
+        steps.extend(timing);
+        steps.push(self.experiment_step());
+        steps.push(self.capture_step(&DARKS, reference));
+        steps.push(self.capture_step(&FLATS, reference));
+        steps.push(self.result_step(
+            "calibrate sensor",
+            &["darks", "flats"],
+            "sensor/sensor.json",
+            format!("rowburst calibrate sensor --darks captures/darks.tif --flats captures/flats.tif --experiment {before_timing} -o sensor"),
+        ));
+        steps.push(self.psf_step(reference)?);
+        steps.push(self.result_step(
+            "calibrate psf",
+            &["psf"],
+            "psf/psf.json",
+            format!("rowburst calibrate psf captures/psf.tif --experiment {before_psf} -o psf"),
+        ));
+        steps.push(self.capture_step(&FRAME, reference));
+        steps.push(self.result_step(
+            "reconstruct",
+            &["frame"],
+            "result/result.json",
+            "rowburst reconstruct psf/experiment.toml --frame captures/frame.tif -o result".into(),
+        ));
+        Ok(steps)
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.folder.join(name).is_file()
+    }
+
+    /// The capture whose settings the others must share: the frame, or else the latest but the PSF, whose exposure is free.
+    fn reference(&self) -> Option<CaptureRecord> {
+        let latest = || {
+            let names = [TIMING.name, DARKS.name, FLATS.name];
+            let records = names.iter().filter_map(|name| self.record(name));
+            records.max_by_key(|record| record.started_unix_s)
+        };
+        self.record(FRAME.name).or_else(latest)
+    }
+
+    fn knows_timing(&self) -> bool {
+        Experiment::read(&self.folder.join("experiment.toml")).is_ok()
+    }
+
+    fn settings_step(&self) -> Step {
+        let (state, detail) = if self.has("experiment.toml") {
+            (StepState::Done, "experiment.toml")
+        } else {
+            (
+                StepState::Missing,
+                "no experiment.toml yet: a capture of a frame writes it",
+            )
+        };
+        Step {
+            name: "settings",
+            state,
+            detail: detail.into(),
+            command: FRAME.command.into(),
+        }
+    }
+
+    /// The keys of the experiment file that the camera left open.
+    fn experiment_step(&self) -> Step {
+        let read = Experiment::read(&self.folder.join("experiment.toml"));
+        let (state, detail) = match read {
+            Ok(_) => (
+                StepState::Done,
+                "experiment.toml has what a reconstruction needs".into(),
+            ),
+            Err(error) => (StepState::Missing, error.to_string()),
+        };
+        Step {
+            name: "experiment",
+            state,
+            detail,
+            command: "fill in experiment.toml; timing/timing.json has row_time_us and shutters"
+                .into(),
+        }
+    }
+
+    fn capture_step(&self, step: &CaptureStep, reference: Option<&CaptureRecord>) -> Step {
+        let (state, detail) = match self.record(step.name) {
+            None => (StepState::Missing, "not recorded".to_string()),
+            Some(record) => {
+                let others = reference.map(|r| &r.fingerprint);
+                let differences =
+                    others.map(|other| record.fingerprint.differences(other, step.keys));
+                let differences = differences.unwrap_or_default();
+                if differences.is_empty() {
+                    (StepState::Done, summary(&record))
+                } else {
+                    let differences = differences.join("; ");
+                    (
+                        StepState::OutOfDate,
+                        format!("taken with other settings than the latest frame: {differences}"),
+                    )
+                }
+            }
+        };
+        Step {
+            name: step.name,
+            state,
+            detail,
+            command: step.command.into(),
+        }
+    }
+
+    /// The PSF, and how much a second capture of it differs.
+    fn psf_step(&self, reference: Option<&CaptureRecord>) -> Result<Step> {
+        let mut step = self.capture_step(&PSF, reference);
+        let again = self.capture("psf-again");
+        if step.state != StepState::Done || !again.is_file() {
+            return Ok(step);
+        }
+        let found = correlation_of_captures(&self.capture(PSF.name), &again)?;
+        let (y, x) = found.shift_px;
+        let _ = write!(
+            step.detail,
+            "; correlation with the second capture {:.3}, shift {y}, {x} px",
+            found.correlation
+        );
+        if found.correlation < MIN_CORRELATION || (y, x) != (0, 0) {
+            step.state = StepState::OutOfDate;
+            let _ = write!(
+                step.detail,
+                ": the diffuser has moved or drifted (limit {MIN_CORRELATION}, no shift); take the PSF anew"
+            );
+        }
+        Ok(step)
+    }
+
+    fn result_step(
+        &self,
+        name: &'static str,
+        captures: &[&str],
+        result: &str,
+        command: String,
+    ) -> Step {
+        let modified = |path: PathBuf| path.metadata().and_then(|m| m.modified()).ok();
+        let made = modified(self.folder.join(result));
+        let is_older = |capture: &&str| modified(self.capture(capture)) > made;
+        let older = captures.iter().find(|capture| is_older(capture));
+        let (state, detail) = match (made, older) {
+            (None, _) => (StepState::Missing, format!("no {result}")),
+            (Some(_), Some(capture)) => (
+                StepState::OutOfDate,
+                format!("{result} was made before captures/{capture}.tif"),
+            ),
+            (Some(_), None) => (StepState::Done, result.to_string()),
+        };
+        Step {
+            name,
+            state,
+            detail,
+            command,
+        }
+    }
+}
+
+fn make_optional(step: &mut Step) {
+    if step.state == StepState::Missing {
+        step.state = StepState::Optional;
+        step.detail = "not needed: the camera says its row time, shutter and exposure".into();
+    }
+}
+
+fn summary(record: &CaptureRecord) -> String {
+    let mut text = format!("{} frames", record.written);
+    if record.dropped + record.incomplete > 0 {
+        let _ = write!(
+            text,
+            ", {} dropped, {} incomplete",
+            record.dropped, record.incomplete
+        );
+    }
+    for warning in &record.warnings {
+        let _ = write!(text, "; {warning}");
+    }
+    text
+}
+
+/// How much two captures are alike.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CaptureCorrelation {
+    /// Pearson's correlation of their means, at the shift at which it is largest.
+    pub correlation: f64,
+    /// That shift `(y, x)` of the second, in pixels.
+    pub shift_px: (isize, isize),
+}
+
+/// The correlation of two captures of the PSF: of the means over their frames, in the middle of the field.
+///
+/// # Errors
+/// Captures that cannot be read or have different sizes.
+pub fn correlation_of_captures(first: &Path, second: &Path) -> Result<CaptureCorrelation> {
+    let (a, b) = (mean_of(first)?, mean_of(second)?);
+    if (a.rows(), a.columns()) != (b.rows(), b.columns()) {
+        return Err(Error::input(
+            Subject::from(second),
+            format!("{}×{} pixels", b.rows(), b.columns()),
+            format!("the first capture has {}×{}", a.rows(), a.columns()),
+            "Take both captures with the same region.",
+        )
+        .with_kind(ErrorKind::Shape));
+    }
+    let mut best = CaptureCorrelation {
+        correlation: f64::NEG_INFINITY,
+        shift_px: (0, 0),
+    };
+    for dy in -MAX_SHIFT..=MAX_SHIFT {
+        for dx in -MAX_SHIFT..=MAX_SHIFT {
+            let correlation = correlation_at(&a, &b, dy, dx);
+            if correlation > best.correlation {
+                best = CaptureCorrelation {
+                    correlation,
+                    shift_px: (dy, dx),
+                };
+            }
+        }
+    }
+    Ok(best)
+}
+
+fn mean_of(path: &Path) -> Result<Image> {
+    let pages = read_stack(path)?;
+    let (rows, columns) = (pages[0].rows(), pages[0].columns());
+    let count = pages.len() as f32;
+    Ok(Image::from_fn(rows, columns, |y, x| {
+        pages.iter().map(|page| page.at(y, x)).sum::<f32>() / count
+    }))
+}
+
+/// Pearson's correlation of `a` with `b` displaced by `(dy, dx)`, over the middle of both.
+fn correlation_at(a: &Image, b: &Image, dy: isize, dx: isize) -> f64 {
+    let range = |side: usize| {
+        let margin = (MAX_SHIFT as usize).min(side / 4);
+        let inner = (side - 2 * margin).min(MAX_SIDE);
+        let start = (side - inner) / 2;
+        (start, start + inner)
+    };
+    let ((top, bottom), (left, right)) = (range(a.rows()), range(a.columns()));
+    let shifted =
+        |at: usize, by: isize, side: usize| at.checked_add_signed(by).filter(|&i| i < side);
+    let [mut n, mut sa, mut sb, mut saa, mut sbb, mut sab] = [0.0f64; 6];
+    for y in top..bottom {
+        let Some(by) = shifted(y, dy, b.rows()) else {
+            continue;
+        };
+        for x in left..right {
+            let Some(bx) = shifted(x, dx, b.columns()) else {
+                continue;
+            };
+            let (p, q) = (f64::from(a.at(y, x)), f64::from(b.at(by, bx)));
+            n += 1.0;
+            sa += p;
+            sb += q;
+            saa += p * p;
+            sbb += q * q;
+            sab += p * q;
+        }
+    }
+    let variance = (saa - sa * sa / n) * (sbb - sb * sb / n);
+    (sab - sa * sb / n) / variance.max(f64::MIN_POSITIVE).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recorder::{Ended, Recorder};
+    use crate::settings::Settings;
+    use crate::source::Frame;
+
+    /// Speckle of grains of two pixels, part of it from another seed.
+    fn speckle(part: f64, shift: usize) -> Frame {
+        let noise = |y: usize, x: usize, seed: usize| {
+            let mut bits = (y * 1009 + x + seed * 7_777_777 + 1) as u32;
+            for _ in 0..3 {
+                bits = (bits ^ (bits >> 15)).wrapping_mul(0x2c1b_3c6d);
+            }
+            f64::from(bits >> 8) / 16_777_216.0
+        };
+        let side = 48;
+        let counts = (0..side * side).map(|i| {
+            let (y, x) = ((i / side + shift) / 2, (i % side) / 2);
+            (1000.0 * ((1.0 - part) * noise(y, x, 0) + part * noise(y, x, 1))) as u16
+        });
+        Frame {
+            rows: side,
+            columns: side,
+            counts: counts.collect(),
+            number: 0,
+            time_us: None,
+        }
+    }
+
+    fn settings(exposure: &str) -> Settings {
+        let mut settings = Settings::default();
+        for (name, value) in [
+            ("rows", "48"),
+            ("columns", "48"),
+            ("shutter", "dual-inside-out"),
+            ("row_time_us", "9.6"),
+            ("exposure_us", exposure),
+        ] {
+            settings.push(name, value);
+        }
+        settings
+    }
+
+    fn capture(project: &Project, name: &str, frame: &Frame, settings: Settings) {
+        let path = project.capture(name);
+        let mut recorder = Recorder::create(&path, name, settings, Some(1)).unwrap();
+        recorder.write(frame, None).unwrap();
+        recorder.finish(&Ended::Complete).unwrap();
+    }
+
+    fn state(project: &Project, name: &str) -> (StepState, String) {
+        let steps = project.status().unwrap();
+        let step = steps.into_iter().find(|step| step.name == name).unwrap();
+        (step.state, step.detail)
+    }
+
+    fn project(folder: &Path) -> Project {
+        create_project(folder, "play:a \"b\".tif").unwrap();
+        Project::open(folder).unwrap()
+    }
+
+    #[test]
+    fn captures_with_other_settings_are_out_of_date() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        assert_eq!(project.source().unwrap(), "play:a \"b\".tif");
+        assert_eq!(state(&project, "darks").0, StepState::Missing);
+        let text = crate::experiment_text(&settings("9.6"));
+        std::fs::write(folder.path().join("experiment.toml"), text).unwrap();
+        assert_eq!(state(&project, "timing").0, StepState::Optional);
+        capture(&project, "darks", &speckle(0.0, 0), settings("9.6"));
+        capture(&project, "psf", &speckle(0.0, 0), settings("500"));
+        assert_eq!(state(&project, "darks").0, StepState::Done);
+        capture(&project, "frame", &speckle(0.0, 0), settings("20"));
+        let (is, why) = state(&project, "darks");
+        assert_eq!(is, StepState::OutOfDate);
+        assert!(
+            why.contains("exposure 9.600000 µs, not 20.000000 µs"),
+            "{why}"
+        );
+        // A PSF is normalised: its exposure is free.
+        assert_eq!(state(&project, "psf").0, StepState::Done);
+    }
+
+    #[test]
+    fn a_diffuser_that_has_drifted_is_found() {
+        for (part, shift, expected) in [
+            (0.0, 0, StepState::Done),
+            (0.05, 0, StepState::Done),
+            (0.5, 0, StepState::OutOfDate),
+            (0.0, 2, StepState::OutOfDate),
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            let project = project(folder.path());
+            capture(&project, "psf", &speckle(0.0, 0), settings("9.6"));
+            capture(
+                &project,
+                "psf-again",
+                &speckle(part, shift),
+                settings("9.6"),
+            );
+            let (is, why) = state(&project, "psf");
+            assert_eq!(is, expected, "{part} {shift}: {why}");
+            if shift > 0 {
+                assert!(
+                    why.contains("correlation with the second capture 1.000, shift -2, 0 px"),
+                    "{why}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn an_experiment_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        project(folder.path());
+        let error = create_project(folder.path(), "").unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Exists);
+        let error = Project::open(&folder.path().join("none")).err().unwrap();
+        assert!(error.to_string().contains("rowburst new"), "{error}");
+    }
+}

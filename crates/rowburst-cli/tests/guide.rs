@@ -1,0 +1,43 @@
+//! A dense scene with the picture of a second camera, on the command line.
+
+mod common;
+
+use common::Lab;
+
+const CAMERA: &str = "[camera]
+rows = 72
+columns = 72
+shutter = \"dual-inside-out\"
+row_time_us = 10.0
+exposure_us = 10.0
+";
+
+/// The picture that `simulate` takes makes the video better, and `rerun` repeats it. A picture of another scene is dropped.
+#[test]
+fn a_guide_makes_a_dense_scene_better() {
+    let lab = Lab::empty();
+    lab.experiment(CAMERA);
+    for (scene, folder) in [("beam", "beam"), ("wheel", "wheel")] {
+        lab.done(&format!(
+            "simulate experiment.toml --scene {scene} --guide-times-us 180 --seed 11 -o {folder}"
+        ));
+    }
+    let pictures = lab.files("wheel");
+    let picture = pictures.iter().find(|name| name.starts_with("guide"));
+    let picture = picture.expect("simulate has taken a picture");
+    let run = "reconstruct beam/experiment.toml --frame beam/frame.npy --truth beam/truth.npy --prior tv+8*tdiff --max-iterations 60";
+    lab.done(&format!("{run} -o guided"));
+    let guide = &lab.result("guided")["guide"];
+    assert_eq!(guide["used"], true, "{guide:#}");
+    assert_eq!(guide["model"], "motion", "{guide:#}");
+    assert!(lab.files("guided").contains(&"guide.png".to_string()));
+    let said = lab.done("rerun guided -o again");
+    assert!(said.contains("equal to the bit"), "{said}");
+
+    lab.done(&format!("{run} --guide wheel/{picture} -o alone"));
+    let guide = &lab.result("alone")["guide"];
+    assert_eq!(guide["used"], false, "{guide:#}");
+    assert!(lab.number("guided", "psnr_db") > lab.number("alone", "psnr_db") + 3.0);
+    let said = lab.done("rerun alone -o alone-again");
+    assert!(said.contains("equal to the bit"), "{said}");
+}

@@ -1,0 +1,43 @@
+//! Paths as seen from a folder, so that both may move together.
+
+use crate::source::ArrayPath;
+use std::path::{Path, PathBuf};
+
+/// `path` as seen from `folder`; absolute where they have no folder in common but the root. `FILE.h5:/path` keeps the name
+/// of its array.
+pub fn relative_path(path: &Path, folder: &Path) -> String {
+    let ArrayPath { file, array } = ArrayPath::of(path);
+    let absolute = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
+    let (Ok(file), Ok(folder)) = (absolute(&file), absolute(folder)) else {
+        return path.to_string_lossy().into_owned();
+    };
+    let pairs = file.components().zip(folder.components());
+    let common = pairs.take_while(|(a, b)| a == b).count();
+    let mut seen = PathBuf::new();
+    // The root is a component.
+    if common > 1 {
+        (common..folder.components().count()).for_each(|_| seen.push(".."));
+        seen.extend(file.components().skip(common));
+    } else {
+        seen = file;
+    }
+    let name = array.map_or(String::new(), |array| format!(":{array}"));
+    seen.to_string_lossy().into_owned() + &name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_seen_from_the_folder() {
+        let base = tempfile::tempdir().unwrap();
+        let (sim, result) = (base.path().join("sim"), base.path().join("a/result"));
+        std::fs::create_dir_all(&sim).unwrap();
+        std::fs::create_dir_all(&result).unwrap();
+        std::fs::write(sim.join("f.h5"), "").unwrap();
+        let named = PathBuf::from(format!("{}:/x", sim.join("f.h5").display()));
+        assert_eq!(relative_path(&named, &result), "../../sim/f.h5:/x");
+        assert_eq!(relative_path(&result.join("v.npy"), &result), "v.npy");
+    }
+}

@@ -1,0 +1,156 @@
+//! A video for programs that read no `.npy`: MATLAB's `.mat` of version 5 and HDF5.
+//!
+//! A `.mat` file is a header of 128 bytes and one element `miMATRIX` for each variable. Numbers lie with the first index
+//! fastest, so the video is `(rows, columns, frames)`. Source: "MAT-File Format", The MathWorks.
+
+use crate::fault;
+use rowburst::{Error, ErrorKind, Parameter, Result, Video};
+use std::io::{self, Write};
+
+const MI_INT8: u32 = 1;
+const MI_INT32: u32 = 5;
+const MI_UINT32: u32 = 6;
+const MI_SINGLE: u32 = 7;
+const MI_MATRIX: u32 = 14;
+/// MATLAB's class of float32 arrays.
+const MX_SINGLE: u32 = 7;
+/// Largest variable of version 5.
+const MAX_MAT_BYTES: u64 = (1 << 31) - 1024;
+
+/// Writes the variable `video`, single `(rows, columns, frames)`, and `bin_duration_us`.
+///
+/// # Errors
+/// A video of 2 GiB or more, which version 5 cannot hold, and failed writes.
+pub fn write_mat_video(w: &mut impl Write, video: &Video, bin_duration_us: f64) -> Result<()> {
+    let shape = video.shape();
+    let bytes = 4 * shape.voxels() as u64;
+    if bytes > MAX_MAT_BYTES {
+        return Err(Error::input(
+            Parameter::Write,
+            format!("a video of {bytes} bytes"),
+            "a .mat file of version 5 holds variables below 2 GiB",
+            "Write h5, which MATLAB reads too.",
+        )
+        .with_kind(ErrorKind::Unsupported));
+    }
+    let mut write = || -> io::Result<()> {
+        let mut header = [b' '; 128];
+        let text = b"MATLAB 5.0 MAT-file, written by Rowburst";
+        header[..text.len()].copy_from_slice(text);
+        header[116..124].fill(0);
+        header[124..].copy_from_slice(&[0, 1, b'I', b'M']);
+        w.write_all(&header)?;
+        let columns_first = |pixels: &[f32]| -> Vec<u8> {
+            let at = |x: usize, y: usize| pixels[y * shape.columns + x];
+            let order = (0..shape.columns).flat_map(|x| (0..shape.rows).map(move |y| (x, y)));
+            order.flat_map(|(x, y)| at(x, y).to_le_bytes()).collect()
+        };
+        let frames = video.data().chunks_exact(shape.pixels());
+        let size = [shape.rows, shape.columns, shape.bins];
+        write_variable(w, "video", &size, frames.map(columns_first))?;
+        let duration = (bin_duration_us as f32).to_le_bytes().to_vec();
+        write_variable(w, "bin_duration_us", &[1, 1], [duration].into_iter())
+    };
+    write().map_err(|e| fault::write_error(&e))
+}
+
+/// Writes a variable of float32 numbers, which `parts` hold as bytes.
+fn write_variable(
+    w: &mut impl Write,
+    name: &str,
+    size: &[usize],
+    parts: impl Iterator<Item = Vec<u8>>,
+) -> io::Result<()> {
+    let data = 4 * size.iter().product::<usize>() as u32;
+    let (sides, letters) = (4 * size.len() as u32, name.len() as u32);
+    let padded = |bytes: u32| bytes.next_multiple_of(8);
+    let pad =
+        |w: &mut dyn Write, bytes: u32| w.write_all(&[0; 8][..(padded(bytes) - bytes) as usize]);
+    let tag = |w: &mut dyn Write, kind: u32, bytes: u32| {
+        w.write_all(&kind.to_le_bytes())?;
+        w.write_all(&bytes.to_le_bytes())
+    };
+    let total = 16 + 8 + padded(sides) + 8 + padded(letters) + 8 + padded(data);
+    tag(w, MI_MATRIX, total)?;
+    tag(w, MI_UINT32, 8)?;
+    w.write_all(&MX_SINGLE.to_le_bytes())?;
+    w.write_all(&[0; 4])?;
+    tag(w, MI_INT32, sides)?;
+    for side in size {
+        w.write_all(&(*side as i32).to_le_bytes())?;
+    }
+    pad(w, sides)?;
+    tag(w, MI_INT8, letters)?;
+    w.write_all(name.as_bytes())?;
+    pad(w, letters)?;
+    tag(w, MI_SINGLE, data)?;
+    for part in parts {
+        w.write_all(&part)?;
+    }
+    pad(w, data)
+}
+
+/// Writes the datasets `video`, float32 `[t, y, x]`, and `bin_duration_us` of an HDF5 file.
+///
+/// # Errors
+/// Failed writes, and a program that was built without HDF5.
+#[cfg(feature = "hdf5")]
+pub fn write_hdf5_video(w: &mut impl Write, video: &Video, bin_duration_us: f64) -> Result<()> {
+    let shape = video.shape();
+    let sides = [shape.bins, shape.rows, shape.columns].map(|n| n as u64);
+    let mut file = hdf5_pure::FileBuilder::new();
+    file.create_dataset("video")
+        .with_f32_data(video.data())
+        .with_shape(&sides);
+    file.create_dataset("bin_duration_us")
+        .with_f64_data(&[bin_duration_us])
+        .with_shape(&[1]);
+    let bytes = file.finish().map_err(|error| {
+        Error::work(
+            rowburst::error::Subject::named("HDF5"),
+            error,
+            "Write npy instead.",
+        )
+    })?;
+    w.write_all(&bytes).map_err(|e| fault::write_error(&e))
+}
+
+/// The error of a program that was built without HDF5.
+///
+/// # Errors
+/// Always.
+#[cfg(not(feature = "hdf5"))]
+pub fn write_hdf5_video(_: &mut impl Write, _: &Video, _: f64) -> Result<()> {
+    Err(Error::input(
+        Parameter::Write,
+        "h5",
+        "this program was built without HDF5",
+        "Write npy or mat instead.",
+    )
+    .with_kind(ErrorKind::Unsupported))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::read::read_video;
+    use rowburst::Shape;
+
+    #[test]
+    fn videos_come_back_from_mat_and_hdf5() {
+        let shape = Shape::new(3, 4, 5);
+        let video = Video::new(shape, (0..60).map(|v| v as f32).collect()).unwrap();
+        let base = tempfile::tempdir().unwrap();
+        let mat = base.path().join("v.mat");
+        write_mat_video(&mut std::fs::File::create(&mat).unwrap(), &video, 9.6).unwrap();
+        let named = format!("{}:video", mat.display());
+        assert_eq!(read_video(named.as_ref()).unwrap(), video);
+        #[cfg(feature = "hdf5")]
+        {
+            let h5 = base.path().join("v.h5");
+            write_hdf5_video(&mut std::fs::File::create(&h5).unwrap(), &video, 9.6).unwrap();
+            let named = format!("{}:/video", h5.display());
+            assert_eq!(read_video(named.as_ref()).unwrap(), video);
+        }
+    }
+}

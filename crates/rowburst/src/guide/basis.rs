@@ -1,0 +1,190 @@
+//! Smooth functions of time and place: cosines, and cubic B-splines on a coarse grid.
+
+use rayon::prelude::*;
+use std::f64::consts::PI;
+
+/// Cosines over the bins, `√2 cos(πk(t + ½)/T)` and 1 for k = 0: mean square 1.
+pub(super) fn cosine(k: usize, bin: f64, bins: usize) -> f64 {
+    if k == 0 {
+        return 1.0;
+    }
+    2.0f64.sqrt() * (PI * k as f64 * (bin + 0.5) / bins as f64).cos()
+}
+
+/// The first `count` cosines over `bins`, `[k][t]`.
+pub(super) fn cosines(count: usize, bins: usize) -> Vec<Vec<f32>> {
+    let line = |k| {
+        (0..bins)
+            .map(|t| cosine(k, t as f64, bins) as f32)
+            .collect()
+    };
+    (0..count).map(line).collect()
+}
+
+/// Control points that a pixel depends on, and their weights.
+type Taps = [(usize, f32); 4];
+
+/// Cubic B-splines: images from control points on a coarse grid.
+#[derive(Clone)]
+pub(super) struct Spline {
+    along_y: Vec<Taps>,
+    along_x: Vec<Taps>,
+    grid: (usize, usize),
+}
+
+impl Spline {
+    /// Images of `rows` × `columns` pixels with a control point every `spacing` pixels, at least four along a side.
+    pub fn new(rows: usize, columns: usize, spacing: f64) -> Self {
+        let points = |n: usize| ((n as f64 / spacing).round() as usize).max(4);
+        let grid = (points(rows), points(columns));
+        Self {
+            along_y: taps(rows, grid.0),
+            along_x: taps(columns, grid.1),
+            grid,
+        }
+    }
+
+    /// Number of control points.
+    pub fn points(&self) -> usize {
+        self.grid.0 * self.grid.1
+    }
+
+    /// The images of several sets of control points, one after another.
+    pub fn expand(&self, control: &[f32]) -> Vec<f32> {
+        let (rows, columns) = (self.along_y.len(), self.along_x.len());
+        let mut images = vec![0.0; control.len() / self.points() * rows * columns];
+        let pairs = images.par_chunks_mut(rows * columns);
+        pairs
+            .zip(control.par_chunks(self.points()))
+            .for_each(|(image, control)| self.expand_one(control, image));
+        images
+    }
+
+    fn expand_one(&self, control: &[f32], image: &mut [f32]) {
+        let (width, columns) = (self.grid.1, self.along_x.len());
+        let mut line = vec![0.0f32; width];
+        for (taps, out) in self.along_y.iter().zip(image.chunks_exact_mut(columns)) {
+            line.fill(0.0);
+            for &(at, weight) in taps {
+                let control = &control[at * width..(at + 1) * width];
+                line.iter_mut()
+                    .zip(control)
+                    .for_each(|(l, c)| *l += weight * c);
+            }
+            for (out, taps) in out.iter_mut().zip(&self.along_x) {
+                *out = taps.iter().map(|&(at, weight)| weight * line[at]).sum();
+            }
+        }
+    }
+
+    /// The adjoint of [`Self::expand`].
+    pub fn reduce(&self, images: &[f32]) -> Vec<f32> {
+        let pixels = self.along_y.len() * self.along_x.len();
+        let mut control = vec![0.0; images.len() / pixels * self.points()];
+        let pairs = control.par_chunks_mut(self.points());
+        pairs
+            .zip(images.par_chunks(pixels))
+            .for_each(|(control, image)| self.reduce_one(image, control));
+        control
+    }
+
+    fn reduce_one(&self, image: &[f32], control: &mut [f32]) {
+        let (width, columns) = (self.grid.1, self.along_x.len());
+        let mut line = vec![0.0f32; width];
+        for (taps, values) in self.along_y.iter().zip(image.chunks_exact(columns)) {
+            line.fill(0.0);
+            for (value, taps) in values.iter().zip(&self.along_x) {
+                taps.iter()
+                    .for_each(|&(at, weight)| line[at] += weight * value);
+            }
+            for &(at, weight) in taps {
+                let control = &mut control[at * width..(at + 1) * width];
+                control
+                    .iter_mut()
+                    .zip(&line)
+                    .for_each(|(c, l)| *c += weight * l);
+            }
+        }
+    }
+
+    /// Adds `weight` times the membrane energy's gradient of one set of control points: differences of neighbours,
+    /// and a hundredth of the value itself.
+    pub fn add_membrane(&self, control: &[f32], weight: f32, out: &mut [f32]) {
+        let (rows, width) = self.grid;
+        for y in 0..rows {
+            for x in 0..width {
+                let at = y * width + x;
+                out[at] += 0.01 * weight * control[at];
+                let mut pair = |other: usize| {
+                    let difference = weight * (control[other] - control[at]);
+                    out[at] -= difference;
+                    out[other] += difference;
+                };
+                if x + 1 < width {
+                    pair(at + 1);
+                }
+                if y + 1 < rows {
+                    pair(at + width);
+                }
+            }
+        }
+    }
+}
+
+/// The taps of `n` pixels on `points` control points; those beyond the edge count for the edge.
+fn taps(n: usize, points: usize) -> Vec<Taps> {
+    let tap = |i: usize| {
+        let x = (i as f64 + 0.5) / n as f64 * points as f64 - 0.5;
+        let first = x.floor() as isize - 1;
+        std::array::from_fn(|k| {
+            let point = first + k as isize;
+            let at = point.clamp(0, points as isize - 1) as usize;
+            (at, b_spline((x - point as f64).abs()) as f32)
+        })
+    };
+    (0..n).map(tap).collect()
+}
+
+/// The cubic B-spline at distance `d`.
+fn b_spline(d: f64) -> f64 {
+    if d < 1.0 {
+        2.0 / 3.0 - d * d + d * d * d / 2.0
+    } else {
+        (2.0 - d).max(0.0).powi(3) / 6.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::vecmath::dot;
+
+    #[test]
+    fn splines_sum_to_one_and_reduce_is_the_adjoint() {
+        let spline = Spline::new(31, 22, 6.0);
+        let one = spline.expand(&vec![1.0; spline.points()]);
+        assert!(one.iter().all(|v| (v - 1.0).abs() < 1e-5));
+        let control: Vec<f32> = (0..2 * spline.points())
+            .map(|i| (i as f32 * 0.7).sin())
+            .collect();
+        let images: Vec<f32> = (0..2 * 31 * 22).map(|i| (i as f32 * 0.3).cos()).collect();
+        let forward = dot(&spline.expand(&control), &images);
+        let back = dot(&control, &spline.reduce(&images));
+        assert!((forward - back).abs() < 1e-4 * forward.abs().max(1.0));
+    }
+
+    #[test]
+    fn the_membrane_is_symmetric_and_positive() {
+        let spline = Spline::new(30, 30, 6.0);
+        let wave =
+            |s: f32| -> Vec<f32> { (0..spline.points()).map(|i| (i as f32 * s).sin()).collect() };
+        let of = |c: &[f32]| {
+            let mut out = vec![0.0; c.len()];
+            spline.add_membrane(c, 2.0, &mut out);
+            out
+        };
+        let (a, b) = (wave(0.7), wave(1.3));
+        assert!((dot(&of(&a), &b) - dot(&a, &of(&b))).abs() < 1e-4);
+        assert!(dot(&of(&a), &a) > 0.0);
+    }
+}

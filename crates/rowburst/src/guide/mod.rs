@@ -1,0 +1,524 @@
+//! Dense scenes with the picture of a second camera.
+//!
+//! One frame holds too few numbers for a video with light everywhere (`design::count`). An ordinary picture of the
+//! same scene, the guide `G`, brings what is missing: the frame has only to tell how the guide moves or changes its
+//! brightness. The models are
+//!
+//! ```text
+//! motion      v(x, t) = a G(x + d(x) + Σ_k τ_k(t) θ_k(x)) + c
+//! gain field  v(x, t) = G(x + d(x)) Σ_k τ_k(t) φ_k(x)
+//! still       v(x, t) = a G(x + d(x)) + c
+//! ```
+//!
+//! with cosines `τ_k` in time, and `θ_k`, `φ_k` on B-spline grids. The affine map `d` is found by registration on a coarse
+//! video without a guide, then from the frame. A tenth of the pixels of every row judges: [`fit`] drops a guide that
+//! predicts them worse than no guide (docs/design/028).
+
+mod affine;
+mod basis;
+mod decision;
+mod frame_fit;
+mod gain_field;
+mod least_squares;
+mod motion;
+mod picture;
+mod without_guide;
+
+pub use affine::Affine;
+
+use crate::{
+    Camera, Cancel, Error, ErrorKind, Image, Measurement, Parameter, Result, RollingShutter, Video,
+};
+use affine::{Field, register};
+use decision::Evidence;
+use frame_fit::FrameFit;
+use gain_field::{GainField, GainModel};
+use motion::{KeyFrame, Motion, MotionModel};
+use tracing::info;
+use without_guide::WithoutGuide;
+
+/// A picture of the scene by an ordinary camera. Its frame is that of the field: what differs by up to 5 % of a side, 2°
+/// and 2 % is found. It may have any number of pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Guide {
+    /// The picture `[y, x]`, in any unit of light.
+    pub image: Image,
+    /// When it was exposed; `None`: at an unknown time within the frame.
+    pub exposure: Option<GuideExposure>,
+}
+
+/// The exposure of a guide.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GuideExposure {
+    /// Middle of the exposure in microseconds from the start of the frame's first exposure.
+    pub time_us: f64,
+    /// Its length in microseconds.
+    pub exposure_us: f64,
+}
+
+/// What a scene does with the light of the guide.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum GuideModel {
+    /// The model is chosen by held-out pixels.
+    #[default]
+    Auto,
+    /// Things move.
+    Motion,
+    /// Places change their brightness.
+    Gain,
+    /// Nothing changes.
+    Still,
+}
+
+impl GuideModel {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Auto, Self::Motion, Self::Gain, Self::Still];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Motion => "motion",
+            Self::Gain => "gain",
+            Self::Still => "still",
+        }
+    }
+}
+
+/// A model that was tried.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GuideTrial {
+    /// The model.
+    pub model: GuideModel,
+    /// Highest cosine in time of a motion.
+    pub order: Option<usize>,
+    /// Rms error of the fitted pixels over σ.
+    pub fitted: f64,
+    /// Rms error of the held-out pixels over σ.
+    pub held_out: f64,
+}
+
+/// The video of a frame with a guide.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GuideFit {
+    /// The model of the video.
+    pub model: GuideModel,
+    /// The video in counts, `[t, y, x]`.
+    pub video: Video,
+    /// Counts of the video per unit of the guide.
+    pub gain: f64,
+    /// Counts of the video where the guide is zero; 0 for a gain field.
+    pub offset: f64,
+    /// Blur of the guide that fits the frame best, in pixels of the field.
+    pub blur_px: f64,
+    /// The map from the field to the guide.
+    pub affine: Affine,
+    /// The guide seen from the field; the first guide of several.
+    pub registered: Image,
+    /// Correlation of the registered guide with the coarse picture of the scene that the frame gives without it.
+    pub correlation: f64,
+    /// Rms displacement of a motion over the field and the bins, in pixels.
+    pub displacement_px: Option<f64>,
+    /// Number of parameters of the model.
+    pub degrees_of_freedom: f64,
+    /// The models that were tried.
+    pub trials: Vec<GuideTrial>,
+    /// Rms error of the held-out pixels over σ of the coarse video without a guide.
+    pub held_out_without: f64,
+    /// Whether the guide belongs to the frame.
+    pub used: bool,
+    /// Why it was used or dropped.
+    pub reason: String,
+}
+
+impl GuideFit {
+    /// The trial of the chosen model.
+    pub fn best(&self) -> &GuideTrial {
+        let of_model = self.trials.iter().filter(|t| t.model == self.model);
+        let best = of_model.min_by(|a, b| a.held_out.total_cmp(&b.held_out));
+        best.expect("the model was tried")
+    }
+}
+
+/// Highest cosines in time of the motions that are tried.
+const ORDERS: [usize; 3] = [2, 3, 5];
+/// Blurs of a fit from coarse to fine, in pixels of a field of 108, and of one that goes on from a coarser model.
+const BLURS_PX: [f64; 4] = [4.0, 2.0, 1.0, 0.0];
+const RESTART_BLURS_PX: [f64; 2] = [1.0, 0.0];
+/// Gauss–Newton steps at each blur; more gain little.
+const STEPS: usize = 6;
+/// Blurs of the guide that are compared at the end, in pixels.
+const GUIDE_BLURS_PX: [f64; 5] = [0.0, 0.5, 1.0, 1.5, 2.0];
+
+/// Fits the models of `model` to the frame and says whether the guide belongs to it. `sigma` is the noise of a pixel of
+/// weight 1 in counts. Several guides are key frames with times, and their model is motion.
+///
+/// # Errors
+/// No guide, several guides without times or with one time, a guide without light or with values that are not finite, or
+/// `cancel`.
+pub fn fit(
+    camera: &Camera,
+    operator: &RollingShutter,
+    measurement: &Measurement,
+    sigma: f64,
+    guides: &[Guide],
+    model: GuideModel,
+    cancel: &Cancel,
+) -> Result<GuideFit> {
+    check(guides, model)?;
+    let shape = operator.video_shape();
+    let frame = FrameFit::new(operator, measurement, sigma, cancel);
+    let key_frames: Vec<KeyFrame> = guides
+        .iter()
+        .map(|guide| KeyFrame {
+            image: normalised(&picture::on_grid(&guide.image, shape.rows, shape.columns)),
+            bins: guide.exposure.map(|e| bins_of(camera, e)),
+        })
+        .collect();
+    let without = WithoutGuide::new(&frame);
+    cancel.check()?;
+    let coarse = coarse_pictures(&frame, &without, &key_frames[0]);
+    let found = coarse
+        .iter()
+        .map(|coarse| register(coarse, &key_frames[0].image));
+    let best = found.max_by(|a, b| a.1.total_cmp(&b.1));
+    let (start, correlation) = best.expect("at least one picture");
+    info!(
+        "guide: registered, shift {:.2} and {:.2} px, correlation {correlation:.3}; without a guide held-out {:.3} σ",
+        start.parameters[0], start.parameters[3], without.held_out
+    );
+    cancel.check()?;
+    let search = Search {
+        frame: &frame,
+        key_frames: &key_frames,
+        start,
+        correlation,
+        held_out_without: without.held_out,
+        saturated: decision::saturated(&guides[0].image),
+        scale: f64::from(guides[0].image.max()),
+    };
+    search.run(model)
+}
+
+/// The inputs of the models.
+struct Search<'a> {
+    frame: &'a FrameFit<'a>,
+    key_frames: &'a [KeyFrame],
+    start: Affine,
+    correlation: f64,
+    held_out_without: f64,
+    /// Part of the guide's pixels at its greatest value.
+    saturated: f64,
+    /// Greatest value of the first guide, by which the guides were divided.
+    scale: f64,
+}
+
+/// A fitted model.
+enum Fitted {
+    Motion { order: usize, motion: Motion },
+    Gain(GainField),
+    Still,
+}
+
+/// A model with its video and errors.
+struct Candidate {
+    trial: GuideTrial,
+    fitted: Fitted,
+}
+
+impl Search<'_> {
+    fn run(&self, model: GuideModel) -> Result<GuideFit> {
+        let mut candidates = Vec::new();
+        let wants = |one| model == GuideModel::Auto || model == one;
+        if wants(GuideModel::Still) {
+            candidates.push(self.still());
+        }
+        if wants(GuideModel::Motion) {
+            candidates.extend(self.motions());
+        }
+        self.frame.cancel().check()?;
+        if wants(GuideModel::Gain) && self.key_frames.len() == 1 {
+            candidates.push(self.gain_field());
+        }
+        self.frame.cancel().check()?;
+        let trials: Vec<GuideTrial> = candidates.iter().map(|c| c.trial).collect();
+        let evidence = Evidence {
+            trials: &trials,
+            held_out_without: self.held_out_without,
+            correlation: self.correlation,
+            saturated: self.saturated,
+            deviation: self
+                .start
+                .deviation(0.5 * self.frame.shape().rows.max(self.frame.shape().columns) as f64),
+        };
+        let chosen = decision::choose(&trials);
+        let (used, reason) = evidence.verdict(&trials[chosen]);
+        info!("guide {reason}");
+        let candidate = candidates.swap_remove(chosen);
+        self.finish(candidate, trials, used, reason)
+    }
+
+    fn candidate(&self, fitted: Fitted, video: &[f32]) -> Candidate {
+        let (fitted_error, held_out) = self.frame.errors(video);
+        let (model, order) = match &fitted {
+            Fitted::Motion { order, .. } => (GuideModel::Motion, Some(*order)),
+            Fitted::Gain(_) => (GuideModel::Gain, None),
+            Fitted::Still => (GuideModel::Still, None),
+        };
+        info!(
+            "guide: {} {order:?}: fitted {fitted_error:.3} σ, held-out {held_out:.3} σ",
+            model.name()
+        );
+        Candidate {
+            trial: GuideTrial {
+                model,
+                order,
+                fitted: fitted_error,
+                held_out,
+            },
+            fitted,
+        }
+    }
+
+    fn still(&self) -> Candidate {
+        let (.., video) = gain_field::still(self.frame, &self.key_frames[0].image, &self.start);
+        self.candidate(Fitted::Still, &video)
+    }
+
+    fn gain_field(&self) -> Candidate {
+        let model = GainModel::new(self.frame, &self.key_frames[0].image, self.start);
+        let found = model.fit();
+        let video = model.video(&found);
+        self.candidate(Fitted::Gain(found), &video)
+    }
+
+    /// Motions with more and more cosines, each from the one before.
+    fn motions(&self) -> Vec<Candidate> {
+        let mut candidates = Vec::new();
+        let mut last: Option<(MotionModel, Motion)> = None;
+        let bins = self.frame.shape().bins;
+        for order in ORDERS.into_iter().filter(|order| *order < bins) {
+            if self.frame.cancel().is_cancelled() {
+                break;
+            }
+            let model = self.motion_model(self.frame, order);
+            let motion = match &last {
+                Some((before, motion)) => {
+                    let mut motion = model.extended(before, motion);
+                    model.fit(&mut motion, &RESTART_BLURS_PX, STEPS);
+                    motion
+                }
+                None => {
+                    let mut motion = model.at_rest();
+                    model.fit(&mut motion, &BLURS_PX, STEPS);
+                    motion
+                }
+            };
+            let video = model.video(&motion);
+            let fitted = Fitted::Motion {
+                order,
+                motion: motion.clone(),
+            };
+            candidates.push(self.candidate(fitted, &video));
+            last = Some((model, motion));
+        }
+        candidates
+    }
+
+    fn motion_model<'f>(&self, frame: &'f FrameFit<'f>, order: usize) -> MotionModel<'f> {
+        MotionModel::new(frame, self.key_frames, self.start, order)
+    }
+
+    /// The result, with all pixels fitted.
+    fn finish(
+        &self,
+        candidate: Candidate,
+        trials: Vec<GuideTrial>,
+        used: bool,
+        reason: String,
+    ) -> Result<GuideFit> {
+        let shape = self.frame.shape();
+        let whole = self.frame.with_all_pixels();
+        let mut displacement_px = None;
+        let (video, affine, gain, offset, blur_px, parameters) = match candidate.fitted {
+            Fitted::Motion { order, mut motion } => {
+                let model = self.motion_model(&whole, order);
+                model.fit(&mut motion, &[0.0], 2);
+                let blur = model.best_blur(&motion, &GUIDE_BLURS_PX);
+                displacement_px = Some(model.rms_displacement_px(&motion));
+                let (video, gain, offset) = model.blurred_video(&motion, blur);
+                let affine = model.affine(&motion);
+                (video, affine, gain, offset, blur, model.parameters())
+            }
+            Fitted::Gain(mut found) => {
+                let model = GainModel::new(&whole, &self.key_frames[0].image, self.start);
+                model.refit(&mut found);
+                let video = model.video(&found);
+                (
+                    video,
+                    found.affine,
+                    found.gain,
+                    0.0,
+                    0.0,
+                    model.parameters(),
+                )
+            }
+            Fitted::Still => {
+                let guide = &self.key_frames[0].image;
+                let (gain, offset, video) = gain_field::still(&whole, guide, &self.start);
+                (video, self.start, gain, offset, 0.0, 8)
+            }
+        };
+        let field = Field {
+            rows: shape.rows,
+            columns: shape.columns,
+        };
+        Ok(GuideFit {
+            model: candidate.trial.model,
+            video: Video::new(shape, video)?,
+            gain: gain / self.scale,
+            offset,
+            blur_px,
+            affine,
+            registered: field.warp(&self.key_frames[0].image, &affine),
+            correlation: self.correlation,
+            displacement_px,
+            degrees_of_freedom: parameters as f64,
+            trials,
+            held_out_without: self.held_out_without,
+            used,
+            reason,
+        })
+    }
+}
+
+/// Parts of the video that a guide of unknown time is compared with, beside the whole of it.
+const PARTS: usize = 4;
+
+/// The coarse video without a guide at the time of the guide. Where that is unknown, its mean and the means of its parts.
+fn coarse_pictures(frame: &FrameFit, without: &WithoutGuide, guide: &KeyFrame) -> Vec<Image> {
+    let bins = frame.shape().bins;
+    if let Some((from, to)) = guide.bins {
+        let bin = |t: f64| t.round().clamp(0.0, (bins - 1) as f64) as usize;
+        return vec![mean_picture(frame, without, bin(from)..=bin(to))];
+    }
+    let parts = PARTS.min(bins);
+    let part = |p: usize| p * bins / parts..=((p + 1) * bins / parts - 1);
+    std::iter::once(0..=bins - 1)
+        .chain((0..parts).map(part))
+        .map(|bins| mean_picture(frame, without, bins))
+        .collect()
+}
+
+/// The mean of the coarse video over `bins`.
+fn mean_picture(
+    frame: &FrameFit,
+    without: &WithoutGuide,
+    bins: std::ops::RangeInclusive<usize>,
+) -> Image {
+    let shape = frame.shape();
+    let count = bins.clone().count() as f32;
+    let mut picture = Image::zeros(shape.rows, shape.columns);
+    for t in bins {
+        let bin = &without.video[t * shape.pixels()..(t + 1) * shape.pixels()];
+        let pixels = picture.data_mut().iter_mut().zip(bin);
+        pixels.for_each(|(p, v)| *p += v / count);
+    }
+    picture
+}
+
+/// First and last place of an exposure on the axis of bins, on which bin `t` has its middle at `t`.
+fn bins_of(camera: &Camera, exposure: GuideExposure) -> (f64, f64) {
+    let params = camera.params();
+    let rows = params.exposure_us / params.row_time_us;
+    // The video begins a part of a row before the first exposure where that is no whole number of rows.
+    let lead_us = (rows.ceil() - rows).max(0.0) * params.row_time_us;
+    let bin_us = camera.time().bin_duration_us();
+    let place = |us: f64| (us + lead_us) / bin_us - 0.5;
+    let half = 0.5 * exposure.exposure_us;
+    (
+        place(exposure.time_us - half),
+        place(exposure.time_us + half),
+    )
+}
+
+/// The image with greatest value 1.
+fn normalised(image: &Image) -> Image {
+    let mut image = image.clone();
+    let peak = image.max();
+    image.data_mut().iter_mut().for_each(|p| *p /= peak);
+    image
+}
+
+fn check(guides: &[Guide], model: GuideModel) -> Result<()> {
+    let fault = |found: String, rule: &'static str, remedy: &'static str| {
+        Err(Error::input(Parameter::Guide, found, rule, remedy))
+    };
+    if guides.is_empty() {
+        return fault(
+            "no picture".into(),
+            "there is at least one",
+            "Give a picture of the scene.",
+        );
+    }
+    for guide in guides {
+        if let Some((y, x)) = guide.image.first_non_finite() {
+            let value = guide.image.at(y, x);
+            return fault(
+                format!("{value} in row {y}, column {x}"),
+                "every pixel is a finite number",
+                "Check the picture.",
+            );
+        }
+        let (least, most) = (guide.image.min(), guide.image.max());
+        if most <= 0.0 || most == least {
+            return fault(
+                format!("values from {least} to {most}"),
+                "a picture has light and shade",
+                "Check the exposure of the second camera.",
+            );
+        }
+        let is_bad = |e: &GuideExposure| {
+            !(e.time_us.is_finite() && e.exposure_us.is_finite() && e.exposure_us >= 0.0)
+        };
+        if let Some(exposure) = guide.exposure.filter(|e| is_bad(e)) {
+            return fault(
+                format!("{} µs at {} µs", exposure.exposure_us, exposure.time_us),
+                "time and exposure are finite, and an exposure is not below zero",
+                "Leave both out where the time is unknown.",
+            );
+        }
+    }
+    if guides.len() > 1 {
+        check_key_frames(guides, model)?;
+    }
+    Ok(())
+}
+
+/// Several guides need different times, and move.
+fn check_key_frames(guides: &[Guide], model: GuideModel) -> Result<()> {
+    let mut times: Vec<f64> = guides
+        .iter()
+        .filter_map(|g| g.exposure.map(|e| e.time_us))
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    if times.len() < guides.len() {
+        return Err(Error::input(
+            Parameter::Guide,
+            format!("{} pictures with {} times", guides.len(), times.len()),
+            "each of several pictures has a time of its own",
+            "Give time_us and exposure_us of every picture, or one picture.",
+        ));
+    }
+    if matches!(model, GuideModel::Gain | GuideModel::Still) {
+        return Err(Error::input(
+            Parameter::Guide,
+            format!("{} pictures for the model {}", guides.len(), model.name()),
+            "several pictures are key frames of a motion",
+            "Give one picture, or the model motion.",
+        )
+        .with_kind(ErrorKind::Unsupported));
+    }
+    Ok(())
+}

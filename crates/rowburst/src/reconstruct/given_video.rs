@@ -1,0 +1,53 @@
+//! The reconstruction of a video that another model has made of the frame.
+
+use super::{Prior, Problem, Reconstruction, RunResult};
+use crate::linop::Background;
+use crate::solve::admm::Solution;
+use crate::solve::{Certificate, DataTerm, StopReason};
+use crate::{Measurement, Result, RollingShutter, Video};
+
+impl Problem {
+    /// The operator `A`.
+    pub fn operator(&self) -> &RollingShutter {
+        self.data.shutter()
+    }
+
+    /// The corrected frame.
+    pub fn measurement(&self) -> &Measurement {
+        &self.measurement
+    }
+
+    /// Judges `video` as the reconstruction of the frame: residual, fit and coverage. `degrees_of_freedom` is the number
+    /// of parameters that it was fitted with. `τ` is zero, and there is no bound on the objective.
+    ///
+    /// # Errors
+    /// Those of [`Problem::solve`].
+    ///
+    /// # Panics
+    /// If the video has another shape than the camera's.
+    pub fn judge(mut self, video: Video, degrees_of_freedom: f64) -> Result<Reconstruction> {
+        assert_eq!(video.shape(), self.data.shape(), "shape of the video");
+        if self.data.background() != Background::None {
+            self.data.reset(Background::None, None);
+        }
+        let predicted = self.data.weigh(&self.data.predicted(video.data()));
+        let pairs = self.data.measurements().iter().zip(&predicted);
+        let residual: Vec<f32> = pairs.map(|(b, a)| b - a).collect();
+        let primal = 0.5 * crate::vecmath::norm_squared(&residual);
+        let result = RunResult {
+            prior: Prior::STANDARD,
+            choice: None,
+            solution: Solution {
+                video: video.into_data(),
+                residual,
+                tau: 0.0,
+                iterations: 0,
+                stop_reason: StopReason::Converged,
+                support_fraction: 1.0,
+                degrees_of_freedom,
+                certificate: Certificate { primal, dual: 0.0 },
+            },
+        };
+        self.build_reconstruction(result, &[])
+    }
+}

@@ -1,0 +1,232 @@
+"""Frames of cameras with their settings: recordings played back, Micro-Manager, and anything that yields arrays.
+
+Tried on emulated cameras alone.
+
+>>> np.save("frames.npy", np.full((3, 24, 30), 100, np.uint16))
+>>> camera = rb.capture.open("play:frames.npy?rate=max")
+>>> [int(frame.image.max()) for frame in camera]
+[100, 100, 100]
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _rowburst
+from ._errors import input_error
+
+__all__ = ["Capture", "CapturedFrame", "Property", "from_arrays", "from_mmcore", "open"]
+
+
+@dataclass(frozen=True)
+class Property:
+    """A property of a camera, as its driver names it."""
+
+    name: str
+    #: ``None`` where it is unknown.
+    value: str | None
+    #: ``"read"``, ``"calculated"`` or ``"unknown"``.
+    origin: str = "read"
+
+
+@dataclass(frozen=True)
+class CapturedFrame:
+    """A frame of a camera."""
+
+    #: Counts ``[y, x]``, ``uint16``; ``y`` is the axis that the shutter scans.
+    image: NDArray[np.uint16]
+    #: Number of the frame as the source counts; a gap is a dropped frame.
+    number: int
+    #: On the clock of the source, in microseconds.
+    time_us: int | None
+    #: What is wrong with the frame; ``None`` where it is whole.
+    incomplete: str | None = None
+
+
+#: Number, time, counts, fault and last number, as the extension gives them.
+_Delivery = tuple[int, int | None, NDArray[np.uint16] | None, str | None, int]
+
+
+class Capture(Iterator[CapturedFrame]):
+    """The frames of a source, one after the other. :func:`open`, :func:`from_mmcore` and :func:`from_arrays` make it."""
+
+    def __init__(self, name: str, settings: list[Property], deliveries: Iterator[_Delivery]) -> None:
+        #: What a user calls the source.
+        self.name = name
+        #: The settings of the camera at the start.
+        self.settings = settings
+        #: First number, last number and reason of frames that never arrived.
+        self.lost: list[tuple[int, int, str]] = []
+        self._deliveries = deliveries
+
+    def __next__(self) -> CapturedFrame:
+        for number, time_us, image, fault, last in self._deliveries:
+            if image is None:
+                self.lost.append((number, last, fault or ""))
+            else:
+                return CapturedFrame(image, number, time_us, fault)
+        raise StopIteration
+
+    def _tuples(self) -> list[tuple[str, str | None, str]]:
+        return [(p.name, p.value, p.origin) for p in self.settings]
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """What the settings mean: row time, shutter and so on, with ``provenance`` and ``findings``."""
+        reading: dict[str, Any] = json.loads(_rowburst._read_properties(self.name, self._tuples()))
+        return reading
+
+    @property
+    def experiment(self) -> str:
+        """The text of an experiment file with these settings; each number says where it comes from."""
+        return str(self.reading["experiment"])
+
+    def record(self, path: str | PathLike[str], count: int | None = None, *, purpose: str = "record") -> dict[str, Any]:
+        """Record ``count`` frames, or all, as a 16-bit TIFF stack with ``NAME.json`` beside it.
+
+        Parameters
+        ----------
+        path : path
+            A ``.tif`` that does not exist yet.
+        count : int, optional
+            Number of frames.
+        purpose : str
+            ``"record"``; ``"darks"``, ``"flats"``, ``"psf"`` and ``"timing"`` leave incomplete frames out.
+
+        Returns
+        -------
+        dict
+            The record, as in the file: ``written``, ``dropped``, ``incomplete``, ``lost``, ``warnings``.
+
+        Raises
+        ------
+        InputError
+            Settings with which frames are of no use, such as a global shutter, or a file that exists.
+        WorkError
+            No frame, or a disk that is full: the frames before it are kept.
+        """
+        recorder = _rowburst._Recorder(path, purpose, self.name, self._tuples(), count)
+        ended, written = "source", 0
+        try:
+            while count is None or written < count:
+                delivery = next(self._deliveries, None)
+                if delivery is None:
+                    break
+                recorder.take(*delivery)
+                written += delivery[2] is not None and (delivery[3] is None or purpose == "record")
+            else:
+                ended = "complete"
+        except KeyboardInterrupt:
+            recorder.finish("interrupted")
+            raise
+        except Exception as error:
+            recorder.finish(str(error))
+            raise
+        record: dict[str, Any] = json.loads(recorder.finish(ended))
+        return record
+
+
+def open(source: str) -> Capture:  # noqa: A001
+    """The frames of ``source``: ``play:PATH`` plays a recording back.
+
+    Parameters
+    ----------
+    source : str
+        ``play:PATH``: a TIFF stack, ``.npy``, a folder of images, or Zarr, at its own pace. ``play:PATH?rate=HZ`` plays
+        it at another, ``?rate=max`` as fast as it goes, ``&loop`` again and again.
+
+    Raises
+    ------
+    InputError
+        A kind of source that does not exist, or a recording that cannot be read.
+    """
+    frames = _rowburst._Source(source)
+    settings = json.loads(frames.settings())
+
+    def deliveries() -> Iterator[_Delivery]:
+        while (delivery := frames.next()) is not None:
+            yield delivery
+
+    properties = [Property(**p) for p in settings["properties"]]
+    return Capture(source, properties, deliveries())
+
+
+def from_arrays(frames: Iterable[Any], settings: Mapping[str, object] | None = None, *, name: str = "arrays") -> Capture:
+    """The frames of anything that yields arrays ``[y, x]`` of counts.
+
+    Parameters
+    ----------
+    frames : iterable of arrays
+        Unsigned integers of up to 16 bits.
+    settings : mapping, optional
+        Names and values of the camera's properties; keys of the experiment file, such as ``row_time_us``, are known, too.
+    name : str
+        What errors call the source.
+    """
+    start = time.monotonic()
+
+    def deliveries() -> Iterator[_Delivery]:
+        for number, frame in enumerate(frames):
+            yield number, int(1e6 * (time.monotonic() - start)), _counts(frame, name, number), None, number
+
+    properties = [Property(key, str(value)) for key, value in (settings or {}).items()]
+    return Capture(name, properties, deliveries())
+
+
+def from_mmcore(core: Any, *, camera: str | None = None) -> Capture:
+    """The camera of a Micro-Manager core: ``pymmcore.CMMCore``, ``pymmcore_plus.CMMCorePlus`` or the like.
+
+    Every frame is snapped by itself, so none is dropped. The properties of the camera device are its settings: those
+    of Andor SDK3, PCO, Hamamatsu DCAM and PVCAM that give row time and readout order are known.
+
+    Parameters
+    ----------
+    core : CMMCore
+        A core whose camera is set up.
+    camera : str, optional
+        Label of the camera; by default that of the core.
+    """
+    label = camera or core.getCameraDevice()
+    if not label:
+        rule = "the core has a camera"
+        raise input_error("core", "no camera", rule, "Load one: core.setCameraDevice(label).", kind="missing")
+    if camera is not None:
+        core.setCameraDevice(camera)
+    names = core.getDevicePropertyNames(label)
+    properties = [Property(str(name), str(core.getProperty(label, name))) for name in names]
+    known = {p.name for p in properties}
+    if "Exposure" not in known:
+        properties.append(Property("Exposure", str(core.getExposure())))
+    left, top, columns, rows = core.getROI()
+    for key, value in (("rows", rows), ("columns", columns), ("top", top), ("left", left)):
+        properties.append(Property(key, str(value)))
+    bits = core.getImageBitDepth()
+    if "BitDepth" not in known and bits < 16:
+        properties.append(Property("BitDepth", str(bits)))
+
+    def deliveries() -> Iterator[_Delivery]:
+        start, number = time.monotonic(), 0
+        while True:
+            core.snapImage()
+            yield number, int(1e6 * (time.monotonic() - start)), _counts(core.getImage(), label, number), None, number
+            number += 1
+
+    return Capture(f"mmcore:{label}", properties, deliveries())
+
+
+def _counts(frame: Any, name: str, number: int) -> NDArray[np.uint16]:
+    """The frame as counts of 16 bits."""
+    array = np.asarray(frame)
+    if array.ndim != 2 or array.dtype not in (np.uint8, np.uint16):
+        found = f"frame {number} of type {array.dtype} and shape {array.shape}"
+        rule = "a frame is an array [y, x] of uint8 or uint16"
+        raise input_error(name, found, rule, "Set the camera to 16-bit grey; do not correct or average.", kind="unsupported")
+    return np.ascontiguousarray(array, np.uint16)

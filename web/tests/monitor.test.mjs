@@ -1,0 +1,83 @@
+// The page of rowburst live, over a recording that is played back.
+
+import { after, before, test } from "node:test";
+import assert from "node:assert/strict";
+import { mkdir, readFile, readdir, rm, writeFile } from "node:fs/promises";
+import { join } from "node:path";
+import { chromium, open, results, serve, until } from "./browser.mjs";
+
+let browser;
+before(async () => (browser = await chromium()));
+after(() => browser?.close());
+
+/** Stores `count` times the frame of the demo as 16-bit counts, each a little brighter than the one before. */
+async function recording(path, count) {
+  const bytes = await readFile(join(results, "leds", "frame.npy"));
+  const header = bytes.readUInt16LE(8);
+  const [rows, columns] = bytes.toString("latin1", 10, 10 + header).match(/\((\d+), (\d+)/).slice(1).map(Number);
+  const frame = new Float32Array(rows * columns);
+  for (let i = 0; i < frame.length; i++) frame[i] = bytes.readFloatLE(10 + header + 4 * i);
+  const most = frame.reduce((a, b) => Math.max(a, b));
+  const counts = new Uint16Array(count * frame.length);
+  for (let t = 0; t < count; t++) {
+    for (let i = 0; i < frame.length; i++) {
+      counts[t * frame.length + i] = Math.max(0, Math.round((frame[i] / most) * (40000 + 100 * t)));
+    }
+  }
+  const words = `{'descr': '<u2', 'fortran_order': False, 'shape': (${count}, ${rows}, ${columns}), }`.padEnd(117) + "\n";
+  const head = Buffer.from(`\x93NUMPY\x01\x00\x00\x00${words}`, "latin1");
+  head.writeUInt16LE(words.length, 8);
+  await writeFile(path, Buffer.concat([head, Buffer.from(counts.buffer)]));
+}
+
+test("a camera is looked at, recorded, and its frame reconstructed in full", async () => {
+  const folder = join(results, "live");
+  await rm(folder, { recursive: true, force: true });
+  await mkdir(folder);
+  await recording(join(folder, "frames.npy"), 8);
+  const experiment = join(results, "leds", "experiment.toml");
+  const live = await serve(
+    ["live", experiment, "--source", `play:${join(folder, "frames.npy")}?rate=15&loop`, "--time-budget-s", "0.3", "--port", "0", "--no-open", "-o", join(folder, "kept")],
+    "stdout",
+  );
+  const { page, faults } = await open(browser, live.url);
+  const numbers = () => page.$eval("#monitor-numbers", (e) => e.innerText);
+  await until(async () => /Videos a second\s+[\d.]/.test(await numbers()), 30_000);
+  assert.match(await numbers(), /Saturated\s+0 %[^]*Speckle contrast\s+[\d.]+[^]*Grain\s+[\d.]+ px[^]*Latency\s+[\d.]+ ms/);
+  const colours = (selector) =>
+    page.$eval(selector, (c) => new Set(new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer)).size);
+  assert.ok((await colours("#raw-frame")) > 50, "the raw frame is drawn");
+  assert.ok((await colours("canvas.picture")) > 10, "the video is drawn");
+  await page.click("#record");
+  await until(async () => /Stop \([3-9] frames\)/.test(await page.$eval("#record", (e) => e.textContent)));
+  await page.click("#record");
+  const message = () => page.$eval("#monitor-message", (e) => e.textContent);
+  await until(async () => /kept \d+ frames in recording\.tif/.test(await message()));
+  await page.click("#snapshot");
+  await until(async () => /kept .*frame-\d+\.tif/.test(await message()));
+  await page.click("#save-full");
+  await until(async () => /the result is in/.test(await message()), 60_000);
+  await page.screenshot({ path: join(folder, "live.png") });
+  const kept = await readdir(join(folder, "kept"));
+  const record = JSON.parse(await readFile(join(folder, "kept", "recording.json"), "utf8"));
+  assert.ok(record.written >= 3 && record.frames.length === record.written, `${kept}`);
+  const result = kept.find((name) => /^frame-\d+(-2)?$/.test(name));
+  assert.ok((await readdir(join(folder, "kept", result))).includes("result.json"), `${kept}`);
+  assert.deepEqual(faults, []);
+  live.stop();
+  await until(() => live.child.exitCode !== null);
+  assert.equal(live.child.exitCode, 130);
+  await page.close();
+});
+
+test("without an experiment the raw frame is shown", async () => {
+  const live = await serve(["live", "--source", `play:${join(results, "live", "frames.npy")}?rate=15`, "--port", "0", "--no-open"], "stdout");
+  const { page, faults } = await open(browser, live.url);
+  await page.waitForSelector("#raw-frame");
+  await until(async () => /no more frames/.test(await page.$eval("#monitor-message", (e) => e.textContent)));
+  assert.equal(await page.$eval("#save-full", (e) => e.disabled), true);
+  assert.match(await page.$eval("#monitor-warnings", (e) => e.textContent), /row time is not known/);
+  assert.deepEqual(faults, []);
+  live.stop();
+  await page.close();
+});
