@@ -9,7 +9,7 @@ from html import escape
 from os import PathLike, fspath
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -426,7 +426,7 @@ def _pictures(guide: ArrayLike | Sequence[ArrayLike] | None) -> list[ArrayLike] 
         return None
     if isinstance(guide, (list, tuple)) and all(isinstance(g, (str, PathLike)) or np.ndim(g) == 2 for g in guide):
         return list(guide)
-    return [guide]
+    return [cast("ArrayLike", guide)]
 
 
 def reconstruct(
