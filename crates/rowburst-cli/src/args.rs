@@ -499,7 +499,13 @@ fn parse_snr(text: &str) -> Result<f64, String> {
 
 /// The help of `--prior`, with all terms.
 fn prior_help() -> String {
-    let names: Vec<&str> = rowburst::Prior::names().collect();
-    let names = names.join(", ");
-    format!("The prior: auto, or terms of {names} joined by +, such as tv+0.5*tdiff")
+    let terms: Vec<String> = rowburst::prox::TERMS
+        .iter()
+        .map(|term| format!("{} ({})", term.name, term.favours))
+        .collect();
+    let terms = terms.join(", ");
+    format!(
+        "The prior: auto, or terms joined by +, such as tv+0.5*tdiff+support. They favour: {terms}; support leaves \
+         voxels without light out"
+    )
 }

@@ -7,15 +7,15 @@ pub mod composite;
 pub mod dual;
 #[cfg(test)]
 mod example;
+mod fused;
 pub mod lowrank;
 pub mod restricted;
 mod rows;
 pub mod sparse;
 pub mod sum_prior;
-pub mod term;
+mod term;
 pub mod variation;
 pub mod variation3d;
-mod wavefront;
 
 pub use composite::Composite;
 pub use dual::DualTerm;
@@ -23,11 +23,27 @@ pub use lowrank::LowRank;
 pub use restricted::Restricted;
 pub use sparse::Sparse;
 pub use sum_prior::SumPrior;
-pub use term::{TERMS, TermForm, TermSpec};
+pub(crate) use term::TermForm;
+pub use term::TermSpec;
 pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 
 use crate::Support;
+
+/// The convex terms, in the order in which a prior is written.
+pub const TERMS: &[TermSpec] = &[
+    fused::TV,
+    fused::TDIFF,
+    fused::L1,
+    variation3d::TV3D,
+    variation3d::TV3D_ANISO,
+    sparse::DCT,
+    sparse::WAVELET,
+    composite::GROUP,
+    lowrank::LOWRANK,
+    fused::BACKGROUND,
+    lowrank::LOWRANK_BACKGROUND,
+];
 
 /// A convex prior `R(v)` that includes the constraint `v ≥ 0`.
 ///

@@ -1,24 +1,10 @@
-//! The table of the convex terms from which priors are built.
+//! A convex term of which priors are built; [`super::TERMS`] is their table.
 
-use super::{DualTerm, Prox, VariationWeights};
-use super::{composite, lowrank, sparse, variation, variation3d};
+use super::Prox;
+use super::dual::DualTerm;
+use super::variation::VariationWeights;
 use crate::Shape;
 use crate::linop::Background;
-
-/// The convex terms, in the order in which a prior is written.
-pub const TERMS: &[TermSpec] = &[
-    variation::TV,
-    variation::TDIFF,
-    variation::L1,
-    variation3d::TV3D,
-    variation3d::TV3D_ANISO,
-    sparse::DCT,
-    sparse::WAVELET,
-    composite::GROUP,
-    lowrank::LOWRANK,
-    variation::BACKGROUND,
-    lowrank::LOWRANK_BACKGROUND,
-];
 
 /// A convex term `R(v)` of a prior: its name, and how it is computed.
 #[derive(Debug, Clone, Copy)]
@@ -35,11 +21,11 @@ pub struct TermSpec {
     /// more in each iteration (docs/design/012).
     pub unit: fn(Shape) -> f64,
     /// How it is computed.
-    pub form: TermForm,
+    pub(crate) form: TermForm,
 }
 
 impl TermSpec {
-    /// A [`TermForm::Dual`] term on single voxels or their differences.
+    /// A term that is computed in its dual, on single voxels or their differences.
     pub const fn dual(
         name: &'static str,
         favours: &'static str,
@@ -66,7 +52,7 @@ impl TermSpec {
 
 /// How a term is computed.
 #[derive(Debug, Clone, Copy)]
-pub enum TermForm {
+pub(crate) enum TermForm {
     /// In one pass with the other terms of [`super::Variation`]: its weight there.
     Fused(fn(&mut VariationWeights) -> &mut f64),
     /// In closed form by [`super::Composite`]: the norm over time of each pixel.

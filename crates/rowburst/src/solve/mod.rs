@@ -5,14 +5,17 @@
 pub mod admm;
 pub mod block_band;
 pub mod blocks;
+mod capabilities;
 pub mod certificate;
 pub mod conjugate_gradient;
 pub mod coupled_blocks;
 
+pub(crate) use capabilities::write_adjoint;
+pub use capabilities::{Capabilities, DataHints, FusedAdjoint, ProblemSize};
 pub use certificate::Certificate;
 
 use crate::Support;
-use crate::linop::{LinearOperator, WritePart};
+use crate::linop::LinearOperator;
 
 /// Why a solver stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,11 +81,6 @@ pub trait DataTerm: Send {
         }
     }
 
-    /// Whether the run is cancelled. Then [`Self::solve_gram`] may return early, with a wrong solution.
-    fn is_cancelled(&self) -> bool {
-        false
-    }
-
     /// Computes the weights of the measurements afresh, where the noise depends on the light of `video`.
     ///
     /// Returns whether it did. If so, [`Self::operator`] and [`Self::measurements`] have changed, since they contain
@@ -91,64 +89,8 @@ pub trait DataTerm: Send {
         false
     }
 
-    /// What the solver may know of the cost of a step.
-    fn hints(&self) -> DataHints {
-        DataHints::default()
+    /// What it offers beside the mathematics; by default nothing.
+    fn capabilities(&self) -> Capabilities<'_> {
+        Capabilities::default()
     }
-
-    /// `P Aᵀ` without memory for a whole video; `None`: there is none.
-    fn fused_adjoint(&self) -> Option<&dyn FusedAdjoint> {
-        None
-    }
-}
-
-/// What a solver may know of the cost of a data term. It chooses constants of the iteration, and with them, where the
-/// support makes the problem non-convex, which of its solutions is found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct DataHints {
-    /// How much a new `ρ` costs.
-    pub size: admm::ProblemSize,
-    /// Most active voxels of a bin for which a restricted x-step takes less time than an unrestricted one.
-    ///
-    /// A bin with more is unrestricted in the x-step; the prior alone keeps its inactive voxels at zero.
-    pub max_restricted_voxels: usize,
-}
-
-impl Default for DataHints {
-    fn default() -> Self {
-        Self {
-            size: admm::ProblemSize::Small,
-            max_restricted_voxels: usize::MAX,
-        }
-    }
-}
-
-/// A data term that computes `P Aᵀ y` part by part.
-pub trait FusedAdjoint {
-    /// Calls `write(start, part, target)` for each part of [`DataTerm::adjoint_on`], in any order and in parallel:
-    /// `part` is the result from element `start` on, and `target` has the same elements of the argument `target`.
-    /// Parts without an active voxel may be left out.
-    fn adjoint_each(
-        &self,
-        y: &[f32],
-        support: Option<&Support>,
-        target: &mut [f32],
-        write: WritePart,
-    );
-}
-
-/// [`FusedAdjoint::adjoint_each`] of any data term.
-pub(crate) fn write_adjoint(
-    data: &dyn DataTerm,
-    y: &[f32],
-    support: Option<&Support>,
-    target: &mut [f32],
-    write: WritePart,
-) {
-    if let Some(fused) = data.fused_adjoint() {
-        return fused.adjoint_each(y, support, target, write);
-    }
-    let mut video = vec![0.0; target.len()];
-    data.adjoint_on(y, support, &mut video);
-    crate::linop::write_parts(&video, target, write);
 }

@@ -12,23 +12,20 @@
 //! call to call. An outer solver changes `q` little between calls. Two plain steps per call are then as good as five
 //! accelerated ones, and need no momentum arrays (docs/design/012).
 //!
-//! All steps of a call share one pass of the video through memory (`prox::wavefront`, docs/design/013).
+//! All steps of a call share one pass of the video through memory (`wavefront.rs`, docs/design/013).
 
 mod bin;
-mod terms;
-
-pub use terms::{BACKGROUND, L1, TDIFF, TV};
+mod wavefront;
 
 use super::Prox;
 use super::rows::Rows;
-use super::wavefront::{BinView, Previous, SpatialDuals, Stencil, Tile, Wavefront};
 use crate::vecmath::simd;
 use crate::{Shape, Support};
-pub(super) use bin::Dual;
-use bin::{Bin, DualOrZeros, Duals, Space, StepFactor, Time, add_row, unit};
+use bin::{Bin, Dual, DualOrZeros, Duals, Space, StepFactor, Time, add_row, unit};
 use rayon::prelude::*;
 use std::mem::take;
 use std::ops::Range;
+use wavefront::{BinView, Previous, SpatialDuals, Stencil, Tile, Wavefront};
 
 /// Dual steps of a sweep, and by default of a call; one takes more iterations in all, three take more time
 /// (docs/design/012).

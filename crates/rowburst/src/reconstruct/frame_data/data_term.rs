@@ -4,7 +4,7 @@ use super::FrameData;
 use crate::Support;
 use crate::linop::{Background, LinearOperator, WritePart};
 use crate::reconstruct::x_step;
-use crate::solve::{DataHints, DataTerm, FusedAdjoint};
+use crate::solve::{Capabilities, DataTerm, FusedAdjoint};
 
 impl DataTerm for FrameData {
     fn operator(&self) -> &dyn LinearOperator {
@@ -30,10 +30,6 @@ impl DataTerm for FrameData {
     fn solve_gram(&mut self, r: &[f32], rho: f64, y: &mut [f32], gram_y: &mut [f32]) -> bool {
         let equation = x_step::Equation { r, rho, y, gram_y };
         self.x_step.solve(&self.system, equation)
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.cancel().is_cancelled()
     }
 
     fn residual_rms_of_bins(&self, residual: &[f32]) -> Vec<f64> {
@@ -90,12 +86,13 @@ impl DataTerm for FrameData {
         true
     }
 
-    fn hints(&self) -> DataHints {
-        self.x_step.hints(&self.system)
-    }
-
-    fn fused_adjoint(&self) -> Option<&dyn FusedAdjoint> {
-        (self.background() == Background::None).then_some(self)
+    fn capabilities(&self) -> Capabilities<'_> {
+        let is_fused = self.background() == Background::None;
+        Capabilities {
+            hints: self.x_step.hints(&self.system),
+            fused_adjoint: is_fused.then_some(self),
+            cancel: Some(self.cancel()),
+        }
     }
 }
 

@@ -28,7 +28,8 @@ pub(super) struct FrameData {
     frame: Vec<f32>,
     /// `W b`, 0 at held-out pixels.
     measurements: Vec<f32>,
-    /// `W` of all pixels from the counts of the frame; held-out pixels keep their weights here.
+    /// `W` of all pixels at the start of a run, from the counts of this frame or of an earlier one, see
+    /// [`Self::set_frame`]; held-out pixels keep their weights here.
     initial_weights: Option<Vec<f32>>,
     /// The present `W` of all pixels; [`crate::solve::DataTerm::update_weights`] computes it from the light of the
     /// video.
@@ -109,12 +110,7 @@ impl FrameData {
 
     /// Draws the pixels to be held out.
     pub fn held_out(&self) -> HeldOut {
-        self.held_out_set(0)
-    }
-
-    /// Draws one of several sets of pixels to be held out.
-    pub fn held_out_set(&self, set: u64) -> HeldOut {
-        HeldOut::draw(self.shutter(), self.weights(), set)
+        HeldOut::draw(self.shutter(), self.weights(), 0)
     }
 
     /// Resets to the initial weights and to all voxels, for videos with this background, without the
@@ -139,8 +135,9 @@ impl FrameData {
         }
     }
 
-    /// Replaces the frame by another one of the same camera and keeps the support. Weights that were
-    /// updated from the light are kept where the same pixels have weights above zero.
+    /// Replaces the frame by another one of the same camera and keeps the support. Weights that were updated from the
+    /// light, and the weights and noise model that a run starts from, are kept where the same pixels have weights above
+    /// zero.
     pub fn set_frame(&mut self, measurement: &Measurement) {
         self.frame = measurement.image().data().to_vec();
         let weights = measurement.weights().map(<[f32]>::to_vec);

@@ -3,9 +3,8 @@
 use super::{Equation, System, XStep};
 use crate::Support;
 use crate::linop::Background;
-use crate::solve::DataHints;
-use crate::solve::admm::ProblemSize;
 use crate::solve::blocks::Blocks;
+use crate::solve::{DataHints, ProblemSize};
 
 /// Measurements of an instant above which a factor costs more than ten iterations (docs/design/008).
 const LARGE_BLOCK: usize = 1024;

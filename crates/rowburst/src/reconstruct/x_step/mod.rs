@@ -25,7 +25,7 @@ use crate::Support;
 use crate::linop::Background;
 use crate::solve::DataHints;
 
-/// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where no blocks are built; smaller is not stable.
+/// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where blocks would not fit in memory; smaller is not stable.
 const MIN_RHO: f64 = 1e-9;
 
 /// `(B Bᵀ + ρI) y = r`, and where its solution is written.
@@ -44,7 +44,8 @@ pub(super) trait XStep: Send {
     /// Solves for an `r` that converges over the iterations. Returns whether the solution is accurate.
     fn solve(&mut self, system: &System, equation: Equation) -> bool;
 
-    /// Solves for an `r` that has nothing to do with the one before, as accurately as f32 permits.
+    /// Solves for an `r` that has nothing to do with the one before, where the solution itself is asked for: to the
+    /// rounding of a factor, or to a residual of 0.01 `ρ‖y‖`.
     fn solve_alone(&mut self, system: &System, equation: Equation);
 
     /// The system has another support; the last one was `before` (`None`: every voxel).
@@ -53,10 +54,12 @@ pub(super) trait XStep: Send {
     /// The system has other weights, or also another support and background, see [`Self::is_renewed_by_rebuild`].
     fn rebuild(&mut self, system: &System);
 
-    /// Forgets earlier solutions. Returns whether the next ones are then those of a new solver, to the bit.
+    /// Forgets earlier solutions, and returns whether the next ones are then those of a new solver, to the bit. Where it
+    /// returns false it may have kept them, and is to be rebuilt or replaced.
     fn reset(&mut self) -> bool;
 
-    /// Whether it solves like a new solver for systems with this background after [`Self::rebuild`].
+    /// Whether it solves like a new solver for systems with this background after [`Self::reset`] and
+    /// [`Self::rebuild`].
     fn is_renewed_by_rebuild(&self, background: Background) -> bool;
 
     /// What it costs.
@@ -91,7 +94,8 @@ pub(super) fn choose(system: &System, precision: Precision) -> Box<dyn XStep> {
 
 /// Smallest `ρ` at which the x-step of `system` is numerically stable.
 pub(super) fn min_rho(system: &System) -> f64 {
-    // Without blocks conjugate gradients solve, whose accuracy does not depend on the rounding of a factor.
+    // Conjugate gradients do not depend on the rounding of a factor. Exposures longer than a row, which have no blocks
+    // either, keep the bound of the blocks.
     let ratio = match system.model().gram_bytes() {
         Some(_) => system.shutter().min_rho(),
         None => MIN_RHO,

@@ -47,6 +47,7 @@ impl XStep for StaticBackground {
     }
 
     fn solve_alone(&mut self, system: &System, equation: Equation) {
+        self.coupled.reset();
         self.solve(system, equation);
     }
 
@@ -64,9 +65,8 @@ impl XStep for StaticBackground {
         true
     }
 
-    fn is_renewed_by_rebuild(&self, _background: Background) -> bool {
-        // The Schur complement keeps its last solution.
-        false
+    fn is_renewed_by_rebuild(&self, background: Background) -> bool {
+        background == Background::Static
     }
 
     fn hints(&self, system: &System) -> DataHints {

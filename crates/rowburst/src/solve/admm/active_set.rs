@@ -40,7 +40,7 @@ impl ActiveSet {
     pub fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
         Self {
             shape,
-            estimator: SupportEstimator::new(shape, data.hints(), &params.tuning),
+            estimator: SupportEstimator::new(shape, data.capabilities().hints, &params.tuning),
             is_used: params.support,
             interval: params.tuning.support_interval,
         }

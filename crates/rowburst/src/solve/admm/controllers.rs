@@ -58,8 +58,8 @@ impl Controllers {
         self.set_tau_rule(self.penalty.rule(), data);
     }
 
-    /// Lets each controller act before an iteration. The first iteration of a run has none of this, since there is
-    /// nothing to adapt to.
+    /// Lets each controller act before an iteration. Before the first one of a run there is nothing to adapt to; it has
+    /// [`Self::set_first_threshold`] between its x-step and its z-step.
     ///
     /// The order matters:
     /// 1. `ρ` first: it compares the residual of the last x-step with the bound that held then. The first iteration of
@@ -71,13 +71,16 @@ impl Controllers {
     /// 5. The active set. It comes after `ρ`, which its first restriction bounds from below, and after the bound, to
     ///    which the residuals of bins are compared.
     /// 6. The noise weights, from the light of the restricted video, which is what the next x-step begins from.
-    /// 7. Last, products that the steps above have not computed afresh.
+    /// 7. Last, `A q` afresh, for the restricted `q` and the present weights.
     pub fn adapt(
         &mut self,
         variables: &mut Variables,
         data: &mut dyn DataTerm,
         prior: &mut dyn Prox,
     ) {
+        if self.schedule.step() == 0 {
+            return;
+        }
         self.penalty.begin_iteration();
         self.correct_penalty(variables);
         self.advance_phase(variables);
@@ -97,8 +100,8 @@ impl Controllers {
         }
     }
 
-    /// The threshold of the z-step. The first one is a part of the brightness of `q = αx`.
-    pub fn threshold(&mut self, variables: &Variables) -> f64 {
+    /// Sets the first threshold `β`, a part of the brightness of `q = αx`; later ones come from [`Self::adapt`].
+    pub fn set_first_threshold(&mut self, variables: &Variables) {
         if self.penalty.beta() == 0.0 {
             // With a background this is the brightness of both components; later calls take the foreground's.
             let beta = self
@@ -106,10 +109,10 @@ impl Controllers {
                 .first_beta(brightness(&variables.q), &self.schedule);
             self.penalty.set_beta_or_keep(beta);
         }
-        self.penalty.beta()
     }
 
-    /// Whether no controller changes the problem any more: `β`, `ρ` and the support have settled.
+    /// Whether a certificate can end the run: `β` is constant, `ρ` did not change before this iteration, and the support
+    /// is stable.
     pub fn is_settled(&self) -> bool {
         self.schedule.phase() == Phase::Settled
             && self.penalty.is_unchanged()

@@ -38,10 +38,9 @@
 //! min F ≥ ⟨b, y⟩ − ½‖y‖² − v_max Σ (Aᵀy − c)₊     over videos 0 ≤ v ≤ v_max on the support
 //! ```
 //!
-//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). The x-step gives `y = b − A x` (the variables hold it over `ρ`) and the
-//! prior's step `c`. Their
-//! excess `(Aᵀy − c)₊` is at most `ρ` times the change of the video, so the gap closes as the iteration converges.
-//! `v_max` is twice the brightest voxel. The solver stops once the objective is proved to be within
+//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). Here `y = b − A x` of the x-step, and `c` is that of the z-step. Their
+//! excess `(Aᵀy − c)₊` is at most `ρ` times the changes of the video and of `x − z`, so the gap closes as the iteration
+//! converges. `v_max` is twice the brightest voxel. The solver stops once the objective is proved to be within
 //! [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found (`docs/design/009`).
 
 mod active_set;
@@ -58,7 +57,7 @@ mod tuning;
 mod variables;
 
 pub(crate) use brightness::brightness;
-pub use tuning::{PenaltyTuning, ProblemSize, Tuning, TuningError};
+pub use tuning::{PenaltyTuning, Tuning, TuningError};
 
 use super::{Certificate, DataTerm, StopReason};
 use crate::Shape;
@@ -214,7 +213,7 @@ impl Admm {
 
     /// Iterates up to iteration `until`, counted from the start of the frame, or until it converges.
     ///
-    /// `observer` sees every iteration and may stop the run, as [`DataTerm::is_cancelled`] does within an iteration.
+    /// `observer` sees every iteration and may stop the run, as [`super::Capabilities::cancel`] does within an iteration.
     pub fn run(
         &mut self,
         data: &mut dyn DataTerm,
@@ -225,9 +224,7 @@ impl Admm {
         for k in self.iterations() + 1..=until {
             // Runs on a thread of the pool. Otherwise each parallel loop would wake a thread and wait for it.
             let change = rayon::scope(|_| {
-                if self.controllers.schedule.step() > 0 {
-                    self.controllers.adapt(&mut self.variables, data, prior);
-                }
+                self.controllers.adapt(&mut self.variables, data, prior);
                 self.iteration(data, prior)
             });
             let Some(change) = change else {
@@ -250,7 +247,7 @@ impl Admm {
         StopReason::IterationLimit
     }
 
-    /// One iteration of ADMM; returns the change of `q`, see [`Progress::change`].
+    /// One iteration of ADMM. Returns the change of `q`, see [`Progress::change`]; `None`: the run is cancelled.
     fn iteration(&mut self, data: &mut dyn DataTerm, prior: &mut dyn Prox) -> Option<f64> {
         let Self {
             variables,
@@ -259,14 +256,9 @@ impl Admm {
         } = self;
         let support = controllers.active_set.x_step_support();
         let rho = controllers.penalty.rho();
-        let change = variables.x_step(data, rho, self.relaxation, support);
-        if data.is_cancelled() {
-            // The video is that of the iteration before, on the present support, and this `y` bounds nothing. The run
-            // cannot continue from here.
-            variables.y.fill(0.0);
-            return None;
-        }
-        variables.z_step(prior, controllers.threshold(variables));
+        let change = variables.x_step(data, rho, self.relaxation, support)?;
+        controllers.set_first_threshold(variables);
+        variables.z_step(prior, controllers.penalty.beta());
         variables.dual_step(data);
         Some(change)
     }

@@ -1,8 +1,8 @@
 //! The penalty `ρ`, the threshold `β` of the z-step, and with them `τ = ρβ`.
 
 use super::TauRule;
-use super::tuning::{PenaltyTuning, ProblemSize, Tuning};
-use crate::solve::DataTerm;
+use super::tuning::{PenaltyTuning, Tuning};
+use crate::solve::{DataTerm, ProblemSize};
 
 /// Keeps `ρ`, `β` and `τ` consistent.
 ///
@@ -43,18 +43,16 @@ pub(super) struct Circumstances {
 
 impl Penalty {
     pub fn new(rule: TauRule, data: &dyn DataTerm, tuning: &Tuning) -> Self {
-        let size = data.hints().size;
+        let size = data.capabilities().hints.size;
         let (scale, stable_rho) = (data.scale(), data.min_rho());
         let penalty_tuning = *tuning.for_size(size);
+        let lower = (tuning.min_relative_rho * scale).max(stable_rho);
         Self {
             rule,
             rho: penalty_tuning.initial_rho * scale,
             beta: 0.0,
             previous_rho: f64::NAN,
-            bounds: (
-                (tuning.min_relative_rho * scale).max(stable_rho),
-                tuning.max_relative_rho * scale,
-            ),
+            bounds: (lower, (tuning.max_relative_rho * scale).max(lower)),
             stable_rho,
             size,
             max_step: tuning.max_rho_step,
@@ -104,8 +102,9 @@ impl Penalty {
 
     /// Sets `β`, and `ρ` where `τ` is given.
     ///
-    /// The scaled dual `u` is not rescaled, though a change of the penalty calls for it (Boyd et al. 2011, section
-    /// 3.4.1): the brightness still grows then, and rescaling would amplify the haze of the first iterations.
+    /// Neither here nor in [`Self::correct`] is the scaled dual `u` rescaled, though a change of the penalty calls for
+    /// it (Boyd et al. 2011, section 3.4.1): in the first iterations rescaling would amplify their haze, and later
+    /// corrections of `ρ` are small (docs/design/006).
     pub fn set_beta(&mut self, beta: f64) {
         self.beta = beta;
         self.set_rho_for_tau();
@@ -156,22 +155,22 @@ impl Penalty {
 
     /// Keeps `ρ` from now on above [`PenaltyTuning::min_rho_ratio`] of its present value, under the discrepancy rule.
     pub fn raise_lower_bound(&mut self) {
-        let (lower, _) = &mut self.bounds;
-        *lower = lower.max(self.tuning.min_rho_ratio * self.rho);
+        let (lower, upper) = &mut self.bounds;
+        *lower = lower.max(self.tuning.min_rho_ratio * self.rho).min(*upper);
     }
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
     use crate::Support;
     use crate::linop::LinearOperator;
-    use crate::solve::DataHints;
+    use crate::solve::{Capabilities, DataHints};
 
     /// A data term whose numbers alone count.
-    pub struct Numbers {
-        pub size: ProblemSize,
-        pub min_rho: f64,
+    struct Numbers {
+        size: ProblemSize,
+        min_rho: f64,
     }
 
     impl DataTerm for Numbers {
@@ -207,10 +206,14 @@ pub(super) mod tests {
             unreachable!("no support is asked for")
         }
 
-        fn hints(&self) -> DataHints {
-            DataHints {
+        fn capabilities(&self) -> Capabilities<'_> {
+            let hints = DataHints {
                 size: self.size,
                 ..DataHints::default()
+            };
+            Capabilities {
+                hints,
+                ..Capabilities::default()
             }
         }
     }

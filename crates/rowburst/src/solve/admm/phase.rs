@@ -6,7 +6,8 @@ use crate::Shape;
 
 /// What a run is doing.
 ///
-/// A *step* is an iteration that brings the run forward: all but those that a wait repeats.
+/// A *step* is an iteration that brings the run forward: all but those that a wait repeats. Each update is due at certain
+/// steps, so a wait or a warm start, which go back some steps, repeat the updates of these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Phase {
     /// The video takes shape while `β` falls. Ends at step [`Tuning::first_restriction`].

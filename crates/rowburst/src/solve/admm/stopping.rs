@@ -14,8 +14,8 @@ use rayon::prelude::*;
 ///
 /// A small change of the video proves nothing: ADMM can be slow far from the minimum. So the run stops once a lower
 /// bound of the minimum, from the variables that the iteration has anyway, is close to the objective. A bound costs
-/// about as much as an iteration, and holds for one problem only: it is computed every few iterations, once no
-/// controller changes `τ`, `β` or the support any more.
+/// about as much as an iteration, and holds for one problem only: it is computed every few iterations, where `β` is
+/// constant, `ρ` did not change and the support is stable.
 pub(super) struct Stopping {
     /// See [`AdmmParams::tolerance`].
     tolerance: f64,
@@ -63,8 +63,8 @@ impl Stopping {
         let b = data.measurements();
         let Variables { z, y, scratch, .. } = &mut *variables;
         let brightest = z.par_iter().copied().reduce(|| 0.0, f32::max);
-        // `adjoint_on` zeroes the voxels outside the support, since `group` reads a pixel's whole trace. They are
-        // zeroed again after `subtract_dual`, whose result may be non-zero there.
+        // Voxels outside the support of the x-step are zero before `subtract_dual`, since `group` reads a pixel's whole
+        // trace. Afterwards all outside the support of the video are set to zero.
         data.adjoint_on(y, supports.of_x_step, scratch);
         prior.subtract_dual(scratch);
         if let Some(support) = supports.of_video {

@@ -1,14 +1,15 @@
 //! Estimates the support: the set of active voxels (docs/design/007).
 
-use super::tuning::{ProblemSize, Tuning};
-use crate::solve::DataHints;
+use super::tuning::Tuning;
+use crate::solve::{DataHints, ProblemSize};
 use crate::{Shape, Support};
 use rayon::prelude::*;
 
 /// The bright voxels of a video and their neighbours, updated every few iterations.
 ///
 /// A bin is unrestricted if all of its voxels are active. It is underfit if its support cannot explain its
-/// measurements: the root mean square of its residual is too large and no longer falls.
+/// measurements: the root mean square of its residual is too large and no longer falls. A bin is crowded if its x-step
+/// takes all voxels though some are inactive, see [`Self::x_step_support`].
 pub(super) struct SupportEstimator {
     shape: Shape,
     tuning: Tuning,
@@ -61,9 +62,9 @@ impl SupportEstimator {
         self.support.as_ref()
     }
 
-    /// The support of the x-step, in which bins with more than
-    /// [`DataHints::max_restricted_voxels`] active voxels are unrestricted:
-    /// their restricted blocks would take longer. The prior alone keeps the other voxels of such a bin at zero.
+    /// The support of the x-step, which has all voxels of crowded bins: those with more active ones than
+    /// [`DataHints::max_restricted_voxels`], whose restricted blocks would take longer. The prior alone keeps the
+    /// inactive voxels of such a bin at zero.
     pub fn x_step_support(&self) -> Option<&Support> {
         self.x_step_support.as_ref()
     }
@@ -73,12 +74,13 @@ impl SupportEstimator {
         self.fraction
     }
 
-    /// Whether some bin is unrestricted; a change of `ρ` then costs a factor of the bin's whole block.
+    /// Whether some bin is unrestricted; a change of `ρ` then costs a factor of the bin's whole block. Crowded bins,
+    /// which cost the same, do not count.
     pub fn has_unrestricted_bin(&self) -> bool {
         self.is_unrestricted.contains(&true)
     }
 
-    /// Whether the last update changed little and no bin is temporarily unrestricted.
+    /// Whether few voxels became inactive in the last update, and no bin was widened or is temporarily unrestricted.
     pub fn is_stable(&self) -> bool {
         self.is_stable
     }

@@ -1,14 +1,6 @@
 //! The constants of the solver.
 
-/// How large the systems of the x-step are; it chooses the values of [`PenaltyTuning`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ProblemSize {
-    /// A new factor costs about as much as an iteration.
-    #[default]
-    Small,
-    /// A wide sensor, whose blocks have thousands of measurements: a new factor costs several iterations.
-    Wide,
-}
+use crate::solve::ProblemSize;
 
 /// Why [`Tuning::set`] refuses a value.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -24,6 +16,16 @@ pub enum TuningError {
         name: String,
         /// The value.
         value: f64,
+    },
+    /// The value contradicts another constant or the meaning of its own, so that a run would make no sense.
+    #[error("{name} = {value}: {rule}")]
+    Contradicts {
+        /// The name of the field.
+        name: String,
+        /// The value.
+        value: f64,
+        /// What must hold.
+        rule: &'static str,
     },
 }
 
@@ -130,12 +132,10 @@ constants! {
     /// assert!(tuning.set("support_treshold", 0.1).is_err());
     /// ```
     Tuning {
-        /// Step at which the warm-up ends, in iterations; the first restriction is at the next multiple of 10. Smaller may
-        /// lose shapes that the video does not show yet,
-        /// larger takes longer (docs/design/006, 007).
+        /// Step at which the warm-up ends; the first restriction is at the next multiple of `support_interval`. Smaller
+        /// may lose shapes that the video does not show yet, larger takes longer (docs/design/006, 007).
         first_restriction: usize,
-        /// Step from which `β` is constant and the run may stop, in iterations; larger delays the first certificate
-        /// (docs/design/006).
+        /// Step from which `β` is constant and the run may stop; larger delays the first certificate (docs/design/006).
         settled_from: usize,
         /// Voxels per measurement above which the first restriction waits for a decline; smaller makes more runs wait
         /// (docs/design/008).
@@ -146,20 +146,20 @@ constants! {
         decline_window: usize,
         /// Iteration at which the wait ends at the latest; smaller may leave bins without light (docs/design/008).
         latest_first_restriction: usize,
-        /// Step to which a warm start goes back, plus up to 9 that keep the rhythm of the updates, in iterations; smaller repeats more of the warm-up
-        /// (docs/design/014).
+        /// Step to which a warm start goes back, plus less than a `support_interval` that keeps the rhythm of the updates;
+        /// smaller repeats more of the warm-up (docs/design/014).
         warm_start_step: usize,
         /// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).
         continuation_factor: f64,
-        /// Step at which `β` reaches its end, in iterations; later is faster for large shapes but less robust
+        /// Step at which `β` reaches its end; later is faster for large shapes but less robust
         /// (docs/design/006).
         continuation_end: usize,
-        /// Iterations between updates of `β`; larger follows the brightness less closely (docs/design/006).
+        /// Steps between updates of `β`; larger follows the brightness less closely (docs/design/006).
         threshold_interval: usize,
         /// Brightness of the scene over that of the first x-step, which spreads sparse light; larger gives a larger
         /// first `β` (docs/design/006).
         initial_brightness_ratio: f64,
-        /// Iterations between counts of the degrees of freedom; larger lets the bound lag (docs/design/005).
+        /// Steps between counts of the degrees of freedom; larger lets the bound lag (docs/design/005).
         freedom_interval: usize,
         /// Largest part of the measurements that the degrees of freedom may take; larger lets a fit follow the noise
         /// (docs/design/005).
@@ -176,7 +176,7 @@ constants! {
         /// Iterations between corrections of `ρ` in wide problems with an unrestricted bin; larger saves factors, and
         /// `ρ` settles later (docs/design/008).
         unrestricted_rho_interval: usize,
-        /// Iterations between updates of the support; smaller rebuilds more Gram blocks (docs/design/007).
+        /// Steps between updates of the support; smaller rebuilds more Gram blocks (docs/design/007).
         support_interval: usize,
         /// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze
         /// (docs/design/007).
@@ -199,14 +199,14 @@ constants! {
         /// Updates for which an underfit bin of a wide problem is unrestricted; fewer lose light, more cost time
         /// (docs/design/008).
         unrestricted_updates: usize,
-        /// Iterations between updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
+        /// Steps between updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
         weight_interval: usize,
-        /// Step after which `late_weight_interval` holds, in iterations; larger costs more rebuilt blocks
+        /// Step after which `late_weight_interval` holds; larger costs more rebuilt blocks
         /// (docs/design/010).
         frequent_weights_until: usize,
-        /// Iterations between late updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
+        /// Steps between late updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
         late_weight_interval: usize,
-        /// Iterations after which the running product `A q` is computed afresh; larger lets rounding add up
+        /// Steps after which the running product `A q` is computed afresh; larger lets rounding add up
         /// (docs/design/003).
         refresh_interval: usize,
         /// Iterations between certificates, and between objectives; smaller stops earlier, but each certificate costs a
@@ -294,20 +294,69 @@ impl Tuning {
     /// Sets the constant `name`: a field of [`Tuning`], or a field of [`PenaltyTuning`] after `small.` or `wide.`.
     ///
     /// # Errors
-    /// An unknown name, or a value that is not finite, not above zero, or not whole where the field is a count.
+    /// An unknown name, a value that is not finite, not above zero, or not whole where the field is a count, or one that
+    /// contradicts another constant. Nothing is changed then.
     pub fn set(&mut self, name: &str, value: f64) -> Result<(), TuningError> {
-        let mut fields = self.fields();
+        let mut changed = *self;
+        let mut fields = changed.fields();
         let Some((_, field)) = fields.iter_mut().find(|(field, _)| field == name) else {
             return Err(TuningError::UnknownName(name.to_string()));
         };
-        if field.set(value) {
-            Ok(())
-        } else {
-            Err(TuningError::NotAllowed {
+        if !field.set(value) {
+            return Err(TuningError::NotAllowed {
                 name: name.to_string(),
                 value,
-            })
+            });
         }
+        if let Some(rule) = changed.violated_rule() {
+            return Err(TuningError::Contradicts {
+                name: name.to_string(),
+                value,
+                rule,
+            });
+        }
+        *self = changed;
+        Ok(())
+    }
+
+    /// The first rule between the constants that does not hold.
+    fn violated_rule(&self) -> Option<&'static str> {
+        let of_penalty = |tuning: &PenaltyTuning| {
+            tuning.deadband_lower <= 1.0
+                && tuning.deadband_upper >= 1.0
+                && tuning.early_deadband_lower <= 1.0
+                && tuning.early_deadband_upper >= 1.0
+        };
+        let rules = [
+            (self.max_rho_step >= 1.0, "max_rho_step is at least 1"),
+            (
+                self.min_relative_rho <= self.max_relative_rho,
+                "min_relative_rho is at most max_relative_rho",
+            ),
+            (self.max_freedom < 1.0, "max_freedom is below 1"),
+            (self.decline < 1.0, "decline is below 1"),
+            (self.widening_factor <= 1.0, "widening_factor is at most 1"),
+            (
+                self.support_threshold <= 1.0,
+                "support_threshold is at most 1",
+            ),
+            (
+                self.brightness_bound >= 1.0,
+                "brightness_bound is at least 1",
+            ),
+            (
+                self.small.min_rho_ratio <= 1.0 && self.wide.min_rho_ratio <= 1.0,
+                "min_rho_ratio is at most 1",
+            ),
+            (
+                of_penalty(&self.small) && of_penalty(&self.wide),
+                "a deadband holds 1: its lower end is at most 1, its upper end at least 1",
+            ),
+        ];
+        rules
+            .into_iter()
+            .find(|(holds, _)| !holds)
+            .map(|(_, rule)| rule)
     }
 
     /// The names and values of all constants that differ from [`Self::STANDARD`].
@@ -335,11 +384,23 @@ mod tests {
         assert_eq!(8 * names.len(), size_of::<Tuning>());
         for (i, name) in names.iter().enumerate() {
             let mut tuning = Tuning::STANDARD;
-            tuning.set(name, 7.0).unwrap();
-            assert_eq!(tuning.changes(), [(name.clone(), 7.0)]);
+            // A value that every rule admits.
+            let standard = Tuning::STANDARD.values()[i].1;
+            let new = if standard.fract() == 0.0 {
+                standard + 1.0
+            } else {
+                0.999 * standard
+            };
+            let new = if name.ends_with("deadband_upper") {
+                standard + 1.0
+            } else {
+                new
+            };
+            tuning.set(name, new).unwrap();
+            assert_eq!(tuning.changes(), [(name.clone(), new)]);
             for (j, (other, value)) in tuning.values().into_iter().enumerate() {
                 let standard = Tuning::STANDARD.values()[j].1;
-                assert_eq!(value, if i == j { 7.0 } else { standard }, "{name} {other}");
+                assert_eq!(value, if i == j { new } else { standard }, "{name} {other}");
             }
         }
     }
@@ -356,6 +417,17 @@ mod tests {
             ("check_interval", -1.0),
             ("small", 1.0),
             ("small.rho", 1.0),
+            ("max_rho_step", 0.5),
+            ("min_relative_rho", 1e8),
+            ("max_relative_rho", 1e-8),
+            ("max_freedom", 1.0),
+            ("decline", 1.0),
+            ("widening_factor", 2.0),
+            ("support_threshold", 1.5),
+            ("brightness_bound", 0.5),
+            ("small.min_rho_ratio", 2.0),
+            ("wide.deadband_lower", 1.1),
+            ("small.early_deadband_upper", 0.9),
         ] {
             assert!(tuning.set(name, value).is_err(), "{name} {value}");
         }

@@ -1,10 +1,10 @@
 //! The variables of ADMM, and the three steps of an iteration.
 
-use crate::Support;
 use crate::linop::WRITE_PART_LEN;
 use crate::prox::Prox;
 use crate::solve::{DataTerm, write_adjoint};
 use crate::vecmath::{distance_squared, norm_squared, simd};
+use crate::{Cancel, Support};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The variables of the iteration, named as in the head of [`super`], with their products with `A`.
@@ -49,22 +49,27 @@ impl Variables {
     /// The x-step with over-relaxation `α`: `q ← x̂ + u` with `x̂ = αx + (1−α)z`, and `A q` to match.
     ///
     /// Outside `support` (`None`: every voxel) `x = p`. Returns `‖q − q'‖/‖z‖`, where `q'` is the old `q`; 1 where
-    /// `z = 0` and `q` moved.
+    /// `z = 0` and `q` moved. `None`: the run is cancelled, and cannot continue from here. Then `q` and `z` are as they
+    /// were, and `y = 0`, which bounds nothing.
     pub fn x_step(
         &mut self,
         data: &mut dyn DataTerm,
         rho: f64,
         relaxation: f64,
         support: Option<&Support>,
-    ) -> f64 {
+    ) -> Option<f64> {
         let alpha = relaxation as f32;
         // b − A p with p = z − u = 2z − q.
         let products = data.measurements().iter().zip(&self.az).zip(&self.aq);
         let rhs: Vec<f32> = products.map(|((b, az), aq)| b - az + (aq - az)).collect();
         let mut gram_y = vec![0.0f32; self.az.len()];
         let is_exact = data.solve_gram(&rhs, rho, &mut self.y, &mut gram_y);
-        // Both are the same for an exact step. The error of an inexact one is larger for a smaller `ρ`, which it would
-        // drive to nothing.
+        if data.capabilities().cancel.is_some_and(Cancel::is_cancelled) {
+            self.y.fill(0.0);
+            return None;
+        }
+        // For an exact step both norms agree. The first one contains the error of an inexact step, which grows as `ρ`
+        // falls: the discrepancy rule would then lower `ρ` without end.
         let x_residual_norm = if is_exact {
             distance_squared(&rhs, &gram_y).sqrt()
         } else {
@@ -86,7 +91,7 @@ impl Variables {
         for ((aq, az), gram_y) in self.aq.iter_mut().zip(&self.az).zip(&gram_y) {
             *aq = az + (1.0 - alpha) * (*aq - az) + alpha * gram_y;
         }
-        relative_change(sums, alpha)
+        Some(relative_change(sums, alpha))
     }
 
     /// The z-step: `z = prox(q)` with the threshold `β`.

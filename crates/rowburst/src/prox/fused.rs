@@ -1,9 +1,9 @@
 //! The terms that [`Variation`] computes, and a static background.
 
-use super::{Variation, VariationWeights};
+use super::term::{TermForm, TermSpec, one_voxel};
+use super::variation::{Variation, VariationWeights};
 use crate::Shape;
 use crate::linop::Background;
-use crate::prox::term::{TermForm, TermSpec, one_voxel};
 
 const FUSED: TermSpec = TermSpec {
     name: "",

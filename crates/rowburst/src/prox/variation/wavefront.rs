@@ -21,7 +21,7 @@
 //! Every voxel sees the same steps in the same order for any number of tiles, so the bits do not depend on the number
 //! of threads.
 
-use super::variation::Dual;
+use super::bin::Dual;
 use crate::Shape;
 use rayon::prelude::*;
 use std::ops::Range;
