@@ -2,11 +2,12 @@
 
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::frame::corrections_of;
 use crate::frames::{ArrayFrames, PyFrames};
 use crate::log;
 use crate::operator::{Gram, model_of};
+use crate::options::{Constants, options_from, self_calibration_from, tuning_from};
 use crate::psf::psfs_of;
-use crate::task::{Constants, corrections_of, options_from, self_calibration_from, tuning_from};
 use crate::threads::{self, Threads, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;

@@ -3,9 +3,9 @@
 use crate::array::{finite_image, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::options::tau_from;
+use crate::pickle::{State, entry, optional_entry};
 use crate::psf::PyPsf;
-use crate::state::{State, entry, optional_entry};
-use crate::task::tau_from;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};

@@ -3,10 +3,10 @@
 use crate::array::vector;
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::frame::measured;
 use crate::interrupt::interruptibly;
+use crate::pickle::State2;
 use crate::psf::{PyPsf, psfs_of};
-use crate::state::State2;
-use crate::task::measured;
 use crate::threads::detached;
 use numpy::{Element, PyArray1};
 use pyo3::prelude::*;

@@ -4,7 +4,7 @@ use crate::array::{capture, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
-use crate::state::State2;
+use crate::pickle::State2;
 use crate::whole::Whole;
 use numpy::PyArray2;
 use pyo3::prelude::*;

@@ -3,11 +3,11 @@
 use crate::array::{from_video, make_read_only};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::frame::{corrections_of, measured};
 use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
-use crate::task::{
-    Constants, corrections_of, measured, prior_from, setup_of, tau_from, tuning_from,
-};
+use crate::options::{Constants, prior_from, tau_from, tuning_from};
+use crate::task::setup_of;
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;

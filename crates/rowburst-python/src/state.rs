@@ -6,8 +6,9 @@
 use crate::array::{finite_image, from_image, from_video, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
+use crate::options::{prior_from, tau_from, tuning_from};
+use crate::pickle::{entry, optional_entry};
 use crate::psf::PyPsf;
-use crate::task::{prior_from, tau_from, tuning_from};
 use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -23,28 +24,6 @@ use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
 use rowburst_run::{CompletedTask, DebiasNumbers, GuideOutcome, Task};
 use std::time::Duration;
-
-/// What `__reduce__` gives: a function, and the state that it is called with.
-pub type State<'py> = (Bound<'py, PyAny>, (Bound<'py, PyDict>,));
-/// The same with two arguments.
-pub type State2<'py, A, B> = (Bound<'py, PyAny>, (A, B));
-
-/// The value `name` of a state.
-pub fn entry<'py>(state: &Bound<'py, PyDict>, name: &str) -> PyResult<Bound<'py, PyAny>> {
-    state.get_item(name)?.ok_or_else(|| {
-        PyValueError::new_err(format!(
-            "state: found no {name}; it was pickled by another version of rowburst. Pickle it again with this one."
-        ))
-    })
-}
-
-/// The value `name` of a state, unless it is `None`.
-pub fn optional_entry<'py>(
-    state: &Bound<'py, PyDict>,
-    name: &str,
-) -> PyResult<Option<Bound<'py, PyAny>>> {
-    Ok(Some(entry(state, name)?).filter(|value| !value.is_none()))
-}
 
 /// The state of `completed`, with `video` as its video.
 pub fn of_completed<'py>(

@@ -1,11 +1,13 @@
 //! `rowburst.reconstruct`.
 
-use crate::array::{finite_image, is_array, masked_capture, masked_image, video, with_masked};
+use crate::array::{finite_image, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::experiment::PyExperiment;
+use crate::frame::{corrections_of, frame_of};
 use crate::interrupt::{Answer, OnProgress, Reporter, interruptibly};
 use crate::operator::{Gram, model_of};
+use crate::options::{Constants, options_from, self_calibration_from, tuning_from};
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
 use crate::threads::checked_count;
@@ -14,21 +16,17 @@ use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rowburst::error::Subject;
 use rowburst::guide::{Guide, GuideExposure};
-use rowburst::measurement::{Corrections, Measurement};
-use rowburst::reconstruct::{Model, Options, Prior, SelfCalibration, Tau};
+use rowburst::measurement::Corrections;
+use rowburst::reconstruct::{Model, Options};
 use rowburst::solve::StopReason;
-use rowburst::solve::admm::Tuning;
-use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result};
-use rowburst_io::{ForeignFiles, OutputFolder, SampleFormat};
+use rowburst::{Camera, Error, ErrorKind, Parameter, Result};
+use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_run::inputs::checked_truth;
-use rowburst_run::options::{
-    parse_guide_model, parse_prior, parse_self_calibration, parse_tau, parse_time_budget,
-};
+use rowburst_run::options::{parse_guide_model, parse_time_budget};
 use rowburst_run::{
-    Bias, ChunkedTask, ColourTask, CompletedTask, Event, Frame, GuideTask, MovieStyle, Output,
-    Setup, Task, TraceRequest, bias_of_array, merge_planes, run_chunked, solve, solve_with_model,
+    ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, Setup, Task,
+    TraceRequest, merge_planes, run_chunked, solve, solve_with_model,
 };
-use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -365,140 +363,6 @@ fn answer_of(py: Python<'_>, progress: &Py<PyAny>, iteration: PyProgress) -> PyR
     } else {
         Answer::Finish
     })
-}
-
-/// Other values of the solver's constants, by name.
-pub type Constants = BTreeMap<String, f64>;
-
-/// The standard constants of the solver with other values of some.
-pub fn tuning_from(values: impl IntoIterator<Item = (String, f64)>) -> PyResult<Tuning> {
-    let mut tuning = Tuning::STANDARD;
-    for (name, value) in values {
-        tuning.set(&name, value).map_err(|error| {
-            let remedy = "The names are the fields of rowburst::solve::admm::Tuning.";
-            let found = format!("{name} = {value}");
-            to_py_err(Error::input(
-                Parameter::Tuning,
-                found,
-                error.to_string(),
-                remedy,
-            ))
-        })?;
-    }
-    Ok(tuning)
-}
-
-/// The options of frames that use PSF and camera as given.
-pub fn options_from(
-    prior: &str,
-    tau: Option<&Bound<'_, PyAny>>,
-    noise_sigma: Option<f64>,
-    max_iterations: Option<Whole>,
-    keep_all_pixels: bool,
-) -> PyResult<Options> {
-    Ok(Options {
-        self_calibration: SelfCalibration::Off,
-        prior: prior_from(prior)?,
-        tau: tau_from(tau)?,
-        noise_sigma,
-        max_iterations: match optional(max_iterations, "max_iterations")? {
-            Some(0) => {
-                let rule = "a run has at least one iteration";
-                let error = Error::input(Parameter::MaxIterations, 0, rule, "Leave it out.");
-                return Err(to_py_err(error));
-            }
-            most => most,
-        },
-        keep_all_pixels,
-        ..Options::default()
-    })
-}
-
-/// Dark, flat and bad pixels. Masked pixels of each are bad pixels.
-pub fn corrections_of(
-    dark: Option<&Bound<'_, PyAny>>,
-    flat: Option<&Bound<'_, PyAny>>,
-    bad_pixels: Option<&Bound<'_, PyAny>>,
-) -> PyResult<Corrections> {
-    let mut masked = None;
-    let mut read = |value: Option<&Bound<'_, PyAny>>, name: &str| -> PyResult<Option<Image>> {
-        let Some(value) = value else { return Ok(None) };
-        let (image, mask) = masked_image(value, name)?;
-        masked = with_masked(masked.take(), mask);
-        Ok(Some(image))
-    };
-    let dark = read(dark, "dark")?;
-    let flat = read(flat, "flat")?;
-    let bad_pixels = read(bad_pixels, "bad_pixels")?;
-    Ok(Corrections {
-        dark,
-        flat,
-        bad_pixels: with_masked(bad_pixels, masked),
-        saturation_counts: None,
-    })
-}
-
-/// A frame, corrected.
-pub fn measured(frame: &Bound<'_, PyAny>, setup: Setup) -> PyResult<Measurement> {
-    let (frame, setup) = frame_of(frame, setup, false)?;
-    setup.measurement(&frame).map_err(to_py_err)
-}
-
-/// A frame: a raw capture, or an array of floating-point numbers from which the bias has been subtracted. The masked
-/// pixels of a masked array are bad pixels of the set-up.
-fn frame_of(
-    frame: &Bound<'_, PyAny>,
-    mut setup: Setup,
-    is_corrected: bool,
-) -> PyResult<(Frame, Setup)> {
-    let (capture, mask) = masked_capture(frame, "frame")?;
-    if capture.format == (SampleFormat::Counts { bits: 1 }) {
-        return Err(to_py_err(Error::input(
-            Parameter::Frame,
-            "an array of bool",
-            "a frame holds counts or floating-point numbers, and two values are no capture",
-            "Give the counts as the camera recorded them.",
-        )));
-    }
-    setup.corrections.bad_pixels = with_masked(setup.corrections.bad_pixels, mask);
-    let bias = if is_corrected {
-        Bias::Subtracted
-    } else if is_array(frame) {
-        bias_of_array(capture.format)
-    } else {
-        Bias::Contained
-    };
-    let frame = Frame {
-        capture,
-        bias,
-        file: None,
-    };
-    Ok((frame, setup))
-}
-
-pub fn self_calibration_from(name: &str) -> PyResult<SelfCalibration> {
-    parse_self_calibration(Some(name)).map_err(to_py_err)
-}
-
-pub fn prior_from(name: &str) -> PyResult<Option<Prior>> {
-    parse_prior(name).map_err(to_py_err)
-}
-
-/// `None` and text as on the command line, or a number.
-pub fn tau_from(tau: Option<&Bound<'_, PyAny>>) -> PyResult<Tau> {
-    match tau {
-        None => Ok(Tau::Auto),
-        Some(value) if is_bool(value)? => Err(to_py_err(Error::input(
-            Parameter::Tau,
-            value.str()?.to_string(),
-            "τ is \"auto\", \"held-out\" or a number above zero",
-            "Leave it out for \"auto\".",
-        ))),
-        Some(value) => match value.extract::<f64>() {
-            Ok(number) => Ok(Tau::Given(number)),
-            Err(_) => parse_tau(&value.str()?.to_string()).map_err(to_py_err),
-        },
-    }
 }
 
 /// A plane's name, its start in microseconds, and its reconstruction.

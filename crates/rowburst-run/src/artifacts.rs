@@ -1,7 +1,7 @@
 //! What a run leaves on disk.
 
-use crate::chunked::ChunkedSummary;
-use crate::colour::ColourSummary;
+use crate::chunked_summary::ChunkedSummary;
+use crate::colour_summary::ColourSummary;
 use crate::formats::VideoFormat;
 use crate::movie::MovieStyle;
 use crate::record::RunRecord;

@@ -6,7 +6,7 @@
 use crate::event::Observer;
 use crate::options::UserOptions;
 use crate::setup::{Frame, Setup};
-use crate::task::solve;
+use crate::solve::solve;
 use crate::traces::TraceRequest;
 use crate::{CompletedTask, short};
 use rowburst::calibrate::psf::statistics;

@@ -1,21 +1,20 @@
 //! A raw Bayer frame: four planes, each with a reconstruction of its own, and one video in colour.
-#![allow(missing_docs, reason = "fields are the keys of result.json")]
 
 use crate::artifacts::{Artifacts, Output, Summary};
+use crate::colour_summary::{ColourSummary, PlaneNumbers};
 use crate::completed_task::CompletedTask;
 use crate::event::{Event, Observer};
-use crate::record::RunRecord;
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::setup::{Frame, Setup};
+use crate::solve::solve;
 use crate::summary::MetadataNumbers;
-use crate::task::{Task, solve};
+use crate::task::Task;
 use crate::traces::TraceRequest;
 use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration};
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result, Video};
 use rowburst_io::{Capture, TiffScale, write_npy_colour, write_tiff_colour};
-use serde::Serialize;
 use std::time::Instant;
 
 /// The reconstruction of a raw colour frame, as values.
@@ -40,42 +39,6 @@ pub struct Plane {
     pub start_us: f64,
     /// Its reconstruction.
     pub completed: CompletedTask,
-}
-
-/// The content of `result.json` of a raw colour frame.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-pub struct ColourSummary {
-    #[cfg_attr(test, schemars(extend("const" = crate::RESULT_SCHEMA_VERSION)))]
-    pub schema_version: u32,
-    pub version: &'static str,
-    pub bayer: &'static str,
-    pub frames: usize,
-    pub rows: usize,
-    pub columns: usize,
-    pub frame_rate_hz: f64,
-    pub metadata: MetadataNumbers,
-    pub planes: Vec<PlaneNumbers>,
-    pub warnings: Vec<String>,
-    /// See [`crate::ReconstructionSummary::run`].
-    pub run: Option<RunRecord>,
-}
-
-/// A plane, whose own `result.json` says more.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-pub struct PlaneNumbers {
-    pub name: String,
-    pub folder: String,
-    /// From the start of the sensor's first instant to that of the plane's, in microseconds.
-    pub start_us: f64,
-    pub prior: String,
-    pub tau: f64,
-    pub residual_over_sigma: f64,
-    /// Part of the plane's pixels that are foreign and were left out.
-    pub excluded_fraction: f64,
-    pub fit: &'static str,
-    pub seconds: f64,
 }
 
 impl ColourTask {

@@ -18,8 +18,10 @@ mod artifacts;
 pub mod calibrate;
 mod check;
 mod chunked;
+mod chunked_summary;
 mod cite;
 mod colour;
+mod colour_summary;
 mod completed_task;
 pub mod design;
 mod event;
@@ -42,6 +44,7 @@ mod run_clock;
 mod schema;
 mod setup;
 pub mod simulate;
+mod solve;
 mod summary;
 mod task;
 mod traces;
@@ -49,9 +52,11 @@ mod view_files;
 
 pub use artifacts::{Artifacts, Output, Summary};
 pub use check::{CheckItem, CheckParams, SetupCheck};
-pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
+pub use chunked::{ChunkedTask, run_chunked};
+pub use chunked_summary::{ChunkNumbers, ChunkedSummary};
 pub use cite::cite;
-pub use colour::{ColourSummary, ColourTask, Plane, PlaneNumbers, merge_planes};
+pub use colour::{ColourTask, Plane, merge_planes};
+pub use colour_summary::{ColourSummary, PlaneNumbers};
 pub use completed_task::{CompletedTask, ReportMeta};
 pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
@@ -69,11 +74,12 @@ pub use request::{Request, RequestParams, read_experiment};
 pub use run_clock::RunClock;
 pub use schema::{RESULT_SCHEMA, RESULT_SCHEMA_VERSION};
 pub use setup::{Bias, Frame, Setup, bias_of_array, correct_capture};
+pub use solve::{solve, solve_with_model};
 pub use summary::{
     CalibrationNumbers, ChangeNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate,
     PriorChoice, ReconstructionSummary, peak_memory_bytes,
 };
-pub use task::{Task, solve, solve_with_model};
+pub use task::Task;
 pub use traces::{
     DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,
     TraceNumbers, TraceRequest, Traces, TruthNumbers,
