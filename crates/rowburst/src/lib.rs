@@ -48,53 +48,90 @@
 //! Arrays are C order; a video is `[t, y, x]`, an image `[y, x]`, and `y` is the
 //! axis that the shutter scans.
 
-pub mod bayer;
-pub mod calibrate;
-pub mod camera;
-mod cancel;
 pub mod design;
-pub mod error;
-mod fft2;
-pub mod forward;
 pub mod guide;
-pub mod image;
-pub mod linop;
-pub mod measurement;
-pub mod metrics;
-pub mod noise;
-pub mod patches;
-pub mod prox;
-pub mod psf;
 pub mod reconstruct;
-pub mod shape;
-pub mod shutter;
-pub mod simulate;
-pub mod solve;
-pub mod support;
 pub mod traces;
-pub mod vecmath;
-pub mod video;
 
-pub use camera::{Camera, CameraParams, Sensor};
-pub use cancel::Cancel;
-pub use error::{Error, ErrorKind, Parameter, Result};
-pub use forward::RollingShutter;
-pub use image::Image;
-pub use linop::LinearOperator;
-pub use measurement::{Corrections, Measurement, RawFrame};
-pub use patches::PatchSet;
-pub use psf::Psf;
 pub use reconstruct::{
     Chunked, Fit, Model, Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence, Tau,
     Verdict,
 };
-pub use shape::{Shape, TimeGrid};
-pub use shutter::Shutter;
-pub use solve::StopReason;
-pub use support::Support;
-pub use video::Video;
+#[doc(inline)]
+pub use rowburst_calibrate as calibrate;
+/// A token that cancels a run from another thread.
+///
+/// ```
+/// let cancel = rowburst::Cancel::default();
+/// let other = cancel.clone();
+/// std::thread::spawn(move || other.cancel()).join().unwrap();
+/// assert!(cancel.is_cancelled() && cancel.check().is_err());
+/// ```
+#[doc(inline)]
+pub use rowburst_core::Cancel;
+/// ```
+/// use rowburst::{ErrorKind, Parameter, Psf, Image};
+///
+/// let error = Psf::new(Image::new(1, 2, vec![1.0, -1.0])?).unwrap_err();
+/// assert_eq!(error.kind(), ErrorKind::Invalid);
+/// assert_eq!(error.parameter(), Some(Parameter::Psf));
+/// assert_eq!(error.value(), "-1 at row 0, column 1");
+/// # Ok::<(), rowburst::Error>(())
+/// ```
+#[doc(inline)]
+pub use rowburst_core::Error;
+#[doc(inline)]
+pub use rowburst_core::{
+    ErrorKind, LinearOperator, Parameter, Result, Shape, Support, error, linop, phrase, vecmath,
+};
+/// ```
+/// use rowburst::{Camera, CameraParams, Corrections, Image, RawFrame, Sensor, Shutter};
+///
+/// let camera = Camera::new(CameraParams {
+///     rows: 4,
+///     columns: 6,
+///     shutter: Shutter::TopDown,
+///     row_time_us: 9.6,
+///     exposure_us: 9.6,
+///     bins_per_row: 1,
+///     field: None,
+///     sensor: Sensor { bias_counts: Some(100.0), ..Sensor::default() },
+/// })?;
+/// let counts = Image::from_fn(4, 6, |y, x| 100.0 + (y * x) as f32);
+/// let frame = RawFrame::new(counts).correct(&camera, &Corrections::default())?;
+/// assert_eq!(frame.image().at(3, 5), 15.0);
+/// # Ok::<(), rowburst::Error>(())
+/// ```
+#[doc(inline)]
+pub use rowburst_optics::RawFrame;
+#[doc(inline)]
+pub use rowburst_optics::{
+    Camera, CameraParams, Corrections, Image, InstantWeights, Measurement, PatchSet, Psf,
+    RollingShutter, Sensor, Shutter, TimeGrid, Video, bayer, camera, measurement,
+};
+#[doc(inline)]
+pub use rowburst_simulate::{self as simulate, metrics, noise};
+#[doc(inline)]
+pub use rowburst_solve::{
+    Certificate, StopReason,
+    admm::{Progress, Tuning},
+};
 
 use std::ops::ControlFlow;
+
+/// The solver, as far as results and observers show it; the crate `rowburst-solve` has all of it.
+pub mod solve {
+    #[doc(inline)]
+    pub use rowburst_solve::{
+        Capabilities, Certificate, DataHints, DataTerm, FusedAdjoint, ProblemSize, StopReason, admm,
+    };
+}
+
+/// The terms of priors and their proximal operators.
+pub mod prox {
+    #[doc(inline)]
+    pub use rowburst_solve::prox::{Prox, TERMS, TermSpec, Variation, VariationWeights};
+}
 
 /// Reconstructs the video `v[t, y, x]` of one corrected frame (Eqs. 4 and 5 in the head of the crate).
 ///

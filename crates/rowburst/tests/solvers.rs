@@ -13,9 +13,10 @@ use rowburst::noise::Noise;
 use rowburst::prox::{Variation, VariationWeights};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::admm::{self, AdmmParams, Progress, TauRule};
-use rowburst::solve::blocks::Blocks;
 use rowburst::solve::{Certificate, DataTerm, StopReason};
 use rowburst::{Camera, Image, RollingShutter, Sensor, Shape, Shutter, Support};
+use rowburst_optics::forward::gram::add_gram_block;
+use rowburst_solve::blocks::Blocks;
 use std::ops::ControlFlow;
 
 const L1: VariationWeights = VariationWeights {
@@ -75,7 +76,7 @@ impl Data {
         let indices = instants.map(|i| operator.indices_of(i)).collect();
         Self {
             gram: Blocks::new(indices, |i, block: faer::MatMut<f64>| {
-                operator.add_gram_block(i, None, block);
+                add_gram_block(&operator, i, None, block);
             }),
             scale: operator.pixel_power(rows / 4, columns / 4),
             measurements: recorded.frame.data().to_vec(),

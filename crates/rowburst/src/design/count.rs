@@ -12,9 +12,10 @@
 //! numbers speak about the change, the effective degrees of freedom of ridge regression (Hoerl & Kennard 1970). The others
 //! are noise, whatever the prior: what the change has beyond `n` numbers an instant must come from outside the frame.
 
-use crate::{RollingShutter, Video};
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
+use rowburst_optics::forward::gram::add_gram_block;
+use rowburst_optics::{RollingShutter, Video};
 
 /// Measurements of an instant above which nothing is counted: the count takes their number cubed.
 const MAX_BLOCK: usize = 2048;
@@ -53,7 +54,7 @@ pub fn count_change(operator: &RollingShutter, sigma: f64, change_rms: f64) -> O
         return Some(count(0.0));
     }
     let mut gram = Mat::<f64>::zeros(size, size);
-    operator.add_gram_block(instant, None, gram.as_mut());
+    add_gram_block(operator, instant, None, gram.as_mut());
     let c = (sigma / change_rms).powi(2);
     // Only the upper triangle of the block is written.
     let shifted = Mat::from_fn(size, size, |i, j| {
@@ -82,11 +83,11 @@ pub fn change_rms(video: &Video) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::CameraParams;
-    use crate::linop::LinearOperator;
-    use crate::simulate::scene::{DenseScene, dense};
-    use crate::simulate::{SpeckleOptics, speckle_psf};
-    use crate::{Camera, Sensor, Shutter};
+    use rowburst_core::linop::LinearOperator;
+    use rowburst_optics::camera::CameraParams;
+    use rowburst_optics::{Camera, Sensor, Shutter};
+    use rowburst_simulate::scene::{DenseScene, dense};
+    use rowburst_simulate::{SpeckleOptics, speckle_psf};
 
     fn operator(n: usize) -> (Camera, RollingShutter) {
         let camera = Camera::new(CameraParams {
@@ -122,7 +123,7 @@ mod tests {
             let video = dense(scene, camera.video_shape(), 3).unwrap();
             let mut frame = vec![0.0; operator.range_len()];
             operator.apply(video.data(), &mut frame);
-            let rms = crate::vecmath::norm(&frame) / (frame.len() as f64).sqrt();
+            let rms = rowburst_core::vecmath::norm(&frame) / (frame.len() as f64).sqrt();
             count_change(&operator, rms / 256.0, change_rms(&video)).unwrap()
         };
         let (beam, cells) = (of(DenseScene::Beam), of(DenseScene::Cells));

@@ -30,8 +30,9 @@ pub mod spread;
 #[cfg(test)]
 mod tests;
 
-use crate::simulate::SpeckleOptics;
-use crate::{Camera, Error, Parameter, Psf, Result};
+use rowburst_core::{Error, Parameter, Result};
+use rowburst_optics::{Camera, Psf};
+use rowburst_simulate::SpeckleOptics;
 use speckle::{Dispersion, Grains};
 use spread::Spread;
 
@@ -80,7 +81,7 @@ impl Default for LightParams {
 /// (`docs/design/017`).
 pub const MIN_ROW_LIGHT: f64 = 0.1;
 
-/// Rms phase of the simulated diffuser in radians, see [`crate::simulate::speckle`].
+/// Rms phase of the simulated diffuser in radians, see [`rowburst_simulate::speckle`].
 const SIMULATED_RMS_PHASE: f64 = 4.0;
 
 impl LightParams {
@@ -241,7 +242,7 @@ pub fn assess(
     let params = camera.params();
     let instants = camera.time().instants().len() as f64;
     let own_frame_us = match camera.shutter() {
-        crate::Shutter::Global => params.exposure_us,
+        rowburst_optics::Shutter::Global => params.exposure_us,
         _ => instants * params.row_time_us + params.exposure_us,
     };
     Ok(Assessment {
@@ -268,7 +269,7 @@ pub fn assess(
 pub fn signal(camera: &Camera, spread: &Spread, light: &LightParams) -> PixelSignal {
     let params = camera.params();
     let bins_in_exposure = match camera.shutter() {
-        crate::Shutter::Global => 1.0,
+        rowburst_optics::Shutter::Global => 1.0,
         _ => params.exposure_us / params.row_time_us * params.bins_per_row as f64,
     };
     let sources = light.bright_pixels as f64 * bins_in_exposure;

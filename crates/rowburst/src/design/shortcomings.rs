@@ -1,8 +1,8 @@
 //! What of a design falls short, and what to do about it.
 
 use super::{Assessment, LightParams, MIN_ROW_LIGHT, fits_full_well};
-use crate::Camera;
-use crate::simulate::SpeckleOptics;
+use rowburst_optics::Camera;
+use rowburst_simulate::SpeckleOptics;
 
 /// Light over noise below which even single pixels are lost.
 const MIN_SNR: f64 = 8.0;

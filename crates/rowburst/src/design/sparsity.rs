@@ -12,17 +12,15 @@
 //! speckle grain (no optics tell apart what lies closer), has less than
 //! [`SparsityParams::tolerance`] of the norm of the truth.
 
-use crate::camera::CameraParams;
-use crate::linop::LinearOperator;
-use crate::measurement::Measurement;
-use crate::noise::Noise;
 use crate::reconstruct::{Options, Prior, Problem};
-use crate::{
-    Camera, Error, ErrorKind, Image, Parameter, Psf, Result, RollingShutter, Sensor, Shutter,
-    Video, phrase,
-};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use rowburst_core::linop::LinearOperator;
+use rowburst_core::{Error, ErrorKind, Parameter, Result, phrase};
+use rowburst_optics::camera::CameraParams;
+use rowburst_optics::measurement::Measurement;
+use rowburst_optics::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
+use rowburst_simulate::noise::Noise;
 use std::ops::ControlFlow;
 
 /// What is tried.
@@ -161,7 +159,7 @@ pub fn constant(m: f64, k: f64, n: usize) -> f64 {
     m / (k * (n as f64 / k).ln())
 }
 
-/// `C` of the paper's camera with the speckle of [`crate::simulate::SpeckleOptics::demo`] at an SNR, from
+/// `C` of the paper's camera with the speckle of [`rowburst_simulate::SpeckleOptics::demo`] at an SNR, from
 /// [`success_map`] (`docs/design/017`). Interpolated over the logarithm of the SNR; beyond the table, the nearest
 /// value.
 pub fn usual_constant(snr: f64) -> f64 {

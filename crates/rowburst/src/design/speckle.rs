@@ -29,7 +29,7 @@
 //! A source of bandwidth `B`, even over it, keeps `√((1/B²)∬C(λ₁−λ₂))` of the contrast.
 
 use super::spread::FWHM_PER_SIGMA;
-use crate::Camera;
+use rowburst_optics::Camera;
 use std::f64::consts::PI;
 
 /// `|2J₁(v)/v|²`.

@@ -4,11 +4,11 @@
 //! row `r` by the displacement `d = r − (y' − o)`. The two displacements that count are
 //! those from the bottom row of the field to the top row of the sensor and back.
 //!
-//! Without a PSF the envelope is the Gaussian of [`crate::simulate::speckle`], which is
+//! Without a PSF the envelope is the Gaussian of [`rowburst_simulate::speckle`], which is
 //! separable, `p(dy, dx) = g(dy) g(dx)` with `g(d) = exp(−d²/2σ²)/(σ√2π)`; with one, its
 //! values are summed themselves.
 
-use crate::{Camera, Image, Psf};
+use rowburst_optics::{Camera, Image, Psf};
 
 /// Full width at half maximum of a Gaussian over its standard deviation, `√(8 ln 2)`.
 pub(super) const FWHM_PER_SIGMA: f64 = 2.354_820_045;

@@ -2,13 +2,14 @@
 
 use super::sparsity::{SparsityParams, constant, recoverable, success_map, trial_camera};
 use super::*;
-use crate::camera::CameraParams;
-use crate::linop::LinearOperator;
-use crate::noise::Noise;
-use crate::simulate::{Aperture, speckle_psf};
-use crate::{Image, RollingShutter, Sensor, Shape, Shutter, Video};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use rowburst_core::Shape;
+use rowburst_core::linop::LinearOperator;
+use rowburst_optics::camera::CameraParams;
+use rowburst_optics::{Image, RollingShutter, Sensor, Shutter, Video};
+use rowburst_simulate::noise::Noise;
+use rowburst_simulate::{Aperture, speckle_psf};
 use rustfft::num_complex::Complex64;
 use std::ops::ControlFlow;
 

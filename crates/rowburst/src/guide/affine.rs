@@ -2,8 +2,8 @@
 
 use super::least_squares::project;
 use super::picture;
-use crate::Image;
-use crate::vecmath::{dot, solve_normal};
+use rowburst_core::vecmath::{dot, solve_normal};
+use rowburst_optics::Image;
 
 /// The guide's place of a field pixel, `x + d(x)` with `d_y = p₀ + p₁ η + p₂ ξ`, `d_x = p₃ + p₄ η + p₅ ξ` in pixels of the
 /// field. `η` and `ξ` are the distances from the field's centre along y and x over half its longer side.
@@ -220,8 +220,8 @@ pub(super) fn correlation(a: &Image, b: &Image) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Shape;
-    use crate::simulate::scene::{DenseScene, dense};
+    use rowburst_core::Shape;
+    use rowburst_simulate::scene::{DenseScene, dense};
 
     #[test]
     fn a_shifted_turned_and_larger_picture_is_registered() {

@@ -157,7 +157,7 @@ fn b_spline(d: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vecmath::dot;
+    use rowburst_core::vecmath::dot;
 
     #[test]
     fn splines_sum_to_one_and_reduce_is_the_adjoint() {

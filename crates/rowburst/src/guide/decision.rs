@@ -1,7 +1,7 @@
 //! The choice of the model, and whether a guide belongs to the frame.
 
 use super::{GuideModel, GuideTrial};
-use crate::Image;
+use rowburst_optics::Image;
 
 /// Held-out error of a motion over that of a gain field above which the gain field is chosen; a gain field has more
 /// parameters and predicts held-out pixels a little better where things move (docs/design/028).

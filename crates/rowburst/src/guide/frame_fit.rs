@@ -1,9 +1,10 @@
 //! The data term of a fit: residuals of fitted and of held-out pixels in units of σ.
 
-use crate::{Cancel, LinearOperator, Measurement, RollingShutter, Shape};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
+use rowburst_core::{Cancel, LinearOperator, Shape};
+use rowburst_optics::{Measurement, RollingShutter};
 
 /// Part of the pixels of every row that is held out; larger decides better and leaves less for the fit.
 const HELD_OUT_FRACTION: f64 = 0.1;
@@ -93,8 +94,8 @@ impl<'a> FrameFit<'a> {
     /// Light of a pixel of an even video that gives the frame's mean.
     pub fn mean_light(&self) -> f64 {
         let one = self.apply(&vec![1.0; self.operator.domain_len()]);
-        let product = crate::vecmath::dot(&one, &self.target());
-        product / crate::vecmath::norm_squared(&one).max(f64::MIN_POSITIVE)
+        let product = rowburst_core::vecmath::dot(&one, &self.target());
+        product / rowburst_core::vecmath::norm_squared(&one).max(f64::MIN_POSITIVE)
     }
 
     /// Columns of the frame.

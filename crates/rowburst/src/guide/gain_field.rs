@@ -8,9 +8,9 @@ use super::basis::{Spline, cosines};
 use super::frame_fit::FrameFit;
 use super::least_squares::{conjugate_gradients, project};
 use super::picture;
-use crate::Image;
-use crate::vecmath::{dot, norm_squared, solve_normal};
 use rayon::prelude::*;
+use rowburst_core::vecmath::{dot, norm_squared, solve_normal};
+use rowburst_optics::Image;
 
 /// Cosines in time.
 const MODES: usize = 8;

@@ -1,7 +1,7 @@
 //! Conjugate gradients for the normal equations of a fit.
 
-use crate::Cancel;
-use crate::vecmath::dot;
+use rowburst_core::Cancel;
+use rowburst_core::vecmath::dot;
 
 /// Approximate solution of `N x = rhs` from zero; `normal` is `N`, symmetric and positive definite.
 ///
@@ -63,7 +63,7 @@ pub(super) fn project(columns: &[&[f32]], target: &[f32]) -> Vec<f64> {
         .map(|a| columns.iter().map(|b| dot(a, b)).collect())
         .collect();
     let rhs: Vec<f64> = columns.iter().map(|a| dot(a, target)).collect();
-    crate::vecmath::solve_normal(&gram, &rhs).unwrap_or_else(|| vec![0.0; columns.len()])
+    rowburst_core::vecmath::solve_normal(&gram, &rhs).unwrap_or_else(|| vec![0.0; columns.len()])
 }
 
 #[cfg(test)]

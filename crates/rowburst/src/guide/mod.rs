@@ -26,14 +26,13 @@ mod without_guide;
 
 pub use affine::Affine;
 
-use crate::{
-    Camera, Cancel, Error, ErrorKind, Image, Measurement, Parameter, Result, RollingShutter, Video,
-};
 use affine::{Field, register};
 use decision::Evidence;
 use frame_fit::FrameFit;
 use gain_field::{GainField, GainModel};
 use motion::{KeyFrame, Motion, MotionModel};
+use rowburst_core::{Cancel, Error, ErrorKind, Parameter, Result};
+use rowburst_optics::{Camera, Image, Measurement, RollingShutter, Video};
 use tracing::info;
 use without_guide::WithoutGuide;
 

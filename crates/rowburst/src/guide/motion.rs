@@ -10,9 +10,9 @@ use super::basis::{Spline, cosine, cosines};
 use super::frame_fit::FrameFit;
 use super::least_squares::{conjugate_gradients, project};
 use super::picture;
-use crate::Image;
-use crate::vecmath::{dot, norm_squared};
 use rayon::prelude::*;
+use rowburst_core::vecmath::{dot, norm_squared};
+use rowburst_optics::Image;
 
 /// Pixels between control points on a field of 108; larger is smoother.
 const SPACING_PX: f64 = 6.0;

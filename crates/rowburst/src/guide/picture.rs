@@ -1,6 +1,6 @@
 //! Pictures on the grid of the field: resampling, and values with gradients at shifted places.
 
-use crate::Image;
+use rowburst_optics::Image;
 
 /// The picture on a grid of `rows` × `columns`, its frame stretched over the field. Finer pictures are blurred first.
 pub(super) fn on_grid(picture: &Image, rows: usize, columns: usize) -> Image {

@@ -7,12 +7,12 @@
 use super::basis::cosines;
 use super::frame_fit::FrameFit;
 use super::least_squares::preconditioned_gradients;
-use crate::linop::{BinTransform, Cosine};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
+use rowburst_core::linop::{BinTransform, Cosine};
 
 /// Cosines in time; more follow faster changes, and cost time.
 const MODES: usize = 8;
@@ -190,7 +190,7 @@ impl Preconditioner {
         let columns_of_low = low_columns(frame, modes, &places);
         let gram = Mat::from_fn(low.len(), low.len(), |i, j| {
             let identity = if i == j { 1.0 } else { 0.0 };
-            crate::vecmath::dot(&columns_of_low[i], &columns_of_low[j]) + identity
+            rowburst_core::vecmath::dot(&columns_of_low[i], &columns_of_low[j]) + identity
         });
         Self {
             low,

@@ -15,11 +15,12 @@ use super::sigma::Bands;
 use super::{
     Model, Options, Prior, Problem, Reconstruction, SelfCalibration, SigmaSource, noise_of,
 };
-use crate::forward::gram::element_bytes;
-use crate::measurement::Measurement;
-use crate::solve::StopReason;
-use crate::solve::admm::Progress;
-use crate::{Camera, Cancel, Error, ErrorKind, Parameter, PatchSet, Result, phrase};
+use rowburst_core::{Cancel, Error, ErrorKind, Parameter, Result, phrase};
+use rowburst_optics::forward::gram::element_bytes;
+use rowburst_optics::measurement::Measurement;
+use rowburst_optics::{Camera, PatchSet};
+use rowburst_solve::StopReason;
+use rowburst_solve::admm::Progress;
 use std::ops::{ControlFlow, Range};
 
 /// Bytes of a chunk where its size is left open; smaller makes more chunks (docs/design/008).

@@ -10,10 +10,10 @@
 
 use super::frame_data::FrameData;
 use super::model::Model;
-use crate::measurement::Measurement;
-use crate::solve::DataTerm;
-use crate::vecmath::norm;
-use crate::{Error, Parameter, Result};
+use rowburst_core::vecmath::norm;
+use rowburst_core::{Error, Parameter, Result};
+use rowburst_optics::measurement::Measurement;
+use rowburst_solve::DataTerm;
 
 /// Residual over the right-hand side at which the solve stops; f32 is no more accurate.
 const TOLERANCE: f64 = 1e-6;

@@ -12,7 +12,7 @@ use super::held_out_check::{
 };
 use super::sigma::Bands;
 use super::{Prior, Problem, RunResult, SigmaSource, noise_of};
-use crate::solve::DataTerm;
+use rowburst_solve::DataTerm;
 
 /// Noise level of a round over that of the one before; smaller absorbs foreign pixels that are not found yet.
 const LEVEL_RATIO: f64 = 0.5;

@@ -10,10 +10,10 @@
 use super::SolverSettings;
 use super::frame_data::FrameData;
 use super::{Prior, RunResult, observe_sum};
-use crate::measurement::Measurement;
-use crate::solve::DataTerm;
-use crate::solve::StopReason;
-use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
+use rowburst_optics::measurement::Measurement;
+use rowburst_solve::DataTerm;
+use rowburst_solve::StopReason;
+use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
 use std::ops::ControlFlow;
 
 /// Last noise level over the light of the frame; smaller takes what has not settled for foreign.
@@ -440,7 +440,7 @@ fn quantile(values: &mut [f64], part: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Image;
+    use rowburst_optics::Image;
 
     const COLUMNS: usize = 40;
 

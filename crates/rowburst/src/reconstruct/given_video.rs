@@ -1,10 +1,11 @@
 //! The reconstruction of a video that another model has made of the frame.
 
 use super::{Prior, Problem, Reconstruction, RunResult};
-use crate::linop::Background;
-use crate::solve::admm::Solution;
-use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::{Measurement, Result, RollingShutter, Video};
+use rowburst_core::Result;
+use rowburst_core::linop::Background;
+use rowburst_optics::{Measurement, RollingShutter, Video};
+use rowburst_solve::admm::Solution;
+use rowburst_solve::{Certificate, DataTerm, StopReason};
 
 impl Problem {
     /// The operator `A`.
@@ -33,7 +34,7 @@ impl Problem {
         let predicted = self.data.weigh(&self.data.predicted(video.data()));
         let pairs = self.data.measurements().iter().zip(&predicted);
         let residual: Vec<f32> = pairs.map(|(b, a)| b - a).collect();
-        let primal = 0.5 * crate::vecmath::norm_squared(&residual);
+        let primal = 0.5 * rowburst_core::vecmath::norm_squared(&residual);
         let result = RunResult {
             prior: Prior::STANDARD,
             choice: None,

@@ -4,10 +4,10 @@
 //! `⟨(w(b − A v)/σ)²⟩` is that of the video plus that of the noise, so a smaller error means a better video
 //! (cross-validation: Stone 1974; for compressed sensing: Ward 2009).
 
-use crate::RollingShutter;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
+use rowburst_optics::RollingShutter;
 
 /// Fraction of the pixels held out; larger decides better and leaves less for the fit (docs/design/011).
 const HELD_OUT_FRACTION: f64 = 0.05;
@@ -50,8 +50,8 @@ impl HeldOut {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::CameraParams;
-    use crate::{Camera, Image, Psf, Sensor, Shutter};
+    use rowburst_optics::camera::CameraParams;
+    use rowburst_optics::{Camera, Image, Psf, Sensor, Shutter};
 
     #[test]
     fn takes_a_twentieth_of_each_instant() {

@@ -9,9 +9,9 @@ use super::choose::{self, Observer, rms};
 use super::foreign;
 use super::frame_data::FrameData;
 use super::{Prior, Problem, RunResult, observe_sum};
-use crate::prox::Prox;
-use crate::solve::StopReason;
-use crate::solve::admm::{Admm, TauRule};
+use rowburst_solve::StopReason;
+use rowburst_solve::admm::{Admm, TauRule};
+use rowburst_solve::prox::Prox;
 use tracing::info;
 
 /// Most iterations of a check; fewer compare a video that has not settled.

@@ -22,7 +22,6 @@ mod sequence;
 mod sigma;
 mod x_step;
 
-use crate::error::Subject;
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
 pub use chunked::Chunked;
@@ -30,18 +29,20 @@ pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;
 pub use prior::Prior;
+use rowburst_core::error::Subject;
 pub use self_calibration::{
     Calibration, FoundParameter, ModelParameter, SelfCalibration, calibrate,
 };
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
-use crate::linop::Background;
-use crate::measurement::Measurement;
-use crate::solve::admm::{Admm, Progress, Solution, TauRule, Tuning};
-use crate::solve::{Certificate, DataTerm, StopReason};
-use crate::{Camera, Error, ErrorKind, Image, Parameter, PatchSet, Result, Shape, Video, phrase};
 use frame_data::FrameData;
+use rowburst_core::linop::Background;
+use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
+use rowburst_optics::measurement::Measurement;
+use rowburst_optics::{Camera, Image, PatchSet, Video};
+use rowburst_solve::admm::{Admm, Progress, Solution, TauRule, Tuning};
+use rowburst_solve::{Certificate, DataTerm, StopReason};
 use sigma::Bands;
 use std::ops::ControlFlow;
 use tracing::info;
@@ -110,6 +111,7 @@ pub enum Tau {
 
 /// The source of the noise level `σ`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SigmaSource {
     /// [`Options::noise_sigma`].
     Given,
@@ -390,7 +392,8 @@ impl Problem {
         }
         let shape = self.data.shape();
         let measurement_count = self.data.measurement_count() as f64;
-        let residual_rms = crate::vecmath::norm(&solution.residual) / measurement_count.sqrt();
+        let residual_rms =
+            rowburst_core::vecmath::norm(&solution.residual) / measurement_count.sqrt();
         let normalised_residual: Vec<f32> = solution
             .residual
             .iter()
@@ -609,7 +612,7 @@ impl Problem {
         let stop_reason = result.solution.stop_reason;
         if let (StopReason::Interrupted | StopReason::TimeBudget, Some(best_trial)) =
             (stop_reason, best_trial)
-            && best_trial.misfit() < crate::vecmath::norm(&result.solution.residual)
+            && best_trial.misfit() < rowburst_core::vecmath::norm(&result.solution.residual)
         {
             let found = best_trial.stopped(stop_reason);
             return RunResult { choice, ..*found };
@@ -695,5 +698,5 @@ fn noise_of(measurement: &Measurement, bands: &Bands, options: &Options) -> (f64
 }
 
 fn rms(values: &[f32]) -> f64 {
-    crate::vecmath::norm(values) / (values.len() as f64).sqrt()
+    rowburst_core::vecmath::norm(values) / (values.len() as f64).sqrt()
 }

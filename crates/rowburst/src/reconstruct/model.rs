@@ -1,11 +1,12 @@
 //! The model of a camera with its PSF, which all frames of an experiment share.
 
-use crate::forward::RollingShutter;
-use crate::forward::gram::element_bytes;
-use crate::forward::mean_field::MeanField;
-use crate::{Camera, Cancel, PatchSet};
 use faer::Mat;
 use rayon::prelude::*;
+use rowburst_core::Cancel;
+use rowburst_optics::forward::RollingShutter;
+use rowburst_optics::forward::gram::{add_gram_block, element_bytes};
+use rowburst_optics::forward::mean_field::MeanField;
+use rowburst_optics::{Camera, PatchSet};
 use std::sync::{Arc, OnceLock};
 use tracing::debug;
 
@@ -101,7 +102,7 @@ impl Model {
                 let size = rows.len() * columns;
                 let mut block = Mat::zeros(size, size);
                 if !self.cancel.is_cancelled() {
-                    self.shutter.add_gram_block(instant, None, block.as_mut());
+                    add_gram_block(&self.shutter, instant, None, block.as_mut());
                 }
                 block
             });
@@ -161,7 +162,7 @@ impl Model {
 
     /// The mean field of `A Aᵀ`; the first call computes it.
     pub(super) fn mean_field(&self) -> Arc<MeanField> {
-        let mean_field = || Arc::new(self.shutter.mean_field());
+        let mean_field = || Arc::new(MeanField::new(&self.shutter));
         Arc::clone(self.mean_field.get_or_init(mean_field))
     }
 

@@ -17,23 +17,23 @@
 //!
 //! `T` is the number of bins, and `N` is the larger of pixels and bins, as in Candès et al. (2011). With a
 //! background the video is the sum of foreground and background, and all other terms act on the foreground
-//! ([`crate::prox::SumPrior`]).
+//! ([`rowburst_solve::prox::SumPrior`]).
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
 use super::SolverSettings;
-use crate::error::Phrase;
-use crate::linop::Background;
-use crate::prox::{
+use rowburst_core::error::Phrase;
+use rowburst_core::linop::Background;
+use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
+use rowburst_solve::admm::{AdmmParams, TauRule};
+use rowburst_solve::prox::{
     Composite, Prox, SumPrior, TERMS, TermForm, TermSpec, Variation, VariationWeights,
 };
-use crate::solve::admm::{AdmmParams, TauRule};
-use crate::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 
 /// A prior: the weights of its convex terms, and whether the video is restricted to a support.
 ///
 /// Its text form joins the terms by `+`, each with an optional weight, as in `tv+0.5*tdiff+support`. The convex terms
-/// are those of [`TERMS`]; `support` permits only bright voxels and their neighbours, see [`crate::solve::admm`].
+/// are those of [`TERMS`]; `support` permits only bright voxels and their neighbours, see [`rowburst_solve::admm`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
     /// The weights of [`TERMS`]; a term with weight 0 is absent.

@@ -3,7 +3,7 @@
 //! Most of a scene stays the same from one frame to the next. So the solver starts each frame from the
 //! end of the last one: its video, its duals, the support, `ρ`, and the factors of the Gram blocks, which
 //! are valid as long as support and `ρ` stay. The x-step finds changes of active voxels, and the
-//! updates of the support find new active voxels (see [`crate::solve::admm`]). A frame that was stopped
+//! updates of the support find new active voxels (see [`rowburst_solve::admm`]). A frame that was stopped
 //! early is continued by the next one. A frame starts from zero where the last video explains too little
 //! of it (docs/design/014).
 
@@ -11,12 +11,12 @@ use super::sigma::Bands;
 use super::{
     Model, Options, Prior, Problem, Reconstruction, RunResult, SigmaSource, Tau, noise_of,
 };
-use crate::Result;
-use crate::measurement::Measurement;
-use crate::prox::Prox;
-use crate::solve::admm::{Admm, Progress, TauRule};
-use crate::solve::{DataTerm, StopReason};
-use crate::vecmath::distance_squared;
+use rowburst_core::Result;
+use rowburst_core::vecmath::distance_squared;
+use rowburst_optics::measurement::Measurement;
+use rowburst_solve::admm::{Admm, Progress, TauRule};
+use rowburst_solve::prox::Prox;
+use rowburst_solve::{DataTerm, StopReason};
 use std::ops::ControlFlow;
 
 /// Unexplained part of a frame's variance above which it starts from zero; larger keeps old videos longer
@@ -26,7 +26,7 @@ const MAX_UNEXPLAINED: f64 = 0.5;
 /// Reconstructs consecutive frames of the same camera, each with a warm start from the last one.
 ///
 /// The video of a frame depends on the frames before, for converged frames within
-/// [`crate::solve::admm::AdmmParams::tolerance`]. So it suits a live view, not a measurement. The prior
+/// [`rowburst_solve::admm::AdmmParams::tolerance`]. So it suits a live view, not a measurement. The prior
 /// is that of the options, or [`Prior::STANDARD`].
 pub struct Sequence {
     model: Model,

@@ -4,9 +4,9 @@
 //! holds only noise. Rows are transformed rather than columns, since each row is one instant. A Hann
 //! window keeps the strong low frequencies from leaking into the noise band.
 
-use crate::measurement::Measurement;
-use crate::{Image, Psf};
 use realfft::RealFftPlanner;
+use rowburst_optics::measurement::Measurement;
+use rowburst_optics::{Image, Psf};
 
 /// Fraction of the frequencies that are taken for noise, those that the PSF passes least; larger averages
 /// more values and admits more signal.
@@ -32,7 +32,8 @@ impl Bands {
             let weight = measurement.weights().map_or(1.0, |w| f64::from(w[at]));
             weight * f64::from(image.data()[at])
         });
-        let rms = (crate::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
+        let rms =
+            (rowburst_core::vecmath::norm_squared(image.data()) / image.data().len() as f64).sqrt();
         // A noiseless frame still has rounding noise.
         let min_sigma = 1e-5 * rms;
         noise_rms.map(|noise_rms| noise_rms.max(min_sigma))

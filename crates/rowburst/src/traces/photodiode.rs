@@ -5,8 +5,9 @@
 //! detector's signal averaged over each bin.
 
 use super::Trace;
-use crate::error::Subject;
-use crate::{Error, Parameter, Result, TimeGrid};
+use rowburst_core::error::Subject;
+use rowburst_core::{Error, Parameter, Result};
+use rowburst_optics::TimeGrid;
 
 /// A signal over time, straight between its points.
 #[derive(Debug, Clone, PartialEq)]

@@ -29,11 +29,13 @@
 use super::kernel::{Voxel, covariance, scales};
 use super::posterior::{Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
-use crate::shape::InstantWeights;
-use crate::solve::admm::brightness;
-use crate::{Error, ErrorKind, Parameter, Result, RollingShutter, Shape, Support, Video};
 use faer::Mat;
 use rayon::prelude::*;
+use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, Support};
+use rowburst_optics::InstantWeights;
+use rowburst_optics::forward::gram::columns_of;
+use rowburst_optics::{RollingShutter, Video};
+use rowburst_solve::admm::brightness;
 
 /// What an estimate is made from.
 #[derive(Clone, Copy)]
@@ -320,7 +322,7 @@ impl<'a> Refit<'a> {
         let pixels: Vec<usize> = voxels.iter().map(|p| p.y * columns + p.x).collect();
         let indices = operator.indices_of(i);
         let weight = |k: usize| weights.map_or(1.0, |w| f64::from(w[indices[k]])) / sigma;
-        let mut matrix = operator.columns_of(i, &pixels);
+        let mut matrix = columns_of(operator, i, &pixels);
         for (j, voxel) in voxels.iter().enumerate() {
             let overlap = run.weights[voxel.bin - run.first_bin];
             for k in 0..indices.len() {

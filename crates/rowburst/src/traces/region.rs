@@ -1,6 +1,7 @@
 //! A place of the field, and its light over time.
 
-use crate::{Error, ErrorKind, Parameter, Result, Shape, Video};
+use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape};
+use rowburst_optics::Video;
 
 /// A rectangle of the field, in its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

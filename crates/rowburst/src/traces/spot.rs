@@ -1,7 +1,7 @@
 //! The brightest, well separated spots of a picture.
 
 use super::Region;
-use crate::Video;
+use rowburst_optics::Video;
 
 /// Least distance between spots: this part of the field's shorter side, and so many pixels.
 const SEPARATION: (f64, f64) = (1.0 / 8.0, 3.0);

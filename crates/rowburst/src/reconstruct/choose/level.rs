@@ -11,9 +11,9 @@ use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, observe_sum};
 use super::trial::Trial;
 use super::{Observer, rms};
-use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
-use crate::solve::{DataTerm, StopReason};
-use crate::vecmath::norm;
+use rowburst_core::vecmath::norm;
+use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
+use rowburst_solve::{DataTerm, StopReason};
 
 /// Noise level at which the path begins, over the rms of the frame; larger takes more steps.
 const MAX_SIGMA_RATIO: f64 = 0.25;

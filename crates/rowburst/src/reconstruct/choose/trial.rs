@@ -4,9 +4,9 @@ use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
 use super::super::{Prior, RunResult, observe_sum};
 use super::{Candidate, MIN_GAIN, Observer, gain, rms};
-use crate::prox::Prox;
-use crate::solve::StopReason;
-use crate::solve::admm::{Admm, AdmmParams, Progress, TauRule};
+use rowburst_solve::StopReason;
+use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
+use rowburst_solve::prox::Prox;
 
 /// [`AdmmParams::tolerance`] of a trial; larger is faster and compares less exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;

@@ -37,10 +37,11 @@ mod verdict;
 
 use super::sigma::Bands;
 use super::{SigmaSource, StopReason};
-use crate::{Camera, Image, Video};
+use rowburst_optics::{Camera, Image, Video};
 
 /// Whether a video may be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Verdict {
     /// The residual is the noise that was expected.
     Good,
@@ -147,7 +148,7 @@ pub(super) struct FitInput<'a> {
     pub video: &'a Video,
     /// `df` as the prior counts it.
     pub degrees_of_freedom: f64,
-    /// See [`Tuning::max_freedom`](crate::solve::admm::Tuning::max_freedom).
+    /// See [`Tuning::max_freedom`](rowburst_solve::admm::Tuning::max_freedom).
     pub max_freedom: f64,
     /// Rms of the residual after each iteration.
     pub residual_history: &'a [f64],

@@ -1,7 +1,7 @@
 //! The numbers of a residual.
 
 use super::{FitInput, FitStatistics, TrimmedChiSquared};
-use crate::{Camera, Video};
+use rowburst_optics::{Camera, Video};
 
 /// `|r|` of a pixel that stands out: noise passes it in one pixel of 1.7 million.
 const OUTLIER: f64 = 5.0;
@@ -69,7 +69,7 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
         chi_squared: chi(total, pixels.len()),
         chi_squared_error: (2.0 / (m - spent)).sqrt(),
         residual_over_frame: total.sqrt()
-            / crate::vecmath::norm(evidence.measured).max(f64::MIN_POSITIVE),
+            / rowburst_core::vecmath::norm(evidence.measured).max(f64::MIN_POSITIVE),
         freedom: evidence.degrees_of_freedom / m,
         noise_floor: (noise_count >= 8)
             .then(|| evidence.bands.noise_rms(value))
@@ -225,8 +225,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::CameraParams;
-    use crate::{Sensor, Shape, Shutter};
+    use rowburst_core::Shape;
+    use rowburst_optics::camera::CameraParams;
+    use rowburst_optics::{Sensor, Shutter};
 
     fn camera(shutter: Shutter, exposure_us: f64) -> Camera {
         Camera::new(CameraParams {

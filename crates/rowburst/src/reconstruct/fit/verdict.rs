@@ -188,7 +188,7 @@ fn ended_early(evidence: &FitInput, s: &FitStatistics) -> Option<String> {
     let end = match evidence.stop_reason {
         StopReason::Interrupted => "the run was interrupted",
         StopReason::TimeBudget => "the time budget ended",
-        StopReason::Converged | StopReason::IterationLimit => return None,
+        _ => return None,
     };
     let limit = SUSPICIOUS + DEVIATIONS * s.chi_squared_error;
     (s.chi_squared > limit).then(|| {

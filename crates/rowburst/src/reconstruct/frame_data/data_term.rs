@@ -1,10 +1,10 @@
 //! The data term as the solver sees it.
 
 use super::FrameData;
-use crate::Support;
-use crate::linop::{Background, LinearOperator, WritePart};
 use crate::reconstruct::x_step;
-use crate::solve::{Capabilities, DataTerm, FusedAdjoint};
+use rowburst_core::Support;
+use rowburst_core::linop::{Background, LinearOperator, WritePart};
+use rowburst_solve::{Capabilities, DataTerm, FusedAdjoint};
 
 impl DataTerm for FrameData {
     fn operator(&self) -> &dyn LinearOperator {

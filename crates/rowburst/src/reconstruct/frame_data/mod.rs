@@ -9,10 +9,11 @@ use super::held_out::HeldOut;
 use super::model::Model;
 use super::prior::Prior;
 use super::x_step::{self, ExactBlocks, Precision, System, XStep};
-use crate::linop::{Background, LinearOperator};
-use crate::measurement::{Measurement, NoiseModel};
-use crate::prox::{Prox, Restricted};
-use crate::{RollingShutter, Shape, Support};
+use rowburst_core::linop::{Background, LinearOperator};
+use rowburst_core::{Shape, Support};
+use rowburst_optics::RollingShutter;
+use rowburst_optics::measurement::{Measurement, NoiseModel};
+use rowburst_solve::prox::{Prox, Restricted};
 
 /// Sensitivity of a voxel over the largest one, below which the frame does not observe it; larger leaves more of the
 /// edges of a field dark (docs/design/020).
@@ -31,7 +32,7 @@ pub(super) struct FrameData {
     /// `W` of all pixels at the start of a run, from the counts of this frame or of an earlier one, see
     /// [`Self::set_frame`]; held-out pixels keep their weights here.
     initial_weights: Option<Vec<f32>>,
-    /// The present `W` of all pixels; [`crate::solve::DataTerm::update_weights`] computes it from the light of the
+    /// The present `W` of all pixels; [`rowburst_solve::DataTerm::update_weights`] computes it from the light of the
     /// video.
     weights: Option<Vec<f32>>,
     noise: Option<NoiseModel>,
@@ -92,11 +93,11 @@ impl FrameData {
     }
 
     /// What stops its runs.
-    pub fn cancel(&self) -> &crate::Cancel {
+    pub fn cancel(&self) -> &rowburst_core::Cancel {
         self.system.model().cancel()
     }
 
-    pub fn psfs(&self) -> &crate::PatchSet {
+    pub fn psfs(&self) -> &rowburst_optics::PatchSet {
         self.system.model().psfs()
     }
 
@@ -214,7 +215,7 @@ impl FrameData {
 
     /// Solves `(B Bᵀ + ρI) y = r` for an `r` that has nothing to do with the one before; `B` is `W A` on the support.
     pub fn solve_alone(&mut self, r: &[f32], rho: f64) -> Vec<f64> {
-        let size = crate::vecmath::norm(r).max(f64::MIN_POSITIVE);
+        let size = rowburst_core::vecmath::norm(r).max(f64::MIN_POSITIVE);
         let unit: Vec<f32> = r.iter().map(|r| (f64::from(*r) / size) as f32).collect();
         let (mut y, mut gram_y) = (vec![0.0; r.len()], vec![0.0; r.len()]);
         let equation = x_step::Equation {

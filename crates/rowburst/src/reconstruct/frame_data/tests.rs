@@ -1,10 +1,10 @@
 use super::*;
-use crate::camera::CameraParams;
-use crate::measurement::{Corrections, correct};
 use crate::reconstruct::x_step::Method;
-use crate::solve::DataTerm;
-use crate::vecmath::norm;
-use crate::{Camera, Image, Psf, Sensor, Shutter};
+use rowburst_core::vecmath::norm;
+use rowburst_optics::camera::CameraParams;
+use rowburst_optics::measurement::{Corrections, correct};
+use rowburst_optics::{Camera, Image, Psf, Sensor, Shutter};
+use rowburst_solve::DataTerm;
 
 fn data(shutter: Shutter) -> FrameData {
     data_with_exposure(shutter, 1.0)
@@ -102,7 +102,7 @@ fn cached_blocks_change_nothing() {
         Psf::new(Image::from_fn(23, 39, value)).unwrap()
     };
     let places = vec![(0.0, -6.0), (0.0, 6.0)];
-    let several = crate::PatchSet::new(vec![psf(13), psf(5)], places).unwrap();
+    let several = rowburst_optics::PatchSet::new(vec![psf(13), psf(5)], places).unwrap();
     for psfs in [first.psfs().clone(), several] {
         let model = Model::new(first.system.model().camera(), psfs);
         let frame = Image::from_fn(12, 20, |y, x| (5 + (3 * y + 5 * x) % 11) as f32);

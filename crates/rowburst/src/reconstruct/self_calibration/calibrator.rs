@@ -6,11 +6,12 @@ use super::super::held_out_check::HeldOutRun;
 use super::super::{Model, Prior, RunResult, SolverSettings, choose};
 use super::parameters::{ModelParameter, Parameters};
 use super::psf_model::PsfModel;
-use crate::forward::psf_map::PsfMap;
-use crate::linop::LinearOperator;
-use crate::measurement::Measurement;
-use crate::solve::admm::{Progress, TauRule};
-use crate::{Camera, Cancel, PatchSet, Psf, RollingShutter};
+use rowburst_core::Cancel;
+use rowburst_core::linop::LinearOperator;
+use rowburst_optics::forward::psf_map::PsfMap;
+use rowburst_optics::measurement::Measurement;
+use rowburst_optics::{Camera, PatchSet, Psf, RollingShutter};
+use rowburst_solve::admm::{Progress, TauRule};
 use tracing::debug;
 
 /// The label of the runs of self-calibration.
@@ -176,7 +177,7 @@ impl<'p> Calibrator<'p> {
         }
     }
 
-    fn image(&self) -> &crate::Image {
+    fn image(&self) -> &rowburst_optics::Image {
         self.frames[0].measurement.image()
     }
 

@@ -10,8 +10,8 @@
 //! with `D = √(g p)` and the Wiener gain for `F` (noise), or `D = κ μ` and the spectrum of the speckle (change). `κ` is
 //! found from the misfit of a frame.
 
-use crate::Image;
-use crate::fft2::{Fft2, smooth_length};
+use rowburst_core::fft2::{Fft2, smooth_length};
+use rowburst_optics::Image;
 use rustfft::num_complex::Complex32;
 
 /// Standard deviation of the Gaussian that gives the local mean, in pixels; larger follows the envelope less.
@@ -312,10 +312,10 @@ impl Spectrum {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulate::{SpeckleOptics, speckle_psf};
-    use crate::vecmath::{dot, norm};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
+    use rowburst_core::vecmath::{dot, norm};
+    use rowburst_simulate::{SpeckleOptics, speckle_psf};
 
     fn speckle() -> Image {
         let psf = speckle_psf(&SpeckleOptics::demo(), 120, 140, 3).unwrap();

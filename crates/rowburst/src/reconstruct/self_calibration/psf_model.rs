@@ -10,9 +10,9 @@
 //! continues as its mirror image.
 
 use super::parameters::{ModelParameter, Parameters};
-use crate::fft2::{Fft2, smooth_length};
-use crate::{Image, Psf};
 use rayon::prelude::*;
+use rowburst_core::fft2::{Fft2, smooth_length};
+use rowburst_optics::{Image, Psf};
 use rustfft::num_complex::Complex32;
 use std::f64::consts::{PI, TAU};
 

@@ -15,13 +15,13 @@ use super::calibrator::Trial;
 use super::psf_error::{Capture, PsfError};
 use super::search::{MIN_FALL, Proposal, Search};
 use super::step::Marginal;
-use crate::forward::psf_map::PsfMap;
-use crate::solve::DataTerm;
-use crate::vecmath::{dot, norm_squared};
-use crate::{Image, Psf};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
+use rowburst_core::vecmath::{dot, norm_squared};
+use rowburst_optics::forward::psf_map::PsfMap;
+use rowburst_optics::{Image, Psf};
+use rowburst_solve::DataTerm;
 use tracing::info;
 
 /// Rounds of a reconstruction and a refinement.

@@ -17,11 +17,12 @@
 
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::ModelParameter;
-use crate::solve::DataTerm;
-use crate::solve::admm::brightness;
-use crate::{RollingShutter, Support};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
+use rowburst_core::Support;
+use rowburst_optics::RollingShutter;
+use rowburst_solve::DataTerm;
+use rowburst_solve::admm::brightness;
 
 /// Threshold of an active voxel over the brightness; larger leaves voxels out whose light then counts as an error.
 const THRESHOLD: f64 = 0.05;

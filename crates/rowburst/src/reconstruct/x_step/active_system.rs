@@ -9,12 +9,14 @@
 //! (Woodbury; Golub & Van Loan, 4th ed., section 2.1.4). Ordered in time, `BᵀB` is banded, since bins further apart than
 //! an exposure have no instant in common (docs/design/025).
 
-use crate::linop::{LinearOperator, WeightedOperator};
-use crate::solve::block_band::BlockBand;
-use crate::{RollingShutter, Support};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use rayon::prelude::*;
+use rowburst_core::Support;
+use rowburst_core::linop::{LinearOperator, WeightedOperator};
+use rowburst_optics::RollingShutter;
+use rowburst_optics::forward::gram::columns_of;
+use rowburst_solve::block_band::BlockBand;
 use std::sync::Arc;
 
 /// Columns of a parallel task; fixed, so that the bits do not depend on the number of threads.
@@ -161,7 +163,7 @@ fn weighted_columns(
     pixels: &[usize],
 ) -> Mat<f32> {
     let shutter = operator.inner();
-    let mut columns = shutter.columns_of(instant, pixels);
+    let mut columns = columns_of(shutter, instant, pixels);
     if let Some(weights) = operator.weights() {
         let indices = shutter.indices_of(instant);
         for column in columns.col_iter_mut() {

@@ -3,10 +3,10 @@
 use super::active_system::ActiveSystem;
 use super::preconditioner::{MeanFieldPreconditioner, PlanePreconditioner};
 use super::{Equation, System, XStep};
-use crate::Support;
-use crate::linop::Background;
-use crate::solve::DataHints;
-use crate::solve::conjugate_gradient::{ConjugateGradient, Preconditioner, TOLERANCE};
+use rowburst_core::Support;
+use rowburst_core::linop::Background;
+use rowburst_solve::DataHints;
+use rowburst_solve::conjugate_gradient::{ConjugateGradient, Preconditioner, TOLERANCE};
 use std::sync::Arc;
 
 /// Residual over `ρ‖y‖` of conjugate gradients where the solution itself is asked for.

@@ -1,10 +1,10 @@
 //! The exact x-step by the blocks of instants, where no bin is seen by two of them (docs/design/003).
 
 use super::{Equation, System, XStep};
-use crate::Support;
-use crate::linop::Background;
-use crate::solve::blocks::Blocks;
-use crate::solve::{DataHints, ProblemSize};
+use rowburst_core::Support;
+use rowburst_core::linop::Background;
+use rowburst_solve::blocks::Blocks;
+use rowburst_solve::{DataHints, ProblemSize};
 
 /// Measurements of an instant above which a factor costs more than ten iterations (docs/design/008).
 const LARGE_BLOCK: usize = 1024;

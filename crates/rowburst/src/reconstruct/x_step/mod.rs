@@ -5,7 +5,7 @@
 //!
 //! | implementation | system | where |
 //! |---|---|---|
-//! | [`ExactBlocks`] | Cholesky factors of the blocks of instants, or of the smaller system of the active columns (Woodbury, [`crate::solve::blocks`]) | no bin is seen by two instants, and the blocks fit in memory |
+//! | [`ExactBlocks`] | Cholesky factors of the blocks of instants, or of the smaller system of the active columns (Woodbury, [`rowburst_solve::blocks`]) | no bin is seen by two instants, and the blocks fit in memory |
 //! | [`StaticBackground`] | the same blocks, with the Schur complement of a static background | as above, with a static background |
 //! | [`ConjugateGradients`] | preconditioned conjugate gradients, or on a small support the factor of `BᵀB + ρI`, banded in time ([`active_system`]) | else |
 
@@ -21,9 +21,9 @@ pub(super) use exact_blocks::{ExactBlocks, Precision};
 pub(super) use static_background::StaticBackground;
 pub(super) use system::System;
 
-use crate::Support;
-use crate::linop::Background;
-use crate::solve::DataHints;
+use rowburst_core::Support;
+use rowburst_core::linop::Background;
+use rowburst_solve::DataHints;
 
 /// Smallest `ρ` over a typical diagonal element of `A Aᵀ` where blocks would not fit in memory; smaller is not stable.
 const MIN_RHO: f64 = 1e-9;

@@ -1,9 +1,10 @@
 //! Preconditioners of the conjugate gradients: the mean field of the operator.
 
-use crate::forward::mean_field::{MeanField, MeanFieldSolver};
-use crate::linop::Background;
-use crate::solve::conjugate_gradient::Preconditioner;
-use crate::{RollingShutter, Support};
+use rowburst_core::Support;
+use rowburst_core::linop::Background;
+use rowburst_optics::RollingShutter;
+use rowburst_optics::forward::mean_field::{MeanField, MeanFieldSolver};
+use rowburst_solve::conjugate_gradient::Preconditioner;
 use std::sync::Arc;
 
 /// Solves with the mean field along the rows; pixels with weight 0 are coupled to no others.

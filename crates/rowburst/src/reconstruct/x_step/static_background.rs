@@ -2,11 +2,12 @@
 
 use super::exact_blocks::block_hints;
 use super::{Equation, System, XStep};
-use crate::linop::{Background, LinearOperator, WeightedOperator, sum_of_bins};
-use crate::solve::DataHints;
-use crate::solve::blocks::Blocks;
-use crate::solve::coupled_blocks::{CoupledBlocks, CoupledSystem};
-use crate::{RollingShutter, Support};
+use rowburst_core::Support;
+use rowburst_core::linop::{Background, LinearOperator, WeightedOperator, sum_of_bins};
+use rowburst_optics::RollingShutter;
+use rowburst_solve::DataHints;
+use rowburst_solve::blocks::Blocks;
+use rowburst_solve::coupled_blocks::{CoupledBlocks, CoupledSystem};
 use std::sync::Arc;
 
 /// The blocks of the foreground, with the Schur complement of the background.

@@ -1,12 +1,14 @@
 //! The system of the x-step: the operator with its weights, support and background.
 
 use super::super::model::Model;
-use crate::camera::CameraParams;
-use crate::linop::{Background, LinearOperator, Scalar, WeightedOperator, WithBackground};
-use crate::solve::blocks::{BlockSource, Blocks};
-use crate::{Camera, RollingShutter, Shape, Shutter, Support};
 use faer::reborrow::ReborrowMut;
 use faer::{Mat, MatMut, MatRef};
+use rowburst_core::linop::{Background, LinearOperator, Scalar, WeightedOperator, WithBackground};
+use rowburst_core::{Shape, Support};
+use rowburst_optics::camera::CameraParams;
+use rowburst_optics::forward::gram::{active_columns, add_gram_block, builds_in_f64};
+use rowburst_optics::{Camera, RollingShutter, Shutter};
+use rowburst_solve::blocks::{BlockSource, Blocks};
 use std::sync::Arc;
 
 /// `B = W A P` of a frame; a source of the diagonal blocks of `B Bᵀ`.
@@ -140,9 +142,9 @@ impl System {
             return;
         }
         let shutter = self.shutter();
-        shutter.add_gram_block(instant, self.support(), sum.rb_mut());
+        add_gram_block(shutter, instant, self.support(), sum.rb_mut());
         if self.background == Background::PerBin {
-            shutter.add_gram_block(instant, None, sum.rb_mut());
+            add_gram_block(shutter, instant, None, sum.rb_mut());
         }
     }
 
@@ -184,7 +186,7 @@ impl<T: Scalar> BlockSource<T> for &System {
         let is_cached = self.is_unrestricted_at(instant) && self.background != Background::PerBin;
         match self.model.cached_block(instant).filter(|_| is_cached) {
             Some(block) => round(block.as_ref(), sum.rb_mut()),
-            None if shutter.builds_in_f64() => {
+            None if builds_in_f64(shutter) => {
                 let mut exact = Mat::<f64>::zeros(sum.nrows(), sum.ncols());
                 self.add_sum_of_blocks(instant, exact.as_mut());
                 round(exact.as_ref(), sum.rb_mut());
@@ -210,7 +212,7 @@ impl<T: Scalar> BlockSource<T> for &System {
             return None;
         }
         let shutter = self.shutter();
-        let mut columns = shutter.active_columns::<T>(instant, self.support()?, max_columns)?;
+        let mut columns = active_columns::<T>(shutter, instant, self.support()?, max_columns)?;
         if let Some(weights) = self.operator.weights() {
             let indices = shutter.indices_of(instant);
             for column in columns.col_iter_mut() {

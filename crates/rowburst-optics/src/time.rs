@@ -1,0 +1,159 @@
+//! The time axis of a video.
+
+/// The time axis of a video: its bins, and the weight of each bin in the instants at which rows are read.
+///
+/// Row `r` is read at the end of instant `k[r]` and integrates the video with the weights of that instant:
+/// `w[r, j] = weight(k[r], j)`. A weight is the overlap of the row's exposure (Eq. 2) with bin `j`, in row times
+/// (for a `global` shutter in exposures, so it is 1). Only a short run of consecutive bins has weights above zero.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TimeGrid {
+    bins: usize,
+    bin_duration_us: f64,
+    instants: Vec<InstantWeights>,
+}
+
+/// The weights of the consecutive bins that one instant integrates.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InstantWeights {
+    /// First of these bins.
+    pub first_bin: usize,
+    /// Weights of `first_bin, first_bin + 1, …` in row times; in exposures for a `global` shutter, whose only weight
+    /// is 1.
+    pub weights: Vec<f64>,
+}
+
+impl TimeGrid {
+    /// A single bin of `duration_us` microseconds, which every row integrates with weight 1 (`global` shutter).
+    pub fn single(duration_us: f64) -> Self {
+        Self {
+            bins: 1,
+            bin_duration_us: duration_us,
+            instants: vec![InstantWeights {
+                first_bin: 0,
+                weights: vec![1.0],
+            }],
+        }
+    }
+
+    /// The grid of a rolling shutter.
+    ///
+    /// `row_time_us` is in microseconds, `exposure` in row times. The video begins `lead = ceil(exposure) − 1` row
+    /// times before the first instant. Each row time has `bins_per_row` bins, `(instants + lead) · bins_per_row` in
+    /// all.
+    ///
+    /// # Panics
+    /// If an argument is zero or negative.
+    pub fn rolling(instants: usize, row_time_us: f64, exposure: f64, bins_per_row: usize) -> Self {
+        assert!(instants > 0 && exposure > 0.0 && bins_per_row > 0 && row_time_us > 0.0);
+        // 28.8 µs / 9.6 µs is 3.0000000000000004 in f64; the rounding error must not add a row time.
+        let exposure = snap(exposure);
+        let lead = exposure.ceil() as usize - 1;
+        let bins = (instants + lead) * bins_per_row;
+        let width = 1.0 / bins_per_row as f64;
+        let weights_of = |instant: usize| {
+            let end = (instant + 1 + lead) as f64;
+            let start = end - exposure;
+            let overlap = |bin: usize| {
+                let (from, to) = (bin as f64 * width, (bin + 1) as f64 * width);
+                (to.min(end) - from.max(start)).max(0.0)
+            };
+            let last = (instant + 1 + lead) * bins_per_row;
+            let mut first = (start * bins_per_row as f64).floor().max(0.0) as usize;
+            while first + 1 < last && overlap(first) < 1e-9 {
+                first += 1;
+            }
+            InstantWeights {
+                first_bin: first,
+                weights: (first..last).map(overlap).collect(),
+            }
+        };
+        Self {
+            bins,
+            bin_duration_us: row_time_us * width,
+            instants: (0..instants).map(weights_of).collect(),
+        }
+    }
+
+    /// The grid of `bins` and of the instants `kept`, which integrate only these bins.
+    pub(crate) fn subset(&self, bins: std::ops::Range<usize>, kept: Vec<usize>) -> Self {
+        let moved = |i: usize| InstantWeights {
+            first_bin: self.instants[i].first_bin - bins.start,
+            weights: self.instants[i].weights.clone(),
+        };
+        Self {
+            bins: bins.len(),
+            bin_duration_us: self.bin_duration_us,
+            instants: kept.into_iter().map(moved).collect(),
+        }
+    }
+
+    /// Number of bins of the video.
+    #[inline]
+    pub fn bins(&self) -> usize {
+        self.bins
+    }
+
+    /// Duration of one bin in microseconds.
+    pub fn bin_duration_us(&self) -> f64 {
+        self.bin_duration_us
+    }
+
+    /// Frame rate of the video in hertz.
+    pub fn frame_rate_hz(&self) -> f64 {
+        1e6 / self.bin_duration_us
+    }
+
+    /// The weights of every instant.
+    #[inline]
+    pub fn instants(&self) -> &[InstantWeights] {
+        &self.instants
+    }
+
+    /// Whether no two instants integrate the same bin; then `A Aᵀ` is block-diagonal.
+    pub fn is_disjoint(&self) -> bool {
+        let ends = self.instants.iter().map(|i| i.first_bin + i.weights.len());
+        let starts = self.instants.iter().skip(1).map(|i| i.first_bin);
+        ends.zip(starts).all(|(end, next)| end <= next)
+    }
+}
+
+/// Rounds a number that is within rounding errors of a positive integer.
+fn snap(value: f64) -> f64 {
+    let whole = value.round();
+    if whole >= 1.0 && (value - whole).abs() < 1e-9 * whole {
+        whole
+    } else {
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_sum_to_the_exposure() {
+        for exposure in [0.3, 0.5, 1.0, 1.7, 2.5, 3.0, 7.25] {
+            for bins_per_row in 1..4 {
+                let grid = TimeGrid::rolling(6, 9.6, exposure, bins_per_row);
+                for instant in grid.instants() {
+                    let sum: f64 = instant.weights.iter().sum();
+                    assert!((sum - exposure).abs() < 1e-12, "{exposure} {bins_per_row}");
+                    assert!(instant.first_bin + instant.weights.len() <= grid.bins());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn exposure_that_is_a_whole_number_but_for_rounding_adds_no_bin() {
+        assert_eq!(TimeGrid::rolling(8, 9.6, 28.8 / 9.6, 1).bins(), 10);
+    }
+
+    #[test]
+    fn disjoint_up_to_one_row() {
+        assert!(TimeGrid::rolling(5, 9.6, 0.5, 2).is_disjoint());
+        assert!(TimeGrid::rolling(5, 9.6, 1.0, 3).is_disjoint());
+        assert!(!TimeGrid::rolling(5, 9.6, 1.1, 1).is_disjoint());
+    }
+}

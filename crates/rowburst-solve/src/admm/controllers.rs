@@ -1,0 +1,200 @@
+//! All that adapts between iterations, and the order in which it acts.
+
+use super::active_set::{ActiveSet, Restriction};
+use super::brightness::brightness;
+use super::continuation::Continuation;
+use super::discrepancy::Discrepancy;
+use super::noise_weights::NoiseWeights;
+use super::penalty::{Circumstances, Penalty};
+use super::phase::{DeclineDetector, Phase, Schedule};
+use super::stopping::Supports;
+use super::variables::Variables;
+use super::{AdmmParams, TauRule, Tuning};
+use crate::DataTerm;
+use crate::prox::Prox;
+use rowburst_core::Shape;
+
+/// The controllers of a run.
+pub(super) struct Controllers {
+    shape: Shape,
+    pub schedule: Schedule,
+    pub penalty: Penalty,
+    pub active_set: ActiveSet,
+    discrepancy: Discrepancy,
+    continuation: Continuation,
+    noise_weights: NoiseWeights,
+    decline: DeclineDetector,
+    tuning: Tuning,
+}
+
+impl Controllers {
+    pub fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
+        let tuning = &params.tuning;
+        let mut controllers = Self {
+            shape,
+            schedule: Schedule::new(tuning),
+            penalty: Penalty::new(params.tau, data, tuning),
+            active_set: ActiveSet::new(data, shape, params),
+            discrepancy: Discrepancy::new(tuning),
+            continuation: Continuation::new(params.threshold, tuning),
+            noise_weights: NoiseWeights::new(tuning),
+            decline: DeclineDetector::new(shape.bins, tuning),
+            tuning: *tuning,
+        };
+        controllers.set_tau_rule(params.tau, data);
+        controllers
+    }
+
+    /// Sets how `τ` is found from now on.
+    pub fn set_tau_rule(&mut self, rule: TauRule, data: &dyn DataTerm) {
+        self.penalty.set_rule(rule);
+        self.discrepancy.reset(rule, data.measurement_count());
+    }
+
+    /// Continues with the measurements of another frame, whose scene has changed little.
+    pub fn warm_start(&mut self, data: &dyn DataTerm) {
+        self.schedule.warm_start();
+        self.active_set.reset();
+        self.set_tau_rule(self.penalty.rule(), data);
+    }
+
+    /// Lets each controller act before an iteration. Before the first one of a run there is nothing to adapt to; it has
+    /// [`Self::set_first_threshold`] between its x-step and its z-step.
+    ///
+    /// The order matters:
+    /// 1. `ρ` first: it compares the residual of the last x-step with the bound that held then. The first iteration of
+    ///    a frame has no x-step to compare.
+    /// 2. The phase, which says what else is due.
+    /// 3. The bound, for the next correction of `ρ`. It counts the degrees of freedom of the video as the prior left
+    ///    it, before a restriction changes the video.
+    /// 4. `β`, from the same video. Where `τ` is given, `ρ` follows here.
+    /// 5. The active set. It comes after `ρ`, which its first restriction bounds from below, and after the bound, to
+    ///    which the residuals of bins are compared.
+    /// 6. The noise weights, from the light of the restricted video, which is what the next x-step begins from.
+    /// 7. Last, `A q` afresh, for the restricted `q` and the present weights.
+    pub fn adapt(
+        &mut self,
+        variables: &mut Variables,
+        data: &mut dyn DataTerm,
+        prior: &mut dyn Prox,
+    ) {
+        if self.schedule.step() == 0 {
+            return;
+        }
+        self.penalty.begin_iteration();
+        self.correct_penalty(variables);
+        self.advance_phase(variables);
+        self.update_bound(variables, data, prior);
+        if self.continuation.is_due(&self.schedule) {
+            self.set_threshold(variables);
+        }
+        if self.active_set.is_due(&self.schedule) {
+            self.update_active_set(variables, data, prior);
+        }
+        if self.noise_weights.is_due(&self.schedule) && data.update_weights(&variables.z) {
+            variables.update_products(data);
+        }
+        if self.schedule.is_multiple_of(self.tuning.refresh_interval) {
+            // `A q` is a running sum: compute it afresh, so that rounding errors do not add up.
+            variables.update_aq(data);
+        }
+    }
+
+    /// Sets the first threshold `β`, a part of the brightness of `q = αx`; later ones come from [`Self::adapt`].
+    pub fn set_first_threshold(&mut self, variables: &Variables) {
+        if self.penalty.beta() == 0.0 {
+            // With a background this is the brightness of both components; later calls take the foreground's.
+            let beta = self
+                .continuation
+                .first_beta(brightness(&variables.q), &self.schedule);
+            self.penalty.set_beta_or_keep(beta);
+        }
+    }
+
+    /// Whether a certificate can end the run: `β` is constant, `ρ` did not change before this iteration, and the support
+    /// is stable.
+    pub fn is_settled(&self) -> bool {
+        self.schedule.phase() == Phase::Settled
+            && self.penalty.is_unchanged()
+            && self.active_set.is_settled()
+    }
+
+    /// The supports of a certificate.
+    pub fn supports(&self) -> Supports<'_> {
+        Supports {
+            of_video: self.active_set.support(),
+            of_x_step: self.active_set.x_step_support(),
+        }
+    }
+
+    fn correct_penalty(&mut self, variables: &Variables) {
+        let Some(x_residual_norm) = variables.x_residual_norm else {
+            return;
+        };
+        let now = Circumstances {
+            is_warming_up: self.schedule.is_warming_up(),
+            has_reached_first_restriction: self.schedule.has_reached_first_restriction(),
+            has_unrestricted_bin: self.active_set.has_unrestricted_bin(),
+            iterations: self.schedule.iterations(),
+        };
+        let bound = self.discrepancy.bound();
+        self.penalty.correct(bound, x_residual_norm, now);
+    }
+
+    fn advance_phase(&mut self, variables: &Variables) {
+        let shape = self.shape;
+        let is_undersampled = shape.voxels() > self.tuning.undersampled * variables.az.len();
+        let decline = &mut self.decline;
+        self.schedule
+            .advance(|| is_undersampled && decline.is_rising(&variables.z, shape));
+    }
+
+    fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {
+        let tuning = &self.tuning;
+        let is_due =
+            !self.schedule.is_warming_up() && self.schedule.is_multiple_of(tuning.freedom_interval);
+        if let (TauRule::Discrepancy { sigma }, true) = (self.penalty.rule(), is_due) {
+            let df = self.degrees_of_freedom(variables, prior);
+            self.discrepancy
+                .set_degrees_of_freedom(df, sigma, data.measurement_count());
+        }
+    }
+
+    /// The degrees of freedom of the video.
+    pub fn degrees_of_freedom(&self, variables: &Variables, prior: &dyn Prox) -> f64 {
+        let faint = self.tuning.flat_difference * brightness(self.foreground(variables));
+        prior.degrees_of_freedom(&variables.z, faint as f32)
+    }
+
+    fn set_threshold(&mut self, variables: &Variables) {
+        let bright = brightness(self.foreground(variables));
+        self.penalty
+            .set_beta_or_keep(self.continuation.beta(bright, &self.schedule));
+    }
+
+    fn update_active_set(
+        &mut self,
+        variables: &mut Variables,
+        data: &mut dyn DataTerm,
+        prior: &mut dyn Prox,
+    ) {
+        // The residual of the bound, or the present one of all measurements where `τ` is given.
+        let reference_rms = match self.penalty.rule() {
+            TauRule::Discrepancy { .. } => {
+                self.discrepancy.bound() / (data.measurement_count() as f64).sqrt()
+            }
+            TauRule::Fixed(_) => variables.residual_rms(data),
+        };
+        let restriction = self
+            .active_set
+            .update(variables, data, prior, reference_rms);
+        if restriction == Restriction::Begins {
+            self.penalty.raise_lower_bound();
+        }
+    }
+
+    /// The video without its background; brightness and support refer to it.
+    fn foreground<'a>(&self, variables: &'a Variables) -> &'a [f32] {
+        &variables.z[..self.shape.voxels()]
+    }
+}

@@ -1,0 +1,253 @@
+//! Estimates the support: the set of active voxels (docs/design/007).
+
+use super::tuning::Tuning;
+use crate::{DataHints, ProblemSize};
+use rayon::prelude::*;
+use rowburst_core::{Shape, Support};
+
+/// The bright voxels of a video and their neighbours, updated every few iterations.
+///
+/// A bin is unrestricted if all of its voxels are active. It is underfit if its support cannot explain its
+/// measurements: the root mean square of its residual is too large and no longer falls. A bin is crowded if its x-step
+/// takes all voxels though some are inactive, see [`Self::x_step_support`].
+pub(super) struct SupportEstimator {
+    shape: Shape,
+    tuning: Tuning,
+    /// `None` before the first update.
+    support: Option<Support>,
+    /// The support with more unrestricted bins, see [`Self::x_step_support`].
+    x_step_support: Option<Support>,
+    fraction: f64,
+    is_stable: bool,
+    hints: DataHints,
+    /// How often each bin has been widened. A level above [`Tuning::unrestricted_level`] counts the updates down for
+    /// which the bin stays unrestricted.
+    levels: Vec<usize>,
+    /// Root mean square of each bin's residual at the last update; infinite before the first one, and after a widening.
+    residual_rms: Vec<f64>,
+    /// Whether each bin is unrestricted.
+    is_unrestricted: Vec<bool>,
+}
+
+/// The bins that their support cannot explain.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Underfit<'a> {
+    /// Indices of the bins; at least one.
+    pub bins: &'a [usize],
+    /// `Aᵀ(b − A v)`, which is largest where the video lacks light.
+    pub correlation: &'a [f32],
+}
+
+impl SupportEstimator {
+    /// All voxels of videos of `shape` are active at first.
+    ///
+    /// A bin with more than [`DataHints::max_restricted_voxels`] is never restricted in the x-step.
+    pub fn new(shape: Shape, hints: DataHints, tuning: &Tuning) -> Self {
+        Self {
+            shape,
+            tuning: *tuning,
+            support: None,
+            x_step_support: None,
+            fraction: 1.0,
+            is_stable: false,
+            hints,
+            levels: vec![0; shape.bins],
+            residual_rms: vec![f64::INFINITY; shape.bins],
+            is_unrestricted: vec![true; shape.bins],
+        }
+    }
+
+    /// The support; `None`: every voxel.
+    pub fn support(&self) -> Option<&Support> {
+        self.support.as_ref()
+    }
+
+    /// The support of the x-step, which has all voxels of crowded bins: those with more active ones than
+    /// [`DataHints::max_restricted_voxels`], whose restricted blocks would take longer. The prior alone keeps the
+    /// inactive voxels of such a bin at zero.
+    pub fn x_step_support(&self) -> Option<&Support> {
+        self.x_step_support.as_ref()
+    }
+
+    /// Part of the voxels that are active, from 0 to 1.
+    pub fn fraction(&self) -> f64 {
+        self.fraction
+    }
+
+    /// Whether some bin is unrestricted; a change of `ρ` then costs a factor of the bin's whole block. Crowded bins,
+    /// which cost the same, do not count.
+    pub fn has_unrestricted_bin(&self) -> bool {
+        self.is_unrestricted.contains(&true)
+    }
+
+    /// Whether few voxels became inactive in the last update, and no bin was widened or is temporarily unrestricted.
+    pub fn is_stable(&self) -> bool {
+        self.is_stable
+    }
+
+    /// Prepares for another frame, which starts from the support of the last one.
+    pub fn reset(&mut self) {
+        self.is_stable = false;
+        self.levels.fill(0);
+        self.residual_rms.fill(f64::INFINITY);
+    }
+
+    /// The underfit bins: their `residual_rms` is above `reference` by [`Tuning::underfit_ratio`] and above
+    /// [`Tuning::stall_ratio`] of the last one.
+    ///
+    /// Unrestricted bins are never underfit. `residual_rms` is kept for the next call.
+    pub fn underfit_bins(&mut self, residual_rms: Vec<f64>, reference: f64) -> Vec<usize> {
+        let is_underfit = |t: &usize| {
+            let (now, before) = (residual_rms[*t], self.residual_rms[*t]);
+            now > self.tuning.underfit_ratio * reference
+                && now > self.tuning.stall_ratio * before
+                && !self.is_unrestricted[*t]
+        };
+        let underfit_bins: Vec<usize> = (0..residual_rms.len()).filter(is_underfit).collect();
+        self.residual_rms = residual_rms;
+        for &t in &underfit_bins {
+            self.residual_rms[t] = f64::INFINITY;
+        }
+        underfit_bins
+    }
+
+    /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
+    ///
+    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, and the
+    /// voxels with the largest correlation are added.
+    pub fn update(
+        &mut self,
+        video: &[f32],
+        brightness: f64,
+        underfit: Option<Underfit>,
+    ) -> Support {
+        let underfit_bins = underfit.map_or(&[][..], |underfit| underfit.bins);
+        self.widen(underfit_bins);
+        let tuning = self.tuning;
+        let threshold = |level: &usize| {
+            if *level >= tuning.unrestricted_level {
+                0.0
+            } else {
+                tuning.support_threshold * brightness * tuning.widening_factor.powi(*level as i32)
+            }
+        };
+        let thresholds: Vec<f64> = self.levels.iter().map(threshold).collect();
+        let mut support = Support::above(video, self.shape, &thresholds);
+        if let Some(Underfit { bins, correlation }) = underfit {
+            support = support.with_correlated(correlation, bins);
+        }
+        let fraction = support.fraction();
+        self.is_stable = self.support.is_some()
+            && underfit_bins.is_empty()
+            && fraction > tuning.stable_ratio * self.fraction
+            && self
+                .levels
+                .iter()
+                .all(|level| *level <= tuning.unrestricted_level);
+        self.fraction = fraction;
+        let bins = support.mask().par_chunks_exact(self.shape.pixels());
+        self.is_unrestricted = bins.map(|bin| !bin.contains(&0)).collect();
+        self.x_step_support = Some(
+            support
+                .clone()
+                .with_crowded_bins_unrestricted(self.hints.max_restricted_voxels),
+        );
+        self.support = Some(support.clone());
+        support
+    }
+
+    /// Widens the `underfit_bins` by one level, or makes them unrestricted for [`Tuning::unrestricted_updates`]
+    /// updates in a wide problem.
+    ///
+    /// The remaining updates of a temporarily unrestricted bin are counted down; after the last one its level is 0.
+    fn widen(&mut self, underfit_bins: &[usize]) {
+        let unrestricted = self.tuning.unrestricted_level;
+        for level in self
+            .levels
+            .iter_mut()
+            .filter(|level| **level > unrestricted)
+        {
+            *level -= 1;
+            if *level == unrestricted {
+                *level = 0;
+            }
+        }
+        for &t in underfit_bins {
+            self.levels[t] = if self.hints.size == ProblemSize::Wide {
+                unrestricted + self.tuning.unrestricted_updates
+            } else {
+                self.levels[t] + 1
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn second_bin(correlation: &[f32]) -> Option<Underfit<'_>> {
+        Some(Underfit {
+            bins: &[1],
+            correlation,
+        })
+    }
+
+    #[test]
+    fn a_bin_is_widened_once_its_residual_no_longer_falls() {
+        let shape = Shape::new(2, 9, 9);
+        let mut estimator = SupportEstimator::new(shape, DataHints::default(), &Tuning::STANDARD);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[40], video[81 + 40]) = (1.0, 1.0);
+        let mut faint = video.clone();
+        faint[81 + 10] = 0.1;
+        let support = estimator.update(&video, 1.0, None);
+        assert_eq!(support.fraction(), 2.0 * 9.0 / 162.0);
+        assert!(!estimator.is_stable());
+        // A first residual, one that falls, and one that has stalled: only the last is underfit, and not twice in a
+        // row.
+        assert!(estimator.underfit_bins(vec![1.0, 8.0], 1.0).is_empty());
+        assert!(estimator.underfit_bins(vec![1.0, 4.0], 1.0).is_empty());
+        assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
+        let support = estimator.update(&faint, 1.0, second_bin(&faint));
+        assert_eq!(support.mask()[81 + 10], 1);
+        assert!(!estimator.is_stable());
+        assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
+        estimator.update(&faint, 1.0, None);
+        assert!(estimator.is_stable());
+        // After five widenings a bin is unrestricted and is not widened further.
+        for _ in 0..4 {
+            assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
+            estimator.update(&faint, 1.0, second_bin(&faint));
+            estimator.underfit_bins(vec![1.0, 3.9], 1.0);
+        }
+        assert_eq!(estimator.support().unwrap().pixels_of(1), None);
+        assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
+    }
+
+    #[test]
+    fn a_bin_of_a_large_sensor_is_unrestricted_for_a_while() {
+        let shape = Shape::new(2, 9, 9);
+        let hints = DataHints {
+            size: ProblemSize::Wide,
+            max_restricted_voxels: 50,
+        };
+        let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[40], video[81 + 40]) = (1.0, 1.0);
+        estimator.update(&video, 1.0, None);
+        estimator.underfit_bins(vec![1.0, 4.0], 1.0);
+        assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
+        estimator.update(&video, 1.0, second_bin(&video));
+        for _ in 1..Tuning::STANDARD.unrestricted_updates {
+            assert_eq!(estimator.support().unwrap().pixels_of(1), None);
+            assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
+            estimator.update(&video, 1.0, None);
+            assert!(!estimator.is_stable());
+        }
+        estimator.update(&video, 1.0, None);
+        assert_eq!(estimator.support().unwrap().pixels_of(1).unwrap().len(), 9);
+        estimator.update(&video, 1.0, None);
+        assert!(estimator.is_stable());
+    }
+}

@@ -1,0 +1,436 @@
+//! The constants of the solver.
+
+use crate::ProblemSize;
+
+/// Why [`Tuning::set`] refuses a value.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TuningError {
+    /// No field has this name.
+    #[error("no tuning constant has the name {0}")]
+    UnknownName(String),
+    /// The value is not finite, not above zero, or not whole where the field is a count.
+    #[error("{name} = {value}: a tuning constant is finite and above zero, and a count is whole")]
+    NotAllowed {
+        /// The name of the field.
+        name: String,
+        /// The value.
+        value: f64,
+    },
+    /// The value contradicts another constant or the meaning of its own, so that a run would make no sense.
+    #[error("{name} = {value}: {rule}")]
+    Contradicts {
+        /// The name of the field.
+        name: String,
+        /// The value.
+        value: f64,
+        /// What must hold.
+        rule: &'static str,
+    },
+}
+
+/// A field of [`Tuning`].
+trait Field {
+    fn get(&self) -> f64;
+
+    /// Returns whether the field admits the value.
+    fn set(&mut self, value: f64) -> bool;
+}
+
+impl Field for f64 {
+    fn get(&self) -> f64 {
+        *self
+    }
+
+    fn set(&mut self, value: f64) -> bool {
+        let is_allowed = value.is_finite() && value > 0.0;
+        if is_allowed {
+            *self = value;
+        }
+        is_allowed
+    }
+}
+
+impl Field for usize {
+    fn get(&self) -> f64 {
+        *self as f64
+    }
+
+    fn set(&mut self, value: f64) -> bool {
+        let is_allowed = (1.0..=1e9).contains(&value) && value.fract() == 0.0;
+        if is_allowed {
+            *self = value as usize;
+        }
+        is_allowed
+    }
+}
+
+/// Defines a struct of constants, and the table of its fields by name.
+macro_rules! constants {
+    (
+        $(#[$head:meta])*
+        $struct:ident { $($(#[$line:meta])* $field:ident: $type:ty,)* }
+        groups { $($(#[$group_line:meta])* $group:ident: $group_type:ty,)* }
+    ) => {
+        $(#[$head])*
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        #[non_exhaustive]
+        pub struct $struct {
+            $($(#[$line])* pub $field: $type,)*
+            $($(#[$group_line])* pub $group: $group_type,)*
+        }
+
+        impl $struct {
+            /// The names of all constants, with their places.
+            fn fields(&mut self) -> Vec<(String, &mut dyn Field)> {
+                #[allow(unused_mut, reason = "a struct without groups adds none")]
+                let mut fields: Vec<(String, &mut dyn Field)> =
+                    vec![$((stringify!($field).to_string(), &mut self.$field)),*];
+                $(for (name, field) in self.$group.fields() {
+                    fields.push((format!("{}.{name}", stringify!($group)), field));
+                })*
+                fields
+            }
+        }
+    };
+}
+
+constants! {
+    /// The constants that depend on the cost of a new `ρ`, see [`ProblemSize`].
+    PenaltyTuning {
+        /// `ρ` at first, over a typical diagonal element of `A Aᵀ`; far from its end it costs more factors
+        /// (docs/design/006, 008).
+        initial_rho: f64,
+        /// Smallest `ρ` on a support over `ρ` before the first restriction; smaller lets the dual grow without end,
+        /// larger fits the noise less (docs/design/007).
+        min_rho_ratio: f64,
+        /// Corrections of `ρ` from here to `deadband_upper` are skipped; smaller saves factors, and `τ` is less exact
+        /// (docs/design/006, 008).
+        deadband_lower: f64,
+        /// See `deadband_lower`; larger saves factors.
+        deadband_upper: f64,
+        /// `deadband_lower` up to the first restriction, and for wide problems while some bin is unrestricted; smaller
+        /// saves factors, and `ρ` settles later (docs/design/006, 008).
+        early_deadband_lower: f64,
+        /// See `early_deadband_lower`; larger saves factors.
+        early_deadband_upper: f64,
+    }
+    groups {}
+}
+
+constants! {
+    /// The constants of the solver. **Unstable**: names, meanings and values change between versions.
+    ///
+    /// [`Tuning::STANDARD`] has the values with which all documented results were made. Constants have no unit unless
+    /// it is given. A step is an iteration that brings the run forward: all but those that a wait for a decline repeats.
+    ///
+    /// ```
+    /// use rowburst_solve::admm::Tuning;
+    /// let mut tuning = Tuning::STANDARD;
+    /// tuning.support_threshold = 0.1;
+    /// tuning.set("wide.initial_rho", 0.002).unwrap();
+    /// assert!(tuning.set("support_treshold", 0.1).is_err());
+    /// ```
+    Tuning {
+        /// Step at which the warm-up ends; the first restriction is at the next multiple of `support_interval`. Smaller
+        /// may lose shapes that the video does not show yet, larger takes longer (docs/design/006, 007).
+        first_restriction: usize,
+        /// Step from which `β` is constant and the run may stop; larger delays the first certificate (docs/design/006).
+        settled_from: usize,
+        /// Voxels per measurement above which the first restriction waits for a decline; smaller makes more runs wait
+        /// (docs/design/008).
+        undersampled: usize,
+        /// Relative fall of a bin's brightness that ends the wait; smaller ends it too early (docs/design/008).
+        decline: f64,
+        /// Iterations over which that fall is measured; larger waits longer (docs/design/008).
+        decline_window: usize,
+        /// Iteration at which the wait ends at the latest; smaller may leave bins without light (docs/design/008).
+        latest_first_restriction: usize,
+        /// Step to which a warm start goes back, plus less than a `support_interval` that keeps the rhythm of the updates;
+        /// smaller repeats more of the warm-up (docs/design/014).
+        warm_start_step: usize,
+        /// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).
+        continuation_factor: f64,
+        /// Step at which `β` reaches its end; later is faster for large shapes but less robust
+        /// (docs/design/006).
+        continuation_end: usize,
+        /// Steps between updates of `β`; larger follows the brightness less closely (docs/design/006).
+        threshold_interval: usize,
+        /// Brightness of the scene over that of the first x-step, which spreads sparse light; larger gives a larger
+        /// first `β` (docs/design/006).
+        initial_brightness_ratio: f64,
+        /// Steps between counts of the degrees of freedom; larger lets the bound lag (docs/design/005).
+        freedom_interval: usize,
+        /// Largest part of the measurements that the degrees of freedom may take; larger lets a fit follow the noise
+        /// (docs/design/005).
+        max_freedom: f64,
+        /// Differences below this part of the brightness count as zero in the degrees of freedom; larger counts fewer
+        /// (docs/design/005).
+        flat_difference: f64,
+        /// Largest factor of one correction of `ρ`, up or down; larger overshoots (docs/design/005).
+        max_rho_step: f64,
+        /// Smallest `ρ` over a typical diagonal element of `A Aᵀ`; larger bounds `τ` from below (docs/design/005).
+        min_relative_rho: f64,
+        /// Largest `ρ` over a typical diagonal element of `A Aᵀ`; smaller bounds `τ` from above (docs/design/005).
+        max_relative_rho: f64,
+        /// Iterations between corrections of `ρ` in wide problems with an unrestricted bin; larger saves factors, and
+        /// `ρ` settles later (docs/design/008).
+        unrestricted_rho_interval: usize,
+        /// Steps between updates of the support; smaller rebuilds more Gram blocks (docs/design/007).
+        support_interval: usize,
+        /// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze
+        /// (docs/design/007).
+        support_threshold: f64,
+        /// Residual of a bin over the expected one above which it may be underfit; smaller reacts to noise
+        /// (docs/design/007).
+        underfit_ratio: f64,
+        /// Residual over that of the last update above which it has stalled; smaller widens bins sooner
+        /// (docs/design/007).
+        stall_ratio: f64,
+        /// Active voxels over those of the last update above which the support is stable; larger delays the first
+        /// certificate (docs/design/007).
+        stable_ratio: f64,
+        /// Factor on a bin's threshold at each widening; smaller makes bins unrestricted in fewer steps
+        /// (docs/design/007).
+        widening_factor: f64,
+        /// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer
+        /// (docs/design/007).
+        unrestricted_level: usize,
+        /// Updates for which an underfit bin of a wide problem is unrestricted; fewer lose light, more cost time
+        /// (docs/design/008).
+        unrestricted_updates: usize,
+        /// Steps between updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
+        weight_interval: usize,
+        /// Step after which `late_weight_interval` holds; larger costs more rebuilt blocks
+        /// (docs/design/010).
+        frequent_weights_until: usize,
+        /// Steps between late updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
+        late_weight_interval: usize,
+        /// Steps after which the running product `A q` is computed afresh; larger lets rounding add up
+        /// (docs/design/003).
+        refresh_interval: usize,
+        /// Iterations between certificates, and between objectives; smaller stops earlier, but each certificate costs a
+        /// product with `Aᵀ` and a few passes (docs/design/009).
+        check_interval: usize,
+        /// Brightest voxel that the certificate admits over the brightest found; larger loosens the bound
+        /// (docs/design/009).
+        brightness_bound: f64,
+    }
+    groups {
+        /// The constants of small problems, `small.…` by name.
+        small: PenaltyTuning,
+        /// The constants of wide problems, `wide.…` by name.
+        wide: PenaltyTuning,
+    }
+}
+
+impl Default for Tuning {
+    fn default() -> Self {
+        Self::STANDARD
+    }
+}
+
+impl Tuning {
+    /// The standard values.
+    pub const STANDARD: Self = Self {
+        first_restriction: 20,
+        settled_from: 40,
+        undersampled: 300,
+        decline: 0.005,
+        decline_window: 5,
+        latest_first_restriction: 150,
+        warm_start_step: 26,
+        continuation_factor: 4.0,
+        continuation_end: 20,
+        threshold_interval: 5,
+        initial_brightness_ratio: 10.0,
+        freedom_interval: 10,
+        max_freedom: 0.3,
+        flat_difference: 0.01,
+        max_rho_step: 2.0,
+        min_relative_rho: 1e-7,
+        max_relative_rho: 1e7,
+        unrestricted_rho_interval: 5,
+        support_interval: 10,
+        support_threshold: 0.12,
+        underfit_ratio: 1.3,
+        stall_ratio: 0.85,
+        stable_ratio: 0.9,
+        widening_factor: 0.125,
+        unrestricted_level: 5,
+        unrestricted_updates: 5,
+        weight_interval: 20,
+        frequent_weights_until: 100,
+        late_weight_interval: 100,
+        refresh_interval: 50,
+        check_interval: 5,
+        brightness_bound: 2.0,
+        small: PenaltyTuning {
+            initial_rho: 0.01,
+            min_rho_ratio: 0.3,
+            deadband_lower: 0.98,
+            deadband_upper: 1.02,
+            early_deadband_lower: 0.8,
+            early_deadband_upper: 1.25,
+        },
+        wide: PenaltyTuning {
+            initial_rho: 0.0015,
+            min_rho_ratio: 0.1,
+            deadband_lower: 0.95,
+            deadband_upper: 1.05,
+            early_deadband_lower: 0.6,
+            early_deadband_upper: 1.6,
+        },
+    };
+
+    /// The values for problems of `size`.
+    pub fn for_size(&self, size: ProblemSize) -> &PenaltyTuning {
+        match size {
+            ProblemSize::Small => &self.small,
+            ProblemSize::Wide => &self.wide,
+        }
+    }
+
+    /// Sets the constant `name`: a field of [`Tuning`], or a field of [`PenaltyTuning`] after `small.` or `wide.`.
+    ///
+    /// # Errors
+    /// An unknown name, a value that is not finite, not above zero, or not whole where the field is a count, or one that
+    /// contradicts another constant. Nothing is changed then.
+    pub fn set(&mut self, name: &str, value: f64) -> Result<(), TuningError> {
+        let mut changed = *self;
+        let mut fields = changed.fields();
+        let Some((_, field)) = fields.iter_mut().find(|(field, _)| field == name) else {
+            return Err(TuningError::UnknownName(name.to_string()));
+        };
+        if !field.set(value) {
+            return Err(TuningError::NotAllowed {
+                name: name.to_string(),
+                value,
+            });
+        }
+        if let Some(rule) = changed.violated_rule() {
+            return Err(TuningError::Contradicts {
+                name: name.to_string(),
+                value,
+                rule,
+            });
+        }
+        *self = changed;
+        Ok(())
+    }
+
+    /// The first rule between the constants that does not hold.
+    fn violated_rule(&self) -> Option<&'static str> {
+        let of_penalty = |tuning: &PenaltyTuning| {
+            tuning.deadband_lower <= 1.0
+                && tuning.deadband_upper >= 1.0
+                && tuning.early_deadband_lower <= 1.0
+                && tuning.early_deadband_upper >= 1.0
+        };
+        let rules = [
+            (self.max_rho_step >= 1.0, "max_rho_step is at least 1"),
+            (
+                self.min_relative_rho <= self.max_relative_rho,
+                "min_relative_rho is at most max_relative_rho",
+            ),
+            (self.max_freedom < 1.0, "max_freedom is below 1"),
+            (self.decline < 1.0, "decline is below 1"),
+            (self.widening_factor <= 1.0, "widening_factor is at most 1"),
+            (
+                self.support_threshold <= 1.0,
+                "support_threshold is at most 1",
+            ),
+            (
+                self.brightness_bound >= 1.0,
+                "brightness_bound is at least 1",
+            ),
+            (
+                self.small.min_rho_ratio <= 1.0 && self.wide.min_rho_ratio <= 1.0,
+                "min_rho_ratio is at most 1",
+            ),
+            (
+                of_penalty(&self.small) && of_penalty(&self.wide),
+                "a deadband holds 1: its lower end is at most 1, its upper end at least 1",
+            ),
+        ];
+        rules
+            .into_iter()
+            .find(|(holds, _)| !holds)
+            .map(|(_, rule)| rule)
+    }
+
+    /// The names and values of all constants that differ from [`Self::STANDARD`].
+    pub fn changes(self) -> Vec<(String, f64)> {
+        let pairs = self.values().into_iter().zip(Self::STANDARD.values());
+        let changed = pairs.filter(|(value, standard)| value != standard);
+        changed.map(|(value, _)| value).collect()
+    }
+
+    /// The names and values of all constants.
+    pub fn values(mut self) -> Vec<(String, f64)> {
+        let fields = self.fields().into_iter();
+        fields.map(|(name, field)| (name, field.get())).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_constant_has_a_name_and_can_be_set() {
+        let names: Vec<String> = Tuning::STANDARD.values().into_iter().map(|v| v.0).collect();
+        // All fields are numbers of 8 bytes, so the table is complete.
+        assert_eq!(8 * names.len(), size_of::<Tuning>());
+        for (i, name) in names.iter().enumerate() {
+            let mut tuning = Tuning::STANDARD;
+            // A value that every rule admits.
+            let standard = Tuning::STANDARD.values()[i].1;
+            let new = if standard.fract() == 0.0 {
+                standard + 1.0
+            } else {
+                0.999 * standard
+            };
+            let new = if name.ends_with("deadband_upper") {
+                standard + 1.0
+            } else {
+                new
+            };
+            tuning.set(name, new).unwrap();
+            assert_eq!(tuning.changes(), [(name.clone(), new)]);
+            for (j, (other, value)) in tuning.values().into_iter().enumerate() {
+                let standard = Tuning::STANDARD.values()[j].1;
+                assert_eq!(value, if i == j { new } else { standard }, "{name} {other}");
+            }
+        }
+    }
+
+    #[test]
+    fn bad_values_and_names_are_refused() {
+        let mut tuning = Tuning::STANDARD;
+        for (name, value) in [
+            ("support_threshold", 0.0),
+            ("support_threshold", f64::NAN),
+            ("decline", f64::INFINITY),
+            ("check_interval", 0.0),
+            ("check_interval", 2.5),
+            ("check_interval", -1.0),
+            ("small", 1.0),
+            ("small.rho", 1.0),
+            ("max_rho_step", 0.5),
+            ("min_relative_rho", 1e8),
+            ("max_relative_rho", 1e-8),
+            ("max_freedom", 1.0),
+            ("decline", 1.0),
+            ("widening_factor", 2.0),
+            ("support_threshold", 1.5),
+            ("brightness_bound", 0.5),
+            ("small.min_rho_ratio", 2.0),
+            ("wide.deadband_lower", 1.1),
+            ("small.early_deadband_upper", 0.9),
+        ] {
+            assert!(tuning.set(name, value).is_err(), "{name} {value}");
+        }
+        assert_eq!(tuning, Tuning::STANDARD);
+    }
+}

@@ -1,0 +1,60 @@
+//! The terms that [`Variation`] computes, and a static background.
+
+use super::term::{TermForm, TermSpec, one_voxel};
+use super::variation::{Variation, VariationWeights};
+use rowburst_core::Shape;
+use rowburst_core::linop::Background;
+
+const FUSED: TermSpec = TermSpec {
+    name: "",
+    favours: "",
+    couples_bins: false,
+    excludes: None,
+    unit: one_voxel,
+    form: TermForm::Fused(|weights| &mut weights.space),
+};
+
+/// The term `tv`.
+pub const TV: TermSpec = TermSpec {
+    name: "tv",
+    favours: "shapes with edges",
+    ..FUSED
+};
+
+/// The term `tdiff`.
+pub const TDIFF: TermSpec = TermSpec {
+    name: "tdiff",
+    favours: "light that is switched on and off",
+    couples_bins: true,
+    form: TermForm::Fused(|weights| &mut weights.time),
+    ..FUSED
+};
+
+/// The term `l1`.
+pub const L1: TermSpec = TermSpec {
+    name: "l1",
+    favours: "points",
+    form: TermForm::Fused(|weights| &mut weights.l1),
+    ..FUSED
+};
+
+/// The term `background`: `tv` of a static background, which has the same picture in every bin.
+pub const BACKGROUND: TermSpec = TermSpec {
+    name: "background",
+    favours: "a scene in front of a static background",
+    couples_bins: true,
+    excludes: None,
+    unit: one_voxel,
+    form: TermForm::Background {
+        kind: Background::Static,
+        prox: |shape| {
+            let picture = Shape::new(1, shape.rows, shape.columns);
+            let weights = VariationWeights {
+                space: 1.0,
+                ..VariationWeights::NONE
+            };
+            Box::new(Variation::new(picture, weights))
+        },
+        scale: |shape| (shape.bins as f64).sqrt(),
+    },
+};
