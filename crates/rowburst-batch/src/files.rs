@@ -4,7 +4,7 @@ use crate::clock::Clock;
 use crate::inputs::BatchInputs;
 use crate::measurement::is_of_correction;
 use rowburst::reconstruct::{Model, Options, Prior};
-use rowburst::{Error, ErrorKind, Result};
+use rowburst::{Cancel, Error, ErrorKind, Result};
 use rowburst_io::{Calibration, Experiment, FromMetadata, Metadata, open_recording, read_metadata};
 use rowburst_run::check_memory;
 use rowburst_run::inputs::naming_file;
@@ -64,6 +64,7 @@ pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch>
         &experiment,
         files.calibration.clone(),
         &files.options,
+        &Cancel::default(),
         observer,
     )?;
     if let Some(from_metadata) = setup.from_metadata.summary_line() {

@@ -249,12 +249,18 @@ fn json_of_design() {
 }
 
 /// Crates whose public items are pinned.
-const LIBRARIES: [&str; 7] = [
+const LIBRARIES: [&str; 13] = [
     "rowburst",
     "rowburst-batch",
+    "rowburst-calibrate",
+    "rowburst-capture",
+    "rowburst-core",
     "rowburst-io",
+    "rowburst-optics",
     "rowburst-report",
     "rowburst-run",
+    "rowburst-simulate",
+    "rowburst-solve",
     "rowburst-view",
     "rowburst-zarr",
 ];

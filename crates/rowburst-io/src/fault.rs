@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// The error of a file that cannot be opened or read.
 pub fn read_error(path: &Path, error: &io::Error) -> Error {
-    match error.kind() {
+    let read = match error.kind() {
         ErrorKind::NotFound | ErrorKind::NotADirectory => Error::input(
             path,
             "no such file",
@@ -24,6 +24,15 @@ pub fn read_error(path: &Path, error: &io::Error) -> Error {
         )
         .with_kind(Kind::Unreadable),
         _ => Error::work(path, format!("cannot read: {error}"), "Try again.").with_kind(Kind::Io),
+    };
+    read.with_source(copy_of(error))
+}
+
+/// The same error for [`Error::with_source`], with the number that the operating system gave it.
+fn copy_of(error: &io::Error) -> io::Error {
+    match error.raw_os_error() {
+        Some(number) => io::Error::from_raw_os_error(number),
+        None => io::Error::new(error.kind(), error.to_string()),
     }
 }
 
@@ -46,7 +55,7 @@ pub fn write_error(error: &io::Error) -> Error {
     };
     Error::work(Subject::named("writing"), error, remedy)
         .with_kind(Kind::Io)
-        .with_source(io::Error::from(error.kind()))
+        .with_source(copy_of(error))
 }
 
 #[cfg(test)]
@@ -60,5 +69,21 @@ mod tests {
         let message = error.to_string();
         assert!(message.contains("out/video.npy"), "{message}");
         assert!(message.contains("Free space"), "{message}");
+    }
+
+    #[test]
+    fn the_number_of_the_operating_system_is_kept() {
+        let number = |error: &Error| {
+            let source = std::error::Error::source(error).unwrap();
+            source.downcast_ref::<io::Error>().unwrap().raw_os_error()
+        };
+        let (full, denied) = (28, 13);
+        let error = write_error(&io::Error::from_raw_os_error(full));
+        assert_eq!(number(&error), Some(full));
+        let error = read_error(
+            Path::new("frame.npy"),
+            &io::Error::from_raw_os_error(denied),
+        );
+        assert_eq!(number(&error), Some(denied));
     }
 }

@@ -25,7 +25,7 @@ use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_guide_model, parse_time_budget};
 use rowburst_run::{
     ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, Setup, Task,
-    TraceRequest, merge_planes, run_chunked, solve, solve_with_model,
+    TraceRequest, check_memory, merge_planes, run_chunked, solve, solve_with_model,
 };
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -499,6 +499,7 @@ pub fn _reconstruct_chunked(
             ..task
         };
         let task = ChunkedTask::new(task, bins_per_chunk)?;
+        check_memory(Parameter::PartBins, &task.largest_chunk()?)?;
         let output = Output {
             folder: &OutputFolder::claim(&folder, "reconstruct", ForeignFiles::Accept)?,
             title: "Rowburst",

@@ -86,10 +86,13 @@ impl CheckParams<'_> {
             self_calibrate: Some("off"),
             ..UserOptions::default()
         };
-        let setup = Setup {
-            cancel: self.cancel.clone(),
-            ..Setup::read(&experiment, self.calibration, &options, observer)?
-        };
+        let setup = Setup::read(
+            &experiment,
+            self.calibration,
+            &options,
+            &self.cancel,
+            observer,
+        )?;
         check_frequency(self.frequency_hz, &setup.camera)?;
         let frame = Frame::read(self.frame)?;
         let first = [saturation(&frame, &setup.camera), contrast(&setup)];

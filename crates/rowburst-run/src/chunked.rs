@@ -19,7 +19,7 @@ use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
+use rowburst::{Camera, Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
 use rowburst_io::{ChunkedVideoFile, FromMetadata};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
@@ -58,6 +58,17 @@ impl ChunkedTask {
             bins_per_chunk: Some(bins_per_chunk).filter(|n| *n > 0),
             from_metadata: task.from_metadata,
         })
+    }
+
+    /// The camera of its largest chunk; one chunk is in memory at a time.
+    ///
+    /// # Errors
+    /// Those of [`Camera::subset`].
+    pub fn largest_chunk(&self) -> Result<Camera> {
+        let ranges = self.chunked.ranges(self.bins_per_chunk).into_iter();
+        let largest = ranges.max_by_key(ExactSizeIterator::len);
+        let camera = self.chunked.camera();
+        camera.subset(largest.expect("a video has bins"))
     }
 }
 

@@ -21,17 +21,20 @@ pub struct GuideTask {
 
 impl GuideTask {
     /// Reads the pictures `files`, taken at unknown times, or else those of the experiment file. `None` without any.
+    /// `cancel` stops it between two of them.
     ///
     /// # Errors
-    /// A file that cannot be read, or a model that does not exist.
+    /// A file that cannot be read, a model that does not exist, or a cancelled run.
     pub fn read(
         files: &[PathBuf],
         experiment: &Experiment,
         model: Option<&str>,
+        cancel: &Cancel,
     ) -> Result<Option<Self>> {
         let model = parse_guide_model(model)?;
         let files = guide_files(files, experiment);
-        let guides: Result<Vec<Guide>> = files.iter().map(read_guide).collect();
+        let guides: Result<Vec<Guide>> =
+            files.iter().map(|file| read_guide(file, cancel)).collect();
         let guides = guides?;
         Ok((!guides.is_empty()).then_some(Self { guides, model }))
     }
@@ -67,7 +70,8 @@ pub(crate) fn guide_files(files: &[PathBuf], experiment: &Experiment) -> Vec<Gui
     given.collect()
 }
 
-fn read_guide(file: &GuideFile) -> Result<Guide> {
+fn read_guide(file: &GuideFile, cancel: &Cancel) -> Result<Guide> {
+    cancel.check()?;
     Ok(Guide {
         image: read_capture(&file.image)?.image,
         exposure: file.time_us.map(|time_us| GuideExposure {

@@ -2,7 +2,9 @@
 
 use rowburst::error::Subject;
 use rowburst::measurement::Corrections;
-use rowburst::{Camera, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, Video, phrase};
+use rowburst::{
+    Camera, Cancel, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, Video, phrase,
+};
 use rowburst_io::{
     Calibration, Capture, Experiment, SampleFormat, is_patch_set, read_image, read_patch_set,
     read_video,
@@ -43,7 +45,16 @@ pub fn psf_path<'c>(calibration: &'c Calibration, experiment: &Experiment) -> Re
 /// # Errors
 /// A file that cannot be read, or a pixel that is not finite.
 pub fn read_corrections(calibration: &Calibration) -> Result<Corrections> {
+    read_corrections_until(calibration, &Cancel::default())
+}
+
+/// [`read_corrections`], which `cancel` stops between two files.
+pub(crate) fn read_corrections_until(
+    calibration: &Calibration,
+    cancel: &Cancel,
+) -> Result<Corrections> {
     let read = |path: &Option<std::path::PathBuf>| -> Result<Option<Image>> {
+        cancel.check()?;
         path.as_deref().map(read_finite).transpose()
     };
     Ok(Corrections {

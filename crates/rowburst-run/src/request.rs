@@ -93,13 +93,17 @@ impl Request {
         if experiment.bayer.is_some() {
             refuse_colour(&params)?;
         }
-        let setup = Setup {
-            cancel: params.cancel.clone(),
-            ..Setup::read(experiment, params.calibration, &params.options, observer)?
-        };
-        params.cancel.check()?;
+        let cancel = &params.cancel;
+        let setup = Setup::read(
+            experiment,
+            params.calibration,
+            &params.options,
+            cancel,
+            observer,
+        )?;
+        cancel.check()?;
         let frame = Frame::read(frame)?;
-        params.cancel.check()?;
+        cancel.check()?;
         if let Some(mosaic) = experiment.bayer {
             let task = ColourTask {
                 setup,
@@ -115,15 +119,17 @@ impl Request {
         let mut task = setup.task(&frame, params.bins)?;
         if let Some(bins_per_chunk) = params.bins_per_chunk {
             let task = ChunkedTask::new(task, bins_per_chunk)?;
+            check_memory(Parameter::PartBins, &task.largest_chunk()?)?;
             return Ok(Self::Chunked(Box::new(task)));
         }
         check_memory(&experiment.path, &task.camera)?;
         let truth = params.truth.map(|path| read_truth(path, &task.camera));
         task.truth = truth.transpose()?;
+        cancel.check()?;
         task.truth_file = params.truth.map(Path::to_path_buf);
         let direct = params.direct.map(read_capture).transpose()?;
         task.direct = direct.map(|capture| capture.image);
-        task.guide = GuideTask::read(params.guides, experiment, params.guide_model)?;
+        task.guide = GuideTask::read(params.guides, experiment, params.guide_model, cancel)?;
         task.seed = params.seed;
         let shape = task.camera.video_shape();
         Ok(Self::Whole {

@@ -2,7 +2,7 @@
 
 use crate::event::{Event, Observer};
 use crate::inputs::{
-    naming_file, psf_path, read_capture, read_corrections, read_psfs, resolve_calibration,
+    naming_file, psf_path, read_capture, read_corrections_until, read_psfs, resolve_calibration,
 };
 use crate::options::UserOptions;
 use crate::plausibility::{check_camera, check_frame, check_psfs};
@@ -88,14 +88,16 @@ impl Setup {
         }
     }
 
-    /// Reads the files of the corrections and the PSFs: each of `given`, or else that of `experiment`.
+    /// Reads the files of the corrections and the PSFs: each of `given`, or else that of `experiment`. `cancel` stops it
+    /// between two files, and later the run.
     ///
     /// # Errors
-    /// Options that do not exist, no PSF, or a file that cannot be read.
+    /// Options that do not exist, no PSF, a file that cannot be read, or a cancelled run.
     pub fn read(
         experiment: &Experiment,
         given: Calibration,
         options: &UserOptions,
+        cancel: &Cancel,
         observer: Observer,
     ) -> Result<Self> {
         let warnings = check_camera(&experiment.params).map_err(|e| e.within(&experiment.path))?;
@@ -103,7 +105,8 @@ impl Setup {
         let (options, budget) = options.resolve(experiment)?;
         let calibration = resolve_calibration(given, experiment);
         let psf_path = psf_path(&calibration, experiment)?;
-        let corrections = read_corrections(&calibration)?;
+        let corrections = read_corrections_until(&calibration, cancel)?;
+        cancel.check()?;
         let (psfs, note) = read_psfs(psf_path, &camera, corrections.dark.as_ref())?;
         if let Some(note) = note {
             let _ = observer(Event::Note(&note));
@@ -120,7 +123,7 @@ impl Setup {
             from_metadata,
             experiment: Some(experiment.path.clone()),
             calibration,
-            cancel: Cancel::default(),
+            cancel: cancel.clone(),
         })
     }
 

@@ -4,15 +4,15 @@ use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::simulate::scene;
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Image, PatchSet, Psf, Result, Sensor, Shutter};
+use rowburst::{Camera, Cancel, ErrorKind, Image, PatchSet, Psf, Result, Sensor, Shutter};
 use rowburst_io::{
     Calibration, Capture, Experiment, OutputFolder, SampleFormat, read_video, write_npy_image,
 };
 use rowburst_run::options::UserOptions;
 use rowburst_run::simulate::{NoiseChoice, Scene, Simulation, simulate};
 use rowburst_run::{
-    Artifacts, Bias, ColourTask, Event, Frame, MovieStyle, Output, Request, RequestParams, Setup,
-    Summary, bias_of_array, read_experiment, solve,
+    Artifacts, Bias, ChunkedTask, ColourTask, Event, Frame, MovieStyle, Output, Request,
+    RequestParams, Setup, Summary, bias_of_array, read_experiment, solve,
 };
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -345,4 +345,31 @@ fn the_layer_prints_nothing() {
         };
         assert!(printed.lines().all(of_harness), "{printed}");
     }
+}
+
+#[test]
+fn a_cancelled_run_reads_no_further_file() {
+    let lab = Lab::new(None);
+    let cancel = Cancel::default();
+    cancel.cancel();
+    let params = RequestParams {
+        calibration: Calibration {
+            dark: Some(lab.path("missing.npy")),
+            ..Calibration::default()
+        },
+        cancel,
+        ..RequestParams::default()
+    };
+    let error = lab.run(params).err().expect("it was cancelled");
+    assert_eq!(error.kind(), ErrorKind::Cancelled);
+}
+
+#[test]
+fn memory_is_checked_for_the_largest_chunk() {
+    let lab = Lab::new(None);
+    let task = lab.setup().task(&lab.array(), None).unwrap();
+    let bins = task.camera.time().bins();
+    let task = ChunkedTask::new(task, bins - 1).unwrap();
+    let chunk = task.largest_chunk().unwrap();
+    assert_eq!(chunk.time().bins(), bins - 1);
 }

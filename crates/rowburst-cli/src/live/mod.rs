@@ -72,7 +72,10 @@ pub fn run(args: &LiveArgs) -> Result<()> {
         // The experiment says it.
         warnings.retain(|warning| !warning.contains("row time"));
     }
-    let setup = args.experiment.as_ref().map(|path| setup_of(args, path));
+    let setup = args
+        .experiment
+        .as_ref()
+        .map(|path| setup_of(args, path, &cancel));
     let setup = setup.transpose()?;
     let first = first_frame(&mut *source, &cancel)?;
     let start = start_of(&settings, setup.as_ref(), &first, source.name());
@@ -116,7 +119,7 @@ pub fn run(args: &LiveArgs) -> Result<()> {
 }
 
 /// The setup of a preview.
-fn setup_of(args: &LiveArgs, path: &std::path::Path) -> Result<Setup> {
+fn setup_of(args: &LiveArgs, path: &std::path::Path, cancel: &Cancel) -> Result<Setup> {
     let experiment = Experiment::read(path)?;
     let options = UserOptions {
         self_calibrate: Some("off"),
@@ -128,6 +131,7 @@ fn setup_of(args: &LiveArgs, path: &std::path::Path) -> Result<Setup> {
         &experiment,
         given,
         &options,
+        cancel,
         &mut crate::progress::print_note,
     )
 }

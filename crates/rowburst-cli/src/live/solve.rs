@@ -38,7 +38,9 @@ impl LiveSolver {
             &setup.camera,
         )?;
         setup.measurement(&raw(first)?)?;
-        let model = Model::new(&setup.camera, &setup.psfs).with_cached_gram();
+        let model = Model::new(&setup.camera, &setup.psfs)
+            .with_cancel(&setup.cancel)
+            .with_cached_gram();
         Ok(Self {
             sequence: Sequence::new(model, options),
             setup,
