@@ -1,15 +1,17 @@
 // The clip as it is saved: each bin as numbers of colours, the same for GIF and MP4.
 
-import { colourOf, stripe, STRIPES, type Rgb } from "./colour";
+import { BAR_WIDTH, drawColourBar } from "./colour-bar";
+import { colourOf, REGION_COLOURS, shadeOf, stripe, STRIPES, type Rgb } from "./colour";
 import type { Pane } from "./pane";
 import type { Store } from "./store";
 
-/** Colours: brightness, signed differences, stripes of a hatching, then ink and paper. 256 in all, as a GIF may have. */
-const SHADES = 127;
-/** Shades where two colours are for a hatching. */
-const SHADES_BESIDE_STRIPES = 126;
-const FIRST_STRIPE = 252;
+/** Shades of brightness, and as many of signed differences; 256 colours in all, as a GIF may have. */
+const SHADES = 121;
+const FIRST_STRIPE = 2 * SHADES;
+const FIRST_REGION = FIRST_STRIPE + STRIPES.length;
 const [WHITE, BLACK] = [254, 255];
+/** Stands for a pixel over which nothing is drawn. */
+const NOTHING = 253;
 /** Width of a saved picture at least, in pixels; small videos are enlarged by whole numbers. */
 const MIN_WIDTH = 480;
 export const GAP = 8;
@@ -37,22 +39,29 @@ export class Clip {
   private readonly limits: [number, number];
   private readonly otherLimits: [number, number];
   private readonly isStamped: boolean;
-  private readonly shades: number;
+  private readonly scale: Store["state"]["scale"];
+  private readonly first: number;
+  /** What lies over all bins: regions, line, scale bar, colour bar. */
+  private readonly over: Uint8Array | null;
+  readonly bins: number;
 
-  /** What the panes show now: colours, limits and zoom. */
+  /** What the panes show now: colours, limits, zoom, and the part of the time. */
   constructor(
     private readonly store: Store,
     panes: Pane[],
   ) {
-    this.limits = [store.state.low, store.state.high];
+    const { state } = store;
+    this.limits = [state.low, state.high];
     this.otherLimits = store.otherLimits;
-    this.isStamped = store.state.stamp;
-    const isHatched = panes.some((pane) => pane.coverage);
-    this.shades = isHatched ? SHADES_BESIDE_STRIPES : SHADES;
-    for (const map of [store.state.map, "signed"] as const) {
-      for (let i = 0; i < this.shades; i++) this.palette.push(colourOf(map, i / (this.shades - 1)));
+    this.isStamped = state.stamp;
+    this.scale = state.scale;
+    this.first = state.first;
+    this.bins = state.last - state.first + 1;
+    for (const map of [state.map, "signed"] as const) {
+      for (let i = 0; i < SHADES; i++) this.palette.push(colourOf(map, i / (SHADES - 1)));
     }
-    if (isHatched) this.palette.push(...STRIPES);
+    this.palette.push(...STRIPES, ...REGION_COLOURS.map(rgb));
+    while (this.palette.length < WHITE) this.palette.push([255, 255, 255]);
     this.palette.push([255, 255, 255], [0, 0, 0]);
     let left = 0;
     for (const pane of panes) {
@@ -60,25 +69,74 @@ export class Clip {
       this.panes.push({ pane, left, window: pane.window(), ...size });
       left += size.width + GAP;
     }
-    this.width = left - GAP;
     this.height = Math.max(...this.panes.map((p) => p.height));
+    this.width = left - GAP + (state.colourBar ? BAR_WIDTH : 0);
+    this.over = state.overlays || state.colourBar ? this.overlay(left - GAP) : null;
   }
 
-  get bins(): number {
-    return this.store.clock.bins;
-  }
-
-  /** Bin `t`, with its time where that is wanted. */
-  at(t: number): Uint8Array<ArrayBuffer> {
-    const { store, width, height } = this;
+  /** Picture `i` of the clip, with its time where that is wanted. */
+  at(i: number): Uint8Array<ArrayBuffer> {
+    const { store, width, height, over } = this;
+    const t = this.first + i;
     const index = new Uint8Array(width * height).fill(WHITE);
     for (const placed of this.panes) this.paint(index, placed, t);
+    if (over) for (let k = 0; k < over.length; k++) if (over[k] !== NOTHING) index[k] = over[k];
     if (this.isStamped) stampOn(index, width, height, store.clock.label(t));
     return index;
   }
 
+  /** The numbers of the colours of what does not change. */
+  private overlay(barLeft: number): Uint8Array {
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [this.width, this.height];
+    const ctx = canvas.getContext("2d", { willReadFrequently: true })!;
+    const { state, unit } = this.store;
+    for (const { pane, left, width, height } of state.overlays ? this.panes : []) {
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(left, 0, width, height);
+      ctx.clip();
+      ctx.translate(left, 0);
+      pane.drawOverlays(ctx, width, height);
+      ctx.restore();
+    }
+    const marks = this.nearest(ctx, FIRST_REGION);
+    if (!state.colourBar) return marks;
+    ctx.clearRect(0, 0, canvas.width, canvas.height);
+    drawColourBar(ctx, { x: barLeft + GAP, y: 0, width: BAR_WIDTH, height: this.height }, { ...state, unit }, { text: "#000", line: "#000" });
+    const bar = this.nearest(ctx, 0);
+    for (let i = 0; i < bar.length; i++) if (bar[i] !== NOTHING) marks[i] = bar[i];
+    return marks;
+  }
+
+  /** For each opaque pixel of a canvas the colour of the palette, from `first` on, that is nearest. */
+  private nearest(ctx: CanvasRenderingContext2D, first: number): Uint8Array {
+    const { data } = ctx.getImageData(0, 0, this.width, this.height);
+    const numbers = new Uint8Array(this.width * this.height).fill(NOTHING);
+    const known = new Map<number, number>();
+    for (let i = 0; i < numbers.length; i++) {
+      if (data[4 * i + 3] < 128) continue;
+      const [r, g, b] = data.subarray(4 * i, 4 * i + 3);
+      const key = (r << 16) | (g << 8) | b;
+      let best = known.get(key);
+      if (best === undefined) {
+        let least = Infinity;
+        best = WHITE;
+        this.palette.forEach((colour, n) => {
+          // Signed differences and stripes have no part in marks and bar.
+          if (n < first || (n >= SHADES && n < FIRST_REGION) || n === NOTHING) return;
+          const distance = (colour[0] - r) ** 2 + (colour[1] - g) ** 2 + (colour[2] - b) ** 2;
+          if (distance < least) [least, best] = [distance, n];
+        });
+        known.set(key, best!);
+      }
+      numbers[i] = best!;
+    }
+    return numbers;
+  }
+
   private paint(index: Uint8Array, { pane, left, width, height, window }: PanePlacement, t: number): void {
-    const { store, shades } = this;
+    const { store } = this;
     const { volume, coverage } = pane;
     const [x0, y0, w, hgt] = window;
     const [low, high] = pane.role === "other" ? this.otherLimits : this.limits;
@@ -94,9 +152,9 @@ export class Clip {
           shade = FIRST_STRIPE + stripe(row, column);
         } else if (pane.role === "difference") {
           const truth = store.truth!.value(bin, row, column);
-          shade = shades + shadeOf(0.5 + (value - truth) / (high - low), shades);
+          shade = SHADES + numberOf(0.5 + (value - truth) / (high - low));
         } else {
-          shade = shadeOf((value - low) / (high - low || 1), shades);
+          shade = numberOf(shadeOf((value - low) / (high - low || 1), this.scale));
         }
         index[y * this.width + left + x] = shade;
       }
@@ -104,8 +162,13 @@ export class Clip {
   }
 }
 
-function shadeOf(f: number, shades: number): number {
-  return Number.isFinite(f) ? Math.round(Math.min(1, Math.max(0, f)) * (shades - 1)) : 0;
+function numberOf(f: number): number {
+  return Number.isFinite(f) ? Math.round(Math.min(1, Math.max(0, f)) * (SHADES - 1)) : 0;
+}
+
+function rgb(text: string): Rgb {
+  const n = parseInt(text.slice(1), 16);
+  return [n >> 16, (n >> 8) & 255, n & 255];
 }
 
 /** The time in white on black, at the lower left. */

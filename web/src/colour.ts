@@ -1,12 +1,56 @@
 // Colour maps. Sequential ones are even in lightness; time is a hue of OKLCh, as in the report.
 
-import { interpolateMagma, interpolateRdBu, interpolateViridis } from "d3-scale-chromatic";
+import { interpolateCividis, interpolateInferno, interpolateMagma, interpolatePlasma, interpolateViridis } from "d3-scale-chromatic";
 
-export type MapName = "grey" | "viridis" | "magma";
+export type MapName = "grey" | "viridis" | "magma" | "inferno" | "plasma" | "cividis";
+
+/** The maps as they are offered; all are even in lightness. */
+export const MAPS: [MapName, string][] = [
+  ["magma", "Magma"],
+  ["inferno", "Inferno"],
+  ["plasma", "Plasma"],
+  ["viridis", "Viridis"],
+  ["cividis", "Cividis"],
+  ["grey", "Grey"],
+];
+
+/** How brightness follows the value between the two limits. */
+export interface Scale {
+  kind: "linear" | "gamma" | "log";
+  /** Exponent of `gamma`: below 1 what is dark becomes brighter. */
+  gamma: number;
+}
+
+/** Range that a logarithmic scale shows: white over black. */
+const LOG_RANGE = 1000;
+
+/** Brightness, 0 to 1, of the part `f` of the way from the lower to the upper limit. */
+export function shadeOf(f: number, { kind, gamma }: Scale): number {
+  const inside = f <= 0 ? 0 : f >= 1 ? 1 : f;
+  if (kind === "gamma") return inside ** gamma;
+  if (kind === "log") return Math.max(0, 1 + Math.log(inside) / Math.log(LOG_RANGE));
+  return Number.isNaN(inside) ? 0 : inside;
+}
+
 export type Rgb = [number, number, number];
 
-/** Colours of regions: told apart by people who see red and green alike (Okabe & Ito). */
-export const REGION_COLOURS = ["#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#d55e00", "#0072b2", "#b8a800", "#8a8a8a"];
+/** Colours of regions, those of the report's figures: told apart by people who see red and green alike. */
+export const REGION_COLOURS = ["#2a85c9", "#e0662f", "#1a9b74", "#c563ae", "#c2940b", "#7577d6", "#5f8a1f", "#c0504d"];
+
+/** Signed values, blue below zero, red above and black at it, as in the report. */
+const SIGNED: readonly Rgb[] = [
+  [166, 212, 255],
+  [52, 128, 206],
+  [18, 18, 22],
+  [205, 74, 52],
+  [255, 196, 168],
+];
+
+function signed(f: number): Rgb {
+  const at = Math.min(1, Math.max(0, f)) * (SIGNED.length - 1);
+  const i = Math.min(SIGNED.length - 2, Math.floor(at));
+  return [0, 1, 2].map((c) => Math.round(SIGNED[i][c] + (at - i) * (SIGNED[i + 1][c] - SIGNED[i][c]))) as Rgb;
+}
 
 function parse(text: string): Rgb {
   if (text.startsWith("#")) {
@@ -28,8 +72,14 @@ export function colourOf(map: MapName | "signed", f: number): Rgb {
       return parse(interpolateViridis(f));
     case "magma":
       return parse(interpolateMagma(f));
+    case "inferno":
+      return parse(interpolateInferno(f));
+    case "plasma":
+      return parse(interpolatePlasma(f));
+    case "cividis":
+      return parse(interpolateCividis(f));
     case "signed":
-      return parse(interpolateRdBu(1 - f));
+      return signed(f);
   }
 }
 
@@ -41,6 +91,22 @@ export function table(map: MapName | "signed"): Uint32Array {
   if (!found) {
     found = Uint32Array.from({ length: 256 }, (_, i) => pack(colourOf(map, i / 255)));
     tables.set(map, found);
+  }
+  return found;
+}
+
+/** Colours of a finer table, in which `scale` is already taken into account: small values keep their digits. */
+export const SHADES = 4096;
+const shaded = new Map<string, Uint32Array>();
+
+export function shadedTable(map: MapName, scale: Scale): Uint32Array {
+  const key = `${map} ${scale.kind} ${scale.kind === "gamma" ? scale.gamma : ""}`;
+  let found = shaded.get(key);
+  if (!found) {
+    if (shaded.size > 32) shaded.clear();
+    const colours = table(map);
+    found = Uint32Array.from({ length: SHADES }, (_, i) => colours[Math.round(255 * shadeOf(i / (SHADES - 1), scale))]);
+    shaded.set(key, found);
   }
   return found;
 }

@@ -65,6 +65,20 @@ export function download(name: string, content: Blob): void {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
+/** How long a notice stands. */
+const NOTICE_MS = 8000;
+let noticeEnds: ReturnType<typeof setTimeout> | undefined;
+
+/** Tells the user something that is read out and goes away again. */
+export function notify(text: string): void {
+  const place = document.getElementById("rowburst-notice");
+  if (!place) return;
+  place.textContent = text;
+  place.hidden = false;
+  clearTimeout(noticeEnds);
+  noticeEnds = setTimeout(() => (place.hidden = true), NOTICE_MS);
+}
+
 /** Text to be read out, without a change to be seen. */
 export function announce(text: string): void {
   const place = document.getElementById("rowburst-status");

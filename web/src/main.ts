@@ -4,8 +4,11 @@ import "uplot/dist/uPlot.min.css";
 import "./app.css";
 import { between } from "./between";
 import { Cloud } from "./cloud";
+import { compare } from "./compare";
 import { h } from "./dom";
 import { Evidence, settings } from "./evidence";
+import { Help } from "./help";
+import { Keys } from "./keys";
 import { Limits } from "./limits";
 import { Live } from "./live";
 import { Monitor } from "./monitor";
@@ -13,6 +16,7 @@ import { Save } from "./save";
 import { Slices } from "./slices";
 import { openSource, report, type Source } from "./source";
 import { PaneGrid } from "./pane-grid";
+import { Regions } from "./regions";
 import { Store } from "./store";
 import { Traces } from "./traces";
 import { Transport } from "./transport";
@@ -23,6 +27,7 @@ async function start(): Promise<void> {
   root.replaceChildren(
     h("p", { id: "rowburst-error", class: "error", role: "alert", hidden: true }),
     h("p", { id: "rowburst-status", class: "unseen", role: "status" }),
+    h("p", { id: "rowburst-notice", role: "status", hidden: true }),
   );
   try {
     build(root, await openSource());
@@ -51,11 +56,15 @@ function build(root: HTMLElement, source: Source): void {
   const otherCoverage = second ? source.volume(1, "coverage", otherWanted, loaded) : null;
   store = new Store(source, { video, truth, other }, { coverage, otherCoverage });
 
-  const paneGrid = new PaneGrid(store);
-  const transport = new Transport(store);
-  const limits = new Limits(store);
-  const save = new Save(store, paneGrid);
-  const tabs = source.live ? watch(store) : panel(store);
+  const keys = new Keys();
+  const regions = new Regions(store);
+  const transport = new Transport(store, keys);
+  const paneGrid = new PaneGrid(store, regions, keys);
+  const limits = new Limits(store, keys);
+  const save = new Save(store, paneGrid, keys);
+  const traces = new Traces(store, regions);
+  const tabs = source.live ? watch(store) : panel(store, traces, keys);
+  const help = new Help(keys);
   if (!source.isOffline) document.title = `${second ? `${meta.name} and ${second.name}` : meta.name} – Rowburst`;
   if (!source.isOffline) root.append(header(source));
   root.append(
@@ -65,21 +74,14 @@ function build(root: HTMLElement, source: Source): void {
       h("div", { class: "left" }, paneGrid.element, between(store), transport.element, limits.element, save.element),
       tabs,
     ),
-    h(
-      "p",
-      { class: "keys muted" },
-      "Space plays, ← and → step, with Shift by ten, L loops; the wheel zooms, a double click shows all.",
-    ),
+    h("p", { class: "keys" }, help.button),
+    help.dialog,
   );
-  document.addEventListener("keydown", (event) => {
-    const target = event.target as HTMLElement;
-    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, select, textarea")) return;
-    if (event.key === "+") paneGrid.zoom(1.5);
-    if (event.key === "-") paneGrid.zoom(1 / 1.5);
-    if (event.key === "0") paneGrid.zoom(0);
-  });
+  keys.note("Regions", "←  →  ↑  ↓", "on a region of the list: moves it; with Shift its size");
+  keys.note("Regions", "Enter", "on a region of the list: its name");
+  keys.listen();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => store.tell("look"));
-  for (const region of Traces.first(store)) paneGrid.add(region);
+  traces.begin();
   store.tell("data");
   store.tell("regions");
 }
@@ -100,12 +102,12 @@ function header(source: Source): HTMLElement {
 }
 
 /** The parts at the right, one at a time. */
-function panel(store: Store): HTMLElement {
-  const slices = new Slices(store);
+function panel(store: Store, traces: Traces, keys: Keys): HTMLElement {
+  const slices = new Slices(store, keys);
   const cloud = new Cloud(store);
   const evidence = new Evidence(store);
   const parts: [string, string, HTMLElement, () => void][] = [
-    ["traces", "Traces", new Traces(store).element, () => store.tell("regions")],
+    ["traces", "Traces", traces.element, () => store.tell("regions")],
     [
       "space-time",
       "Space–time",
@@ -118,6 +120,8 @@ function panel(store: Store): HTMLElement {
     ["evidence", "Evidence", evidence.element, () => evidence.draw()],
     ["settings", "Settings", settings(store), () => undefined],
   ];
+  const comparison = compare(store);
+  if (comparison) parts.splice(3, 0, ["compare", "Compare", comparison, () => undefined]);
   // One picture has no time to look at.
   if (store.clock.bins === 1) parts.splice(1, 1);
   const tabs: HTMLButtonElement[] = [];
@@ -130,6 +134,13 @@ function panel(store: Store): HTMLElement {
     });
     parts[at][3]();
   };
+  keys.add("Page", "T", "the next panel", {
+    t: () => {
+      const next = (tabs.findIndex((tab) => tab.tabIndex === 0) + 1) % tabs.length;
+      choose(next);
+      tabs[next].focus();
+    },
+  });
   parts.forEach(([id, name, element], i) => {
     tabs.push(
       h("button", { type: "button", role: "tab", id: `tab-${id}`, "aria-controls": `panel-${id}`, click: () => choose(i) }, name),

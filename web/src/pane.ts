@@ -2,6 +2,7 @@
 
 import { timeHue } from "./colour";
 import { fit, h } from "./dom";
+import { number } from "./format";
 import type { Coverage } from "./masks";
 import { Bitmap, drawProjection, project, type Projection } from "./picture";
 import type { Store } from "./store";
@@ -22,10 +23,23 @@ export class Pane {
   constructor(
     private readonly store: Store,
     readonly role: Role,
-    private readonly name: string,
+    readonly name: string,
   ) {
     this.canvas = h("canvas", { class: "picture", tabindex: 0, role: "img", "data-role": role });
-    this.element = h("figure", { class: "pane" }, this.canvas, h("figcaption", {}, name, this.coverage?.legend()));
+    const ratio = store.otherRatio;
+    const ownScale = role === "other" && ratio !== 1;
+    this.element = h(
+      "figure",
+      { class: "pane" },
+      this.canvas,
+      h(
+        "figcaption",
+        {},
+        name,
+        ownScale && h("span", { class: "own-scale" }, ` · its own brightness scale: ${number(ratio, 2)} times the values`),
+        this.coverage?.legend(),
+      ),
+    );
   }
 
   /** The video that is seen here. */
@@ -49,9 +63,21 @@ export class Pane {
     this.projection = null;
   }
 
-  private limits(): [number, number] {
+  limits(): [number, number] {
     const { low, high } = this.store.state;
     return this.role === "other" ? this.store.otherLimits : [low, high];
+  }
+
+  /** What a pixel of the first video has at its bin `t`, in words; null where this picture does not have it. */
+  valueAt(y: number, x: number, t: number): string | null {
+    const { store, volume, role } = this;
+    const [row, column] = [Math.floor((y * volume.rows) / store.video.rows), Math.floor((x * volume.columns) / store.video.columns)];
+    const bin = role === "other" ? store.otherBin : t;
+    if (!volume.loaded[bin]) return null;
+    const value = volume.value(bin, row, column);
+    if (role === "difference") return `difference ${number(value - store.truth!.value(t, row, column), 4)}`;
+    const words = `${number(value, 4)} ${store.unit}`;
+    return role === "main" ? words : `${this.name} ${words}`;
   }
 
   /** Paints the picture in its own size. */
@@ -69,7 +95,7 @@ export class Pane {
       this.bitmap.signed(there ? value : () => NaN, (high - low) / 2);
     } else if (state.layer !== "video" && volume.isWhole) {
       if (this.projection) {
-        drawProjection(this.bitmap, this.projection, state.layer, state.map, low, high);
+        drawProjection(this.bitmap, this.projection, state.layer, state.map, low, high, state.scale);
       } else if (!this.projecting) {
         this.projecting = true;
         void project(volume).then((projection) => {
@@ -79,7 +105,7 @@ export class Pane {
         });
       }
     } else {
-      this.bitmap.bin(volume, this.bin, state.map, low, high);
+      this.bitmap.bin(volume, this.bin, state.map, low, high, state.scale);
     }
     if (this.coverage) this.bitmap.hatch(this.unobserved(this.coverage));
     return this.bitmap;
@@ -105,26 +131,81 @@ export class Pane {
 
   draw(): void {
     const { ctx, width, height } = fit(this.canvas);
-    this.drawOn(ctx, width, height);
+    if (this.volume.count === 0) {
+      this.drawWaiting(ctx, width, height);
+    } else {
+      this.drawPixels(ctx, width, height);
+      this.drawOverlays(ctx, width, height);
+      this.drawProbe(ctx, width, height);
+      if (this.store.state.stamp) this.drawTime(ctx, height);
+    }
     this.describe();
   }
 
-  drawOn(ctx: CanvasRenderingContext2D, width: number, height: number): void {
+  /** Says that there is no picture yet, and what it waits for. */
+  private drawWaiting(ctx: CanvasRenderingContext2D, width: number, height: number): void {
+    const { source } = this.store;
+    ctx.fillStyle = "#16191f";
+    ctx.fillRect(0, 0, width, height);
+    ctx.fillStyle = "#c9ced6";
+    ctx.textAlign = "center";
+    ctx.font = "600 15px system-ui, sans-serif";
+    const running = source.live && !source.isMonitor;
+    ctx.fillText(running ? "Setting up …" : source.live ? "Waiting for a frame …" : "Loading …", width / 2, height / 2);
+    if (running) {
+      ctx.font = "13px system-ui, sans-serif";
+      ctx.fillText("The first picture comes with the first iterations.", width / 2, height / 2 + 22);
+    }
+  }
+
+  drawPixels(ctx: CanvasRenderingContext2D, width: number, height: number): void {
     const bitmap = this.paint();
     const [x, y, w, hgt] = this.window();
     ctx.imageSmoothingEnabled = false;
     ctx.drawImage(bitmap.canvas, x, y, w, hgt, 0, 0, width, height);
-    const k = width / w;
+  }
+
+  /** Regions, line, scale bar and bar of time. */
+  drawOverlays(ctx: CanvasRenderingContext2D, width: number, height: number): void {
+    const k = this.onMarks(ctx, width, (k) => this.drawMarks(ctx, k));
+    this.drawScaleBar(ctx, width, height, k);
+    if (this.store.state.layer === "time" && this.role === "main") this.drawTimeBar(ctx, width);
+  }
+
+  /** Draws in pixels of the first video; returns CSS pixels for each of them. */
+  private onMarks(ctx: CanvasRenderingContext2D, width: number, draw: (k: number) => void): number {
+    const [x, y, w] = this.window();
+    // A video of another size shows the same places.
+    const { video } = this.store;
+    const [kx, ky] = [this.volume.columns / video.columns, this.volume.rows / video.rows];
+    const k = (width / w) * kx;
     ctx.save();
-    ctx.scale(k, k);
-    ctx.translate(-x, -y);
-    this.drawMarks(ctx, k);
+    ctx.scale(k, (width / w) * ky);
+    ctx.translate(-x / kx, -y / ky);
+    draw(k);
     ctx.restore();
-    this.drawWords(ctx, width, height, k);
+    return k;
+  }
+
+  private drawProbe(ctx: CanvasRenderingContext2D, width: number, height: number): void {
+    const { probe, tool } = this.store.state;
+    if (!probe || tool !== "probe") return;
+    const [x, y, w, hgt] = this.window();
+    const at = { x: ((probe.x + 0.5 - x) / w) * width, y: ((probe.y + 0.5 - y) / hgt) * height };
+    for (const [colour, wide] of [["rgb(0 0 0 / 0.6)", 3], ["#fff", 1]] as const) {
+      ctx.strokeStyle = colour;
+      ctx.lineWidth = wide;
+      ctx.beginPath();
+      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+        ctx.moveTo(at.x + 5 * dx, at.y + 5 * dy);
+        ctx.lineTo(at.x + 16 * dx, at.y + 16 * dy);
+      }
+      ctx.stroke();
+    }
   }
 
   private drawMarks(ctx: CanvasRenderingContext2D, k: number): void {
-    const { regions, line } = this.store.state;
+    const { regions, line, selected } = this.store.state;
     for (const region of regions) {
       // About the pixels, not on them.
       const out = 1.5 / k;
@@ -136,7 +217,19 @@ export class Pane {
       ctx.lineWidth = 1.75 / k;
       ctx.strokeStyle = region.colour;
       ctx.strokeRect(x, y, columns, rows);
+      const isSelected = region.id === selected;
+      ctx.font = `${isSelected ? 700 : 500} ${12 / k}px system-ui, sans-serif`;
+      ctx.textAlign = "left";
+      ctx.textBaseline = y * k < 14 ? "top" : "alphabetic";
+      ctx.lineWidth = 3 / k;
+      ctx.lineJoin = "round";
+      ctx.strokeStyle = "rgb(0 0 0 / 0.75)";
+      const at: [number, number] = y * k < 14 ? [x + columns + 2 / k, y] : [x, y - 3 / k];
+      ctx.strokeText(String(region.number), ...at);
+      ctx.fillStyle = "#fff";
+      ctx.fillText(String(region.number), ...at);
     }
+    ctx.textBaseline = "alphabetic";
     if (line) {
       ctx.beginPath();
       ctx.moveTo(line.x0, line.y0);
@@ -150,37 +243,26 @@ export class Pane {
     }
   }
 
-  private drawWords(ctx: CanvasRenderingContext2D, width: number, height: number, k: number): void {
-    const { store } = this;
-    ctx.font = "500 13px system-ui, sans-serif";
-    ctx.textBaseline = "alphabetic";
-    const text = (words: string, x: number, y: number) => {
-      ctx.lineWidth = 3;
-      ctx.lineJoin = "round";
-      ctx.strokeStyle = "rgb(0 0 0 / 0.65)";
-      ctx.strokeText(words, x, y);
-      ctx.fillStyle = "#fff";
-      ctx.fillText(words, x, y);
-    };
-    const onLight = this.role === "difference";
-    if (store.state.stamp && store.state.layer === "video" && !onLight) {
-      ctx.textAlign = "left";
-      text(store.clock.label(store.state.t), 10, height - 10);
-    }
-    const pitch = store.meta.view?.pixel_pitch_um;
-    if (pitch && this.role === "main") {
-      const length = LENGTHS.filter((l) => (l / pitch) * k < width / 4).pop();
-      if (length) {
-        const px = (length / pitch) * k;
-        ctx.fillStyle = "rgb(0 0 0 / 0.55)";
-        ctx.fillRect(width - 11 - px, height - 15, px + 2, 5);
-        ctx.fillStyle = "#fff";
-        ctx.fillRect(width - 10 - px, height - 14, px, 3);
-        ctx.textAlign = "right";
-        text(length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10, height - 20);
-      }
-    }
-    if (store.state.layer === "time" && this.role === "main") this.drawTimeBar(ctx, width);
+  /** The time that is shown, at the lower left. */
+  drawTime(ctx: CanvasRenderingContext2D, height: number): void {
+    const { clock, state } = this.store;
+    if (state.layer !== "video") return;
+    ctx.textAlign = "left";
+    outlined(ctx, clock.label(state.t), 10, height - 10);
+  }
+
+  private drawScaleBar(ctx: CanvasRenderingContext2D, width: number, height: number, k: number): void {
+    const pitch = this.store.pitch_um;
+    if (!pitch || this.role !== "main") return;
+    const length = LENGTHS.filter((l) => (l / pitch) * k < width / 4).pop();
+    if (!length) return;
+    const px = (length / pitch) * k;
+    ctx.fillStyle = "rgb(0 0 0 / 0.55)";
+    ctx.fillRect(width - 11 - px, height - 15, px + 2, 5);
+    ctx.fillStyle = "#fff";
+    ctx.fillRect(width - 10 - px, height - 14, px, 3);
+    ctx.textAlign = "right";
+    outlined(ctx, length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10, height - 20);
   }
 
   private drawTimeBar(ctx: CanvasRenderingContext2D, width: number): void {
@@ -189,7 +271,7 @@ export class Pane {
     const hue = new Float32Array(192);
     const peak = new Float32Array(64).fill(1);
     for (let i = 0; i < 64; i++) hue.set(timeHue(i / 63), 3 * i);
-    drawProjection(bar, { peak, hue }, "time", "grey", 0, 1);
+    drawProjection(bar, { peak, hue }, "time", "grey", 0, 1, { kind: "linear", gamma: 1 });
     ctx.drawImage(bar.canvas, 10, 10, wide, 6);
     ctx.fillStyle = "#fff";
     ctx.textBaseline = "top";
@@ -221,4 +303,16 @@ export class Pane {
       y: (y + ((event.clientY - box.top) / box.height) * hgt) * ky,
     };
   }
+}
+
+/** White words with a dark edge, to be read on any picture. */
+function outlined(ctx: CanvasRenderingContext2D, words: string, x: number, y: number): void {
+  ctx.font = "500 13px system-ui, sans-serif";
+  ctx.textBaseline = "alphabetic";
+  ctx.lineWidth = 3;
+  ctx.lineJoin = "round";
+  ctx.strokeStyle = "rgb(0 0 0 / 0.65)";
+  ctx.strokeText(words, x, y);
+  ctx.fillStyle = "#fff";
+  ctx.fillText(words, x, y);
 }

@@ -1,6 +1,6 @@
 // Numbers into pixels.
 
-import { MISSING, pack, srgb, stripe, STRIPES, table, timeHue, type MapName } from "./colour";
+import { MISSING, pack, shadedTable, shadeOf, SHADES, srgb, stripe, STRIPES, table, timeHue, type MapName, type Scale } from "./colour";
 import { yieldToBrowser, type Volume } from "./volume";
 
 /** A picture of a video's own size, to be drawn at any other. */
@@ -25,10 +25,11 @@ export class Bitmap {
   }
 
   /** Bin `t` between the brightness limits. */
-  bin(volume: Volume, t: number, map: MapName, low: number, high: number): void {
-    const colours = table(map);
+  bin(volume: Volume, t: number, map: MapName, low: number, high: number, shades: Scale): void {
+    const colours = shadedTable(map, shades);
+    const top = SHADES - 1;
     const from = (low - volume.low) / volume.step;
-    const scale = 255.999 / Math.max(1e-9, (high - low) / volume.step);
+    const scale = (top + 0.999) / Math.max(1e-9, (high - low) / volume.step);
     const { pixels } = this;
     const { missing } = volume;
     if (!volume.loaded[t]) {
@@ -38,7 +39,7 @@ export class Bitmap {
       for (let i = 0; i < bin.length; i++) {
         const n = bin[i];
         const f = (n - from) * scale;
-        pixels[i] = n === missing ? MISSING : colours[f <= 0 ? 0 : f >= 255 ? 255 : f | 0];
+        pixels[i] = n === missing ? MISSING : colours[f <= 0 ? 0 : f >= top ? top : f | 0];
       }
     }
     this.done();
@@ -67,13 +68,14 @@ export class Bitmap {
   }
 
   /** Values of a picture between two limits. */
-  values(data: ArrayLike<number>, map: MapName, low: number, high: number): void {
-    const colours = table(map);
-    const scale = 255 / (high > low ? high - low : 1);
+  values(data: ArrayLike<number>, map: MapName, low: number, high: number, shades: Scale = { kind: "linear", gamma: 1 }): void {
+    const colours = shadedTable(map, shades);
+    const top = SHADES - 1;
+    const scale = top / (high > low ? high - low : 1);
     for (let i = 0; i < this.pixels.length; i++) {
       const v = data[i];
       this.pixels[i] = Number.isFinite(v)
-        ? colours[Math.min(255, Math.max(0, Math.round((v - low) * scale)))]
+        ? colours[Math.min(top, Math.max(0, Math.round((v - low) * scale)))]
         : MISSING;
     }
     this.done();
@@ -124,13 +126,14 @@ export function drawProjection(
   map: MapName,
   low: number,
   high: number,
+  shades: Scale,
 ): void {
   if (layer === "peak") {
-    bitmap.values(peak, map, low, high);
+    bitmap.values(peak, map, low, high, shades);
     return;
   }
   for (let i = 0; i < peak.length; i++) {
-    const f = Math.min(1, Math.max(0, (peak[i] - low) / (high - low || 1)));
+    const f = shadeOf((peak[i] - low) / (high - low || 1), shades);
     bitmap.pixels[i] = pack(srgb([f * hue[3 * i], f * hue[3 * i + 1], f * hue[3 * i + 2]]));
   }
   bitmap.done();

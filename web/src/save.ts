@@ -1,11 +1,13 @@
-// PNG of what is seen; GIF and MP4 of the clip, with or without the time.
+// PNG of what is seen; GIF and MP4 of the clip; with or without time, regions and colour bar.
 
 import { GIFEncoder } from "gifenc";
 import { Clip, GAP, savedSize } from "./clip";
+import { BAR_WIDTH, drawColourBar } from "./colour-bar";
 import { announce, download, h } from "./dom";
 import { mp4 } from "./movie";
+import type { Keys } from "./keys";
 import type { PaneGrid } from "./pane-grid";
-import type { Store } from "./store";
+import type { State, Store } from "./store";
 import { yieldToBrowser } from "./volume";
 
 export class Save {
@@ -16,13 +18,17 @@ export class Save {
   constructor(
     private readonly store: Store,
     private readonly paneGrid: PaneGrid,
+    keys: Keys,
   ) {
-    const stamp = h("input", {
-      type: "checkbox",
-      id: "stamp",
-      checked: store.state.stamp,
-      change: () => store.set({ stamp: stamp.checked }, "look"),
-    });
+    const box = (id: string, key: "stamp" | "overlays" | "colourBar", text: string) => {
+      const input = h("input", {
+        type: "checkbox",
+        id,
+        checked: store.state[key],
+        change: () => store.set({ [key]: input.checked } as Partial<State>, "look"),
+      });
+      return h("label", {}, input, ` ${text}`);
+    };
     this.status = h("span", { class: "muted", role: "status", id: "save-words" });
     const clip = (id: string, text: string, save: () => Promise<string>) =>
       h("button", { type: "button", id, click: () => void this.keep(save) }, text);
@@ -35,9 +41,12 @@ export class Save {
       { class: "save row", "aria-label": "Save" },
       h("button", { type: "button", id: "save-png", click: () => void this.png() }, "PNG of the view"),
       ...this.clips,
-      h("label", {}, stamp, " with the time"),
+      box("stamp", "stamp", "time"),
+      box("overlays", "overlays", "regions and scale bar"),
+      box("colour-bar", "colourBar", "colour bar"),
       this.status,
     );
+    keys.add("Page", "W", "saves a PNG of the view", { w: () => void this.png() });
   }
 
   async png(): Promise<void> {
@@ -45,7 +54,9 @@ export class Save {
     const ctx = canvas.getContext("2d")!;
     const { panes } = this.paneGrid;
     const sizes = panes.map(savedSize);
-    canvas.width = sizes.reduce((w, s) => w + s.width + GAP, -GAP);
+    const { state, unit } = this.store;
+    const wide = sizes.reduce((w, s) => w + s.width + GAP, -GAP);
+    canvas.width = wide + (state.colourBar ? BAR_WIDTH : 0);
     canvas.height = Math.max(...sizes.map((s) => s.height));
     ctx.fillStyle = "#fff";
     ctx.fillRect(0, 0, canvas.width, canvas.height);
@@ -57,10 +68,16 @@ export class Save {
       ctx.rect(x, 0, width, height);
       ctx.clip();
       ctx.translate(x, 0);
-      pane.drawOn(ctx, width, height);
+      pane.drawPixels(ctx, width, height);
+      if (state.overlays) pane.drawOverlays(ctx, width, height);
+      if (state.stamp && pane.role !== "difference") pane.drawTime(ctx, height);
       ctx.restore();
       x += width + GAP;
     });
+    if (state.colourBar) {
+      const place = { x: wide + GAP, y: 0, width: BAR_WIDTH, height: canvas.height };
+      drawColourBar(ctx, place, { ...state, unit }, { text: "#000", line: "#000" });
+    }
     const blob = await new Promise<Blob | null>((resolve) => canvas.toBlob(resolve, "image/png"));
     if (blob) download(`${this.store.meta.name}-${this.store.state.t}.png`, blob);
   }
@@ -82,7 +99,8 @@ export class Save {
   }
 
   private progress(done: number): void {
-    this.status.textContent = `${done} of ${this.store.clock.bins}`;
+    const { first, last } = this.store.state;
+    this.status.textContent = `${done} of ${last - first + 1}`;
   }
 
   async mp4(): Promise<string> {

@@ -1,6 +1,6 @@
 // What is shown: one state, and those who draw it.
 
-import type { MapName } from "./colour";
+import type { MapName, Scale } from "./colour";
 import type { Meta, Rect } from "./types";
 import { Clock } from "./format";
 import { Coverage } from "./masks";
@@ -9,7 +9,11 @@ import type { Volume } from "./volume";
 
 export interface Region extends Rect {
   id: number;
+  /** As the report counts it. */
+  number: number;
   colour: string;
+  /** Empty where the user gave none. */
+  name: string;
 }
 
 export interface Line {
@@ -21,15 +25,24 @@ export interface Line {
 
 export type Layer = "video" | "time" | "peak";
 export type Comparison = "none" | "truth" | "difference" | "other";
-export type Tool = "trace" | "line" | "move";
+export type Tool = "trace" | "line" | "move" | "probe";
+export type Repeat = "once" | "loop" | "ping-pong";
 
 export interface State {
   t: number;
   playing: boolean;
   /** Bins a second. */
   speed: number;
-  loop: boolean;
+  repeat: Repeat;
+  /** Bins of a step. */
+  step: number;
+  /** First and last bin of what is played and saved. */
+  first: number;
+  last: number;
+  /** Bins to come back to, in their order. */
+  bookmarks: number[];
   map: MapName;
+  scale: Scale;
   low: number;
   high: number;
   layer: Layer;
@@ -40,12 +53,19 @@ export interface State {
   cy: number;
   tool: Tool;
   regions: Region[];
+  /** The id of the region that keys act on. */
+  selected: number | null;
   line: Line | null;
+  /** The pixel whose value is shown. */
+  probe: { y: number; x: number } | null;
+  /** Whether saved pictures have the time, regions and scale bar, and a colour bar. */
   stamp: boolean;
+  overlays: boolean;
+  colourBar: boolean;
 }
 
 /** What has changed: listeners draw only what it touches. */
-export type Change = "time" | "look" | "regions" | "line" | "data";
+export type Change = "time" | "look" | "regions" | "line" | "data" | "probe" | "marks";
 
 export class Store {
   readonly meta: Meta;
@@ -86,8 +106,13 @@ export class Store {
       t: 0,
       playing: false,
       speed: meta.shape[0] > 120 ? 25 : 10,
-      loop: true,
+      repeat: "loop",
+      step: 1,
+      first: 0,
+      last: meta.shape[0] - 1,
+      bookmarks: [],
       map: "magma",
+      scale: { kind: "linear", gamma: 0.5 },
       low: 0,
       high: this.video.high,
       layer: "video",
@@ -97,8 +122,12 @@ export class Store {
       cy: meta.shape[1] / 2,
       tool: "trace",
       regions: [],
+      selected: null,
       line: null,
+      probe: null,
       stamp: true,
+      overlays: true,
+      colourBar: false,
     };
   }
 
@@ -110,12 +139,28 @@ export class Store {
     return hasTime ? this.otherClock.bin(this.clock.at(t)) : Math.min(t, this.otherClock.bins - 1);
   }
 
+  /** How many times as bright the other result is where the two cannot be shown on one scale, else 1. */
+  get otherRatio(): number {
+    if (!this.other) return 1;
+    const ratio = this.other.high / this.video.high;
+    const isAlike = !Number.isFinite(ratio) || ratio <= 0 || (ratio > 0.25 && ratio < 4);
+    return isAlike ? 1 : ratio;
+  }
+
   /** Brightness limits of the other result: those of this one where they can be compared. */
   get otherLimits(): [number, number] {
     const { low, high } = this.state;
-    if (!this.other) return [low, high];
-    const ratio = this.other.high / this.video.high;
-    return ratio > 0.25 && ratio < 4 ? [low, high] : [low * ratio, high * ratio];
+    return [low * this.otherRatio, high * this.otherRatio];
+  }
+
+  /** The unit of the values. */
+  get unit(): string {
+    return this.meta.view?.unit ?? "counts";
+  }
+
+  /** µm at the sensor of one pixel; null where it is not known. */
+  get pitch_um(): number | null {
+    return this.meta.view?.pixel_pitch_um ?? null;
   }
 
   on(listener: (what: Change) => void): void {

@@ -1,12 +1,17 @@
 // Light over time of the regions, and its spectrum.
 
 import { Chart, type Curve } from "./chart";
+import { REGION_COLOURS } from "./colour";
 import { download, h } from "./dom";
 import { hertz, number } from "./format";
 import { align, alignedPoints, readSignal, type Signal } from "./photodiode";
+import { isSame, MAX_REGIONS, type Regions, titleOf, within, wordsOf } from "./regions";
 import { type Spectrum, spectrum } from "./spectrum";
 import type { Region, Store } from "./store";
-import type { KnownTrace, Rect } from "./types";
+import type { KnownTrace } from "./types";
+
+/** Regions that are shown at first where the user asked for none. */
+const FIRST = 3;
 
 /** Half the width of the interval that holds 95 of 100 values, over the standard error. */
 const NINETY_FIVE = 1.96;
@@ -26,12 +31,16 @@ export class Traces {
   private pending = false;
   private seen = -1;
 
-  constructor(private readonly store: Store) {
+  constructor(
+    private readonly store: Store,
+    private readonly regions: Regions,
+  ) {
     const { clock } = store;
     this.time = new Chart({
       label: "Light of the regions over time",
       x: `time (${clock.unit})`,
-      y: "light (counts)",
+      y: `light (${store.unit})`,
+      right: store.otherRatio === 1 ? "" : `light of ${store.source.results[1].name}`,
       height: 250,
       onPick: (x) => store.goTo(clock.bin(x)),
       mark: () => clock.at(store.state.t),
@@ -39,7 +48,7 @@ export class Traces {
     this.frequency = new Chart({
       label: "Amplitude of the regions over frequency",
       x: clock.step_us == null ? "frequency (per bin)" : "frequency (kHz)",
-      y: "amplitude (counts)",
+      y: `amplitude (${store.unit})`,
       height: 210,
     });
     this.list = h("ul", { class: "regions", "aria-label": "Regions" });
@@ -56,12 +65,32 @@ export class Traces {
       "aria-hidden": "true",
       change: () => void this.load(file.files),
     });
+    const rois = h("input", {
+      type: "file",
+      id: "load-regions-file",
+      accept: ".roi,.zip",
+      class: "unseen",
+      tabindex: -1,
+      "aria-hidden": "true",
+      change: () => {
+        for (const chosen of rois.files ?? []) void regions.load(chosen);
+        rois.value = "";
+      },
+    });
     const several = clock.bins > 1;
     this.element = h(
       "div",
       {},
-      h("p", { class: "muted note" }, "Click a pixel or drag a region in the picture."),
+      h("p", { class: "muted note" }, "Click a pixel or drag a region in the picture. Arrow keys move the region that has the focus, with Shift they change its size."),
       this.list,
+      h(
+        "div",
+        { class: "row region-files" },
+        h("button", { type: "button", id: "save-regions", title: "For ImageJ's ROI Manager, and for this page", click: () => regions.save() }, "Save regions"),
+        h("button", { type: "button", id: "load-regions", title: "A .roi or .zip of ImageJ", click: () => rois.click() }, "Load regions"),
+        rois,
+        h("button", { type: "button", class: "quiet", click: () => store.set({ regions: [], selected: null }, "regions") }, "Remove all"),
+      ),
       this.overlays,
       this.time.element,
       this.note,
@@ -79,7 +108,6 @@ export class Traces {
             "Overlay a photodiode",
           ),
         file,
-        h("button", { type: "button", class: "quiet", click: () => store.set({ regions: [] }, "regions") }, "Remove all"),
       ),
     );
     this.element.addEventListener("dragover", (event) => event.preventDefault());
@@ -95,18 +123,18 @@ export class Traces {
     });
   }
 
-  /** Regions to begin with: those whose light repeats, else the brightest. */
-  static first(store: Store): Rect[] {
-    const known = store.meta.view?.traces ?? [];
+  /** Adds the regions to begin with: all that were asked for; where there are none, those whose light repeats, else the brightest. */
+  begin(): void {
+    const known = (this.store.meta.view?.traces ?? []).map((trace, i) => ({ ...trace, number: trace.number ?? i + 1 }));
+    const requested = known.filter((t) => t.requested);
     const periodic = known.filter((t) => t.frequency_hz != null);
-    const chosen = (periodic.length > 0 ? periodic : known).slice(0, 3);
-    return chosen.map((t) => t.region);
+    const chosen = requested.length > 0 ? requested.slice(0, MAX_REGIONS) : (periodic.length > 0 ? periodic : known).slice(0, FIRST);
+    for (const { region, number, colour } of chosen) this.regions.add(region, { number, colour: colour ?? REGION_COLOURS[number - 1] });
+    this.store.state.selected = null;
   }
 
-  private known(region: Rect): KnownTrace | undefined {
-    return this.store.meta.view?.traces?.find(
-      ({ region: r }) => r.y === region.y && r.x === region.x && r.rows === region.rows && r.columns === region.columns,
-    );
+  private known(region: Region): KnownTrace | undefined {
+    return this.store.meta.view?.traces?.find((t) => isSame(t.region, region));
   }
 
   /** Takes photodiodes from files, and says what is wrong with those that are none. */
@@ -139,7 +167,7 @@ export class Traces {
           const { region } = regions[found.trace];
           const [x, y] = alignedPoints(signal, found, clock.bins * (clock.step_us ?? 1));
           if (this.shown.photodiode) curves.push({ label: signal.name, colour: `${region.colour}90`, x, y, width: 1 });
-          words = `${signal.name}: correlation ${found.correlation.toFixed(3)} with ${wordsOf(region)}, shifted by ${number(found.shift_us, 3)} µs`;
+          words = `${signal.name}: correlation ${found.correlation.toFixed(3)} with ${titleOf(region)}, shifted by ${number(found.shift_us, 3)} µs`;
         }
       } catch (error) {
         words = error instanceof Error ? error.message : String(error);
@@ -203,7 +231,7 @@ export class Traces {
     const overlaid: { region: Region; values: Float64Array }[] = [];
     for (const region of store.state.regions) {
       const { colour } = region;
-      const name = wordsOf(region);
+      const name = titleOf(region);
       const values = store.video.trace(region);
       const known = this.known(region);
       curves.push({ label: name, colour, x, y: values, points: clock.bins < 80 });
@@ -221,7 +249,8 @@ export class Traces {
       if (store.other && store.otherClock && this.shown.other) {
         const there = within(region, store.other.rows, store.other.columns);
         const otherX = Float64Array.from({ length: store.otherClock.bins }, (_, t) => store.otherClock!.at(t));
-        if (there) curves.push({ label: `${name}, other`, colour, x: otherX, y: store.other.trace(there), dash: [2, 3], width: 1.5 });
+        const right = store.otherRatio !== 1;
+        if (there) curves.push({ label: `${name}, other`, colour, x: otherX, y: store.other.trace(there), dash: [2, 3], width: 1.5, right });
       }
       if (this.shown.photodiode) {
         for (const diode of known?.photodiodes ?? []) {
@@ -241,11 +270,21 @@ export class Traces {
       rows.push(this.item(region, name, found, known, values));
     }
     curves.push(...this.overlay(overlaid));
-    this.list.replaceChildren(...rows);
+    const focused = this.list.contains(document.activeElement) ? (document.activeElement as HTMLElement).closest("li")?.dataset.id : undefined;
+    const isNaming = document.activeElement instanceof HTMLInputElement && this.list.contains(document.activeElement);
+    if (!isNaming) {
+      this.list.replaceChildren(...rows);
+      if (focused !== undefined) this.list.querySelector<HTMLElement>(`li[data-id="${focused}"] .place`)?.focus();
+    }
     this.time.set(curves);
     this.frequency.set(spectra);
     const words = [];
     if (banded) words.push("Bands: 95 % confidence intervals of the debiased values, from the frame's noise.");
+    if (store.other && store.otherRatio !== 1) {
+      words.push(
+        `${store.source.results[1].name} has other units: its values reach ${number(store.otherRatio, 2)} times those of ${store.meta.name}. Its curves (dotted) have the axis on the right.`,
+      );
+    }
     if (!store.video.isWhole) words.push("The video is still loading.");
     if (store.source.isOffline) words.push("Values of this file have 8 bits; video.npy has all.");
     this.note.textContent = words.join(" ");
@@ -268,12 +307,33 @@ export class Traces {
           ? hertz(frequency, known?.frequency_error_hz)
           : `${number(frequency, 3)} per bin`;
     const most = values.reduce((a, b) => (b > a ? b : a), -Infinity);
-    const { regions } = store.state;
+    const isSelected = region.id === store.state.selected;
     return h(
       "li",
-      { "data-y": region.y, "data-x": region.x, "data-peak-hz": timed && peak != null ? peak.toFixed(1) : null },
+      {
+        "data-id": region.id,
+        "data-y": region.y,
+        "data-x": region.x,
+        "data-rows": region.rows,
+        "data-columns": region.columns,
+        "data-peak-hz": timed && peak != null ? peak.toFixed(1) : null,
+        class: isSelected ? "selected" : null,
+      },
       swatch,
-      h("span", { class: "place" }, name),
+      h(
+        "button",
+        {
+          type: "button",
+          class: "place",
+          title: "Enter: a name; arrows: move; with Shift: size; Delete: remove",
+          "aria-pressed": String(isSelected),
+          click: () => this.regions.select(region.id),
+          dblclick: () => this.name(region),
+          keydown: (event: KeyboardEvent) => this.keyOn(region, event),
+        },
+        name,
+      ),
+      h("button", { type: "button", class: "icon rename", "aria-label": `Name ${name}`, title: "Name", click: () => this.name(region) }, "✎"),
       h("span", { class: "frequency", title: known?.frequency_hz != null ? "Sine that fits best, with its standard error" : "Peak of the spectrum" }, text),
       h("span", { class: "muted" }, `peak ${number(most, 3)}`),
       h(
@@ -282,11 +342,64 @@ export class Traces {
           type: "button",
           class: "icon",
           "aria-label": `Remove ${name}`,
-          click: () => store.set({ regions: regions.filter((r) => r.id !== region.id) }, "regions"),
+          click: () => this.regions.remove(region.id),
         },
         "×",
       ),
     );
+  }
+
+  /** Keys on a region of the list: place, size, name, removal. */
+  private keyOn(region: Region, event: KeyboardEvent): void {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const ways: Record<string, [number, number]> = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
+    const way = ways[event.key];
+    if (way) {
+      const [dy, dx] = way;
+      const { y, x, rows, columns } = region;
+      const rect = event.shiftKey ? { y, x, rows: rows + dy, columns: columns + dx } : { y: y + dy, x: x + dx, rows, columns };
+      this.store.state.selected = region.id;
+      this.regions.place(region.id, rect);
+    } else if (event.key === "Enter" || event.key === "F2") {
+      this.name(region);
+    } else if (event.key === "Delete" || event.key === "Backspace") {
+      this.regions.remove(region.id);
+    } else {
+      return;
+    }
+    event.preventDefault();
+    event.stopPropagation();
+  }
+
+  /** Lets the user name a region, in its place in the list. */
+  private name(region: Region): void {
+    const place = this.list.querySelector(`li[data-id="${region.id}"] .place`);
+    if (!place) return;
+    let isDone = false;
+    const done = (keep: boolean) => {
+      if (isDone) return;
+      isDone = true;
+      input.replaceWith(place);
+      (place as HTMLElement).focus();
+      if (keep) this.regions.rename(region.id, input.value);
+      else this.store.tell("regions");
+    };
+    const input = h("input", {
+      type: "text",
+      class: "region-name",
+      value: region.name,
+      placeholder: wordsOf(region),
+      "aria-label": `Name of region ${region.number}`,
+      maxlength: 60,
+      blur: () => done(true),
+      keydown: (event: KeyboardEvent) => {
+        if (event.key === "Enter" || event.key === "Escape") done(event.key === "Enter");
+        event.stopPropagation();
+      },
+    });
+    place.replaceWith(input);
+    input.focus();
+    input.select();
   }
 
   /** A line for each bin: its middle, and the regions' values, errors, truth. */
@@ -321,14 +434,4 @@ export class Traces {
   private save(): void {
     download(`${this.store.meta.name}-traces.csv`, new Blob([this.csv()], { type: "text/csv" }));
   }
-}
-
-function wordsOf({ y, x, rows, columns }: Rect): string {
-  const middle = `row ${y + (rows >> 1)}, column ${x + (columns >> 1)}`;
-  return rows * columns === 9 && rows === 3 ? middle : `${middle} (${rows}×${columns})`;
-}
-
-function within(rect: Rect, rows: number, columns: number): Rect | null {
-  const [y1, x1] = [Math.min(rows, rect.y + rect.rows), Math.min(columns, rect.x + rect.columns)];
-  return y1 > rect.y && x1 > rect.x ? { y: rect.y, x: rect.x, rows: y1 - rect.y, columns: x1 - rect.x } : null;
 }

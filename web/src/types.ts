@@ -17,6 +17,11 @@ export interface Photodiode {
 /** A trace that the program has found, with its standard errors. */
 export interface KnownTrace {
   region: Rect;
+  /** Number and colour in the figures of the report; absent in results of earlier versions. */
+  number?: number;
+  colour?: string;
+  /** Whether the user asked for it, with `--region`. */
+  requested?: boolean;
   value: number[];
   debiased: (number | null)[];
   standard_error: (number | null)[];
@@ -37,6 +42,8 @@ export interface View {
   /** The title of the report. */
   title?: string;
   pixel_pitch_um?: number | null;
+  /** The unit of the values; absent in results of earlier versions. */
+  unit?: string;
   row_bins?: [number, number][];
   traces?: KnownTrace[];
   course?: HistoryPoint[];

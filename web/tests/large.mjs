@@ -1,11 +1,12 @@
-// Writes a result of 256 bins of 512×512 pixels: a spot that goes round.
+// Writes a result of so many bins, rows and columns: a spot that goes round.
+//     large.mjs FOLDER BINS ROWS COLUMNS
 
 import { existsSync } from "node:fs";
 import { open, writeFile } from "node:fs/promises";
 import { join } from "node:path";
 
-const [bins, rows, columns] = [256, 512, 512];
 const folder = process.argv[2];
+const [bins, rows, columns] = process.argv.slice(3).map(Number);
 const path = join(folder, "video.npy");
 if (!existsSync(join(folder, "result.json"))) {
   const header = `{'descr': '<f4', 'fortran_order': False, 'shape': (${bins}, ${rows}, ${columns}), }`;
@@ -19,7 +20,7 @@ if (!existsSync(join(folder, "result.json"))) {
   await file.write(start);
   const bin = new Float32Array(rows * columns);
   for (let t = 0; t < bins; t++) {
-    const [cy, cx] = [256 + 150 * Math.sin(t / 20), 256 + 150 * Math.cos(t / 20)];
+    const [cy, cx] = [rows / 2 + 0.3 * rows * Math.sin(t / 20), columns / 2 + 0.3 * columns * Math.cos(t / 20)];
     for (let y = 0; y < rows; y++) {
       for (let x = 0; x < columns; x++) bin[y * columns + x] = Math.exp(-((y - cy) ** 2 + (x - cx) ** 2) / 4000);
     }
