@@ -23,14 +23,13 @@ pub(crate) fn read(source: &Source, mut file: impl BufRead + Seek) -> Result<Pag
     let (rows, columns) = (size.height as usize, size.width as usize);
     let mut data = source.reserve_pixels(1, rows, columns)?;
     // Pixels come by rows from the top or from the bottom.
-    let mut samples = vec![0.0; 3 * rows * columns];
+    let mut samples = vec![0; 3 * rows * columns];
     for pixel in bitmap.pixels() {
         let (y, x) = (pixel.0.y as usize, pixel.0.x as usize);
-        let colours = [pixel.1.r(), pixel.1.g(), pixel.1.b()];
         let at = 3 * (y * columns + x);
-        samples[at..at + 3].copy_from_slice(&colours.map(f32::from));
+        samples[at..at + 3].copy_from_slice(&[pixel.1.r(), pixel.1.g(), pixel.1.b()]);
     }
-    source.push_grey(&mut data, samples.into_iter(), 3)?;
+    source.push_grey(&mut data, samples.into_iter().map(f32::from), 3)?;
     Ok(Pages {
         count: 1,
         rows,
