@@ -7,8 +7,8 @@ use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
 
 /// Frames without light.
 const DARKS: usize = 20;
-/// Light of the flats over the range of the sensor; more levels measure the gain better.
-const FLAT_LEVELS: [f64; 6] = [0.03, 0.12, 0.3, 0.5, 0.7, 0.95];
+/// Light of the flats over the range of the sensor. The last one shows where it saturates.
+const FLAT_LEVELS: [f64; 7] = [0.03, 0.12, 0.3, 0.5, 0.7, 0.9, 1.15];
 /// Flats at each level.
 const FLATS: usize = 4;
 /// Captures of the point source, and their brightest pixel over the range of the sensor.
