@@ -37,7 +37,10 @@ fn demo_reconstruct_and_figure_work_in_it() {
     let lab = lab();
     done(&lab, "demo -o @/demo");
     for name in ["report.html", "video.npy", "result.json"] {
-        assert!(lab.path(&format!("{FOLDER}/demo/{name}")).is_file(), "{name}");
+        assert!(
+            lab.path(&format!("{FOLDER}/demo/{name}")).is_file(),
+            "{name}"
+        );
     }
     let printed = done(&lab, RECONSTRUCT);
     assert!(printed.contains("Lösung"), "{printed}");
@@ -46,7 +49,10 @@ fn demo_reconstruct_and_figure_work_in_it() {
     done(&lab, RECONSTRUCT);
     assert_eq!(lab.read(&format!("{FOLDER}/Lösung/video.npy")), first);
     done(&lab, "figure @/Lösung --layout fig2 -o @/Bild_ä.png");
-    assert!(lab.read(&format!("{FOLDER}/Bild_ä.png")).starts_with(b"\x89PNG"));
+    assert!(
+        lab.read(&format!("{FOLDER}/Bild_ä.png"))
+            .starts_with(b"\x89PNG")
+    );
     #[cfg(feature = "view")]
     view(&lab);
 }
@@ -65,12 +71,18 @@ fn view(lab: &Lab) {
     BufReader::new(server.stdout.take().unwrap())
         .read_line(&mut line)
         .unwrap();
-    let (address, token) = line.trim()["http://".len()..].split_once("/?token=").unwrap();
+    let (address, token) = line.trim()["http://".len()..]
+        .split_once("/?token=")
+        .unwrap();
     let port = address.rsplit(':').next().unwrap();
     let get = |path: &str| {
         let mut stream = std::net::TcpStream::connect(address).unwrap();
         let cookie = format!("Cookie: rowburst-{port}={token}");
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n{cookie}\r\nConnection: close\r\n\r\n").unwrap();
+        write!(
+            stream,
+            "GET {path} HTTP/1.1\r\nHost: localhost\r\n{cookie}\r\nConnection: close\r\n\r\n"
+        )
+        .unwrap();
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).unwrap();
         answer
@@ -79,7 +91,13 @@ fn view(lab: &Lab) {
     let video = get("/api/result/0/file/video.npy");
     server.kill().unwrap();
     server.wait().unwrap();
-    assert!(listed.starts_with("HTTP/1.1 200") && listed.contains("Lösung"), "{listed}");
+    assert!(
+        listed.starts_with("HTTP/1.1 200") && listed.contains("Lösung"),
+        "{listed}"
+    );
     assert!(video.starts_with(b"HTTP/1.1 200"));
-    assert!(video.ends_with(&lab.read(&format!("{FOLDER}/Lösung/video.npy"))), "the video as it is stored");
+    assert!(
+        video.ends_with(&lab.read(&format!("{FOLDER}/Lösung/video.npy"))),
+        "the video as it is stored"
+    );
 }

@@ -138,7 +138,11 @@ pub(super) static GUIDE: Section = Section {
     name: "guide",
     meaning: "Pictures of the same scene by an ordinary second camera, each in a table [[guide]].",
     keys: &[
-        Key::required("image", Kind::File, "The picture, of any size; it shows what the field shows."),
+        Key::required(
+            "image",
+            Kind::File,
+            "The picture, of any size; it shows what the field shows.",
+        ),
         Key::optional(
             "time_us",
             Kind::NonNegative,

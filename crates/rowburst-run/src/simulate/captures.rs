@@ -61,9 +61,16 @@ pub(super) fn write(
         folder.write(name, |w| write_npy_video(w, &stack))?;
     }
     let even = Image::from_fn(point.rows(), point.columns(), |_, _| 1.0);
-    let darks = record(&even, &[NO_ELECTRONS; DARKS], camera, stream(seed, STACKS.len()))?;
+    let darks = record(
+        &even,
+        &[NO_ELECTRONS; DARKS],
+        camera,
+        stream(seed, STACKS.len()),
+    )?;
     let mean = Image::from_fn(point.rows(), point.columns(), |y, x| {
-        let sum: f32 = (0..DARKS).map(|k| darks.bin(k)[y * point.columns() + x]).sum();
+        let sum: f32 = (0..DARKS)
+            .map(|k| darks.bin(k)[y * point.columns() + x])
+            .sum();
         sum / DARKS as f32
     });
     folder.write(PINHOLE_DARK, |w| write_npy_image(w, &mean))
