@@ -26,8 +26,10 @@ def main():
     parser.add_argument("--rows", default="1,6", help="exposures in rows")
     parser.add_argument("--seeds", default="31,32,34")
     parser.add_argument("--guides", default="honest,timed")
+    parser.add_argument("--program", type=Path, help="the example, if it is built, such as target/debug/examples/dense_scenes")
     args = parser.parse_args()
     words = ["cargo", "run", "--release", "--quiet", "-p", "rowburst", "--example", "dense_scenes", "--"]
+    words = [args.program] if args.program else words
     words += [args.scenes, args.rows, args.seeds, args.guides]
     process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     names = next(process.stdout).rstrip().split("\t")

@@ -10,7 +10,8 @@ docs/shown.json, and README.md and docs/gallery.md repeat it between the lines `
 PSNR may differ by 0.3 dB, a residual by 0.03, verdict and prior not at all; pictures have the same size and differ by
 at most 3 of 256 levels in the mean. Processor times depend on the machine and are only renewed. The times to a quality
 beside those of other toolboxes are those of docs/speed.md. The pictures of docs/raw-frames.md, which
-scripts/raw_frames_pictures.py makes, are checked likewise. Needs numpy, scipy and Pillow: what is missing is installed
+scripts/raw_frames_pictures.py makes, are checked likewise. One cheap row of each long table (quality, self-calibration,
+dense scenes) is made again by the table's own script, and with `--only tables` one of the phase transition. Needs numpy, scipy and Pillow: what is missing is installed
 by pip into a virtual environment.
 """
 
@@ -36,7 +37,7 @@ from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
 DOCS = ROOT / "docs"
 RECORD = DOCS / "shown.json"
-RAW_FRAMES = "raw-frames"
+RAW_FRAMES, TABLES = "raw-frames", "tables"
 PSNR_TOLERANCE, RESIDUAL_TOLERANCE, LEVELS_TOLERANCE = 0.3, 0.03, 3.0
 BEGIN, END = "<!-- shown: begin -->", "<!-- shown: end -->"
 SIDE, BINS, BIN_US = 108, 54, 9.6
@@ -78,8 +79,16 @@ SCENES = {
 # Shown in the tutorial, not in the gallery.
 TUTORIAL = {
     "tutorial": ("Tutorial", "", [
-        "rowburst simulate experiment.toml --scene digits --peak-electrons 20000 --seed 3 -o tutorial",
-        RECONSTRUCT.format("tutorial", "")]),
+        "rowburst simulate experiment.toml --scene digits --peak-electrons 20000 --seed 3 --captures -o tutorial",
+        "rowburst calibrate sensor --darks tutorial/darks.npy --flats tutorial/flats.npy --experiment experiment.toml -o sensor",
+        "rowburst calibrate psf tutorial/pinhole.npy --dark tutorial/pinhole-dark.npy --experiment sensor/experiment.toml -o psf",
+        "rowburst reconstruct psf/experiment.toml --frame tutorial/frame.npy --truth tutorial/truth.npy -o tutorial-result"]),
+    "exact-psf": ("Tutorial, PSF of the simulation", "", [
+        "rowburst simulate experiment.toml --scene digits --peak-electrons 20000 --seed 3 -o exact-psf",
+        RECONSTRUCT.format("exact-psf", "")]),
+    "guide": ("A guide", "", [
+        "rowburst simulate experiment.toml --scene wheel --seed 31 --guide-times-us 250 -o guide",
+        RECONSTRUCT.format("guide", "")]),
     "wrong-psf": ("Tutorial, wrong PSF", "", [
         "rowburst simulate experiment.toml --scene digits --peak-electrons 20000 --seed 3 -o capture",
         "rowburst simulate experiment.toml --scene digits --peak-electrons 20000 --seed 4 -o other",
@@ -282,6 +291,17 @@ def tutorial(run):
     return stacked([row_of(row) for row in rows])
 
 
+def guided(run):
+    """docs/pictures/guide.png: frame and guide, and two bins of the video above those of the truth."""
+    at = [4, 50]
+    picture = np.load(run.result.parent / "guide/guide-1.npy")
+    top = run.truth.max()
+    level = lambda image: colours(np.clip(image / top, 0, 1), [(0, 0, 0), (255, 255, 255)])
+    rows = [[("the captured frame", grey(run.frame)), *((f"video at {moment(t)}", level(run.video[t])) for t in at)],
+            [("the guide", grey(picture)), *((f"truth at {moment(t)}", level(run.truth[t])) for t in at)]]
+    return stacked([row_of(row) for row in rows])
+
+
 def film(run):
     """docs/pictures/demo.gif: the frame with the rows that are read, and the video, bin by bin."""
     side, levels = SIDE * SCALE, 48
@@ -367,7 +387,7 @@ def difference(path, made):
 # Picture, of which scene, by which function.
 PICTURES = [
     ("demo.png", "digits", demo), ("pictures/demo.gif", "digits", film), ("pictures/method.png", "digits", method),
-    ("pictures/tutorial.png", "tutorial", tutorial),
+    ("pictures/tutorial.png", "tutorial", tutorial), ("pictures/guide.png", "guide", guided),
     *((f"gallery/{name}.png", name, gallery) for name in SCENES),
 ]
 
@@ -396,6 +416,94 @@ def raw_frames_drift(kept, now, folder):
     return faults
 
 
+# ---------------------------------------------------------------- tables
+
+
+def cells(text, *begin):
+    """The row of a table whose first cells are `begin`, by the headings of its columns."""
+    heading = []
+    for line in text.splitlines():
+        row = [cell.strip() for cell in line.strip("| ").split("|")] if line.startswith("|") else []
+        if row[:len(begin)] == list(begin):
+            return dict(zip(heading, row))
+        if not (heading and row):
+            heading = row
+    sys.exit(f"shown.py: no row {', '.join(begin)} in the table")
+
+
+def number(text):
+    return float(re.match(r"-?[\d.]+", text)[0])
+
+
+def of_script(script, program, folder, *words):
+    """The table that a script makes of a few of its rows."""
+    out = folder / f"{script}.md"
+    words = ["--program", program, "--cache", folder / script, "-o", out, *words]
+    done = subprocess.run([sys.executable, ROOT / f"scripts/{script}.py", *map(str, words)], capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"shown.py: {script}.py\n{done.stderr.strip()}")
+    return out.read_text(encoding="utf-8")
+
+
+def quality_row(program, folder):
+    text = of_script("quality_table", program, folder, "--only", "moving", "--quick", "--no-grid", "--no-toolbox")
+    kept = cells((DOCS / "quality.md").read_text(encoding="utf-8"), "one moving digit")
+    return [("a moving digit, dB", number(kept["seed 1"]), number(cells(text, "one moving digit")["PSNR"]), 0.5)]
+
+
+def self_calibration_row(program, folder):
+    text = of_script("self_calibration", program, folder, "--scenes", "digits", "--match", "scale 1 %")
+    row = "digits", "scale 1 %"
+    kept, now = cells((DOCS / "self-calibration-table.md").read_text(encoding="utf-8"), *row), cells(text, *row)
+    return [(f"{', '.join(row)}, {key}", number(kept[key]), number(now[key]), 0.5) for key in ("dB before", "dB after")]
+
+
+def phase_transition_row(program, folder):
+    from phase_transition import PSFS, Bench
+
+    found = Bench(program, folder, ROOT, 1).map("speckle", 2)
+    key = f"k at m = {found['measurements_per_bin']:.0f}"
+    kept = number(cells((DOCS / "phase-transition.md").read_text(encoding="utf-8"), PSFS["speckle"])[key])
+    return [(f"speckle, {key}", kept, found["half_success_pixels"][0], 0.1 * kept)]
+
+
+def dense_scenes_row(program, folder):
+    example = program.parent / "examples/dense_scenes"
+    given = ["--program", example] if example.exists() else []
+    words = ["--scenes", "bench", "--rows", "1", "--seeds", "31", "--guides", "honest", *given]
+    done = subprocess.run([sys.executable, ROOT / "scripts/dense_scenes.py", *words], capture_output=True, text=True, cwd=ROOT)
+    if done.returncode:
+        sys.exit(f"shown.py: dense_scenes.py\n{done.stderr.strip()}")
+    kept = number(cells((DOCS / "dense-scenes.md").read_text(encoding="utf-8"), "bench", "1")["guide of unknown time"])
+    return [("bench, guide of unknown time, dB", kept, number(cells(done.stdout, "bench", "1")["psnr_db"]), 0.5)]
+
+
+ROWS_OF_TABLES = {"quality": quality_row, "self-calibration-table": self_calibration_row, "dense-scenes": dense_scenes_row}
+# Takes two minutes of processor time: with `--only tables` alone.
+SLOW_ROWS = {"phase-transition": phase_transition_row}
+
+
+def tables_drift(program, folder, with_slow):
+    """A row of each table is what the program gives now."""
+    faults = []
+    for name, make in (ROWS_OF_TABLES | (SLOW_ROWS if with_slow else {})).items():
+        for what, kept, now, tolerance in make(program, folder):
+            say(f"docs/{name}.md: {what}: {now:.1f}, shown {kept:.1f}")
+            if abs(now - kept) > tolerance:
+                faults.append(f"docs/{name}.md: {what} is {now:.1f}, shown is {kept:.1f}")
+    return faults
+
+
+def prose_drift(scenes):
+    """Numbers in the prose of README and tutorial are those of the tables and of the record."""
+    row = cells((DOCS / "self-calibration-table.md").read_text(encoding="utf-8"), "digits", "scale 1 %")
+    exact = scenes["exact-psf"]["psnr_db"] if "exact-psf" in scenes else 0
+    wanted = [(ROOT / "README.md", f"{row['dB after']} dB instead of {row['dB before']}"),
+              (DOCS / "tutorial.md", f"`--psf lab/psf.npy`, it is {exact:.0f} dB")]
+    flat = lambda path: " ".join(path.read_text(encoding="utf-8").split())
+    return [f"{path.relative_to(ROOT)} does not say \"{words}\"" for path, words in wanted if words not in flat(path)]
+
+
 # ---------------------------------------------------------------- text
 
 
@@ -410,9 +518,8 @@ def readme_table(record):
     speed = re.search(r"The best of them, ([^,]+), reaches ([\d.]+) dB in (\d+) s; Rowburst reaches that after ([\d.]+) s "
                       r"\(median\), \*\*(\d+) times sooner", (DOCS / "speed.md").read_text(encoding="utf-8"))
     toolbox, psnr, limit, seconds, _ = speed.groups()
-    return (f"{text}\n\nMade by `rowburst demo --scene digits --seed 1` and so on ({record['machine']}; the time is that of all "
-            f"threads,\nwith report and files). In a comparison of times to a quality {toolbox}, the best general toolbox, comes to "
-            f"{psnr} dB\nwithin {limit} s, and Rowburst after {seconds} s: [Speed](docs/speed.md).")
+    return (f"{text}\n\nMade by `rowburst demo --scene digits --seed 1` and so on ({record['machine']}). {toolbox}, the best general\n"
+            f"toolbox, comes to {psnr} dB within {limit} s, Rowburst [after {seconds} s](docs/speed.md).")
 
 
 def gallery_page(record):
@@ -452,8 +559,8 @@ def main():
     options = parser.parse_args()
     record = json.loads(RECORD.read_text()) if RECORD.exists() else {"scenes": {}}
     scenes = {name: scene for name, scene in (SCENES | TUTORIAL).items() if options.only in (None, name)}
-    if not scenes and options.only != RAW_FRAMES:
-        parser.error(f"no scene {options.only}; there are {', '.join([*SCENES, *TUTORIAL, RAW_FRAMES])}")
+    if not scenes and options.only not in (RAW_FRAMES, TABLES):
+        parser.error(f"no scene {options.only}; there are {', '.join([*SCENES, *TUTORIAL, RAW_FRAMES, TABLES])}")
     faults = []
     with tempfile.TemporaryDirectory(prefix="rowburst-shown-") as folder:
         folder = Path(folder)
@@ -483,6 +590,8 @@ def main():
                 record[RAW_FRAMES] = now
             else:
                 faults += raw_frames_drift(record[RAW_FRAMES], now, target)
+        if options.only in (None, TABLES):
+            faults += tables_drift(options.program.resolve(), folder, with_slow=options.only == TABLES)
     if options.renew:
         record |= {"machine": machine(), "program": f"{commit()}"}
         RECORD.write_text(json.dumps(record, indent=1) + "\n")
@@ -492,6 +601,7 @@ def main():
             path.write_text(wanted, encoding="utf-8")
         elif path.read_text(encoding="utf-8") != wanted:
             faults.append(f"{path.relative_to(ROOT)}: the part that is made is not that of {RECORD.name}")
+    faults += prose_drift(record["scenes"])
     if faults:
         sys.exit("shown.py: README and site no longer show what the program gives:\n  " + "\n  ".join(faults)
                  + "\nWhere the change is meant: python3 scripts/shown.py PROGRAM --renew, look at the pictures, commit them.")

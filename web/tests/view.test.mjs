@@ -436,17 +436,19 @@ test("pixels that were left out and voxels that are not observed are marked, and
   masked.stop();
 });
 
-test("light, dark and on a phone it looks as it did", async () => {
+test("wide and on a phone, light and dark, it looks as it did", async () => {
   for (const [name, look] of [
-    ["light", { width: 1000, height: 720 }],
-    ["dark", { width: 1000, height: 720, dark: true }],
+    ["light", { width: 1280, height: 800 }],
+    ["dark", { width: 1280, height: 800, dark: true }],
     ["phone", { width: 390, height: 844 }],
+    ["phone-dark", { width: 390, height: 844, dark: true }],
   ]) {
     const { page } = await open(browser, view.url, look);
     await loaded(page);
     await page.select("#beside", "none");
     await page.keyboard.press("Home");
     await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
+    assert.ok((await page.evaluate(() => document.documentElement.scrollWidth)) <= look.width, `${name} fits its window`);
     await compare(name, await page.screenshot());
     await page.close();
   }

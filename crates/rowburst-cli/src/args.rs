@@ -40,6 +40,9 @@ pub enum Verb {
     /// Recover the videos of a recording of many frames, into one Zarr archive
     #[cfg(feature = "batch")]
     Batch(BatchArgs),
+    /// Recover the videos of a recording of many frames: not in this build
+    #[cfg(not(feature = "batch"))]
+    Batch(LeftOutArgs),
     /// Look at a result in the browser: video, traces, space and time, evidence
     #[cfg(feature = "view")]
     View(ViewArgs),
@@ -180,6 +183,14 @@ pub struct ManArgs {
     pub output: PathBuf,
 }
 
+/// A command that is not in this build, with any arguments.
+#[cfg(not(feature = "batch"))]
+#[derive(Debug, Args)]
+pub struct LeftOutArgs {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+    _arguments: Vec<std::ffi::OsString>,
+}
+
 /// Make the frame that a camera would record of a scene.
 #[derive(Debug, Args)]
 #[command(
@@ -228,6 +239,10 @@ pub struct SimulateArgs {
     /// frame's first exposure: guide-1.npy and so on, listed in experiment.toml
     #[arg(long, value_name = "T,T", value_delimiter = ',')]
     pub guide_times_us: Vec<f64>,
+    /// Also record what a calibration needs: darks.npy, flats.npy, and pinhole.npy with pinhole-dark.npy,
+    /// the captures of a point source. Needs gain_electrons_per_count and read_noise_electrons in [camera]
+    #[arg(long)]
+    pub captures: bool,
     #[command(flatten)]
     pub optics: OpticsArgs,
     /// Folder for experiment.toml, frame.npy, psf.npy, truth.npy and the frame without diffuser

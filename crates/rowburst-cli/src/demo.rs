@@ -38,6 +38,7 @@ pub fn run(args: &DemoArgs, process_start: Instant) -> Result<()> {
         diffuser_phase: 4.0,
         optics: LensOptics::demo(),
         guide_times_us: &[],
+        captures: false,
     };
     let folder = args.force.claim(&args.output, "simulate")?;
     simulation.run(&folder, &mut print_note)?;

@@ -79,6 +79,13 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
         Verb::Reconstruct(args) => reconstruct::run(&args, process_start),
         #[cfg(feature = "batch")]
         Verb::Batch(args) => batch::run(&args, cli.threads),
+        #[cfg(not(feature = "batch"))]
+        Verb::Batch(_) => Err(rowburst::Error::input(
+            "batch",
+            "a command that is not in this build",
+            "it brings the Zarr archive, which takes minutes to compile",
+            "Build it in: cargo install --locked --path crates/rowburst-cli --features batch. Releases and the Python package have it.",
+        )),
         #[cfg(feature = "view")]
         Verb::View(args) => view::run(&args),
         Verb::Rerun(args) => rerun::run(&args, process_start),

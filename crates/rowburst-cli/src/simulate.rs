@@ -26,6 +26,7 @@ pub fn run(args: &SimulateArgs) -> Result<()> {
         diffuser_phase: args.diffuser_phase,
         optics: args.optics.lens(),
         guide_times_us: &args.guide_times_us,
+        captures: args.captures,
     };
     request.run(&folder, &mut print_note)?;
     let folder = args.output.display();

@@ -257,6 +257,79 @@ fn invalid_scenes_are_refused() {
     );
 }
 
+/// What the calibrations find in the captures is what the simulation was told.
+#[test]
+fn the_captures_of_a_calibration_give_the_sensor_and_the_psf() {
+    let lab = lab(&format!(
+        "{SENSOR}bit_depth = 16\nfull_well_counts = 40000\n"
+    ));
+    lab.done("simulate experiment.toml --scene moving --peak-electrons 9000 --captures -o sim");
+    lab.done("calibrate sensor --darks sim/darks.npy --flats sim/flats.npy --experiment experiment.toml -o sensor");
+    let sensor: Value = serde_json::from_slice(&lab.read("sensor/sensor.json")).unwrap();
+    for (key, told, relative) in [
+        ("gain_electrons_per_count", 0.5, 0.03),
+        ("read_noise_electrons", 1.6, 0.03),
+        ("bias_counts", 100.0, 0.002),
+        ("full_well_counts", 40_000.0, 0.01),
+    ] {
+        let found = sensor[key]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{key} in {sensor:#}"));
+        assert!((found / told - 1.0).abs() < relative, "{key}: {found}");
+    }
+    lab.done("calibrate psf sim/pinhole.npy --dark sim/pinhole-dark.npy --experiment sensor/experiment.toml -o psf");
+    let psf =
+        |name: &str| -> ndarray::Array2<f32> { ndarray_npy::read_npy(lab.path(name)).unwrap() };
+    let (found, told) = (psf("psf/psf.npy"), psf("sim/psf.npy"));
+    // Its centre is that of its light.
+    let best = (-3i64..=3)
+        .flat_map(|dy| (-3i64..=3).map(move |dx| (dy, dx)))
+        .map(|(dy, dx)| correlation(&found, &told, dy, dx))
+        .fold(0.0, f64::max);
+    assert!(best > 0.8, "{best}");
+
+    // A run without them leaves none behind.
+    lab.done("simulate experiment.toml --scene moving -o sim");
+    let files = lab.files("sim");
+    assert!(
+        !files
+            .iter()
+            .any(|name| name.contains("dark") || name.contains("flat") || name.contains("pinhole")),
+        "{files:?}"
+    );
+}
+
+/// Correlation of two images whose middles are `(dy, dx)` apart.
+fn correlation(a: &ndarray::Array2<f32>, b: &ndarray::Array2<f32>, dy: i64, dx: i64) -> f64 {
+    let (middle_a, middle_b) = (a.dim(), b.dim());
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for ((y, x), &value) in a.indexed_iter() {
+        let row = y as i64 - (middle_a.0 / 2) as i64 + (middle_b.0 / 2) as i64 + dy;
+        let column = x as i64 - (middle_a.1 / 2) as i64 + (middle_b.1 / 2) as i64 + dx;
+        let other = usize::try_from(row)
+            .ok()
+            .zip(usize::try_from(column).ok())
+            .and_then(|at| b.get(at));
+        if let Some(&other) = other {
+            let (value, other) = (f64::from(value), f64::from(other));
+            ab += value * other;
+            aa += value * value;
+            bb += other * other;
+        }
+    }
+    ab / (aa * bb).sqrt()
+}
+
+#[test]
+fn captures_without_gain_are_refused() {
+    let lab = lab("");
+    refused(
+        &lab,
+        "simulate experiment.toml --scene leds --captures -o out",
+        &["gain_electrons_per_count", "captures needs"],
+    );
+}
+
 #[test]
 fn a_direct_frame_is_shown() {
     let lab = Lab::new();

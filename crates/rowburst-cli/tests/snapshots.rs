@@ -56,6 +56,17 @@ fn help() {
     insta::assert_snapshot!("help", text);
 }
 
+/// The terms of priors, for the page on them.
+#[test]
+fn prior_terms() {
+    let terms = rowburst::prox::TERMS.iter();
+    let mut lines: Vec<String> = terms
+        .map(|term| format!("{}: {}", term.name, term.favours))
+        .collect();
+    lines.push("support: sparse scenes before a dark background".into());
+    insta::assert_snapshot!("prior-terms", lines.join("\n"));
+}
+
 /// Objects whose keys are data.
 const MAPS: [&str; 1] = ["metadata.taken"];
 

@@ -118,7 +118,7 @@ pub(crate) fn write_formats(
             Parameter::Write,
             "zarr",
             "this program was built without Zarr",
-            "Write npy or h5 instead.",
+            "Write npy or h5 instead, or build it in: cargo install --locked --path crates/rowburst-cli --features batch.",
         )
         .with_kind(ErrorKind::Unsupported));
         #[cfg(feature = "zarr")]

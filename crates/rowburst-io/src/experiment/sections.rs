@@ -24,7 +24,7 @@ pub(super) static CAMERA: Section = Section {
         Key::optional(
             "exposure_us",
             Kind::Positive,
-            "Exposure of each row, in µs; it ends when the row is read.",
+            "Exposure of each row, in µs; it ends when the row is read, and may be shorter or longer than a row time.",
         ),
         Key::optional(
             "row_order",
@@ -34,7 +34,7 @@ pub(super) static CAMERA: Section = Section {
         Key::optional(
             "binning",
             Kind::Count(1, 64),
-            "Raw pixels along a side of a pixel of the working grid; 1 where it is left out.",
+            "Raw pixels along a side of a pixel of the working grid; a larger raw frame is binned by the mean; 1 where it is left out.",
         ),
         Key::optional(
             "bins_per_row",
@@ -44,12 +44,12 @@ pub(super) static CAMERA: Section = Section {
         Key::optional(
             "pixel_pitch_um",
             Kind::Positive,
-            "Pitch of a pixel after binning, in µm.",
+            "Pitch of a pixel after binning, in µm, for scale bars, TIFF files and simulated optics.",
         ),
         Key::optional(
             "bit_depth",
             Kind::Count(1, 32),
-            "Bits of the converter; pixels at its end are saturated.",
+            "Bits of the converter; pixels at its end are saturated and left out.",
         ),
         Key::optional(
             "bias_counts",
@@ -59,22 +59,22 @@ pub(super) static CAMERA: Section = Section {
         Key::optional(
             "gain_electrons_per_count",
             Kind::Positive,
-            "Electrons per count.",
+            "Electrons per count. With gain and read noise, σ is that of each pixel's shot and read noise, and pixels are weighted by it.",
         ),
         Key::optional(
             "read_noise_electrons",
             Kind::NonNegative,
-            "Read noise, in electrons rms.",
+            "Read noise, in electrons rms; see the gain.",
         ),
         Key::optional(
             "full_well_counts",
             Kind::Positive,
-            "Counts at which a pixel is full.",
+            "Counts at which a pixel is full; it is then left out.",
         ),
         Key::optional(
             "bayer",
             Kind::Choice(&Bayer::NAMES),
-            "Mosaic of a colour sensor whose frames are raw.",
+            "Mosaic of a colour sensor whose frames are raw; they are reconstructed plane by plane.",
         ),
     ],
 };
@@ -86,13 +86,13 @@ pub(super) static CALIBRATION: Section = Section {
         Key::optional(
             "psf",
             Kind::File,
-            "Image of the point-spread function, or a patch set (.toml).",
+            "Image of the point-spread function, or a patch set (.toml) by calibrate psf --positions-mm.",
         ),
         Key::optional("dark", Kind::File, "A frame without light."),
         Key::optional(
             "flat",
             Kind::File,
-            "A frame of even light as recorded, dark level included.",
+            "A frame of even light as recorded, dark level included: the dark frame or bias_counts is subtracted from it, and only its shape matters.",
         ),
         Key::optional(
             "bad_pixels",
@@ -138,11 +138,15 @@ pub(super) static GUIDE: Section = Section {
     name: "guide",
     meaning: "Pictures of the same scene by an ordinary second camera, each in a table [[guide]].",
     keys: &[
-        Key::required("image", Kind::File, "The picture."),
+        Key::required(
+            "image",
+            Kind::File,
+            "The picture, of any size; it shows what the field shows.",
+        ),
         Key::optional(
             "time_us",
             Kind::NonNegative,
-            "Middle of its exposure, in µs from the start of the frame's first exposure; left out: at an unknown time within the frame.",
+            "Middle of its exposure, in µs from the start of the frame's first exposure; several pictures need it; left out: at an unknown time within the frame.",
         ),
         Key::optional(
             "exposure_us",

@@ -1,7 +1,7 @@
 //! The folder of a simulated capture, which a reconstruction reads as it stands.
 
 use super::{
-    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, check_noise, guides,
+    LensOptics, NoiseChoice, Scene, SimulatedCapture, Simulation, captures, check_noise, guides,
     naming_camera, pixel_pitch_um, simulate, speckle_for, subtract_background,
 };
 use crate::event::{Event, Observer};
@@ -41,6 +41,8 @@ pub struct SimulationRequest<'a> {
     /// Times at which a second camera takes pictures of the scene, in microseconds from the start of the frame's first
     /// exposure; each is exposed for one row time.
     pub guide_times_us: &'a [f64],
+    /// Whether the captures of a calibration are written, too: darks, flats and those of a point source.
+    pub captures: bool,
 }
 
 impl SimulationRequest<'_> {
@@ -53,6 +55,9 @@ impl SimulationRequest<'_> {
         let camera = self.experiment.camera()?;
         guides::check_times(self.guide_times_us, &camera)?;
         check_noise(self.noise, &camera).map_err(|e| naming_camera(e, &self.experiment.path))?;
+        if self.captures {
+            captures::check(&camera).map_err(|e| naming_camera(e, &self.experiment.path))?;
+        }
         check_memory(&self.experiment.path, &camera)?;
         let psfs = psfs_of(self, &camera, observer)?;
         let SimulatedCapture {
@@ -87,6 +92,7 @@ impl SimulationRequest<'_> {
 
         let psf_file = write_psfs(folder, &psfs)?;
         folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
+        captures::write(folder, &camera, &psfs, self.captures, self.seed)?;
         let guides = guides::write(folder, &truth, &camera, self.guide_times_us, self.seed)?;
         let light = write_background(folder, truth, background)?;
         folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;

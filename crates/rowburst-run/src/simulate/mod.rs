@@ -1,5 +1,6 @@
 //! Simulated captures: a scene, a PSF and noise, by name or as values.
 
+mod captures;
 mod folder;
 mod guides;
 
@@ -247,6 +248,11 @@ pub fn check_noise(noise: NoiseChoice, camera: &Camera) -> Result<()> {
     if !(electrons.is_finite() && electrons > 0.0) {
         return Err(Error::input(parameter, electrons, rule, remedy));
     }
+    check_sensor(parameter, camera)
+}
+
+/// Checks that gain and read noise are known, which `parameter` needs.
+fn check_sensor(parameter: Parameter, camera: &Camera) -> Result<()> {
     let sensor = camera.sensor();
     for (key, value) in [
         ("gain_electrons_per_count", sensor.gain_electrons_per_count),
@@ -260,8 +266,8 @@ pub fn check_noise(noise: NoiseChoice, camera: &Camera) -> Result<()> {
                 phrase![
                     format!("Add a line `{key} = …` to "),
                     Parameter::Camera,
-                    ", or use ",
-                    Parameter::Snr,
+                    ", or do without ",
+                    parameter,
                     "."
                 ],
             )
