@@ -12,6 +12,7 @@
 
 mod experiment;
 mod exposure;
+mod guide;
 mod open;
 mod play;
 mod project;
@@ -22,7 +23,7 @@ mod source;
 
 pub use experiment::experiment_text;
 pub use exposure::{Exposure, HISTOGRAM_BINS};
-pub use open::open_source;
+pub use open::{Driver, open_source};
 pub use play::Playback;
 pub use project::{
     CaptureCorrelation, PROJECT_FILE, Project, Step, StepState, correlation_of_captures,
@@ -31,4 +32,4 @@ pub use project::{
 pub use record::{CaptureRecord, FrameRecord, Lost};
 pub use recorder::{Ended, Recorder, record};
 pub use settings::{Fingerprint, Property, Settings};
-pub use source::{Delivery, Frame, Source};
+pub use source::{Control, Delivery, Frame, Source};
