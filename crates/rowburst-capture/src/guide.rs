@@ -31,21 +31,40 @@ const MIN_FRAME_PEAK: f64 = 0.05;
 #[derive(Debug, Default)]
 pub(crate) struct Guide {
     /// Bits of the converter; levels are judged where they are known.
-    pub bit_depth: Option<u32>,
+    bit_depth: Option<u32>,
     /// Level without light; unknown: the darkest pixel, so that contrast is not judged too low.
-    pub dark_counts: Option<f64>,
+    dark_counts: Option<f64>,
     first: Option<Frame>,
     /// Standard deviation of a pixel between the first two frames.
     noise: Option<f64>,
     /// Sums over frames of the means of the blocks.
-    blocks: [f64; BLOCKS * BLOCKS],
+    blocks: Vec<f64>,
     means: Vec<f64>,
 }
 
 impl Guide {
+    /// A guide before the first frame.
+    pub fn new(bit_depth: Option<u32>) -> Self {
+        Self {
+            bit_depth,
+            ..Self::default()
+        }
+    }
+
+    /// With the level of the darks, where it is known.
+    pub fn with_dark_counts(self, dark_counts: Option<f64>) -> Self {
+        Self { dark_counts, ..self }
+    }
+
+    /// Bits of the converter.
+    pub fn bit_depth(&self) -> Option<u32> {
+        self.bit_depth
+    }
+
     /// Looks at a frame.
     pub fn add(&mut self, frame: &Frame, mean: f64) {
         self.means.push(mean);
+        self.blocks.resize(BLOCKS * BLOCKS, 0.0);
         for (sum, block) in self.blocks.iter_mut().zip(block_means(frame)) {
             *sum += block;
         }
@@ -268,11 +287,7 @@ mod tests {
 
     /// Findings about four frames of 12 bits; `count(y, x, frame)`.
     fn found(purpose: &str, dark: Option<f64>, count: impl Fn(usize, usize, usize) -> f64) -> String {
-        let mut guide = Guide {
-            bit_depth: Some(12),
-            dark_counts: dark,
-            ..Guide::default()
-        };
+        let mut guide = Guide::new(Some(12)).with_dark_counts(dark);
         for number in 0..4 {
             let counts = (0..SIDE * SIDE).map(|i| count(i / SIDE, i % SIDE, number) as u16);
             let counts: Vec<_> = counts.collect();

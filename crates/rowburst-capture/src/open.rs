@@ -35,7 +35,7 @@ pub fn open_source(name: &str, drivers: &[Driver]) -> Result<Box<dyn Source>> {
     if let Some(driver) = drivers.iter().find(|driver| driver.scheme == scheme) {
         return (driver.open)(rest);
     }
-    let unknown = |rule: &str, remedy: &str| {
+    let unknown = |rule: &'static str, remedy: &'static str| {
         let found = format!("\"{name}\"");
         let error = Error::input(Subject::named("the source"), found, rule, remedy);
         error.with_kind(ErrorKind::Unknown)

@@ -121,17 +121,14 @@ impl Recorder {
             whole_bytes: 0,
             reserve,
             reserved: RESERVE_BYTES,
-            guide: Guide {
-                bit_depth,
-                ..Guide::default()
-            },
+            guide: Guide::new(bit_depth),
             record,
         })
     }
 
     /// With the level of the darks in counts, by which contrast and exposure are judged at the end.
     pub fn with_dark_counts(mut self, dark_counts: Option<f64>) -> Self {
-        self.guide.dark_counts = dark_counts;
+        self.guide = self.guide.with_dark_counts(dark_counts);
         self
     }
 
@@ -164,7 +161,7 @@ impl Recorder {
             number: frame.number,
             time_us: frame.time_us,
             incomplete: incomplete.map(String::from),
-            saturated_fraction: saturated_fraction(frame, self.guide.bit_depth),
+            saturated_fraction: saturated_fraction(frame, self.guide.bit_depth()),
             mean_counts: Some(mean),
         });
         self.record.written += 1;

@@ -8,12 +8,19 @@ use pyo3::prelude::*;
 use rowburst::error::Subject;
 use rowburst::{Cancel, Error, ErrorKind};
 use rowburst_capture::{
-    Delivery, Ended, Frame, Property, Recorder, Settings, Source, experiment_text, open_source,
+    Delivery, Driver, Ended, Frame, Property, Recorder, Settings, Source, experiment_text,
+    open_source,
 };
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
+
+/// Kinds of cameras that the package was built with.
+const DRIVERS: &[Driver] = &[
+    #[cfg(feature = "genicam")]
+    rowburst_genicam::DRIVER,
+];
 
 /// A source of frames.
 #[pyclass(name = "_Source", module = "rowburst._rowburst", frozen)]
@@ -35,7 +42,7 @@ type Delivered<'py> = (
 impl PySource {
     #[new]
     fn new(py: Python<'_>, name: String) -> PyResult<Self> {
-        let source = detached(py, || open_source(&name))?.map_err(to_py_err)?;
+        let source = detached(py, || open_source(&name, DRIVERS))?.map_err(to_py_err)?;
         Ok(Self {
             source: Mutex::new(source),
         })
