@@ -462,11 +462,10 @@ async fn monitor_set(
 }
 
 fn ask_monitor(shared: &ServerState, request: Option<MonitorRequest>) -> Response {
-    match shared.monitor.as_ref().zip(request) {
-        Some((monitor, request)) if monitor.request(request) => {
-            StatusCode::NO_CONTENT.into_response()
-        }
-        Some(_) => {
+    let asked = shared.monitor.as_ref().zip(request);
+    match asked.map(|(monitor, request)| monitor.request(request)) {
+        Some(true) => StatusCode::NO_CONTENT.into_response(),
+        Some(false) => {
             let words = "Earlier requests still wait: try again.\n";
             (StatusCode::TOO_MANY_REQUESTS, words).into_response()
         }
