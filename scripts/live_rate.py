@@ -1,4 +1,4 @@
-"""Videos a second, latency and quality of rowburst live, over digits that move, with their truth:
+"""Videos a second, latency and quality of rowburst live, over digits that move slowly, with their truth:
 
     python scripts/live_rate.py target/release/rowburst FOLDER [--budget-s 0.05,0.08] [--seconds 10] [--rate 30]
 
@@ -24,7 +24,7 @@ COUNTS = 40_000
 
 
 def recording(program: str, folder: Path) -> np.ndarray:
-    """Plays of digits that move by a pixel from frame to frame, and the truth of each frame in its counts."""
+    """Frames of digits that move, and the truth of each frame in its counts."""
     demo = folder / "demo"
     if not (folder / "truth.npy").exists():
         shutil.rmtree(folder, ignore_errors=True)
@@ -33,9 +33,8 @@ def recording(program: str, folder: Path) -> np.ndarray:
         video = np.load(demo / "truth.npy")
         frames, truths = [], []
         for number in range(FRAMES):
-            # There and back, so that the recording can be repeated without a jump.
-            step = min(number, FRAMES - number)
-            np.save(folder / "scene.npy", np.roll(video, (step, 2 * step), (1, 2)))
+            # A pixel in every second frame, there and back, so that the recording is repeated without a jump.
+            np.save(folder / "scene.npy", np.roll(video, min(number, FRAMES - number) // 2, 2))
             out = folder / "simulated"
             command = [program, "simulate", demo / "experiment.toml", "--scene", folder / "scene.npy"]
             command += ["--psf", demo / "psf.npy", "--snr", "256", "--seed", str(number), "-o", out]
@@ -98,7 +97,10 @@ def measure(page: Page, truth: np.ndarray, seconds: float) -> tuple[list[float],
         if video and video["number"] != last and end - time.monotonic() < seconds:
             last = video["number"]
             pixels = page.video()
-            if page.state()["video_snapshot"] == state["video_snapshot"]:
+            after = page.state()
+            # The video may have been replaced while it was fetched.
+            is_same = after["video_snapshot"] == state["video_snapshot"] and after["video"]["number"] == last
+            if is_same:
                 found.append(psnr(pixels, truth[last % len(truth)]))
             states.append(video)
         time.sleep(0.02)

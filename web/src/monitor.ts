@@ -80,7 +80,8 @@ export class Monitor {
     const isWide = min > 0 && max / min > WIDE;
     const toPart = (v: number) => (isWide ? Math.log(v / min) / Math.log(max / min) : (v - min) / (max - min || 1));
     const toValue = (part: number) => (isWide ? min * (max / min) ** part : min + part * (max - min));
-    const words = (v: number) => `${number(v, 4)}${unit ? ` ${unit}` : ""}`;
+    // GenICam spells microseconds "us".
+    const words = (v: number) => `${number(v, 4)}${unit ? ` ${unit === "us" ? "µs" : unit}` : ""}`;
     const shown = h("output", {}, words(value));
     const input = h("input", { type: "range", min: "0", max: String(STEPS), step: "1", "aria-label": name });
     input.value = String(Math.round(STEPS * toPart(value)));

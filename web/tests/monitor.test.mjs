@@ -101,7 +101,7 @@ test("exposure and gain are set where the camera offers them", async () => {
   const sent = await changeState(page, live.url, (state) => ({ ...state, controls }));
   await page.waitForSelector("#monitor-controls input");
   const texts = () => page.$$eval("#monitor-controls .control", (list) => list.map((e) => e.innerText.replace(/\s+/g, " ")));
-  assert.deepEqual(await texts(), ["ExposureTime 100 us", "Gain 2"]);
+  assert.deepEqual(await texts(), ["ExposureTime 100 µs", "Gain 2"]);
   // A wide range is logarithmic: a tenth of the exposure is a quarter of the slider.
   assert.deepEqual(await page.$$eval("#monitor-controls input", (list) => list.map((e) => e.value)), ["250", "200"]);
   await page.$eval("#monitor-controls input", (e) => {
@@ -138,8 +138,6 @@ for (const [name, dark] of [["live-light", false], ["live-dark", true]]) {
     await until(async () => /Videos a second|Latency/.test(await page.$eval("#monitor-numbers", (e) => e.innerText)), 60_000);
     await changeState(page, live.url, still);
     await page.waitForSelector("#monitor-controls input");
-    const title = await page.$$("h1, .title");
-    assert.ok(title.length > 0);
     // The path of the folder, which differs from machine to machine.
     await page.evaluate((source) => {
       const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);

@@ -46,7 +46,7 @@ pub struct LiveArgs {
     #[command(flatten)]
     pub calibration: CalibrationArgs,
     /// Time that the solver takes for a frame, in seconds
-    #[arg(long, default_value_t = 0.1, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.07, allow_hyphen_values = true)]
     pub time_budget_s: f64,
     /// Folder for the frames, recordings and results that are kept
     #[arg(short, long, default_value = "rowburst-live")]
