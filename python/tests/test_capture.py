@@ -246,11 +246,11 @@ def test_a_camera_written_in_python_gives_the_bits_of_the_file(camera, psf, capt
     assert captured.psnr_db == of_file.psnr_db > 20
 
 
-def test_a_live_view_follows_a_camera(camera, psf, capture):
+def test_a_live_view_watches_a_camera(camera, psf, capture):
     counts = np.rint(1000 * capture.frame / capture.frame.max()).astype(np.uint16)
     source = rb.capture.from_arrays([counts, counts], name="bench")
     live = rb.LiveView(camera, psf, prior="tv")
-    found = [(frame.number, look.video.shape) for frame, look in source.follow(live, time_budget_s=0.05)]
+    found = [(frame.number, look.video.shape) for frame, look in source.watch(live, time_budget_s=0.05)]
     assert found == [(0, camera.video_shape), (1, camera.video_shape)]
 
 

@@ -57,7 +57,10 @@ fn values_of(reading: &CameraReading) -> Vec<(&'static str, Option<String>)> {
         ("shutter", shutter.map(|s| format!("\"{}\"", s.name()))),
         ("row_time_us", number(metadata.row_time_us)),
         ("exposure_us", number(metadata.exposure_us)),
-        ("binning", metadata.binning.filter(|&b| b > 1).map(|b| b.to_string())),
+        (
+            "binning",
+            metadata.binning.filter(|&b| b > 1).map(|b| b.to_string()),
+        ),
         ("bit_depth", metadata.bit_depth.map(|bits| bits.to_string())),
         ("pixel_pitch_um", number(metadata.pixel_pitch_um)),
     ]

@@ -53,7 +53,10 @@ impl Guide {
 
     /// With the level of the darks, where it is known.
     pub fn with_dark_counts(self, dark_counts: Option<f64>) -> Self {
-        Self { dark_counts, ..self }
+        Self {
+            dark_counts,
+            ..self
+        }
     }
 
     /// Bits of the converter.
@@ -174,7 +177,14 @@ impl Guide {
                 "a speckle grain is {grain:.1} px wide, below {MIN_GRAIN_PX}: move the diffuser away from the sensor or close its aperture"
             ));
         }
-        self.judge_peak(&exposure, first, MIN_PSF_PEAK, "the PSF", "lengthen the exposure, which is free for a PSF", &mut found);
+        self.judge_peak(
+            &exposure,
+            first,
+            MIN_PSF_PEAK,
+            "the PSF",
+            "lengthen the exposure, which is free for a PSF",
+            &mut found,
+        );
         found
     }
 
@@ -186,7 +196,14 @@ impl Guide {
                 "the contrast of the frame is {contrast:.3}, below {MIN_FRAME_CONTRAST}: darken the room, and show fewer or smaller lights"
             ));
         }
-        self.judge_peak(&exposure, first, MIN_FRAME_PEAK, "the frame", "make the light brighter or raise the gain", &mut found);
+        self.judge_peak(
+            &exposure,
+            first,
+            MIN_FRAME_PEAK,
+            "the frame",
+            "make the light brighter or raise the gain",
+            &mut found,
+        );
         found
     }
 
@@ -256,7 +273,9 @@ fn block_means(frame: &Frame) -> Vec<f64> {
             *pixels += 1;
         }
     }
-    sums.into_iter().map(|(sum, pixels)| sum as f64 / pixels as f64).collect()
+    sums.into_iter()
+        .map(|(sum, pixels)| sum as f64 / pixels as f64)
+        .collect()
 }
 
 /// The standard deviation of a pixel, from the difference of two frames.
@@ -286,7 +305,11 @@ mod tests {
     }
 
     /// Findings about four frames of 12 bits; `count(y, x, frame)`.
-    fn found(purpose: &str, dark: Option<f64>, count: impl Fn(usize, usize, usize) -> f64) -> String {
+    fn found(
+        purpose: &str,
+        dark: Option<f64>,
+        count: impl Fn(usize, usize, usize) -> f64,
+    ) -> String {
         let mut guide = Guide::new(Some(12)).with_dark_counts(dark);
         for number in 0..4 {
             let counts = (0..SIDE * SIDE).map(|i| count(i / SIDE, i % SIDE, number) as u16);
@@ -320,7 +343,8 @@ mod tests {
 
     #[test]
     fn flats_are_bright_and_even() {
-        let flat = |level: f64| move |y: usize, x: usize, n: usize| level + 20.0 * random(y * SIDE + x, n);
+        let flat =
+            |level: f64| move |y: usize, x: usize, n: usize| level + 20.0 * random(y * SIDE + x, n);
         assert_eq!(found("flats", Some(100.0), flat(2000.0)), "");
         let dim = found("flats", Some(100.0), flat(200.0));
         assert!(dim.contains("brighter"), "{dim}");
@@ -358,7 +382,9 @@ mod tests {
         assert!(found_flat.contains("darken the room"), "{found_flat}");
         let good = |y: usize, x: usize, _: usize| 500.0 + 400.0 * random(y / 3 * SIDE + x / 3, 0);
         assert_eq!(found("frame", Some(100.0), good), "");
-        let dark = found("frame", Some(100.0), |y, x, _| 102.0 + 40.0 * random(y / 3 * SIDE + x / 3, 0));
+        let dark = found("frame", Some(100.0), |y, x, _| {
+            102.0 + 40.0 * random(y / 3 * SIDE + x / 3, 0)
+        });
         assert!(dark.contains("make the light brighter"), "{dark}");
     }
 }

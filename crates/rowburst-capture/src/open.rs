@@ -41,7 +41,10 @@ pub fn open_source(name: &str, drivers: &[Driver]) -> Result<Box<dyn Source>> {
         error.with_kind(ErrorKind::Unknown)
     };
     if let Some((_, remedy)) = OPTIONAL.iter().find(|(known, _)| *known == scheme) {
-        return Err(unknown("this program was built without such cameras", remedy));
+        return Err(unknown(
+            "this program was built without such cameras",
+            remedy,
+        ));
     }
     Err(unknown(
         "a source is play:PATH, a recording that is played back, or genicam:ADDRESS, a camera on the network",

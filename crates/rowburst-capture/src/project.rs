@@ -88,17 +88,42 @@ struct CaptureStep {
 const TIMING: CaptureStep = CaptureStep {
     name: "timing",
     command: "rowburst capture timing -n 3",
-    keys: &["camera", "readout rate", "size", "origin", "binning", "row time", "shutter"],
+    keys: &[
+        "camera",
+        "readout rate",
+        "size",
+        "origin",
+        "binning",
+        "row time",
+        "shutter",
+    ],
 };
 const DARKS: CaptureStep = CaptureStep {
     name: "darks",
     command: "rowburst capture darks -n 50",
-    keys: &["camera", "gain", "readout rate", "size", "origin", "binning", "exposure", "bit depth"],
+    keys: &[
+        "camera",
+        "gain",
+        "readout rate",
+        "size",
+        "origin",
+        "binning",
+        "exposure",
+        "bit depth",
+    ],
 };
 const FLATS: CaptureStep = CaptureStep {
     name: "flats",
     command: "rowburst capture flats -n 20",
-    keys: &["camera", "gain", "readout rate", "size", "origin", "binning", "bit depth"],
+    keys: &[
+        "camera",
+        "gain",
+        "readout rate",
+        "size",
+        "origin",
+        "binning",
+        "bit depth",
+    ],
 };
 const PSF: CaptureStep = CaptureStep {
     name: "psf",
@@ -222,8 +247,9 @@ impl Project {
                 name: "calibrate timing",
                 inputs: vec!["captures/timing.tif"],
                 file: "timing/timing.json",
-                command: "rowburst calibrate timing captures/timing.tif --frequency-hz HZ -o timing"
-                    .into(),
+                command:
+                    "rowburst calibrate timing captures/timing.tif --frequency-hz HZ -o timing"
+                        .into(),
             }),
         ];
         if knows_timing {
@@ -244,17 +270,22 @@ impl Project {
             name: "calibrate psf",
             inputs: vec!["captures/psf.tif", before_psf],
             file: "psf/psf.json",
-            command: format!("rowburst calibrate psf captures/psf.tif --experiment {before_psf} -o psf"),
+            command: format!(
+                "rowburst calibrate psf captures/psf.tif --experiment {before_psf} -o psf"
+            ),
         }));
         steps.push(self.check_step());
         steps.push(self.capture_step(&FRAME, reference));
-        steps.push(self.result_step(ResultStep {
-            name: "reconstruct",
-            inputs: vec!["captures/frame.tif", "psf/experiment.toml"],
-            file: "result/result.json",
-            command: "rowburst reconstruct psf/experiment.toml --frame captures/frame.tif -o result"
-                .into(),
-        }));
+        steps.push(
+            self.result_step(ResultStep {
+                name: "reconstruct",
+                inputs: vec!["captures/frame.tif", "psf/experiment.toml"],
+                file: "result/result.json",
+                command:
+                    "rowburst reconstruct psf/experiment.toml --frame captures/frame.tif -o result"
+                        .into(),
+            }),
+        );
         Ok(steps)
     }
 
@@ -268,7 +299,11 @@ impl Project {
 
     /// The first of `names` that is there, or else the last.
     fn first_of(&self, names: [&'static str; 2]) -> &'static str {
-        if self.has(names[0]) { names[0] } else { names[1] }
+        if self.has(names[0]) {
+            names[0]
+        } else {
+            names[1]
+        }
     }
 
     fn has(&self, name: &str) -> bool {
@@ -329,7 +364,9 @@ impl Project {
             },
         };
         let command = if state == StepState::OutOfDate {
-            format!("correct {name}, or move it away and take the frame again: rowburst capture frame --replace")
+            format!(
+                "correct {name}, or move it away and take the frame again: rowburst capture frame --replace"
+            )
         } else {
             "fill in experiment.toml; timing/timing.json has row_time_us and shutters".into()
         };
@@ -353,7 +390,8 @@ impl Project {
         match step.state {
             StepState::Missing => {
                 step.state = StepState::Optional;
-                step.detail = "one frame of a blinking point tells whether the set-up is good".into();
+                step.detail =
+                    "one frame of a blinking point tells whether the set-up is good".into();
             }
             StepState::Done => {
                 let failed = self.failed_checks(file);
@@ -381,7 +419,8 @@ impl Project {
         };
         failed
             .map(|check| {
-                let [name, found, remedy] = ["name", "found", "remedy"].map(|key| words(check, key));
+                let [name, found, remedy] =
+                    ["name", "found", "remedy"].map(|key| words(check, key));
                 format!("{name}: {found}. {remedy}")
             })
             .collect()
@@ -683,7 +722,10 @@ mod tests {
         write("experiment.toml", &crate::experiment_text(&settings("9.6")));
         write("psf/experiment.toml", "");
         write("psf/psf.json", "{}");
-        write("check/check.json", r#"{"checks": [{"name": "contrast", "passed": false, "found": "0.1", "remedy": "Take it anew."}]}"#);
+        write(
+            "check/check.json",
+            r#"{"checks": [{"name": "contrast", "passed": false, "found": "0.1", "remedy": "Take it anew."}]}"#,
+        );
         write("result/result.json", "{}");
         assert_eq!(state(&project, "reconstruct").0, StepState::Done);
         let (is, why) = state(&project, "check");

@@ -612,7 +612,10 @@ mod tests {
         let equal = vec![Delivery::Frame(frame(1)), Delivery::Frame(frame(1))];
         let (record, _) = recorded(folder.path(), "darks", equal, Some(2)).unwrap();
         assert!(
-            record.warnings.iter().any(|w| w.contains("the darks are equal")),
+            record
+                .warnings
+                .iter()
+                .any(|w| w.contains("the darks are equal")),
             "{:?}",
             record.warnings
         );

@@ -207,7 +207,10 @@ mod tests {
         let found = with("16-bit", "Zyla VSC-1").differences(&with("12-bit", "Zyla VSC-2"), &keys);
         assert_eq!(
             found,
-            ["gain 16-bit, not 12-bit", "camera Zyla VSC-1, not Zyla VSC-2"]
+            [
+                "gain 16-bit, not 12-bit",
+                "camera Zyla VSC-1, not Zyla VSC-2"
+            ]
         );
     }
 

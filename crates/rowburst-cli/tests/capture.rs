@@ -283,11 +283,11 @@ impl LiveView {
     }
 
     /// Waits until the state of the page is as wanted.
-    fn until(&self, is_wanted: impl Fn(&Value) -> bool) -> Value {
+    fn until(&self, is_reached: impl Fn(&Value) -> bool) -> Value {
         let mut state = Value::Null;
         for _ in 0..600 {
             state = serde_json::from_str(&self.ask("GET", "")).unwrap();
-            if is_wanted(&state) {
+            if is_reached(&state) {
                 return state;
             }
             std::thread::sleep(Duration::from_millis(50));

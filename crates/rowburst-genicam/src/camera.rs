@@ -33,7 +33,7 @@ pub struct GenicamCamera {
     sequence: Sequence,
     /// Deliveries that came together with one before.
     waiting: VecDeque<Delivery>,
-    is_lost: bool,
+    is_unreachable: bool,
 }
 
 /// The cameras that answer: the name of the source and what it is.
@@ -56,7 +56,10 @@ fn discover(name: &str) -> Result<Vec<DeviceInfo>> {
 fn identity(device: &DeviceInfo) -> String {
     let parts = [&device.manufacturer, &device.model, &device.serial];
     let parts = parts.into_iter().flatten().map(|part| part.trim());
-    parts.filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ")
+    parts
+        .filter(|part| !part.is_empty())
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 /// The camera at an address, or the one with this serial number or name.
@@ -68,7 +71,10 @@ fn find(address: &str) -> Result<DeviceInfo> {
         Err(_) if address.trim().is_empty() => None,
         Err(_) => discover(&name)?.into_iter().find(|device| {
             let names = [&device.serial, &device.user_name];
-            names.into_iter().flatten().any(|known| known.trim() == address.trim())
+            names
+                .into_iter()
+                .flatten()
+                .any(|known| known.trim() == address.trim())
         }),
     };
     found.ok_or_else(|| {
@@ -90,9 +96,8 @@ impl GenicamCamera {
     pub fn open(address: &str) -> Result<Self> {
         let name = format!("genicam:{address}");
         let device = find(address)?;
-        let camera = blocking::connect(&device).map_err(|error| {
-            fault(&name, &error, "Close other programs that use the camera.")
-        })?;
+        let camera = blocking::connect(&device)
+            .map_err(|error| fault(&name, &error, "Close other programs that use the camera."))?;
         Ok(Self {
             sequence: Sequence::new(features::ticks_per_second(&camera)),
             identity: identity(&device),
@@ -100,7 +105,7 @@ impl GenicamCamera {
             camera,
             stream: None,
             waiting: VecDeque::new(),
-            is_lost: false,
+            is_unreachable: false,
         })
     }
 
@@ -110,7 +115,11 @@ impl GenicamCamera {
             return Ok(());
         }
         let failed = |name: &str, error: &GenicamError| {
-            fault(name, error, "Close other programs that use the camera, and check its trigger settings.")
+            fault(
+                name,
+                error,
+                "Close other programs that use the camera, and check its trigger settings.",
+            )
         };
         features::acquire_continuously(&mut self.camera)
             .map_err(|error| failed(&self.name, &error))?;
@@ -150,7 +159,7 @@ impl GenicamCamera {
     }
 
     fn lost(&mut self, reason: &str) -> Error {
-        self.is_lost = true;
+        self.is_unreachable = true;
         Error::work(
             Subject::named(self.name.clone()),
             format!("the camera does not answer any more: {reason}"),
@@ -195,7 +204,10 @@ impl Source for GenicamCamera {
     fn skip_to_latest(&mut self) -> Result<u64> {
         while self.take(Duration::ZERO)?.is_some() {}
         let before = self.waiting.len();
-        let last = self.waiting.iter().rposition(|d| matches!(d, Delivery::Frame(_)));
+        let last = self
+            .waiting
+            .iter()
+            .rposition(|d| matches!(d, Delivery::Frame(_)));
         self.waiting.drain(..last.unwrap_or(0));
         Ok((before - self.waiting.len()) as u64)
     }
@@ -226,7 +238,11 @@ impl Source for GenicamCamera {
             .with_kind(ErrorKind::Invalid));
         }
         features::set(&mut self.camera, name, value).map_err(|error| {
-            fault(&self.name, &error, "Check whether the camera sets it by itself (ExposureAuto, GainAuto).")
+            fault(
+                &self.name,
+                &error,
+                "Check whether the camera sets it by itself (ExposureAuto, GainAuto).",
+            )
         })
     }
 }
@@ -234,7 +250,7 @@ impl Source for GenicamCamera {
 impl Drop for GenicamCamera {
     fn drop(&mut self) {
         // A camera that is gone would only be waited for.
-        if self.stream.take().is_some() && !self.is_lost {
+        if self.stream.take().is_some() && !self.is_unreachable {
             let _ = self.camera.acquisition_stop();
         }
     }

@@ -67,8 +67,14 @@ impl Sequence {
             bytes.resize(full, 0);
         }
         let stride = block.row_stride();
-        let counts = unpack_u16(block.pixel_format, block.width, block.height, stride, &bytes)
-            .map_err(|error| refused(error.to_string()))?;
+        let counts = unpack_u16(
+            block.pixel_format,
+            block.width,
+            block.height,
+            stride,
+            &bytes,
+        )
+        .map_err(|error| refused(error.to_string()))?;
         let microseconds = |ticks: u64, per_second: u64| {
             (u128::from(ticks) * 1_000_000 / u128::from(per_second.max(1))) as u64
         };
@@ -77,7 +83,10 @@ impl Sequence {
             columns,
             counts,
             number: block.block_id,
-            time_us: block.ts_dev.zip(self.ticks_per_second).map(|(t, f)| microseconds(t, f)),
+            time_us: block
+                .ts_dev
+                .zip(self.ticks_per_second)
+                .map(|(t, f)| microseconds(t, f)),
         })
     }
 }
@@ -86,9 +95,9 @@ impl Sequence {
 fn reason(status: FrameStatus) -> Option<String> {
     match status {
         FrameStatus::Complete => None,
-        FrameStatus::Incomplete { missing_packets } => {
-            Some(format!("{missing_packets} packets are missing; their pixels are 0"))
-        }
+        FrameStatus::Incomplete { missing_packets } => Some(format!(
+            "{missing_packets} packets are missing; their pixels are 0"
+        )),
         FrameStatus::TrailerMissing => Some("its end is missing; missing pixels are 0".into()),
         other => Some(format!("the camera reports an error ({other:?})")),
     }
@@ -112,7 +121,9 @@ mod tests {
     #[test]
     fn gaps_and_missing_packets_are_told() {
         let mut sequence = Sequence::new(Some(1_000_000_000));
-        let first = sequence.take("a", &block(7, FrameStatus::Complete)).unwrap();
+        let first = sequence
+            .take("a", &block(7, FrameStatus::Complete))
+            .unwrap();
         let [Delivery::Frame(frame)] = &first[..] else {
             panic!("{first:?}")
         };
@@ -130,7 +141,14 @@ mod tests {
         (nothing.width, nothing.height) = (0, 0);
         let third = sequence.take("a", &nothing).unwrap();
         assert!(
-            matches!(&third[..], [Delivery::Incomplete { frame: None, number: 11, .. }]),
+            matches!(
+                &third[..],
+                [Delivery::Incomplete {
+                    frame: None,
+                    number: 11,
+                    ..
+                }]
+            ),
             "{third:?}"
         );
     }

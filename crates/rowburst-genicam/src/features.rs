@@ -59,7 +59,9 @@ fn text(value: &FeatureValue) -> Option<String> {
 
 /// Exposure and gain, where the camera has them and lets them be set.
 pub fn controls(camera: &Camera<GigeRegisterIo>) -> Vec<Control> {
-    let resolved = CONTROLS.iter().filter_map(|&feature| camera.resolve(feature).ok());
+    let resolved = CONTROLS
+        .iter()
+        .filter_map(|&feature| camera.resolve(feature).ok());
     let states = resolved.filter_map(|feature| {
         let state = camera.feature_state(feature.name).ok()?;
         control(feature.name, &state)
@@ -84,7 +86,11 @@ fn control(name: &str, state: &FeatureState) -> Option<Control> {
 }
 
 /// Sets exposure or gain.
-pub fn set(camera: &mut Camera<GigeRegisterIo>, name: &str, value: f64) -> Result<(), GenicamError> {
+pub fn set(
+    camera: &mut Camera<GigeRegisterIo>,
+    name: &str,
+    value: f64,
+) -> Result<(), GenicamError> {
     let exposure = camera.resolve(StandardFeature::ExposureTime);
     if exposure.is_ok_and(|feature| feature.name == name) {
         camera.set_exposure_time(value)?;

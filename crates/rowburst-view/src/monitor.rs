@@ -128,7 +128,9 @@ impl Monitor {
     /// Adds a request; `false` where too many wait.
     pub(crate) fn request(&self, request: MonitorRequest) -> bool {
         let mut state = self.lock();
-        state.requests.retain(|earlier| !earlier.is_replaced_by(&request));
+        state
+            .requests
+            .retain(|earlier| !earlier.is_replaced_by(&request));
         let has_room = state.requests.len() < MAX_REQUESTS;
         if has_room {
             state.requests.push_back(request);

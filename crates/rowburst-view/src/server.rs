@@ -457,7 +457,9 @@ async fn monitor_set(
     State(shared): State<Arc<ServerState>>,
     Path((name, value)): Path<(String, f64)>,
 ) -> Response {
-    let request = value.is_finite().then_some(MonitorRequest::Set { name, value });
+    let request = value
+        .is_finite()
+        .then_some(MonitorRequest::Set { name, value });
     ask_monitor(&shared, request)
 }
 

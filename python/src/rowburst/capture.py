@@ -101,7 +101,7 @@ class Capture(Iterator[CapturedFrame]):
         """The text of an experiment file with these settings; each number says where it comes from."""
         return str(self.reading["experiment"])
 
-    def follow(
+    def watch(
         self, live: LiveView, *, time_budget_s: float | None = 0.1
     ) -> Iterator[tuple[CapturedFrame, Look]]:
         """The video of the latest frame, again and again: frames that come while the solver is busy are left out.
@@ -123,7 +123,7 @@ class Capture(Iterator[CapturedFrame]):
         >>> counts = np.rint(1000 * frame / frame.max()).astype(np.uint16)
         >>> source = rb.capture.from_arrays([counts, counts], name="bench")
         >>> live = rb.LiveView(camera, psf)
-        >>> [look.video.shape for _, look in source.follow(live)]
+        >>> [look.video.shape for _, look in source.watch(live)]
         [(12, 24, 30), (12, 24, 30)]
         """
         while True:

@@ -98,7 +98,8 @@ impl Grabber {
                 Err(error) if error.kind() == ErrorKind::Cancelled => break,
                 Err(error) => {
                     self.monitor.set("ended", error.to_string());
-                    self.keeper.source_ended(&Ended::Failed(error), &self.monitor);
+                    self.keeper
+                        .source_ended(&Ended::Failed(error), &self.monitor);
                     break;
                 }
             }

@@ -286,10 +286,18 @@ const TABLE: &[(Driver, &str, Gives)] = &[
     (Driver::MicroManager, "OnCameraCCDYSize", Gives::SensorRows),
     (Driver::Transposed, "TransposeXY", Gives::Swaps),
     (Driver::Transposed, "TransposeMirrorY", Gives::MirrorsRows),
-    (Driver::Transposed, "TransposeMirrorX", Gives::MirrorsColumns),
+    (
+        Driver::Transposed,
+        "TransposeMirrorX",
+        Gives::MirrorsColumns,
+    ),
     (Driver::Transposed, "Transpose_SwapXY", Gives::Swaps),
     (Driver::Transposed, "Transpose_MirrorY", Gives::MirrorsRows),
-    (Driver::Transposed, "Transpose_MirrorX", Gives::MirrorsColumns),
+    (
+        Driver::Transposed,
+        "Transpose_MirrorX",
+        Gives::MirrorsColumns,
+    ),
 ];
 
 /// What makes Micro-Manager's rotation and mirrors act. A file that does not name it may have been rotated.
@@ -919,7 +927,10 @@ mod tests {
         };
         assert!(micro_manager("202").findings.is_empty());
         assert_eq!(names(&micro_manager("0")), ["off-centre"]);
-        let unknown = [("SensorReadoutMode", "Centre Out Simultaneous"), ("AOIHeight", "108")];
+        let unknown = [
+            ("SensorReadoutMode", "Centre Out Simultaneous"),
+            ("AOIHeight", "108"),
+        ];
         assert_eq!(names(&read(&unknown)), ["centre-unknown"]);
         assert!(!read(&unknown).findings[0].is_fatal);
         assert!(read(&[("shutter", "dual-inside-out")]).findings.is_empty());
