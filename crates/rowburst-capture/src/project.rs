@@ -339,7 +339,8 @@ impl Project {
     fn experiment_step(&self, name: &str) -> Step {
         let file = self.folder.join(name);
         let frame = self.capture(FRAME.name);
-        let metadata = read_metadata(&frame);
+        let mut metadata = read_metadata(&frame);
+        metadata.size = self.record(FRAME.name).and_then(|record| record.size);
         let of_frame = || Experiment::read_with(&file, &metadata);
         let contradictions = |experiment: Experiment| {
             let warnings = experiment.from_metadata.warnings.into_iter();
