@@ -5,10 +5,16 @@ import { number } from "./format";
 import { Bitmap } from "./picture";
 import { report } from "./source";
 import type { Store } from "./store";
-import type { MonitorState } from "./types";
+import type { CameraControl, MonitorState } from "./types";
 
 /** Questions a second; a question that is not answered holds back the next. */
 const EVERY_MS = 60;
+
+/** Steps of a slider of a camera's control. */
+const STEPS = 1000;
+
+/** A control whose range spans more than this factor has a logarithmic slider. */
+const WIDE = 100;
 
 export class Monitor {
   readonly element: HTMLElement;
@@ -16,6 +22,7 @@ export class Monitor {
   private readonly bars: HTMLCanvasElement;
   private readonly numbers: HTMLElement;
   private readonly warnings: HTMLElement;
+  private readonly controls: HTMLElement;
   private readonly message: HTMLElement;
   private readonly recordButton: HTMLButtonElement;
   private readonly saveButton: HTMLButtonElement;
@@ -23,12 +30,15 @@ export class Monitor {
   private frameSnapshot = 0;
   private videoSnapshot = 0;
   private isRecording = false;
+  /** The controls that are shown, as text. */
+  private shownControls = "";
 
   constructor(private readonly store: Store) {
     this.raw = h("canvas", { class: "raw-frame", id: "raw-frame", role: "img", "aria-label": "Raw frame" });
     this.bars = h("canvas", { class: "histogram", id: "exposure-histogram", role: "img", "aria-label": "Histogram of the raw frame" });
     this.numbers = h("dl", { class: "monitor-numbers", id: "monitor-numbers" });
     this.warnings = h("div", { id: "monitor-warnings" });
+    this.controls = h("div", { id: "monitor-controls" });
     this.message = h("p", { class: "muted", id: "monitor-message", role: "status" });
     const button = (id: string, text: string, request: () => string) =>
       h("button", { type: "button", id, click: () => void this.ask(request()) }, text);
@@ -40,6 +50,7 @@ export class Monitor {
       h("figure", {}, this.raw, h("figcaption", {}, "Raw frame; saturated pixels are red")),
       this.bars,
       this.numbers,
+      this.controls,
       h("div", { class: "row" }, this.recordButton, button("snapshot", "Keep this frame", () => "snapshot"), this.saveButton),
       this.message,
       this.warnings,
@@ -48,8 +59,41 @@ export class Monitor {
   }
 
   private async ask(request: string): Promise<void> {
-    const answer = await fetch(`api/monitor/request/${request}`, { method: "POST" });
+    await this.post(`api/monitor/request/${request}`);
+  }
+
+  private async post(path: string): Promise<void> {
+    const answer = await fetch(path, { method: "POST" });
     if (!answer.ok) report(new Error(await answer.text()));
+  }
+
+  /** Sliders for what the camera lets be set, drawn anew where the camera has other values. */
+  private showControls(controls: CameraControl[]): void {
+    const text = JSON.stringify(controls);
+    if (text === this.shownControls || this.controls.contains(document.activeElement)) return;
+    this.shownControls = text;
+    this.controls.replaceChildren(...controls.map((control) => this.slider(control)));
+  }
+
+  private slider(control: CameraControl): HTMLElement {
+    const { name, value, min, max, unit } = control;
+    const isWide = min > 0 && max / min > WIDE;
+    const toPart = (v: number) => (isWide ? Math.log(v / min) / Math.log(max / min) : (v - min) / (max - min || 1));
+    const toValue = (part: number) => (isWide ? min * (max / min) ** part : min + part * (max - min));
+    // GenICam spells microseconds "us".
+    const words = (v: number) => `${number(v, 4)}${unit ? ` ${unit === "us" ? "µs" : unit}` : ""}`;
+    const shown = h("output", {}, words(value));
+    const input = h("input", { type: "range", min: "0", max: String(STEPS), step: "1", "aria-label": name });
+    input.value = String(Math.round(STEPS * toPart(value)));
+    const chosen = () => toValue(Number(input.value) / STEPS);
+    input.addEventListener("input", () => (shown.textContent = words(chosen())));
+    input.addEventListener("change", () => {
+      void this.post(`api/monitor/set/${encodeURIComponent(name)}/${chosen()}`);
+      // From now on it shows what the camera has.
+      input.blur();
+      this.shownControls = "";
+    });
+    return h("label", { class: "control" }, h("span", {}, name), input, shown);
   }
 
   private async poll(): Promise<void> {
@@ -97,6 +141,7 @@ export class Monitor {
     const warnings = [...(state.warnings ?? []), ...(state.error ? [state.error] : [])];
     this.warnings.replaceChildren(...warnings.map((text) => h("p", { class: "verdict doubtful" }, text)));
     if (exposure) this.drawBars(exposure.histogram);
+    this.showControls(state.controls ?? []);
   }
 
   /** The histogram, its counts on a logarithmic scale. */

@@ -90,6 +90,15 @@ export interface LiveState {
   error: string | null;
 }
 
+/** A number of a camera that can be set. */
+export interface CameraControl {
+  name: string;
+  value: number;
+  min: number;
+  max: number;
+  unit: string | null;
+}
+
 /** A camera that is looked at, as /api/monitor has it. */
 export interface MonitorState {
   reconstructs: boolean;
@@ -123,6 +132,8 @@ export interface MonitorState {
     warm_start: boolean;
     fit: string;
   };
+  /** What the camera lets be set while frames come. */
+  controls?: CameraControl[];
   warnings?: string[];
   message?: string;
   ended?: string;

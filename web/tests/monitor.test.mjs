@@ -4,7 +4,7 @@ import { after, before, test } from "node:test";
 import assert from "node:assert/strict";
 import { mkdir, readFile, readdir, rm, writeFile } from "node:fs/promises";
 import { join } from "node:path";
-import { chromium, open, results, serve, until } from "./browser.mjs";
+import { chromium, compare, open, results, serve, until } from "./browser.mjs";
 
 let browser;
 before(async () => (browser = await chromium()));
@@ -69,6 +69,86 @@ test("a camera is looked at, recorded, and its frame reconstructed in full", asy
   assert.equal(live.child.exitCode, 130);
   await page.close();
 });
+
+/** Serves the state of the page as `change` makes it, and takes note of what the page sends. */
+async function changeState(page, url, change) {
+  const sent = [];
+  await page.setRequestInterception(true);
+  page.on("request", async (request) => {
+    const path = new URL(request.url()).pathname;
+    if (request.method() === "POST") {
+      sent.push(decodeURIComponent(path));
+      return request.respond({ status: 204 });
+    }
+    if (path !== "/api/monitor") return request.continue();
+    const answer = await fetch(request.url() + new URL(url).search);
+    return request.respond({ contentType: "application/json", body: JSON.stringify(change(await answer.json())) });
+  });
+  return sent;
+}
+
+test("exposure and gain are set where the camera offers them", async () => {
+  const live = await serve(["live", "--source", `play:${join(results, "live", "frames.npy")}?rate=15&loop`, "--port", "0", "--no-open"], "stdout");
+  const { page, faults } = await open(browser, live.url);
+  await page.waitForSelector("#raw-frame");
+  // A recording has nothing to set.
+  await until(async () => /Frame\s+\d/.test(await page.$eval("#monitor-numbers", (e) => e.innerText)));
+  assert.equal((await page.$$("#monitor-controls input")).length, 0);
+  const controls = [
+    { name: "ExposureTime", value: 100, min: 10, max: 100000, unit: "us" },
+    { name: "Gain", value: 2, min: 0, max: 10, unit: null },
+  ];
+  const sent = await changeState(page, live.url, (state) => ({ ...state, controls }));
+  await page.waitForSelector("#monitor-controls input");
+  const texts = () => page.$$eval("#monitor-controls .control", (list) => list.map((e) => e.innerText.replace(/\s+/g, " ")));
+  assert.deepEqual(await texts(), ["ExposureTime 100 µs", "Gain 2"]);
+  // A wide range is logarithmic: a tenth of the exposure is a quarter of the slider.
+  assert.deepEqual(await page.$$eval("#monitor-controls input", (list) => list.map((e) => e.value)), ["250", "200"]);
+  await page.$eval("#monitor-controls input", (e) => {
+    e.value = "500";
+    e.dispatchEvent(new Event("input"));
+    e.dispatchEvent(new Event("change"));
+  });
+  await until(() => sent.length === 1);
+  assert.match(sent[0], /^\/api\/monitor\/set\/ExposureTime\/1000(\.0*)?$|999\.9/);
+  assert.deepEqual(faults, []);
+  live.stop();
+  await page.close();
+});
+
+for (const [name, dark] of [["live-light", false], ["live-dark", true]]) {
+  test(`the page of a camera looks as it did: ${name}`, async () => {
+    // One frame that stays, so that its video settles.
+    const folder = join(results, "live");
+    await recording(join(folder, "one.npy"), 1);
+    const experiment = join(results, "leds", "experiment.toml");
+    const source = `play:${join(folder, "one.npy")}`;
+    const live = await serve(["live", experiment, "--source", source, "--time-budget-s", "20", "--port", "0", "--no-open", "-o", join(folder, name)], "stdout");
+    const { page, faults } = await open(browser, live.url, { width: 1280, dark });
+    await until(async () => /no more frames/.test(await page.$eval("#monitor-message", (e) => e.textContent)));
+    const still = (state) => ({
+      ...state,
+      frames_per_second: 15,
+      video: state.video && { ...state.video, latency_ms: 84, videos_per_second: 11.4, residual_over_sigma: 1.02 },
+      controls: [
+        { name: "ExposureTime", value: 100, min: 10, max: 100000, unit: "us" },
+        { name: "Gain", value: 2, min: 0, max: 10, unit: null },
+      ],
+    });
+    await until(async () => /Videos a second|Latency/.test(await page.$eval("#monitor-numbers", (e) => e.innerText)), 60_000);
+    await changeState(page, live.url, still);
+    await page.waitForSelector("#monitor-controls input");
+    // The path of the folder, which differs from machine to machine.
+    await page.evaluate((source) => {
+      const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+      while (walk.nextNode()) walk.currentNode.data = walk.currentNode.data.replaceAll(source, "play:one.npy");
+    }, source);
+    await compare(name, await page.screenshot());
+    assert.deepEqual(faults, []);
+    live.stop();
+    await page.close();
+  });
+}
 
 test("without an experiment the raw frame is shown", async () => {
   const live = await serve(["live", "--source", `play:${join(results, "live", "frames.npy")}?rate=15`, "--port", "0", "--no-open"], "stdout");

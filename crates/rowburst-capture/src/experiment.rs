@@ -25,6 +25,10 @@ pub fn experiment_text(settings: &Settings) -> String {
         env!("CARGO_PKG_VERSION"),
         settings.source
     );
+    if let Some(camera) = &settings.camera {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "# The camera: {}.", camera.replace('\n', " "));
+    }
     for (key, value) in values_of(&reading) {
         line(&mut text, &reading, key, value);
     }
@@ -53,6 +57,10 @@ fn values_of(reading: &CameraReading) -> Vec<(&'static str, Option<String>)> {
         ("shutter", shutter.map(|s| format!("\"{}\"", s.name()))),
         ("row_time_us", number(metadata.row_time_us)),
         ("exposure_us", number(metadata.exposure_us)),
+        (
+            "binning",
+            metadata.binning.filter(|&b| b > 1).map(|b| b.to_string()),
+        ),
         ("bit_depth", metadata.bit_depth.map(|bits| bits.to_string())),
         ("pixel_pitch_um", number(metadata.pixel_pitch_um)),
     ]

@@ -10,8 +10,10 @@
 //! A [`Source`] gives frames of 16-bit counts, `y` the axis that the shutter scans. A frame that was dropped or is
 //! incomplete is a value, not an error. A [`Recorder`] writes beside and renames: a recording is whole or not there.
 
+mod correlation;
 mod experiment;
 mod exposure;
+mod guide;
 mod open;
 mod play;
 mod project;
@@ -20,15 +22,13 @@ mod recorder;
 mod settings;
 mod source;
 
+pub use correlation::{CaptureCorrelation, correlation_of_captures};
 pub use experiment::experiment_text;
 pub use exposure::{Exposure, HISTOGRAM_BINS};
-pub use open::open_source;
+pub use open::{Driver, open_source};
 pub use play::Playback;
-pub use project::{
-    CaptureCorrelation, PROJECT_FILE, Project, Step, StepState, correlation_of_captures,
-    create_project,
-};
+pub use project::{PROJECT_FILE, Project, Step, StepState, create_project};
 pub use record::{CaptureRecord, FrameRecord, Lost};
 pub use recorder::{Ended, Recorder, record};
 pub use settings::{Fingerprint, Property, Settings};
-pub use source::{Delivery, Frame, Source};
+pub use source::{Control, Delivery, Frame, Source};

@@ -2,15 +2,15 @@
 //!
 //! ```text
 //! rowburst.toml                 the source
-//! captures/NAME.tif, NAME.json  timing, darks, flats, psf, psf-again, frame
+//! captures/NAME.tif, NAME.json  timing, darks, flats, psf, psf-again, led, frame
 //! experiment.toml               from the settings of the camera
-//! timing/ sensor/ psf/ result/  what calibrate and reconstruct write
+//! timing/ sensor/ psf/ check/ result/  what calibrate, check and reconstruct write
 //! ```
 
+use crate::correlation::correlation_of_captures;
 use crate::record::CaptureRecord;
-use rowburst::error::Subject;
-use rowburst::{Error, ErrorKind, Image, Result};
-use rowburst_io::{Experiment, OutputFolder, read_capture_record, read_stack};
+use rowburst::{Error, ErrorKind, Result};
+use rowburst_io::{Experiment, OutputFolder, read_capture_record, read_metadata};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -19,12 +19,6 @@ pub const PROJECT_FILE: &str = "rowburst.toml";
 
 /// Correlation of two captures of the PSF below which the diffuser has drifted.
 const MIN_CORRELATION: f64 = 0.95;
-
-/// Largest shift that is looked for, in pixels.
-const MAX_SHIFT: isize = 6;
-
-/// Longest side of the part of a capture that is correlated.
-const MAX_SIDE: usize = 256;
 
 /// How far a step is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +29,8 @@ pub enum StepState {
     Missing,
     /// It was made with other settings, or before what it is made of.
     OutOfDate,
+    /// It is there and says that something is wrong.
+    Failed,
     /// It is not there, and the others do without it.
     Optional,
 }
@@ -46,8 +42,14 @@ impl StepState {
             Self::Done => "done",
             Self::Missing => "missing",
             Self::OutOfDate => "out-of-date",
+            Self::Failed => "failed",
             Self::Optional => "optional",
         }
+    }
+
+    /// Whether something is to be done.
+    pub fn is_open(self) -> bool {
+        matches!(self, Self::Missing | Self::OutOfDate | Self::Failed)
     }
 }
 
@@ -80,28 +82,62 @@ struct CaptureStep {
 const TIMING: CaptureStep = CaptureStep {
     name: "timing",
     command: "rowburst capture timing -n 3",
-    keys: &["size", "origin", "binning", "row time", "shutter"],
+    keys: &[
+        "camera",
+        "readout rate",
+        "size",
+        "origin",
+        "binning",
+        "row time",
+        "shutter",
+    ],
 };
 const DARKS: CaptureStep = CaptureStep {
     name: "darks",
     command: "rowburst capture darks -n 50",
-    keys: &["size", "origin", "binning", "exposure", "bit depth"],
+    keys: &[
+        "camera",
+        "gain",
+        "readout rate",
+        "size",
+        "origin",
+        "binning",
+        "exposure",
+        "bit depth",
+    ],
 };
 const FLATS: CaptureStep = CaptureStep {
     name: "flats",
     command: "rowburst capture flats -n 20",
-    keys: &["size", "origin", "binning", "bit depth"],
+    keys: &[
+        "camera",
+        "gain",
+        "readout rate",
+        "size",
+        "origin",
+        "binning",
+        "bit depth",
+    ],
 };
 const PSF: CaptureStep = CaptureStep {
     name: "psf",
     command: "rowburst capture psf -n 20",
-    keys: &["size", "origin", "binning"],
+    keys: &["camera", "size", "origin", "binning"],
 };
 const FRAME: CaptureStep = CaptureStep {
     name: "frame",
     command: "rowburst capture frame",
     keys: &[],
 };
+
+/// A file that a command makes of others.
+struct ResultStep<'a> {
+    name: &'static str,
+    /// Files of the folder that it is made of.
+    inputs: Vec<&'a str>,
+    file: &'static str,
+    command: String,
+}
 
 /// Makes the folder of an experiment whose frames come from `source`.
 ///
@@ -192,11 +228,7 @@ impl Project {
         let reference = self.reference();
         let reference = reference.as_ref();
         let knows_timing = self.knows_timing();
-        let before_timing = if self.has("timing/experiment.toml") {
-            "timing/experiment.toml"
-        } else {
-            "experiment.toml"
-        };
+        let before_timing = self.first_of(["timing/experiment.toml", "experiment.toml"]);
         let before_psf = if self.has("sensor/sensor.json") {
             "sensor/experiment.toml"
         } else {
@@ -205,41 +237,67 @@ impl Project {
         let mut steps = vec![self.settings_step()];
         let mut timing = [
             self.capture_step(&TIMING, reference),
-            self.result_step(
-                "calibrate timing",
-                &["timing"],
-                "timing/timing.json",
-                "rowburst calibrate timing captures/timing.tif --frequency-hz HZ -o timing".into(),
-            ),
+            self.result_step(ResultStep {
+                name: "calibrate timing",
+                inputs: vec!["captures/timing.tif"],
+                file: "timing/timing.json",
+                command:
+                    "rowburst calibrate timing captures/timing.tif --frequency-hz HZ -o timing"
+                        .into(),
+            }),
         ];
         if knows_timing {
             timing.iter_mut().for_each(make_optional);
         }
         steps.extend(timing);
-        steps.push(self.experiment_step());
+        steps.push(self.experiment_step(before_timing));
         steps.push(self.capture_step(&DARKS, reference));
         steps.push(self.capture_step(&FLATS, reference));
-        steps.push(self.result_step(
-            "calibrate sensor",
-            &["darks", "flats"],
-            "sensor/sensor.json",
-            format!("rowburst calibrate sensor --darks captures/darks.tif --flats captures/flats.tif --experiment {before_timing} -o sensor"),
-        ));
+        steps.push(self.result_step(ResultStep {
+            name: "calibrate sensor",
+            inputs: vec!["captures/darks.tif", "captures/flats.tif", before_timing],
+            file: "sensor/sensor.json",
+            command: format!("rowburst calibrate sensor --darks captures/darks.tif --flats captures/flats.tif --experiment {before_timing} -o sensor"),
+        }));
         steps.push(self.psf_step(reference)?);
-        steps.push(self.result_step(
-            "calibrate psf",
-            &["psf"],
-            "psf/psf.json",
-            format!("rowburst calibrate psf captures/psf.tif --experiment {before_psf} -o psf"),
-        ));
+        steps.push(self.result_step(ResultStep {
+            name: "calibrate psf",
+            inputs: vec!["captures/psf.tif", before_psf],
+            file: "psf/psf.json",
+            command: format!(
+                "rowburst calibrate psf captures/psf.tif --experiment {before_psf} -o psf"
+            ),
+        }));
+        steps.push(self.check_step());
         steps.push(self.capture_step(&FRAME, reference));
-        steps.push(self.result_step(
-            "reconstruct",
-            &["frame"],
-            "result/result.json",
-            "rowburst reconstruct psf/experiment.toml --frame captures/frame.tif -o result".into(),
-        ));
+        steps.push(
+            self.result_step(ResultStep {
+                name: "reconstruct",
+                inputs: vec!["captures/frame.tif", "psf/experiment.toml"],
+                file: "result/result.json",
+                command:
+                    "rowburst reconstruct psf/experiment.toml --frame captures/frame.tif -o result"
+                        .into(),
+            }),
+        );
         Ok(steps)
+    }
+
+    /// The mean level of the darks in counts, where they were recorded.
+    pub fn dark_counts(&self) -> Option<f64> {
+        let record = self.record(DARKS.name)?;
+        let means = record.frames.iter().filter_map(|frame| frame.mean_counts);
+        let (sum, count) = means.fold((0.0, 0), |(sum, count), mean| (sum + mean, count + 1));
+        (count > 0).then(|| sum / f64::from(count))
+    }
+
+    /// The first of `names` that is there, or else the last.
+    fn first_of(&self, names: [&'static str; 2]) -> &'static str {
+        if self.has(names[0]) {
+            names[0]
+        } else {
+            names[1]
+        }
     }
 
     fn has(&self, name: &str) -> bool {
@@ -277,23 +335,90 @@ impl Project {
         }
     }
 
-    /// The keys of the experiment file that the camera left open.
-    fn experiment_step(&self) -> Step {
-        let read = Experiment::read(&self.folder.join("experiment.toml"));
-        let (state, detail) = match read {
-            Ok(_) => (
-                StepState::Done,
-                "experiment.toml has what a reconstruction needs".into(),
-            ),
+    /// The keys of the experiment file that the camera left open, and whether they are those of the latest frame.
+    fn experiment_step(&self, name: &str) -> Step {
+        let file = self.folder.join(name);
+        let frame = self.capture(FRAME.name);
+        let mut metadata = read_metadata(&frame);
+        metadata.size = self.record(FRAME.name).and_then(|record| record.size);
+        let of_frame = || Experiment::read_with(&file, &metadata);
+        let contradictions = |experiment: Experiment| {
+            let warnings = experiment.from_metadata.warnings.into_iter();
+            // The first ones are remarks on the metadata themselves.
+            warnings.skip(metadata.notes.len()).collect::<Vec<_>>()
+        };
+        let (state, detail) = match Experiment::read(&file) {
             Err(error) => (StepState::Missing, error.to_string()),
+            Ok(_) => match of_frame().map(contradictions) {
+                Ok(found) if found.is_empty() => (
+                    StepState::Done,
+                    format!("{name} has what a reconstruction needs"),
+                ),
+                Ok(found) => (StepState::OutOfDate, found.join("; ")),
+                Err(error) => (StepState::OutOfDate, error.to_string()),
+            },
+        };
+        let command = if state == StepState::OutOfDate {
+            format!(
+                "correct {name}, or move it away and take the frame again: rowburst capture frame --replace"
+            )
+        } else {
+            "fill in experiment.toml; timing/timing.json has row_time_us and shutters".into()
         };
         Step {
             name: "experiment",
             state,
             detail,
-            command: "fill in experiment.toml; timing/timing.json has row_time_us and shutters"
-                .into(),
+            command,
         }
+    }
+
+    /// The check of the set-up, and what it found.
+    fn check_step(&self) -> Step {
+        let file = "check/check.json";
+        let mut step = self.result_step(ResultStep {
+            name: "check",
+            inputs: vec!["captures/led.tif", "psf/experiment.toml"],
+            file,
+            command: "rowburst capture frame -o captures/led.tif, of a blinking point; then rowburst check psf/experiment.toml --frame captures/led.tif --frequency-hz HZ -o check".into(),
+        });
+        match step.state {
+            StepState::Missing => {
+                step.state = StepState::Optional;
+                step.detail =
+                    "one frame of a blinking point tells whether the set-up is good".into();
+            }
+            StepState::Done => {
+                let failed = self.failed_checks(file);
+                if !failed.is_empty() {
+                    step.state = StepState::Failed;
+                    step.detail = failed.join("; ");
+                }
+            }
+            _ => {}
+        }
+        step
+    }
+
+    /// What a check found wrong, with the remedies.
+    fn failed_checks(&self, file: &str) -> Vec<String> {
+        let read = std::fs::read(self.folder.join(file));
+        let found: serde_json::Value = match read.map(|bytes| serde_json::from_slice(&bytes)) {
+            Ok(Ok(found)) => found,
+            _ => return vec![format!("{file} cannot be read")],
+        };
+        let checks = found["checks"].as_array().cloned().unwrap_or_default();
+        let failed = checks.iter().filter(|check| check["passed"] == false);
+        let words = |check: &serde_json::Value, key: &str| {
+            check[key].as_str().unwrap_or_default().to_string()
+        };
+        failed
+            .map(|check| {
+                let [name, found, remedy] =
+                    ["name", "found", "remedy"].map(|key| words(check, key));
+                format!("{name}: {found}. {remedy}")
+            })
+            .collect()
     }
 
     fn capture_step(&self, step: &CaptureStep, reference: Option<&CaptureRecord>) -> Step {
@@ -347,30 +472,27 @@ impl Project {
         Ok(step)
     }
 
-    fn result_step(
-        &self,
-        name: &'static str,
-        captures: &[&str],
-        result: &str,
-        command: String,
-    ) -> Step {
-        let modified = |path: PathBuf| path.metadata().and_then(|m| m.modified()).ok();
-        let made = modified(self.folder.join(result));
-        let is_older = |capture: &&str| modified(self.capture(capture)) > made;
-        let older = captures.iter().find(|capture| is_older(capture));
-        let (state, detail) = match (made, older) {
-            (None, _) => (StepState::Missing, format!("no {result}")),
-            (Some(_), Some(capture)) => (
+    fn result_step(&self, step: ResultStep) -> Step {
+        let modified = |name: &str| {
+            let path = self.folder.join(name);
+            path.metadata().and_then(|m| m.modified()).ok()
+        };
+        let file = step.file;
+        let made = modified(file);
+        let newer = step.inputs.iter().find(|input| modified(input) > made);
+        let (state, detail) = match (made, newer) {
+            (None, _) => (StepState::Missing, format!("no {file}")),
+            (Some(_), Some(input)) => (
                 StepState::OutOfDate,
-                format!("{result} was made before captures/{capture}.tif"),
+                format!("{file} was made before {input}"),
             ),
-            (Some(_), None) => (StepState::Done, result.to_string()),
+            (Some(_), None) => (StepState::Done, file.to_string()),
         };
         Step {
-            name,
+            name: step.name,
             state,
             detail,
-            command,
+            command: step.command,
         }
     }
 }
@@ -395,90 +517,6 @@ fn summary(record: &CaptureRecord) -> String {
         let _ = write!(text, "; {warning}");
     }
     text
-}
-
-/// How much two captures are alike.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CaptureCorrelation {
-    /// Pearson's correlation of their means, at the shift at which it is largest.
-    pub correlation: f64,
-    /// That shift `(y, x)` of the second, in pixels.
-    pub shift_px: (isize, isize),
-}
-
-/// The correlation of two captures of the PSF: of the means over their frames, in the middle of the field.
-///
-/// # Errors
-/// Captures that cannot be read or have different sizes.
-pub fn correlation_of_captures(first: &Path, second: &Path) -> Result<CaptureCorrelation> {
-    let (a, b) = (mean_of(first)?, mean_of(second)?);
-    if (a.rows(), a.columns()) != (b.rows(), b.columns()) {
-        return Err(Error::input(
-            Subject::from(second),
-            format!("{}×{} pixels", b.rows(), b.columns()),
-            format!("the first capture has {}×{}", a.rows(), a.columns()),
-            "Take both captures with the same region.",
-        )
-        .with_kind(ErrorKind::Shape));
-    }
-    let mut best = CaptureCorrelation {
-        correlation: f64::NEG_INFINITY,
-        shift_px: (0, 0),
-    };
-    for dy in -MAX_SHIFT..=MAX_SHIFT {
-        for dx in -MAX_SHIFT..=MAX_SHIFT {
-            let correlation = correlation_at(&a, &b, dy, dx);
-            if correlation > best.correlation {
-                best = CaptureCorrelation {
-                    correlation,
-                    shift_px: (dy, dx),
-                };
-            }
-        }
-    }
-    Ok(best)
-}
-
-fn mean_of(path: &Path) -> Result<Image> {
-    let pages = read_stack(path)?;
-    let (rows, columns) = (pages[0].rows(), pages[0].columns());
-    let count = pages.len() as f32;
-    Ok(Image::from_fn(rows, columns, |y, x| {
-        pages.iter().map(|page| page.at(y, x)).sum::<f32>() / count
-    }))
-}
-
-/// Pearson's correlation of `a` with `b` displaced by `(dy, dx)`, over the middle of both.
-fn correlation_at(a: &Image, b: &Image, dy: isize, dx: isize) -> f64 {
-    let range = |side: usize| {
-        let margin = (MAX_SHIFT as usize).min(side / 4);
-        let inner = (side - 2 * margin).min(MAX_SIDE);
-        let start = (side - inner) / 2;
-        (start, start + inner)
-    };
-    let ((top, bottom), (left, right)) = (range(a.rows()), range(a.columns()));
-    let shifted =
-        |at: usize, by: isize, side: usize| at.checked_add_signed(by).filter(|&i| i < side);
-    let [mut n, mut sa, mut sb, mut saa, mut sbb, mut sab] = [0.0f64; 6];
-    for y in top..bottom {
-        let Some(by) = shifted(y, dy, b.rows()) else {
-            continue;
-        };
-        for x in left..right {
-            let Some(bx) = shifted(x, dx, b.columns()) else {
-                continue;
-            };
-            let (p, q) = (f64::from(a.at(y, x)), f64::from(b.at(by, bx)));
-            n += 1.0;
-            sa += p;
-            sb += q;
-            saa += p * p;
-            sbb += q * q;
-            sab += p * q;
-        }
-    }
-    let variance = (saa - sa * sa / n) * (sbb - sb * sb / n);
-    (sab - sa * sb / n) / variance.max(f64::MIN_POSITIVE).sqrt()
 }
 
 #[cfg(test)]
@@ -564,6 +602,55 @@ mod tests {
         );
         // A PSF is normalised: its exposure is free.
         assert_eq!(state(&project, "psf").0, StepState::Done);
+    }
+
+    #[test]
+    fn an_experiment_of_other_settings_than_the_frame_is_out_of_date() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        let text = crate::experiment_text(&settings("9.6"));
+        std::fs::write(folder.path().join("experiment.toml"), text).unwrap();
+        capture(&project, "frame", &speckle(0.0, 0), settings("9.6"));
+        assert_eq!(state(&project, "experiment").0, StepState::Done);
+        std::fs::remove_file(project.capture("frame")).unwrap();
+        capture(&project, "frame", &speckle(0.0, 0), settings("20"));
+        let (is, why) = state(&project, "experiment");
+        assert_eq!(is, StepState::OutOfDate, "{why}");
+        assert!(why.contains("exposure_us is 9.6"), "{why}");
+    }
+
+    #[test]
+    fn results_made_before_the_experiment_are_out_of_date() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+            // A file system may tell times no finer than this.
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        };
+        write("experiment.toml", &crate::experiment_text(&settings("9.6")));
+        write("psf/experiment.toml", "");
+        write("psf/psf.json", "{}");
+        write(
+            "check/check.json",
+            r#"{"checks": [{"name": "contrast", "passed": false, "found": "0.1", "remedy": "Take it anew."}]}"#,
+        );
+        write("result/result.json", "{}");
+        assert_eq!(state(&project, "reconstruct").0, StepState::Done);
+        let (is, why) = state(&project, "check");
+        assert_eq!(
+            (is, why.as_str()),
+            (StepState::Failed, "contrast: 0.1. Take it anew.")
+        );
+        write("experiment.toml", &crate::experiment_text(&settings("20")));
+        let (is, why) = state(&project, "calibrate psf");
+        assert_eq!(is, StepState::OutOfDate, "{why}");
+        assert!(why.contains("before experiment.toml"), "{why}");
+        write("psf/experiment.toml", "");
+        assert_eq!(state(&project, "reconstruct").0, StepState::OutOfDate);
+        assert_eq!(state(&project, "check").0, StepState::OutOfDate);
     }
 
     #[test]

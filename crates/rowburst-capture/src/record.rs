@@ -18,6 +18,9 @@ pub struct FrameRecord {
     pub incomplete: Option<String>,
     /// Part of its pixels that are saturated.
     pub saturated_fraction: f64,
+    /// Mean count; absent in records before 0.2.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub mean_counts: Option<f64>,
 }
 
 /// Frames that are not in the file.

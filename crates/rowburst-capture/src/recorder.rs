@@ -1,9 +1,11 @@
 //! Writes a recording: a 16-bit TIFF stack and its record, whole or not there.
 //!
 //! Frames go into a hidden file beside the recording, page after page, which takes its name at the end: also where
-//! the source failed, the disk is full or Ctrl-C was pressed. The record is written last.
+//! the source failed, the disk is full or Ctrl-C was pressed. The record is written just before, so that no recording
+//! is without one.
 
 use crate::exposure::saturated_fraction;
+use crate::guide::Guide;
 use crate::record::{CaptureRecord, FrameRecord, Lost};
 use crate::settings::Settings;
 use crate::source::{Delivery, Frame, Source};
@@ -52,7 +54,7 @@ pub struct Recorder {
     whole_bytes: u64,
     reserve: File,
     reserved: u64,
-    bit_depth: Option<u32>,
+    guide: Guide,
     record: CaptureRecord,
 }
 
@@ -119,9 +121,15 @@ impl Recorder {
             whole_bytes: 0,
             reserve,
             reserved: RESERVE_BYTES,
-            bit_depth,
+            guide: Guide::new(bit_depth),
             record,
         })
+    }
+
+    /// With the level of the darks in counts, by which contrast and exposure are judged at the end.
+    pub fn with_dark_counts(mut self, dark_counts: Option<f64>) -> Self {
+        self.guide = self.guide.with_dark_counts(dark_counts);
+        self
     }
 
     /// What is recorded so far.
@@ -145,12 +153,16 @@ impl Recorder {
             self.repair();
             write_error(&error).within(&self.path)
         })?;
+        let sum: u64 = frame.counts.iter().map(|&count| u64::from(count)).sum();
+        let mean = sum as f64 / frame.counts.len().max(1) as f64;
+        self.guide.add(frame, mean);
         self.record.frames.push(FrameRecord {
             page: self.record.written,
             number: frame.number,
             time_us: frame.time_us,
             incomplete: incomplete.map(String::from),
-            saturated_fraction: saturated_fraction(frame, self.bit_depth),
+            saturated_fraction: saturated_fraction(frame, self.guide.bit_depth()),
+            mean_counts: Some(mean),
         });
         self.record.written += 1;
         Ok(())
@@ -210,6 +222,8 @@ impl Recorder {
             return Err(self.nothing(ended));
         }
         self.warn_of_saturation();
+        let found = self.guide.findings(&self.record.purpose);
+        self.record.warnings.extend(found);
         // Its space is for what follows.
         let freed = self.reserve.set_len(0);
         drop(self.encoder.take());
@@ -218,13 +232,16 @@ impl Recorder {
             .and_then(|()| self.hidden.as_file().sync_all())
             .map_err(fault)?;
         let path = &self.path;
-        let hidden = self.hidden.persist_noclobber(path);
-        hidden.map_err(|e| write_error(&e.error).within(path))?;
         let mut json = serde_json::to_vec_pretty(&self.record).expect("plain numbers and text");
         json.push(b'\n');
-        let name = capture_record_path(path);
-        let name = name.file_name().unwrap_or_default().to_string_lossy();
+        let record = capture_record_path(path);
+        let name = record.file_name().unwrap_or_default().to_string_lossy();
         self.folder.write_bytes(&name, &json)?;
+        if let Err(error) = self.hidden.persist_noclobber(path) {
+            // A record without its recording says nothing true.
+            let _ = std::fs::remove_file(&record);
+            return Err(write_error(&error.error).within(path));
+        }
         Ok(self.record)
     }
 
@@ -577,6 +594,32 @@ mod tests {
             assert_eq!(pages.len(), 2);
             assert_eq!(pages[1].at(0, 1), 11.0);
         }
+    }
+
+    #[test]
+    fn no_recording_is_without_its_record() {
+        let folder = tempfile::tempdir().unwrap();
+        // The name of the record is taken by a folder, so it cannot be written.
+        std::fs::create_dir(folder.path().join("a.json")).unwrap();
+        let error = recorded(folder.path(), "record", faulty(), None).unwrap_err();
+        assert!(error.to_string().contains("a.json"), "{error}");
+        assert!(!folder.path().join("a.tif").exists());
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_capture_is_in_its_record() {
+        let folder = tempfile::tempdir().unwrap();
+        let equal = vec![Delivery::Frame(frame(1)), Delivery::Frame(frame(1))];
+        let (record, _) = recorded(folder.path(), "darks", equal, Some(2)).unwrap();
+        assert!(
+            record
+                .warnings
+                .iter()
+                .any(|w| w.contains("the darks are equal")),
+            "{:?}",
+            record.warnings
+        );
+        assert_eq!(record.frames[0].mean_counts, Some(56.0));
     }
 
     #[test]

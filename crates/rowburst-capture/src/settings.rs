@@ -1,6 +1,6 @@
 //! The settings of a camera: its properties as the driver gives them, and what they mean.
 
-use rowburst_io::{CameraReading, Metadata, Origin, read_properties};
+use rowburst_io::{CameraReading, Metadata, Origin, origin_of_property, read_properties};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -29,10 +29,35 @@ pub struct Settings {
 /// The keys of the experiment file without which nothing is reconstructed.
 pub(crate) const REQUIRED: [&str; 5] = ["rows", "columns", "shutter", "row_time_us", "exposure_us"];
 
+/// Properties that set the gain, as drivers name them; the first that a camera has counts.
+const GAIN_PROPERTIES: [&str; 8] = [
+    "Sensitivity/DynamicRange",
+    "SimplePreAmpGainControl",
+    "PreAmpGain",
+    "CONVERSION FACTOR COEFF",
+    "Gain",
+    "GainRaw",
+    "GainAbs",
+    "gain",
+];
+
+/// Properties that set how fast pixels are read.
+const READOUT_RATE_PROPERTIES: [&str; 7] = [
+    "PixelReadoutRate",
+    "ReadoutRate",
+    "READOUT SPEED",
+    "ScanMode",
+    "PixelRate",
+    "Pixelrate",
+    "DeviceClockFrequency",
+];
+
 impl Settings {
-    /// Adds a property that was read.
+    /// Adds a property as the driver gives it: read, or calculated by the driver.
     pub fn push(&mut self, name: impl Into<String>, value: impl ToString) {
-        self.push_as(name, value, Origin::Read);
+        let name = name.into();
+        let origin = origin_of_property(&name);
+        self.push_as(name, value, origin);
     }
 
     /// Adds a property.
@@ -81,7 +106,7 @@ impl Settings {
     }
 
     /// Names the keys that nothing says, so that a reader of the file sees that they are unknown.
-    pub(crate) fn mark_unknown(&mut self) {
+    pub fn mark_unknown(&mut self) {
         let reading = self.reading();
         for key in REQUIRED {
             let is_known = reading.provenance.iter().any(|p| p.key == key);
@@ -103,7 +128,14 @@ impl Settings {
         let pair = |value: Option<(usize, usize)>| text(value.map(|(y, x)| format!("{y}×{x}")));
         let microseconds = |value: Option<f64>| text(value.map(|v| format!("{v:.6} µs")));
         let shutter = metadata.shutter.as_ref().map(|s| s.name().to_string());
+        let first_of = |names: &[&str]| {
+            let found = names.iter().find_map(|name| self.value(name));
+            text(found.map(String::from))
+        };
         let values = [
+            ("camera", text(self.camera.clone())),
+            ("gain", first_of(&GAIN_PROPERTIES)),
+            ("readout rate", first_of(&READOUT_RATE_PROPERTIES)),
             ("size", pair(metadata.size)),
             ("origin", pair(metadata.origin)),
             ("binning", text(metadata.binning.map(|b| b.to_string()))),
@@ -160,6 +192,35 @@ mod tests {
                 .differences(&b.fingerprint(), &["size"])
                 .is_empty()
         );
+    }
+
+    #[test]
+    fn gain_rate_and_camera_are_part_of_it() {
+        let with = |gain: &str, camera: &str| {
+            let mut settings = settings("9.6e-6");
+            settings.push("SimplePreAmpGainControl", gain);
+            settings.push("PixelReadoutRate", "560 MHz");
+            settings.camera = Some(camera.into());
+            settings.fingerprint()
+        };
+        let keys = ["gain", "readout rate", "camera"];
+        let found = with("16-bit", "Zyla VSC-1").differences(&with("12-bit", "Zyla VSC-2"), &keys);
+        assert_eq!(
+            found,
+            [
+                "gain 16-bit, not 12-bit",
+                "camera Zyla VSC-1, not Zyla VSC-2"
+            ]
+        );
+    }
+
+    #[test]
+    fn what_a_driver_calculates_is_not_read() {
+        let mut settings = Settings::default();
+        settings.push("Line Time [us]", 27.77);
+        settings.push("RowReadTime", "9.6e-6");
+        let origins = settings.properties.iter().map(|p| p.origin.as_str());
+        assert_eq!(origins.collect::<Vec<_>>(), ["calculated", "read"]);
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! The seam between cameras and everything else.
 
 use crate::settings::Settings;
-use rowburst::{Cancel, Image, Result};
+use rowburst::error::Subject;
+use rowburst::{Cancel, Error, ErrorKind, Image, Result};
 use rowburst_io::{Capture, SampleFormat};
 
 /// A frame as the camera gave it.
@@ -58,6 +59,21 @@ pub enum Delivery {
     End,
 }
 
+/// A number of a camera that can be set while frames come.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Control {
+    /// Its name as the driver spells it, such as `ExposureTime`.
+    pub name: String,
+    /// Its value.
+    pub value: f64,
+    /// Smallest value that the camera takes now.
+    pub min: f64,
+    /// Largest value that the camera takes now.
+    pub max: f64,
+    /// Unit of the value, where the driver says it.
+    pub unit: Option<String>,
+}
+
 /// A camera, or what plays one.
 pub trait Source: Send {
     /// What a user calls it, such as `play:recording.tif`.
@@ -81,5 +97,27 @@ pub trait Source: Send {
     /// Those of [`Self::next`].
     fn skip_to_latest(&mut self) -> Result<u64> {
         Ok(0)
+    }
+
+    /// What can be set while frames come: exposure and gain, where the source has them.
+    ///
+    /// # Errors
+    /// A camera that does not answer.
+    fn controls(&mut self) -> Result<Vec<Control>> {
+        Ok(Vec::new())
+    }
+
+    /// Sets one of [`Self::controls`].
+    ///
+    /// # Errors
+    /// A name that is none of them, or a value that the camera refuses.
+    fn set(&mut self, name: &str, value: f64) -> Result<()> {
+        Err(Error::input(
+            Subject::named(self.name()),
+            format!("{name} = {value}"),
+            "this source has no such control",
+            "Set it in the camera's own program.",
+        )
+        .with_kind(ErrorKind::Unknown))
     }
 }

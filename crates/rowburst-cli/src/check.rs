@@ -7,6 +7,7 @@ use crate::shared_args::CalibrationArgs;
 use clap::Args;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
+use rowburst_io::OutputFolder;
 use rowburst_run::{CheckParams, short};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use std::sync::Arc;
 /// contrast and model error are each compared with a limit. Exit status 1 where one fails.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  rowburst check psf/experiment.toml --frame led.tif --frequency-hz 20000"
+    after_help = "Example:\n  rowburst check psf/experiment.toml --frame led.tif --frequency-hz 20000 -o check"
 )]
 pub struct CheckArgs {
     /// The experiment file with its PSF
@@ -33,6 +34,9 @@ pub struct CheckArgs {
     /// Print the findings as JSON
     #[arg(long)]
     pub json: bool,
+    /// Also keep the findings in this folder, as check.json: rowburst status reads them
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: Option<PathBuf>,
 }
 
 pub fn run(args: &CheckArgs) -> Result<()> {
@@ -50,19 +54,20 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     let found = found?;
     // An interrupted run has compared nothing.
     rowburst::Cancel::from(Arc::clone(&interrupt.run)).check()?;
+    let json = serde_json::to_string_pretty(&found).expect("plain numbers and text");
+    if let Some(folder) = &args.output {
+        OutputFolder::create(folder)?.write_bytes("check.json", json.as_bytes())?;
+    }
     if args.json {
-        print_line(serde_json::to_string_pretty(&found).expect("plain numbers and text"));
+        print_line(json);
     } else {
         for check in &found.checks {
             let word = if check.passed { "pass" } else { "FAIL" };
-            let limit = if check.limit.is_finite() {
-                format!(" (limit {})", short(check.limit))
-            } else {
-                String::new()
-            };
             print_line(format_args!(
-                "{word}  {:<11} {}{limit}",
-                check.name, check.found
+                "{word}  {:<11} {} (limit {})",
+                check.name,
+                check.found,
+                short(check.limit)
             ));
             if !check.passed {
                 print_line(format_args!("                  {}", check.remedy));

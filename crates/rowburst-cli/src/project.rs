@@ -3,7 +3,7 @@
 use crate::output::print_line;
 use clap::Args;
 use rowburst::Result;
-use rowburst_capture::{Project, Step, StepState, create_project};
+use rowburst_capture::{Project, create_project};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -41,8 +41,8 @@ pub fn create(args: &NewArgs) -> Result<()> {
 
 pub fn status(args: &StatusArgs) -> Result<()> {
     let steps = Project::open(&args.folder)?.status()?;
-    let is_open = |step: &&Step| matches!(step.state, StepState::Missing | StepState::OutOfDate);
-    let next = steps.iter().find(is_open).map(|step| step.command.as_str());
+    let next = steps.iter().find(|step| step.state.is_open());
+    let next = next.map(|step| step.command.as_str());
     if args.json {
         let list = steps.iter().map(|step| {
             json!({

@@ -230,6 +230,143 @@ fn a_folder_leads_through_the_experiment() {
     let status = run("status");
     assert!(status.contains("darks             out-of-date"), "{status}");
     assert!(status.contains("size 12×10, not 14×10"), "{status}");
+    // The experiment is that of the first frame.
+    assert!(status.contains("experiment        out-of-date"), "{status}");
+    assert!(status.contains("check             optional"), "{status}");
+}
+
+/// `rowburst live` while it runs, asked as its page asks.
+#[cfg(unix)]
+struct LiveView {
+    child: std::process::Child,
+    address: String,
+    token: String,
+}
+
+#[cfg(unix)]
+impl LiveView {
+    fn start(lab: &Lab, arguments: &str) -> Self {
+        use std::io::{BufRead, BufReader};
+        let mut child = lab
+            .command(&format!("live {arguments} --port 0 --no-open -o kept"))
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let url = lines
+            .find_map(|line| Some(line.ok()?.split_once("http://")?.1.trim().to_string()))
+            .expect("the address is printed");
+        let (address, token) = url.split_once("/?").unwrap();
+        Self {
+            child,
+            address: address.into(),
+            token: token.into(),
+        }
+    }
+
+    /// The body of the answer.
+    fn ask(&self, method: &str, path: &str) -> String {
+        use std::io::{Read, Write};
+        let mut stream = std::net::TcpStream::connect(&self.address).unwrap();
+        write!(
+            stream,
+            "{method} /api/monitor{path}?{} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n\r\n",
+            self.token, self.address
+        )
+        .unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        assert!(head.starts_with("HTTP/1.1 2"), "{path}: {head}");
+        body.into()
+    }
+
+    /// Waits until the state of the page is as wanted.
+    fn until(&self, is_reached: impl Fn(&Value) -> bool) -> Value {
+        let mut state = Value::Null;
+        for _ in 0..600 {
+            state = serde_json::from_str(&self.ask("GET", "")).unwrap();
+            if is_reached(&state) {
+                return state;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        panic!("{state}");
+    }
+
+    fn stop(mut self) -> Option<i32> {
+        let id = self.child.id().to_string();
+        Command::new("kill").args(["-INT", &id]).status().unwrap();
+        self.child.wait().unwrap().code()
+    }
+}
+
+#[cfg(unix)]
+fn told(state: &Value, words: &str) -> bool {
+    state["message"].as_str().is_some_and(|m| m.contains(words))
+}
+
+#[cfg(all(unix, feature = "view"))]
+#[test]
+fn a_recording_ends_with_its_source_and_says_why() {
+    let lab = lab();
+    many(&lab, 40);
+    let live = LiveView::start(&lab, "--source play:many.npy?rate=20");
+    live.until(|state| state["frames"].as_u64() > Some(3));
+    assert_eq!(live.until(|_| true)["controls"], serde_json::json!([]));
+    live.ask("POST", "/request/record");
+    live.until(|state| state["recording"].as_u64() > Some(2));
+    live.ask("POST", "/set/Gain/2");
+    live.until(|state| told(state, "no such control"));
+    let state = live.until(|state| state["ended"].is_string());
+    assert!(
+        told(&state, "kept") && state["recording"].is_null(),
+        "{state}"
+    );
+    let record = record_of(&lab, "kept/recording.json");
+    assert_eq!(record["ended"], "end of the source");
+    // A recording that the user stops is complete.
+    assert_eq!(live.stop(), Some(130));
+    let live = LiveView::start(&lab, "--source play:many.npy?rate=50&loop");
+    live.ask("POST", "/request/record");
+    live.until(|state| state["recording"].as_u64() > Some(1));
+    live.ask("POST", "/request/stop");
+    live.until(|state| state["recording"].is_null());
+    live.ask("POST", "/request/record");
+    live.until(|state| state["recording"].as_u64() > Some(1));
+    assert_eq!(live.stop(), Some(130));
+    let ended = |name: &str| record_of(&lab, name)["ended"].clone();
+    assert_eq!(ended("kept/recording-2.json"), "complete");
+    assert_eq!(ended("kept/recording-3.json"), "interrupted");
+}
+
+#[cfg(all(unix, feature = "view"))]
+#[test]
+fn ctrl_c_ends_the_full_reconstruction_of_a_live_view() {
+    let lab = Lab::empty();
+    // Large enough that it takes much longer than the test waits.
+    lab.experiment(
+        "[camera]\nrows = 128\ncolumns = 128\nshutter = \"top-down\"\nrow_time_us = 10\nexposure_us = 10\n[calibration]\npsf = \"psf.npy\"\n",
+    );
+    lab.image("psf.npy", 127, 127, |y, x| pattern(y + 50, x).powi(3));
+    lab.image("raw.png", 128, 128, |y, x| {
+        (1000.0 + 500.0 * pattern(y, x)).round()
+    });
+    let live = LiveView::start(
+        &lab,
+        "experiment.toml --time-budget-s 0.05 --source play:raw.png",
+    );
+    live.until(|state| state["ended"].is_string());
+    live.ask("POST", "/request/save");
+    live.until(|state| told(state, "reconstructing it in full"));
+    let began = std::time::Instant::now();
+    assert_eq!(live.stop(), Some(130));
+    assert!(
+        began.elapsed() < Duration::from_secs(20),
+        "{:?}",
+        began.elapsed()
+    );
 }
 
 /// A camera of 64×64 pixels in `experiment.toml`, and one point that blinks at 12.5 kHz in `led.npy`.
@@ -265,7 +402,7 @@ fn a_set_up_is_checked_by_a_light_of_known_frequency() {
     blinking(&lab);
     let check = |experiment: &str| {
         lab.run(&format!(
-            "check {experiment} --frame sim/frame.npy --frequency-hz 12500 --json"
+            "check {experiment} --frame sim/frame.npy --frequency-hz 12500 --json -o check"
         ))
     };
     let good = check("sim/experiment.toml");
@@ -276,6 +413,15 @@ fn a_set_up_is_checked_by_a_light_of_known_frequency() {
         String::from_utf8_lossy(&good.stdout)
     );
     assert!(failed_checks(&good).is_empty());
+    // Every finding has a number and a limit.
+    let found: Value = serde_json::from_slice(&good.stdout).unwrap();
+    for check in found["checks"].as_array().unwrap() {
+        assert!(
+            check["value"].is_number() && check["limit"].is_number(),
+            "{check}"
+        );
+    }
+    assert_eq!(record_of(&lab, "check/check.json"), found);
     let text = String::from_utf8(lab.read("sim/experiment.toml")).unwrap();
     let slow = text.replace("_us = 10.0", "_us = 10.5");
     assert_ne!(slow, text);

@@ -8,12 +8,19 @@ use pyo3::prelude::*;
 use rowburst::error::Subject;
 use rowburst::{Cancel, Error, ErrorKind};
 use rowburst_capture::{
-    Delivery, Ended, Frame, Property, Recorder, Settings, Source, experiment_text, open_source,
+    Delivery, Driver, Ended, Frame, Property, Recorder, Settings, Source, experiment_text,
+    open_source,
 };
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
+
+/// Kinds of cameras that the package was built with.
+const DRIVERS: &[Driver] = &[
+    #[cfg(feature = "genicam")]
+    rowburst_genicam::DRIVER,
+];
 
 /// A source of frames.
 #[pyclass(name = "_Source", module = "rowburst._rowburst", frozen)]
@@ -35,7 +42,7 @@ type Delivered<'py> = (
 impl PySource {
     #[new]
     fn new(py: Python<'_>, name: String) -> PyResult<Self> {
-        let source = detached(py, || open_source(&name))?.map_err(to_py_err)?;
+        let source = detached(py, || open_source(&name, DRIVERS))?.map_err(to_py_err)?;
         Ok(Self {
             source: Mutex::new(source),
         })
@@ -48,6 +55,15 @@ impl PySource {
         };
         let settings = detached(py, read)?.map_err(to_py_err)?;
         Ok(serde_json::to_string(&settings).expect("plain text"))
+    }
+
+    /// Leaves out the frames that wait; how many.
+    fn skip_to_latest(&self, py: Python<'_>) -> PyResult<u64> {
+        let skip = || {
+            let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
+            source.skip_to_latest()
+        };
+        detached(py, skip)?.map_err(to_py_err)
     }
 
     /// The next delivery; `None` at the end. Ctrl-C is heard while it waits.
@@ -124,11 +140,15 @@ fn delivered(py: Python<'_>, frame: Frame, incomplete: Option<String>) -> PyResu
 /// Name, value and origin of a property.
 type PropertyTuple = (String, Option<String>, String);
 
-fn settings_from(source: String, properties: Vec<PropertyTuple>) -> Settings {
+fn settings_from(
+    source: String,
+    properties: Vec<PropertyTuple>,
+    camera: Option<String>,
+) -> Settings {
     let properties = properties.into_iter();
     Settings {
         source,
-        camera: None,
+        camera,
         properties: properties
             .map(|(name, value, origin)| Property {
                 name,
@@ -141,8 +161,13 @@ fn settings_from(source: String, properties: Vec<PropertyTuple>) -> Settings {
 
 /// What properties mean, as JSON: values with their provenance, findings, and the text of an experiment file.
 #[pyfunction]
-pub fn _read_properties(source: String, properties: Vec<PropertyTuple>) -> String {
-    let settings = settings_from(source, properties);
+#[pyo3(signature = (source, properties, camera=None))]
+pub fn _read_properties(
+    source: String,
+    properties: Vec<PropertyTuple>,
+    camera: Option<String>,
+) -> String {
+    let settings = settings_from(source, properties, camera);
     let reading = settings.reading();
     let metadata = &reading.metadata;
     let findings = reading.findings.iter().map(|finding| {
@@ -172,6 +197,12 @@ pub fn _read_properties(source: String, properties: Vec<PropertyTuple>) -> Strin
     .to_string()
 }
 
+/// How a driver knows the value of a property: `read` or `calculated`.
+#[pyfunction]
+pub fn _property_origin(name: &str) -> &'static str {
+    rowburst_io::origin_of_property(name).name()
+}
+
 /// A recording that is being written.
 #[pyclass(name = "_Recorder", module = "rowburst._rowburst", frozen)]
 pub struct PyRecorder {
@@ -181,15 +212,16 @@ pub struct PyRecorder {
 #[pymethods]
 impl PyRecorder {
     #[new]
-    #[pyo3(signature = (path, purpose, source, properties, requested=None))]
+    #[pyo3(signature = (path, purpose, source, properties, requested=None, camera=None))]
     fn new(
         path: PathBuf,
         purpose: &str,
         source: String,
         properties: Vec<PropertyTuple>,
         requested: Option<usize>,
+        camera: Option<String>,
     ) -> PyResult<Self> {
-        let settings = settings_from(source, properties);
+        let settings = settings_from(source, properties, camera);
         let warnings = settings.check().map_err(to_py_err)?;
         let mut recorder =
             Recorder::create(&path, purpose, settings, requested).map_err(to_py_err)?;

@@ -49,7 +49,7 @@ mod _rowburst {
     #[pymodule_export]
     use crate::camera::PyCamera;
     #[pymodule_export]
-    use crate::capture::{_read_properties, PyRecorder, PySource};
+    use crate::capture::{_property_origin, _read_properties, PyRecorder, PySource};
     #[pymodule_export]
     use crate::command::_command;
     #[pymodule_export]

@@ -31,6 +31,10 @@ const STANDARD_ERRORS: f64 = 3.0;
 const MIN_SHARE: f64 = 0.6;
 /// Difference of that part between two readout orders that means nothing.
 const SHARE_TOLERANCE: f64 = 0.05;
+/// Largest χ² of the residual of a model that fits, and how many of its standard errors are taken for chance: the
+/// limits of the verdict of the fit.
+const MAX_CHI_SQUARED: f64 = 1.25;
+const CHI_SQUARED_ERRORS: f64 = 4.0;
 /// Largest part of the frame rate at which a blinking light is told from its alias.
 const MAX_FREQUENCY_PART: f64 = 0.45;
 
@@ -41,8 +45,8 @@ pub struct CheckItem {
     pub name: &'static str,
     /// Whether it is within its limit.
     pub passed: bool,
-    /// What was measured.
-    pub value: f64,
+    /// What was measured; `None` where the frame does not show it.
+    pub value: Option<f64>,
     /// The limit.
     pub limit: f64,
     /// What was measured, in words.
@@ -138,7 +142,7 @@ fn saturation(frame: &Frame, camera: &Camera) -> CheckItem {
     CheckItem {
         name: "saturation",
         passed: part <= MAX_SATURATED,
-        value: part,
+        value: Some(part),
         limit: MAX_SATURATED,
         found: format!("{:.2} % of the pixels are saturated", 100.0 * part),
         remedy: "Shorten the exposure or dim the light.",
@@ -150,7 +154,7 @@ fn contrast(setup: &Setup) -> CheckItem {
     CheckItem {
         name: "contrast",
         passed: contrast >= MIN_CONTRAST,
-        value: contrast,
+        value: Some(contrast),
         limit: MIN_CONTRAST,
         found: format!("the speckle contrast of the PSF is {contrast:.2}"),
         remedy: "Take the PSF anew with a smaller point source or a spectral filter, and check that nothing vibrates.",
@@ -169,7 +173,7 @@ fn row_time(completed: &CompletedTask, frequency_hz: f64) -> CheckItem {
         return CheckItem {
             name: "row-time",
             passed: false,
-            value: f64::NAN,
+            value: None,
             limit: MAX_ROW_TIME_ERROR,
             found: "no point of the video blinks with one frequency".into(),
             remedy: "Check that the light blinks and is one point behind the diffuser, and that the PSF is of this diffuser.",
@@ -182,7 +186,7 @@ fn row_time(completed: &CompletedTask, frequency_hz: f64) -> CheckItem {
     CheckItem {
         name: "row-time",
         passed: error.abs() <= limit,
-        value: error,
+        value: Some(error),
         limit,
         found: format!(
             "the light appears at {} Hz, so the row time is {} µs, not {} µs",
@@ -223,7 +227,7 @@ fn shutter(setup: &Setup, frame: &Frame, own: f64, observer: Observer) -> Result
     Ok(CheckItem {
         name: "shutter",
         passed: own >= limit,
-        value: own,
+        value: Some(own),
         limit,
         found: format!(
             "with {} one frequency explains {own:.2} of the light's trace; {others}",
@@ -262,9 +266,14 @@ fn model(completed: &CompletedTask) -> CheckItem {
     CheckItem {
         name: "model",
         passed: fit.verdict == Verdict::Good,
-        value: fit.statistics.residual_over_frame,
-        limit: f64::NAN,
-        found: format!("the fit is {}: {}", fit.verdict.name(), fit.reason),
+        value: Some(fit.statistics.chi_squared),
+        limit: MAX_CHI_SQUARED + CHI_SQUARED_ERRORS * fit.statistics.chi_squared_error,
+        found: format!(
+            "the fit is {}, χ² of the residual is {:.2}: {}",
+            fit.verdict.name(),
+            fit.statistics.chi_squared,
+            fit.reason
+        ),
         remedy: "Take the PSF anew, with this diffuser at this place; then darks and flats.",
     }
 }

@@ -28,7 +28,7 @@ pub struct MonitorStart {
 }
 
 /// What a page asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum MonitorRequest {
     /// Begin a recording.
     Record,
@@ -38,6 +38,13 @@ pub enum MonitorRequest {
     Snapshot,
     /// Keep the latest frame and reconstruct it in full.
     Save,
+    /// Set a control of the camera.
+    Set {
+        /// Its name.
+        name: String,
+        /// The value that is asked for.
+        value: f64,
+    },
 }
 
 impl MonitorRequest {
@@ -50,6 +57,11 @@ impl MonitorRequest {
             "save" => Self::Save,
             _ => return None,
         })
+    }
+
+    /// Whether `other`, which is later, takes its place: of a slider that moves only the last value matters.
+    fn is_replaced_by(&self, other: &Self) -> bool {
+        matches!((self, other), (Self::Set { name: a, .. }, Self::Set { name: b, .. }) if a == b)
     }
 }
 
@@ -116,6 +128,9 @@ impl Monitor {
     /// Adds a request; `false` where too many wait.
     pub(crate) fn request(&self, request: MonitorRequest) -> bool {
         let mut state = self.lock();
+        state
+            .requests
+            .retain(|earlier| !earlier.is_replaced_by(&request));
         let has_room = state.requests.len() < MAX_REQUESTS;
         if has_room {
             state.requests.push_back(request);
@@ -178,6 +193,14 @@ mod tests {
             .filter(|_| monitor.request(MonitorRequest::Save))
             .count();
         assert_eq!(taken, MAX_REQUESTS);
+        while monitor.take_request().is_some() {}
+        let set = |value| MonitorRequest::Set {
+            name: "Gain".into(),
+            value,
+        };
+        assert!((0..50).all(|n| monitor.request(set(f64::from(n)))));
+        assert_eq!(monitor.take_request(), Some(set(49.0)));
+        assert_eq!(monitor.take_request(), None);
         monitor.show_frame((2, 2), &[0, 1, 256, 65_535]);
         assert_eq!(monitor.state()["frame_snapshot"], 1);
         assert_eq!(monitor.frame().unwrap().0[..], [0, 0, 1, 0, 0, 1, 255, 255]);

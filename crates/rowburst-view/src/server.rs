@@ -228,6 +228,7 @@ fn routes(shared: Arc<ServerState>, token: Token) -> Router {
         .route("/api/monitor/frame", get(monitor_frame))
         .route("/api/monitor/bins", get(monitor_bins))
         .route("/api/monitor/request/{name}", post(monitor_request))
+        .route("/api/monitor/set/{name}/{value}", post(monitor_set))
         .layer(axum::middleware::from_fn_with_state(token, guard))
         .with_state(shared)
 }
@@ -449,12 +450,24 @@ async fn monitor_request(
     State(shared): State<Arc<ServerState>>,
     Path(name): Path<String>,
 ) -> Response {
-    let request = MonitorRequest::from_name(&name);
-    match shared.monitor.as_ref().zip(request) {
-        Some((monitor, request)) if monitor.request(request) => {
-            StatusCode::NO_CONTENT.into_response()
-        }
-        Some(_) => {
+    ask_monitor(&shared, MonitorRequest::from_name(&name))
+}
+
+async fn monitor_set(
+    State(shared): State<Arc<ServerState>>,
+    Path((name, value)): Path<(String, f64)>,
+) -> Response {
+    let request = value
+        .is_finite()
+        .then_some(MonitorRequest::Set { name, value });
+    ask_monitor(&shared, request)
+}
+
+fn ask_monitor(shared: &ServerState, request: Option<MonitorRequest>) -> Response {
+    let asked = shared.monitor.as_ref().zip(request);
+    match asked.map(|(monitor, request)| monitor.request(request)) {
+        Some(true) => StatusCode::NO_CONTENT.into_response(),
+        Some(false) => {
             let words = "Earlier requests still wait: try again.\n";
             (StatusCode::TOO_MANY_REQUESTS, words).into_response()
         }

@@ -33,6 +33,7 @@ __all__ = [
     "__version__",
     "_command",
     "_figure_of_folder",
+    "_property_origin",
     "_read_properties",
     "_reconstruct_chunked",
     "_reconstruct_colour",
@@ -517,6 +518,7 @@ class _Frames:
 class _Source:
     def __new__(cls, name: str) -> _Source: ...
     def settings(self) -> str: ...
+    def skip_to_latest(self) -> int: ...
     def next(self) -> _Delivery | None: ...
 
 @final
@@ -528,13 +530,17 @@ class _Recorder:
         source: str,
         properties: Sequence[tuple[str, str | None, str]],
         requested: int | None = None,
+        camera: str | None = None,
     ) -> _Recorder: ...
     def take(
         self, number: int, time_us: int | None, counts: NDArray[np.uint16] | None, incomplete: str | None, last: int
     ) -> None: ...
     def finish(self, ended: str) -> str: ...
 
-def _read_properties(source: str, properties: Sequence[tuple[str, str | None, str]]) -> str: ...
+def _property_origin(name: str) -> str: ...
+def _read_properties(
+    source: str, properties: Sequence[tuple[str, str | None, str]], camera: str | None = None
+) -> str: ...
 
 @final
 class _View:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from . import _rowburst
 from ._errors import input_error
+from ._rowburst import LiveView, Look
 
 __all__ = ["Capture", "CapturedFrame", "Property", "from_arrays", "from_mmcore", "open"]
 
@@ -58,14 +59,25 @@ _Delivery = tuple[int, int | None, NDArray[np.uint16] | None, str | None, int]
 class Capture(Iterator[CapturedFrame]):
     """The frames of a source, one after the other. :func:`open`, :func:`from_mmcore` and :func:`from_arrays` make it."""
 
-    def __init__(self, name: str, settings: list[Property], deliveries: Iterator[_Delivery]) -> None:
+    def __init__(
+        self,
+        name: str,
+        settings: list[Property],
+        deliveries: Iterator[_Delivery],
+        *,
+        camera: str | None = None,
+        skip: Callable[[], int] | None = None,
+    ) -> None:
         #: What a user calls the source.
         self.name = name
+        #: Model and serial number, where they are known.
+        self.camera = camera
         #: The settings of the camera at the start.
         self.settings = settings
         #: First number, last number and reason of frames that never arrived.
         self.lost: list[tuple[int, int, str]] = []
         self._deliveries = deliveries
+        self._skip = skip
 
     def __next__(self) -> CapturedFrame:
         for number, time_us, image, fault, last in self._deliveries:
@@ -81,13 +93,53 @@ class Capture(Iterator[CapturedFrame]):
     @property
     def reading(self) -> dict[str, Any]:
         """What the settings mean: row time, shutter and so on, with ``provenance`` and ``findings``."""
-        reading: dict[str, Any] = json.loads(_rowburst._read_properties(self.name, self._tuples()))
+        reading: dict[str, Any] = json.loads(_rowburst._read_properties(self.name, self._tuples(), self.camera))
         return reading
 
     @property
     def experiment(self) -> str:
         """The text of an experiment file with these settings; each number says where it comes from."""
         return str(self.reading["experiment"])
+
+    def watch(
+        self, live: LiveView, *, time_budget_s: float | None = 0.1
+    ) -> Iterator[tuple[CapturedFrame, Look]]:
+        """The video of the latest frame, again and again: frames that come while the solver is busy are left out.
+
+        Parameters
+        ----------
+        live : LiveView
+            A live view with the camera and the PSF of the frames.
+        time_budget_s : float, optional
+            Time of the solver for a frame.
+
+        Yields
+        ------
+        CapturedFrame, Look
+            A whole frame and its video, which goes on from the one before.
+
+        Examples
+        --------
+        >>> counts = np.rint(1000 * frame / frame.max()).astype(np.uint16)
+        >>> source = rb.capture.from_arrays([counts, counts], name="bench")
+        >>> live = rb.LiveView(camera, psf)
+        >>> [look.video.shape for _, look in source.watch(live)]
+        [(12, 24, 30), (12, 24, 30)]
+        """
+        while True:
+            if self._skip is not None:
+                self._skip()
+            frame = next(self, None)
+            if frame is None:
+                return
+            if frame.incomplete is None:
+                yield frame, live.next(frame.image, time_budget_s=time_budget_s)
+
+    def close(self) -> None:
+        """End the acquisition."""
+        close = getattr(self._deliveries, "close", None)
+        if close is not None:
+            close()
 
     def record(self, path: str | PathLike[str], count: int | None = None, *, purpose: str = "record") -> dict[str, Any]:
         """Record ``count`` frames, or all, as a 16-bit TIFF stack with ``NAME.json`` beside it.
@@ -113,7 +165,7 @@ class Capture(Iterator[CapturedFrame]):
         WorkError
             No frame, or a disk that is full: the frames before it are kept.
         """
-        recorder = _rowburst._Recorder(path, purpose, self.name, self._tuples(), count)
+        recorder = _rowburst._Recorder(path, purpose, self.name, self._tuples(), count, self.camera)
         ended, written = "source", 0
         try:
             while count is None or written < count:
@@ -135,13 +187,14 @@ class Capture(Iterator[CapturedFrame]):
 
 
 def open(source: str) -> Capture:  # noqa: A001
-    """The frames of ``source``: ``play:PATH`` plays a recording back.
+    """The frames of ``source``: ``play:PATH`` plays a recording back, ``genicam:ADDRESS`` is a camera on the network.
 
     Parameters
     ----------
     source : str
         ``play:PATH``: a TIFF stack, ``.npy``, a folder of images, or Zarr, at its own pace. ``play:PATH?rate=HZ`` plays
-        it at another, ``?rate=max`` as fast as it goes, ``&loop`` again and again.
+        it at another, ``?rate=max`` as fast as it goes, ``&loop`` again and again. ``genicam:ADDRESS`` and
+        ``genicam:SERIAL`` need a package that was built with ``maturin build --features genicam``.
 
     Raises
     ------
@@ -156,10 +209,16 @@ def open(source: str) -> Capture:  # noqa: A001
             yield delivery
 
     properties = [Property(**p) for p in settings["properties"]]
-    return Capture(source, properties, deliveries())
+    return Capture(source, properties, deliveries(), camera=settings["camera"], skip=frames.skip_to_latest)
 
 
-def from_arrays(frames: Iterable[Any], settings: Mapping[str, object] | None = None, *, name: str = "arrays") -> Capture:
+def from_arrays(
+    frames: Iterable[Any],
+    settings: Mapping[str, object] | None = None,
+    *,
+    name: str = "arrays",
+    camera: str | None = None,
+) -> Capture:
     """The frames of anything that yields arrays ``[y, x]`` of counts.
 
     Parameters
@@ -170,6 +229,8 @@ def from_arrays(frames: Iterable[Any], settings: Mapping[str, object] | None = N
         Names and values of the camera's properties; keys of the experiment file, such as ``row_time_us``, are known, too.
     name : str
         What errors call the source.
+    camera : str, optional
+        Model and serial number of the camera, for the record.
     """
     start = time.monotonic()
 
@@ -177,15 +238,15 @@ def from_arrays(frames: Iterable[Any], settings: Mapping[str, object] | None = N
         for number, frame in enumerate(frames):
             yield number, int(1e6 * (time.monotonic() - start)), _counts(frame, name, number), None, number
 
-    properties = [Property(key, str(value)) for key, value in (settings or {}).items()]
-    return Capture(name, properties, deliveries())
+    properties = [_property(key, value) for key, value in (settings or {}).items()]
+    return Capture(name, properties, deliveries(), camera=camera)
 
 
-def from_mmcore(core: Any, *, camera: str | None = None) -> Capture:
+def from_mmcore(core: Any, *, camera: str | None = None, stream: bool = False) -> Capture:
     """The camera of a Micro-Manager core: ``pymmcore.CMMCore``, ``pymmcore_plus.CMMCorePlus`` or the like.
 
-    Every frame is snapped by itself, so none is dropped. The properties of the camera device are its settings: those
-    of Andor SDK3, PCO, Hamamatsu DCAM and PVCAM that give row time and readout order are known.
+    The properties of the camera device are its settings: those of Andor SDK3, PCO, Hamamatsu DCAM and PVCAM that give
+    row time and readout order are known.
 
     Parameters
     ----------
@@ -193,6 +254,10 @@ def from_mmcore(core: Any, *, camera: str | None = None) -> Capture:
         A core whose camera is set up.
     camera : str, optional
         Label of the camera; by default that of the core.
+    stream : bool
+        Frames of one sequence acquisition, at the camera's own rate, from the first frame that is asked for until
+        :meth:`Capture.close`. A gap in the camera's frame numbers, or a full buffer of the core, is told as dropped
+        frames. Otherwise every frame is snapped by itself when it is asked for, and none is dropped.
     """
     label = camera or core.getCameraDevice()
     if not label:
@@ -201,25 +266,105 @@ def from_mmcore(core: Any, *, camera: str | None = None) -> Capture:
     if camera is not None:
         core.setCameraDevice(camera)
     names = core.getDevicePropertyNames(label)
-    properties = [Property(str(name), str(core.getProperty(label, name))) for name in names]
-    known = {p.name for p in properties}
+    properties = [_property(str(name), core.getProperty(label, name)) for name in names]
+    known = {p.name: p.value for p in properties}
     if "Exposure" not in known:
-        properties.append(Property("Exposure", str(core.getExposure())))
+        properties.append(_property("Exposure", core.getExposure()))
     left, top, columns, rows = core.getROI()
     for key, value in (("rows", rows), ("columns", columns), ("top", top), ("left", left)):
-        properties.append(Property(key, str(value)))
+        properties.append(_property(key, value))
     bits = core.getImageBitDepth()
     if "BitDepth" not in known and bits < 16:
-        properties.append(Property("BitDepth", str(bits)))
+        properties.append(_property("BitDepth", bits))
+    # Adapter and device, and what tells two cameras of a kind apart.
+    parts = [core.getDeviceLibrary(label), core.getDeviceName(label), known.get("CameraID"), known.get("SerialNumber")]
+    identity = " ".join(str(part) for part in parts if part)
+    if not stream:
+        return Capture(f"mmcore:{label}", properties, _snapped(core, label), camera=identity)
+    frames = _Streamed(core, label)
+    return Capture(f"mmcore:{label}", properties, frames.deliveries(), camera=identity, skip=frames.skip)
 
-    def deliveries() -> Iterator[_Delivery]:
-        start, number = time.monotonic(), 0
-        while True:
-            core.snapImage()
-            yield number, int(1e6 * (time.monotonic() - start)), _counts(core.getImage(), label, number), None, number
-            number += 1
 
-    return Capture(f"mmcore:{label}", properties, deliveries())
+def _snapped(core: Any, label: str) -> Iterator[_Delivery]:
+    start, number = time.monotonic(), 0
+    while True:
+        core.snapImage()
+        yield number, int(1e6 * (time.monotonic() - start)), _counts(core.getImage(), label, number), None, number
+        number += 1
+
+
+#: Time between two looks for an image of a sequence.
+_NAP_S = 0.001
+
+
+class _Streamed:
+    """The images of a sequence acquisition with the camera's numbers."""
+
+    def __init__(self, core: Any, label: str) -> None:
+        self.core, self.label = core, label
+        self.expected: int | None = None
+
+    def deliveries(self) -> Iterator[_Delivery]:
+        core = self.core
+        core.startContinuousSequenceAcquisition(0)
+        try:
+            while True:
+                if core.getRemainingImageCount() == 0:
+                    if core.isBufferOverflowed():
+                        # The sequence has stopped: how many are lost is not known, but that some are.
+                        yield from self.restarted()
+                    elif not core.isSequenceRunning():
+                        return
+                    time.sleep(_NAP_S)
+                    continue
+                yield from self.popped()
+        finally:
+            if core.isSequenceRunning():
+                core.stopSequenceAcquisition()
+
+    def popped(self) -> Iterator[_Delivery]:
+        image, tags = _pop(self.core)
+        number = int(tags.get("ImageNumber", self.expected or 0))
+        if self.expected is not None and number > self.expected:
+            yield self.expected, None, None, "dropped", number - 1
+        self.expected = number + 1
+        elapsed = tags.get("ElapsedTime-ms")
+        time_us = None if elapsed is None else int(1e3 * float(elapsed))
+        yield number, time_us, _counts(image, self.label, number), None, number
+
+    def restarted(self) -> Iterator[_Delivery]:
+        first = self.expected or 0
+        yield first, None, None, "the buffer of the core was full: take frames faster or set a larger one", first
+        self.core.stopSequenceAcquisition()
+        self.expected = None
+        self.core.startContinuousSequenceAcquisition(0)
+
+    def skip(self) -> int:
+        """Leaves all waiting images out but the last; how many."""
+        count = max(0, int(self.core.getRemainingImageCount()) - 1)
+        for _ in range(count):
+            _, tags = _pop(self.core)
+            self.expected = int(tags.get("ImageNumber", self.expected or 0)) + 1
+        return count
+
+
+def _pop(core: Any) -> tuple[Any, Mapping[str, Any]]:
+    """The oldest image of a sequence, and its tags."""
+    if hasattr(core, "popNextImageAndMD"):
+        # pymmcore-plus
+        image, tags = core.popNextImageAndMD()
+        return image, dict(tags)
+    from pymmcore import Metadata
+
+    metadata = Metadata()
+    image = core.popNextImageMD(metadata)
+    keys = metadata.GetKeys()
+    return image, {key: metadata.GetSingleTag(key).GetValue() for key in keys}
+
+
+def _property(name: str, value: object) -> Property:
+    """A property as the driver gives it: read, or calculated by the driver."""
+    return Property(name, str(value), _rowburst._property_origin(name))
 
 
 def _counts(frame: Any, name: str, number: int) -> NDArray[np.uint16]:

@@ -7,7 +7,9 @@ use crate::output::print_line;
 use clap::{Args, Subcommand};
 use rowburst::error::Subject;
 use rowburst::{Error, ErrorKind, Result};
-use rowburst_capture::{PROJECT_FILE, Project, Settings, Source, experiment_text, open_source};
+use rowburst_capture::{
+    Driver, PROJECT_FILE, Project, Settings, Source, experiment_text, open_source,
+};
 use rowburst_io::OutputFolder;
 use std::path::{Path, PathBuf};
 
@@ -26,7 +28,7 @@ pub struct CaptureArgs {
 
 #[derive(Debug, Subcommand)]
 pub enum CaptureVerb {
-    /// List the kinds of sources
+    /// List the kinds of sources, and the cameras that answer on the network
     List,
     /// Print the settings of the camera, and what they leave open
     Settings(SettingsArgs),
@@ -49,7 +51,8 @@ pub enum CaptureVerb {
 pub struct SourceArgs {
     /// Where frames come from: play:PATH plays a recording (a TIFF stack, a folder of images, .npy, Zarr) at its own
     /// pace; play:PATH?rate=HZ at another, ?rate=max as fast as it goes, &loop again and again [default: that of
-    /// rowburst.toml in this folder]
+    /// rowburst.toml in this folder]; genicam:ADDRESS or genicam:SERIAL is a camera on the network, where the program
+    /// was built with the feature genicam
     #[arg(long)]
     pub source: Option<String>,
 }
@@ -135,7 +138,7 @@ impl Purpose {
 
 pub fn run(args: &CaptureArgs) -> Result<()> {
     match &args.verb {
-        CaptureVerb::List => list(),
+        CaptureVerb::List => list()?,
         CaptureVerb::Settings(args) => print_settings(args)?,
         CaptureVerb::Frame(args) => run::run(args, Purpose::Frame)?,
         CaptureVerb::Darks(args) => run::run(args, Purpose::Darks)?,
@@ -154,9 +157,25 @@ pub fn run(args: &CaptureArgs) -> Result<()> {
     Ok(())
 }
 
-fn list() {
+/// Kinds of cameras that this program was built with.
+const DRIVERS: &[Driver] = &[
+    #[cfg(feature = "genicam")]
+    rowburst_genicam::DRIVER,
+];
+
+fn list() -> Result<()> {
     print_line("play:PATH   a recording played back: TIFF, .npy, a folder of images, Zarr");
+    for driver in DRIVERS {
+        let cameras = (driver.list)()?;
+        if cameras.is_empty() {
+            eprintln!("no {} camera answered", driver.scheme);
+        }
+        for (name, description) in cameras {
+            print_line(format_args!("{name}   {description}"));
+        }
+    }
     eprintln!("cameras of Micro-Manager are read from Python: rowburst.capture.from_mmcore(core)");
+    Ok(())
 }
 
 /// The folder of the experiment that the program runs in.
@@ -169,10 +188,10 @@ pub fn project() -> Option<Project> {
 /// Opens the source of the command line, or else that of the folder.
 pub fn source(args: &SourceArgs) -> Result<Box<dyn Source>> {
     if let Some(name) = &args.source {
-        return open_source(name);
+        return open_source(name, DRIVERS);
     }
     match project() {
-        Some(project) => open_source(project.source()?),
+        Some(project) => open_source(project.source()?, DRIVERS),
         None => Err(Error::input(
             Subject::named("--source"),
             "no source",

@@ -1,14 +1,12 @@
 //! The command that follows a capture.
 
 use super::{Purpose, project};
-use rowburst_capture::StepState;
 use std::path::Path;
 
 /// The next command: that of the folder's status, or else what the capture is for.
 pub fn next_command(purpose: Purpose, output: &Path) -> String {
     if let Some(steps) = project().and_then(|p| p.status().ok()) {
-        let open = |state| matches!(state, StepState::Missing | StepState::OutOfDate);
-        let step = steps.into_iter().find(|step| open(step.state));
+        let step = steps.into_iter().find(|step| step.state.is_open());
         return step.map_or("rowburst status".into(), |step| step.command);
     }
     let file = output.display();

@@ -22,7 +22,10 @@ pub fn run(args: &RecordArgs, purpose: Purpose) -> Result<()> {
         move_away(&output)?;
     }
     let count = args.count.map(|n| n as usize).or(purpose.default_count());
-    let mut recorder = Recorder::create(&output, purpose.name(), settings.clone(), count)?;
+    let recorder = Recorder::create(&output, purpose.name(), settings.clone(), count)?;
+    let dark_counts = project().and_then(|project| project.dark_counts());
+    let mut recorder = recorder.with_dark_counts(dark_counts);
+    let before = warnings.len();
     for warning in warnings {
         eprintln!("warning: {warning}");
         recorder.warn(warning);
@@ -34,7 +37,7 @@ pub fn run(args: &RecordArgs, purpose: Purpose) -> Result<()> {
     });
     bar.finish_and_clear();
     let (record, ended) = recorded?;
-    report(args, &record, &output);
+    report(args, &record, &output, before);
     if purpose.is_of_scene() {
         keep_experiment(&output, &settings)?;
     }
@@ -89,7 +92,8 @@ fn progress_bar(count: Option<usize>) -> ProgressBar {
     bar
 }
 
-fn report(args: &RecordArgs, record: &CaptureRecord, output: &Path) {
+/// Prints what was recorded. The first `before` warnings were printed before.
+fn report(args: &RecordArgs, record: &CaptureRecord, output: &Path, before: usize) {
     if args.json {
         print_line(serde_json::to_string_pretty(record).expect("plain numbers and text"));
     } else {
@@ -118,8 +122,7 @@ fn report(args: &RecordArgs, record: &CaptureRecord, output: &Path) {
             frame.number, frame.page
         );
     }
-    // Those before the recording were said before it.
-    for warning in record.warnings.iter().filter(|w| w.contains("frame")) {
+    for warning in &record.warnings[before..] {
         eprintln!("warning: {warning}");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::keep::Keeper;
 use rowburst::{Cancel, ErrorKind, Result};
-use rowburst_capture::{Delivery, Frame, Source};
+use rowburst_capture::{Delivery, Ended, Frame, Source};
 use rowburst_view::Monitor;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -77,10 +77,11 @@ impl Grabber {
         let (mut frames, mut dropped, mut incomplete) = (0u64, 0, 0u64);
         let start = Instant::now();
         while !self.cancel.is_cancelled() {
-            self.keeper.answer(&self.monitor, self.latest.look());
+            self.answer();
             match self.source.next(&self.cancel) {
                 Ok(Delivery::End) => {
                     self.monitor.set("ended", "the source has no more frames");
+                    self.keeper.source_ended(&Ended::SourceEnd, &self.monitor);
                     break;
                 }
                 Ok(delivery) => {
@@ -97,6 +98,8 @@ impl Grabber {
                 Err(error) if error.kind() == ErrorKind::Cancelled => break,
                 Err(error) => {
                     self.monitor.set("ended", error.to_string());
+                    self.keeper
+                        .source_ended(&Ended::Failed(error), &self.monitor);
                     break;
                 }
             }
@@ -110,10 +113,15 @@ impl Grabber {
         }
         // Requests are answered also after the end of the source.
         while !self.cancel.is_cancelled() {
-            self.keeper.answer(&self.monitor, self.latest.look());
+            self.answer();
             std::thread::sleep(super::WAIT);
         }
         self.keeper.finish()
+    }
+
+    fn answer(&mut self) {
+        let frame = self.latest.look();
+        self.keeper.answer(&self.monitor, frame, &mut *self.source);
     }
 }
 

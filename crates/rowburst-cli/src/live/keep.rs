@@ -2,8 +2,9 @@
 
 use super::LiveArgs;
 use crate::inputs::calibration_from_args;
+use rowburst::solve::StopReason;
 use rowburst::{Cancel, Result};
-use rowburst_capture::{Delivery, Ended, Frame, Recorder, Settings};
+use rowburst_capture::{Delivery, Ended, Frame, Recorder, Settings, Source};
 use rowburst_io::{Experiment, ForeignFiles, OutputFolder};
 use rowburst_run::{MovieStyle, Output, Request, RequestParams};
 use rowburst_view::{Monitor, MonitorRequest};
@@ -26,16 +27,19 @@ pub struct Keeper {
 struct SaveJob {
     experiment: Option<PathBuf>,
     calibration: rowburst_io::Calibration,
+    /// Ends it, with the result so far.
+    cancel: Cancel,
 }
 
 impl Keeper {
-    pub fn new(args: &LiveArgs, settings: Settings) -> Self {
+    pub fn new(args: &LiveArgs, settings: Settings, cancel: Cancel) -> Self {
         Self {
             folder: args.output.clone(),
             settings,
             job: SaveJob {
                 experiment: args.experiment.clone(),
                 calibration: calibration_from_args(&args.calibration),
+                cancel,
             },
             recorder: None,
             saving: None,
@@ -43,7 +47,12 @@ impl Keeper {
     }
 
     /// Answers one request, if there is one, and tells of a reconstruction that is finished.
-    pub fn answer(&mut self, monitor: &Monitor, frame: Option<Arc<Frame>>) {
+    pub fn answer(
+        &mut self,
+        monitor: &Monitor,
+        frame: Option<Arc<Frame>>,
+        source: &mut dyn Source,
+    ) {
         if self
             .saving
             .as_ref()
@@ -56,11 +65,12 @@ impl Keeper {
         };
         let told = match request {
             MonitorRequest::Record => self.begin(),
-            MonitorRequest::Stop => self.end(),
+            MonitorRequest::Stop => self.end(&Ended::Complete),
             MonitorRequest::Snapshot => self
                 .snapshot(&frame)
                 .map(|path| format!("kept {}", path.display())),
             MonitorRequest::Save => self.save(&frame),
+            MonitorRequest::Set { name, value } => self.set(&name, value, source, monitor),
         };
         monitor.set("message", told.unwrap_or_else(|error| error.to_string()));
         monitor.set(
@@ -79,12 +89,37 @@ impl Keeper {
         Ok(format!("recording {}", path.display()))
     }
 
-    fn end(&mut self) -> Result<String> {
+    fn end(&mut self, ended: &Ended) -> Result<String> {
         let Some(recorder) = self.recorder.take() else {
             return Ok("there is no recording".into());
         };
-        let record = recorder.finish(&Ended::Complete)?;
+        let record = recorder.finish(ended)?;
         Ok(format!("kept {} frames in {}", record.written, record.file))
+    }
+
+    /// Sets a control of the camera; recordings that begin later have the new settings.
+    fn set(
+        &mut self,
+        name: &str,
+        value: f64,
+        source: &mut dyn Source,
+        monitor: &Monitor,
+    ) -> Result<String> {
+        let set = source.set(name, value);
+        // Also after a refusal: the page shows what the camera has.
+        monitor.set("controls", super::controls_of(source)?);
+        set?;
+        self.settings = source.settings()?;
+        Ok(format!("{name} is set"))
+    }
+
+    /// Ends the recording that goes on because the source has ended, and tells so.
+    pub fn source_ended(&mut self, ended: &Ended, monitor: &Monitor) {
+        if self.recorder.is_some() {
+            let told = self.end(ended).unwrap_or_else(|error| error.to_string());
+            monitor.set("message", told);
+            monitor.set("recording", serde_json::Value::Null);
+        }
     }
 
     /// Writes a delivery where a recording is going on. A recording that fails is ended, with what it has.
@@ -124,7 +159,7 @@ impl Keeper {
         let told = format!("kept {}; reconstructing it in full", path.display());
         let job = self.job.clone();
         self.saving = Some(std::thread::spawn(move || {
-            reconstruct(&experiment, job.calibration, &path)
+            reconstruct(&experiment, job.calibration, &path, job.cancel)
         }));
         Ok(told)
     }
@@ -141,15 +176,18 @@ impl Keeper {
         monitor.set("message", told);
     }
 
-    /// Ends the recording that goes on, and waits for the reconstruction.
+    /// Ends the recording that goes on, after Ctrl-C, and waits for the reconstruction, which then ends, too.
     pub fn finish(mut self) -> Result<()> {
         if self.recorder.is_some() {
-            eprintln!("{}", self.end()?);
+            eprintln!("{}", self.end(&Ended::Interrupted)?);
         }
-        if let Some(saving) = self.saving.take()
-            && let Ok(saved) = saving.join()
-        {
-            eprintln!("{}", saved?.display());
+        match self.saving.take().map(std::thread::JoinHandle::join) {
+            Some(Ok(Ok(folder))) => eprintln!("{}", folder.display()),
+            Some(Ok(Err(error))) if error.kind() == rowburst::ErrorKind::Cancelled => {
+                eprintln!("the reconstruction had just begun: it has no result");
+            }
+            Some(Ok(Err(error))) => return Err(error),
+            Some(Err(_)) | None => {}
         }
         Ok(())
     }
@@ -170,16 +208,23 @@ fn reconstruct(
     experiment: &Path,
     calibration: rowburst_io::Calibration,
     frame: &Path,
+    cancel: Cancel,
 ) -> Result<PathBuf> {
     let output = frame.with_extension("");
     let experiment = Experiment::read_with(experiment, &rowburst_io::read_metadata(frame))?;
     let folder = OutputFolder::claim(&output, "reconstruct", ForeignFiles::Refuse)?;
     let params = RequestParams {
         calibration,
-        cancel: Cancel::default(),
+        cancel: cancel.clone(),
         ..RequestParams::default()
     };
-    let quiet = &mut |_: rowburst_run::Event| ControlFlow::Continue(());
+    let quiet = &mut |_: rowburst_run::Event| {
+        if cancel.is_cancelled() {
+            ControlFlow::Break(StopReason::Interrupted)
+        } else {
+            ControlFlow::Continue(())
+        }
+    };
     let request = Request::read(&experiment, frame, params, quiet)?;
     let title = format!("Rowburst: {}", frame.display());
     let output_params = Output {

@@ -46,7 +46,7 @@ pub struct LiveArgs {
     #[command(flatten)]
     pub calibration: CalibrationArgs,
     /// Time that the solver takes for a frame, in seconds
-    #[arg(long, default_value_t = 0.1, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.07, allow_hyphen_values = true)]
     pub time_budget_s: f64,
     /// Folder for the frames, recordings and results that are kept
     #[arg(short, long, default_value = "rowburst-live")]
@@ -77,10 +77,12 @@ pub fn run(args: &LiveArgs) -> Result<()> {
         .as_ref()
         .map(|path| setup_of(args, path, &cancel));
     let setup = setup.transpose()?;
+    let watch_params = WatchParams::of(&settings, setup.as_ref());
     let first = first_frame(&mut *source, &cancel)?;
     let start = start_of(&settings, setup.as_ref(), &first, source.name());
     let monitor = Arc::new(Monitor::new(start));
     monitor.set("warnings", warnings);
+    monitor.set("controls", controls_of(&mut *source)?);
     let mut solver = match setup {
         Some(setup) => Some(LiveSolver::new(setup, budget, &first)?),
         None => None,
@@ -91,7 +93,7 @@ pub fn run(args: &LiveArgs) -> Result<()> {
 
     let latest = Arc::new(Latest::default());
     latest.put(first);
-    let keeper = Keeper::new(args, settings.clone());
+    let keeper = Keeper::new(args, settings, cancel.clone());
     let grabber = Grabber {
         source,
         latest: Arc::clone(&latest),
@@ -103,7 +105,7 @@ pub fn run(args: &LiveArgs) -> Result<()> {
         latest: Arc::clone(&latest),
         monitor: Arc::clone(&monitor),
         cancel: cancel.clone(),
-        settings,
+        params: watch_params,
     };
     std::thread::scope(|scope| {
         let grabbing = scope.spawn(|| grabber.run());
@@ -116,6 +118,18 @@ pub fn run(args: &LiveArgs) -> Result<()> {
         }
         grabbing.join().expect("the grabber does not panic")
     })
+}
+
+/// The controls of a source as the page takes them.
+pub fn controls_of(source: &mut dyn Source) -> Result<serde_json::Value> {
+    let controls = source.controls()?;
+    let controls = controls.iter().map(|control| {
+        json!({
+            "name": control.name, "value": control.value,
+            "min": control.min, "max": control.max, "unit": control.unit,
+        })
+    });
+    Ok(controls.collect())
 }
 
 /// The setup of a preview.
@@ -188,26 +202,51 @@ struct ExposureWatch {
     latest: Arc<Latest>,
     monitor: Arc<Monitor>,
     cancel: Cancel,
-    settings: Settings,
+    params: WatchParams,
+}
+
+/// What the exposure is judged by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct WatchParams {
+    bit_depth: Option<u32>,
+    /// Level without light, in counts.
+    dark_counts: f64,
+}
+
+impl WatchParams {
+    /// Those of the experiment, and what it leaves open by the settings of the camera.
+    fn of(settings: &Settings, setup: Option<&Setup>) -> Self {
+        let sensor = setup.map(|setup| setup.camera.sensor());
+        let dark = setup.and_then(|setup| setup.corrections.dark.as_ref());
+        let dark = dark.map(|dark| {
+            let data = dark.data();
+            data.iter().map(|&v| f64::from(v)).sum::<f64>() / data.len() as f64
+        });
+        let bias = sensor.and_then(|sensor| sensor.bias_counts);
+        let bits = sensor.and_then(|sensor| sensor.bit_depth);
+        Self {
+            bit_depth: bits.or(settings.reading().metadata.bit_depth),
+            dark_counts: dark.or(bias).unwrap_or(0.0),
+        }
+    }
 }
 
 impl ExposureWatch {
     fn run(&self) {
-        let bit_depth = self.settings.reading().metadata.bit_depth;
         let mut shown = None;
         while !self.cancel.is_cancelled() {
             if let Some(frame) = self.latest.look()
                 && shown != Some(frame.number)
             {
                 shown = Some(frame.number);
-                self.show(&frame, bit_depth);
+                self.show(&frame);
             }
             std::thread::sleep(EXPOSURE_INTERVAL);
         }
     }
 
-    fn show(&self, frame: &Frame, bit_depth: Option<u32>) {
-        let found = Exposure::of(frame, bit_depth, 0.0);
+    fn show(&self, frame: &Frame) {
+        let found = Exposure::of(frame, self.params.bit_depth, self.params.dark_counts);
         self.monitor.set(
             "exposure",
             json!({
@@ -223,5 +262,36 @@ impl ExposureWatch {
         );
         self.monitor
             .show_frame((frame.rows, frame.columns), &frame.counts);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowburst::{Image, Psf};
+
+    #[test]
+    fn exposure_is_judged_by_the_experiment() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("experiment.toml");
+        let text = "[camera]\nrows = 24\ncolumns = 24\nshutter = \"top-down\"\nrow_time_us = 10\nexposure_us = 10\nbit_depth = 12\nbias_counts = 100\n[calibration]\npsf = \"psf.npy\"\n";
+        std::fs::write(&path, text).unwrap();
+        let psf = Psf::new(Image::from_fn(3, 3, |_, _| 1.0)).unwrap();
+        let out = rowburst_io::OutputFolder::create(folder.path()).unwrap();
+        out.write("psf.npy", |w| rowburst_io::write_npy_image(w, psf.image()))
+            .unwrap();
+        let experiment = Experiment::read(&path).unwrap();
+        let options = UserOptions::default();
+        let quiet = &mut |_: rowburst_run::Event| std::ops::ControlFlow::Continue(());
+        let given = rowburst_io::Calibration::default();
+        let mut setup = Setup::read(&experiment, given, &options, quiet).unwrap();
+        let mut settings = Settings::default();
+        settings.push("bit_depth", 14);
+        let of = |setup: Option<&Setup>| WatchParams::of(&settings, setup);
+        assert_eq!(of(None).bit_depth, Some(14));
+        let found = of(Some(&setup));
+        assert_eq!((found.bit_depth, found.dark_counts), (Some(12), 100.0));
+        setup.corrections.dark = Some(Image::from_fn(24, 24, |_, _| 120.0));
+        assert_eq!(of(Some(&setup)).dark_counts, 120.0);
     }
 }

@@ -10,7 +10,9 @@ mod ome;
 mod properties;
 
 pub use capture::{CAPTURE_KIND, capture_record_path, read_capture_record, reading_of_record};
-pub use properties::{CameraReading, Finding, Origin, Provenance, read_properties};
+pub use properties::{
+    CameraReading, Finding, Origin, Provenance, origin_of_property, read_properties,
+};
 
 use crate::ome_sizes::is_ome;
 use crate::recording::images_in;

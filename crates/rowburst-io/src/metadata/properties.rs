@@ -82,6 +82,8 @@ enum Driver {
     /// Keys of the experiment file themselves.
     Plain,
     MicroManager,
+    /// Micro-Manager's rotation of the picture, which acts where [`TRANSPOSE_CONTROL`] is on.
+    Transposed,
     AndorSdk3,
     Pco,
     Dcam,
@@ -103,6 +105,8 @@ enum Gives {
     Readout(&'static [(&'static str, Option<&'static str>)]),
     ShutterName,
     ShutterMode,
+    /// DCAM: how the sensor is read.
+    SensorMode,
     Rows,
     Columns,
     /// First row, counted from this number.
@@ -240,6 +244,7 @@ const TABLE: &[(Driver, &str, Gives)] = &[
         "READOUT DIRECTION",
         Gives::Readout(DCAM_READOUT),
     ),
+    (Driver::Dcam, "SENSOR MODE", Gives::SensorMode),
     (Driver::Dcam, "SHUTTER MODE", Gives::ShutterMode),
     (Driver::Dcam, "EXPOSURE TIME", Gives::ExposureUs(1e6)),
     (Driver::Dcam, "SUBARRAY VSIZE", Gives::Rows),
@@ -256,6 +261,7 @@ const TABLE: &[(Driver, &str, Gives)] = &[
         "ScanDirection",
         Gives::Readout(PVCAM_READOUT),
     ),
+    (Driver::Pvcam, "Y-dimension", Gives::SensorRows),
     (Driver::GenICam, "SensorShutterMode", Gives::ShutterMode),
     (Driver::GenICam, "ExposureTime", Gives::ExposureUs(1.0)),
     (Driver::GenICam, "ExposureTimeAbs", Gives::ExposureUs(1.0)),
@@ -277,18 +283,25 @@ const TABLE: &[(Driver, &str, Gives)] = &[
     (Driver::MicroManager, "Exposure", Gives::ExposureUs(1e3)),
     (Driver::MicroManager, "Binning", Gives::Binning),
     (Driver::MicroManager, "BitDepth", Gives::BitDepth),
-    (Driver::MicroManager, "Transpose_SwapXY", Gives::Swaps),
+    (Driver::MicroManager, "OnCameraCCDYSize", Gives::SensorRows),
+    (Driver::Transposed, "TransposeXY", Gives::Swaps),
+    (Driver::Transposed, "TransposeMirrorY", Gives::MirrorsRows),
     (
-        Driver::MicroManager,
-        "Transpose_MirrorY",
-        Gives::MirrorsRows,
+        Driver::Transposed,
+        "TransposeMirrorX",
+        Gives::MirrorsColumns,
     ),
+    (Driver::Transposed, "Transpose_SwapXY", Gives::Swaps),
+    (Driver::Transposed, "Transpose_MirrorY", Gives::MirrorsRows),
     (
-        Driver::MicroManager,
+        Driver::Transposed,
         "Transpose_MirrorX",
         Gives::MirrorsColumns,
     ),
 ];
+
+/// What makes Micro-Manager's rotation and mirrors act. A file that does not name it may have been rotated.
+const TRANSPOSE_CONTROL: &str = "TransposeCorrection";
 
 /// What makes SDK3's line scan speed the row time.
 const SCAN_SPEED_CONTROL: [&str; 2] = [
@@ -312,6 +325,7 @@ const MIN_MILLISECONDS: f64 = 1e-3;
 /// Reads the properties of a camera by the table. `property` gives the value of a name.
 pub fn read_properties(property: &dyn Fn(&str) -> Option<String>) -> CameraReading {
     let is_sdk3 = SDK3_ALONE.iter().any(|name| property(name).is_some());
+    let is_transposed = property(TRANSPOSE_CONTROL).is_none_or(|value| is_on(value.trim()));
     let mut reader = Reader {
         property,
         reading: CameraReading::default(),
@@ -324,6 +338,7 @@ pub fn read_properties(property: &dyn Fn(&str) -> Option<String>) -> CameraReadi
         let is_other = match driver {
             Driver::AndorSdk3 => !is_sdk3,
             Driver::GenICam => is_sdk3,
+            Driver::Transposed => !is_transposed,
             _ => false,
         };
         if is_other {
@@ -395,6 +410,7 @@ impl Reader<'_> {
                 self.global(name, value);
             }
             Gives::ShutterMode => {}
+            Gives::SensorMode => self.sensor_mode(name, value),
             Gives::Alternates | Gives::Swaps | Gives::MirrorsRows | Gives::MirrorsColumns => {
                 if is_on(value) {
                     self.orientation(gives, name, value);
@@ -539,6 +555,23 @@ impl Reader<'_> {
         }
     }
 
+    /// `AREA` and `PROGRESSIVE` read rows one after the other; other modes do not.
+    fn sensor_mode(&mut self, name: &str, value: &str) {
+        let mode = value.to_ascii_uppercase();
+        let found = format!("the sensor is not read as one picture ({name} = {value})");
+        let remedy = "Set SENSOR MODE to AREA or PROGRESSIVE.";
+        if mode.contains("LINE") || mode.contains("TDI") {
+            self.find("no-area", true, found, remedy);
+        } else if mode.contains("SPLIT") || mode.contains("DUAL") {
+            self.find(
+                "split",
+                false,
+                format!("the sensor is read in two parts ({name} = {value})"),
+                "Set SENSOR MODE to AREA or PROGRESSIVE, or give shutter = \"custom\" with row_order.",
+            );
+        }
+    }
+
     fn global(&mut self, name: &str, value: &str) {
         self.reading.metadata.shutter = Some(Shutter::Global);
         let provenance = &mut self.reading.provenance;
@@ -654,10 +687,14 @@ impl Reader<'_> {
             self.reading.metadata.shutter,
             Some(Shutter::DualInsideOut | Shutter::DualOutsideIn)
         );
+        if !is_dual {
+            return;
+        }
         let binning = self.reading.metadata.binning.unwrap_or(1);
-        let (Some(sensor), Some(top), Some(rows), true) =
-            (self.reading.sensor_rows, self.origin.0, self.rows, is_dual)
+        let (Some(sensor), Some(top), Some(rows)) =
+            (self.reading.sensor_rows, self.origin.0, self.rows)
         else {
+            self.warn_of_unknown_centre();
             return;
         };
         let below = sensor.saturating_sub(top + rows * binning);
@@ -669,6 +706,29 @@ impl Reader<'_> {
                 "Centre the region vertically.",
             );
         }
+    }
+
+    /// A driver that names the shutter but not the sensor's height. Who names the shutter himself knows his region.
+    fn warn_of_unknown_centre(&mut self) {
+        let mut known = self.reading.provenance.iter();
+        let of_driver = known.any(|p| p.key == "shutter" && !p.from.starts_with("shutter = "));
+        if of_driver {
+            self.find(
+                "centre-unknown",
+                false,
+                "it is not known whether the region is centred, since the height of the sensor or the place of the region is not: the halves of the shutter meet in the middle of the sensor".into(),
+                "Centre the region vertically, or use the whole sensor.",
+            );
+        }
+    }
+}
+
+/// How the value of the property `name` is known, where a driver gives it.
+pub fn origin_of_property(name: &str) -> Origin {
+    let known = TABLE.iter().find(|(_, known, _)| *known == name);
+    match known {
+        Some((_, _, Gives::RowTimeUs(_, origin))) => *origin,
+        _ => Origin::Read,
     }
 }
 
@@ -773,7 +833,7 @@ mod tests {
         for (name, value, wanted) in cases {
             let found = read(&[(name, value)]);
             assert_eq!(found.metadata.shutter, Some(wanted), "{name}");
-            assert!(found.findings.is_empty());
+            assert!(found.findings.iter().all(|f| f.name == "centre-unknown"));
         }
         let odd = read(&[("SensorReadoutMode", "Centre Out Sequential")]);
         assert!(odd.metadata.shutter.is_none() && odd.metadata.notes[0].contains("row_order"));
@@ -819,6 +879,20 @@ mod tests {
             assert!(found.findings[0].is_fatal && !found.findings[0].remedy.is_empty());
         }
         assert!(names(&read(&[("Transpose_MirrorY", "0")])).is_empty());
+        // Micro-Manager's names; they act where the correction is on.
+        let transposed = |is_on| {
+            read(&[
+                ("TransposeXY", "1"),
+                ("TransposeMirrorY", "1"),
+                ("TransposeMirrorX", "0"),
+                ("TransposeCorrection", is_on),
+            ])
+        };
+        assert_eq!(names(&transposed("1")), ["rotated", "mirrored-rows"]);
+        assert!(names(&transposed("0")).is_empty());
+        assert_eq!(names(&read(&[("SENSOR MODE", "TDI")])), ["no-area"]);
+        assert_eq!(names(&read(&[("SENSOR MODE", "SPLIT VIEW")])), ["split"]);
+        assert!(names(&read(&[("SENSOR MODE", "PROGRESSIVE")])).is_empty());
         let mirrored = read(&[("Transpose_MirrorX", "1")]);
         assert!(!mirrored.findings[0].is_fatal);
     }
@@ -840,5 +914,27 @@ mod tests {
         assert_eq!(centred.metadata.origin, Some((1026, 0)));
         assert_eq!(centred.metadata.size, Some((108, 200)));
         assert_eq!(names(&region("1001")), ["off-centre"]);
+        // The sensor's height of Micro-Manager's cameras.
+        let micro_manager = |top| {
+            read(&[
+                ("LightScanPlus-SensorReadoutMode", "Centre Out Simultaneous"),
+                ("OnCameraCCDYSize", "512"),
+                ("rows", "108"),
+                ("columns", "200"),
+                ("top", top),
+                ("left", "0"),
+            ])
+        };
+        assert!(micro_manager("202").findings.is_empty());
+        assert_eq!(names(&micro_manager("0")), ["off-centre"]);
+        let unknown = [
+            ("SensorReadoutMode", "Centre Out Simultaneous"),
+            ("AOIHeight", "108"),
+        ];
+        assert_eq!(names(&read(&unknown)), ["centre-unknown"]);
+        assert!(!read(&unknown).findings[0].is_fatal);
+        assert!(read(&[("shutter", "dual-inside-out")]).findings.is_empty());
+        assert_eq!(origin_of_property("Line Time [us]"), Origin::Calculated);
+        assert_eq!(origin_of_property("RowReadTime"), Origin::Read);
     }
 }
