@@ -33,6 +33,11 @@ export function between(store: Store): HTMLElement | null {
   store.on((what) => {
     if (what !== "data" || begun || !video.isWhole || !other.isWhole) return;
     begun = true;
+    if (store.otherRatio !== 1) {
+      line.textContent = `${first.name} and ${second.name} have other units: no PSNR of the one against the other.`;
+      line.hidden = false;
+      return;
+    }
     void psnr(video, other).then((db) => {
       const words = db == null ? "they are equal, or zero everywhere" : `${number(db, 4)} dB, with its maximum as peak`;
       line.textContent = `PSNR of ${first.name} against ${second.name}: ${words}`;

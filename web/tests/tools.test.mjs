@@ -379,6 +379,7 @@ test("two results are compared by fit and settings, and other units are said", a
   await loaded(page);
   assert.match(await page.$eval(".own-scale", (e) => e.textContent), /own brightness scale: 1000 times/);
   await until(async () => /brighter has other units: its values reach 1000 times/.test(await page.$eval("#panel-traces", (e) => e.textContent)));
+  await until(async () => /have other units: no PSNR/.test(await page.$eval("#between", (e) => e.textContent)));
   await page.click("#tab-compare");
   const rows = await page.$$eval("#compare tr.differs", (all) => all.map((e) => [...e.children].map((c) => c.textContent)));
   assert.ok(rows.some(([, a, b]) => a === "good" && b === "doubtful"), JSON.stringify(rows));

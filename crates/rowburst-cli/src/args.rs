@@ -402,16 +402,27 @@ pub struct CiteArgs {
 /// Draw a figure for a paper from a result.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  rowburst figure result --layout fig2 -o figure2.svg\n  rowburst figure result --layout fig3 -o figure3.png"
+    after_help = "Example:\n  rowburst figure result --layout fig2 -o figure2.svg\n  rowburst figure result --layout fig3 -o figure3.png\n  rowburst figure result --width-mm 178 --panels frame,psf,frames --bins 4,12,20 -o figure.svg"
 )]
 pub struct FigureArgs {
     /// The folder that rowburst reconstruct has written
     #[arg(value_name = "RESULT")]
     pub result: PathBuf,
     /// What is drawn
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, default_value_t = FigureLayout::Fig2)]
     pub layout: FigureLayout,
-    /// The file: .svg (text stays text) or .png (1600 pixels wide)
+    /// Width on paper: 86 for one column of a journal, 178 for two. Text has 7 pt in panels that are no wider; a .png has
+    /// 600 dpi
+    #[arg(long, value_name = "MM")]
+    pub width_mm: Option<f64>,
+    /// The panels, in this order, in place of those of the layout: frame, psf, direct, residual, time-colour,
+    /// reconstruction (of a single bin), space-time, frames, traces
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub panels: Vec<String>,
+    /// The bins of the panel frames, from 0
+    #[arg(long, value_name = "BINS", value_delimiter = ',')]
+    pub bins: Vec<usize>,
+    /// The file: .svg (text stays text) or .png (1600 pixels wide where no width on paper is given)
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
 }

@@ -4,7 +4,7 @@ use crate::args::{FigureArgs, FigureLayout};
 use crate::output::print_line;
 use rowburst::{Error, Parameter, Result};
 use rowburst_io::OutputFolder;
-use rowburst_report::Layout;
+use rowburst_report::{FigureOptions, Layout};
 use rowburst_run::figure_of_folder;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,13 @@ pub fn run(args: &FigureArgs) -> Result<()> {
         FigureLayout::Fig2 => Layout::Fig2,
         FigureLayout::Fig3 => Layout::Fig3,
     };
-    let figure = figure_of_folder(&args.result, layout)?;
+    let options = FigureOptions {
+        layout,
+        width_mm: args.width_mm,
+        panels: args.panels.clone(),
+        bins: args.bins.clone(),
+    };
+    let figure = figure_of_folder(&args.result, &options)?;
     let bytes = if is_svg {
         figure.svg.as_bytes()
     } else {

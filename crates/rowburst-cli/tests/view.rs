@@ -52,6 +52,9 @@ fn figures_are_svg_with_text_or_png() {
         &svg[..200]
     );
     lab.done("figure out --layout fig3 -o three.png");
+    lab.done("figure out --width-mm 86 --panels frames,traces --bins 3,9 -o column.svg");
+    let column = std::fs::read_to_string(lab.path("column.svg")).unwrap();
+    assert!(column.contains("width=\"86mm\"") && column.contains(">b</text>"));
     assert!(lab.read("three.png").starts_with(b"\x89PNG"));
     for (line, word) in [
         ("figure out --layout fig2 -o two.pdf", ".svg or a .png"),

@@ -412,7 +412,7 @@ impl PyReconstruction {
         let layout = layout_of(layout).map_err(to_py_err)?;
         let figure = self.with(py, move |state| {
             let (completed, traces) = state.with_spots();
-            completed.figure(traces, "Rowburst", layout)
+            completed.figure(traces, "Rowburst", &layout.into())
         })?;
         let figure = figure.map_err(to_py_err)?;
         Ok((figure.svg, PyBytes::new(py, &figure.png)))
@@ -446,7 +446,7 @@ pub fn figure_from_folder<'py>(
     layout: &str,
 ) -> PyResult<(String, Bound<'py, PyBytes>)> {
     let layout = layout_of(layout).map_err(to_py_err)?;
-    let figure = detached(py, || figure_of_folder(&folder, layout))?.map_err(to_py_err)?;
+    let figure = detached(py, || figure_of_folder(&folder, &layout.into()))?.map_err(to_py_err)?;
     Ok((figure.svg, PyBytes::new(py, &figure.png)))
 }
 

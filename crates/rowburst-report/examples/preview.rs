@@ -75,6 +75,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         AnnotatedTrace {
             frequency: frequency_of(&trace.debiased, &trace.standard_error, time.frame_rate_hz()),
             photodiodes: Vec::new(),
+            is_requested: false,
             trace,
         }
     };

@@ -1,6 +1,6 @@
 //! Colour maps.
 
-use colorous::{GREYS, Gradient, INFERNO, RED_BLUE};
+use colorous::{GREYS, Gradient, INFERNO};
 
 /// A colour, sRGB.
 pub(crate) type Srgb = [u8; 3];
@@ -21,8 +21,27 @@ pub(crate) enum Map {
     Grey,
     /// Black, purple, orange, yellow, even in lightness: light of the scene.
     Light,
-    /// Blue, white, red: values on both sides of zero.
+    /// Blue, black, red: values on both sides of zero, on the ground of the pictures beside them in both themes.
     Signed,
+}
+
+/// Colours of [`Map::Signed`] at equal distances, as in the viewer.
+const SIGNED: [Srgb; 5] = [
+    [166, 212, 255],
+    [52, 128, 206],
+    [18, 18, 22],
+    [205, 74, 52],
+    [255, 196, 168],
+];
+
+fn signed(fraction: f64) -> Srgb {
+    let at = fraction * (SIGNED.len() - 1) as f64;
+    let i = (at as usize).min(SIGNED.len() - 2);
+    let part = at - i as f64;
+    std::array::from_fn(|c| {
+        let (from, to) = (f64::from(SIGNED[i][c]), f64::from(SIGNED[i + 1][c]));
+        (from + part * (to - from)).round() as u8
+    })
 }
 
 impl Map {
@@ -33,7 +52,7 @@ impl Map {
         match self {
             Self::Grey => of(GREYS, 1.0 - f),
             Self::Light => of(INFERNO, f),
-            Self::Signed => of(RED_BLUE, 1.0 - f),
+            Self::Signed => signed(f),
         }
     }
 
@@ -108,8 +127,9 @@ mod tests {
         assert_eq!(Map::Grey.at(0.0), [0, 0, 0]);
         assert_eq!(Map::Grey.at(2.0), [255, 255, 255]);
         assert_eq!(Map::Light.at(0.0), [0, 0, 4]);
+        // Zero is dark: no white slab in the dark theme.
         let [r, g, b] = Map::Signed.at(0.5);
-        assert!(r > 225 && g > 225 && b > 225);
+        assert!(r < 30 && g < 30 && b < 30);
         let ([r, _, b], [blue_r, _, blue_b]) = (Map::Signed.at(1.0), Map::Signed.at(0.0));
         assert!(r > b && blue_b > blue_r);
         assert_eq!(Map::Light.palette().len(), 768);

@@ -58,6 +58,8 @@ pub(crate) struct Figure {
     height: f64,
     /// Pixels of the PNG for each unit.
     scale: f64,
+    /// Width on paper in mm, and pixels per inch of the PNG.
+    paper: Option<(f64, f64)>,
     rasters: Vec<(Rect, Pixels)>,
     body: String,
 }
@@ -84,9 +86,16 @@ impl Figure {
             width,
             height,
             scale: if width < NARROW { 4.0 } else { 2.0 },
+            paper: None,
             rasters: Vec::new(),
             body: String::new(),
         }
+    }
+
+    /// Gives the figure a width on paper, and its PNG as many pixels as `dpi` asks for.
+    pub(crate) fn set_paper(&mut self, width_mm: f64, dpi: f64) {
+        self.paper = Some((width_mm, dpi));
+        self.scale = width_mm / 25.4 * dpi / self.width;
     }
 
     /// Sets the height, where it is known only after drawing.
@@ -252,8 +261,12 @@ impl Figure {
     /// The figure as an SVG file of its own, ink on white.
     pub(crate) fn file(&self) -> Result<String> {
         let (width, height) = (self.width, self.height);
+        let (across, down) = match self.paper {
+            Some((mm, _)) => (format!("{mm}mm"), format!("{:.2}mm", mm * height / width)),
+            None => (width.to_string(), height.to_string()),
+        };
         let mut svg = format!(
-            r##"<?xml version="1.0" encoding="UTF-8"?><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"><style>{RASTER_CSS}.pixels{{image-rendering:pixelated}}</style><rect width="100%" height="100%" fill="#fff"/>"##
+            r##"<?xml version="1.0" encoding="UTF-8"?><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{across}" height="{down}"><style>{RASTER_CSS}.pixels{{image-rendering:pixelated}}</style><rect width="100%" height="100%" fill="#fff"/>"##
         );
         self.write_rasters(&mut svg)?;
         svg.push_str(&self.body);
@@ -301,7 +314,7 @@ impl Figure {
             tiny_skia::Transform::from_scale(scale, scale),
             &mut canvas.as_mut(),
         );
-        encode(&canvas)
+        encode(&canvas, self.paper.map(|(_, dpi)| dpi))
     }
 }
 
@@ -347,12 +360,18 @@ fn blit(canvas: &mut tiny_skia::Pixmap, scale: f64, place: &Rect, pixels: &Pixel
 }
 
 /// RGB rows of the opaque canvas, written one at a time.
-fn encode(canvas: &tiny_skia::Pixmap) -> Result<Vec<u8>> {
+fn encode(canvas: &tiny_skia::Pixmap, dpi: Option<f64>) -> Result<Vec<u8>> {
     use std::io::Write as _;
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, canvas.width(), canvas.height());
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_compression(png::Compression::Fast);
+    let per_metre = dpi.map(|dpi| (dpi / 0.0254).round() as u32);
+    encoder.set_pixel_dims(per_metre.map(|n| png::PixelDimensions {
+        xppu: n,
+        yppu: n,
+        unit: png::Unit::Meter,
+    }));
     let mut writer = encoder.write_header().map_err(failed)?;
     let mut stream = writer.stream_writer().map_err(failed)?;
     let mut row = Vec::with_capacity(3 * canvas.width() as usize);

@@ -37,7 +37,7 @@ pub(crate) fn fixed(value: f64) -> String {
     }
 }
 
-/// A whole number in groups of three digits: "104 167".
+/// A whole number in groups of three digits: "104,167".
 pub(crate) fn grouped(value: f64) -> String {
     if !(1.0..1e15).contains(&value) {
         return number(value, 4);
@@ -46,7 +46,7 @@ pub(crate) fn grouped(value: f64) -> String {
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {
         if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push('\u{202f}');
+            text.push(',');
         }
         text.push(digit);
     }
@@ -162,8 +162,8 @@ mod tests {
         assert_eq!(frequency_with_error(20_833.2, 4.24), "20.8332 ± 0.0042 kHz");
         assert_eq!(frequency_with_error(850.0, 120.0), "850 ± 120 Hz");
         assert_eq!(frequency_with_error(850.0, f64::NAN), "850 Hz");
-        assert_eq!(grouped(104_166.67), "104\u{202f}167");
-        assert_eq!(grouped(999.6), "1\u{202f}000");
+        assert_eq!(grouped(104_166.67), "104,167");
+        assert_eq!(grouped(999.6), "1,000");
         assert_eq!(fixed(-0.994), "−0.99");
     }
 

@@ -29,7 +29,8 @@ use rowburst::error::Subject;
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, TimeGrid, Video};
 
-pub use layout::{ComposedFigure, Layout, compose};
+pub use figures::REGION_COLOURS;
+pub use layout::{ComposedFigure, FigureOptions, Layout, compose};
 pub use render_text::render_text;
 pub use sheet::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 
@@ -121,6 +122,8 @@ pub struct AnnotatedTrace {
     pub frequency: Option<Frequency>,
     /// Signals of photodiodes laid over it.
     pub photodiodes: Vec<AlignedSignal>,
+    /// Whether the user asked for its region.
+    pub is_requested: bool,
 }
 
 /// A photodiode's signal in the units and on the clock of a trace.
@@ -191,7 +194,7 @@ pub fn render(input: &ReportInput) -> Result<Report> {
     check(input)?;
     let mut entries = Vec::new();
     let mut pictures = Vec::new();
-    for drawn in figures::all(input) {
+    for drawn in figures::all(input, None) {
         let name = format!("{}.png", drawn.name);
         pictures.push(Picture {
             png: drawn.figure.png()?,

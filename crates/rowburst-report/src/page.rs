@@ -36,6 +36,8 @@ pub(crate) struct Entry {
 pub(crate) struct Page<'a> {
     pub title: &'a str,
     pub summary: String,
+    /// The verdict that stands above everything else.
+    pub verdict: Option<FitVerdict<'a>>,
     /// What the reader must know before the numbers.
     pub warnings: &'a [String],
     /// What the numbers rest on.
@@ -84,6 +86,7 @@ pub(crate) fn page(input: &ReportInput, entries: Vec<(Section, Entry)>) -> Strin
     Page {
         title: input.title,
         summary: summary(input),
+        verdict: None,
         warnings: &[],
         notes: &[],
         headline: &input.headline,
@@ -117,12 +120,13 @@ impl Page<'_> {
                     header {
                         h1 { (self.title) }
                         p.summary { (self.summary) }
+                        @if let Some(verdict) = self.verdict { (verdict_of("Verdict", verdict)) }
                         @for warning in self.warnings {
                             p.warning role="note" { strong { "Warning: " } (warning) }
                         }
                         (headline(self.headline))
                         @for note in self.notes { p.summary { (note) } }
-                        @if let Some(fit) = self.fit { (fit_verdict(fit)) }
+                        @if let Some(fit) = self.fit { (verdict_of("Fit", fit)) }
                     }
                     main {
                         @for part in &self.parts {
@@ -190,10 +194,11 @@ fn headline(headline: &[(String, String)]) -> Markup {
     }
 }
 
-fn fit_verdict(fit: FitVerdict) -> Markup {
+/// A verdict under its name; all but "good" is a warning.
+fn verdict_of(name: &str, fit: FitVerdict) -> Markup {
     html! {
         p.fit.warning[fit.verdict != "good"] role="note" {
-            strong { "Fit: " (fit.verdict) ". " } (capital(fit.reason)) "."
+            strong { (name) ": " (fit.verdict) ". " } (capital(fit.reason)) "."
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
-use crate::format::number;
+use crate::format::{number, raised};
 use crate::pixels::{Pixels, Plane};
 
 /// The largest place inside `available` for an image of `rows · columns`, centred across and
@@ -22,8 +22,15 @@ pub(crate) fn fit(available: Rect, grid: f64, rows: usize, columns: usize) -> Re
     Rect::new(snap(x), snap(available.y), snap(width), snap(height))
 }
 
-/// Draws a vertical colour bar right of `picture`, from `low` (below) to `high` (above),
-/// and the name of the quantity above it.
+/// Room that a colour bar takes right of a picture, with its numbers and the name above it.
+pub(crate) const BAR_ROOM: f64 = 84.0;
+/// Width of a letter of a name, on average, in units of the figure.
+const LETTER: f64 = 6.6;
+/// Distance of the lines of a name.
+const LINE: f64 = 14.0;
+
+/// Draws a vertical colour bar right of `picture`, from `low` (below) to `high` (above). Above it stand the name of the
+/// quantity and the power of ten that its numbers, of two digits, share.
 pub(crate) fn colour_bar(
     figure: &mut Figure,
     picture: Rect,
@@ -31,29 +38,66 @@ pub(crate) fn colour_bar(
     (low, high): (f32, f32),
     unit: &str,
 ) {
-    // The numbers, and the name of the quantity, need room beside low pictures too.
-    let height = picture
-        .height
-        .max(if unit.is_empty() { 80.0 } else { 112.0 });
-    let bar = Rect::new(picture.right() + 10.0, picture.y, 10.0, height);
+    let (low, high) = (f64::from(low), f64::from(high));
+    let exponent = shared_exponent(low.abs().max(high.abs()));
+    let mut names = lines_of(unit, (BAR_ROOM / LETTER) as usize);
+    if exponent != 0 {
+        names.push(format!("×10{}", raised(exponent)));
+    }
+    let left = picture.right() + 10.0;
+    for (i, name) in names.iter().enumerate() {
+        let y = picture.y + 10.0 + LINE * i as f64;
+        figure.text(left, y, Anchor::Start, "muted", name);
+    }
+    let head = if names.is_empty() {
+        0.0
+    } else {
+        LINE * names.len() as f64 + 3.0
+    };
+    // The numbers need room beside low pictures too.
+    let height = (picture.height - head).max(66.0);
+    let bar = Rect::new(left, picture.y + head, 10.0, height);
     let ramp: Vec<f32> = (0..128).rev().map(|i| i as f32).collect();
     let ramp = Plane::reduced(128, 1, &ramp, 128).coloured(map, 0.0, 127.0);
     figure.raster(bar, ramp);
     figure.rect(bar, "axis", "");
-    let (low, high) = (f64::from(low), f64::from(high));
-    let middle = number(0.5 * (low + high), 3);
-    for (text, y) in [
-        (number(high, 3), bar.y + 10.0),
-        (middle, bar.y + height / 2.0 + 4.0),
-        (number(low, 3), bar.bottom()),
+    let text = |value: f64| number(value / 10_f64.powi(exponent), 2);
+    for (value, y) in [
+        (high, bar.y + 10.0),
+        (0.5 * (low + high), bar.y + height / 2.0 + 4.0),
+        (low, bar.bottom()),
     ] {
-        // The name of the quantity stands beside the middle: a long number would meet it.
-        let meets = !unit.is_empty() && y > bar.y + 10.0 && y < bar.bottom();
-        if !(meets && text.chars().count() > 5) {
-            figure.text(bar.right() + 5.0, y, Anchor::Start, "muted", &text);
+        figure.text(bar.right() + 5.0, y, Anchor::Start, "muted", &text(value));
+    }
+}
+
+/// The lowest place that a colour bar beside `picture` reaches.
+pub(crate) fn bar_bottom(picture: Rect) -> f64 {
+    picture.bottom().max(picture.y + 66.0 + 3.0 * LINE + 3.0)
+}
+
+/// The power of ten that is taken out of numbers of this size: none where they are short without.
+fn shared_exponent(size: f64) -> i32 {
+    if size.is_finite() && size > 0.0 && !(0.01..1000.0).contains(&size) {
+        size.log10().floor() as i32
+    } else {
+        0
+    }
+}
+
+/// `text` in lines of at most `width` letters, broken between words.
+fn lines_of(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_string()),
         }
     }
-    figure.text_upwards(bar.right() + 56.0, bar.y + height / 2.0, "muted", unit);
+    lines
 }
 
 /// Draws a scale bar under `place`, which shows `columns` pixels of `pitch_um` each.
@@ -96,6 +140,35 @@ pub(crate) fn put(figure: &mut Figure, available: Rect, pixels: Pixels) -> Rect 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_of_a_colour_bar_fit_beside_it() {
+        let mut figure = Figure::new(200.0, 200.0);
+        let picture = Rect::new(0.0, 0.0, 100.0, 160.0);
+        let unit = "share of the light";
+        colour_bar(&mut figure, picture, Map::Light, (0.0, 1.18e7), unit);
+        let svg = figure.svg("bar", "").unwrap();
+        for text in [
+            ">share of the<",
+            ">light<",
+            ">×10⁷<",
+            ">1.2<",
+            ">0.59<",
+            ">0<",
+        ] {
+            assert!(svg.contains(text), "{text} in {svg}");
+        }
+        assert!(!svg.contains("1.18"));
+        assert_eq!(shared_exponent(0.0), 0);
+        assert_eq!(shared_exponent(999.0), 0);
+        assert_eq!(shared_exponent(0.004), -3);
+        let longest = lines_of("brightness over all", 12);
+        assert!(
+            longest
+                .iter()
+                .all(|line| line.len() as f64 * LETTER <= BAR_ROOM)
+        );
+    }
 
     #[test]
     fn small_images_are_enlarged_by_a_whole_factor() {

@@ -9,7 +9,7 @@ use crate::page::{Entry, Page, Part};
 use crate::panel::{colour_bar, put};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::{display_high, display_low};
-use crate::{Picture, Report};
+use crate::{FitVerdict, Picture, Report};
 
 /// What a page is made of.
 #[derive(Debug, Clone, Default)]
@@ -18,6 +18,8 @@ pub struct Sheet<'a> {
     pub title: &'a str,
     /// One line of what was made of what.
     pub summary: String,
+    /// The verdict, at the top, and its reason.
+    pub verdict: Option<(&'static str, String)>,
     /// What the reader must know before the numbers, one sentence or two each.
     pub warnings: Vec<String>,
     /// What the numbers rest on, a sentence or two each.
@@ -157,6 +159,10 @@ impl Sheet<'_> {
         let html = Page {
             title: self.title,
             summary: self.summary.clone(),
+            verdict: self
+                .verdict
+                .as_ref()
+                .map(|(verdict, reason)| FitVerdict { verdict, reason }),
             warnings: &self.warnings,
             notes: &self.notes,
             player: None,
@@ -304,15 +310,12 @@ fn draw_grid(
     figure.rect(place, "axis", "");
     colour_bar(&mut figure, place, Map::Light, (low, high), quantity);
     let (columns, rows) = (image.columns() as f64, image.rows() as f64);
-    let every = |n: usize| n.div_ceil(7).max(1);
-    for (i, value) in x.1.iter().enumerate().step_by(every(x.1.len())) {
-        let at = place.x + (i as f64 + 0.5) / columns * place.width;
-        let text = crate::format::number(*value, 3);
+    for (i, text) in grid_ticks(x.1) {
+        let at = place.x + (i + 0.5) / columns * place.width;
         figure.text(at, place.bottom() + 16.0, Anchor::Middle, "muted", &text);
     }
-    for (i, value) in y.1.iter().enumerate().step_by(every(y.1.len())) {
-        let at = place.bottom() - (i as f64 + 0.5) / rows * place.height;
-        let text = crate::format::number(*value, 3);
+    for (i, text) in grid_ticks(y.1) {
+        let at = place.bottom() - (i + 0.5) / rows * place.height;
         figure.text(place.x - 6.0, at + 4.0, Anchor::End, "muted", &text);
     }
     let below = place.bottom() + 34.0;
@@ -321,9 +324,43 @@ fn draw_grid(
     figure
 }
 
+/// Ticks of a grid whose rows or columns have these `values`: their places, counted in rows or columns, and texts. They are
+/// round values where the values are equally far from each other, else some of the values.
+fn grid_ticks(values: &[f64]) -> Vec<(f64, String)> {
+    const TICKS: usize = 7;
+    let last = values.len().saturating_sub(1);
+    let step = (values.last().copied().unwrap_or(0.0) - values.first().copied().unwrap_or(0.0))
+        / last.max(1) as f64;
+    let is_even = |(i, v): (usize, &f64)| {
+        (v - (values[0] + i as f64 * step)).abs() <= 1e-6 * step.abs() * values.len() as f64
+    };
+    if last > TICKS && step > 0.0 && values.iter().enumerate().all(is_even) {
+        let axis = Axis::linear(values[0], values[last], "");
+        let ticks = axis.ticks(TICKS - 1).into_iter();
+        return ticks
+            .map(|(value, text)| ((value - values[0]) / step, text))
+            .collect();
+    }
+    let every = values.len().div_ceil(TICKS).max(1);
+    let some = values.iter().enumerate().step_by(every);
+    some.map(|(i, &value)| (i as f64, crate::format::number(value, 3)))
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ticks_of_a_grid_are_round_where_they_can_be() {
+        let values: Vec<f64> = (0..32).map(|i| 18.7 / 7.0 * f64::from(i)).collect();
+        let texts: Vec<String> = grid_ticks(&values).into_iter().map(|t| t.1).collect();
+        assert_eq!(texts, ["0", "10", "20", "30", "40", "50", "60", "70", "80"]);
+        let powers = [1.0, 2.0, 4.0, 8.0];
+        let places: Vec<f64> = grid_ticks(&powers).into_iter().map(|t| t.0).collect();
+        assert_eq!(places, [0.0, 1.0, 2.0, 3.0]);
+        assert!(grid_ticks(&[]).is_empty());
+    }
 
     #[test]
     fn a_sheet_has_all_that_it_is_given() {
@@ -345,6 +382,7 @@ mod tests {
             .to_vec();
         let sheet = Sheet {
             title: "A <sheet>",
+            verdict: Some(("doubtful", "one warning".into())),
             warnings: vec!["beware".into()],
             notes: vec!["no dark frame".into()],
             sections: vec![(
@@ -383,6 +421,7 @@ mod tests {
         let report = sheet.render().unwrap();
         for words in [
             "A &lt;sheet&gt;",
+            "Verdict: doubtful. </strong>One warning.",
             "beware",
             "no dark frame",
             "caption of curves",

@@ -114,6 +114,7 @@ fn traces_of(video: &Video) -> Vec<AnnotatedTrace> {
                 correlation: 0.99,
                 points: (0..90).map(|i| (0.1 * i as f64, (i % 2) as f64)).collect(),
             }],
+            is_requested: false,
             trace,
         }
     };
@@ -444,7 +445,7 @@ fn the_player_alone_may_run() {
 fn figures_for_papers_have_vector_text_and_letters() {
     let case = Case::new(Shape::new(6, 8, 9), 8, 9);
     for layout in [Layout::Fig2, Layout::Fig3] {
-        let composed = compose(&case.input(), layout).unwrap();
+        let composed = compose(&case.input(), &layout.into()).unwrap();
         assert!(composed.png.starts_with(b"\x89PNG"));
         let options = resvg::usvg::Options::default();
         resvg::usvg::Tree::from_str(&composed.svg, &options).unwrap();
@@ -452,4 +453,36 @@ fn figures_for_papers_have_vector_text_and_letters() {
             assert!(composed.svg.contains(text), "{layout:?} {text}");
         }
     }
+}
+
+#[test]
+fn figures_for_papers_have_chosen_panels_bins_and_width() {
+    let case = Case::new(Shape::new(6, 8, 9), 8, 9);
+    let options = FigureOptions {
+        width_mm: Some(86.0),
+        panels: vec!["traces".into(), "frames".into()],
+        bins: vec![1, 4],
+        ..Layout::Fig2.into()
+    };
+    let composed = compose(&case.input(), &options).unwrap();
+    assert!(composed.svg.contains("width=\"86mm\""));
+    // Two panels, and two bins with their rows.
+    assert!(composed.svg.contains(">b</text>") && !composed.svg.contains(">c</text>"));
+    assert_eq!(composed.svg.matches(">difference<").count(), 1);
+    let png = image_size(&composed.png);
+    assert!(
+        (f64::from(png.0) - 86.0 / 25.4 * 600.0).abs() < 2.0,
+        "{png:?}"
+    );
+    let wrong = FigureOptions {
+        bins: vec![6],
+        ..Layout::Fig2.into()
+    };
+    assert!(compose(&case.input(), &wrong).unwrap_err().is_input());
+}
+
+/// Width and height in the head of a PNG.
+fn image_size(png: &[u8]) -> (u32, u32) {
+    let number = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
+    (number(16), number(20))
 }

@@ -416,6 +416,7 @@ fn report_sheet<'a>(
             thousands(summary.frame_rate_hz),
             summary.parts.len()
         ),
+        verdict: None,
         warnings: summary.warnings.clone(),
         notes: vec![format!(
             "Each chunk of {bins_per_chunk} bins is reconstructed independently, from the rows that measure it. The prior has no term over time."
@@ -428,7 +429,7 @@ fn report_sheet<'a>(
                 format!("{} fps", thousands(summary.frame_rate_hz)),
             ),
             pair("Frames", summary.frames.to_string()),
-            pair("Time", format!("{:.1} s", summary.seconds)),
+            pair("Computed in", format!("{:.1} s", summary.seconds)),
         ],
         sections: vec![
             (

@@ -7,8 +7,8 @@ use rowburst::traces::{Region, Trace, frequency_of};
 use rowburst::{Error, Image, Result, TimeGrid, Video, phrase};
 use rowburst_io::{read_image, read_video};
 use rowburst_report::{
-    AlignedSignal, AnnotatedTrace, ComposedFigure, Direct, DirectOrigin, Layout, ReportInput,
-    compose,
+    AlignedSignal, AnnotatedTrace, ComposedFigure, Direct, DirectOrigin, FigureOptions,
+    ReportInput, compose,
 };
 use serde::Deserialize;
 use std::path::Path;
@@ -41,6 +41,9 @@ struct TraceRecord {
     /// Null where it is not known.
     standard_error: Vec<Option<f64>>,
     photodiodes: Vec<PhotodiodeRecord>,
+    /// Absent in results of 0.1.
+    #[serde(default)]
+    requested: bool,
 }
 
 #[derive(Deserialize)]
@@ -62,7 +65,7 @@ struct PhotodiodeRecord {
 ///
 /// # Errors
 /// A folder that lacks files of a whole result, and those of [`compose`].
-pub fn figure_of_folder(folder: &Path, layout: Layout) -> Result<ComposedFigure> {
+pub fn figure_of_folder(folder: &Path, options: &FigureOptions) -> Result<ComposedFigure> {
     check_complete(folder)?;
     let view = read_view(&folder.join("view.json"))?;
     let image = |name: &str| -> Result<Image> { Ok(read_image(&folder.join(name))?.image) };
@@ -114,7 +117,7 @@ pub fn figure_of_folder(folder: &Path, layout: Layout) -> Result<ComposedFigure>
             files: Vec::new(),
             reproduce: None,
         },
-        layout,
+        options,
     )
     .map_err(|e| e.within(folder))
 }
@@ -212,6 +215,7 @@ impl TraceRecord {
         AnnotatedTrace {
             trace,
             frequency,
+            is_requested: self.requested,
             photodiodes: diodes
                 .map(|d| AlignedSignal {
                     name: d.name,
@@ -228,7 +232,12 @@ impl CompletedTask {
     ///
     /// # Errors
     /// Those of [`compose`].
-    pub fn figure(&self, traces: &Traces, title: &str, layout: Layout) -> Result<ComposedFigure> {
+    pub fn figure(
+        &self,
+        traces: &Traces,
+        title: &str,
+        options: &FigureOptions,
+    ) -> Result<ComposedFigure> {
         let (task, found) = (&self.task, &self.reconstruction);
         let direct = self.direct();
         compose(
@@ -259,7 +268,7 @@ impl CompletedTask {
                 files: Vec::new(),
                 reproduce: None,
             },
-            layout,
+            options,
         )
     }
 }

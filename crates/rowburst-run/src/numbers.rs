@@ -281,7 +281,7 @@ pub(crate) fn headline(summary: &ReconstructionSummary) -> Vec<(String, String)>
         ),
         ("Frames".to_string(), summary.frames.to_string()),
         (
-            "Time".to_string(),
+            "Computed in".to_string(),
             format!("{:.2} s", summary.setup_seconds + summary.seconds),
         ),
     ]);

@@ -93,6 +93,8 @@ fn region(text: &str, shape: Shape) -> Result<Region> {
 /// Traces with their frequencies, photodiodes and standard errors.
 pub struct Traces {
     pub traces: Vec<Trace>,
+    /// The number of traces, from the first on, whose regions were requested.
+    pub requested: usize,
     /// The frequency of each trace, if there is one.
     pub frequencies: Vec<Option<Frequency>>,
     /// File name and signal of each photodiode, and its alignment with a trace.
@@ -214,6 +216,7 @@ pub fn find(
     let video = &reconstruction.video;
     let time = camera.time();
     let mut regions = request.regions;
+    let requested = regions.len();
     if time.bins() > 1 {
         for spot in brightest_regions(video, MAX_AUTO_REGIONS) {
             if !regions.contains(&spot) {
@@ -256,6 +259,7 @@ pub fn find(
     let photodiodes = photodiodes.collect();
     Traces {
         frequencies: traces.iter().map(frequency).collect(),
+        requested,
         photodiodes,
         debiased: refit.as_ref().filter(|_| debias).map(Refit::video),
         debias_was_wanted: debias,
@@ -324,6 +328,7 @@ impl Traces {
         let annotated = |i: usize| AnnotatedTrace {
             trace: self.traces[i].clone(),
             frequency: self.frequencies[i].clone(),
+            is_requested: i < self.requested,
             photodiodes: self
                 .over(i)
                 .map(|(name, diode, a)| AlignedSignal {

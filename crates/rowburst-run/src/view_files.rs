@@ -2,7 +2,7 @@
 
 use rowburst::{Camera, Image, Result, Shutter, Video};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_video};
-use rowburst_report::{AnnotatedTrace, Iteration};
+use rowburst_report::{AnnotatedTrace, Iteration, REGION_COLOURS};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -140,7 +140,7 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         },
         // First and last bin that each row of the frame integrates.
         "row_bins": camera.instants().iter().map(bins_of).collect::<Vec<_>>(),
-        "traces": files.traces.iter().map(trace).collect::<Vec<_>>(),
+        "traces": files.traces.iter().enumerate().map(trace).collect::<Vec<_>>(),
         "course": convergence.map(|p| json!({
             "iteration": p.iteration,
             "seconds": p.seconds,
@@ -167,13 +167,16 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
     view
 }
 
-/// A trace in `view.json`.
-fn trace(annotated: &AnnotatedTrace) -> Value {
+/// A trace in `view.json`, with its number and colour in the figures of the report.
+fn trace((i, annotated): (usize, &AnnotatedTrace)) -> Value {
     let trace = &annotated.trace;
     let region = trace.region;
     let diodes = annotated.photodiodes.iter();
     json!({
         "region": { "y": region.y, "x": region.x, "rows": region.rows, "columns": region.columns },
+        "number": i + 1,
+        "colour": REGION_COLOURS.get(i),
+        "requested": annotated.is_requested,
         "value": trace.value,
         "debiased": trace.debiased,
         "standard_error": trace.standard_error,
@@ -197,6 +200,7 @@ fn range(video: &Video) -> (f32, f32) {
 mod tests {
     use super::*;
     use rowburst::camera::CameraParams;
+    use rowburst::traces::{Region, Trace};
     use rowburst::{Sensor, Shape};
 
     /// `view.json` of a frame of 2×2 pixels with these masks.
@@ -233,6 +237,30 @@ mod tests {
             command: "",
         };
         describe(&files, None)
+    }
+
+    #[test]
+    fn traces_have_the_numbers_and_colours_of_the_report() {
+        let region = Region {
+            y: 1,
+            x: 0,
+            rows: 1,
+            columns: 2,
+        };
+        let video = Video::zeros(Shape::new(3, 2, 2));
+        let annotated = |is_requested| AnnotatedTrace {
+            trace: Trace::without_errors(region, &video),
+            frequency: None,
+            photodiodes: Vec::new(),
+            is_requested,
+        };
+        let (first, ninth) = (trace((0, &annotated(true))), trace((8, &annotated(false))));
+        assert_eq!(first["number"], 1);
+        assert_eq!(first["colour"], REGION_COLOURS[0]);
+        assert_eq!(first["requested"], true);
+        // More are not drawn.
+        assert_eq!(ninth["colour"], Value::Null);
+        assert_eq!(ninth["requested"], false);
     }
 
     #[test]

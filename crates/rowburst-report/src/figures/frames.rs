@@ -7,7 +7,7 @@ use crate::ReportInput;
 use crate::colour::{Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, rows};
-use crate::panel::{colour_bar, fit, put};
+use crate::panel::{BAR_ROOM, colour_bar, fit, put};
 use crate::pixels::{Pixels, Plane};
 
 /// Longest side of a frame of the sheet, in pixels.
@@ -17,12 +17,17 @@ const HEAD: f64 = 40.0;
 /// Scale of the difference row, as a share of the white point.
 const DIFFERENCE: f32 = 0.25;
 
-/// Draws the contact sheet.
-pub(super) fn draw(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
-    let bins = videos.video.shape().bins;
+/// Draws the contact sheet of the `chosen` bins, else of some that are spread over the video.
+pub(super) fn draw(
+    input: &ReportInput,
+    videos: &Videos,
+    chosen: Option<&[usize]>,
+) -> CaptionedFigure {
+    let count = if videos.truth.is_some() { 6 } else { 8 };
+    let bins = chosen.map_or_else(|| spread(videos.video.shape().bins, count), <[_]>::to_vec);
     match videos.truth {
-        Some(truth) => compared(input, videos, truth, &spread(bins, 6)),
-        None => alone(input, videos, &spread(bins, 8)),
+        Some(truth) => compared(input, videos, truth, &bins),
+        None => alone(input, videos, &bins),
     }
 }
 
@@ -87,7 +92,7 @@ fn compared(
     let shape = videos.video.shape();
     let across = per_line(shape, 6);
     let (left, gap) = (24.0, 6.0);
-    let cell = (800.0 - left - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let cell = (800.0 - left - BAR_ROOM - gap * (across as f64 - 1.0)) / across as f64;
     let available = Rect::new(0.0, 0.0, cell, 1.6 * cell);
     let height = fit(available, 2.0, shape.rows, shape.columns).height;
     // The upright names need some length.
@@ -125,7 +130,7 @@ fn compared(
             }
             figure.text_upwards(left - 8.0, y + height / 2.0, "strong", name);
             if row > 0 {
-                colour_bar(&mut figure, last, map, range, "");
+                colour_bar(&mut figure, last, map, range, "counts");
             }
         }
     }
@@ -153,7 +158,7 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigur
     let shape = videos.video.shape();
     let across = per_line(shape, 4);
     let gap = 8.0;
-    let cell = (800.0 - 74.0 - gap * (across as f64 - 1.0)) / across as f64;
+    let cell = (800.0 - BAR_ROOM - gap * (across as f64 - 1.0)) / across as f64;
     let available = Rect::new(0.0, 0.0, cell, 1.4 * cell);
     let height = fit(available, 2.0, shape.rows, shape.columns).height;
     let pitch = HEAD + height.max(84.0) + gap;
@@ -164,7 +169,7 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigur
         let place = put(&mut figure, available, reconstructed(input, videos, bin));
         stamp(&mut figure, input, place, bin);
         if (i + 1) % across == 0 || i + 1 == bins.len() {
-            colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "");
+            colour_bar(&mut figure, place, Map::Light, (0.0, videos.high), "counts");
         }
     }
     CaptionedFigure {

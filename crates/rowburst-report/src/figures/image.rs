@@ -6,7 +6,7 @@ use super::{CaptionedFigure, Section, Videos};
 use super::{excluded, excluded_text, unobserved, unobserved_text, without};
 use crate::colour::{LEFT_OUT, Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
-use crate::panel::{colour_bar, put, scale_bar};
+use crate::panel::{BAR_ROOM, bar_bottom, colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::{display_high, display_low};
 use crate::{Direct, DirectOrigin, ReportInput};
@@ -22,7 +22,7 @@ pub(super) fn frame(input: &ReportInput) -> CaptionedFigure {
             image,
             excluded(input),
             Map::Grey,
-            "recorded signal",
+            "recorded signal (counts)",
             input.pixel_pitch_um,
         ),
         caption: format!(
@@ -78,7 +78,7 @@ pub(super) fn psf_correction(input: &ReportInput, given: &Image) -> CaptionedFig
     let range = (-limit, limit);
     colour_bar(&mut figure, place, Map::Signed, range, "share of the light");
     scale_bar(&mut figure, place, image.columns(), input.pixel_pitch_um);
-    figure.set_height(place.bottom().max(120.0) + 22.0);
+    figure.set_height(bar_bottom(place) + 22.0);
     let percent = 100.0 * f64::from(largest) / f64::from(given.max().max(f32::MIN_POSITIVE));
     CaptionedFigure {
         name: "psf-correction",
@@ -116,7 +116,7 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     CaptionedFigure {
         name: "direct",
         section: Section::Measurement,
-        figure: picture(image, None, Map::Grey, "recorded signal", pitch_um),
+        figure: picture(image, None, Map::Grey, "recorded signal (counts)", pitch_um),
         caption,
         alt: "Grey-scale image of the scene as the camera records it without diffuser.".into(),
     }
@@ -133,7 +133,7 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
     .into_iter()
     .filter_map(|(name, video)| Some((name, video?)))
     .collect();
-    let width = if panels.len() == 2 { 340.0 } else { 690.0 };
+    let width = if panels.len() == 2 { 335.0 } else { 690.0 };
     let mut last = Rect::new(0.0, 0.0, 0.0, 0.0);
     for (i, (name, video)) in panels.iter().enumerate() {
         let available = Rect::new(i as f64 * (width + 10.0), 22.0, width, 560.0);
@@ -148,9 +148,9 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
         figure.text(middle, 14.0, Anchor::Middle, "strong", name);
     }
     let range = (0.0, videos.high);
-    colour_bar(&mut figure, last, Map::Light, range, "brightness");
+    colour_bar(&mut figure, last, Map::Light, range, "light (counts)");
     scale_bar(&mut figure, last, shape.columns, input.pixel_pitch_um);
-    figure.set_height(last.bottom().max(120.0) + 22.0);
+    figure.set_height(bar_bottom(last) + 22.0);
     CaptionedFigure {
         name: "reconstruction",
         section: Section::Video,
@@ -176,17 +176,17 @@ fn picture(
     let values = without(image.data(), excluded);
     let high = display_high(&values);
     let low = display_low(&values, high);
-    let mut figure = Figure::new(330.0, 0.0);
+    let mut figure = Figure::new(340.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
     let mut pixels = plane.coloured(map, low, high);
     if let Some(mask) = excluded {
         let size = (image.rows(), image.columns());
         pixels = pixels.marked(mask, size, LONGEST_SIDE, LEFT_OUT);
     }
-    let available = Rect::new(0.0, 2.0, 250.0, 320.0);
+    let available = Rect::new(0.0, 2.0, 340.0 - BAR_ROOM, 320.0);
     let place = put(&mut figure, available, pixels);
     colour_bar(&mut figure, place, map, (low, high), unit);
     scale_bar(&mut figure, place, image.columns(), pitch_um);
-    figure.set_height(place.bottom().max(100.0) + 22.0);
+    figure.set_height(bar_bottom(place) + 22.0);
     figure
 }

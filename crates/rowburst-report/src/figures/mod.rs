@@ -8,6 +8,8 @@ mod space_time;
 mod time_colour;
 mod traces;
 
+pub use traces::REGION_COLOURS;
+
 use rowburst::Video;
 use std::borrow::Cow;
 
@@ -95,8 +97,11 @@ fn unobserved_text(input: &ReportInput, mark: &str) -> String {
 }
 
 /// All figures, in the order of the page; each is drawn when it is asked for, so that
-/// only one is held at a time.
-pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = CaptionedFigure> + 'a {
+/// only one is held at a time. `bins` are those of the sheet of frames, where they are chosen.
+pub(crate) fn all<'a>(
+    input: &'a ReportInput<'a>,
+    bins: Option<&'a [usize]>,
+) -> impl Iterator<Item = CaptionedFigure> + 'a {
     let projection = Projection::of(input.video);
     let truth = input.truth.map(Projection::of);
     let high = display_high(&truth.as_ref().unwrap_or(&projection).max);
@@ -112,7 +117,7 @@ pub(crate) fn all<'a>(input: &'a ReportInput<'a>) -> impl Iterator<Item = Captio
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
         1 if moving => space_time::draw(input, &videos),
-        2 => moving.then(|| frames::draw(input, &videos)),
+        2 => moving.then(|| frames::draw(input, &videos, bins)),
         3 if moving => traces::draw(input, &videos),
         4 => Some(image::frame(input)),
         5 => Some(image::psf(input)),

@@ -15,7 +15,7 @@ use crate::chart::Axis;
 use crate::colour::{Map, srgb, time_hue};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, grouped};
-use crate::panel::colour_bar;
+use crate::panel::{BAR_ROOM, colour_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 
 /// Most voxels that are drawn: some 60 kB of SVG.
@@ -313,7 +313,7 @@ fn slices(figure: &mut Figure, input: &ReportInput, videos: &Videos) {
         .collect();
     let height = if panels.len() == 2 { 160.0 } else { 300.0 };
     let range = (0.0, videos.high);
-    let mut place = Rect::new(546.0, 22.0, 180.0, height);
+    let mut place = Rect::new(546.0, 22.0, 254.0 - BAR_ROOM, height);
     for (i, (name, video)) in panels.iter().enumerate() {
         place.y = 22.0 + i as f64 * (height + 34.0);
         let values = brightest_over_y(video);
@@ -328,7 +328,7 @@ fn slices(figure: &mut Figure, input: &ReportInput, videos: &Videos) {
             figure.text(place.x - 6.0, at + 4.0, Anchor::End, "muted", &text);
         }
         figure.text_upwards(place.x - 38.0, place.y + height / 2.0, "muted", x.label());
-        colour_bar(figure, place, Map::Light, range, "");
+        colour_bar(figure, place, Map::Light, range, "counts");
     }
     for (value, text) in time.ticks(4) {
         let at = place.x + time.fraction(value) * place.width;

@@ -12,9 +12,9 @@ use crate::panel::{put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::{AnnotatedTrace, ReportInput};
 
-/// Colours of the places, told apart by colour-blind readers too, on white and on black; as many
-/// traces are drawn.
-const COLOURS: [&str; 8] = [
+/// Colours of regions in all figures and in the viewer, told apart by colour-blind readers too, on white and on black; as
+/// many traces are drawn.
+pub const REGION_COLOURS: [&str; 8] = [
     "#2a85c9", "#e0662f", "#1a9b74", "#c563ae", "#c2940b", "#7577d6", "#5f8a1f", "#c0504d",
 ];
 /// Half of a 95 % interval over its standard error.
@@ -51,7 +51,7 @@ impl TimeScale {
 /// Draws the traces, or nothing where there are none.
 pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigure> {
     let shape = videos.video.shape();
-    let traces = &input.traces[..input.traces.len().min(COLOURS.len())];
+    let traces = &input.traces[..input.traces.len().min(REGION_COLOURS.len())];
     if traces.is_empty() {
         return None;
     }
@@ -87,7 +87,14 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
             if is_last { Labels::Both } else { Labels::YOnly },
         );
         let truth = truths.as_ref().map(|truths| truths[i].as_slice());
-        draw_curves(&mut figure, &chart, &scale, annotated, truth, COLOURS[i]);
+        draw_curves(
+            &mut figure,
+            &chart,
+            &scale,
+            annotated,
+            truth,
+            REGION_COLOURS[i],
+        );
         draw_legend_entry(
             &mut figure,
             place.bottom() + 40.0,
@@ -96,7 +103,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         );
         draw_label(&mut figure, &chart, i, annotated);
     }
-    figure.text_upwards(284.0, (20.0 + bottom) / 2.0, "", "brightness");
+    figure.text_upwards(284.0, (20.0 + bottom) / 2.0, "", "light (counts)");
     let legend = place.bottom() + 40.0 + 20.0 * traces.len() as f64;
     figure.set_height((bottom + 42.0).max(legend));
     Some(CaptionedFigure {
@@ -148,7 +155,7 @@ fn draw_curves(
 fn draw_legend_entry(figure: &mut Figure, top: f64, i: usize, region: &Region) {
     let y = top + 20.0 * i as f64;
     let swatch = [(4.0, y - 4.0), (24.0, y - 4.0)];
-    let colour = COLOURS[i];
+    let colour = REGION_COLOURS[i];
     let wide = format!(r#"style="stroke:{colour};stroke-width:3""#);
     figure.line(&swatch, "line", &wide);
     let text = format!("{} · {}", i + 1, place_of(region));
@@ -287,18 +294,27 @@ fn map(
     scale_bar(figure, place, columns, input.pixel_pitch_um);
     for (i, annotated) in traces.iter().enumerate() {
         let region = annotated.trace.region;
-        let middle = |first: usize, count: usize| first as f64 + 0.5 * count as f64;
-        let x = place.x + middle(region.x, region.columns) / columns as f64 * place.width;
-        let y = place.y + middle(region.y, region.rows) / rows as f64 * place.height;
-        figure.ring(x, y, 8.0, "#000", 3.5);
-        figure.ring(x, y, 8.0, COLOURS[i], 2.0);
-        let left = x + 24.0 > place.right();
-        let (x, anchor) = if left {
-            (x - 11.0, Anchor::End)
+        let scale = (place.width / columns as f64, place.height / rows as f64);
+        // About the pixels, not on them.
+        let outline = Rect::new(
+            place.x + region.x as f64 * scale.0 - 1.5,
+            place.y + region.y as f64 * scale.1 - 1.5,
+            region.columns as f64 * scale.0 + 3.0,
+            region.rows as f64 * scale.1 + 3.0,
+        );
+        let colour = REGION_COLOURS[i];
+        for (stroke, width) in [("#000", 3.5), (colour, 1.75)] {
+            let style = format!(r#"fill="none" stroke="{stroke}" stroke-width="{width}""#);
+            figure.rect(outline, "region", &style);
+        }
+        let is_at_edge = outline.right() + 14.0 > place.right();
+        let (x, anchor) = if is_at_edge {
+            (outline.x - 3.0, Anchor::End)
         } else {
-            (x + 11.0, Anchor::Start)
+            (outline.right() + 3.0, Anchor::Start)
         };
-        figure.mark(x, y - 5.0, anchor, COLOURS[i], &(i + 1).to_string());
+        let y = (outline.y + 4.0).max(place.y + 11.0);
+        figure.mark(x, y, anchor, colour, &(i + 1).to_string());
     }
     place
 }

@@ -71,6 +71,7 @@ impl Page<'_> {
         let report = Sheet {
             title: "Rowburst: design",
             summary: self.title_line(),
+            verdict: None,
             warnings: summary.warnings.clone(),
             notes: Vec::new(),
             headline: headline(summary),

@@ -1,6 +1,7 @@
 //! The page of a PSF: what its numbers look like.
 
 use super::summary::PsfSummary;
+use crate::calibrate::verdict;
 use crate::short;
 use rowburst::calibrate::psf::{HISTOGRAM_BIN_WIDTH, MemoryEffect, Reach, SpeckleStatistics};
 use rowburst::{Image, Result};
@@ -68,6 +69,10 @@ pub fn render(
         summary: format!(
             "{} captures, {} × {} pixels of the working grid",
             summary.captures, summary.rows, summary.columns
+        ),
+        verdict: verdict(
+            &summary.warnings,
+            "contrast, grain and reach of the speckle suit a reconstruction",
         ),
         warnings: summary.warnings.clone(),
         notes: summary.remarks.clone(),

@@ -1,5 +1,6 @@
 //! The page of a calibrated sensor.
 
+use crate::calibrate::verdict;
 use crate::short;
 use rowburst::calibrate::sensor::SensorCalibration;
 use rowburst::{Image, Result};
@@ -31,6 +32,10 @@ pub(super) fn render(
                 .map(|l| l.frames.len())
                 .sum::<usize>(),
             calibration.levels.len()
+        ),
+        verdict: verdict(
+            &calibration.warnings,
+            "darks and flats agree, and nothing was found against these numbers",
         ),
         warnings: calibration.warnings.clone(),
         notes: Vec::new(),

@@ -1,6 +1,7 @@
 //! The page and the plots of `calibrate timing`.
 
 use super::{exposure, row_time, shutter_names};
+use crate::calibrate::verdict;
 use crate::short;
 use rowburst::Result;
 use rowburst::calibrate::timing::{CLEAR_MARGIN, Timing};
@@ -33,6 +34,10 @@ pub(super) fn write_report(
         summary: format!(
             "{} of {rows} rows of a light that changes",
             plural(timing.profiles.len(), "frame")
+        ),
+        verdict: verdict(
+            &timing.warnings,
+            "the light decides row time and readout order",
         ),
         warnings: timing.warnings.clone(),
         notes: timing.advice.clone().into_iter().collect(),
