@@ -11,6 +11,7 @@
 use crate::artifacts::{Artifacts, Output, Summary};
 use crate::event::{Chunk, Event, IterationMetrics, Observer};
 use crate::format::short;
+use crate::memory::check_bytes;
 use crate::movie::encode_movie;
 use crate::numbers::thousands;
 use crate::record::RunRecord;
@@ -21,7 +22,7 @@ use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
+use rowburst::{Error, ErrorKind, Image, Parameter, Result, Shape, TimeGrid, Video, phrase};
 use rowburst_io::{ChunkedVideoFile, FromMetadata};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
@@ -51,13 +52,21 @@ impl ChunkedTask {
     /// Reconstructs the video of `task` in chunks of `bins_per_chunk` bins, or as many as fit where it is 0.
     ///
     /// # Errors
-    /// Those of [`Chunked::new`].
+    /// Those of [`Chunked::new`], and too little memory for a chunk.
     pub fn new(task: Task, bins_per_chunk: usize) -> Result<Self> {
+        let bins_per_chunk = Some(bins_per_chunk).filter(|n| *n > 0);
+        let chunked = Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
+            .with_cancel(&task.cancel);
+        if let Some(first) = chunked.ranges(bins_per_chunk).first() {
+            let what = format!("a chunk of {} bins", first.len());
+            let remedy = phrase!["Make ", Parameter::PartBins, " smaller."];
+            let needed = Some(chunked.chunk_bytes(first));
+            check_bytes(Parameter::PartBins, &what, needed, remedy)?;
+        }
         Ok(Self {
             tau: task.options.tau,
-            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
-                .with_cancel(&task.cancel),
-            bins_per_chunk: Some(bins_per_chunk).filter(|n| *n > 0),
+            chunked,
+            bins_per_chunk,
             from_metadata: task.from_metadata,
         })
     }

@@ -43,6 +43,7 @@ mod schema;
 mod setup;
 pub mod simulate;
 mod summary;
+mod sweep;
 mod task;
 mod traces;
 mod view_files;
@@ -51,7 +52,7 @@ pub use artifacts::{Artifacts, Output, Summary};
 pub use check::{CheckItem, CheckParams, SetupCheck};
 pub use chunked::{ChunkNumbers, ChunkedSummary, ChunkedTask, run_chunked};
 pub use cite::cite;
-pub use colour::{ColourSummary, ColourTask, Plane, PlaneNumbers, merge_planes};
+pub use colour::{ColourFolder, ColourSummary, ColourTask, Plane, PlaneNumbers, merge_planes};
 pub use completed_task::{CompletedTask, ReportMeta};
 pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
@@ -59,7 +60,7 @@ pub use format::short;
 pub use formats::VideoFormat;
 pub use guide::{AffineNumbers, GuideNumbers, GuideOutcome, GuideTask, GuideTrialNumbers};
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
-pub use memory::{available_memory_bytes, check_memory};
+pub use memory::{available_memory_bytes, check_bytes, check_memory};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use plausibility::check_camera;
@@ -73,6 +74,7 @@ pub use summary::{
     CalibrationNumbers, ChangeNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate,
     PriorChoice, ReconstructionSummary, peak_memory_bytes,
 };
+pub use sweep::{SweepPoint, SweepRow, sweep_csv, sweep_label, sweep_lines, sweep_path};
 pub use task::{Task, solve, solve_with_model};
 pub use traces::{
     DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,

@@ -112,6 +112,12 @@ class Capture(Iterator[CapturedFrame]):
             Settings with which frames are of no use, such as a global shutter, or a file that exists.
         WorkError
             No frame, or a disk that is full: the frames before it are kept.
+
+        Examples
+        --------
+        >>> camera = rb.capture.from_arrays(np.full((3, 24, 30), 100, np.uint16))
+        >>> camera.record("record.tif", 2)["written"]
+        2
         """
         recorder = _rowburst._Recorder(path, purpose, self.name, self._tuples(), count)
         ended, written = "source", 0
@@ -147,6 +153,17 @@ def open(source: str) -> Capture:  # noqa: A001
     ------
     InputError
         A kind of source that does not exist, or a recording that cannot be read.
+
+    Returns
+    -------
+    Capture
+        The frames, one after the other, and the camera's settings.
+
+    Examples
+    --------
+    >>> np.save("frames.npy", np.full((3, 24, 30), 100, np.uint16))
+    >>> next(rb.capture.open("play:frames.npy?rate=max")).image.shape
+    (24, 30)
     """
     frames = _rowburst._Source(source)
     settings = json.loads(frames.settings())
@@ -170,6 +187,23 @@ def from_arrays(frames: Iterable[Any], settings: Mapping[str, object] | None = N
         Names and values of the camera's properties; keys of the experiment file, such as ``row_time_us``, are known, too.
     name : str
         What errors call the source.
+
+    Returns
+    -------
+    Capture
+        The frames, one after the other, and the settings.
+
+    Raises
+    ------
+    InputError
+        A frame of another type or shape, when it is taken.
+
+    Examples
+    --------
+    >>> frames = np.full((2, 24, 30), 100, np.uint16)
+    >>> camera = rb.capture.from_arrays(frames, {"row_time_us": 9.6, "shutter": "dual-inside-out"})
+    >>> len(list(camera)), camera.reading["row_time_us"]
+    (2, 9.6)
     """
     start = time.monotonic()
 
@@ -193,6 +227,24 @@ def from_mmcore(core: Any, *, camera: str | None = None) -> Capture:
         A core whose camera is set up.
     camera : str, optional
         Label of the camera; by default that of the core.
+
+    Returns
+    -------
+    Capture
+        The frames, one after the other, and the camera's settings.
+
+    Raises
+    ------
+    InputError
+        The core has no camera.
+
+    Examples
+    --------
+    ::
+
+        core = pymmcore_plus.CMMCorePlus.instance()
+        core.loadSystemConfiguration("zyla.cfg")
+        record = rb.capture.from_mmcore(core).record("run.tif", 100)
     """
     label = camera or core.getCameraDevice()
     if not label:

@@ -3,7 +3,7 @@
 mod folder;
 mod guides;
 
-pub use folder::{SimulationRequest, photodiode_file};
+pub use folder::{CaptureFiles, SimulationNames, SimulationRequest, photodiode_file};
 
 use rowburst::error::Place;
 use rowburst::linop::LinearOperator;
