@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 
@@ -52,6 +53,49 @@ def test_colour_is_that_of_the_command_line(prior, files, camera, tmp_path):
         listed = json.loads((out / "result.json").read_text())["planes"]
         assert {p["name"]: p["start_us"] for p in listed} == colour.start_us
         assert {p["name"]: p["tau"] for p in listed} == {name: plane.tau for name, plane in planes.items()}
+
+
+def test_a_folder_in_colour_is_loaded(files, camera, tmp_path):
+    psf, frame = np.load(files / "psf.npy"), np.load(files / "frame.npy")
+    colour = rb.reconstruct_colour(frame, camera.replace(bayer="grbg"), psf, prior="tv", max_iterations=20)
+    folders = [colour.save(tmp_path / "ours")]
+    # Again, after the videos went to numpy and through pickle.
+    folders.append(pickle.loads(pickle.dumps(colour)).save(tmp_path / "again"))
+    if PROGRAM:
+        command(files, "colour.toml", "--prior", "tv", "--max-iterations", 20, "-o", tmp_path / "out")
+        folders.append(tmp_path / "out")
+    for folder in folders:
+        saved = rb.load(folder)
+        assert isinstance(saved, rb.SavedColour) and "in colour" in repr(saved)
+        np.testing.assert_array_equal(saved.video, colour.video)
+        assert saved.start_us == colour.start_us and saved.bayer == colour.bayer == "grbg"
+        assert saved.frame_rate_hz == pytest.approx(colour.planes["red"].frame_rate_hz) and len(saved.time_us) == len(saved.video)
+        for name, plane in colour.planes.items():
+            np.testing.assert_array_equal(saved.planes[name].video, plane.video)
+        assert {"schema_version", "planes", "warnings"} <= saved.numbers.keys() and (folder / "colour.tif").exists()
+    ours, theirs = (rb.load(folder).numbers for folder in (folders[0], folders[-1]))
+    for numbers in (ours, theirs):
+        numbers.pop("run")
+        for plane in numbers["planes"]:
+            plane.pop("seconds"), plane.pop("folder")
+    assert ours == theirs
+
+
+def test_corrected_frames_in_colour_and_in_chunks(files, camera, tmp_path):
+    psf, frame = np.load(files / "psf.npy"), np.load(files / "frame.npy")
+    biased = camera.replace(bias_counts=100.0)
+    counts = np.round(1000 * frame / frame.max()).astype(np.uint16)
+    options = dict(prior="tv", max_iterations=5)
+    colour = [
+        rb.reconstruct_colour(value, biased.replace(bayer="grbg"), psf, corrected=corrected, **options).video
+        for value, corrected in ((counts, True), (counts + np.uint16(100), False))
+    ]
+    np.testing.assert_allclose(colour[0], colour[1], rtol=1e-5, atol=1e-4 * colour[1].max())
+    chunks = [
+        rb.reconstruct_chunked(value, tmp_path / str(corrected), biased, psf, bins_per_chunk=4, corrected=corrected, **options).video
+        for value, corrected in ((counts, True), (counts + np.uint16(100), False))
+    ]
+    np.testing.assert_allclose(chunks[0], chunks[1], rtol=1e-5, atol=1e-4 * chunks[1].max())
 
 
 def test_colour_needs_a_mosaic_and_grey_has_none(files, camera, psf):

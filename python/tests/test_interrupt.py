@@ -3,9 +3,12 @@
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
+
+import rowburst as rb
 
 SET_UP = """
 import signal
@@ -60,6 +63,40 @@ def test_ctrl_c_is_heard_during_the_set_up(call):
 )
 def test_ctrl_c_is_heard_by_what_has_no_progress(before, call, tmp_path):
     interrupt(SET_UP.format(before=before, call=call), wait_s=0.3, folder=tmp_path)
+
+
+MAP = """
+reconstructor = rb.Reconstructor(small, made.psf, prior="tv+0.5*tdiff+support", threads=1)
+stack = [made.frame] * 50
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize(
+    "call",
+    [
+        "list(reconstructor.map(stack, workers=2))",
+        'rb.batch(np.stack(stack), "videos.zarr", small, made.psf, prior="tv+0.5*tdiff+support")',
+    ],
+)
+def test_ctrl_c_ends_many_frames(call, tmp_path):
+    interrupt(SET_UP.format(before=RESULT + MAP, call=call), folder=tmp_path)
+
+
+def test_a_map_that_is_left_early_ends_its_frames():
+    """The threads of a map do not go on once nobody takes its results."""
+    small = rb.Camera(rows=108, columns=108, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
+    made = rb.simulate(small, "moving")
+    reconstructor = rb.Reconstructor(small, made.psf, prior="tv", threads=1)
+    results = reconstructor.map([made.frame] * 20, workers=3)
+    next(results)
+    began = time.monotonic()
+    results.close()
+    assert time.monotonic() - began < 0.5
+    until = began + 20
+    while any(t.name.startswith("rowburst") for t in threading.enumerate()) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not [t for t in threading.enumerate() if t.name.startswith("rowburst")]
 
 
 def interrupt(program, wait_s=1.5, folder=None):

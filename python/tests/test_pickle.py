@@ -126,6 +126,57 @@ def test_joblib_gives_the_same(camera, psf, capture):
         np.testing.assert_array_equal(result.video, reconstructor(frame).video)
 
 
+def test_calibrations_and_designs(tmp_path):
+    rng = np.random.default_rng(11)
+    light = np.repeat([200.0, 800.0, 3000.0], 4)[:, None, None]
+    flats = (rng.normal(100, 3, (12, 32, 32)) + rng.poisson(2 * light, (12, 32, 32)) / 2).round()
+    sensor = rb.calibrate.sensor(rng.normal(100, 3, (20, 32, 32)).round(), flats)
+    large = rb.Camera(rows=96, columns=96, shutter="top-down", row_time_us=10, exposure_us=10)
+    point = rb.calibrate.psf(100 + 4e7 * rb.speckle_psf(large, diffuser_deg=0.4).array)
+    row = np.arange(512)[:, None] * 9.6e-6
+    stripes = 1000 + 600 * np.sin(2 * np.pi * 2000 * row) + rng.normal(0, 8, (512, 40))
+    timing = rb.calibrate.timing(stripes, frequency_hz=2000)
+    design = rb.design(trials=False)
+    for original in (sensor, point, timing, design):
+        written = original.save(tmp_path / type(original).__name__ / "original")
+        # A copy of a copy as well.
+        once = pickle.loads(pickle.dumps(original))
+        for i, same in enumerate((once, copy.deepcopy(once), copy.copy(original))):
+            assert type(same) is type(original) and same.numbers == original.numbers and repr(same) == repr(original)
+            saved = same.save(tmp_path / type(original).__name__ / str(i))
+            names = {p.relative_to(written).as_posix() for p in written.rglob("*") if p.is_file() and p.name[0] != "."}
+            assert names == {p.relative_to(saved).as_posix() for p in saved.rglob("*") if p.is_file() and p.name[0] != "."}
+            assert all((saved / name).read_bytes() == (written / name).read_bytes() for name in names)
+    for name in ("dark", "flat", "response", "read_noise", "bad_pixels"):
+        np.testing.assert_array_equal(getattr(pickle.loads(pickle.dumps(sensor)), name), getattr(sensor, name))
+    assert pickle.loads(pickle.dumps(sensor)).camera_fields == sensor.camera_fields
+    assert pickle.loads(pickle.dumps(point)).psf == point.psf
+    assert pickle.loads(pickle.dumps(timing)).camera_fields == timing.camera_fields
+    assert str(pickle.loads(pickle.dumps(design))) == str(design)
+
+
+def test_a_reconstructor_is_copied(camera, psf, capture):
+    original = rb.Reconstructor(camera, psf, prior="tv", max_iterations=10)
+    expected = original(capture.frame).video
+    for same in (copy.deepcopy(original), copy.copy(original)):
+        np.testing.assert_array_equal(same(capture.frame).video, expected)
+
+
+def test_dask_takes_every_value(camera, psf, capture, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    np.save(tmp_path / "psf.npy", psf.array)
+    (tmp_path / "experiment.toml").write_text(camera.to_toml() + '[calibration]\npsf = "psf.npy"\n')
+    experiment = rb.Experiment(tmp_path / "experiment.toml")
+    expected = made_elsewhere(capture.frame, camera, psf)
+    with distributed.Client(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as client:
+        found = client.submit(rb.reconstruct, capture.frame, camera, psf, prior="tv", max_iterations=10)
+        again = client.submit(rb.reconstruct, capture.frame, experiment, prior="tv", max_iterations=10)
+        largest = client.submit(lambda result: float(result.video.max()), expected)
+        np.testing.assert_array_equal(found.result(timeout=120).video, expected.video)
+        np.testing.assert_array_equal(again.result(timeout=120).video, expected.video)
+        assert largest.result(timeout=120) == expected.video.max()
+
+
 def test_operators_and_data_terms(camera, psf, capture):
     operator = rb.operator(camera, psf, dtype=np.float32)
     video = capture.truth.ravel()

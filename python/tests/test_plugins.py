@@ -70,6 +70,8 @@ def test_napari_reads_results_archives_and_samples(result, capture, camera, psf,
     layers = _napari.get_reader(str(folder))(str(folder))
     video, options, kind = layers[0]
     np.testing.assert_array_equal(video, result.video)
+    assert options["units"] == ("microsecond", "pixel", "pixel") and options["axis_labels"] == ("t", "y", "x")
+    assert _napari.get_reader(str(folder / "result.json"))(str(folder / "result.json"))[0][1]["name"] == "result: video"
     assert kind == "image" and options["scale"] == (pytest.approx(9.6), 1, 1) and options["metadata"]["rowburst"]["fit"] == result.fit
     assert [layer[1]["name"] for layer in layers] == ["result: video", "result: frame"]
     pytest.importorskip("zarr")
@@ -77,6 +79,7 @@ def test_napari_reads_results_archives_and_samples(result, capture, camera, psf,
     rb.batch(frames, tmp_path / "videos.zarr", camera, psf, prior="tv", max_iterations=3)
     archive, options, _ = _napari.get_reader(str(tmp_path / "videos.zarr"))(str(tmp_path / "videos.zarr"))[0]
     assert archive.shape == (2, *camera.video_shape) and len(options["scale"]) == 4
+    assert options["units"][1:2] == ["microsecond"] and options["axis_labels"][-2:] == ["y", "x"]
     assert _napari.get_reader(str(tmp_path)) is None
     with pytest.raises(rb.InputError, match="experiment: found"):
         _napari.reconstruct_frame(capture.frame, {})
@@ -107,6 +110,10 @@ def test_napari_shows_and_reconstructs_headless(result, tmp_path, monkeypatch):
     layers = viewer.open(str(folder), plugin="rowburst")
     np.testing.assert_array_equal(layers[0].data, result.video)
     assert layers[0].scale[0] == pytest.approx(9.6)
+    assert str(layers[0].units[0]) == "microsecond" and layers[0].axis_labels == ("t", "y", "x")
+    # Files of other kinds are left to others.
+    claims = [reader for reader in PluginManager.instance().iter_compatible_readers(["frame.tif"])]
+    assert "rowburst.read" not in [reader.command for reader in claims]
     sample = viewer.open_sample("rowburst", "digits")[0]
     assert sample.data.shape == (108, 108)
 

@@ -155,6 +155,46 @@ def test_a_batch_with_a_bias_takes_integers_alone(frames, camera, psf, tmp_path)
     assert rb.batch(whole, tmp_path / "whole.zarr", biased, psf, prior="tv", max_iterations=3)["done"] == 3
 
 
+def test_a_batch_takes_masked_frames_and_shows_a_bar(frames, camera, psf, tmp_path, capsys):
+    pytest.importorskip("tqdm")
+    masked = np.ma.masked_array(frames, np.zeros(frames.shape, bool))
+    masked[0, 3, 4] = np.ma.masked
+    bad = np.zeros(camera.frame_shape, np.uint8)
+    bad[5, 6] = 1
+    options = dict(prior="tv", max_iterations=5)
+    rb.batch(masked, tmp_path / "masked.zarr", camera, psf, bad_pixels=bad, progress=True, **options)
+    assert "frame" in capsys.readouterr().err
+    bad[3, 4] = 1
+    rb.batch(frames, tmp_path / "bad.zarr", camera, psf, bad_pixels=bad, progress=False, **options)
+    assert capsys.readouterr().err == ""
+    zarr = pytest.importorskip("zarr")
+    found = [zarr.open(str(tmp_path / f"{name}.zarr"))["0"][...] for name in ("masked", "bad")]
+    np.testing.assert_array_equal(*found)
+    with pytest.raises(rb.InputError, match="progress: found 'x'"):
+        rb.batch(frames, tmp_path / "no.zarr", camera, psf, progress="x", **options)
+
+
+def test_own_threads_of_every_call(camera, psf, capture):
+    one = rb.LiveView(camera, psf, prior="tv", threads=1).next(capture.frame)
+    np.testing.assert_array_equal(one.video, rb.LiveView(camera, psf, prior="tv").next(capture.frame).video)
+    made = rb.simulate(camera, "moving", psf, digit_px=8, threads=1)
+    np.testing.assert_array_equal(made.frame, rb.simulate(camera, "moving", psf, digit_px=8).frame)
+    rng = np.random.default_rng(11)
+    stripes = 1000 + 600 * np.sin(2 * np.pi * 2000 * np.arange(512)[:, None] * 9.6e-6) + rng.normal(0, 8, (512, 40))
+    timing = rb.calibrate.timing(stripes, frequency_hz=2000, threads=1)
+    assert timing.numbers == rb.calibrate.timing(stripes, frequency_hz=2000).numbers
+    for call in (
+        lambda: rb.LiveView(camera, psf, threads=0),
+        lambda: rb.simulate(camera, "moving", psf, threads=0),
+        lambda: rb.design(trials=False, threads=0),
+        lambda: rb.calibrate.timing(stripes, frequency_hz=2000, threads=0),
+        lambda: rb.calibrate.psf(capture.frame, threads=0),
+        lambda: rb.calibrate.sensor(stripes, stripes, threads=0),
+    ):
+        with pytest.raises(rb.InputError, match="threads: found 0"):
+            call()
+
+
 def test_a_live_view_takes_dark_flat_and_bad_pixels(camera, psf, capture):
     rng = np.random.default_rng(4)
     dark = rng.uniform(50, 150, capture.frame.shape).astype(np.float32)

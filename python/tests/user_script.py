@@ -4,6 +4,7 @@
 whose package is missing are left out, and named on the last line.
 """
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -24,6 +25,35 @@ def calibrated(rng, camera):
     return sensor, camera
 
 
+def optics(rng):
+    """A PSF from captures of a point source, and the timing from the stripes of a blinking light."""
+    planned = rb.Camera(rows=96, columns=96, shutter="top-down", row_time_us=10, exposure_us=10)
+    point = rb.speckle_psf(planned, diffuser_deg=0.4).array
+    shots = [(100 + rng.poisson(20000 * point / point.max())).astype(np.uint16) for _ in range(3)]
+    found = rb.calibrate.psf(np.stack(shots), dark=np.full(point.shape, 100))
+    assert found.numbers["contrast"] > 0.5 and found.psf.shape == point.shape
+    row = np.arange(512)[:, None] * 9.6e-6
+    stripes = (1000 + 600 * np.sin(2 * np.pi * 2000 * row) + rng.normal(0, 8, (512, 40))).round().astype(np.uint16)
+    timing = rb.calibrate.timing(stripes, frequency_hz=2000)
+    assert abs(timing.camera_fields["row_time_us"] - 9.6) < 0.02
+
+
+def recording(frames, left_out):
+    """The recording as a camera's software leaves it, with its settings; .npy without tifffile."""
+    try:
+        import tifffile
+    except ImportError:
+        left_out.append("tifffile")
+        np.save("recording.npy", frames)
+        return "recording.npy"
+    record = json.dumps({"Width": 30, "Height": 24, "Exposure-ms": 0.0096, "BitDepth": 16, "Camera": "Zyla"})
+    tag = (51123, 2, None, record, True)
+    tifffile.imwrite("recording.ome.tif", frames, metadata={"axes": "TYX"}, extratags=[tag])
+    settings = rb.read_settings("recording.ome.tif")
+    assert (settings["rows"], settings["columns"], settings["exposure_us"]) == (24, 30, 9.6)
+    return "recording.ome.tif"
+
+
 def main():
     left_out = []
     os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
@@ -33,12 +63,13 @@ def main():
     psf = rb.Psf(rng.exponential(size=(47, 59)))
     made = rb.simulate(camera, "moving", psf, peak_electrons=40000, digit_px=8)
     np.save("psf.npy", psf.array)
-    np.save("recording.npy", np.stack([made.frame, made.frame]))
+    optics(rng)
+    path = recording(np.stack([made.frame, made.frame]), left_out)
     files = '[calibration]\npsf = "psf.npy"\n[reconstruction]\nprior = "tv"\n'
     Path("experiment.toml").write_text(camera.to_toml() + files)
 
-    experiment = rb.Experiment("experiment.toml", frame="recording.npy")
-    frames = rb.read_frames("recording.npy")
+    experiment = rb.Experiment("experiment.toml", frame=path)
+    frames = rb.read_frames(path)
     assert frames.dtype == np.uint16
     reconstructor = experiment.reconstructor(threads=1)
     result = reconstructor(frames[0])

@@ -14,7 +14,10 @@ use rowburst_batch::{
 };
 use rowburst_io::{Calibration, Frames, FromMetadata, gaps};
 use rowburst_run::options::{UserOptions, parse_prior, parse_tau};
-use rowburst_run::{MetadataNumbers, is_logging, peak_memory_bytes, short};
+use rowburst_run::{
+    MetadataNumbers, SweepRow, is_logging, peak_memory_bytes, short, sweep_label, sweep_lines,
+    sweep_path,
+};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
@@ -91,7 +94,7 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
         point_args.sweep.clear();
-        point_args.output = sweep::point_path(&args.output, point, ".zarr");
+        point_args.output = sweep_path(&args.output, &sweep_label(point), ".zarr");
         for (key, value) in point {
             match *key {
                 "prior" => {
@@ -106,18 +109,18 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
                 _ => point_args.max_iterations = Some(sweep::parse_count(key, value)?),
             }
         }
-        Ok((sweep::label(point), point_args))
+        Ok((sweep_label(point), point_args))
     });
     // A value that is none is found before the first run, which may take hours.
     let runs: Vec<(String, BatchArgs)> = runs.collect::<Result<_>>()?;
     let folder = rowburst_io::OutputFolder::create(&args.output)?;
-    let mut rows: Vec<sweep::Row> = Vec::new();
+    let mut rows: Vec<SweepRow> = Vec::new();
     for (point, point_args) in runs {
         eprintln!("{point}");
         let (summary, lines) = run_one(&point_args, stop)?;
         let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
         let good = done.iter().filter(|l| l.fit.as_deref() == Some("good"));
-        rows.push(sweep::Row {
+        rows.push(SweepRow {
             point,
             output: point_args.output.display().to_string(),
             prior: Some(summary.prior),
@@ -135,7 +138,7 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     if args.json {
         print_line(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
     } else {
-        sweep::lines(&rows).into_iter().for_each(print_line);
+        sweep_lines(&rows).into_iter().for_each(print_line);
         print_line(format!(
             "table, with medians over the frames: {}",
             table.display()

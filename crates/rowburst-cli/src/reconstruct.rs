@@ -13,7 +13,8 @@ use rowburst_io::Experiment;
 use rowburst_run::options::{UserOptions, parse_prior, parse_tau};
 use rowburst_run::{
     Artifacts, ChunkedSummary, ColourSummary, MovieStyle, Output, ReconstructionSummary, Request,
-    RequestParams, RunRecord, Summary, VideoFormat, read_experiment, short, thousands,
+    RequestParams, RunRecord, Summary, SweepRow, VideoFormat, read_experiment, short, sweep_label,
+    sweep_lines, sweep_path, thousands,
 };
 use std::ops::Range;
 use std::path::PathBuf;
@@ -173,7 +174,7 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
     let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
         point_args.sweep.clear();
-        point_args.output = sweep::point_path(&args.output, point, "");
+        point_args.output = sweep_path(&args.output, &sweep_label(point), "");
         for (key, value) in point {
             match *key {
                 "prior" => {
@@ -188,11 +189,11 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
                 _ => point_args.max_iterations = Some(sweep::parse_count(key, value)?),
             }
         }
-        Ok((sweep::label(point), point_args))
+        Ok((sweep_label(point), point_args))
     });
     // All values are parsed before the first run.
     let runs: Vec<(String, ReconstructArgs)> = runs.collect::<Result<_>>()?;
-    let mut rows: Vec<sweep::Row> = Vec::new();
+    let mut rows: Vec<SweepRow> = Vec::new();
     let mut first_error = None;
     let mut table = None;
     for (point, point_args) in runs {
@@ -207,17 +208,16 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
             }) => Some(summary),
             _ => None,
         };
-        rows.push(sweep::Row {
+        let row = SweepRow {
             point,
             output: point_args.output.display().to_string(),
-            prior: summary.map(|s| s.prior.clone()),
-            tau: summary.map(|s| s.tau),
-            residual_over_sigma: summary.map(|s| s.residual_over_sigma),
-            psnr_db: summary.and_then(|s| s.psnr_db),
-            ssim: summary.and_then(|s| s.ssim),
-            fit: summary.map(|s| s.fit.to_string()),
             seconds: point_start.elapsed().as_secs_f64(),
             error: run.as_ref().err().map(option_names::message),
+            ..SweepRow::default()
+        };
+        rows.push(match summary {
+            Some(summary) => row.with_summary(summary),
+            None => row,
         });
         if let Err(error) = run {
             first_error.get_or_insert(error);
@@ -231,7 +231,7 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
     if args.json {
         print_line(serde_json::to_string_pretty(&rows).expect("plain numbers and text"));
     } else {
-        sweep::lines(&rows).into_iter().for_each(print_line);
+        sweep_lines(&rows).into_iter().for_each(print_line);
         if let Some(table) = table {
             print_line(format_args!("table: {}", table.display()));
         }

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use rowburst::{Error, ErrorKind, Image, Shape, Video};
 use rowburst_io::{Capture, SampleFormat, read_image, read_video};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Anything that numpy takes for an array, in C order and in numbers of `T`, with the kind of its own.
 fn floats<'py, T: Element>(
@@ -165,10 +165,31 @@ pub fn is_array(value: &Bound<'_, PyAny>) -> bool {
     path_of(value).is_none()
 }
 
+/// The frame of a camera maker's file, which a package of Python reads; `None`: `path` is another kind of file.
+fn frame_of_maker<'py>(
+    value: &Bound<'py, PyAny>,
+    path: &Path,
+) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let Some(makers) = makers_of(value.py(), path)? else {
+        return Ok(None);
+    };
+    makers.call_method1("frame_of_maker", (path,)).map(Some)
+}
+
+/// The module that reads files of camera makers, where `path` is one.
+pub fn makers_of<'py>(py: Python<'py>, path: &Path) -> PyResult<Option<Bound<'py, PyModule>>> {
+    let makers = py.import(intern!(py, "rowburst._makers"))?;
+    let is_of_maker = makers.call_method1(intern!(py, "is_of_maker"), (path,))?;
+    Ok(is_of_maker.is_truthy()?.then_some(makers))
+}
+
 /// A frame, a PSF or a mask; the name of a file is read.
 pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
     if let Some(path) = path_of(value) {
-        return read_image(&path).map_err(to_py_err);
+        return match frame_of_maker(value, &path)? {
+            Some(frame) => capture(&frame, name),
+            None => read_image(&path).map_err(to_py_err),
+        };
     }
     let (array, format) = floats::<f32>(value, name, 2)?;
     let array = array.cast::<PyArray2<f32>>()?;

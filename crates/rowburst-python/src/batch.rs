@@ -13,12 +13,12 @@ use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::reconstruct::Options;
-use rowburst::{Parameter, Result};
+use rowburst::{Error, ErrorKind, Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
     load_batch, name_correction_file,
 };
-use rowburst_io::{Calibration, Capture, Frames};
+use rowburst_io::{Calibration, Capture, Experiment, Frames, read_metadata};
 use rowburst_run::options::UserOptions;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -79,6 +79,7 @@ impl PyBatch {
         self_calibrate: &str,
         keep_all_pixels: bool,
     ) -> PyResult<Self> {
+        refuse_guides(&experiment, &frames).map_err(to_py_err)?;
         let files = BatchFiles {
             experiment: &experiment,
             frames: &frames,
@@ -257,6 +258,21 @@ impl PyBatch {
         let video = detached(py, || self.batch.video(frame))?.map_err(to_py_err)?;
         crate::array::from_video(py, video)
     }
+}
+
+/// Refuses the pictures of a second camera, which belong to one frame.
+fn refuse_guides(experiment: &Path, frames: &Path) -> Result<()> {
+    let guides = Experiment::read_with(experiment, &read_metadata(frames))?.guides;
+    if guides.is_empty() {
+        return Ok(());
+    }
+    let error = Error::input(
+        Parameter::Guide,
+        format!("[[guide]] in the experiment, {} of them", guides.len()),
+        "a guide belongs to one frame, and a batch does not take it",
+        "Call rb.reconstruct for the frame of these pictures, or take [[guide]] out of the experiment file.",
+    );
+    Err(error.with_kind(ErrorKind::Unsupported).within(experiment))
 }
 
 /// A recording that Python holds as well.

@@ -5,6 +5,7 @@ use crate::camera::PyCamera;
 use crate::error::{subject, to_py_err};
 use crate::interrupt::interruptibly;
 use crate::psf::PyPsf;
+use crate::task::threads_from;
 use crate::threads::detached;
 use crate::whole::{Whole, optional};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
@@ -62,12 +63,18 @@ pub struct PySensorCalibration {
 #[pymethods]
 impl PySensorCalibration {
     #[new]
-    fn new(py: Python<'_>, darks: &Bound<'_, PyAny>, flats: &Bound<'_, PyAny>) -> PyResult<Self> {
+    #[pyo3(signature = (darks, flats, *, threads=None))]
+    fn new(
+        py: Python<'_>,
+        darks: &Bound<'_, PyAny>,
+        flats: &Bound<'_, PyAny>,
+        threads: Option<Whole>,
+    ) -> PyResult<Self> {
         let (darks, flats) = (
             frames_of(darks, Parameter::Darks)?,
             frames_of(flats, Parameter::Flats)?,
         );
-        let made = interruptibly::<(), _>(py, None, None, move |_| {
+        let made = interruptibly::<(), _>(py, threads_from(threads)?, None, move |_| {
             let sensor = calibrate_frames(darks, flats, None, &mut |_| ControlFlow::Continue(()))?;
             Ok(Self { sensor })
         })?;
@@ -156,7 +163,7 @@ fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<C
 impl PyPsfCalibration {
     #[new]
     #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Vec::new(), positions_mm=None, binning=None,
-        saturation_counts=None, field=None, expected_grain_px=None, all_patches=false))]
+        saturation_counts=None, field=None, expected_grain_px=None, all_patches=false, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -170,6 +177,7 @@ impl PyPsfCalibration {
         field: Option<(Whole, Whole)>,
         expected_grain_px: Option<f64>,
         all_patches: bool,
+        threads: Option<Whole>,
     ) -> PyResult<Self> {
         for (name, value) in [
             ("saturation_counts", saturation_counts),
@@ -228,7 +236,8 @@ impl PyPsfCalibration {
             expected_grain_px,
             all_patches,
         };
-        let calibration = interruptibly::<(), _>(py, None, None, move |_| inputs.calibrate())?;
+        let threads = threads_from(threads)?;
+        let calibration = interruptibly::<(), _>(py, threads, None, move |_| inputs.calibrate())?;
         Ok(Self {
             calibration: calibration.map_err(to_py_err)?,
         })
@@ -326,7 +335,7 @@ fn lamp_of(
 impl PyTimingCalibration {
     #[new]
     #[pyo3(signature = (frames, *, frequency_hz=None, duty=None, signal=None, repeat=false, dark=None, flat=None,
-        camera=None))]
+        camera=None, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -338,6 +347,7 @@ impl PyTimingCalibration {
         dark: Option<&Bound<'_, PyAny>>,
         flat: Option<&Bound<'_, PyAny>>,
         camera: Option<&PyCamera>,
+        threads: Option<Whole>,
     ) -> PyResult<Self> {
         let light = lamp_of(frequency_hz, duty, signal, repeat)?;
         let (mut images, mut end) = (Vec::new(), None);
@@ -359,7 +369,7 @@ impl PyTimingCalibration {
             saturation_limit: end,
             camera: camera.map(|c| c.camera.clone()),
         };
-        let found = interruptibly::<(), _>(py, None, None, move |_| {
+        let found = interruptibly::<(), _>(py, threads_from(threads)?, None, move |_| {
             let timing = inputs.calibrate(None)?;
             Ok(Self { timing })
         })?;

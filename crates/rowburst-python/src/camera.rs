@@ -19,7 +19,7 @@ use std::path::PathBuf;
 /// Parameters
 /// ----------
 /// rows, columns : int
-///     Pixels of the frame, before binning.
+///     Pixels of the frame on the working grid, after binning.
 /// shutter : str
 ///     ``"top-down"``, ``"bottom-up"``, ``"dual-inside-out"``, ``"dual-outside-in"``, ``"custom"`` or ``"global"``.
 /// exposure_us : float
@@ -162,6 +162,27 @@ impl PyCamera {
     }
 
     /// The camera of an experiment file.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : path
+    ///     The experiment file.
+    ///
+    /// Returns
+    /// -------
+    /// Camera
+    ///     The camera and the field.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The file is missing or breaks a rule.
+    ///
+    /// Examples
+    /// --------
+    /// >>> rb.Camera.from_file("experiment.toml") == camera
+    /// True
+    #[allow(clippy::doc_lazy_continuation)]
     #[staticmethod]
     fn from_file(path: PathBuf) -> PyResult<Self> {
         let read = || {
@@ -175,6 +196,17 @@ impl PyCamera {
     }
 
     /// The text of an experiment file with this camera.
+    ///
+    /// Returns
+    /// -------
+    /// str
+    ///     TOML, which :meth:`from_file` and the command line read.
+    ///
+    /// Examples
+    /// --------
+    /// >>> "[camera]" in camera.to_toml().splitlines()
+    /// True
+    #[allow(clippy::doc_lazy_continuation)]
     fn to_toml(&self) -> String {
         let experiment = Experiment {
             bayer: self.bayer,
@@ -183,16 +215,19 @@ impl PyCamera {
         experiment.to_toml("".as_ref())
     }
 
+    /// Rows of the frame on the working grid.
     #[getter]
     fn rows(&self) -> usize {
         self.camera.rows()
     }
 
+    /// Columns of the frame on the working grid.
     #[getter]
     fn columns(&self) -> usize {
         self.camera.columns()
     }
 
+    /// The readout order, such as ``dual-inside-out``.
     #[getter]
     fn shutter(&self) -> &'static str {
         self.camera.shutter().name()
@@ -213,56 +248,67 @@ impl PyCamera {
         self.bayer.map(Bayer::name)
     }
 
+    /// Time from the readout of one row to that of the next, in microseconds.
     #[getter]
     fn row_time_us(&self) -> f64 {
         self.camera.params().row_time_us
     }
 
+    /// Exposure of a row, in microseconds.
     #[getter]
     fn exposure_us(&self) -> f64 {
         self.camera.params().exposure_us
     }
 
+    /// Bins of the video in a row time.
     #[getter]
     fn bins_per_row(&self) -> usize {
         self.camera.params().bins_per_row
     }
 
+    /// Raw pixels along a side of a pixel of the working grid.
     #[getter]
     fn binning(&self) -> usize {
         self.camera.sensor().binning
     }
 
+    /// ``(rows, columns)`` of the video.
     #[getter]
     fn field(&self) -> (usize, usize) {
         self.camera.field()
     }
 
+    /// Width of a pixel in micrometres; None where it is unknown.
     #[getter]
     fn pixel_pitch_um(&self) -> Option<f64> {
         self.camera.sensor().pixel_pitch_um
     }
 
+    /// Bits of the converter; None where they are unknown.
     #[getter]
     fn bit_depth(&self) -> Option<u32> {
         self.camera.sensor().bit_depth
     }
 
+    /// Counts of a pixel without light; None where they are unknown.
     #[getter]
     fn bias_counts(&self) -> Option<f64> {
         self.camera.sensor().bias_counts
     }
 
+    /// Electrons of a count; None where they are unknown.
     #[getter]
     fn gain_electrons_per_count(&self) -> Option<f64> {
         self.camera.sensor().gain_electrons_per_count
     }
 
+    /// Standard deviation of the read noise, in electrons; None where it is unknown.
     #[getter]
     fn read_noise_electrons(&self) -> Option<f64> {
         self.camera.sensor().read_noise_electrons
     }
 
+    /// Counts at which a pixel is full; None where they are unknown.
     #[getter]
     fn full_well_counts(&self) -> Option<f64> {
         self.camera.sensor().full_well_counts
@@ -296,6 +342,18 @@ impl PyCamera {
     }
 
     /// ``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     float32 ``[row, bin]``.
+    ///
+    /// Examples
+    /// --------
+    /// >>> weights = camera.row_time_weights()
+    /// >>> weights.shape, float(weights[0].sum())
+    /// ((24, 12), 1.0)
+    #[allow(clippy::doc_lazy_continuation)]
     fn row_time_weights<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let time = self.camera.time();
         let (rows, bins) = (self.camera.rows(), time.bins());
@@ -337,6 +395,27 @@ impl PyCamera {
     /// A camera that differs in the given arguments of the constructor.
     ///
     /// After a calibration of the sensor: ``camera.replace(**sensor.camera_fields)``.
+    ///
+    /// Parameters
+    /// ----------
+    /// **changes
+    ///     Arguments of :class:`Camera`.
+    ///
+    /// Returns
+    /// -------
+    /// Camera
+    ///     Another camera; this one stays as it is.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     A value breaks a rule.
+    ///
+    /// Examples
+    /// --------
+    /// >>> camera.replace(exposure_us=19.2).exposure_us
+    /// 19.2
+    #[allow(clippy::doc_lazy_continuation)]
     #[pyo3(signature = (**changes))]
     fn replace<'py>(
         slf: &Bound<'py, Self>,
@@ -378,7 +457,7 @@ impl PyCamera {
     }
 }
 
-fn mosaic_of(name: &str) -> rowburst::Result<Bayer> {
+pub fn mosaic_of(name: &str) -> rowburst::Result<Bayer> {
     Bayer::from_name(name).ok_or_else(|| {
         Error::input(
             Parameter::Bayer,

@@ -1,9 +1,11 @@
 //! `rowburst.design`: what a planned set-up can do.
 
+use crate::array::video;
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::{Answer, OnProgress, interruptibly};
 use crate::psf::psfs_of;
+use crate::task::threads_from;
 use crate::threads::detached;
 use crate::whole::{Whole, is_bool};
 use pyo3::prelude::*;
@@ -30,7 +32,7 @@ impl PyDesign {
     #[new]
     #[pyo3(signature = (camera=None, psf=None, *, wavelength_nm, pupil_mm, focal_length_mm, magnification, na, diffuser_deg,
         photons, bright_pixels, quantum_efficiency, read_noise_electrons, full_well_electrons, source_bandwidth_nm,
-        diffuser_path_rms_nm, trials, trial_snrs, seed, progress=None))]
+        diffuser_path_rms_nm, trials, trial_snrs, seed, progress=None, scene=None, threads=None))]
     #[allow(clippy::too_many_arguments, clippy::fn_params_excessive_bools)]
     fn new(
         py: Python<'_>,
@@ -53,6 +55,8 @@ impl PyDesign {
         trial_snrs: Vec<f64>,
         seed: Whole,
         progress: Option<Py<PyAny>>,
+        scene: Option<&Bound<'_, PyAny>>,
+        threads: Option<Whole>,
     ) -> PyResult<Self> {
         let began = Instant::now();
         let camera = match camera {
@@ -84,7 +88,7 @@ impl PyDesign {
             light,
             psf_file: None,
             trial_snrs: checked_snrs(&trial_snrs).map_err(to_py_err)?,
-            scene: None,
+            scene: scene.map(|scene| video(scene, "scene")).transpose()?,
             seed: seed.named("seed")? as u64,
         };
         let call = |py: Python<'_>, part: f64| {
@@ -104,7 +108,7 @@ impl PyDesign {
             Some(_) => Some(&call),
             None => None,
         };
-        let found = interruptibly(py, None, on_progress, move |reporter| {
+        let found = interruptibly(py, threads_from(threads)?, on_progress, move |reporter| {
             let design = inputs.run(psf, trials, began, &mut |event| match event {
                 Event::Trials { part, .. } => match reporter.ask(|| part) {
                     Answer::Continue => ControlFlow::Continue(()),

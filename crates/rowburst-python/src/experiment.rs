@@ -1,6 +1,6 @@
 //! `rowburst.Experiment`: what an experiment file says, read.
 
-use crate::array::{finite_image, from_image};
+use crate::array::{finite_image, from_image, makers_of};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::options::tau_from;
@@ -9,12 +9,14 @@ use crate::psf::PyPsf;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
+use rowburst::guide::{Guide, GuideExposure};
 use rowburst::reconstruct::Tau;
 use rowburst::{Image, PatchSet};
-use rowburst_io::{Experiment, FromMetadata, read_metadata};
+use rowburst_io::{Experiment, FromMetadata, Metadata, micro_manager_metadata, read_metadata};
+use rowburst_run::GuideTask;
 use rowburst_run::inputs::{read_corrections, read_psfs};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The content of an experiment file and of the files that it names.
 ///
@@ -23,7 +25,8 @@ use std::path::PathBuf;
 /// path : path
 ///     The experiment file, as ``rowburst init`` writes it.
 /// frame : path, optional
-///     A frame or a recording: keys that the file leaves open are taken from its metadata.
+///     A frame or a recording: keys that the file leaves open are taken from its metadata, also from that of a camera
+///     maker's file.
 ///
 /// Raises
 /// ------
@@ -48,8 +51,50 @@ pub struct PyExperiment {
     prior: String,
     tau: Tau,
     frame_period_us: Option<f64>,
+    /// The pictures of `[[guide]]`.
+    pub guides: Vec<Guide>,
     pub from_metadata: FromMetadata,
+    /// The experiment file as it was read; `None` after pickling.
+    pub file: Option<Experiment>,
 }
+
+/// What the metadata of a frame say, also of a file of a camera maker, which a package of Python reads.
+pub fn metadata_of(py: Python<'_>, path: &Path) -> PyResult<Metadata> {
+    let Some(makers) = makers_of(py, path)? else {
+        return Ok(read_metadata(path));
+    };
+    let (settings, record): (Bound<'_, PyDict>, Option<String>) = makers
+        .call_method1("metadata_of_maker", (path,))?
+        .extract()?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let count = |name: &str| -> PyResult<Option<usize>> {
+        let value = settings.get_item(name)?;
+        value.map(|v| v.extract()).transpose()
+    };
+    let size = count("rows")?.zip(count("columns")?);
+    if let Some(record) = record {
+        let source = format!("Micro-Manager's record in {name}");
+        return Ok(Metadata {
+            size,
+            ..micro_manager_metadata(&record, &source)
+        });
+    }
+    let number = |name: &str| -> PyResult<Option<f64>> {
+        let value = settings.get_item(name)?;
+        value.map(|v| v.extract()).transpose()
+    };
+    Ok(Metadata {
+        sources: vec![format!("the header of {name}")],
+        size,
+        exposure_us: number("exposure_us")?,
+        frame_period_us: number("frame_period_us")?,
+        binning: count("binning")?,
+        ..Metadata::default()
+    })
+}
+
+/// The time and the length of an exposure in µs, if they are known.
+type Exposure = Option<(f64, f64)>;
 
 type Pixels<'py> = PyResult<Option<Bound<'py, PyArray2<f32>>>>;
 
@@ -62,9 +107,10 @@ impl PyExperiment {
     /// What the file leaves open is taken from the metadata of `frame`, a file or a folder.
     #[new]
     #[pyo3(signature = (path, frame=None))]
-    fn new(path: PathBuf, frame: Option<PathBuf>) -> PyResult<Self> {
+    fn new(py: Python<'_>, path: PathBuf, frame: Option<PathBuf>) -> PyResult<Self> {
+        let metadata = frame.map(|frame| metadata_of(py, &frame)).transpose()?;
+        let metadata = metadata.unwrap_or_default();
         let read = || {
-            let metadata = frame.as_deref().map(read_metadata).unwrap_or_default();
             let experiment = Experiment::read_with(&path, &metadata)?;
             let camera = experiment.camera()?;
             let calibration = &experiment.calibration;
@@ -72,7 +118,10 @@ impl PyExperiment {
             let dark = corrections.dark.as_ref();
             let psfs = calibration.psf.as_deref();
             let psfs = psfs.map(|p| read_psfs(p, &camera, dark)).transpose()?;
+            let guide = GuideTask::read(&[], &experiment, None)?;
             Ok(Self {
+                file: Some(experiment.clone()),
+                guides: guide.map(|guide| guide.guides).unwrap_or_default(),
                 psfs: psfs.map(|p| p.0),
                 camera: PyCamera {
                     camera,
@@ -90,36 +139,43 @@ impl PyExperiment {
         read().map_err(to_py_err)
     }
 
+    /// The camera and the field.
     #[getter]
     fn camera(&self) -> PyCamera {
         self.camera.clone()
     }
 
+    /// The PSF, or the PSFs of a patch set; None where the file names none.
     #[getter]
     fn psf(&self) -> Option<PyPsf> {
         self.psfs.clone().map(|psfs| PyPsf { psfs })
     }
 
+    /// The frame without light ``[y, x]``, in counts; None where the file names none.
     #[getter]
     fn dark<'py>(&self, py: Python<'py>) -> Pixels<'py> {
         array(py, &self.dark)
     }
 
+    /// The frame of even light ``[y, x]``, in counts; None where the file names none.
     #[getter]
     fn flat<'py>(&self, py: Python<'py>) -> Pixels<'py> {
         array(py, &self.flat)
     }
 
+    /// The mask ``[y, x]``, not 0 at bad pixels; None where the file names none.
     #[getter]
     fn bad_pixels<'py>(&self, py: Python<'py>) -> Pixels<'py> {
         array(py, &self.bad_pixels)
     }
 
+    /// The prior; ``auto`` where the file names none.
     #[getter]
     fn prior(&self) -> String {
         self.prior.clone()
     }
 
+    /// The weight of the prior, ``auto`` or ``held-out``.
     #[getter]
     fn tau<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         match self.tau {
@@ -127,6 +183,24 @@ impl PyExperiment {
             Tau::HeldOut => Ok("held-out".into_pyobject(py)?.into_any()),
             Tau::Given(tau) => Ok(tau.into_pyobject(py)?.into_any()),
         }
+    }
+
+    /// The pictures ``[y, x]`` of ``[[guide]]``, by a second camera; :func:`reconstruct` uses them.
+    #[getter]
+    fn guide<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyArray2<f32>>>> {
+        let pictures = self.guides.iter();
+        pictures
+            .map(|guide| from_image(py, guide.image.clone()))
+            .collect()
+    }
+
+    /// The middle of the exposure of each of these pictures and its length in microseconds; None where they are unknown.
+    #[getter]
+    fn guide_exposures_us(&self) -> Vec<Exposure> {
+        let exposures = self.guides.iter().map(|guide| guide.exposure);
+        exposures
+            .map(|exposure| exposure.map(|e| (e.time_us, e.exposure_us)))
+            .collect()
     }
 
     /// Keys that came from metadata, with their values as text.
@@ -141,7 +215,28 @@ impl PyExperiment {
         self.from_metadata.warnings.clone()
     }
 
-    /// A reconstructor with everything that the file says; ``options`` are the arguments of :class:`Reconstructor`.
+    /// A reconstructor with everything that the file says.
+    ///
+    /// Parameters
+    /// ----------
+    /// **options
+    ///     Arguments of :class:`Reconstructor`, which take precedence.
+    ///
+    /// Returns
+    /// -------
+    /// Reconstructor
+    ///     Set up once, called for each frame.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     An argument breaks a rule, or the file names no PSF.
+    ///
+    /// Examples
+    /// --------
+    /// >>> rb.Experiment("experiment.toml").reconstructor(max_iterations=5)(frame).prior
+    /// 'tv'
+    #[allow(clippy::doc_lazy_continuation)]
     #[pyo3(signature = (**options))]
     fn reconstructor<'py>(
         slf: &Bound<'py, Self>,
@@ -151,6 +246,7 @@ impl PyExperiment {
         package.getattr("Reconstructor")?.call((slf,), options)
     }
 
+    /// Time from the start of a frame to that of the next, in microseconds; None where it is unknown.
     #[getter]
     fn frame_period_us(&self) -> Option<f64> {
         self.frame_period_us
@@ -163,6 +259,7 @@ impl PyExperiment {
             has(self.dark.is_some(), "dark"),
             has(self.flat.is_some(), "flat"),
             has(self.bad_pixels.is_some(), "bad_pixels"),
+            has(!self.guides.is_empty(), "guide"),
         ];
         let files: Vec<_> = files.into_iter().flatten().collect();
         format!(
@@ -189,6 +286,8 @@ impl PyExperiment {
         state.set_item("prior", this.prior())?;
         state.set_item("tau", this.tau(py)?)?;
         state.set_item("frame_period_us", this.frame_period_us)?;
+        state.set_item("guide", this.guide(py)?)?;
+        state.set_item("guide_exposures_us", this.guide_exposures_us())?;
         let metadata = &this.from_metadata;
         state.set_item(
             "metadata",
@@ -207,7 +306,20 @@ impl PyExperiment {
         let psf = optional_entry(state, "psf")?;
         let psf = psf.map(|psf| Ok::<_, PyErr>(psf.cast::<PyPsf>()?.get().psfs.clone()));
         let (sources, values, warnings) = entry(state, "metadata")?.extract()?;
+        let pictures: Vec<Bound<'_, PyAny>> = entry(state, "guide")?.extract()?;
+        let exposures: Vec<Exposure> = entry(state, "guide_exposures_us")?.extract()?;
+        let guides = pictures.iter().zip(exposures).map(|(picture, exposure)| {
+            Ok(Guide {
+                image: finite_image(picture, "guide")?,
+                exposure: exposure.map(|(time_us, exposure_us)| GuideExposure {
+                    time_us,
+                    exposure_us,
+                }),
+            })
+        });
         Ok(Self {
+            guides: guides.collect::<PyResult<_>>()?,
+            file: None,
             camera: entry(state, "camera")?.extract()?,
             psfs: psf.transpose()?,
             dark: image("dark")?,

@@ -1,14 +1,16 @@
 //! `rowburst._rowburst._Frames`: a recording, read frame by frame.
 
-use crate::array::{capture, dtype_of, from_capture, from_video};
+use crate::array::{capture, dtype_of, from_capture};
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::threads::detached;
+use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use rowburst::error::Subject;
-use rowburst::{Cancel, Error, ErrorKind, Parameter, Result, Shape, Video};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Capture, Frames, open_recording};
+use rowburst_run::check_bytes;
 use rowburst_zarr::{is_zarr, open_zarr_recording};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,38 +59,52 @@ impl PyFrames {
         Ok(self.frames.name(index))
     }
 
-    /// All frames, `[frame, y, x]`.
+    /// All frames, `[frame, y, x]`, of the type that the file holds.
     fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let frames = Arc::clone(&self.frames);
         let read = interruptibly::<(), _>(py, None, None, move |reporter| {
             all_frames(&*frames, reporter.cancel())
         })?;
-        let (video, dtype) = read.map_err(to_py_err)?;
-        let array = from_video(py, video)?;
-        match dtype {
-            None => Ok(array.into_any()),
-            Some(dtype) => array.call_method1("astype", (dtype,)),
-        }
+        read.map_err(to_py_err)?(py)
     }
 }
 
-/// All frames as a video, and the type of their integers.
-fn all_frames(frames: &dyn Frames, cancel: &Cancel) -> Result<(Video, Option<&'static str>)> {
+/// Gives numbers to numpy, without a copy.
+type ToArray = Box<dyn FnOnce(Python<'_>) -> PyResult<Bound<'_, PyAny>> + Send>;
+
+/// All frames, in numbers of the type that the file holds.
+fn all_frames(frames: &dyn Frames, cancel: &Cancel) -> Result<ToArray> {
     let first = frames.read(0)?;
-    let (rows, columns) = (first.image.rows(), first.image.columns());
+    // The values are those of the file, which the type holds.
+    match dtype_of(first.format) {
+        None => stack(frames, cancel, &first, |v| v),
+        Some("bool") => stack(frames, cancel, &first, |v| v != 0.0),
+        Some("int8") => stack(frames, cancel, &first, |v| v as i8),
+        Some("int16") => stack(frames, cancel, &first, |v| v as i16),
+        Some("uint8") => stack(frames, cancel, &first, |v| v as u8),
+        Some("uint16") => stack(frames, cancel, &first, |v| v as u16),
+        Some(_) => stack(frames, cancel, &first, |v| v as i64),
+    }
+}
+
+fn stack<T: Element + 'static>(
+    frames: &dyn Frames,
+    cancel: &Cancel,
+    first: &Capture,
+    convert: fn(f32) -> T,
+) -> Result<ToArray> {
+    let (count, rows, columns) = (frames.count(), first.image.rows(), first.image.columns());
     let dtype = dtype_of(first.format);
-    let shape = Shape::new(frames.count(), rows, columns);
-    let mut data = Vec::new();
-    data.try_reserve_exact(shape.voxels()).map_err(|_| {
-        let found = format!(
-            "no memory for {} frames of {rows}×{columns}",
-            frames.count()
-        );
-        let remedy = "Read some of them, or use rowburst.batch, which holds one frame at a time.";
-        Error::work(frames.path(), found, remedy)
-    })?;
-    data.extend_from_slice(first.image.data());
-    for index in 1..frames.count() {
+    let size = [count, rows, columns, size_of::<T>()];
+    let bytes = size
+        .iter()
+        .try_fold(1u64, |bytes, &n| bytes.checked_mul(n as u64));
+    let what = format!("{count} frames of {rows}×{columns}");
+    let remedy = "Read some of them, or use rowburst.batch, which holds one frame at a time.";
+    check_bytes(frames.path(), &what, bytes, remedy)?;
+    let mut data: Vec<T> = Vec::with_capacity(count * rows * columns);
+    data.extend(first.image.data().iter().map(|&v| convert(v)));
+    for index in 1..count {
         cancel.check()?;
         let frame = frames.read(index)?;
         let size = (frame.image.rows(), frame.image.columns());
@@ -101,9 +117,12 @@ fn all_frames(frames: &dyn Frames, cancel: &Cancel) -> Result<(Video, Option<&'s
             )
             .with_kind(ErrorKind::Shape));
         }
-        data.extend_from_slice(frame.image.data());
+        data.extend(frame.image.data().iter().map(|&v| convert(v)));
     }
-    Ok((Video::new(shape, data)?, dtype))
+    Ok(Box::new(move |py| {
+        let array = PyArray1::from_vec(py, data).reshape([count, rows, columns])?;
+        Ok(array.into_any())
+    }))
 }
 
 /// The frames of an array of Python, `[frame, y, x]`: numpy, Dask, Zarr, HDF5, or a list.

@@ -70,6 +70,26 @@ impl<P, T> Reporter<P, T> {
 /// A progress function: its answer, or the exception that it raised.
 pub type OnProgress<'f, P> = &'f dyn Fn(Python<'_>, P) -> PyResult<Answer>;
 
+/// Ends calls of other Python threads, which do not hear Ctrl-C.
+#[pyclass(name = "_Cancel", module = "rowburst._rowburst", frozen)]
+#[derive(Default)]
+pub struct PyCancel {
+    pub cancel: Cancel,
+}
+
+#[pymethods]
+impl PyCancel {
+    #[new]
+    fn new() -> Self {
+        Self::default()
+    }
+
+    /// Ends the calls that have this token; they raise a WorkError.
+    fn cancel(&self) {
+        self.cancel.cancel();
+    }
+}
+
 /// Does `work` without the interpreter's lock, on `threads` threads; `None`: as many as the process has.
 ///
 /// # Errors
@@ -80,9 +100,22 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
     on_progress: Option<OnProgress<'_, P>>,
     work: impl FnOnce(&Reporter<P, T>) -> T + Send + 'static,
 ) -> PyResult<T> {
+    interruptibly_with(py, threads, Cancel::default(), on_progress, work)
+}
+
+/// Like [`interruptibly`], until `cancel` is cancelled.
+///
+/// # Errors
+/// Those of [`interruptibly`], and that it is cancelled.
+pub fn interruptibly_with<P: Send + 'static, T: Send + 'static>(
+    py: Python<'_>,
+    threads: Option<usize>,
+    cancel: Cancel,
+    on_progress: Option<OnProgress<'_, P>>,
+    work: impl FnOnce(&Reporter<P, T>) -> T + Send + 'static,
+) -> PyResult<T> {
     let threads = Threads::borrow(threads)?;
     log::begin(py)?;
-    let cancel = Cancel::default();
     let (messages, inbox) = sync_channel(0);
     // Only to lend it to the closure below: there is one receiver.
     let inbox = Mutex::new(inbox);
@@ -127,7 +160,10 @@ pub fn interruptibly<P: Send + 'static, T: Send + 'static>(
                 // Not sent where the thread has ended, which the next message tells.
                 let _ = answer.send(found);
             }
-            Err(RecvTimeoutError::Timeout) => py.check_signals().map_err(abandon)?,
+            Err(RecvTimeoutError::Timeout) => {
+                py.check_signals().map_err(abandon)?;
+                cancel.check().map_err(to_py_err)?;
+            }
             Err(RecvTimeoutError::Disconnected) => {
                 unreachable!("the thread sends its result before it ends")
             }

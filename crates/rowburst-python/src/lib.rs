@@ -12,6 +12,7 @@ mod command;
 mod design;
 mod error;
 mod experiment;
+mod files;
 mod frame;
 mod frames;
 mod html;
@@ -23,6 +24,7 @@ mod options;
 mod pickle;
 mod psf;
 mod result;
+mod run_files;
 mod sequence;
 mod simulation;
 mod state;
@@ -59,13 +61,17 @@ mod _rowburst {
     #[pymodule_export]
     use crate::experiment::PyExperiment;
     #[pymodule_export]
+    use crate::files::{_metadata, _psnr_db, _save_sweep, _ssim, _sweep_lines, _sweep_path};
+    #[pymodule_export]
     use crate::frames::PyFrames;
+    #[pymodule_export]
+    use crate::interrupt::PyCancel;
     #[pymodule_export]
     use crate::operator::{PyDataTerm, PyOperator};
     #[pymodule_export]
     use crate::psf::{PyPsf, speckle_psf};
     #[pymodule_export]
-    use crate::result::{PyProgress, PyReconstruction, figure_from_folder};
+    use crate::result::{_save_colour, PyProgress, PyReconstruction, figure_from_folder};
     #[pymodule_export]
     use crate::sequence::{PyLook, PySequence};
     #[pymodule_export]

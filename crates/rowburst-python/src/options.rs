@@ -43,17 +43,22 @@ pub fn options_from(
         prior: prior_from(prior)?,
         tau: tau_from(tau)?,
         noise_sigma,
-        max_iterations: match optional(max_iterations, "max_iterations")? {
-            Some(0) => {
-                let rule = "a run has at least one iteration";
-                let error = Error::input(Parameter::MaxIterations, 0, rule, "Leave it out.");
-                return Err(to_py_err(error));
-            }
-            most => most,
-        },
+        max_iterations: iterations_from(max_iterations)?,
         keep_all_pixels,
         ..Options::default()
     })
+}
+
+/// The limit of the number of iterations; `None`: that of the solver.
+pub fn iterations_from(max_iterations: Option<Whole>) -> PyResult<Option<usize>> {
+    match optional(max_iterations, "max_iterations")? {
+        Some(0) => {
+            let rule = "a run has at least one iteration";
+            let error = Error::input(Parameter::MaxIterations, 0, rule, "Leave it out.");
+            Err(to_py_err(error))
+        }
+        most => Ok(most),
+    }
 }
 
 /// Whether the frame corrects PSF and camera, by name.

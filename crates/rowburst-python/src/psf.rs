@@ -53,6 +53,30 @@ impl PyPsf {
     }
 
     /// PSFs with the offset ``(dy, dx)`` of each one's source from the middle of the field.
+    ///
+    /// Parameters
+    /// ----------
+    /// values : sequence of array
+    ///     The PSFs ``[y, x]``, of one size.
+    /// offsets_px : sequence of tuple
+    ///     The offset of each, in pixels.
+    ///
+    /// Returns
+    /// -------
+    /// Psf
+    ///     PSFs that share out the field.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The numbers of PSFs and offsets differ, or a PSF breaks a rule.
+    ///
+    /// Examples
+    /// --------
+    /// >>> pair = rb.Psf.patches([np.eye(5), np.eye(5)[::-1]], [(-10, 0), (10, 0)])
+    /// >>> len(pair.arrays), pair.offsets_px
+    /// (2, [(-10.0, 0.0), (10.0, 0.0)])
+    #[allow(clippy::doc_lazy_continuation)]
     #[staticmethod]
     fn patches(values: Vec<Bound<'_, PyAny>>, offsets_px: Vec<(f64, f64)>) -> PyResult<Self> {
         let psfs = values.iter().map(|v| {
@@ -66,13 +90,36 @@ impl PyPsf {
     }
 
     /// An image, or the patch set of ``rowburst calibrate psf``, as the command line reads it.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : path
+    ///     The file.
+    /// camera : Camera
+    ///     The camera that the PSF is for.
+    ///
+    /// Returns
+    /// -------
+    /// Psf
+    ///     The PSF, which sums to 1.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The file is missing, damaged or of another kind.
+    ///
+    /// Examples
+    /// --------
+    /// >>> rb.Psf.from_file("psf.npy", camera).shape
+    /// (47, 59)
+    #[allow(clippy::doc_lazy_continuation)]
     #[staticmethod]
     fn from_file(path: PathBuf, camera: &PyCamera) -> PyResult<Self> {
         let (psfs, _) = read_psfs(&path, &camera.camera, None).map_err(to_py_err)?;
         Ok(Self { psfs })
     }
 
-    /// The values of each PSF, `[y, x]`, summing to 1.
+    /// The PSF of each patch, ``[y, x]``; each sums to 1.
     #[getter]
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyArray2<f32>>>> {
         let psfs = self.psfs.psfs().iter();
@@ -86,11 +133,13 @@ impl PyPsf {
         from_image(py, self.psfs.central().image().clone())
     }
 
+    /// The offset ``(dy, dx)`` of each patch's source from the middle of the field, in pixels.
     #[getter]
     fn offsets_px(&self) -> Vec<(f64, f64)> {
         self.psfs.offsets_px().to_vec()
     }
 
+    /// Rows and columns of the PSF nearest to the middle.
     #[getter]
     fn shape(&self) -> (usize, usize) {
         let image = self.psfs.central().image();

@@ -1,7 +1,7 @@
 //! `rowburst.Result` and what a progress callback is given.
 
 use crate::array::{from_image, from_video, make_read_only, video};
-use crate::camera::PyCamera;
+use crate::camera::{PyCamera, mosaic_of};
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::pickle::{State as Stored, entry, optional_entry};
@@ -9,6 +9,7 @@ use crate::psf::PyPsf;
 use crate::state;
 use crate::threads::{self, detached};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict, PyType};
@@ -17,8 +18,8 @@ use rowburst::{Error, Parameter, Shape, Video};
 use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_report::Layout;
 use rowburst_run::{
-    CompletedTask, MovieStyle, Output, ReportMeta, TraceRequest, Traces, figure_of_folder,
-    player_of,
+    ColourFolder, CompletedTask, MovieStyle, Output, ReportMeta, RunRecord, TraceRequest, Traces,
+    VideoFormat, figure_of_folder, player_of,
 };
 use std::mem::swap;
 use std::path::{Path, PathBuf};
@@ -29,10 +30,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub struct PyProgress {
     /// The step that the solver runs for, such as a prior that is tested; empty in the final run.
     label: String,
+    /// Iterations of this run, from 1.
     iteration: usize,
+    /// Most iterations of this run.
     max_iterations: usize,
+    /// Rms of the residual over sigma.
     residual_over_sigma: f64,
+    /// The weight of the prior at this iteration.
     tau: f64,
+    /// Relative change of the video by this iteration.
     change: f64,
     /// Seconds since the call.
     seconds: f64,
@@ -81,6 +87,8 @@ struct State {
     estimate: Option<Video>,
     /// Of the brightest spots.
     traces: Option<Traces>,
+    /// What repeats the run, where all of its inputs are files.
+    record: Option<RunRecord>,
 }
 
 impl State {
@@ -124,8 +132,17 @@ impl PyReconstruction {
                 video: None,
                 estimate,
                 traces,
+                record: None,
             })),
         }
+    }
+
+    /// The same with the record of its run.
+    pub fn with_record(self, record: Option<RunRecord>) -> Self {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.record = record;
+        drop(state);
+        self
     }
 
     /// A copy of the video, of a reconstruction whose video numpy does not own yet.
@@ -233,6 +250,9 @@ impl PyReconstruction {
         let estimate = estimate.map(|video| from_video(py, video)).transpose()?;
         state.set_item("estimate", estimate)?;
         state.set_item("threads", this.threads)?;
+        let record = this.state(py).record.clone();
+        let record = record.map(|r| serde_json::to_string(&r).expect("plain numbers and text"));
+        state.set_item("record", record)?;
         Ok((slf.get_type().getattr("_restore")?, (state,)))
     }
 
@@ -243,7 +263,13 @@ impl PyReconstruction {
         let completed = state::to_completed(state)?;
         let estimate = optional_entry(state, "estimate")?;
         let estimate = estimate.map(|v| video(&v, "estimate")).transpose()?;
-        Ok(Self::new(completed, estimate, None, threads))
+        let record: Option<String> = entry(state, "record")?.extract()?;
+        let record = record.map(|text| {
+            let record = serde_json::from_str(&text);
+            record.map_err(|error| PyValueError::new_err(format!("state: record: {error}")))
+        });
+        let result = Self::new(completed, estimate, None, threads);
+        Ok(result.with_record(record.transpose()?))
     }
 
     /// The numbers of `result.json`, as its text.
@@ -418,23 +444,85 @@ impl PyReconstruction {
         Ok((figure.svg, PyBytes::new(py, &figure.png)))
     }
 
-    /// Writes all files of `rowburst reconstruct` into a folder.
-    fn _save(&self, py: Python<'_>, folder: PathBuf, title: String) -> PyResult<()> {
+    /// Writes all files of `rowburst reconstruct` into a folder; `formats` are those of the video, such as `npy,tif`.
+    #[pyo3(signature = (folder, title, formats=None))]
+    fn _save(
+        &self,
+        py: Python<'_>,
+        folder: PathBuf,
+        title: String,
+        formats: Option<&str>,
+    ) -> PyResult<()> {
+        let formats = formats.map(VideoFormat::parse_list).transpose();
+        let formats = formats.map_err(to_py_err)?;
         let saved = self.with(py, move |state| {
             let folder = OutputFolder::claim(&folder, "reconstruct", ForeignFiles::Accept)?;
+            let record = state.record.clone().map(|record| RunRecord {
+                options: record
+                    .options
+                    .with_files(MovieStyle::Stamped, formats.clone()),
+                ..record
+            });
             let (completed, traces) = state.with_spots();
             let output = Output {
                 folder: &folder,
                 title: &title,
-                reproduce: None,
+                reproduce: record.as_ref().map(|record| record.command.as_str()),
                 movie: MovieStyle::Stamped,
-                formats: None,
-                record: None,
+                formats: formats.as_deref(),
+                record: record.as_ref(),
             };
             completed.write(traces, &output).map(|_| ())
         })?;
         saved.map_err(to_py_err)
     }
+}
+
+/// Writes the files of `rowburst reconstruct` for a raw colour frame: a folder for each plane, the video in colour, and
+/// `result.json`. A plane has its name, its start in microseconds and its result.
+#[pyfunction]
+pub fn _save_colour(
+    py: Python<'_>,
+    folder: PathBuf,
+    title: &str,
+    bayer: &str,
+    planes: Vec<(String, f64, Py<PyReconstruction>)>,
+) -> PyResult<()> {
+    let mosaic = mosaic_of(bayer).map_err(to_py_err)?;
+    let folder = detached(py, || {
+        OutputFolder::claim(&folder, "reconstruct", ForeignFiles::Accept)
+    })?;
+    let folder = folder.map_err(to_py_err)?;
+    let output = Output {
+        folder: &folder,
+        title,
+        reproduce: None,
+        movie: MovieStyle::Stamped,
+        formats: None,
+        record: None,
+    };
+    let mut colour = ColourFolder::begin(&output, mosaic).map_err(to_py_err)?;
+    let mut from_metadata = None;
+    for (name, start_us, plane) in &planes {
+        let site = mosaic.sites().into_iter().find(|site| site.name() == *name);
+        let site = site.ok_or_else(|| PyValueError::new_err(format!("planes: found {name}")))?;
+        let plane = plane.get();
+        // numpy owns the video from now on; the state has a copy for as long as it is needed.
+        let data = plane.video(py)?.readonly().as_slice()?.to_vec();
+        let copy = Video::new(plane.shape, data).map_err(to_py_err)?;
+        let written = detached(py, || {
+            let mut state = plane.state.lock().unwrap_or_else(PoisonError::into_inner);
+            state.completed.reconstruction.video = copy;
+            let (completed, traces) = state.with_spots();
+            let written = colour.write_plane(site, *start_us, completed, traces);
+            from_metadata.get_or_insert_with(|| completed.task.from_metadata.clone());
+            state.completed.reconstruction.video = placeholder();
+            written
+        })?;
+        written.map_err(to_py_err)?;
+    }
+    let finished = detached(py, || colour.finish(&from_metadata.unwrap_or_default()))?;
+    finished.map(|_| ()).map_err(to_py_err)
 }
 
 /// The figure of a result folder: SVG and PNG.

@@ -7,7 +7,8 @@ use crate::frame::{corrections_of, measured};
 use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
 use crate::options::{Constants, prior_from, tau_from, tuning_from};
-use crate::task::setup_of;
+use crate::task::{setup_of, threads_from};
+use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -35,6 +36,8 @@ use std::time::Instant;
 ///     ``"auto"`` is the standard prior ``tv+0.5*tdiff+support`` here.
 /// tau, noise_sigma, dark, flat, bad_pixels, tuning
 ///     Those of :func:`reconstruct`.
+/// threads : int, optional
+///     Threads of this view alone; by default all those of the process (:func:`threads`).
 ///
 /// Raises
 /// ------
@@ -54,6 +57,7 @@ use std::time::Instant;
 pub struct PySequence {
     setup: Setup,
     sequence: Arc<Mutex<Sequence>>,
+    thread_count: Option<usize>,
 }
 
 /// A frame of a :class:`LiveView`.
@@ -62,15 +66,19 @@ pub struct PyLook {
     /// ``[t, y, x]``, in counts. It may not be written to.
     #[pyo3(get)]
     video: Py<PyArray3<f32>>,
+    /// Rms of the residual over sigma: about 1 where the video explains the frame.
     #[pyo3(get)]
     residual_over_sigma: f64,
+    /// Iterations for this frame.
     #[pyo3(get)]
     iterations: usize,
     /// Whether it was warm-started from the previous frame.
     #[pyo3(get)]
     went_on: bool,
+    /// good, suspicious or bad: whether the model explains the frame.
     #[pyo3(get)]
     fit: &'static str,
+    /// Time of this frame, in seconds.
     #[pyo3(get)]
     seconds: f64,
 }
@@ -79,7 +87,7 @@ pub struct PyLook {
 impl PySequence {
     #[new]
     #[pyo3(signature = (camera, psf, *, prior="auto", tau=None, noise_sigma=None, dark=None, flat=None,
-        bad_pixels=None, tuning=None))]
+        bad_pixels=None, tuning=None, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -92,6 +100,7 @@ impl PySequence {
         flat: Option<&Bound<'_, PyAny>>,
         bad_pixels: Option<&Bound<'_, PyAny>>,
         tuning: Option<Constants>,
+        threads: Option<Whole>,
     ) -> PyResult<Self> {
         let options = Options {
             prior: prior_from(prior)?,
@@ -107,8 +116,10 @@ impl PySequence {
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(grey, psf, corrections, options, None)?;
         crate::memory::check(grey)?;
-        let model = model_of(py, grey, &setup.psfs, None, Gram::Cached)?;
+        let thread_count = threads_from(threads)?;
+        let model = model_of(py, grey, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
+            thread_count,
             setup,
             sequence: Arc::new(Mutex::new(Sequence::new(model, options))),
         })
@@ -117,6 +128,29 @@ impl PySequence {
     /// The video of the next frame; the budget limits the iterations, not the evaluation after them.
     ///
     /// The bias of the camera is subtracted from integers, not from an array of floating-point numbers.
+    ///
+    /// Parameters
+    /// ----------
+    /// frame : array or path
+    ///     The frame ``[y, x]``.
+    /// time_budget_s : float, optional
+    ///     Limit of the iterations, in seconds.
+    ///
+    /// Returns
+    /// -------
+    /// Look
+    ///     The video and whether it can be trusted.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The frame breaks a rule.
+    ///
+    /// Examples
+    /// --------
+    /// >>> rb.LiveView(camera, psf).next(frame, time_budget_s=0.1).video.shape
+    /// (12, 24, 30)
+    #[allow(clippy::doc_lazy_continuation)]
     #[pyo3(signature = (frame, *, time_budget_s=None))]
     fn next(
         &self,
@@ -128,7 +162,7 @@ impl PySequence {
         let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
         let measurement = measured(frame, self.setup.clone())?;
         let sequence = Arc::clone(&self.sequence);
-        let found = interruptibly::<(), _>(py, None, None, move |reporter| {
+        let found = interruptibly::<(), _>(py, self.thread_count, None, move |reporter| {
             let mut sequence = sequence.lock().unwrap_or_else(PoisonError::into_inner);
             if reporter.is_abandoned() {
                 return None;
@@ -165,6 +199,15 @@ impl PySequence {
     }
 
     /// The next frame starts from zero.
+    ///
+    /// Examples
+    /// --------
+    /// >>> live = rb.LiveView(camera, psf)
+    /// >>> first = live.next(frame)
+    /// >>> live.forget()
+    /// >>> live.next(frame).went_on
+    /// False
+    #[allow(clippy::doc_lazy_continuation)]
     fn forget(&self, py: Python<'_>) {
         py.detach(|| {
             let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);

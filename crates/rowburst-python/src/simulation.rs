@@ -1,19 +1,29 @@
 //! `rowburst.simulate`.
 
-use crate::array::{finite_image, from_image, from_video, is_array, video};
+use crate::array::{finite_image, from_image, from_video, is_array, path_of, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::pickle::{State, entry, optional_entry};
 use crate::psf::{PyPsf, psfs_of};
+use crate::task::threads_from;
+use crate::threads::detached;
 use crate::whole::Whole;
 use numpy::{PyArray2, PyArray3};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
 use rowburst::{Image, PatchSet, Video};
+use rowburst_io::{Experiment, ForeignFiles, OutputFolder};
 use rowburst_run::simulate::{
-    LensOptics, NoiseChoice, Scene, Simulation, pixel_pitch_um, simulate as simulated, speckle_for,
+    CaptureFiles, LensOptics, NoiseChoice, Scene, Simulation, SimulationNames, pixel_pitch_um,
+    simulate as simulated, speckle_for,
 };
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// Rms phase of the diffuser of a computed PSF, in radians.
+const DIFFUSER_PHASE: f64 = 4.0;
 
 /// A simulated capture with all that is known of it.
 #[pyclass(name = "Simulation", module = "rowburst", frozen)]
@@ -28,15 +38,21 @@ pub struct PySimulation {
     noise_sigma: f64,
     /// `(y, x, frequency_hz, phase)` of each LED.
     leds: Vec<(f64, f64, f64, f64)>,
+    /// The seed of the scene of LEDs, if it is that.
+    leds_seed: Option<u64>,
+    /// The content of `simulation.json`, but for the light of the background.
+    record: Value,
 }
 
 #[pymethods]
 impl PySimulation {
+    /// The camera that recorded the frame.
     #[getter]
     fn camera(&self) -> PyCamera {
         self.camera.clone()
     }
 
+    /// The PSF that the frame was made with.
     #[getter]
     fn psf(&self) -> PyPsf {
         PyPsf {
@@ -80,12 +96,14 @@ impl PySimulation {
         from_image(py, self.direct.clone())
     }
 
+    /// The static background ``[y, x]`` in ``truth``, in counts; None without one.
     #[getter]
     fn background<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
         let background = self.background.clone();
         background.map(|b| from_image(py, b)).transpose()
     }
 
+    /// Standard deviation of the noise, in counts.
     #[getter]
     fn noise_sigma(&self) -> f64 {
         self.noise_sigma
@@ -95,6 +113,58 @@ impl PySimulation {
     #[getter]
     fn leds(&self) -> Vec<(f64, f64, f64, f64)> {
         self.leds.clone()
+    }
+
+    /// Writes the files of ``rowburst simulate`` into a folder, which is returned.
+    ///
+    /// They are ``experiment.toml``, ``frame.npy``, ``psf.npy``, ``truth.npy`` and ``simulation.json``:
+    /// ``rb.reconstruct(folder / "frame.npy", rb.Experiment(folder / "experiment.toml"))`` runs as it stands.
+    ///
+    /// Parameters
+    /// ----------
+    /// folder : path
+    ///     The folder.
+    ///
+    /// Returns
+    /// -------
+    /// pathlib.Path
+    ///     The folder.
+    ///
+    /// Raises
+    /// ------
+    /// WorkError
+    ///     A file cannot be written.
+    ///
+    /// Examples
+    /// --------
+    /// >>> folder = rb.simulate(camera, "moving", psf).save("simulated")
+    /// >>> rb.Experiment(folder / "experiment.toml").camera == camera
+    /// True
+    #[allow(clippy::doc_lazy_continuation)]
+    fn save<'py>(&self, py: Python<'py>, folder: PathBuf) -> PyResult<Bound<'py, PyAny>> {
+        let experiment = Experiment {
+            bayer: self.camera.bayer,
+            ..Experiment::new(self.camera.camera.params().clone())
+        };
+        let write = || {
+            let output = OutputFolder::claim(&folder, "simulate", ForeignFiles::Accept)?;
+            CaptureFiles {
+                experiment: &experiment,
+                psfs: &self.psfs,
+                frame: &self.frame,
+                truth: &self.truth,
+                background: self.background.as_ref(),
+                direct: &self.direct,
+                photodiodes_of: self.leds_seed,
+                captures: false,
+                guide_times_us: &[],
+                seed: 0,
+                record: self.record.clone(),
+            }
+            .write(&output)
+        };
+        detached(py, write)?.map_err(to_py_err)?;
+        py.import("pathlib")?.getattr("Path")?.call1((folder,))
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<State<'py>> {
@@ -108,6 +178,8 @@ impl PySimulation {
         state.set_item("background", this.background(py)?)?;
         state.set_item("noise_sigma", this.noise_sigma)?;
         state.set_item("leds", this.leds())?;
+        state.set_item("leds_seed", this.leds_seed)?;
+        state.set_item("record", this.record.to_string())?;
         Ok((slf.get_type().getattr("_restore")?, (state,)))
     }
 
@@ -125,6 +197,11 @@ impl PySimulation {
             background: background.transpose()?,
             noise_sigma: entry(state, "noise_sigma")?.extract()?,
             leds: entry(state, "leds")?.extract()?,
+            leds_seed: entry(state, "leds_seed")?.extract()?,
+            record: entry(state, "record")?
+                .extract::<String>()?
+                .parse()
+                .map_err(|error| PyValueError::new_err(format!("state: record: {error}")))?,
         })
     }
 
@@ -168,6 +245,8 @@ impl PySimulation {
 ///     The seed of scene and noise.
 /// digit_px : int
 ///     Height of the digits in pixels.
+/// threads : int, optional
+///     Threads of this call alone; by default all those of the process (:func:`threads`).
 ///
 /// Returns
 /// -------
@@ -189,8 +268,8 @@ impl PySimulation {
 #[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
 #[pyo3(signature = (camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None,
-    scene_electrons=None, background=None, seed=Whole::of(1), digit_px=Whole::of(12)),
-    text_signature = "(camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None, scene_electrons=None, background=None, seed=1, digit_px=12)")]
+    scene_electrons=None, background=None, seed=Whole::of(1), digit_px=Whole::of(12), threads=None),
+    text_signature = "(camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None, scene_electrons=None, background=None, seed=1, digit_px=12, threads=None)")]
 #[allow(clippy::too_many_arguments)]
 pub fn simulate(
     py: Python<'_>,
@@ -203,7 +282,9 @@ pub fn simulate(
     background: Option<f64>,
     seed: Whole,
     digit_px: Whole,
+    threads: Option<Whole>,
 ) -> PyResult<PySimulation> {
+    let threads = threads_from(threads)?;
     let (seed, digit_px) = (seed.named("seed")? as u64, digit_px.named("digit_px")?);
     let (py_camera, camera) = (camera.clone(), camera.camera.clone());
     crate::memory::check(&camera)?;
@@ -220,13 +301,22 @@ pub fn simulate(
         (None, Some(electrons)) => NoiseChoice::SceneElectrons(electrons),
         (None, None) => NoiseChoice::Snr(snr),
     };
+    let psf_file = psf.and_then(path_of);
+    let is_speckle = psf.is_none();
     let psfs = psf.map(|p| psfs_of(p, &camera, None)).transpose()?;
-    let made = interruptibly::<(), _>(py, None, None, move |_| {
+    let scene_name = match &given {
+        Some(_) => scene
+            .and_then(path_of)
+            .map_or("an array".into(), |path| path.display().to_string()),
+        None => name.clone(),
+    };
+    let pitch_um = pixel_pitch_um(&camera);
+    let made = interruptibly::<(), _>(py, threads, None, move |_| {
         let psfs = match psfs {
             Some(psfs) => psfs,
             None => {
                 let optics = LensOptics::demo().optics(pixel_pitch_um(&camera));
-                speckle_for(&camera, &optics, 4.0, seed)?.into()
+                speckle_for(&camera, &optics, DIFFUSER_PHASE, seed)?.into()
             }
         };
         let scene = match given {
@@ -245,8 +335,22 @@ pub fn simulate(
         Ok((psfs, made))
     })?;
     let (psfs, made) = made.map_err(to_py_err)?;
+    let psf_record = match psf_file {
+        Some(path) => json!(path.display().to_string()),
+        None if is_speckle => LensOptics::demo().record(DIFFUSER_PHASE, pitch_um),
+        None => json!("an array"),
+    };
+    let record = made.record(&SimulationNames {
+        scene: &scene_name,
+        background,
+        seed,
+        noise,
+        psf: psf_record,
+    });
     let leds = made.leds.iter();
     Ok(PySimulation {
+        record,
+        leds_seed: (scene_name == "leds").then_some(seed),
         camera: py_camera,
         psfs,
         frame: made.recorded.frame,

@@ -2,14 +2,17 @@
 
 use crate::array::{finite_image, video};
 use crate::camera::PyCamera;
-use crate::error::to_py_err;
+use crate::error::{subject, to_py_err};
 use crate::experiment::PyExperiment;
 use crate::frame::{corrections_of, frame_of};
-use crate::interrupt::{Answer, OnProgress, Reporter, interruptibly};
+use crate::interrupt::{Answer, OnProgress, PyCancel, Reporter, interruptibly_with};
 use crate::operator::{Gram, model_of};
-use crate::options::{Constants, options_from, self_calibration_from, tuning_from};
+use crate::options::{
+    Constants, iterations_from, options_from, prior_from, self_calibration_from, tau_from, tuning_from,
+};
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
+use crate::run_files::{Asked, RunFiles};
 use crate::threads::checked_count;
 use crate::whole::{Whole, is_bool, optional};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
@@ -19,13 +22,13 @@ use rowburst::guide::{Guide, GuideExposure};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options};
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Error, ErrorKind, Parameter, Result};
+use rowburst::{Camera, Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_guide_model, parse_time_budget};
 use rowburst_run::{
-    ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, Setup, Task,
-    TraceRequest, check_memory, merge_planes, run_chunked, solve, solve_with_model,
+    ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, RunRecord, Setup,
+    Task, TraceRequest, merge_planes, run_chunked, solve, solve_with_model,
 };
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -46,8 +49,9 @@ struct FrameInputs<'a, 'py> {
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None,
     time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None,
     direct=None, progress=None, seed=Whole::of(0), experiment=None, self_calibrate="auto", keep_all_pixels=false,
-    debias=false, threads=None, tuning=None, corrected=false, guide=None, guide_exposures_us=None, guide_model=None),
-    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None, tuning=None, corrected=False, guide=None, guide_exposures_us=None, guide_model=None)")]
+    debias=false, threads=None, tuning=None, corrected=false, guide=None, guide_exposures_us=None, guide_model=None,
+    files=None),
+    text_signature = "(frame, camera, psf, *, prior='auto', tau=None, noise_sigma=None, time_budget_s=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, truth=None, direct=None, progress=None, seed=0, experiment=None, self_calibrate='auto', keep_all_pixels=False, debias=False, threads=None, tuning=None, corrected=False, guide=None, guide_exposures_us=None, guide_model=None, files=None)")]
 #[allow(clippy::too_many_arguments)]
 pub fn reconstruct(
     py: Python<'_>,
@@ -76,8 +80,28 @@ pub fn reconstruct(
     guide: Option<Vec<Bound<'_, PyAny>>>,
     guide_exposures_us: Option<Vec<(f64, f64)>>,
     guide_model: Option<&str>,
+    files: Option<RunFiles>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
+    let record = match (files, experiment.and_then(|e| e.file.as_ref())) {
+        (Some(files), Some(experiment)) => {
+            let text = tau.map(|tau| tau.str()?.extract::<String>()).transpose()?;
+            let asked = Asked {
+                prior,
+                tau: text.as_deref(),
+                noise_sigma,
+                self_calibrate,
+                keep_all_pixels,
+                max_iterations: optional(max_iterations.clone(), "max_iterations")?,
+                time_budget_s,
+                debias,
+                seed: seed.clone().named("seed")? as u64,
+                guide_model,
+            };
+            Some(files.record(experiment, &asked)?)
+        }
+        _ => None,
+    };
     let options = Options {
         self_calibration: self_calibration_from(self_calibrate)?,
         tuning: tuning_from(tuning.unwrap_or_default())?,
@@ -95,10 +119,19 @@ pub fn reconstruct(
         is_corrected: corrected,
     };
     let mut task = task_of(setup, &inputs)?;
-    task.guide = guide
-        .map(|pictures| guide_from(&pictures, guide_exposures_us, guide_model))
-        .transpose()?;
-    run(py, task, None, thread_count, debias, progress, began)
+    task.guide = match guide {
+        Some(pictures) => guide_from(&pictures, guide_exposures_us, guide_model)?,
+        None => guide_of(experiment, guide_exposures_us, guide_model)?,
+    };
+    let run = Run {
+        thread_count,
+        debias,
+        progress,
+        began,
+        record,
+        ..Run::new()
+    };
+    run.start(py, task)
 }
 
 /// A set-up whose operator and Gram blocks all frames share.
@@ -109,6 +142,8 @@ pub struct PyReconstructor {
     thread_count: Option<usize>,
     /// Whether bias, dark and flat are applied to its frames already.
     is_corrected: bool,
+    /// The pictures of the experiment.
+    guide: Option<GuideTask>,
     model: Model,
 }
 
@@ -148,6 +183,7 @@ impl PyReconstructor {
         crate::memory::check(&setup.camera)?;
         let model = model_of(py, &setup.camera, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
+            guide: guide_of(experiment, None, None)?,
             setup,
             thread_count,
             is_corrected: corrected,
@@ -155,9 +191,23 @@ impl PyReconstructor {
         })
     }
 
-    /// The video of a frame.
+    /// Checks the values that replace those of the set-up.
+    #[pyo3(signature = (*, prior=None, tau=None, noise_sigma=None, max_iterations=None))]
+    fn check(
+        &self,
+        prior: Option<&str>,
+        tau: Option<&Bound<'_, PyAny>>,
+        noise_sigma: Option<f64>,
+        max_iterations: Option<Whole>,
+    ) -> PyResult<()> {
+        self.options(prior, tau, noise_sigma, max_iterations)
+            .map(|_| ())
+    }
+
+    /// The video of a frame. `cancel` ends it from another thread; `prior`, `tau`, `noise_sigma` and `max_iterations`
+    /// replace those of the set-up.
     #[pyo3(signature = (frame, *, truth=None, direct=None, progress=None, seed=Whole::of(0), time_budget_s=None,
-        debias=false))]
+        debias=false, cancel=None, prior=None, tau=None, noise_sigma=None, max_iterations=None))]
     #[allow(clippy::too_many_arguments)]
     fn reconstruct(
         &self,
@@ -169,6 +219,11 @@ impl PyReconstructor {
         seed: Whole,
         time_budget_s: Option<f64>,
         debias: bool,
+        cancel: Option<&PyCancel>,
+        prior: Option<&str>,
+        tau: Option<&Bound<'_, PyAny>>,
+        noise_sigma: Option<f64>,
+        max_iterations: Option<Whole>,
     ) -> PyResult<PyReconstruction> {
         let inputs = FrameInputs {
             frame,
@@ -178,19 +233,76 @@ impl PyReconstructor {
             seed,
             is_corrected: self.is_corrected,
         };
-        let model = Some(self.model.clone());
         let began = Instant::now();
-        let task = task_of(self.setup.clone(), &inputs)?;
-        run(py, task, model, self.thread_count, debias, progress, began)
+        let setup = Setup {
+            options: self.options(prior, tau, noise_sigma, max_iterations)?,
+            ..self.setup.clone()
+        };
+        let task = Task {
+            guide: self.guide.clone(),
+            ..task_of(setup, &inputs)?
+        };
+        let run = Run {
+            model: Some(self.model.clone()),
+            thread_count: self.thread_count,
+            debias,
+            progress,
+            began,
+            cancel: cancel.map(|c| c.cancel.clone()).unwrap_or_default(),
+            record: None,
+        };
+        run.start(py, task)
     }
 }
 
-/// The pictures of a second camera, with the middle of the exposure and its length in µs where they are known.
+impl PyReconstructor {
+    /// The options of the set-up with other values of some.
+    fn options(
+        &self,
+        prior: Option<&str>,
+        tau: Option<&Bound<'_, PyAny>>,
+        noise_sigma: Option<f64>,
+        max_iterations: Option<Whole>,
+    ) -> PyResult<Options> {
+        let options = self.setup.options;
+        Ok(Options {
+            prior: prior.map_or(Ok(options.prior), prior_from)?,
+            tau: tau.map_or(Ok(options.tau), |tau| tau_from(Some(tau)))?,
+            noise_sigma: noise_sigma.or(options.noise_sigma),
+            max_iterations: iterations_from(max_iterations)?.or(options.max_iterations),
+            ..options
+        })
+    }
+}
+
+/// The pictures of an experiment.
+fn guide_of(
+    experiment: Option<&PyExperiment>,
+    exposures_us: Option<Vec<(f64, f64)>>,
+    model: Option<&str>,
+) -> PyResult<Option<GuideTask>> {
+    if exposures_us.is_some() {
+        let rule = "they are those of the pictures of guide=";
+        let remedy = "Give guide=, or leave them out: those of an experiment are in its file.";
+        return Err(to_py_err(Error::input(
+            subject("guide_exposures_us"),
+            "exposures without pictures",
+            rule,
+            remedy,
+        )));
+    }
+    let model = parse_guide_model(model).map_err(to_py_err)?;
+    let guides = experiment.map(|e| e.guides.clone()).unwrap_or_default();
+    Ok((!guides.is_empty()).then_some(GuideTask { guides, model }))
+}
+
+/// The pictures of a second camera, with the middle of the exposure and its length in µs where they are known; `None`
+/// without any.
 fn guide_from(
     pictures: &[Bound<'_, PyAny>],
     exposures_us: Option<Vec<(f64, f64)>>,
     model: Option<&str>,
-) -> PyResult<GuideTask> {
+) -> PyResult<Option<GuideTask>> {
     let exposures_us = exposures_us.unwrap_or_default();
     if !exposures_us.is_empty() && exposures_us.len() != pictures.len() {
         return Err(to_py_err(Error::input(
@@ -216,10 +328,9 @@ fn guide_from(
                 }),
         })
     });
-    Ok(GuideTask {
-        guides: guides.collect::<PyResult<_>>()?,
-        model: parse_guide_model(model).map_err(to_py_err)?,
-    })
+    let guides: Vec<Guide> = guides.collect::<PyResult<_>>()?;
+    let model = parse_guide_model(model).map_err(to_py_err)?;
+    Ok((!guides.is_empty()).then_some(GuideTask { guides, model }))
 }
 
 /// What the frames of a camera share.
@@ -242,7 +353,7 @@ pub fn setup_of(
 }
 
 /// The threads of a caller alone, if it asks for some.
-fn threads_from(threads: Option<Whole>) -> PyResult<Option<usize>> {
+pub fn threads_from(threads: Option<Whole>) -> PyResult<Option<usize>> {
     optional(threads, "threads")?.map(checked_count).transpose()
 }
 
@@ -263,27 +374,63 @@ fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     Ok(Task { seed, ..task })
 }
 
-/// Reconstructs a frame, with `model` if several frames share one.
-fn run(
-    py: Python<'_>,
-    task: Task,
+/// How a frame is reconstructed.
+struct Run {
+    /// That of several frames.
     model: Option<Model>,
     thread_count: Option<usize>,
     debias: bool,
     progress: Option<Py<PyAny>>,
     began: Instant,
-) -> PyResult<PyReconstruction> {
-    observed(py, thread_count, progress, began, move |watch| {
-        let task = Task {
-            cancel: watch.reporter.cancel().clone(),
-            ..task
+    cancel: Cancel,
+    record: Option<RunRecord>,
+}
+
+impl Run {
+    fn new() -> Self {
+        Self {
+            model: None,
+            thread_count: None,
+            debias: false,
+            progress: None,
+            began: Instant::now(),
+            cancel: Cancel::default(),
+            record: None,
+        }
+    }
+
+    /// Reconstructs the frame of `task`.
+    fn start(self, py: Python<'_>, task: Task) -> PyResult<PyReconstruction> {
+        let Self {
+            model,
+            thread_count,
+            debias,
+            progress,
+            began,
+            cancel,
+            record,
+        } = self;
+        let watcher = Watcher {
+            thread_count,
+            progress,
+            began,
+            cancel,
         };
-        let completed = match model {
-            Some(model) => solve_with_model(&model, task, began, &mut |event| watch.answer(event))?,
-            None => solve(task, began, &mut |event| watch.answer(event))?,
-        };
-        Ok(watch.result(completed, debias))
-    })
+        let found = watcher.observe(py, move |watch| {
+            let task = Task {
+                cancel: watch.reporter.cancel().clone(),
+                ..task
+            };
+            let completed = match model {
+                Some(model) => {
+                    solve_with_model(&model, task, began, &mut |event| watch.answer(event))?
+                }
+                None => solve(task, began, &mut |event| watch.answer(event))?,
+            };
+            Ok(watch.result(completed, debias))
+        })?;
+        Ok(found.with_record(record))
+    }
 }
 
 /// Shows the events of a run to the progress function.
@@ -330,27 +477,49 @@ impl<T> Watch<'_, T> {
     }
 }
 
-/// Does `work` on a thread of its own, and shows its iterations to `progress`.
-fn observed<T: Send + 'static>(
-    py: Python<'_>,
+/// Does work on a thread of its own, and shows its iterations to a progress function.
+struct Watcher {
     thread_count: Option<usize>,
     progress: Option<Py<PyAny>>,
     began: Instant,
-    work: impl FnOnce(&Watch<Result<T>>) -> Result<T> + Send + 'static,
-) -> PyResult<T> {
-    let call = |py: Python<'_>, iteration: PyProgress| {
-        progress
-            .as_ref()
-            .map_or(Ok(Answer::Continue), |f| answer_of(py, f, iteration))
-    };
-    let on_progress: Option<OnProgress<PyProgress>> = match progress {
-        Some(_) => Some(&call),
-        None => None,
-    };
-    let done = interruptibly(py, thread_count, on_progress, move |reporter| {
-        work(&Watch { reporter, began })
-    })?;
-    done.map_err(to_py_err)
+    cancel: Cancel,
+}
+
+impl Watcher {
+    fn new(thread_count: Option<usize>, progress: Option<Py<PyAny>>, began: Instant) -> Self {
+        Self {
+            thread_count,
+            progress,
+            began,
+            cancel: Cancel::default(),
+        }
+    }
+
+    fn observe<T: Send + 'static>(
+        self,
+        py: Python<'_>,
+        work: impl FnOnce(&Watch<Result<T>>) -> Result<T> + Send + 'static,
+    ) -> PyResult<T> {
+        let Self {
+            thread_count,
+            progress,
+            began,
+            cancel,
+        } = self;
+        let call = |py: Python<'_>, iteration: PyProgress| {
+            progress
+                .as_ref()
+                .map_or(Ok(Answer::Continue), |f| answer_of(py, f, iteration))
+        };
+        let on_progress: Option<OnProgress<PyProgress>> = match progress {
+            Some(_) => Some(&call),
+            None => None,
+        };
+        let done = interruptibly_with(py, thread_count, cancel, on_progress, move |reporter| {
+            work(&Watch { reporter, began })
+        })?;
+        done.map_err(to_py_err)
+    }
 }
 
 /// What a progress function answers: `None` goes on; `False`, of Python or numpy, asks for the best so far.
@@ -372,7 +541,7 @@ type PlaneResult = (String, f64, PyReconstruction);
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, *, prior="auto", tau=None, noise_sigma=None, time_budget_s=None,
     max_iterations=None, dark=None, flat=None, bad_pixels=None, progress=None, seed=Whole::of(0), experiment=None,
-    keep_all_pixels=false, debias=false, threads=None, tuning=None))]
+    keep_all_pixels=false, debias=false, threads=None, tuning=None, corrected=false))]
 #[allow(clippy::too_many_arguments, clippy::too_many_lines)]
 pub fn _reconstruct_colour<'py>(
     py: Python<'py>,
@@ -394,6 +563,7 @@ pub fn _reconstruct_colour<'py>(
     debias: bool,
     threads: Option<Whole>,
     tuning: Option<Constants>,
+    corrected: bool,
 ) -> PyResult<(Bound<'py, PyArray4<f32>>, Vec<PlaneResult>)> {
     let began = Instant::now();
     let mosaic = camera.bayer.ok_or_else(|| {
@@ -408,7 +578,7 @@ pub fn _reconstruct_colour<'py>(
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(&camera.camera, psf, corrections, options, experiment)?;
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-    let (frame, setup) = frame_of(frame, Setup { budget, ..setup }, false)?;
+    let (frame, setup) = frame_of(frame, Setup { budget, ..setup }, corrected)?;
     let mut task = ColourTask {
         setup,
         mosaic,
@@ -419,7 +589,8 @@ pub fn _reconstruct_colour<'py>(
     task.check().map_err(to_py_err)?;
     crate::memory::check(&task.first_plane().map_err(to_py_err)?)?;
     let thread_count = threads_from(threads)?;
-    let planes = observed(py, thread_count, progress, began, move |watch| {
+    let watcher = Watcher::new(thread_count, progress, began);
+    let planes = watcher.observe(py, move |watch| {
         task.setup.cancel = watch.reporter.cancel().clone();
         let mut planes = Vec::new();
         task.reconstruct(began, &mut |event| watch.answer(event), &mut |plane| {
@@ -456,7 +627,7 @@ pub fn _reconstruct_colour<'py>(
 #[pyfunction]
 #[pyo3(signature = (frame, camera, psf, folder, *, bins_per_chunk=None, bins=None, prior="auto", tau=None,
     noise_sigma=None, max_iterations=None, dark=None, flat=None, bad_pixels=None, progress=None, experiment=None,
-    threads=None, tuning=None))]
+    threads=None, tuning=None, corrected=false))]
 #[allow(clippy::too_many_arguments)]
 pub fn _reconstruct_chunked(
     py: Python<'_>,
@@ -477,6 +648,7 @@ pub fn _reconstruct_chunked(
     experiment: Option<&PyExperiment>,
     threads: Option<Whole>,
     tuning: Option<Constants>,
+    corrected: bool,
 ) -> PyResult<String> {
     let began = Instant::now();
     let options = Options {
@@ -485,7 +657,7 @@ pub fn _reconstruct_chunked(
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-    let (frame, setup) = frame_of(frame, setup, false)?;
+    let (frame, setup) = frame_of(frame, setup, corrected)?;
     let bins = match bins {
         None => None,
         Some((first, end)) => Some(first.named("bins")?..end.named("bins")?),
@@ -493,13 +665,13 @@ pub fn _reconstruct_chunked(
     let task = setup.task(&frame, bins).map_err(to_py_err)?;
     let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
     let thread_count = threads_from(threads)?;
-    let artifacts = observed(py, thread_count, progress, began, move |watch| {
+    let watcher = Watcher::new(thread_count, progress, began);
+    let artifacts = watcher.observe(py, move |watch| {
         let task = Task {
             cancel: watch.reporter.cancel().clone(),
             ..task
         };
         let task = ChunkedTask::new(task, bins_per_chunk)?;
-        check_memory(Parameter::PartBins, &task.largest_chunk()?)?;
         let output = Output {
             folder: &OutputFolder::claim(&folder, "reconstruct", ForeignFiles::Accept)?,
             title: "Rowburst",

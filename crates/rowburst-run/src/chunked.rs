@@ -10,6 +10,7 @@ use crate::artifacts::{Artifacts, Output, Summary};
 use crate::chunked_summary::{ChunkNumbers, ChunkedSummary};
 use crate::event::{Chunk, Event, IterationMetrics, Observer};
 use crate::format::short;
+use crate::memory::check_bytes;
 use crate::movie::encode_movie;
 use crate::numbers::thousands;
 use crate::schema::RESULT_SCHEMA_VERSION;
@@ -19,7 +20,7 @@ use rowburst::error::Subject;
 use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Camera, Error, ErrorKind, Image, Result, Shape, TimeGrid, Video};
+use rowburst::{Error, ErrorKind, Image, Parameter, Result, Shape, TimeGrid, Video, phrase};
 use rowburst_io::{ChunkedVideoFile, FromMetadata};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
@@ -49,26 +50,23 @@ impl ChunkedTask {
     /// Reconstructs the video of `task` in chunks of `bins_per_chunk` bins, or as many as fit where it is 0.
     ///
     /// # Errors
-    /// Those of [`Chunked::new`].
+    /// Those of [`Chunked::new`], and too little memory for a chunk.
     pub fn new(task: Task, bins_per_chunk: usize) -> Result<Self> {
+        let bins_per_chunk = Some(bins_per_chunk).filter(|n| *n > 0);
+        let chunked = Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
+            .with_cancel(&task.cancel);
+        if let Some(first) = chunked.ranges(bins_per_chunk).first() {
+            let what = format!("a chunk of {} bins", first.len());
+            let remedy = phrase!["Make ", Parameter::PartBins, " smaller."];
+            let needed = Some(chunked.chunk_bytes(first));
+            check_bytes(Parameter::PartBins, &what, needed, remedy)?;
+        }
         Ok(Self {
             tau: task.options.tau,
-            chunked: Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
-                .with_cancel(&task.cancel),
-            bins_per_chunk: Some(bins_per_chunk).filter(|n| *n > 0),
+            chunked,
+            bins_per_chunk,
             from_metadata: task.from_metadata,
         })
-    }
-
-    /// The camera of its largest chunk; one chunk is in memory at a time.
-    ///
-    /// # Errors
-    /// Those of [`Camera::subset`].
-    pub fn largest_chunk(&self) -> Result<Camera> {
-        let ranges = self.chunked.ranges(self.bins_per_chunk).into_iter();
-        let largest = ranges.max_by_key(ExactSizeIterator::len);
-        let camera = self.chunked.camera();
-        camera.subset(largest.expect("a video has bins"))
     }
 }
 

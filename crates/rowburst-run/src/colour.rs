@@ -9,12 +9,12 @@ use crate::setup::{Frame, Setup};
 use crate::solve::solve;
 use crate::summary::MetadataNumbers;
 use crate::task::Task;
-use crate::traces::TraceRequest;
+use crate::traces::{TraceRequest, Traces};
 use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration};
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result, Video};
-use rowburst_io::{Capture, TiffScale, write_npy_colour, write_tiff_colour};
+use rowburst_io::{Capture, FromMetadata, TiffScale, write_npy_colour, write_tiff_colour};
 use std::time::Instant;
 
 /// The reconstruction of a raw colour frame, as values.
@@ -158,69 +158,67 @@ impl ColourTask {
         process_start: Instant,
         observer: Observer,
     ) -> Result<Artifacts> {
-        let folder = output.folder;
-        // The file of an earlier run does not describe the new files.
-        folder.remove("result.json")?;
-        let mut planes: Vec<PlaneNumbers> = Vec::new();
-        let mut videos: Vec<(Site, Video)> = Vec::new();
-        let mut bin_us = 0.0;
+        let mut folder = ColourFolder::begin(output, self.mosaic)?;
         self.reconstruct(process_start, observer, &mut |plane| {
-            bin_us = plane.completed.task.camera.time().bin_duration_us();
-            let (numbers, video) = self.write_plane(plane, output)?;
-            planes.push(numbers);
-            videos.push(video);
-            Ok(())
+            let Plane {
+                site,
+                start_us,
+                mut completed,
+            } = plane;
+            let traces = completed.evaluate(TraceRequest::default(), self.debias);
+            folder.write_plane(site, start_us, &completed, &traces)
         })?;
-        let shape = videos[0].1.shape();
-        let Some(colours) = merge_planes(&videos) else {
-            return Err(Error::work(
-                output.path(),
-                "planes of different lengths: there is no video in colour",
-                "The planes' own folders are whole.",
-            ));
-        };
-        let camera = &self.setup.camera;
-        let scale = TiffScale {
-            frame_interval_s: bin_us * 1e-6,
-            pixel_pitch_um: camera.sensor().pixel_pitch_um.map(|p| 2.0 * p),
-        };
-        folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
-        folder.write("colour.tif", |w| {
-            write_tiff_colour(w, shape, &colours, scale)
-        })?;
-        let from_metadata = &self.setup.from_metadata;
-        let mut warnings = from_metadata.warnings.clone();
-        warnings.extend(offset_warning(&planes));
-        let summary = Summary::Colour(Box::new(ColourSummary {
-            schema_version: RESULT_SCHEMA_VERSION,
-            version: env!("CARGO_PKG_VERSION"),
-            bayer: self.mosaic.name(),
-            frames: shape.bins,
-            rows: shape.rows,
-            columns: shape.columns,
-            frame_rate_hz: 1e6 / bin_us,
-            metadata: MetadataNumbers::from(from_metadata),
-            planes,
-            warnings,
-            run: output.finished_record("colour.npy")?,
-        }));
-        folder.remove_stale()?;
-        folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
+        let summary = folder.finish(&self.setup.from_metadata)?;
         Ok(Artifacts::new(output, summary, Vec::new()))
     }
+}
 
-    /// Writes the folder of a plane. Returns its numbers and its video.
-    fn write_plane(&self, plane: Plane, output: &Output) -> Result<(PlaneNumbers, (Site, Video))> {
-        let Plane {
-            site,
-            start_us,
-            mut completed,
-        } = plane;
-        let traces = completed.evaluate(TraceRequest::default(), self.debias);
-        let folder = output.folder.subfolder(&site.name(), "reconstruct")?;
-        let title = format!("{}, {}", output.title, site.name());
-        let summary = completed.write(&traces, &output.part(&folder, &title))?;
-        let numbers = PlaneNumbers {
+/// The folder of a raw colour frame while it is written: a folder for each plane, then the video in colour.
+pub struct ColourFolder<'a> {
+    output: &'a Output<'a>,
+    mosaic: Bayer,
+    planes: Vec<PlaneNumbers>,
+    videos: Vec<(Site, Video)>,
+    bin_us: f64,
+    pixel_pitch_um: Option<f64>,
+}
+
+impl<'a> ColourFolder<'a> {
+    /// Begins the folder of `output`.
+    ///
+    /// # Errors
+    /// An old `result.json` that cannot be removed.
+    pub fn begin(output: &'a Output<'a>, mosaic: Bayer) -> Result<Self> {
+        // The file of an earlier run does not describe the new files.
+        output.folder.remove("result.json")?;
+        Ok(Self {
+            output,
+            mosaic,
+            planes: Vec::new(),
+            videos: Vec::new(),
+            bin_us: 0.0,
+            pixel_pitch_um: None,
+        })
+    }
+
+    /// Writes the folder of a plane, whose first instant starts `start_us` after the sensor's.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub fn write_plane(
+        &mut self,
+        site: Site,
+        start_us: f64,
+        completed: &CompletedTask,
+        traces: &Traces,
+    ) -> Result<()> {
+        let folder = (self.output.folder).subfolder(&site.name(), "reconstruct")?;
+        let title = format!("{}, {}", self.output.title, site.name());
+        let summary = completed.write(traces, &self.output.part(&folder, &title))?;
+        let camera = &completed.task.camera;
+        self.bin_us = camera.time().bin_duration_us();
+        self.pixel_pitch_um = camera.sensor().pixel_pitch_um;
+        self.planes.push(PlaneNumbers {
             name: site.name(),
             folder: folder.path().display().to_string(),
             start_us,
@@ -230,8 +228,52 @@ impl ColourTask {
             excluded_fraction: summary.excluded_fraction,
             fit: summary.fit,
             seconds: summary.setup_seconds + summary.seconds,
+        });
+        self.videos
+            .push((site, completed.reconstruction.video.clone()));
+        Ok(())
+    }
+
+    /// Writes the video in colour, and `result.json`.
+    ///
+    /// # Errors
+    /// Failed writes, and planes of different lengths.
+    pub fn finish(self, from_metadata: &FromMetadata) -> Result<Summary> {
+        let (output, folder) = (self.output, self.output.folder);
+        let shape = self.videos[0].1.shape();
+        let Some(colours) = merge_planes(&self.videos) else {
+            return Err(Error::work(
+                output.path(),
+                "planes of different lengths: there is no video in colour",
+                "The planes' own folders are whole.",
+            ));
         };
-        Ok((numbers, (site, completed.reconstruction.video)))
+        let scale = TiffScale {
+            frame_interval_s: self.bin_us * 1e-6,
+            pixel_pitch_um: self.pixel_pitch_um,
+        };
+        folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
+        folder.write("colour.tif", |w| {
+            write_tiff_colour(w, shape, &colours, scale)
+        })?;
+        let mut warnings = from_metadata.warnings.clone();
+        warnings.extend(offset_warning(&self.planes));
+        let summary = Summary::Colour(Box::new(ColourSummary {
+            schema_version: RESULT_SCHEMA_VERSION,
+            version: env!("CARGO_PKG_VERSION"),
+            bayer: self.mosaic.name(),
+            frames: shape.bins,
+            rows: shape.rows,
+            columns: shape.columns,
+            frame_rate_hz: 1e6 / self.bin_us,
+            metadata: MetadataNumbers::from(from_metadata),
+            planes: self.planes,
+            warnings,
+            run: output.finished_record("colour.npy")?,
+        }));
+        folder.remove_stale()?;
+        folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
+        Ok(summary)
     }
 }
 

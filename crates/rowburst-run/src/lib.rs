@@ -46,6 +46,7 @@ mod setup;
 pub mod simulate;
 mod solve;
 mod summary;
+mod sweep;
 mod task;
 mod traces;
 mod view_files;
@@ -55,7 +56,7 @@ pub use check::{CheckItem, CheckParams, SetupCheck};
 pub use chunked::{ChunkedTask, run_chunked};
 pub use chunked_summary::{ChunkNumbers, ChunkedSummary};
 pub use cite::cite;
-pub use colour::{ColourTask, Plane, merge_planes};
+pub use colour::{ColourFolder, ColourTask, Plane, merge_planes};
 pub use colour_summary::{ColourSummary, PlaneNumbers};
 pub use completed_task::{CompletedTask, ReportMeta};
 pub use event::{Chunk, Event, IterationMetrics, Observer};
@@ -64,7 +65,7 @@ pub use format::short;
 pub use formats::VideoFormat;
 pub use guide::{AffineNumbers, GuideNumbers, GuideOutcome, GuideTask, GuideTrialNumbers};
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
-pub use memory::{available_memory_bytes, check_memory};
+pub use memory::{available_memory_bytes, check_bytes, check_memory};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
 pub use plausibility::check_camera;
@@ -79,6 +80,7 @@ pub use summary::{
     CalibrationNumbers, ChangeNumbers, FitNumbers, HistoryPoint, MetadataNumbers, PriorCandidate,
     PriorChoice, ReconstructionSummary, peak_memory_bytes,
 };
+pub use sweep::{SweepPoint, SweepRow, sweep_csv, sweep_label, sweep_lines, sweep_path};
 pub use task::Task;
 pub use traces::{
     DebiasNumbers, HarmonicNumbers, PhotodiodeNumbers, RegionNumbers, StandardErrorNumbers,

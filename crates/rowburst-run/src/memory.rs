@@ -1,6 +1,6 @@
 //! The memory that a run takes, and that this machine has left.
 
-use rowburst::error::Subject;
+use rowburst::error::{Phrase, Subject};
 use rowburst::reconstruct::Model;
 use rowburst::{Camera, Error, ErrorKind, Parameter, Result, phrase};
 use std::path::Path;
@@ -11,7 +11,25 @@ use std::path::Path;
 /// # Errors
 /// The reconstruction takes more memory than this process can still use.
 pub fn check_memory(subject: impl Into<Subject>, camera: &Camera) -> Result<()> {
-    let needed = Model::run_bytes(camera);
+    let what = format!("a video of {}", camera.video_shape());
+    let remedy = phrase![
+        "Make ",
+        Parameter::Field,
+        " smaller, bin the frame, or use a machine with more memory."
+    ];
+    check_bytes(subject, &what, Model::run_bytes(camera), remedy)
+}
+
+/// Checks that this machine has `needed` bytes for `what`; `None`: a number that is too large itself.
+///
+/// # Errors
+/// More than this process can still use.
+pub fn check_bytes(
+    subject: impl Into<Subject>,
+    what: &str,
+    needed: Option<u64>,
+    remedy: impl Into<Phrase>,
+) -> Result<()> {
     let has_room = match (needed, available_memory_bytes()) {
         (None, _) => false,
         (Some(needed), Some(available)) => needed <= available,
@@ -32,20 +50,8 @@ pub fn check_memory(subject: impl Into<Subject>, camera: &Camera) -> Result<()> 
         Some(bytes) => format!(", {} available", amount(Some(bytes))),
         None => String::new(),
     };
-    Err(Error::work(
-        subject,
-        format!(
-            "no memory for a video of {}: {} needed{available}",
-            camera.video_shape(),
-            amount(needed)
-        ),
-        phrase![
-            "Make ",
-            Parameter::Field,
-            " smaller, bin the frame, or use a machine with more memory."
-        ],
-    )
-    .with_kind(ErrorKind::Memory))
+    let found = format!("no memory for {what}: {} needed{available}", amount(needed));
+    Err(Error::work(subject, found, remedy).with_kind(ErrorKind::Memory))
 }
 
 /// Bytes that this process can still use: what the machine has left, or its control group (a container's or a

@@ -119,7 +119,6 @@ impl Request {
         let mut task = setup.task(&frame, params.bins)?;
         if let Some(bins_per_chunk) = params.bins_per_chunk {
             let task = ChunkedTask::new(task, bins_per_chunk)?;
-            check_memory(Parameter::PartBins, &task.largest_chunk()?)?;
             return Ok(Self::Chunked(Box::new(task)));
         }
         check_memory(&experiment.path, &task.camera)?;

@@ -363,13 +363,3 @@ fn a_cancelled_run_reads_no_further_file() {
     let error = lab.run(params).err().expect("it was cancelled");
     assert_eq!(error.kind(), ErrorKind::Cancelled);
 }
-
-#[test]
-fn memory_is_checked_for_the_largest_chunk() {
-    let lab = Lab::new(None);
-    let task = lab.setup().task(&lab.array(), None).unwrap();
-    let bins = task.camera.time().bins();
-    let task = ChunkedTask::new(task, bins - 1).unwrap();
-    let chunk = task.largest_chunk().unwrap();
-    assert_eq!(chunk.time().bins(), bins - 1);
-}

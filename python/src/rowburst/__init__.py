@@ -5,14 +5,14 @@ shutter scans. Errors are :class:`InputError` (a ``ValueError``) where something
 and :class:`WorkError` (a ``RuntimeError``) where the work itself failed.
 """
 
-from . import calibrate, capture
+from . import calibrate, capture, metrics
 from ._batch import batch
 from ._chunked import reconstruct_chunked
 from ._colour import ColourResult, reconstruct_colour
 from ._design import Design, design
 from ._figure import Figure
 from ._frames import read_frames, read_settings
-from ._load import SavedResult, load
+from ._load import SavedColour, SavedResult, load
 from ._operator import DataTerm, RollingShutterOperator, operator
 from ._reconstruct import Report, Result, Trace, reconstruct
 from ._reconstructor import Reconstructor
@@ -32,6 +32,7 @@ from ._rowburst import (
     speckle_psf,
     threads,
 )
+from ._sweep import Sweep, sweep
 from ._view import View
 
 __all__ = [
@@ -50,8 +51,10 @@ __all__ = [
     "Report",
     "Result",
     "RollingShutterOperator",
+    "SavedColour",
     "SavedResult",
     "Simulation",
+    "Sweep",
     "Trace",
     "View",
     "WorkError",
@@ -61,6 +64,7 @@ __all__ = [
     "capture",
     "design",
     "load",
+    "metrics",
     "operator",
     "read_frames",
     "read_settings",
@@ -70,5 +74,6 @@ __all__ = [
     "set_threads",
     "simulate",
     "speckle_psf",
+    "sweep",
     "threads",
 ]

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from os import PathLike, fspath
 from typing import Any
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
 from ._errors import input_error
+from ._extras import need
 from ._frames import recording_of
-from ._reconstruct import _constants, _settings
+from ._reconstruct import _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, Psf, _Batch, __version__
 
 
@@ -34,7 +36,7 @@ def batch(
     frame_period_us: float | None = None,
     threads: int | None = None,
     retry_failed: bool = False,
-    progress: Callable[[int, int], object] | None = None,
+    progress: Callable[[int, int], object] | bool | None = None,
     tuning: Mapping[str, float] | None = None,
     corrected: bool = False,
 ) -> dict[str, Any]:
@@ -47,7 +49,7 @@ def batch(
     ----------
     frames : path or array
         A recording as :func:`read_frames` takes it, or an array ``[frame, y, x]`` of numpy, Dask, Zarr or HDF5. One frame
-        at a time is in memory for each thread.
+        at a time is in memory for each thread. Pixels of a masked array that are masked in any frame are bad in all.
     out : path
         The archive, ``[frame, t, y, x]``, float32 counts. Its videos open with ``zarr`` or napari.
     camera : Camera, Experiment or path
@@ -61,8 +63,8 @@ def batch(
         Number of threads; by default all.
     retry_failed : bool
         Whether frames that failed before are tried again.
-    progress : callable, optional
-        Called as ``progress(done, of)`` after each group of frames.
+    progress : bool or callable, optional
+        ``True`` for a tqdm bar, or a function that is called as ``progress(done, of)`` after each group of frames.
     tuning : mapping, optional
         Other values for constants of the solver, such as ``{"support_threshold": 0.1}``: see :func:`reconstruct`.
     corrected : bool
@@ -93,11 +95,14 @@ def batch(
         camera = Experiment(camera, frames if isinstance(frames, (str, PathLike)) else None)
     if isinstance(camera, Experiment) and frame_period_us is None:
         frame_period_us = camera.frame_period_us
-    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
+    settings = _settings_without_guide("a batch", camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
     if corrected:
         settings["camera"] = settings["camera"].replace(bias_counts=None)
     settings.pop("experiment")
     frames = recording_of(frames)
+    if np.ma.isMaskedArray(frames):
+        settings["bad_pixels"] = _with_masked(settings["bad_pixels"], np.asarray(np.ma.getmaskarray(frames).any(axis=0)))
+        frames = np.ma.filled(frames, 0)
     job = _Batch.of_values(
         frames=frames,
         out=out,
@@ -109,7 +114,50 @@ def batch(
         tuning=_constants(tuning),
         **settings,
     )
-    return _run(job, fspath(out), threads or _rowburst.threads(), retry_failed, progress)
+    bar, callback = _listener(progress)
+    try:
+        return _run(job, fspath(out), threads or _rowburst.threads(), retry_failed, callback)
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+def _with_masked(bad_pixels: ArrayLike | PathLike[str] | None, mask: NDArray[np.bool_]) -> Any:
+    """The bad pixels and the masked ones."""
+    if bad_pixels is None:
+        return mask
+    path = isinstance(bad_pixels, (str, PathLike))
+    given = recording_of(bad_pixels)[0] if path else np.asarray(bad_pixels)
+    if given.shape != mask.shape:
+        rule = f"the frames have {mask.shape[0]}×{mask.shape[1]} pixels, some of them masked"
+        remedy = "Give a mask of their size, or fill the masked pixels."
+        raise input_error("bad_pixels", f"a mask of shape {given.shape}", rule, remedy, kind="shape")
+    return (given != 0) | mask
+
+
+class _FrameBar:
+    """A tqdm bar of frames."""
+
+    def __init__(self) -> None:
+        self.bar = need("tqdm.auto", "progress=True").tqdm(unit="frame", leave=False)
+
+    def __call__(self, done: int, of: int) -> None:
+        self.bar.total = of
+        self.bar.update(done - self.bar.n)
+
+    def close(self) -> None:
+        self.bar.close()
+
+
+def _listener(progress: object) -> tuple[_FrameBar | None, Callable[[int, int], object] | None]:
+    """The bar of a batch, if there is one, and what is called after each group of frames."""
+    if progress is None or callable(progress):
+        return None, progress
+    if isinstance(progress, (bool, np.bool_)):
+        bar = _FrameBar() if progress else None
+        return bar, bar
+    rule = "it is True for a tqdm bar, or a function of two numbers, done and of"
+    raise input_error("progress", repr(progress), rule, "Give progress=True, or leave it out.")
 
 
 def _run(

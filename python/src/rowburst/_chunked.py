@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from . import _rowburst
 from ._load import SavedResult
-from ._reconstruct import _callback, _constants, _settings
+from ._reconstruct import _callback, _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, Progress, Psf
 
 
@@ -31,6 +31,7 @@ def reconstruct_chunked(
     progress: Callable[[Progress], object] | bool | None = None,
     threads: int | None = None,
     tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
 ) -> SavedResult:
     """The video of a frame in chunks of bins, each written to a folder before the next one starts.
 
@@ -49,8 +50,8 @@ def reconstruct_chunked(
         Bins of a chunk; by default as many as 3 GiB hold.
     bins : tuple of int, optional
         The first bin, and the one after the last, of a part of the video.
-    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, threads, tuning
-        Those of :func:`reconstruct`.
+    psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, threads, tuning, corrected
+        Those of :func:`reconstruct`. A chunk uses every pixel that is not bad: it has too few to tell foreign ones.
 
     Returns
     -------
@@ -62,7 +63,7 @@ def reconstruct_chunked(
     InputError
         An argument breaks a rule, such as a prior with a term over time.
     WorkError
-        The work failed, or ``progress`` ended it; the chunks that are done are kept.
+        The work failed, a chunk does not fit into memory, or ``progress`` ended it; the chunks that are done are kept.
 
     Examples
     --------
@@ -70,7 +71,8 @@ def reconstruct_chunked(
     >>> saved.video.shape, len(saved.numbers["parts"])
     ((12, 24, 30), 3)
     """
-    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+    more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
+    settings = _settings_without_guide("a video in chunks", camera, *more)
     bar, callback = _callback(progress)
     try:
         _rowburst._reconstruct_chunked(
@@ -83,6 +85,7 @@ def reconstruct_chunked(
             progress=callback,
             threads=threads,
             tuning=_constants(tuning),
+            corrected=corrected,
             **settings,
         )
     finally:

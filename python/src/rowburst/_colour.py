@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._reconstruct import Result, _callback, _constants, _settings
+from ._reconstruct import Result, _callback, _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, Progress, Psf
 
 
 class ColourResult:
     """A video in colour, and the planes that it is of. :func:`reconstruct_colour` makes it."""
 
-    def __init__(self, video: NDArray[np.float32], planes: dict[str, Result], start_us: dict[str, float]) -> None:
+    def __init__(self, video: NDArray[np.float32], planes: dict[str, Result], start_us: dict[str, float], bayer: str) -> None:
         video.setflags(write=False)
         self.video = video
         """The video ``[t, y, x, colour]`` in counts: red, green (the mean of its two planes) and blue."""
@@ -25,14 +25,39 @@ class ColourResult:
         """The result of each plane, by its name: ``red``, ``green-1``, ``green-2``, and ``blue``."""
         self.start_us = start_us
         """From the start of the sensor's first instant to that of each plane's, in microseconds."""
+        self.bayer = bayer
+        """The mosaic of the sensor, such as ``rggb``."""
 
-    def save(self, folder: str | PathLike[str]) -> Path:
-        """Writes ``colour.npy``, and the files of each plane into a folder of its name."""
-        target = Path(folder)
-        for name, plane in self.planes.items():
-            plane.save(target / name, f"Rowburst: {name}")
-        np.save(target / "colour.npy", self.video)
-        return target
+    def save(self, folder: str | PathLike[str], title: str = "Rowburst") -> Path:
+        """Writes the files of ``rowburst reconstruct``: ``colour.npy``, ``colour.tif``, a folder for each plane, ``result.json``.
+
+        Parameters
+        ----------
+        folder : path
+            The folder, which is made where it is missing.
+        title : str
+            Title of the planes' reports, before their names.
+
+        Returns
+        -------
+        pathlib.Path
+            The folder, which :func:`load` opens.
+
+        Raises
+        ------
+        WorkError
+            A file cannot be written.
+
+        Examples
+        --------
+        >>> colour = rb.reconstruct_colour(frame, camera.replace(bayer="rggb"), psf, prior="tv", max_iterations=5)
+        >>> saved = rb.load(colour.save("colour"))
+        >>> bool((saved.video == colour.video).all())
+        True
+        """
+        planes = [(name, self.start_us[name], plane._native) for name, plane in self.planes.items()]
+        _rowburst._save_colour(folder, title, self.bayer, planes)
+        return Path(folder)
 
     def __repr__(self) -> str:
         bins, rows, columns, _ = self.video.shape
@@ -59,6 +84,7 @@ def reconstruct_colour(
     debias: bool = False,
     threads: int | None = None,
     tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
 ) -> ColourResult:
     """The video in colour of a raw frame of a sensor with a mosaic, with the numbers of ``rowburst reconstruct``.
 
@@ -72,7 +98,7 @@ def reconstruct_colour(
         The camera, with ``bayer``.
     psf, prior, tau, noise_sigma, max_iterations, dark, flat, bad_pixels, progress, seed, keep_all_pixels
         Those of :func:`reconstruct`, on the raw pixels.
-    debias, threads, tuning
+    debias, threads, tuning, corrected
         Those of :func:`reconstruct`.
     time_budget_s : float, optional
         Limit for all planes together, in seconds.
@@ -95,7 +121,8 @@ def reconstruct_colour(
     >>> colour.video.shape, sorted(colour.planes)
     ((12, 12, 15, 3), ['blue', 'green-1', 'green-2', 'red'])
     """
-    settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels)
+    more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
+    settings = _settings_without_guide("a raw colour frame", camera, *more)
     bar, callback = _callback(progress)
     try:
         video, planes = _rowburst._reconstruct_colour(
@@ -109,10 +136,12 @@ def reconstruct_colour(
             debias=debias,
             threads=threads,
             tuning=_constants(tuning),
+            corrected=corrected,
             **settings,
         )
     finally:
         if bar is not None:
             bar.close()
     results = {name: Result(found, found._camera) for name, _, found in planes}
-    return ColourResult(video, results, {name: start for name, start, _ in planes})
+    bayer: str = settings["camera"].bayer
+    return ColourResult(video, results, {name: start for name, start, _ in planes}, bayer)

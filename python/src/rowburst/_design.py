@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 from . import _rowburst
 from ._display import table_html
 from ._rowburst import Camera, Psf
+from ._stored import Stored, stored
 
 
 class Design:
     """A planned set-up and what it can do. :func:`design` makes it."""
 
-    def __init__(self, native: _rowburst._Design) -> None:
+    def __init__(self, native: _rowburst._Design | Stored) -> None:
         self._native = native
 
     @property
@@ -34,9 +35,33 @@ class Design:
         return warnings
 
     def save(self, folder: str | PathLike[str]) -> Path:
-        """Writes ``report.html``, its pictures and ``design.json`` into a folder."""
+        """Writes ``report.html``, its pictures and ``design.json`` into a folder.
+
+        Parameters
+        ----------
+        folder : path
+            The folder, which is made where it is missing.
+
+        Returns
+        -------
+        pathlib.Path
+            The folder.
+
+        Raises
+        ------
+        WorkError
+            A file cannot be written.
+
+        Examples
+        --------
+        >>> rb.design(trials=False).save("design").name
+        'design'
+        """
         self._native.save(folder)
         return Path(folder)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Design, (stored(self._native, ()),)
 
     def __repr__(self) -> str:
         n = self.numbers
@@ -77,6 +102,8 @@ def design(
     trial_snr: Sequence[float] = (),
     seed: int = 1,
     progress: Callable[[float], object] | None = None,
+    scene: ArrayLike | PathLike[str] | None = None,
+    threads: int | None = None,
 ) -> Design:
     """What a camera, a lens and a diffuser can do, with the numbers of ``rowburst design``.
 
@@ -109,6 +136,11 @@ def design(
         Seed of speckle, scenes and noise.
     progress : callable, optional
         Called with the part of the trials that is done, from 0 to 1. ``False`` from it ends them with an error.
+    scene : array or path, optional
+        A video ``[t, y, x]`` of the scene, which is fitted to the field: how many numbers of an instant speak about its
+        change.
+    threads : int, optional
+        Threads of this call alone; by default all those of the process (:func:`threads`).
 
     Returns
     -------
@@ -146,5 +178,7 @@ def design(
         trial_snrs=[float(snr) for snr in trial_snr],
         seed=seed,
         progress=progress,
+        scene=scene,
+        threads=threads,
     )
     return Design(native)

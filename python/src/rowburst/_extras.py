@@ -12,10 +12,12 @@ _PACKAGES = {
     "dcimg": "dcimg",
     "deepinv": "deepinv",
     "matplotlib": "matplotlib",
+    "ndtiff": "ndtiff",
     "pco_tools": "pco-tools",
     "sif_parser": "sif_parser",
     "tifffile": "tifffile",
     "torch": "torch",
+    "tqdm": "tqdm",
     "xarray": "xarray",
 }
 

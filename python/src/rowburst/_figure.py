@@ -19,7 +19,28 @@ class Figure:
     """The figure as PNG."""
 
     def save(self, path: str | PathLike[str]) -> Path:
-        """Writes the figure to a file, whose name ends in .svg or .png."""
+        """Writes the figure to a file.
+
+        Parameters
+        ----------
+        path : path
+            A file whose name ends in .svg or .png.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            The file has another ending.
+
+        Examples
+        --------
+        >>> result.figure().save("figure.svg").name
+        'figure.svg'
+        """
         target = Path(path)
         if target.suffix.lower() == ".svg":
             target.write_text(self.svg, encoding="utf-8")

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from . import _rowburst
 from ._errors import input_error
 from ._extras import need
-from ._makers import is_of_maker, open_makers
+from ._makers import frame_of_maker, is_of_maker, open_makers
+from ._ndtiff import is_ndtiff, read_ndtiff
 
 _TIFF = (".tif", ".tiff", ".btf", ".tf8")
 
@@ -25,9 +26,10 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
     path : path
         A stack (.tif, .npy, .h5, .mat, .fits, Photron .cihx), a folder of images or of stacks in the natural order of their
         names, a Zarr array ``[frame, y, x]`` or an OME-Zarr image. ``run.h5:/frames`` names an array of a file. Andor .sif,
-        Hamamatsu .dcimg, PCO .b16 (a file or a folder of them) and .pcoraw need ``pip install rowburst[cameras]``.
+        Hamamatsu .dcimg, PCO .b16 (a file or a folder of them) and .pcoraw need ``pip install rowburst[cameras]``; the
+        folder of an NDTiff dataset needs ``pip install rowburst[ndtiff]``.
     channel : int, optional
-        The channel of an OME-TIFF or ImageJ stack that has several; counted from 0. It needs tifffile.
+        The channel of an OME-TIFF, ImageJ stack or NDTiff dataset that has several; counted from 0. A stack needs tifffile.
 
     Returns
     -------
@@ -49,6 +51,8 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
     >>> rb.read_frames("frames.npy").shape
     (2, 24, 30)
     """
+    if is_ndtiff(Path(path)):
+        return read_ndtiff(Path(path), channel).frames
     if channel is not None:
         return _channel(Path(path), channel)
     if is_of_maker(Path(path)):
@@ -56,34 +60,44 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
     return _rowburst._Frames(path).read()
 
 
-def read_settings(path: str | PathLike[str]) -> dict[str, float]:
-    """What the metadata of a camera maker's file tell of the camera.
+def read_settings(path: str | PathLike[str]) -> dict[str, Any]:
+    """What the metadata of a frame or a recording tell of the camera.
+
+    Known are Micro-Manager (TIFF tags, ``metadata.txt``, NDTiff), OME-XML, Andor (TIFF tags, Solis text, .sif), FITS,
+    Photron, and the records of ``rowburst capture``.
 
     Parameters
     ----------
     path : path
-        An Andor .sif, Hamamatsu .dcimg, PCO .b16 or .pcoraw file. Of all other files :class:`Experiment` takes the metadata.
+        A file, or a folder of them.
 
     Returns
     -------
     dict
-        Arguments of :class:`Camera`: ``rows``, ``columns``, and of .sif files ``exposure_us``.
+        Arguments of :class:`Camera`, as far as they are known: ``rows``, ``columns``, ``shutter``, ``row_time_us``,
+        ``exposure_us``, ``binning``, ``bit_depth``, ``pixel_pitch_um``, ``bayer``. Empty where the file says nothing.
 
     Raises
     ------
     InputError
-        The file is of another kind, missing or damaged, or its reader is not installed.
+        A file of a camera maker that is missing or damaged, or whose reader is not installed.
 
     Examples
     --------
-    ::
+    >>> np.save("frames.npy", np.stack([frame, frame]))
+    >>> rb.read_settings("frames.npy")
+    {}
 
+    The settings fill a camera; what they lack is given beside them::
+
+        camera = rb.Camera(**rb.read_settings("run.ome.tif"))
         camera = rb.Camera(shutter="dual-inside-out", row_time_us=9.6, **rb.read_settings("run.sif"))
     """
-    if not is_of_maker(Path(path)):
-        remedy = "Give the file to rb.Experiment as frame=, which takes its metadata."
-        raise input_error(Path(path), "another kind of file", "it is a .sif, .dcimg, .b16 or .pcoraw file", remedy)
-    return open_makers(Path(path)).settings
+    if not Path(path).exists():
+        raise input_error(Path(path), "no such file", "the file must exist", "Check the path.", kind="not-found")
+    settings, _, _ = _rowburst._metadata(path)
+    settings.pop("frame_period_us", None)
+    return settings
 
 
 def recording_of(frames: Any) -> Any:
@@ -95,15 +109,19 @@ def recording_of(frames: Any) -> Any:
     return _rowburst._Frames(fspath(frames))
 
 
+def frames_of(value: Any) -> Any:
+    """Paths of camera makers' files as arrays, also in a list; anything else is left as it is."""
+    if isinstance(value, (str, PathLike)):
+        return open_makers(Path(value)).frames if is_of_maker(Path(value)) else value
+    if isinstance(value, (list, tuple)):
+        return [frames_of(part) for part in value]
+    return value
+
+
 def frame_of(frame: Any) -> Any:
     """The one frame of a camera maker's file; anything else is left as it is."""
-    if not (isinstance(frame, (str, PathLike)) and is_of_maker(Path(frame))):
-        return frame
-    frames = open_makers(Path(frame)).frames
-    if len(frames) != 1:
-        remedy = "Give one of them: rb.read_frames(path)[0]; or use rb.batch."
-        raise input_error(Path(frame), f"{len(frames)} frames", "a frame is [y, x]", remedy, kind="shape")
-    return frames[0]
+    is_path = isinstance(frame, (str, PathLike))
+    return frame_of_maker(Path(frame)) if is_path and is_of_maker(Path(frame)) else frame
 
 
 def _channel(path: Path, channel: int) -> NDArray[Any]:

@@ -27,11 +27,7 @@ class SavedResult(VideoResult):
 
     def __init__(self, folder: str | PathLike[str]) -> None:
         self.folder = Path(folder)
-        if not (self.folder / "result.json").is_file():
-            rule = "a result is a folder that Result.save or `rowburst reconstruct` has written whole"
-            remedy = "Check the path, or run the reconstruction again."
-            raise input_error(self.folder, "no result.json", rule, remedy, kind="missing")
-        self._numbers: dict[str, Any] = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
+        self._numbers = _numbers_of(self.folder)
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def _array(self, name: str) -> NDArray[Any]:
@@ -39,12 +35,7 @@ class SavedResult(VideoResult):
             if "parts" in self._numbers and not (self.folder / name).exists():
                 rule = "a video in chunks has video.npy, and its report shows the rest"
                 raise input_error(self.folder / name, "no such file", rule, "Open report.html.", kind="missing")
-            try:
-                self._arrays[name] = np.load(self.folder / name, mmap_mode="r")
-            except (OSError, ValueError) as error:
-                found = f"a file that cannot be read ({error})"
-                remedy = "Run the reconstruction again."
-                raise input_error(self.folder / name, found, "a whole result has it", remedy, kind="unreadable") from error
+            self._arrays[name] = _mapped(self.folder / name)
         return self._arrays[name]
 
     def _optional(self, name: str) -> NDArray[Any] | None:
@@ -148,7 +139,30 @@ class SavedResult(VideoResult):
         return traces
 
     def figure(self, path: str | PathLike[str] | None = None, layout: str = "fig2") -> Figure:
-        """The figure for a paper, as :meth:`Result.figure` draws it."""
+        """The figure for a paper, as :meth:`Result.figure` draws it.
+
+        Parameters
+        ----------
+        path : path, optional
+            A .svg or .png file that is written.
+        layout : str
+            ``"fig2"`` or ``"fig3"``.
+
+        Returns
+        -------
+        Figure
+            The figure as SVG and PNG.
+
+        Raises
+        ------
+        InputError
+            The layout is unknown, or the video is one in chunks.
+
+        Examples
+        --------
+        >>> saved.figure(layout="fig3").svg[:4]
+        '<svg'
+        """
         if "parts" in self._numbers:
             rule = "a figure is drawn from a result in one piece"
             remedy = "Reconstruct a part of its bins by rb.reconstruct, or use plot()."
@@ -156,7 +170,31 @@ class SavedResult(VideoResult):
         return save_figure(Figure(*_rowburst._figure_of_folder(self.folder, layout)), path)
 
     def view(self, port: int | None = None, open_browser: bool = True) -> View:
-        """Opens the viewer of ``rowburst view`` on this result, as :meth:`Result.view` does."""
+        """Opens the viewer of ``rowburst view`` on this result, as :meth:`Result.view` does.
+
+        Parameters
+        ----------
+        port : int, optional
+            The port; 0 is any.
+        open_browser : bool
+            Whether a browser is opened, where there is a screen.
+
+        Returns
+        -------
+        View
+            Its ``url``, and ``close()``.
+
+        Raises
+        ------
+        WorkError
+            The port is taken.
+
+        Examples
+        --------
+        >>> with saved.view(port=0, open_browser=False) as view:
+        ...     print(view.url[:17])
+        http://127.0.0.1:
+        """
         return View([self.folder], port, open_browser)
 
     def __repr__(self) -> str:
@@ -167,18 +205,95 @@ class SavedResult(VideoResult):
         return result_html(self, "SavedResult")
 
 
-def load(folder: str | PathLike[str]) -> SavedResult:
+class SavedColour:
+    """A video in colour from the folder of :meth:`ColourResult.save` or ``rowburst reconstruct``. :func:`load` makes it.
+
+    Arrays are read when they are first used.
+    """
+
+    def __init__(self, folder: str | PathLike[str]) -> None:
+        self.folder = Path(folder)
+        self._numbers = _numbers_of(self.folder)
+        self._video: NDArray[np.float32] | None = None
+        self.planes: dict[str, SavedResult] = {}
+        """The result of each plane, by its name: ``red``, ``green-1``, ``green-2``, and ``blue``."""
+        for plane in self._numbers["planes"]:
+            self.planes[plane["name"]] = SavedResult(self.folder / plane["name"])
+
+    @property
+    def video(self) -> NDArray[np.float32]:
+        """The video ``[t, y, x, colour]`` in counts: red, green and blue. It may not be written to."""
+        if self._video is None:
+            self._video = _mapped(self.folder / "colour.npy")
+        return self._video
+
+    @property
+    def start_us(self) -> dict[str, float]:
+        """From the start of the sensor's first instant to that of each plane's, in microseconds."""
+        return {plane["name"]: float(plane["start_us"]) for plane in self._numbers["planes"]}
+
+    @property
+    def bayer(self) -> str:
+        """The mosaic of the sensor, such as ``rggb``."""
+        return str(self._numbers["bayer"])
+
+    @property
+    def time_us(self) -> NDArray[np.float64]:
+        """The middle of each bin in microseconds, from the start of the first bin of each plane."""
+        return (np.arange(len(self.video), dtype=np.float64) + 0.5) * (1e6 / self.frame_rate_hz)
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames of the video a second."""
+        return float(self._numbers["frame_rate_hz"])
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The content of ``result.json``."""
+        numbers: dict[str, Any] = json.loads(json.dumps(self._numbers))
+        return numbers
+
+    def __repr__(self) -> str:
+        bins, rows, columns, _ = self.video.shape
+        return f"<rowburst.SavedColour {str(self.folder)!r}: {bins} frames of {rows}×{columns} in colour>"
+
+
+def _numbers_of(folder: Path) -> dict[str, Any]:
+    """The content of ``result.json`` of a folder."""
+    if not (folder / "result.json").is_file():
+        rule = "a result is a folder that Result.save or `rowburst reconstruct` has written whole"
+        remedy = "Check the path, or run the reconstruction again."
+        raise input_error(folder, "no result.json", rule, remedy, kind="missing")
+    try:
+        numbers: dict[str, Any] = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except ValueError as error:
+        found = f"a result.json that cannot be read ({error})"
+        raise input_error(folder, found, "a whole result has it", "Run the reconstruction again.", kind="unreadable") from error
+    return numbers
+
+
+def _mapped(path: Path) -> NDArray[Any]:
+    """The array of a file, mapped into memory."""
+    try:
+        array: NDArray[Any] = np.load(path, mmap_mode="r")
+    except (OSError, ValueError) as error:
+        found = f"a file that cannot be read ({error})"
+        raise input_error(path, found, "a whole result has it", "Run the reconstruction again.", kind="unreadable") from error
+    return array
+
+
+def load(folder: str | PathLike[str]) -> SavedResult | SavedColour:
     """Opens the folder of a result.
 
     Parameters
     ----------
     folder : path
-        A folder that :meth:`Result.save` or ``rowburst reconstruct`` has written.
+        A folder that :meth:`Result.save`, :meth:`ColourResult.save` or ``rowburst reconstruct`` has written.
 
     Returns
     -------
-    SavedResult
-        Its video, masks, traces and numbers.
+    SavedResult or SavedColour
+        Its video, masks, traces and numbers; of a raw colour frame its video in colour and the result of each plane.
 
     Raises
     ------
@@ -191,4 +306,4 @@ def load(folder: str | PathLike[str]) -> SavedResult:
     >>> bool((saved.video == result.video).all())
     True
     """
-    return SavedResult(folder)
+    return SavedColour(folder) if "bayer" in _numbers_of(Path(folder)) else SavedResult(folder)

@@ -1,4 +1,4 @@
-"""Files of camera makers, read by packages of PyPI: Andor .sif, Hamamatsu .dcimg, PCO .b16 and .pcoraw."""
+"""Files that packages of PyPI read: Andor .sif, Hamamatsu .dcimg, PCO .b16 and .pcoraw, NDTiff of Micro-Manager."""
 
 from __future__ import annotations
 
@@ -15,19 +15,23 @@ from numpy.typing import NDArray
 
 from ._errors import input_error
 from ._extras import need
+from ._ndtiff import is_ndtiff, read_ndtiff
 
 
 @dataclass(frozen=True)
 class MakersFile:
-    """The frames ``[frame, y, x]`` of a file, and the arguments of a Camera that its metadata tell."""
+    """The frames ``[frame, y, x]`` of a file, and what its metadata tell of the camera."""
 
     frames: NDArray[Any]
-    settings: dict[str, float]
+    settings: dict[str, Any]
+    """Arguments of a Camera, and ``frame_period_us``."""
+    record: str | None = None
+    """The record of Micro-Manager, as JSON."""
 
 
 def is_of_maker(path: Path) -> bool:
-    """Whether a path is a file of a camera maker, or a folder of .b16 files."""
-    return path.suffix.lower() in _READERS or bool(_b16_files(path))
+    """Whether a path is a file of a camera maker, a folder of .b16 files, or an NDTiff dataset."""
+    return path.suffix.lower() in _READERS or is_ndtiff(path) or bool(_b16_files(path))
 
 
 def open_makers(path: Path) -> MakersFile:
@@ -40,6 +44,10 @@ def open_makers(path: Path) -> MakersFile:
     """
     if not path.exists():
         raise input_error(path, "no such file", "the file must exist", "Check the path.", kind="not-found")
+    if is_ndtiff(path):
+        data = read_ndtiff(path)
+        _, rows, columns = data.frames.shape
+        return MakersFile(data.frames, {"rows": rows, "columns": columns}, data.record)
     reader = _READERS[".b16"] if path.is_dir() else _READERS[path.suffix.lower()]
     try:
         found = reader(path)
@@ -51,6 +59,22 @@ def open_makers(path: Path) -> MakersFile:
         remedy = "Copy it again, or save it as TIFF by the camera's software."
         raise input_error(path, what, f"a whole {path.suffix} file is needed", remedy, kind="unreadable") from error
     return MakersFile(found.frames, {"rows": rows, "columns": columns} | found.settings)
+
+
+def frame_of_maker(path: Path) -> NDArray[Any]:
+    """The one frame ``[y, x]`` of a file of a camera maker."""
+    frames = open_makers(Path(path)).frames
+    if len(frames) != 1:
+        remedy = "Give one of them: rb.read_frames(path)[0]; or use rb.batch."
+        raise input_error(Path(path), f"{len(frames)} frames", "a frame is [y, x]", remedy, kind="shape")
+    frame: NDArray[Any] = frames[0]
+    return frame
+
+
+def metadata_of_maker(path: Path) -> tuple[dict[str, Any], str | None]:
+    """The settings of a file of a camera maker, and the record of Micro-Manager, if there is one."""
+    found = open_makers(Path(path))
+    return found.settings, found.record
 
 
 def _counts(values: NDArray[np.floating[Any]]) -> NDArray[Any]:
@@ -65,8 +89,14 @@ def _counts(values: NDArray[np.floating[Any]]) -> NDArray[Any]:
 def _read_sif(path: Path) -> MakersFile:
     parser = need("sif_parser", "a .sif file")
     values, info = parser.np_open(str(path))
-    seconds = float(info["ExposureTime"])
-    return MakersFile(_counts(values), {"exposure_us": round(1e6 * seconds, 6)} if seconds > 0 else {})
+    settings: dict[str, Any] = {}
+    for name, key in ("exposure_us", "ExposureTime"), ("frame_period_us", "CycleTime"):
+        seconds = float(info.get(key, 0))
+        if seconds > 0:
+            settings[name] = round(1e6 * seconds, 6)
+    if info.get("xbin", 1) == info.get("ybin", 1) > 1:
+        settings["binning"] = int(info["xbin"])
+    return MakersFile(_counts(values), settings)
 
 
 class _Header(np.ndarray[Any, Any]):

@@ -16,13 +16,15 @@ from ._extras import need
 if TYPE_CHECKING:
     from ._video import VideoResult
 
+# Units of the axes of a video.
+_UNITS = ("microsecond", "pixel", "pixel")
 # Data, options and kind of a layer, as napari takes it.
 Layer = tuple[Any, dict[str, Any], str]
 
 
 def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]] | None:
-    """The reader of result folders and archives; None for all other paths."""
-    first = Path(path[0] if isinstance(path, list) else path)
+    """The reader of result folders, their result.json, and archives; None for all other paths."""
+    first = _folder(path[0] if isinstance(path, list) else path)
     if (first / "result.json").is_file() and (first / "video.npy").is_file():
         return _of_all(_result_layers)
     if (first / "rowburst" / "job.json").is_file():
@@ -33,18 +35,27 @@ def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]
 def _of_all(layers: Callable[[Path], list[Layer]]) -> Callable[[str | list[str]], list[Layer]]:
     def read(path: str | list[str]) -> list[Layer]:
         paths = path if isinstance(path, list) else [path]
-        return [layer for one in paths for layer in layers(Path(one))]
+        return [layer for one in paths for layer in layers(_folder(one))]
 
     return read
 
 
-def _video_layer(result: VideoResult, name: str) -> Layer:
-    """A video, whose first axis is in microseconds."""
+def _folder(path: str) -> Path:
+    """The folder of a result that is named by its result.json."""
+    return Path(path).parent if Path(path).name == "result.json" else Path(path)
+
+
+def _axes(result: VideoResult) -> dict[str, Any]:
+    """Scale, units and labels of the axes of a video, whose first is in microseconds."""
     time_us = result.time_us
     bin_us = float(time_us[1] - time_us[0]) if len(time_us) > 1 else 1.0
-    options = {
+    return {"scale": (bin_us, 1.0, 1.0), "units": _UNITS, "axis_labels": ("t", "y", "x")}
+
+
+def _video_layer(result: VideoResult, name: str) -> Layer:
+    """A video, whose first axis is in microseconds."""
+    options = _axes(result) | {
         "name": name,
-        "scale": (bin_us, 1.0, 1.0),
         "contrast_limits": (0.0, float(result.video.max()) or 1.0),
         "metadata": {"rowburst": result.numbers},
     }
@@ -52,12 +63,13 @@ def _video_layer(result: VideoResult, name: str) -> Layer:
 
 
 def _result_layers(folder: Path) -> list[Layer]:
-    result = _load.load(folder)
+    result = _load.SavedResult(folder)
     layers = [_video_layer(result, f"{folder.name}: video")]
     if (folder / "view-frame.npy").is_file():
         layers.append((result.frame, {"name": f"{folder.name}: frame", "visible": False}, "image"))
     if result.background is not None:
-        layers.append((result.background, {"name": f"{folder.name}: background", "visible": False}, "image"))
+        options = {"name": f"{folder.name}: background", "visible": False} | _axes(result)
+        layers.append((result.background, options, "image"))
     return layers
 
 
@@ -69,7 +81,15 @@ def _archive_layers(folder: Path) -> list[Layer]:
     scales = group.attrs["ome"]["multiscales"][0]["datasets"][0]["coordinateTransformations"]
     scale = next(entry["scale"] for entry in scales if entry["type"] == "scale")
     job = json.loads((folder / "rowburst" / "job.json").read_text(encoding="utf-8"))
-    return [(video, {"name": folder.stem, "scale": scale, "metadata": {"rowburst": job}}, "image")]
+    axes = group.attrs["ome"]["multiscales"][0]["axes"]
+    options = {
+        "name": folder.stem,
+        "scale": scale,
+        "units": [axis.get("unit", "pixel") for axis in axes],
+        "axis_labels": [axis["name"] for axis in axes],
+        "metadata": {"rowburst": job},
+    }
+    return [(video, options, "image")]
 
 
 def sample() -> list[Layer]:

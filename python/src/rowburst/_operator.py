@@ -64,11 +64,46 @@ class RollingShutterOperator(LinearOperator):
         return super().__call__(x)
 
     def data_term(self, frame: ArrayLike) -> DataTerm:
-        """``½‖W(b - A v)‖²`` of a raw frame ``b``, with its exact prox."""
+        """``½‖W(b - A v)‖²`` of a raw frame ``b``, with its exact prox.
+
+        Parameters
+        ----------
+        frame : array or path
+            The raw frame ``[y, x]``.
+
+        Returns
+        -------
+        DataTerm
+            A function of flattened videos, with ``grad`` and ``prox``.
+
+        Raises
+        ------
+        InputError
+            The frame breaks a rule.
+
+        Examples
+        --------
+        >>> term = rb.operator(camera, psf).data_term(frame)
+        >>> term(np.zeros(12 * 24 * 30)) > 0
+        True
+        """
         return DataTerm(self, frame)
 
     def to_scico(self) -> Any:
-        """The same as a ``scico.linop.LinearOperator`` on videos, which may be traced and compiled."""
+        """The same as a ``scico.linop.LinearOperator`` on videos, which may be traced and compiled.
+
+        Returns
+        -------
+        scico.linop.LinearOperator
+            From videos ``[t, y, x]`` to frames ``[y, x]``.
+
+        Examples
+        --------
+        ::
+
+            S = rb.operator(camera, psf).to_scico()
+            frame = S(snp.zeros(S.input_shape))
+        """
         from ._scico import linear_operator
 
         return linear_operator(self)
@@ -122,27 +157,100 @@ class DataTerm:
         return self._native.value(np.asarray(x).reshape(-1))
 
     def grad(self, x: ArrayLike) -> NDArray[Any]:
-        """``AᵀW²(A x - b)``, in the shape of ``x``."""
+        """``AᵀW²(A x - b)``.
+
+        Parameters
+        ----------
+        x : array
+            A video, flattened or ``[t, y, x]``.
+
+        Returns
+        -------
+        numpy.ndarray
+            The gradient, in the shape of ``x``.
+
+        Examples
+        --------
+        >>> term = rb.operator(camera, psf).data_term(frame)
+        >>> term.grad(np.zeros((12, 24, 30))).shape
+        (12, 24, 30)
+        """
         x = np.asarray(x)
         return self._native.gradient(x.reshape(-1)).astype(_like(x), copy=False).reshape(x.shape)
 
     def prox(self, x: ArrayLike, step: float) -> NDArray[Any]:
-        """``argmin_v f(v) + ‖v - x‖²/(2 step)``, in the shape of ``x``.
+        """``argmin_v f(v) + ‖v - x‖²/(2 step)``.
 
         Exact to rounding where every bin is seen by one instant, else to 1e-6 of the residual. A step
         that differs from the last one costs a factorisation.
+
+        Parameters
+        ----------
+        x : array
+            A video, flattened or ``[t, y, x]``.
+        step : float
+            The step, above zero.
+
+        Returns
+        -------
+        numpy.ndarray
+            The video, in the shape of ``x``.
+
+        Raises
+        ------
+        InputError
+            The step is not above zero.
+
+        Examples
+        --------
+        >>> term = rb.operator(camera, psf).data_term(frame)
+        >>> found = term.prox(np.zeros((12, 24, 30)), 1.0)
+        >>> term(found) < term(np.zeros((12, 24, 30)))
+        True
         """
         x = np.asarray(x)
         found = self._native.prox(x.reshape(-1), float(step))
         return found.astype(_like(x), copy=False).reshape(x.shape)
 
     def proxdual(self, x: ArrayLike, step: float) -> NDArray[Any]:
-        """The step of the convex conjugate, by Moreau's identity."""
+        """The step of the convex conjugate, by Moreau's identity.
+
+        Parameters
+        ----------
+        x : array
+            A video, flattened or ``[t, y, x]``.
+        step : float
+            The step, above zero.
+
+        Returns
+        -------
+        numpy.ndarray
+            In the shape of ``x``.
+
+        Examples
+        --------
+        >>> term = rb.operator(camera, psf).data_term(frame)
+        >>> term.proxdual(np.ones((12, 24, 30)), 1.0).shape
+        (12, 24, 30)
+        """
         x = np.asarray(x)
         return x - float(step) * self.prox(x / float(step), 1.0 / float(step))
 
     def to_scico(self) -> Any:
-        """The same as a ``scico.functional.Functional`` on videos ``[t, y, x]``."""
+        """The same as a ``scico.functional.Functional`` on videos ``[t, y, x]``.
+
+        Returns
+        -------
+        scico.functional.Functional
+            With ``grad`` and the exact ``prox``; ``jax.vmap`` and ``jit`` take it.
+
+        Examples
+        --------
+        ::
+
+            f = rb.operator(camera, psf).data_term(frame).to_scico()
+            video = f.prox(snp.zeros(camera.video_shape), 1.0)
+        """
         from ._scico import functional
 
         return functional(self)

@@ -18,7 +18,7 @@ from . import _rowburst
 from ._display import result_html
 from ._errors import input_error
 from ._figure import Figure, save_figure
-from ._frames import frame_of
+from ._makers import is_of_maker
 from ._rowburst import Camera, Experiment, Progress, Psf
 from ._video import VideoResult
 from ._view import View
@@ -92,7 +92,23 @@ class Report(str):
     """The report as the text of one HTML page, which fetches nothing; notebooks show it."""
 
     def save(self, path: str | PathLike[str]) -> Path:
-        """Writes the page to a file."""
+        """Writes the page to a file.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Examples
+        --------
+        >>> result.report().save("report.html").name
+        'report.html'
+        """
         target = Path(path)
         target.write_text(self, encoding="utf-8")
         return target
@@ -238,8 +254,28 @@ class Result(VideoResult):
     ) -> list[Trace]:
         """Traces of ``regions``, then of the brightest spots.
 
-        A region is ``(y, x)``, for the 3×3 pixels about it, or ``(y, x, rows, columns)``. A photodiode
-        is a CSV file with the columns ``time_us,value``, which is aligned with the trace that fits it best.
+        Parameters
+        ----------
+        regions : iterable of sequence of int
+            Each is ``(y, x)``, for the 3×3 pixels about it, or ``(y, x, rows, columns)``.
+        photodiodes : iterable of path
+            CSV files with the columns ``time_us,value``; each is aligned with the trace that fits it best.
+
+        Returns
+        -------
+        list of Trace
+            Light over time, in counts, with standard errors.
+
+        Raises
+        ------
+        InputError
+            A region is outside of the field, or a file is no table.
+
+        Examples
+        --------
+        >>> first = result.traces([(8, 9)])[0]
+        >>> first.region, first.value.shape
+        ((7, 8, 3, 3), (12,))
         """
         texts = [_region_text(region) for region in regions]
         found, text = self._native._traces(texts, [fspath(p) for p in photodiodes])
@@ -248,15 +284,71 @@ class Result(VideoResult):
         return [Trace(time_us=time_us, numbers=n, **trace) for trace, n in zip(found, numbers, strict=True)]
 
     def report(self, path: str | PathLike[str] | None = None, title: str = "Rowburst") -> Report:
-        """The report of the command line, as a page; written to ``path`` if there is one."""
+        """The report of the command line, as a page.
+
+        Parameters
+        ----------
+        path : path, optional
+            A file that is written.
+        title : str
+            Title of the page.
+
+        Returns
+        -------
+        Report
+            The page as text, which fetches nothing; notebooks show it.
+
+        Raises
+        ------
+        WorkError
+            The file cannot be written, or the film cannot be encoded.
+
+        Examples
+        --------
+        >>> result.report("report.html")[:15].lower()
+        '<!doctype html>'
+        """
         report = Report(self._native._report(title))
         if path is not None:
             report.save(path)
         return report
 
-    def save(self, folder: str | PathLike[str], title: str = "Rowburst") -> Path:
-        """Writes the files of ``rowburst reconstruct``: video, traces, report, ``result.json``."""
-        self._native._save(folder, title)
+    def save(
+        self, folder: str | PathLike[str], title: str = "Rowburst", *, formats: Sequence[str] | None = None
+    ) -> Path:
+        """Writes the files of ``rowburst reconstruct``: video, traces, report, ``result.json``.
+
+        Where an :class:`Experiment` and files alone went into the result, ``rowburst rerun`` repeats it.
+
+        Parameters
+        ----------
+        folder : path
+            The folder, which is made where it is missing.
+        title : str
+            Title of the report.
+        formats : sequence of str, optional
+            Formats of the video: ``"npy"`` (always written), ``"tif"``, ``"zarr"``, ``"mp4"``, ``"mat"``, ``"h5"``; by
+            default ``npy``, ``mp4``, and up to 64 MB ``tif``.
+
+        Returns
+        -------
+        pathlib.Path
+            The folder.
+
+        Raises
+        ------
+        InputError
+            A format that does not exist.
+        WorkError
+            A file cannot be written.
+
+        Examples
+        --------
+        >>> folder = result.save("folder", formats=["npy", "mat"])
+        >>> (folder / "video.mat").exists(), (folder / "video.mp4").exists()
+        (True, False)
+        """
+        self._native._save(folder, title, None if formats is None else ",".join(["npy", *formats]))
         return Path(folder)
 
     def figure(self, path: str | PathLike[str] | None = None, layout: str = "fig2") -> Figure:
@@ -415,9 +507,29 @@ def _settings(
     }
 
 
+def _settings_without_guide(caller: str, camera: Camera | Experiment, *more: Any) -> dict[str, Any]:
+    """Those of a call that takes no pictures of a second camera."""
+    if isinstance(camera, Experiment) and camera.guide:
+        found = f"[[guide]] in the experiment, {len(camera.guide)} of them"
+        rule = f"a guide belongs to one frame, and {caller} does not take it"
+        remedy = "Call rb.reconstruct for the frame of these pictures, or take [[guide]] out of the experiment file."
+        raise input_error("guide", found, rule, remedy, kind="unsupported")
+    return _settings(camera, *more)
+
+
 def _constants(tuning: Mapping[str, float] | None) -> dict[str, float] | None:
     """The constants of the solver as the extension takes them."""
     return None if tuning is None else dict(tuning)
+
+
+def _files(frame: Any, given: Mapping[str, Any], guide: Any) -> dict[str, Any] | None:
+    """The files of a run with an experiment; None where an input is none, or one that the program does not read."""
+    guides = list(guide) if isinstance(guide, (list, tuple)) else [] if guide is None else [guide]
+    paths = [frame, *guides, *(value for value in given.values() if value is not None)]
+    if guide == [] or not all(isinstance(path, (str, PathLike)) and not is_of_maker(Path(path)) for path in paths):
+        return None
+    names = ", ".join(repr(fspath(path)) for path in paths)
+    return {"frame": frame, **given, "guides": guides, "command": f"rowburst.reconstruct of Python, of {names}"}
 
 
 def _pictures(guide: ArrayLike | Sequence[ArrayLike] | None) -> list[ArrayLike] | None:
@@ -468,8 +580,8 @@ def reconstruct(
         them, while a ``dark`` that is given is. A file is a raw capture, as on the command line, even one of floating-point
         numbers. Masked pixels of masked arrays (frame, dark, flat and bad pixels) are bad pixels.
     camera : Camera or Experiment
-        The camera. An experiment also gives each of ``psf``, ``dark``, ``flat``, ``bad_pixels``, ``prior`` and ``tau`` that
-        is left out.
+        The camera. An experiment also gives each of ``psf``, ``dark``, ``flat``, ``bad_pixels``, ``prior``, ``tau`` and
+        ``guide`` that is left out.
     psf : Psf, array or path, optional
         The point-spread function ``[y, x]``; needed where there is no experiment. An array of integers is a raw capture.
     prior : str, optional
@@ -511,8 +623,8 @@ def reconstruct(
         Whether the frame is corrected already, integers as well: neither bias nor dark nor flat of the camera or the
         experiment are applied. ``dark`` and ``flat`` may not be given then.
     guide : array, path, or a sequence of them, optional
-        Pictures ``[y, x]`` of the same scene by an ordinary second camera, for dense scenes. What they gave is
-        ``result.numbers["guide"]``.
+        Pictures ``[y, x]`` of the same scene by an ordinary second camera, for dense scenes; by default those of the
+        experiment, ``[[guide]]``; an empty list is none. What they gave is ``result.numbers["guide"]``.
     guide_exposures_us : sequence of pairs, optional
         For each picture the middle of its exposure, from the start of the frame's first exposure, and its length, in µs.
         By default the one picture was taken at an unknown time within the frame; several pictures need times.
@@ -538,10 +650,14 @@ def reconstruct(
     ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
     settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
+    given = dict(psf=psf, dark=dark, flat=flat, bad_pixels=bad_pixels, truth=truth, direct=direct)
+    is_plain = not corrected and tuning is None and guide_exposures_us is None
+    files = _files(frame, given, guide) if is_plain and isinstance(camera, Experiment) else None
     bar, callback = _callback(progress)
     try:
         found = _rowburst.reconstruct(
-            frame_of(frame),
+            frame,
+            files=files,
             noise_sigma=noise_sigma,
             time_budget_s=time_budget_s,
             max_iterations=max_iterations,

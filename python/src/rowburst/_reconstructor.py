@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from . import _rowburst
 from ._errors import input_error
-from ._frames import frame_of, recording_of
-from ._reconstruct import Result, _callback, _constants, _settings
+from ._frames import recording_of
+from ._reconstruct import Result, _callback, _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, LiveView, Progress, Psf
 
 
@@ -87,7 +87,8 @@ class Reconstructor:
             corrected=corrected,
         )
         self._source = camera
-        settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
+        more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
+        settings = _settings_without_guide("a Reconstructor", camera, *more)
         self.camera: Camera = settings["camera"]
         self._settings = settings
         self._threads = threads
@@ -113,17 +114,52 @@ class Reconstructor:
         seed: int = 0,
         debias: bool = False,
     ) -> Result:
-        """The video of one frame; the arguments are those of :func:`reconstruct`."""
+        """The video of one frame.
+
+        Parameters
+        ----------
+        frame, truth, direct, time_budget_s, progress, seed, debias
+            Those of :func:`reconstruct`.
+
+        Returns
+        -------
+        Result
+            The video of :func:`reconstruct`, bit for bit.
+
+        Raises
+        ------
+        InputError
+            An argument breaks a rule.
+
+        Examples
+        --------
+        >>> reconstructor(frame, truth=np.zeros((12, 24, 30))).video.shape
+        (12, 24, 30)
+        """
+        return self._call(frame, None, truth, direct, time_budget_s, progress, seed, debias)
+
+    def _call(
+        self,
+        frame: Any,
+        cancel: _rowburst._Cancel | None = None,
+        truth: ArrayLike | PathLike[str] | None = None,
+        direct: ArrayLike | PathLike[str] | None = None,
+        time_budget_s: float | None = None,
+        progress: Callable[[Progress], object] | bool | None = None,
+        seed: int = 0,
+        debias: bool = False,
+    ) -> Result:
         bar, callback = _callback(progress)
         try:
             found = self._native.reconstruct(
-                frame_of(frame),
+                frame,
                 truth=truth,
                 direct=direct,
                 progress=callback,
                 seed=seed,
                 time_budget_s=time_budget_s,
                 debias=debias,
+                cancel=cancel,
             )
         finally:
             if bar is not None:
@@ -177,23 +213,37 @@ class Reconstructor:
                 yield self(frame, debias=debias)
             return
         pending: deque[Future[Result]] = deque()
-        with ThreadPoolExecutor(workers, thread_name_prefix="rowburst") as pool:
-            try:
-                for frame in frames:
-                    pending.append(pool.submit(self, frame, debias=debias))
-                    if len(pending) >= workers:
-                        yield pending.popleft().result()
-                while pending:
+        # Only the main thread hears Ctrl-C; the token ends the frames that other threads work at.
+        cancel = _rowburst._Cancel()
+        pool = ThreadPoolExecutor(workers, thread_name_prefix="rowburst")
+        try:
+            for frame in frames:
+                pending.append(pool.submit(self._call, frame, cancel, debias=debias))
+                if len(pending) >= workers:
                     yield pending.popleft().result()
-            finally:
-                for future in pending:
-                    future.cancel()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            cancel.cancel()
+            pool.shutdown(wait=False, cancel_futures=True)
 
     def live(self) -> LiveView:
-        """A live view with the camera, PSF, corrections, prior and tau of this reconstructor."""
+        """A live view with the camera, PSF, corrections, prior, tau and threads of this reconstructor.
+
+        Returns
+        -------
+        LiveView
+            Its ``next(frame)`` gives a video.
+
+        Examples
+        --------
+        >>> reconstructor.live().next(frame).video.shape
+        (12, 24, 30)
+        """
         settings = {name: value for name, value in self._settings.items() if name != "experiment"}
         tuning = _constants(self._given["tuning"])  # type: ignore[arg-type]
-        return LiveView(**settings, noise_sigma=self._given["noise_sigma"], tuning=tuning)  # type: ignore[arg-type]
+        given = self._given
+        return LiveView(**settings, noise_sigma=given["noise_sigma"], tuning=tuning, threads=given["threads"])  # type: ignore[arg-type]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._source, self._given)

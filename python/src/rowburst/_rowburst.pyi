@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
@@ -19,6 +20,7 @@ __all__ = [
     "Simulation",
     "WorkError",
     "_Batch",
+    "_Cancel",
     "_DataTerm",
     "_Design",
     "_Frames",
@@ -33,10 +35,17 @@ __all__ = [
     "__version__",
     "_command",
     "_figure_of_folder",
+    "_metadata",
     "_property_origin",
+    "_psnr_db",
     "_read_properties",
     "_reconstruct_chunked",
     "_reconstruct_colour",
+    "_save_colour",
+    "_save_sweep",
+    "_ssim",
+    "_sweep_lines",
+    "_sweep_path",
     "reconstruct",
     "set_threads",
     "simulate",
@@ -88,7 +97,7 @@ class Camera:
     Parameters
     ----------
     rows, columns : int
-        Pixels of the frame, before binning.
+        Pixels of the frame on the working grid, after binning.
     shutter : str
         ``"top-down"``, ``"bottom-up"``, ``"dual-inside-out"``, ``"dual-outside-in"``, ``"custom"`` or ``"global"``.
     exposure_us : float
@@ -148,18 +157,73 @@ class Camera:
         """A camera that differs in the given arguments of the constructor.
 
         After a calibration of the sensor: ``camera.replace(**sensor.camera_fields)``.
+
+        Parameters
+        ----------
+        **changes
+            Arguments of :class:`Camera`.
+
+        Returns
+        -------
+        Camera
+            Another camera; this one stays as it is.
+
+        Raises
+        ------
+        InputError
+            A value breaks a rule.
+
+        Examples
+        --------
+        >>> camera.replace(exposure_us=19.2).exposure_us
+        19.2
         """
     @staticmethod
     def from_file(path: str | PathLike[str]) -> Camera:
-        """The camera of an experiment file."""
+        """The camera of an experiment file.
+
+        Parameters
+        ----------
+        path : path
+            The experiment file.
+
+        Returns
+        -------
+        Camera
+            The camera and the field.
+
+        Raises
+        ------
+        InputError
+            The file is missing or breaks a rule.
+
+        Examples
+        --------
+        >>> rb.Camera.from_file("experiment.toml") == camera
+        True
+        """
     def to_toml(self) -> str:
-        """The text of an experiment file with this camera."""
+        """The text of an experiment file with this camera.
+
+        Returns
+        -------
+        str
+            TOML, which :meth:`from_file` and the command line read.
+
+        Examples
+        --------
+        >>> "[camera]" in camera.to_toml().splitlines()
+        True
+        """
     @property
-    def rows(self) -> int: ...
+    def rows(self) -> int:
+        """Rows of the frame on the working grid."""
     @property
-    def columns(self) -> int: ...
+    def columns(self) -> int:
+        """Columns of the frame on the working grid."""
     @property
-    def shutter(self) -> str: ...
+    def shutter(self) -> str:
+        """The readout order, such as ``dual-inside-out``."""
     @property
     def row_order(self) -> list[int] | None:
         """The instant of every row for the shutter ``custom``."""
@@ -167,27 +231,38 @@ class Camera:
     def bayer(self) -> str | None:
         """The mosaic of a colour sensor whose frames are raw, such as ``rggb``."""
     @property
-    def row_time_us(self) -> float: ...
+    def row_time_us(self) -> float:
+        """Time from the readout of one row to that of the next, in microseconds."""
     @property
-    def exposure_us(self) -> float: ...
+    def exposure_us(self) -> float:
+        """Exposure of a row, in microseconds."""
     @property
-    def bins_per_row(self) -> int: ...
+    def bins_per_row(self) -> int:
+        """Bins of the video in a row time."""
     @property
-    def binning(self) -> int: ...
+    def binning(self) -> int:
+        """Raw pixels along a side of a pixel of the working grid."""
     @property
-    def field(self) -> tuple[int, int]: ...
+    def field(self) -> tuple[int, int]:
+        """``(rows, columns)`` of the video."""
     @property
-    def pixel_pitch_um(self) -> float | None: ...
+    def pixel_pitch_um(self) -> float | None:
+        """Width of a pixel in micrometres; None where it is unknown."""
     @property
-    def bit_depth(self) -> int | None: ...
+    def bit_depth(self) -> int | None:
+        """Bits of the converter; None where they are unknown."""
     @property
-    def bias_counts(self) -> float | None: ...
+    def bias_counts(self) -> float | None:
+        """Counts of a pixel without light; None where they are unknown."""
     @property
-    def gain_electrons_per_count(self) -> float | None: ...
+    def gain_electrons_per_count(self) -> float | None:
+        """Electrons of a count; None where they are unknown."""
     @property
-    def read_noise_electrons(self) -> float | None: ...
+    def read_noise_electrons(self) -> float | None:
+        """Standard deviation of the read noise, in electrons; None where it is unknown."""
     @property
-    def full_well_counts(self) -> float | None: ...
+    def full_well_counts(self) -> float | None:
+        """Counts at which a pixel is full; None where they are unknown."""
     @property
     def video_shape(self) -> tuple[int, int, int]:
         """``(bins, rows, columns)`` of the video."""
@@ -195,12 +270,25 @@ class Camera:
     def frame_shape(self) -> tuple[int, int]:
         """``(rows, columns)`` of the frame on the working grid."""
     @property
-    def frame_rate_hz(self) -> float: ...
+    def frame_rate_hz(self) -> float:
+        """Frames of the video a second."""
     @property
     def time_us(self) -> NDArray[np.float64]:
         """The middle of each bin of the video, from the start of the first, in microseconds."""
     def row_time_weights(self) -> NDArray[np.float32]:
-        """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times."""
+        """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32 ``[row, bin]``.
+
+        Examples
+        --------
+        >>> weights = camera.row_time_weights()
+        >>> weights.shape, float(weights[0].sum())
+        ((24, 12), 1.0)
+        """
     def _repr_html_(self) -> str: ...
 
 @final
@@ -229,19 +317,69 @@ class Psf:
     def __new__(cls, values: ArrayLike) -> Psf: ...
     @staticmethod
     def patches(values: Sequence[ArrayLike], offsets_px: Sequence[tuple[float, float]]) -> Psf:
-        """PSFs with the offset ``(dy, dx)`` of each one's source from the middle of the field."""
+        """PSFs with the offset ``(dy, dx)`` of each one's source from the middle of the field.
+
+        Parameters
+        ----------
+        values : sequence of array
+            The PSFs ``[y, x]``, of one size.
+        offsets_px : sequence of tuple
+            The offset of each, in pixels.
+
+        Returns
+        -------
+        Psf
+            PSFs that share out the field.
+
+        Raises
+        ------
+        InputError
+            The numbers of PSFs and offsets differ, or a PSF breaks a rule.
+
+        Examples
+        --------
+        >>> pair = rb.Psf.patches([np.eye(5), np.eye(5)[::-1]], [(-10, 0), (10, 0)])
+        >>> len(pair.arrays), pair.offsets_px
+        (2, [(-10.0, 0.0), (10.0, 0.0)])
+        """
     @staticmethod
     def from_file(path: str | PathLike[str], camera: Camera) -> Psf:
-        """An image, or the patch set of ``rowburst calibrate psf``, as the command line reads it."""
+        """An image, or the patch set of ``rowburst calibrate psf``, as the command line reads it.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        camera : Camera
+            The camera that the PSF is for.
+
+        Returns
+        -------
+        Psf
+            The PSF, which sums to 1.
+
+        Raises
+        ------
+        InputError
+            The file is missing, damaged or of another kind.
+
+        Examples
+        --------
+        >>> rb.Psf.from_file("psf.npy", camera).shape
+        (47, 59)
+        """
     @property
     def array(self) -> NDArray[np.float32]:
         """The PSF nearest to the middle of the field, ``[y, x]``."""
     @property
-    def arrays(self) -> list[NDArray[np.float32]]: ...
+    def arrays(self) -> list[NDArray[np.float32]]:
+        """The PSF of each patch, ``[y, x]``; each sums to 1."""
     @property
-    def offsets_px(self) -> list[tuple[float, float]]: ...
+    def offsets_px(self) -> list[tuple[float, float]]:
+        """The offset ``(dy, dx)`` of each patch's source from the middle of the field, in pixels."""
     @property
-    def shape(self) -> tuple[int, int]: ...
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the PSF nearest to the middle."""
     def _repr_html_(self) -> str: ...
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
 
@@ -254,7 +392,8 @@ class Experiment:
     path : path
         The experiment file, as ``rowburst init`` writes it.
     frame : path, optional
-        A frame or a recording: keys that the file leaves open are taken from its metadata.
+        A frame or a recording: keys that the file leaves open are taken from its metadata, also from that of a camera
+        maker's file.
 
     Raises
     ------
@@ -274,23 +413,58 @@ class Experiment:
         cls, path: str | PathLike[str], frame: str | PathLike[str] | None = None
     ) -> Experiment: ...
     @property
-    def camera(self) -> Camera: ...
+    def camera(self) -> Camera:
+        """The camera and the field."""
     @property
-    def psf(self) -> Psf | None: ...
+    def psf(self) -> Psf | None:
+        """The PSF, or the PSFs of a patch set; None where the file names none."""
     @property
-    def dark(self) -> NDArray[np.float32] | None: ...
+    def dark(self) -> NDArray[np.float32] | None:
+        """The frame without light ``[y, x]``, in counts; None where the file names none."""
     @property
-    def flat(self) -> NDArray[np.float32] | None: ...
+    def flat(self) -> NDArray[np.float32] | None:
+        """The frame of even light ``[y, x]``, in counts; None where the file names none."""
     @property
-    def bad_pixels(self) -> NDArray[np.float32] | None: ...
+    def bad_pixels(self) -> NDArray[np.float32] | None:
+        """The mask ``[y, x]``, not 0 at bad pixels; None where the file names none."""
     @property
-    def prior(self) -> str: ...
+    def prior(self) -> str:
+        """The prior; ``auto`` where the file names none."""
     @property
-    def tau(self) -> str | float: ...
+    def tau(self) -> str | float:
+        """The weight of the prior, ``auto`` or ``held-out``."""
     def reconstructor(self, **options: Any) -> Any:
-        """A reconstructor with everything that the file says; ``options`` are the arguments of :class:`Reconstructor`."""
+        """A reconstructor with everything that the file says.
+
+        Parameters
+        ----------
+        **options
+            Arguments of :class:`Reconstructor`, which take precedence.
+
+        Returns
+        -------
+        Reconstructor
+            Set up once, called for each frame.
+
+        Raises
+        ------
+        InputError
+            An argument breaks a rule, or the file names no PSF.
+
+        Examples
+        --------
+        >>> rb.Experiment("experiment.toml").reconstructor(max_iterations=5)(frame).prior
+        'tv'
+        """
     @property
-    def frame_period_us(self) -> float | None: ...
+    def frame_period_us(self) -> float | None:
+        """Time from the start of a frame to that of the next, in microseconds; None where it is unknown."""
+    @property
+    def guide(self) -> list[NDArray[np.float32]]:
+        """The pictures ``[y, x]`` of ``[[guide]]``, by a second camera; :func:`reconstruct` uses them."""
+    @property
+    def guide_exposures_us(self) -> list[tuple[float, float] | None]:
+        """The middle of the exposure of each of these pictures and its length in microseconds; None where they are unknown."""
     @property
     def metadata_taken(self) -> dict[str, str]:
         """Keys that came from metadata, with their values as text."""
@@ -303,9 +477,11 @@ class Simulation:
     """A simulated capture with all that is known of it."""
 
     @property
-    def camera(self) -> Camera: ...
+    def camera(self) -> Camera:
+        """The camera that recorded the frame."""
     @property
-    def psf(self) -> Psf: ...
+    def psf(self) -> Psf:
+        """The PSF that the frame was made with."""
     @property
     def frame(self) -> NDArray[Any]:
         """The frame as :func:`reconstruct` takes it.
@@ -320,12 +496,41 @@ class Simulation:
     def direct(self) -> NDArray[np.float32]:
         """The frame of the same camera without the diffuser."""
     @property
-    def background(self) -> NDArray[np.float32] | None: ...
+    def background(self) -> NDArray[np.float32] | None:
+        """The static background ``[y, x]`` in ``truth``, in counts; None without one."""
     @property
-    def noise_sigma(self) -> float: ...
+    def noise_sigma(self) -> float:
+        """Standard deviation of the noise, in counts."""
     @property
     def leds(self) -> list[tuple[float, float, float, float]]:
         """``(y, x, frequency_hz, phase)`` of each LED."""
+    def save(self, folder: str | PathLike[str]) -> Path:
+        """Writes the files of ``rowburst simulate`` into a folder, which is returned.
+
+        They are ``experiment.toml``, ``frame.npy``, ``psf.npy``, ``truth.npy`` and ``simulation.json``:
+        ``rb.reconstruct(folder / "frame.npy", rb.Experiment(folder / "experiment.toml"))`` runs as it stands.
+
+        Parameters
+        ----------
+        folder : path
+            The folder.
+
+        Returns
+        -------
+        pathlib.Path
+            The folder.
+
+        Raises
+        ------
+        WorkError
+            A file cannot be written.
+
+        Examples
+        --------
+        >>> folder = rb.simulate(camera, "moving", psf).save("simulated")
+        >>> rb.Experiment(folder / "experiment.toml").camera == camera
+        True
+        """
     def _repr_html_(self) -> str: ...
 
 @final
@@ -336,15 +541,20 @@ class Progress:
     def label(self) -> str:
         """The step that the solver runs for, such as a prior that is tested; empty in the final run."""
     @property
-    def iteration(self) -> int: ...
+    def iteration(self) -> int:
+        """Iterations of this run, from 1."""
     @property
-    def max_iterations(self) -> int: ...
+    def max_iterations(self) -> int:
+        """Most iterations of this run."""
     @property
-    def residual_over_sigma(self) -> float: ...
+    def residual_over_sigma(self) -> float:
+        """Rms of the residual over sigma."""
     @property
-    def tau(self) -> float: ...
+    def tau(self) -> float:
+        """The weight of the prior at this iteration."""
     @property
-    def change(self) -> float: ...
+    def change(self) -> float:
+        """Relative change of the video by this iteration."""
     @property
     def seconds(self) -> float:
         """Seconds since the call."""
@@ -367,6 +577,8 @@ class LiveView:
         ``"auto"`` is the standard prior ``tv+0.5*tdiff+support`` here.
     tau, noise_sigma, dark, flat, bad_pixels, tuning
         Those of :func:`reconstruct`.
+    threads : int, optional
+        Threads of this view alone; by default all those of the process (:func:`threads`).
 
     Raises
     ------
@@ -395,14 +607,46 @@ class LiveView:
         flat: ArrayLike | PathLike[str] | None = None,
         bad_pixels: ArrayLike | PathLike[str] | None = None,
         tuning: Mapping[str, float] | None = None,
+        threads: int | None = None,
     ) -> LiveView: ...
     def next(self, frame: ArrayLike | PathLike[str], *, time_budget_s: float | None = None) -> Look:
         """The video of the next frame; the budget limits the iterations, not the evaluation after them.
 
         The bias of the camera is subtracted from integers, not from an array of floating-point numbers.
+
+        Parameters
+        ----------
+        frame : array or path
+            The frame ``[y, x]``.
+        time_budget_s : float, optional
+            Limit of the iterations, in seconds.
+
+        Returns
+        -------
+        Look
+            The video and whether it can be trusted.
+
+        Raises
+        ------
+        InputError
+            The frame breaks a rule.
+
+        Examples
+        --------
+        >>> rb.LiveView(camera, psf).next(frame, time_budget_s=0.1).video.shape
+        (12, 24, 30)
         """
     def forget(self) -> None:
-        """The next frame starts from zero."""
+        """The next frame starts from zero.
+
+        Examples
+        --------
+        >>> live = rb.LiveView(camera, psf)
+        >>> first = live.next(frame)
+        >>> live.forget()
+        >>> live.next(frame).went_on
+        False
+        """
 
 @final
 class Look:
@@ -412,16 +656,20 @@ class Look:
     def video(self) -> NDArray[np.float32]:
         """``[t, y, x]``, in counts. It may not be written to."""
     @property
-    def residual_over_sigma(self) -> float: ...
+    def residual_over_sigma(self) -> float:
+        """Rms of the residual over sigma: about 1 where the video explains the frame."""
     @property
-    def iterations(self) -> int: ...
+    def iterations(self) -> int:
+        """Iterations for this frame."""
     @property
     def went_on(self) -> bool:
         """Whether it was warm-started from the previous frame."""
     @property
-    def fit(self) -> str: ...
+    def fit(self) -> str:
+        """good, suspicious or bad: whether the model explains the frame."""
     @property
-    def seconds(self) -> float: ...
+    def seconds(self) -> float:
+        """Time of this frame, in seconds."""
 
 @final
 class Result:
@@ -471,7 +719,7 @@ class Result:
     def _traces(self, regions: list[str], photodiodes: list[str]) -> tuple[list[dict[str, Any]], str]: ...
     def _report(self, title: str) -> str: ...
     def _figure(self, layout: str) -> tuple[str, bytes]: ...
-    def _save(self, folder: str | PathLike[str], title: str) -> None: ...
+    def _save(self, folder: str | PathLike[str], title: str, formats: str | None = None) -> None: ...
 
 @final
 class _Reconstructor:
@@ -504,7 +752,25 @@ class _Reconstructor:
         seed: int = ...,
         time_budget_s: float | None = None,
         debias: bool = False,
+        cancel: _Cancel | None = None,
+        prior: str | None = None,
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
     ) -> Result: ...
+    def check(
+        self,
+        *,
+        prior: str | None = None,
+        tau: str | float | None = None,
+        noise_sigma: float | None = None,
+        max_iterations: int | None = None,
+    ) -> None: ...
+
+@final
+class _Cancel:
+    def __new__(cls) -> _Cancel: ...
+    def cancel(self) -> None: ...
 
 @final
 class _Frames:
@@ -621,7 +887,7 @@ class _Batch:
 
 @final
 class _SensorCalibration:
-    def __new__(cls, darks: Any, flats: Any) -> _SensorCalibration: ...
+    def __new__(cls, darks: Any, flats: Any, *, threads: int | None = None) -> _SensorCalibration: ...
     def json(self) -> str: ...
     @property
     def dark(self) -> NDArray[np.float32]: ...
@@ -650,6 +916,7 @@ class _PsfCalibration:
         field: tuple[int, int] | None = None,
         expected_grain_px: float | None = None,
         all_patches: bool = False,
+        threads: int | None = None,
     ) -> _PsfCalibration: ...
     def json(self) -> str: ...
     @property
@@ -671,6 +938,7 @@ class _TimingCalibration:
         dark: ArrayLike | PathLike[str] | None = None,
         flat: ArrayLike | PathLike[str] | None = None,
         camera: Camera | None = None,
+        threads: int | None = None,
     ) -> _TimingCalibration: ...
     def json(self) -> str: ...
     @property
@@ -701,6 +969,8 @@ class _Design:
         trial_snrs: list[float],
         seed: int,
         progress: Callable[[float], object] | None = None,
+        scene: ArrayLike | PathLike[str] | None = None,
+        threads: int | None = None,
     ) -> _Design: ...
     def json(self) -> str: ...
     def sections(self) -> list[tuple[str, list[tuple[str, str]]]]: ...
@@ -727,6 +997,7 @@ def _reconstruct_colour(
     debias: bool = False,
     threads: int | None = None,
     tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
 ) -> tuple[NDArray[np.float32], list[tuple[str, float, Result]]]: ...
 def _reconstruct_chunked(
     frame: ArrayLike | PathLike[str],
@@ -747,7 +1018,17 @@ def _reconstruct_chunked(
     experiment: Experiment | None = None,
     threads: int | None = None,
     tuning: Mapping[str, float] | None = None,
+    corrected: bool = False,
 ) -> str: ...
+def _metadata(path: str | PathLike[str]) -> tuple[dict[str, Any], list[str], list[str]]: ...
+def _psnr_db(video: ArrayLike | PathLike[str], truth: ArrayLike | PathLike[str]) -> float: ...
+def _ssim(video: ArrayLike | PathLike[str], truth: ArrayLike | PathLike[str]) -> float: ...
+def _save_colour(
+    folder: str | PathLike[str], title: str, bayer: str, planes: Sequence[tuple[str, float, Result]]
+) -> None: ...
+def _sweep_path(folder: str | PathLike[str], label: str) -> str | PathLike[str]: ...
+def _sweep_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]: ...
+def _save_sweep(folder: str | PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None: ...
 def _figure_of_folder(folder: str | PathLike[str], layout: str) -> tuple[str, bytes]: ...
 def reconstruct(
     frame: ArrayLike | PathLike[str],
@@ -776,6 +1057,7 @@ def reconstruct(
     guide: list[ArrayLike] | None = None,
     guide_exposures_us: list[tuple[float, float]] | None = None,
     guide_model: str | None = None,
+    files: Mapping[str, Any] | None = None,
 ) -> Result: ...
 def simulate(
     camera: Camera,
@@ -788,6 +1070,7 @@ def simulate(
     background: float | None = None,
     seed: int = 1,
     digit_px: int = 12,
+    threads: int | None = None,
 ) -> Simulation:
     """The frame that a camera records of a scene.
 
@@ -811,6 +1094,8 @@ def simulate(
         The seed of scene and noise.
     digit_px : int
         Height of the digits in pixels.
+    threads : int, optional
+        Threads of this call alone; by default all those of the process (:func:`threads`).
 
     Returns
     -------

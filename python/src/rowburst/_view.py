@@ -41,7 +41,13 @@ class View:
         return self._native.url
 
     def close(self) -> None:
-        """Ends the server and removes its temporary files."""
+        """Ends the server and removes its temporary files.
+
+        Examples
+        --------
+        >>> view = result.view(port=0, open_browser=False)
+        >>> view.close()
+        """
         self._native.close()
         _OPEN.discard(self)
         if self._folder is not None:

@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
 from ._errors import input_error
+from ._frames import frame_of, frames_of
 from ._rowburst import Camera, Psf
+from ._stored import stored
 
 __all__ = ["PsfCalibration", "SensorCalibration", "TimingCalibration", "psf", "sensor", "timing"]
 
@@ -27,6 +29,11 @@ class _Calibration:
     """The numbers of a calibration, and its folder."""
 
     _native: Any
+    # Attributes of the native part, for pickling.
+    _kept: tuple[str, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (stored(self._native, self._kept),)
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -41,13 +48,36 @@ class _Calibration:
         return warnings
 
     def save(self, folder: str | PathLike[str]) -> Path:
-        """Writes the files of the command line, with its report, into a folder."""
+        """Writes the files of the command line, with its report, into a folder.
+
+        Parameters
+        ----------
+        folder : path
+            The folder, which is made where it is missing.
+
+        Returns
+        -------
+        pathlib.Path
+            The folder.
+
+        Raises
+        ------
+        WorkError
+            A file cannot be written.
+
+        Examples
+        --------
+        >>> calibration.save("calibration").name
+        'calibration'
+        """
         self._native.save(folder)
         return Path(folder)
 
 
 class SensorCalibration(_Calibration):
     """Bias, noise, gain, full well and bad pixels of a sensor. :func:`sensor` makes it."""
+
+    _kept = ("dark", "flat", "response", "read_noise", "bad_pixels")
 
     def __init__(self, native: _rowburst._SensorCalibration) -> None:
         self._native: _rowburst._SensorCalibration = native
@@ -93,7 +123,7 @@ class SensorCalibration(_Calibration):
         )
 
 
-def sensor(darks: _Frames, flats: _Frames) -> SensorCalibration:
+def sensor(darks: _Frames, flats: _Frames, *, threads: int | None = None) -> SensorCalibration:
     """Bias, noise, gain, full well and bad pixels from dark and flat frames.
 
     Parameters
@@ -103,6 +133,8 @@ def sensor(darks: _Frames, flats: _Frames) -> SensorCalibration:
         folders.
     flats : array, path or list of these
         Raw frames of even, steady light, two or more at each of several levels, from dim to just saturated.
+    threads : int, optional
+        Threads of this call alone; by default all those of the process.
 
     Returns
     -------
@@ -123,11 +155,13 @@ def sensor(darks: _Frames, flats: _Frames) -> SensorCalibration:
     >>> abs(found.camera_fields["gain_electrons_per_count"] - 2) < 0.2
     True
     """
-    return SensorCalibration(_rowburst._SensorCalibration(darks, flats))
+    return SensorCalibration(_rowburst._SensorCalibration(frames_of(darks), frames_of(flats), threads=threads))
 
 
 class PsfCalibration(_Calibration):
     """A PSF and its quality. :func:`psf` makes it."""
+
+    _kept = ("psf", "patches")
 
     def __init__(self, native: _rowburst._PsfCalibration) -> None:
         self._native: _rowburst._PsfCalibration = native
@@ -155,6 +189,7 @@ def psf(
     field: tuple[int, int] | None = None,
     expected_grain_px: float | None = None,
     all_patches: bool = False,
+    threads: int | None = None,
 ) -> PsfCalibration:
     """The PSF and its quality from captures of a point source; patches from several positions.
 
@@ -181,6 +216,8 @@ def psf(
         Diffraction-limited grain in pixels, to compare with.
     all_patches : bool
         Whether every position has a patch, not only as many as the field needs.
+    threads : int, optional
+        Threads of this call alone; by default all those of the process.
 
     Returns
     -------
@@ -205,8 +242,8 @@ def psf(
         found, rule = f"an array of shape {positions.shape}", "it is [capture, 2], a pair (y, x) for each capture"
         raise input_error("positions_mm", found, rule, "Give a list of pairs.", kind="shape")
     native = _rowburst._PsfCalibration(
-        captures,
-        dark=dark,
+        frames_of(captures),
+        dark=frame_of(dark),
         camera=camera,
         exposures_ms=[float(exposure) for exposure in exposures_ms],
         positions_mm=None if positions is None else [(float(y), float(x)) for y, x in positions],
@@ -215,12 +252,15 @@ def psf(
         field=field,
         expected_grain_px=expected_grain_px,
         all_patches=all_patches,
+        threads=threads,
     )
     return PsfCalibration(native)
 
 
 class TimingCalibration(_Calibration):
     """Row time, shutter and exposure of a camera. :func:`timing` makes it."""
+
+    _kept = ("binning",)
 
     def __init__(self, native: _rowburst._TimingCalibration) -> None:
         self._native: _rowburst._TimingCalibration = native
@@ -262,6 +302,11 @@ class TimingCalibration(_Calibration):
         )
 
 
+def _parts(array: Any) -> list[Any]:
+    """The frames of an array ``[frame, y, x]``; anything else is one."""
+    return list(array) if getattr(array, "ndim", 2) == 3 else [array]
+
+
 def timing(
     frames: _Frames,
     *,
@@ -272,6 +317,7 @@ def timing(
     dark: ArrayLike | PathLike[str] | None = None,
     flat: ArrayLike | PathLike[str] | None = None,
     camera: Camera | None = None,
+    threads: int | None = None,
 ) -> TimingCalibration:
     """Row time, shutter and exposure from frames of a light that changes, and lights all rows at once.
 
@@ -292,6 +338,8 @@ def timing(
         A frame without light, and one of even and steady light.
     camera : Camera, optional
         A camera whose row time is right within 30 %: it tells aliases apart.
+    threads : int, optional
+        Threads of this call alone; by default all those of the process.
 
     Returns
     -------
@@ -320,17 +368,20 @@ def timing(
             raise input_error("signal", found, rule, remedy, kind="shape")
         points = [(float(time), float(value)) for time, value in array]
     # A list of numbers is one frame, not a list of frames.
-    if not isinstance(frames, (str, PathLike)) and not hasattr(frames, "ndim"):
-        given: Any = frames
-        frames = [frame if isinstance(frame, (str, PathLike)) else np.asarray(frame) for frame in given]
+    given: Any = frames_of(frames)
+    if not isinstance(given, (str, PathLike)) and not hasattr(given, "ndim"):
+        arrays = [frame if isinstance(frame, (str, PathLike)) else np.asarray(frame) for frame in given]
+        # A file of several frames among the others.
+        given = [part for array in arrays for part in _parts(array)]
     native = _rowburst._TimingCalibration(
-        frames,
+        given,
         frequency_hz=frequency_hz,
         duty=duty,
         signal=points,
         repeat=repeat,
-        dark=dark,
-        flat=flat,
+        dark=frame_of(dark),
+        flat=frame_of(flat),
         camera=camera,
+        threads=threads,
     )
     return TimingCalibration(native)

@@ -164,6 +164,12 @@ class Capture(Iterator[CapturedFrame]):
             Settings with which frames are of no use, such as a global shutter, or a file that exists.
         WorkError
             No frame, or a disk that is full: the frames before it are kept.
+
+        Examples
+        --------
+        >>> camera = rb.capture.from_arrays(np.full((3, 24, 30), 100, np.uint16))
+        >>> camera.record("record.tif", 2)["written"]
+        2
         """
         recorder = _rowburst._Recorder(path, purpose, self.name, self._tuples(), count, self.camera)
         ended, written = "source", 0
@@ -200,6 +206,17 @@ def open(source: str) -> Capture:  # noqa: A001
     ------
     InputError
         A kind of source that does not exist, or a recording that cannot be read.
+
+    Returns
+    -------
+    Capture
+        The frames, one after the other, and the camera's settings.
+
+    Examples
+    --------
+    >>> np.save("frames.npy", np.full((3, 24, 30), 100, np.uint16))
+    >>> next(rb.capture.open("play:frames.npy?rate=max")).image.shape
+    (24, 30)
     """
     frames = _rowburst._Source(source)
     settings = json.loads(frames.settings())
@@ -231,6 +248,23 @@ def from_arrays(
         What errors call the source.
     camera : str, optional
         Model and serial number of the camera, for the record.
+
+    Returns
+    -------
+    Capture
+        The frames, one after the other, and the settings.
+
+    Raises
+    ------
+    InputError
+        A frame of another type or shape, when it is taken.
+
+    Examples
+    --------
+    >>> frames = np.full((2, 24, 30), 100, np.uint16)
+    >>> camera = rb.capture.from_arrays(frames, {"row_time_us": 9.6, "shutter": "dual-inside-out"})
+    >>> len(list(camera)), camera.reading["row_time_us"]
+    (2, 9.6)
     """
     start = time.monotonic()
 
@@ -258,6 +292,24 @@ def from_mmcore(core: Any, *, camera: str | None = None, stream: bool = False) -
         Frames of one sequence acquisition, at the camera's own rate, from the first frame that is asked for until
         :meth:`Capture.close`. A gap in the camera's frame numbers, or a full buffer of the core, is told as dropped
         frames. Otherwise every frame is snapped by itself when it is asked for, and none is dropped.
+
+    Returns
+    -------
+    Capture
+        The frames, one after the other, and the camera's settings.
+
+    Raises
+    ------
+    InputError
+        The core has no camera.
+
+    Examples
+    --------
+    ::
+
+        core = pymmcore_plus.CMMCorePlus.instance()
+        core.loadSystemConfiguration("zyla.cfg")
+        record = rb.capture.from_mmcore(core).record("run.tif", 100)
     """
     label = camera or core.getCameraDevice()
     if not label:

@@ -92,14 +92,51 @@ def reconstruct(
 ) -> dict[str, Any]:
     """Reconstructs every frame of a recording into one OME-Zarr archive, on the workers of ``client``.
 
-    ``frames`` is what ``rowburst batch --frames`` takes: a Zarr array ``[frame, y, x]``, a folder, a
-    stack. All paths must be the same for client and workers. ``options`` are those of ``rowburst
-    batch``: psf, dark, flat, bad_pixels (files), prior, tau, noise_sigma, max_iterations,
-    frame_period_us, self_calibrate, keep_all_pixels. ``progress(done, of)`` is called after every task. Called again, it goes on where
-    it was. Where no worker has joined the scheduler after ``workers_timeout_s`` seconds it is a
-    :class:`WorkError`. Returns a summary; the table of all frames is ``OUT.zarr/rowburst/frames.csv``.
+    Called again, it goes on where it was. Give workers one Dask thread for each core: a frame on one thread beats many
+    threads on one frame.
 
-    Give workers one Dask thread for each core: a frame on one thread beats many threads on one frame.
+    Parameters
+    ----------
+    frames : path
+        What ``rowburst batch --frames`` takes: a Zarr array ``[frame, y, x]``, a folder, a stack.
+    out : path
+        The archive. All paths must be the same for client and workers.
+    experiment : path
+        The experiment file.
+    client : distributed.Client
+        The client of a scheduler.
+    frames_per_task : int, optional
+        Frames of a task; by default several tasks for each thread.
+    threads_per_task : int
+        Threads that a task uses.
+    retry_failed : bool
+        Whether frames that failed before are tried again.
+    workers_timeout_s : float
+        How long the first worker is waited for, in seconds.
+    progress : callable, optional
+        Called as ``progress(done, of)`` after every task.
+    **options
+        Those of ``rowburst batch``: psf, dark, flat, bad_pixels (files), prior, tau, noise_sigma, max_iterations,
+        frame_period_us, self_calibrate, keep_all_pixels.
+
+    Returns
+    -------
+    dict
+        A summary; the table of all frames is ``OUT.zarr/rowburst/frames.csv``.
+
+    Raises
+    ------
+    InputError
+        An argument breaks a rule, or the archive was begun with other settings.
+    WorkError
+        No worker joined the scheduler in time, or the work failed.
+
+    Examples
+    --------
+    ::
+
+        with distributed.Client("tcp://host:8786") as client:
+            summary = rowburst.dask.reconstruct("frames.zarr", "videos.zarr", "experiment.toml", client)
     """
     from distributed import as_completed
 

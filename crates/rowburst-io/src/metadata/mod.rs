@@ -119,6 +119,11 @@ pub fn read_metadata(path: &Path) -> Metadata {
     found
 }
 
+/// What a record of Micro-Manager says, the JSON object of an image; `source` is where it stands.
+pub fn micro_manager_metadata(json: &str, source: &str) -> Metadata {
+    micro_manager::of_tag(json, source)
+}
+
 fn in_tiff(path: &Path) -> Metadata {
     let name = name_of(path);
     // Errors are those of the pixels, which say them better.

@@ -9,7 +9,7 @@ use crate::format::short;
 use crate::inputs::read_psfs;
 use crate::memory::check_memory;
 use rowburst::noise::{Noise, SimulatedFrame};
-use rowburst::simulate::scene::{self, Led};
+use rowburst::simulate::scene;
 use rowburst::{Camera, Image, Parameter, PatchSet, Result, Video};
 use rowburst_io::{
     Experiment, OutputFolder, write_csv, write_npy_image, write_npy_video, write_patch_set,
@@ -60,14 +60,7 @@ impl SimulationRequest<'_> {
         }
         check_memory(&self.experiment.path, &camera)?;
         let psfs = psfs_of(self, &camera, observer)?;
-        let SimulatedCapture {
-            recorded,
-            noise,
-            truth,
-            background,
-            direct,
-            leds,
-        } = simulate(&Simulation {
+        let made = simulate(&Simulation {
             camera: &camera,
             psfs: &psfs,
             scene: Scene::read(self.scene)?,
@@ -82,7 +75,7 @@ impl SimulationRequest<'_> {
                 e.locations().is_empty() && e.parameter() != Some(Parameter::Background);
             if is_of_scene { e.within(self.scene) } else { e }
         })?;
-        for led in &leds {
+        for led in &made.leds {
             let (y, x, hertz) = (led.y, led.x, led.frequency_hz);
             note(
                 observer,
@@ -90,24 +83,29 @@ impl SimulationRequest<'_> {
             );
         }
 
-        let psf_file = write_psfs(folder, &psfs)?;
-        folder.write("truth.npy", |w| write_npy_video(w, &truth))?;
-        captures::write(folder, &camera, &psfs, self.captures, self.seed)?;
-        let guides = guides::write(folder, &truth, &camera, self.guide_times_us, self.seed)?;
-        let light = write_background(folder, truth, background)?;
-        folder.write("without-diffuser.tif", |w| write_tiff_image(w, &direct))?;
-        folder.write("frame.npy", |w| write_npy_image(w, &recorded.frame))?;
-        if self.scene == "leds" {
-            write_photodiodes(self, folder, &camera)?;
+        let record = made.record(&SimulationNames {
+            scene: self.scene,
+            background: self.background,
+            seed: self.seed,
+            noise: self.noise,
+            psf: psf_record(self, &camera),
+        });
+        let recorded = &made.recorded;
+        let is_leds = self.scene == "leds";
+        CaptureFiles {
+            experiment: &self.experiment,
+            psfs: &psfs,
+            frame: &recorded.frame,
+            truth: &made.truth,
+            background: made.background.as_ref(),
+            direct: &made.direct,
+            photodiodes_of: is_leds.then_some(self.seed),
+            captures: self.captures,
+            guide_times_us: self.guide_times_us,
+            seed: self.seed,
+            record,
         }
-        let record = record(self, &camera, &recorded, noise, &leds, light);
-        folder.write_bytes("simulation.json", format!("{record:#}\n").as_bytes())?;
-        let mut experiment = written_experiment(self, folder, psf_file);
-        experiment.guides = guides;
-        write_row_order(folder, &experiment, &camera)?;
-        let text = experiment.to_toml(folder.path());
-        folder.write_bytes("experiment.toml", text.as_bytes())?;
-        folder.remove_stale()?;
+        .write(folder)?;
         let frame = format!(
             "frame: {}×{} pixels, noise {} ({}), {} saturated",
             camera.rows(),
@@ -117,10 +115,67 @@ impl SimulationRequest<'_> {
             recorded.saturated
         );
         note(observer, &frame);
-        if let Some(warning) = light_warning(self.noise, &recorded, &camera) {
+        if let Some(warning) = light_warning(self.noise, recorded, &camera) {
             note(observer, &warning);
         }
         Ok(())
+    }
+}
+
+/// The files of a simulated capture, as values.
+pub struct CaptureFiles<'a> {
+    /// The camera; its files are not used.
+    pub experiment: &'a Experiment,
+    /// The PSF, or one PSF for each patch of the field.
+    pub psfs: &'a PatchSet,
+    /// The frame, bias included.
+    pub frame: &'a Image,
+    /// The video, in counts of the frame.
+    pub truth: &'a Video,
+    /// The static background in `truth`.
+    pub background: Option<&'a Image>,
+    /// The frame without the diffuser.
+    pub direct: &'a Image,
+    /// The seed of the LEDs, of a scene of LEDs; each has the file of a photodiode.
+    pub photodiodes_of: Option<u64>,
+    /// See [`SimulationRequest::captures`].
+    pub captures: bool,
+    /// See [`SimulationRequest::guide_times_us`].
+    pub guide_times_us: &'a [f64],
+    /// Seed of the noise of the pictures of the second camera, and of the captures.
+    pub seed: u64,
+    /// The content of `simulation.json`, but for the light of the background.
+    pub record: Value,
+}
+
+impl CaptureFiles<'_> {
+    /// Writes frame, PSF, truth and experiment file into `folder`.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub fn write(mut self, folder: &OutputFolder) -> Result<()> {
+        let camera = self.experiment.camera()?;
+        let psf_file = write_psfs(folder, self.psfs)?;
+        folder.write("truth.npy", |w| write_npy_video(w, self.truth))?;
+        captures::write(folder, &camera, self.psfs, self.captures, self.seed)?;
+        let guides = guides::write(folder, self.truth, &camera, self.guide_times_us, self.seed)?;
+        let light = write_background(folder, self.truth, self.background)?;
+        if let Some(background) = self.record["background"].as_object_mut() {
+            background.insert("light_over_scene".into(), json!(light));
+        }
+        folder.write("without-diffuser.tif", |w| write_tiff_image(w, self.direct))?;
+        folder.write("frame.npy", |w| write_npy_image(w, self.frame))?;
+        if let Some(seed) = self.photodiodes_of {
+            write_photodiodes(seed, folder, &camera)?;
+        }
+        let record = format!("{:#}\n", self.record);
+        folder.write_bytes("simulation.json", record.as_bytes())?;
+        let mut experiment = written_experiment(self.experiment, folder, psf_file);
+        experiment.guides = guides;
+        write_row_order(folder, &experiment, &camera)?;
+        let text = experiment.to_toml(folder.path());
+        folder.write_bytes("experiment.toml", text.as_bytes())?;
+        folder.remove_stale()
     }
 }
 
@@ -166,8 +221,8 @@ fn note(observer: Observer, text: &str) {
 /// the moving part.
 fn write_background(
     folder: &OutputFolder,
-    truth: Video,
-    background: Option<Image>,
+    truth: &Video,
+    background: Option<&Image>,
 ) -> Result<Option<f64>> {
     // Files of an earlier run would not add up to this truth.
     for name in BACKGROUND_FILES {
@@ -176,40 +231,46 @@ fn write_background(
     let Some(still) = background else {
         return Ok(None);
     };
-    let moving = subtract_background(truth, &still);
+    let moving = subtract_background(truth.clone(), still);
     let light = total(still.data()) * moving.shape().bins as f64 / total(moving.data());
     let [of_still, of_moving] = BACKGROUND_FILES;
-    folder.write(of_still, |w| write_npy_image(w, &still))?;
+    folder.write(of_still, |w| write_npy_image(w, still))?;
     folder.write(of_moving, |w| write_npy_video(w, &moving))?;
     Ok(Some(light))
 }
 
-/// The contents of `simulation.json`; `background_light` is what [`write_background`] returns.
-fn record(
-    request: &SimulationRequest,
-    camera: &Camera,
-    recorded: &SimulatedFrame,
-    noise: Noise,
-    leds: &[Led],
-    background_light: Option<f64>,
-) -> Value {
-    json!({
-        "version": env!("CARGO_PKG_VERSION"),
-        "scene": request.scene,
-        "background": request.background.map(|times| json!({
-            "brightest_over_scene": times,
-            "light_over_scene": background_light,
-        })),
-        "leds": leds.iter().map(|led| json!({
-            "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
-        })).collect::<Vec<_>>(),
-        "seed": request.seed,
-        "noise": noise_record(request.noise, noise),
-        "noise_sigma": recorded.sigma,
-        "counts_per_unit_of_scene": recorded.scale,
-        "saturated_pixels": recorded.saturated,
-        "psf": psf_record(request, camera),
-    })
+/// What `simulation.json` says of the inputs of a simulation.
+pub struct SimulationNames<'a> {
+    /// The name of the scene, or its file.
+    pub scene: &'a str,
+    /// Brightness of a static background over that of the scene.
+    pub background: Option<f64>,
+    /// Seed of scene and noise.
+    pub seed: u64,
+    /// The noise that was asked for.
+    pub noise: NoiseChoice,
+    /// The file of the PSF, or the optics of the speckle.
+    pub psf: Value,
+}
+
+impl SimulatedCapture {
+    /// The contents of `simulation.json`, but for the light of the background.
+    pub fn record(&self, names: &SimulationNames) -> Value {
+        json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "scene": names.scene,
+            "background": names.background.map(|times| json!({ "brightest_over_scene": times })),
+            "leds": self.leds.iter().map(|led| json!({
+                "row": led.y, "column": led.x, "frequency_hz": led.frequency_hz, "phase": led.phase,
+            })).collect::<Vec<_>>(),
+            "seed": names.seed,
+            "noise": noise_record(names.noise, self.noise),
+            "noise_sigma": self.recorded.sigma,
+            "counts_per_unit_of_scene": self.recorded.scale,
+            "saturated_pixels": self.recorded.saturated,
+            "psf": names.psf,
+        })
+    }
 }
 
 /// The noise that was asked for; `noise` is the one that was added.
@@ -240,16 +301,23 @@ fn psf_record(request: &SimulationRequest, camera: &Camera) -> Value {
         .or(request.experiment.calibration.psf.clone())
     {
         Some(path) => json!(path.display().to_string()),
-        None => json!({
-            "wavelength_nm": request.optics.wavelength_nm,
-            "pupil_mm": request.optics.na.is_none().then_some(request.optics.pupil_mm),
-            "na": request.optics.na,
-            "focal_length_mm": request.optics.focal_length_mm,
-            "magnification": request.optics.magnification,
-            "diffuser_fwhm_deg": request.optics.diffuser_deg,
-            "diffuser_phase_rad": request.diffuser_phase,
-            "pixel_pitch_um": pixel_pitch_um(camera),
-        }),
+        None => (request.optics).record(request.diffuser_phase, pixel_pitch_um(camera)),
+    }
+}
+
+impl LensOptics {
+    /// The optics of a speckle PSF, in `simulation.json`.
+    pub fn record(&self, diffuser_phase: f64, pixel_pitch_um: f64) -> Value {
+        json!({
+            "wavelength_nm": self.wavelength_nm,
+            "pupil_mm": self.na.is_none().then_some(self.pupil_mm),
+            "na": self.na,
+            "focal_length_mm": self.focal_length_mm,
+            "magnification": self.magnification,
+            "diffuser_fwhm_deg": self.diffuser_deg,
+            "diffuser_phase_rad": diffuser_phase,
+            "pixel_pitch_um": pixel_pitch_um,
+        })
     }
 }
 
@@ -287,13 +355,9 @@ pub fn photodiode_file(number: usize) -> String {
 }
 
 /// Writes what a fast photodiode before each LED records: 1 where it is lit, 0 where not.
-fn write_photodiodes(
-    request: &SimulationRequest,
-    folder: &OutputFolder,
-    camera: &Camera,
-) -> Result<()> {
+fn write_photodiodes(seed: u64, folder: &OutputFolder, camera: &Camera) -> Result<()> {
     let (shape, bin_us) = (camera.video_shape(), camera.time().bin_duration_us());
-    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), request.seed)?;
+    let (_, leds) = scene::leds(shape, bin_us, pixel_pitch_um(camera), seed)?;
     let step_us = bin_us / SAMPLES_PER_BIN as f64;
     let heading = ["time_us".to_string(), "value".to_string()];
     for (i, led) in leds.iter().enumerate() {
@@ -310,11 +374,11 @@ fn write_photodiodes(
 /// The experiment as it is after the simulation: the frame is on the working grid, and
 /// the PSF lies beside it.
 fn written_experiment(
-    request: &SimulationRequest,
+    experiment: &Experiment,
     folder: &OutputFolder,
     psf_file: &str,
 ) -> Experiment {
-    let mut experiment = request.experiment.clone();
+    let mut experiment = experiment.clone();
     experiment.params.sensor.binning = 1;
     experiment.calibration = rowburst_io::Calibration {
         psf: Some(folder.path().join(psf_file)),

@@ -4,7 +4,7 @@ mod captures;
 mod folder;
 mod guides;
 
-pub use folder::{SimulationRequest, photodiode_file};
+pub use folder::{CaptureFiles, SimulationNames, SimulationRequest, photodiode_file};
 
 use rowburst::error::Place;
 use rowburst::linop::LinearOperator;

@@ -143,16 +143,28 @@ impl Chunked {
         (self.sigma, self.sigma_source)
     }
 
-    /// The bins of each chunk, in order. A chunk has `bins_per_chunk` bins, rounded up to whole rows; `None`:
-    /// as many as 3 GiB hold. The ranges depend on camera and `bins_per_chunk` alone.
-    pub fn ranges(&self, bins_per_chunk: Option<usize>) -> Vec<Range<usize>> {
-        let (bins, shape) = (self.camera.time().bins(), self.camera.video_shape());
+    /// Bytes that the bins of one instant take.
+    fn row_bytes(&self) -> usize {
+        let shape = self.camera.video_shape();
         let instants = self.camera.time().instants().len();
         let per_row = self.camera.params().bins_per_row;
         let block = (self.camera.rows().div_ceil(instants) * self.camera.columns()).pow(2);
         let element = element_bytes(self.camera.columns());
-        let bytes = VIDEO_COPIES * size_of::<f32>() * shape.pixels() * per_row + element * block;
-        let fitting = (MAX_CHUNK_BYTES / bytes).max(1);
+        VIDEO_COPIES * size_of::<f32>() * shape.pixels() * per_row + element * block
+    }
+
+    /// Bytes that a chunk of these bins takes while it is reconstructed.
+    pub fn chunk_bytes(&self, bins: &Range<usize>) -> u64 {
+        let rows = bins.len().div_ceil(self.camera.params().bins_per_row);
+        (rows as u64).saturating_mul(self.row_bytes() as u64)
+    }
+
+    /// The bins of each chunk, in order. A chunk has `bins_per_chunk` bins, rounded up to whole rows; `None`:
+    /// as many as 3 GiB hold. The ranges depend on camera and `bins_per_chunk` alone.
+    pub fn ranges(&self, bins_per_chunk: Option<usize>) -> Vec<Range<usize>> {
+        let bins = self.camera.time().bins();
+        let per_row = self.camera.params().bins_per_row;
+        let fitting = (MAX_CHUNK_BYTES / self.row_bytes()).max(1);
         let fitting_multiple = if fitting > BIN_MULTIPLE {
             fitting - fitting % BIN_MULTIPLE
         } else {
