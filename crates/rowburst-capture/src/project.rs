@@ -617,6 +617,12 @@ mod tests {
         let (is, why) = state(&project, "experiment");
         assert_eq!(is, StepState::OutOfDate, "{why}");
         assert!(why.contains("exposure_us is 9.6"), "{why}");
+        // Also a frame of another region, whose file says no more than its pixels.
+        let text = crate::experiment_text(&settings("20")).replace("rows = 48", "rows = 50");
+        std::fs::write(folder.path().join("experiment.toml"), text).unwrap();
+        let (is, why) = state(&project, "experiment");
+        assert_eq!(is, StepState::OutOfDate, "{why}");
+        assert!(why.contains("rows"), "{why}");
     }
 
     #[test]
