@@ -13,6 +13,7 @@ use crate::traces::TraceRequest;
 use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration};
+use rowburst::solve::StopReason;
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result, Video};
 use rowburst_io::{Capture, TiffScale, write_npy_colour, write_tiff_colour};
 use serde::Serialize;
@@ -203,9 +204,13 @@ impl ColourTask {
         let mut bin_us = 0.0;
         self.reconstruct(process_start, observer, &mut |plane| {
             bin_us = plane.completed.task.camera.time().bin_duration_us();
+            let is_stopped = plane.completed.reconstruction.stop_reason == StopReason::Interrupted;
             let (numbers, video) = self.write_plane(plane, output)?;
             planes.push(numbers);
             videos.push(video);
+            if is_stopped {
+                return Err(stopped_error(output, &planes));
+            }
             Ok(())
         })?;
         let shape = videos[0].1.shape();
@@ -253,10 +258,16 @@ impl ColourTask {
             start_us,
             mut completed,
         } = plane;
-        let traces = completed.evaluate(TraceRequest::default(), self.debias);
         let folder = output.folder.subfolder(&site.name(), "reconstruct")?;
         let title = format!("{}, {}", output.title, site.name());
-        let summary = completed.write(&traces, &output.part(&folder, &title))?;
+        let part = output.part(&folder, &title);
+        let summary = if completed.reconstruction.stop_reason == StopReason::Interrupted {
+            let request = TraceRequest::default().without_errors();
+            completed.write_stopped(&completed.traces(request, false), &part)?
+        } else {
+            let traces = completed.evaluate(TraceRequest::default(), self.debias);
+            completed.write(&traces, &part)?
+        };
         let numbers = PlaneNumbers {
             name: site.name(),
             folder: folder.path().display().to_string(),
@@ -270,6 +281,21 @@ impl ColourTask {
         };
         Ok((numbers, (site, completed.reconstruction.video)))
     }
+}
+
+/// The error of a run that was stopped: which planes there are.
+fn stopped_error(output: &Output, planes: &[PlaneNumbers]) -> Error {
+    let names: Vec<&str> = planes.iter().map(|plane| plane.name.as_str()).collect();
+    let done = names.join(", ");
+    Error::work(
+        output.path(),
+        format!(
+            "stopped with {} of 4 planes: {done}, the last as it was",
+            names.len()
+        ),
+        "Each plane has its own folder; there is no video in colour.",
+    )
+    .with_kind(ErrorKind::Cancelled)
 }
 
 /// The warning of colours that are not of one time.
