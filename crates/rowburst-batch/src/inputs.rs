@@ -5,7 +5,7 @@ use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{ALGORITHM_REVISION, Model, Options};
 use rowburst_io::{Capture, Frames};
-use rowburst_run::{Bias, correct_capture};
+use rowburst_run::{Bias, check_frame, correct_capture};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -32,14 +32,11 @@ impl BatchInputs {
     /// The measurement that a frame is.
     ///
     /// # Errors
-    /// Those of [`correct_capture`].
+    /// Those of [`check_frame`] and [`correct_capture`].
     pub fn measurement(&self, capture: &Capture) -> Result<Measurement> {
-        correct_capture(
-            capture,
-            Bias::Contained,
-            self.model.camera(),
-            &self.corrections,
-        )
+        let camera = self.model.camera();
+        check_frame(capture, camera, self.model.psfs())?;
+        correct_capture(capture, Bias::Contained, camera, &self.corrections)
     }
 
     /// All that decides what the videos are, by name; long ones as hashes.

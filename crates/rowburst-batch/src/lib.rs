@@ -13,13 +13,15 @@
 //! frames, on the number of threads, or on how often the job was killed.
 //!
 //! **Several processes** may work on parts of one job at once, on one machine or on several that
-//! share a disk. Where they are given the same frame both do it, and the same is written.
+//! share a disk. On the command line a process claims its range of frames ([`Batch::claim`]), and another one is
+//! refused. Two that are given the same frame without a claim both do it, and the same is written.
 //!
 //! **No warm start**: a frame does not start from the result of its neighbour, see `docs/design/014`.
 
 mod allocation;
 mod calibration;
 mod choice;
+mod claim;
 mod clock;
 mod files;
 mod identity;
@@ -32,6 +34,7 @@ mod table;
 
 pub use allocation::ThreadAllocation;
 pub use choice::ChosenPrior;
+pub use claim::Claim;
 pub use clock::Clock;
 pub use files::{BatchFiles, LoadedBatch, load_batch, name_correction_file};
 pub use inputs::BatchInputs;

@@ -3,6 +3,7 @@
 use crate::allocation::ThreadAllocation;
 use crate::calibration::{CalibrationFile, RecordingCalibration};
 use crate::choice::{ChosenPrior, RecordingSurvey, is_same_recording, pixel_format_name};
+use crate::claim::Claim;
 use crate::clock::Clock;
 use crate::identity::check_same;
 use crate::inputs::BatchInputs;
@@ -152,6 +153,16 @@ impl Batch {
             through[row.frame] = row.status == Status::Done || retry == RetryPolicy::SkipFailed;
         }
         Ok(range.filter(|&frame| !through[frame]).collect())
+    }
+
+    /// Keeps other processes from making frames of `range`, until the claim is dropped or the process ends.
+    ///
+    /// # Errors
+    /// Another process has claimed some of them, or a file that cannot be made.
+    pub fn claim(&self, range: Range<usize>) -> Result<Claim> {
+        // One process at a time looks at the others' claims.
+        let _lock = self.state.lock()?;
+        Claim::new(&self.state.claims(), range)
     }
 
     /// The video of a frame as the archive has it; NaN where it has none.

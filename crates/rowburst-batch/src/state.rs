@@ -103,6 +103,11 @@ impl State {
         Scratch::open(&self.folder.join("tmp"))
     }
 
+    /// The folder of the ranges of frames that processes work on.
+    pub fn claims(&self) -> PathBuf {
+        self.folder.join("claims")
+    }
+
     /// The table's path.
     pub fn table(&self) -> PathBuf {
         self.folder.join("frames.csv")

@@ -376,7 +376,9 @@ pub struct ViewArgs {
 /// result.json has camera, options and the SHA-256 of each input. An input that has changed since is named, and nothing is
 /// computed. On the same kind of processor the new video is equal to the bit.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  rowburst rerun result -o again")]
+#[command(
+    after_help = "Examples:\n  rowburst rerun result -o again\n  rowburst rerun moved/result --inputs moved -o again"
+)]
 pub struct RerunArgs {
     /// The folder that rowburst reconstruct has written
     #[arg(value_name = "RESULT")]
@@ -384,6 +386,9 @@ pub struct RerunArgs {
     /// Folder for the new result [default: the name of the old one with -rerun]
     #[arg(short, long)]
     pub output: Option<PathBuf>,
+    /// Folder with the inputs, where they are no longer at their places: they are found by name and SHA-256
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub inputs: Option<PathBuf>,
     #[command(flatten)]
     pub force: ForceArgs,
 }

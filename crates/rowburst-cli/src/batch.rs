@@ -21,7 +21,7 @@ use rowburst_run::{
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -84,7 +84,22 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
     } else {
         print_summary(&summary);
     }
-    Ok(())
+    refuse_failed(&args.output, summary.failed)
+}
+
+/// Frames that failed are an exit status of 1, whatever the others are. The archive stays.
+fn refuse_failed(archive: &Path, failed: usize) -> Result<()> {
+    if failed == 0 {
+        return Ok(());
+    }
+    Err(Error::work(
+        archive,
+        format!("{failed} frames failed; the others have their videos"),
+        format!(
+            "See {}/rowburst/frames.csv; --retry-failed tries them again.",
+            archive.display()
+        ),
+    ))
 }
 
 /// A batch for each point of the sweep, each into an archive of its own; killed, the same command
@@ -115,9 +130,11 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let runs: Vec<(String, BatchArgs)> = runs.collect::<Result<_>>()?;
     let folder = rowburst_io::OutputFolder::create(&args.output)?;
     let mut rows: Vec<SweepRow> = Vec::new();
+    let mut failed = 0;
     for (point, point_args) in runs {
         eprintln!("{point}");
         let (summary, lines) = run_one(&point_args, stop)?;
+        failed += summary.failed;
         let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
         let good = done.iter().filter(|l| l.fit.as_deref() == Some("good"));
         rows.push(SweepRow {
@@ -144,7 +161,7 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
             table.display()
         ));
     }
-    Ok(())
+    refuse_failed(&args.output, failed)
 }
 
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
@@ -162,6 +179,8 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
         .map_err(|e| name_correction_file(e, &args.frames, &calibration))?;
     let frames = &batch.inputs().frames;
     let range = parse_frame_range(args.frames_range.as_deref(), frames.count())?;
+    // Held until the end: no other process makes these frames.
+    let _claim = batch.claim(range.clone())?;
     if args.stitch {
         batch.clock_to_stitch()?;
     }

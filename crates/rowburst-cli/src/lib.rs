@@ -51,6 +51,9 @@ pub fn run(arguments: Vec<OsString>) -> u8 {
     if cli.verbose {
         log::start(process_start);
     }
+    if let Some(threads) = cli.threads {
+        let _ = THREADS.set(threads);
+    }
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(cli.threads.map_or(0, usize::from))
         .stack_size(STACK_BYTES)
@@ -119,6 +122,9 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
 
 /// What was typed, for reports that repeat it.
 static TYPED: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// The number of threads where it was typed, for the same.
+static THREADS: OnceLock<u16> = OnceLock::new();
 
 fn typed(arguments: Vec<OsString>) -> &'static [OsString] {
     TYPED.get_or_init(|| arguments)

@@ -88,6 +88,7 @@ fn option(parameter: Parameter) -> Option<&'static str> {
         Parameter::Experiment => "--experiment",
         Parameter::Output => "-o",
         Parameter::Force => "--force",
+        Parameter::Inputs => "--inputs",
         Parameter::Write => "--write",
         Parameter::Camera => "[camera]",
         Parameter::Field => "[field]",

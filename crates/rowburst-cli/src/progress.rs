@@ -1,6 +1,6 @@
 //! Progress bar and Ctrl-C: observers of the solver.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use rowburst::Cancel;
 use rowburst::solve::StopReason;
 use rowburst::solve::admm::Progress;
@@ -9,12 +9,16 @@ use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The bar of a run.
 pub struct Bar {
     bar: ProgressBar,
     stop: Arc<AtomicBool>,
+    /// When the first iteration was shown.
+    began: Option<Instant>,
+    /// Iterations shown.
+    iterations: u64,
 }
 
 impl Bar {
@@ -25,9 +29,13 @@ impl Bar {
         } else {
             ProgressBar::hidden()
         };
-        let template = "{bar:30} iteration {pos} of {len}, at most {eta} left; {msg}";
-        let bar = Self { bar, stop };
-        bar.set_template(template);
+        let bar = Self {
+            bar,
+            stop,
+            began: None,
+            iterations: 0,
+        };
+        bar.set_template("{bar:30} iteration {pos} of {len}; {msg}");
         bar
     }
 
@@ -75,22 +83,30 @@ impl Bar {
         }
     }
 
-    fn show_iteration(&self, progress: &Progress, metrics: &IterationMetrics) {
+    fn show_iteration(&mut self, progress: &Progress, metrics: &IterationMetrics) {
         let level = metrics.residual_over_sigma;
+        let elapsed = self.began.get_or_insert_with(Instant::now).elapsed();
+        self.iterations += 1;
+        let left = longest_time_left(elapsed, self.iterations, progress);
+        let left = HumanDuration(left);
         if progress.iteration == 1 {
             self.bar.reset();
         }
         self.bar.set_length(progress.max_iterations as u64);
         self.bar.set_position(progress.iteration as u64);
         self.bar.set_message(match progress.label {
-            "" => format!("residual/σ {level:.2}"),
-            label => format!("{label}: residual/σ {level:.2}"),
+            "" => format!("residual/σ {level:.2}; at most {left:#} left; {HINT}"),
+            label => format!(
+                "{label}: residual/σ {level:.2}; at most {left:#} left, all runs together; {HINT}"
+            ),
         });
     }
 
     fn show_chunk(&self, progress: &Progress, chunk: &Chunk) {
         if progress.iteration == 1 {
-            self.set_template("{bar:30} bin {pos} of {len}, {eta} left; {msg}");
+            self.set_template(
+                "{bar:30} bin {pos} of {len}, {eta} left; {msg}; Ctrl-C keeps the finished chunks",
+            );
             self.bar.set_position(chunk.bins.start as u64);
         }
         self.bar.set_length(chunk.video_bins as u64);
@@ -102,6 +118,18 @@ impl Bar {
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
+}
+
+/// What Ctrl-C does while the bar is there.
+const HINT: &str = "Ctrl-C writes the video so far";
+
+/// The time that is left at most, over this run and those that follow it, after `iterations` in the time `elapsed`.
+fn longest_time_left(elapsed: Duration, iterations: u64, progress: &Progress) -> Duration {
+    let of_this = progress.max_iterations.saturating_sub(progress.iteration);
+    let left = of_this + progress.runs_left * progress.max_iterations;
+    // To whole seconds, which do not flicker.
+    let seconds = elapsed.as_secs_f64() / iterations as f64 * left as f64;
+    Duration::from_secs_f64(seconds.ceil())
 }
 
 /// Prints a note on the inputs of a run that has no bar.
@@ -230,5 +258,31 @@ impl Interrupt {
             std::process::exit(INTERRUPTED.into());
         });
         interrupt
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_left_is_that_of_all_runs() {
+        let progress = |iteration, runs_left| Progress {
+            label: "testing prior 2 of 3, tv",
+            runs_left,
+            iteration,
+            max_iterations: 300,
+            video: &[],
+            residual_rms: 1.0,
+            objective: 1.0,
+            tau: 1.0,
+            change: 0.1,
+            support_fraction: 0.1,
+        };
+        let elapsed = Duration::from_secs(10);
+        let seconds = |progress| longest_time_left(elapsed, 500, &progress).as_secs();
+        // 100 iterations of this trial, another trial and the final run, at 0.02 s each.
+        assert_eq!(seconds(progress(200, 2)), 14);
+        assert_eq!(seconds(progress(300, 0)), 0);
     }
 }

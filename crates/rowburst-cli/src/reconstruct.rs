@@ -168,7 +168,7 @@ fn parse_bins(text: &str) -> Result<Range<usize>> {
     }
 }
 
-/// Runs every point of the sweep. A run that fails does not stop the others; the sweep fails if all do.
+/// Runs every point of the sweep. A run that fails does not stop the others; the sweep then fails at the end.
 fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
     let runs = points.iter().map(|point| {
@@ -236,9 +236,29 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
             print_line(format_args!("table: {}", table.display()));
         }
     }
+    refuse_failed(args, &rows, first_error)
+}
+
+/// Points that failed are an exit status, whatever the others are.
+fn refuse_failed(
+    args: &ReconstructArgs,
+    rows: &[SweepRow],
+    first_error: Option<Error>,
+) -> Result<()> {
+    let failed = rows.iter().filter(|row| row.error.is_some()).count();
     match first_error {
-        Some(error) if rows.iter().all(|row| row.error.is_some()) => Err(error),
-        _ => Ok(()),
+        None => Ok(()),
+        Some(error) if failed == rows.len() => Err(error),
+        Some(error) if error.kind() == ErrorKind::Cancelled => Err(error),
+        Some(error) => Err(Error::work(
+            &args.output,
+            format!(
+                "{failed} of {} points failed; the first: {}",
+                rows.len(),
+                option_names::message(&error)
+            ),
+            "The table has all points.",
+        )),
     }
 }
 
@@ -297,6 +317,9 @@ fn command_line(args: &ReconstructArgs) -> String {
     option("--bins", args.bins.clone());
     option("--part-bins", args.part_bins.map(|v| v.to_string()));
     option("--write", args.write.clone());
+    let seed = Some(args.seed).filter(|seed| *seed != 0);
+    option("--seed", seed.map(|seed| seed.to_string()));
+    option("--threads", crate::THREADS.get().map(|n| n.to_string()));
     let flags = [
         ("--keep-all-pixels", args.keep_all_pixels),
         ("--debias", args.debias),

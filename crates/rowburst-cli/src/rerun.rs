@@ -15,7 +15,10 @@ use std::time::Instant;
 
 /// Runs the command. `process_start` is the time at which the process started.
 pub fn run(args: &RerunArgs, process_start: Instant) -> Result<()> {
-    let (record, result) = RunRecord::read(&args.result)?;
+    let (mut record, result) = RunRecord::read(&args.result)?;
+    if let Some(inputs) = &args.inputs {
+        record = record.with_inputs_of(&args.result, inputs)?;
+    }
     if let Some(note) = record.check_inputs(&args.result)? {
         eprintln!("note: {note}");
     }

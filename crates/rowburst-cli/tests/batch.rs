@@ -274,7 +274,7 @@ fn an_interrupt_is_reported_and_the_job_resumes() {
 fn parts_of_a_job_run_side_by_side() {
     let lab = lab_of(30);
     done(&lab, "whole.zarr", &QUICK);
-    let ranges = ["0:12", "10:20", "20:"];
+    let ranges = ["0:10", "10:20", "20:"];
     let children = ranges.map(|range| {
         let mut command = command(&lab, "parts.zarr", &quick(&["--frames-range"]));
         command
@@ -290,6 +290,16 @@ fn parts_of_a_job_run_side_by_side() {
     }
     assert_same(&lab, "whole.zarr", "parts.zarr");
 
+    // Frames beyond the last are named.
+    let mut beyond = command(&lab, "parts.zarr", &quick(&["--frames-range", "3:99"]));
+    beyond.arg("--json");
+    let (code, _, stderr) = output(beyond);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        stderr.contains("3:99 ends beyond the last of the 30"),
+        "{stderr}"
+    );
+
     for (range, out) in [("5:5", "x"), ("30:", "x"), ("a:b", "x"), ("7", "x")] {
         let mut command = command(&lab, out, &quick(&["--frames-range"]));
         command.arg(range);
@@ -297,6 +307,31 @@ fn parts_of_a_job_run_side_by_side() {
         assert_eq!(code, 2, "{range}");
         assert!(stderr.contains("--frames-range"), "{stderr}");
     }
+}
+
+/// Two processes without ranges would make every frame twice: the second one is refused, and says what to do.
+#[test]
+fn a_second_process_without_a_range_is_refused() {
+    let lab = lab_of(300);
+    let mut first = command(&lab, "out.zarr", &QUICK);
+    first.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut first = first.spawn().unwrap();
+    let row = lab.path("out.zarr/rowburst/frames/000000.json");
+    let started = Instant::now();
+    while !row.exists() && started.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let (code, _, stderr) = output(command(&lab, "out.zarr", &QUICK));
+    first.kill().unwrap();
+    first.wait().unwrap();
+    assert_eq!(code, 2, "{stderr}");
+    assert!(
+        stderr.contains("--frames-range") && stderr.contains("0:300"),
+        "{stderr}"
+    );
+    // Killed, the first one keeps nobody out.
+    let rest = quick(&["--frames-range", "0:20"]);
+    assert_eq!(done(&lab, "out.zarr", &rest)["failed"], 0);
 }
 
 #[test]
@@ -312,7 +347,12 @@ fn frames_that_cannot_be_used_are_recorded_and_skipped() {
     let counts: Vec<u8> = (0..ROWS * COLUMNS).map(|i| 100 + (i % 50) as u8).collect();
     let counts = ndarray::Array2::from_shape_vec((ROWS, COLUMNS), counts).unwrap();
     ndarray_npy::write_npy(lab.path("rec/f6.npy"), &counts).unwrap();
-    let summary = done(&lab, "out.zarr", &QUICK);
+    let mut failing = command(&lab, "out.zarr", &QUICK);
+    failing.arg("--json");
+    let (code, stdout, stderr) = output(failing);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("5 frames failed"), "{stderr}");
+    let summary: Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(
         (&summary["done"], &summary["failed"]),
         (&3.into(), &5.into())

@@ -341,12 +341,54 @@ fn ctrl_c_writes_the_best_so_far() {
         text.contains("the current result will be written"),
         "{text}"
     );
-    has_all_files(&lab, "out");
+    // No report and no movie: they take longer than a second.
+    let files = lab.files("out");
+    for name in ["video.npy", "traces.csv", "view.json", "result.json"] {
+        assert!(files.iter().any(|file| file == name), "{name} of {files:?}");
+    }
+    for name in ["report.html", "video.mp4", "video.tif"] {
+        assert!(files.iter().all(|file| file != name), "{name} of {files:?}");
+    }
     let result = lab.result("out");
     has_all_keys(&result, false);
     assert_eq!(result["stop_reason"], "interrupted", "{result:#}");
     let printed: Value = serde_json::from_str(&text[text.find("{\n").unwrap()..]).unwrap();
     assert_eq!(printed, result);
+}
+
+/// After the check, between trials of priors, and after the last iteration a run ends within a second, with a video.
+#[cfg(target_os = "linux")]
+#[test]
+fn ctrl_c_ends_a_large_run_within_a_second() {
+    let lab = Lab::empty();
+    lab.experiment(
+        "[camera]\nrows = 256\ncolumns = 256\nshutter = \"dual-inside-out\"\nrow_time_us = 9.6\nexposure_us = 9.6\n",
+    );
+    lab.done("simulate experiment.toml --scene digits -o sim");
+    let prior = "--prior tv+0.5*tdiff+support";
+    for (i, (more, moment)) in [
+        (prior, "check of the model"),
+        ("", "tried prior"),
+        (prior, "iterations, "),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let arguments = format!("sim/experiment.toml --frame sim/frame.npy {more} -o out{i}");
+        let (status, elapsed, text) = interrupted(&lab, &arguments, moment);
+        assert_eq!(status, Some(130), "{moment}: {text}");
+        // A second, and what other work on this machine adds.
+        assert!(elapsed < Duration::from_secs(2), "{moment}: {elapsed:?}");
+        println!("{moment}: {elapsed:?}");
+        let out = format!("out{i}");
+        assert!(lab.number(&out, "iterations") >= 20.0, "{moment}");
+        assert!(
+            lab.array(&format!("{out}/video.npy"))
+                .iter()
+                .any(|v| *v > 0.0)
+        );
+        assert!(!lab.files(&out).contains(&"report.html".to_string()));
+    }
 }
 
 /// A set-up that takes many seconds ends at once, and leaves nothing.

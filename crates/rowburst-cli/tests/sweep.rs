@@ -58,3 +58,19 @@ fn bad_values_and_options_are_refused_before_the_first_run() {
     );
     assert!(!lab.path("out2").exists());
 }
+
+/// A point that fails does not stop the others, and the sweep is not done then.
+#[test]
+fn a_point_that_fails_is_an_exit_status() {
+    let lab = Lab::new();
+    let swept = lab.run(
+        "reconstruct experiment.toml --frame frame.npy --prior tv --sweep tau=1e300,auto --max-iterations 5 --json -o out",
+    );
+    let words = String::from_utf8(swept.stderr).unwrap();
+    assert_eq!(swept.status.code(), Some(1), "{words}");
+    assert!(words.contains("1 of 2 points failed"), "{words}");
+    let rows: Value = serde_json::from_slice(&swept.stdout).unwrap();
+    assert!(rows[0]["error"].is_string() && rows[1]["error"].is_null());
+    assert!(lab.path("out/tau=auto/video.npy").is_file());
+    assert!(lab.path("out/sweep.csv").is_file());
+}

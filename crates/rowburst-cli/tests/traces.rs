@@ -56,16 +56,26 @@ fn traces_have_errors_and_photodiodes_find_their_leds() {
     assert!(change != 0.0 && change > -3.0, "{before} dB {change:+}");
     let table = String::from_utf8(lab.read("out/traces.csv")).unwrap();
     let heading: Vec<&str> = table.lines().next().unwrap().split(',').collect();
-    assert_eq!(heading.len(), 1 + 3 * traces.len());
+    assert_eq!(heading.len(), 1 + 4 * traces.len());
     assert_eq!(
-        heading[..4],
+        heading[..5],
         [
             "time_us",
             "y5_x6_4x3_value",
             "y5_x6_4x3_debiased",
-            "y5_x6_4x3_standard_error"
+            "y5_x6_4x3_standard_error",
+            "y5_x6_4x3_before_debias"
         ]
     );
+    // The value is that of the video that is written.
+    let video = lab.array("out/video.npy");
+    for (t, line) in table.lines().skip(1).enumerate() {
+        let value: f64 = line.split(',').nth(1).unwrap().parse().unwrap();
+        let region = video.slice(ndarray::s![t, 5..9, 6..9]);
+        let mean = region.mapv(f64::from).mean().unwrap();
+        let limit = 1e-6 * mean.abs() + 1e-12;
+        assert!((value - mean).abs() <= limit, "bin {t}: {value} {mean}");
+    }
     assert_eq!(table.lines().count(), 1 + 20);
     assert!(table.lines().nth(1).unwrap().starts_with("4.8,"));
     let page = String::from_utf8(lab.read("out/report.html")).unwrap();

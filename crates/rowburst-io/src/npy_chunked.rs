@@ -26,7 +26,7 @@ impl ChunkedVideoFile {
     /// Failed writes; a disk without room for all of it may say so only later.
     pub fn open(path: &Path, shape: Shape) -> Result<Self> {
         let header = header_of("<f4", &[shape.bins, shape.rows, shape.columns]);
-        let partial_path = PathBuf::from(format!("{}.part", path.display()));
+        let partial_path = partial_path(path);
         let length = (header.len() + shape.voxels() * size_of::<f32>()) as u64;
         let open = || -> io::Result<(File, bool)> {
             let mut options = OpenOptions::new();
@@ -60,6 +60,19 @@ impl ChunkedVideoFile {
             shape,
             is_resumed,
         })
+    }
+
+    /// Opens the array of an interrupted run that was complete: it may have its name already, which it gives up again.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`], and a file that cannot be renamed.
+    pub fn reopen(path: &Path, shape: Shape) -> Result<Self> {
+        let partial_path = partial_path(path);
+        if !partial_path.exists() && path.exists() {
+            std::fs::rename(path, &partial_path)
+                .map_err(|e| fault::write_error(&e).within(path))?;
+        }
+        Self::open(path, shape)
     }
 
     /// Whether an interrupted run has left it.
@@ -117,6 +130,13 @@ impl ChunkedVideoFile {
         done.and_then(|()| std::fs::rename(&self.partial_path, &self.path))
             .map_err(|e| fault::write_error(&e).within(self.path))
     }
+}
+
+/// The name of the array `path` until all bins are in it.
+fn partial_path(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".part");
+    name.into()
 }
 
 #[cfg(test)]

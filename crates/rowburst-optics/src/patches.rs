@@ -7,7 +7,7 @@
 
 use crate::Psf;
 use rowburst_core::error::Tool;
-use rowburst_core::{Error, Parameter, Result, phrase};
+use rowburst_core::{Error, ErrorKind, Parameter, Result, phrase};
 
 /// PSFs with the places that they were recorded at.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,6 +25,11 @@ struct Grid {
     /// Index of the PSF at each crossing, `[row, column]`.
     at: Vec<usize>,
 }
+
+/// Contrast of a PSF, `(max − min)/max`, below which it shows no place; larger refuses blurred PSFs.
+const FLAT_CONTRAST: f64 = 0.05;
+/// Pixels of a PSF from which its contrast counts; smaller ones are made by hand.
+const MIN_FLAT_PIXELS: usize = 64;
 
 /// Places closer than this, in pixels, are one row or one column of a grid: captures at
 /// nominal positions scatter by the registration's error.
@@ -103,6 +108,27 @@ impl PatchSet {
         let distance = |i: &usize| self.offsets_px[*i].0.hypot(self.offsets_px[*i].1);
         let nearest = (0..self.psfs.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
         &self.psfs[nearest.expect("a set has a PSF")]
+    }
+
+    /// Refuses PSFs that show no place: nothing can be reconstructed with them.
+    ///
+    /// # Errors
+    /// A PSF of nearly the same value everywhere.
+    pub fn check_contrast(&self) -> Result<()> {
+        for psf in &self.psfs {
+            let image = psf.image();
+            let (low, high) = (f64::from(image.min()), f64::from(image.max()));
+            if image.data().len() >= MIN_FLAT_PIXELS && high - low < FLAT_CONTRAST * high {
+                return Err(Error::input(
+                    Parameter::Psf,
+                    format!("a contrast of {:.1} %: it is flat", 100.0 * (high - low) / high),
+                    "a PSF is bright in few places, by which it shows where light comes from",
+                    "Check that the capture is of a point source through the diffuser, and not a flat or an empty frame.",
+                )
+                .with_kind(ErrorKind::NoSignal));
+            }
+        }
+        Ok(())
     }
 
     /// The weights `a_c` at the offset `(dy, dx)` from the middle of the field, those that

@@ -72,12 +72,13 @@ impl Artifacts {
         })
     }
 
-    /// The file that a person opens first: the report, or the video in colour.
+    /// The file that a person opens first: the report, or the video where there is none.
     pub fn first_file(&self) -> PathBuf {
-        self.folder.join(match self.summary {
+        let file = self.folder.join(match self.summary {
             Summary::Whole(_) | Summary::Chunked(_) => "report.html",
             Summary::Colour(_) => "colour.tif",
-        })
+        });
+        if file.is_file() { file } else { self.video() }
     }
 }
 

@@ -17,11 +17,11 @@ use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use crate::task::Task;
 use rowburst::error::Subject;
-use rowburst::reconstruct::{Chunked, Reconstruction, Tau, Verdict};
+use rowburst::reconstruct::{ALGORITHM_REVISION, Chunked, Options, Reconstruction, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, ErrorKind, Image, Parameter, Result, Shape, TimeGrid, Video, phrase};
-use rowburst_io::{ChunkedVideoFile, FromMetadata};
+use rowburst_io::{ChunkedVideoFile, FromMetadata, OutputFolder};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Scale, Sheet};
 use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -38,8 +38,8 @@ const PREVIEW_MAX_BINS: usize = 512;
 pub struct ChunkedTask {
     /// Camera, PSFs, frame and options.
     chunked: Chunked,
-    /// The rule for `τ`, for the report.
-    tau: Tau,
+    /// The options as given.
+    options: Options,
     /// Bins of a chunk; `None`: as many as 3 GiB hold.
     bins_per_chunk: Option<usize>,
     /// The values of the camera that came from the metadata of the frame's file.
@@ -62,7 +62,7 @@ impl ChunkedTask {
             check_bytes(Parameter::PartBins, &what, needed, remedy)?;
         }
         Ok(Self {
-            tau: task.options.tau,
+            options: task.options,
             chunked,
             bins_per_chunk,
             from_metadata: task.from_metadata,
@@ -76,6 +76,40 @@ struct ResumeState {
     /// See [`job_hash`].
     job: u64,
     parts: Vec<ChunkNumbers>,
+    /// Whether the video is complete and takes its name next.
+    #[serde(default)]
+    is_complete: bool,
+}
+
+impl ResumeState {
+    /// What an earlier run of `job` has left in `folder`. The state of another job is removed before its bins are
+    /// replaced: killed in between, neither job would resume with bins of the other.
+    fn take_up(folder: &OutputFolder, job: u64) -> Result<Self> {
+        let path = folder.path();
+        let found = std::fs::read(path.join(STATE_FILE)).ok();
+        let found = found.and_then(|bytes| serde_json::from_slice::<Self>(&bytes).ok());
+        match found.filter(|state| state.job == job) {
+            Some(state) => Ok(state),
+            None => {
+                folder.remove(STATE_FILE)?;
+                Ok(Self::new(job))
+            }
+        }
+    }
+
+    /// A job of which nothing is done yet.
+    fn new(job: u64) -> Self {
+        Self {
+            job,
+            parts: Vec::new(),
+            is_complete: false,
+        }
+    }
+
+    fn write(&self, folder: &OutputFolder) -> Result<()> {
+        let json = serde_json::to_vec(self).expect("plain numbers and text");
+        folder.write_bytes(STATE_FILE, &json)
+    }
 }
 
 /// The file of the [`ResumeState`].
@@ -92,19 +126,20 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     let run_start = Instant::now();
     let shape = chunked.camera().video_shape();
     let ranges = chunked.ranges(task.bins_per_chunk);
-    folder.list("video.npy.part")?;
-    folder.list("video.npy")?;
-    let mut file = ChunkedVideoFile::open(&folder.path().join("video.npy"), shape)?;
+    for name in ["video.npy.part", "video.npy", STATE_FILE] {
+        folder.list(name)?;
+    }
     let job = job_hash(task, &ranges);
-    let begun = std::fs::read(folder.path().join(STATE_FILE)).ok();
-    let begun = begun.and_then(|bytes| serde_json::from_slice::<ResumeState>(&bytes).ok());
-    let mut state = match begun {
-        Some(state) if state.job == job && file.is_resumed() => state,
-        _ => ResumeState {
-            job,
-            parts: Vec::new(),
-        },
+    let mut state = ResumeState::take_up(folder, job)?;
+    let path = folder.path().join("video.npy");
+    let mut file = if state.is_complete {
+        ChunkedVideoFile::reopen(&path, shape)?
+    } else {
+        ChunkedVideoFile::open(&path, shape)?
     };
+    if !file.is_resumed() {
+        state = ResumeState::new(job);
+    }
     // The file of an earlier run does not describe the new files.
     folder.remove("result.json")?;
     for range in ranges {
@@ -141,25 +176,23 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
             seconds: began.elapsed().as_secs_f64(),
         });
         state.parts.sort_by_key(|p| p.first_bin);
-        let json = serde_json::to_vec(&state).expect("plain numbers and text");
-        folder.write_bytes(STATE_FILE, &json)?;
+        state.write(folder)?;
     }
-    let summary = write_result(task, output, file, state.parts)?;
+    let summary = write_result(task, output, file, state)?;
     folder.remove(STATE_FILE)?;
     Ok(Artifacts::new(output, summary, Vec::new()))
 }
 
-/// Ends the video and writes movie, report and `result.json`.
+/// Writes movie and report, ends the video and writes `result.json`. Killed in between, the same command does this alone.
 fn write_result(
     task: &ChunkedTask,
     output: &Output,
     mut file: ChunkedVideoFile,
-    parts: Vec<ChunkNumbers>,
+    mut state: ResumeState,
 ) -> Result<Summary> {
     let (chunked, folder) = (&task.chunked, output.folder);
     let shape = chunked.camera().video_shape();
     let statistics = VideoStatistics::read(&mut file, shape)?;
-    file.finish()?;
     folder.remove("video.mp4")?;
     let bin_us = chunked.camera().time().bin_duration_us();
     let time = TimeGrid::rolling(
@@ -171,16 +204,18 @@ fn write_result(
     if let Some(mp4) = encode_movie(&statistics.preview, &time, output.movie)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
-    let mut summary = summarise(task, parts);
+    let mut summary = summarise(task, state.parts.clone());
     let sheet = report_sheet(task, output, &summary, &statistics);
     let report = sheet.render()?;
     for picture in &report.pictures {
         folder.write_bytes(&picture.name, &picture.png)?;
     }
     folder.write_bytes("report.html", report.html.as_bytes())?;
+    state.is_complete = true;
+    state.write(folder)?;
+    file.finish()?;
     summary.peak_memory_bytes = peak_memory_bytes();
     summary.run = output.finished_record("video.npy")?;
-    folder.remove(STATE_FILE)?;
     folder.remove_stale()?;
     let summary = Summary::Chunked(summary.into());
     folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
@@ -212,7 +247,7 @@ fn solve_chunk(
     }
 }
 
-/// A hash of frame, PSFs, camera, prior, `τ`, `σ` and chunks. A run is resumed only if it is equal.
+/// A hash of frame, PSFs, camera, options, `σ` and chunks. A run is resumed only if it is equal.
 fn job_hash(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
     let mut hasher = DefaultHasher::new();
     let image = |image: &Image, hasher: &mut DefaultHasher| {
@@ -221,15 +256,18 @@ fn job_hash(task: &ChunkedTask, ranges: &[Range<usize>]) -> u64 {
     image(task.chunked.measurement().image(), &mut hasher);
     let weights = task.chunked.measurement().weights().unwrap_or_default();
     weights.iter().for_each(|v| v.to_bits().hash(&mut hasher));
-    for psf in task.chunked.psfs().psfs() {
+    let psfs = task.chunked.psfs();
+    for psf in psfs.psfs() {
+        (psf.image().rows(), psf.image().columns()).hash(&mut hasher);
         image(psf.image(), &mut hasher);
     }
     let words = format!(
-        "{} {:?} {} {:?} {:?} {ranges:?}",
+        "{} {ALGORITHM_REVISION} {:?} {:?} {} {:?} {:?} {ranges:?}",
         env!("CARGO_PKG_VERSION"),
         task.chunked.camera(),
+        psfs.offsets_px(),
         task.chunked.prior(),
-        task.tau,
+        task.options,
         task.chunked.sigma()
     );
     words.hash(&mut hasher);
@@ -323,7 +361,7 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         schema_version: RESULT_SCHEMA_VERSION,
         version: env!("CARGO_PKG_VERSION"),
         prior: task.chunked.prior().to_string(),
-        tau_rule: match task.tau {
+        tau_rule: match task.options.tau {
             Tau::Given(_) => "given",
             Tau::HeldOut => "held-out pixels, for each part",
             Tau::Auto => "discrepancy principle, for each part",

@@ -7,14 +7,17 @@ use crate::event::{Event, Observer};
 use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::setup::{Frame, Setup};
 use crate::solve::solve;
-use crate::summary::MetadataNumbers;
+use crate::summary::{MetadataNumbers, ReconstructionSummary};
 use crate::task::Task;
 use crate::traces::{TraceRequest, Traces};
 use rowburst::bayer::{Bayer, Colour, Site, plane_camera, plane_image, plane_psfs};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration};
+use rowburst::solve::StopReason;
 use rowburst::{Camera, Error, ErrorKind, Image, Parameter, Result, Video};
-use rowburst_io::{Capture, FromMetadata, TiffScale, write_npy_colour, write_tiff_colour};
+use rowburst_io::{
+    Capture, FromMetadata, OutputFolder, TiffScale, write_npy_colour, write_tiff_colour,
+};
 use std::time::Instant;
 
 /// The reconstruction of a raw colour frame, as values.
@@ -165,6 +168,12 @@ impl ColourTask {
                 start_us,
                 mut completed,
             } = plane;
+            if completed.reconstruction.stop_reason == StopReason::Interrupted {
+                let request = TraceRequest::default().without_errors();
+                let traces = completed.traces(request, false);
+                folder.write_stopped_plane(site, start_us, &completed, &traces)?;
+                return Err(stopped_error(output, &folder.planes));
+            }
             let traces = completed.evaluate(TraceRequest::default(), self.debias);
             folder.write_plane(site, start_us, &completed, &traces)
         })?;
@@ -212,9 +221,41 @@ impl<'a> ColourFolder<'a> {
         completed: &CompletedTask,
         traces: &Traces,
     ) -> Result<()> {
-        let folder = (self.output.folder).subfolder(&site.name(), "reconstruct")?;
-        let title = format!("{}, {}", self.output.title, site.name());
+        let (folder, title) = self.folder_of(site)?;
         let summary = completed.write(traces, &self.output.part(&folder, &title))?;
+        self.add(site, start_us, completed, &folder, summary);
+        Ok(())
+    }
+
+    /// The same of a plane that was stopped, within a second.
+    fn write_stopped_plane(
+        &mut self,
+        site: Site,
+        start_us: f64,
+        completed: &CompletedTask,
+        traces: &Traces,
+    ) -> Result<()> {
+        let (folder, title) = self.folder_of(site)?;
+        let summary = completed.write_stopped(traces, &self.output.part(&folder, &title))?;
+        self.add(site, start_us, completed, &folder, summary);
+        Ok(())
+    }
+
+    /// The folder of a plane, and its title.
+    fn folder_of(&self, site: Site) -> Result<(OutputFolder, String)> {
+        let folder = (self.output.folder).subfolder(&site.name(), "reconstruct")?;
+        Ok((folder, format!("{}, {}", self.output.title, site.name())))
+    }
+
+    /// Keeps what the video in colour needs of a plane.
+    fn add(
+        &mut self,
+        site: Site,
+        start_us: f64,
+        completed: &CompletedTask,
+        folder: &OutputFolder,
+        summary: ReconstructionSummary,
+    ) {
         let camera = &completed.task.camera;
         self.bin_us = camera.time().bin_duration_us();
         self.pixel_pitch_um = camera.sensor().pixel_pitch_um;
@@ -231,7 +272,6 @@ impl<'a> ColourFolder<'a> {
         });
         self.videos
             .push((site, completed.reconstruction.video.clone()));
-        Ok(())
     }
 
     /// Writes the video in colour, and `result.json`.
@@ -275,6 +315,21 @@ impl<'a> ColourFolder<'a> {
         folder.write_bytes("result.json", format!("{}\n", summary.json()).as_bytes())?;
         Ok(summary)
     }
+}
+
+/// The error of a run that was stopped: which planes there are.
+fn stopped_error(output: &Output, planes: &[PlaneNumbers]) -> Error {
+    let names: Vec<&str> = planes.iter().map(|plane| plane.name.as_str()).collect();
+    let done = names.join(", ");
+    Error::work(
+        output.path(),
+        format!(
+            "stopped with {} of 4 planes: {done}, the last as it was",
+            names.len()
+        ),
+        "Each plane has its own folder; there is no video in colour.",
+    )
+    .with_kind(ErrorKind::Cancelled)
 }
 
 /// The warning of colours that are not of one time.

@@ -19,8 +19,9 @@ use rowburst::design::count::{ChangeCount, change_rms, count_change};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
+use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
-use rowburst::{Image, PatchSet, Result, RollingShutter};
+use rowburst::{Cancel, Image, PatchSet, Result, RollingShutter};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_u8, write_npy_video, write_patch_set};
 use rowburst_report::{Direct, DirectOrigin, FitVerdict, Iteration, Player, Report, ReportInput};
 use std::borrow::Cow;
@@ -152,6 +153,7 @@ impl CompletedTask {
             *voxel *= f32::from(*observed);
         }
         let before = std::mem::replace(&mut self.reconstruction.video, video);
+        traces.replace_values(&self.reconstruction.video);
         let truth = self.task.truth.as_ref();
         self.debias = Some(DebiasNumbers {
             light_ratio: debiased.light_ratio,
@@ -221,7 +223,9 @@ impl CompletedTask {
             simd: instruction_set(),
             seed: self.task.seed,
             psnr_db: truth.map(|t| psnr_db(reconstruction.video.data(), t.data())),
-            ssim: truth.map(|t| ssim(&reconstruction.video, t)),
+            ssim: truth
+                .filter(|_| !self.is_stopped())
+                .map(|t| ssim(&reconstruction.video, t)),
             fit: reconstruction.fit.verdict.name(),
             fit_reason: reconstruction.fit.reason.clone(),
             fit_statistics: FitNumbers::from(&reconstruction.fit.statistics),
@@ -238,6 +242,11 @@ impl CompletedTask {
         }
     }
 
+    /// Whether the user stopped the run, and waits.
+    fn is_stopped(&self) -> bool {
+        self.reconstruction.stop_reason == StopReason::Interrupted
+    }
+
     /// The guide that the video is made with.
     fn used_guide(&self) -> Option<&GuideOutcome> {
         self.guide.as_ref().filter(|guide| guide.numbers.used)
@@ -247,7 +256,8 @@ impl CompletedTask {
     fn change_count(&self) -> Option<ChangeNumbers> {
         let reconstruction = &self.reconstruction;
         let video = &reconstruction.video;
-        if reconstruction.support_fraction < DENSE_FRACTION || video.shape().bins == 1 {
+        let is_dense = reconstruction.support_fraction >= DENSE_FRACTION;
+        if !is_dense || video.shape().bins == 1 || self.is_stopped() {
             return None;
         }
         let operator = RollingShutter::new(&self.task.camera, self.task.psfs.clone());
@@ -298,7 +308,7 @@ impl CompletedTask {
                         "standard prior: no automatic choice with a time budget"
                     }
                     Some(_) => "given",
-                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), or stopped before the comparison",
+                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), a model that predicts nothing of the frame, or stopped before the comparison",
                 }
                 .into(),
                 held_out_pixels: None,
@@ -374,6 +384,22 @@ impl CompletedTask {
     /// # Errors
     /// Failed writes.
     pub fn write(&self, traces: &Traces, output: &Output) -> Result<ReconstructionSummary> {
+        self.write_until(traces, output, &Cancel::default())
+    }
+
+    /// Like [`Self::write`]. Once `cancel` asks for the end only the files of [`Self::write_stopped`] are written.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub(crate) fn write_until(
+        &self,
+        traces: &Traces,
+        output: &Output,
+        cancel: &Cancel,
+    ) -> Result<ReconstructionSummary> {
+        if cancel.is_cancelled() {
+            return self.write_stopped(traces, output);
+        }
         let folder = output.folder;
         let mut summary = self.summary(traces);
         info!(
@@ -382,27 +408,16 @@ impl CompletedTask {
         );
         let video = &self.reconstruction.video;
         let camera = &self.task.camera;
-        // The file of an earlier run does not describe the new files.
-        folder.remove("result.json")?;
-        folder.write("video.npy", |w| write_npy_video(w, video))?;
-        folder.remove("video.mp4")?;
-        self.write_optional(folder)?;
-        let frame = self.task.measurement.image();
-        folder.write("excluded.npy", |w| {
-            write_npy_u8(
-                w,
-                &[frame.rows(), frame.columns()],
-                &self.reconstruction.excluded,
-            )
-        })?;
-        let shape = video.shape();
-        folder.write("coverage.npy", |w| {
-            let shape = [shape.bins, shape.rows, shape.columns];
-            write_npy_u8(w, &shape, &self.reconstruction.coverage)
-        })?;
+        self.write_arrays(folder)?;
         write_formats(folder, output.formats, video, camera)?;
         traces.write(folder, camera.time())?;
+        if cancel.is_cancelled() {
+            return self.write_stopped(traces, output);
+        }
         let mp4 = encode_movie(video, camera.time(), output.movie)?;
+        if cancel.is_cancelled() {
+            return self.write_stopped(traces, output);
+        }
         let writes_mp4 = is_written(output.formats, VideoFormat::Mp4, video.shape().voxels());
         if let Some(mp4) = mp4.as_ref().filter(|_| writes_mp4) {
             folder.write_bytes("video.mp4", mp4)?;
@@ -434,6 +449,9 @@ impl CompletedTask {
                 .collect(),
         };
         let page = self.write_view(traces, &summary, output)?;
+        if cancel.is_cancelled() {
+            return self.write_stopped(traces, output);
+        }
         let report =
             self.report_of(traces, &summary, report_meta, mp4.as_deref(), page.as_ref())?;
         for picture in &report.pictures {
@@ -443,6 +461,61 @@ impl CompletedTask {
         drop(report);
         summary.peak_memory_bytes = peak_memory_bytes();
         summary.run = output.finished_record("video.npy")?;
+        folder.remove_stale()?;
+        let json = json_of(&summary);
+        folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;
+        Ok(summary)
+    }
+
+    /// Writes the video and the masks.
+    fn write_arrays(&self, folder: &OutputFolder) -> Result<()> {
+        let video = &self.reconstruction.video;
+        // The file of an earlier run does not describe the new files.
+        folder.remove("result.json")?;
+        folder.write("video.npy", |w| write_npy_video(w, video))?;
+        folder.remove("video.mp4")?;
+        self.write_optional(folder)?;
+        let frame = self.task.measurement.image();
+        folder.write("excluded.npy", |w| {
+            write_npy_u8(
+                w,
+                &[frame.rows(), frame.columns()],
+                &self.reconstruction.excluded,
+            )
+        })?;
+        let shape = video.shape();
+        folder.write("coverage.npy", |w| {
+            let shape = [shape.bins, shape.rows, shape.columns];
+            write_npy_u8(w, &shape, &self.reconstruction.coverage)
+        })
+    }
+
+    /// Writes what a run that was stopped has, within a second: the video, `traces`, and what the viewer shows. There is no
+    /// report, no movie and no other format. `result.json` is written last.
+    ///
+    /// # Errors
+    /// Failed writes.
+    pub(crate) fn write_stopped(
+        &self,
+        traces: &Traces,
+        output: &Output,
+    ) -> Result<ReconstructionSummary> {
+        let folder = output.folder;
+        self.write_arrays(folder)?;
+        folder.remove("report.html")?;
+        traces.write(folder, self.task.camera.time())?;
+        let mut summary = self.summary(traces);
+        let (title, command) = (output.title, output.reproduce);
+        self.with_view(traces, &summary, title, command, |files| {
+            let files = ViewFiles {
+                truth: None,
+                ..*files
+            };
+            view_files::write(folder, &files)
+        })?;
+        summary.peak_memory_bytes = peak_memory_bytes();
+        // The hash of a large video takes longer than its file.
+        summary.run = output.record.map(|record| record.placed_in(output.path()));
         folder.remove_stale()?;
         let json = json_of(&summary);
         folder.write_bytes("result.json", format!("{json}\n").as_bytes())?;

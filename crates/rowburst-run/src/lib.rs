@@ -68,7 +68,7 @@ pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
 pub use memory::{available_memory_bytes, check_bytes, check_memory};
 pub use movie::MovieStyle;
 pub use numbers::thousands;
-pub use plausibility::check_camera;
+pub use plausibility::{check_camera, check_frame};
 pub use player::{MakePlayer, PlayerPage, player_of};
 pub use record::{CameraNumbers, FurtherFiles, InputFile, OptionNumbers, RunRecord};
 pub use request::{Request, RequestParams, read_experiment};

@@ -15,10 +15,6 @@ const PITCHES_UM: [f64; 2] = [0.2, 500.0];
 const GAINS: [f64; 2] = [1e-3, 1e4];
 /// Correlation of frame and PSF from which they are one picture.
 const SAME_PICTURE: f64 = 0.999;
-/// Contrast of a PSF, `(max − min)/max`, below which it shows no place.
-const FLAT_CONTRAST: f64 = 0.05;
-/// Pixels of a PSF from which its contrast counts; smaller ones are made by hand.
-const MIN_FLAT_PIXELS: usize = 64;
 /// Part of the pixels above the full well that contradicts it.
 const MANY_ABOVE_FULL_WELL: f64 = 0.5;
 /// Counts over the full well that no spread of the pixels explains.
@@ -123,36 +119,11 @@ fn rounded(value: f64) -> f64 {
     format!("{value:.6e}").parse().unwrap_or(value)
 }
 
-/// Refuses a PSF that shows no place.
-///
-/// # Errors
-/// A PSF of nearly the same value everywhere.
-pub(crate) fn check_psfs(psfs: &PatchSet) -> Result<()> {
-    for psf in psfs.psfs() {
-        let image = psf.image();
-        let (low, high) = (f64::from(image.min()), f64::from(image.max()));
-        if image.data().len() >= MIN_FLAT_PIXELS && high - low < FLAT_CONTRAST * high {
-            return Err(Error::input(
-                Parameter::Psf,
-                format!("a contrast of {:.1} %: it is flat", 100.0 * (high - low) / high),
-                "a PSF is bright in few places, by which it shows where light comes from",
-                "Check that the capture is of a point source through the diffuser, and not a flat or an empty frame.",
-            )
-            .with_kind(ErrorKind::NoSignal));
-        }
-    }
-    Ok(())
-}
-
 /// Checks a frame against camera and PSF. Returns warnings.
 ///
 /// # Errors
 /// A mask or the PSF in place of the frame, and counts beyond those of the camera.
-pub(crate) fn check_frame(
-    frame: &Capture,
-    camera: &Camera,
-    psfs: &PatchSet,
-) -> Result<Vec<String>> {
+pub fn check_frame(frame: &Capture, camera: &Camera, psfs: &PatchSet) -> Result<Vec<String>> {
     let image = &frame.image;
     if image.first_non_finite().is_some() {
         // The correction says so.

@@ -8,7 +8,7 @@ use crate::options::UserOptions;
 use rowburst::bayer::Bayer;
 use rowburst::camera::CameraParams;
 use rowburst::error::{Subject, Tool};
-use rowburst::{Error, ErrorKind, Result, Sensor, Shutter, phrase};
+use rowburst::{Error, ErrorKind, Parameter, Result, Sensor, Shutter, phrase};
 use rowburst_io::{Calibration, Experiment, GuideFile, relative_path, sha256};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -112,12 +112,18 @@ pub(crate) mod role {
 impl RunRecord {
     /// The record for `result.json` in `folder`, which holds the video `video`.
     pub(crate) fn finished(&self, folder: &Path, video: &str) -> Result<Self> {
+        let mut record = self.placed_in(folder);
+        record.video_sha256 = Some(sha256(&folder.join(video))?);
+        Ok(record)
+    }
+
+    /// The record for `result.json` in `folder`, without the hash of the video.
+    pub(crate) fn placed_in(&self, folder: &Path) -> Self {
         let mut record = self.clone();
         for input in &mut record.inputs {
             input.path = relative_path(Path::new(&input.path), folder);
         }
-        record.video_sha256 = Some(sha256(&folder.join(video))?);
-        Ok(record)
+        record
     }
 
     /// Reads the record of the result in `folder`, and the whole of its `result.json`.
@@ -145,6 +151,35 @@ impl RunRecord {
         }
         let record = serde_json::from_value(record).map_err(|e| bad(e.to_string()))?;
         Ok((record, value))
+    }
+
+    /// The record with the inputs that are not at their places, seen from the result in `folder`, at those of equal name
+    /// and SHA-256 in `inputs` or a folder within it. Others stay.
+    ///
+    /// # Errors
+    /// `inputs` is no folder that can be read.
+    pub fn with_inputs_of(mut self, folder: &Path, inputs: &Path) -> Result<Self> {
+        let found = files_below(inputs, MAX_INPUT_DEPTH).map_err(|error| {
+            Error::input(
+                inputs,
+                error,
+                "inputs are looked for in a folder that can be read",
+                "Give the folder that holds them.",
+            )
+        })?;
+        for input in &mut self.inputs {
+            let is_equal = |path: &Path| sha256(path).is_ok_and(|found| found == input.sha256);
+            if is_equal(&folder.join(&input.path)) {
+                continue;
+            }
+            let name = Path::new(&input.path).file_name();
+            let mut candidates = found.iter().filter(|path| path.file_name() == name);
+            if let Some(path) = candidates.find(|path| is_equal(path)) {
+                let whole = path.canonicalize().unwrap_or_else(|_| path.clone());
+                input.path = whole.to_string_lossy().into_owned();
+            }
+        }
+        Ok(self)
     }
 
     /// Checks the hashes of all inputs but the experiment file, whose content the record has. `folder` is that of the
@@ -176,7 +211,11 @@ impl RunRecord {
             folder.join("result.json"),
             changed.join("; "),
             "a run is repeated with the files that it was made of, by their SHA-256",
-            "Put the files back as they were, or reconstruct anew with those that are there.",
+            phrase![
+                "Put the files back as they were, name the folder that holds them with ",
+                Parameter::Inputs,
+                ", or reconstruct anew with those that are there."
+            ],
         )
         .with_kind(ErrorKind::Conflict))
     }
@@ -227,6 +266,25 @@ impl RunRecord {
         let inputs = self.inputs.iter().filter(move |input| input.role == role);
         inputs.map(move |input| folder.join(&input.path))
     }
+}
+
+/// Folders within one another in which inputs are looked for; larger takes long in the folder of all of a user's files.
+const MAX_INPUT_DEPTH: usize = 4;
+
+/// The files of `folder` and of the folders within it, to the depth `depth`, sorted.
+fn files_below(folder: &Path, depth: usize) -> std::io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let (path, kind) = entry.and_then(|entry| Ok((entry.path(), entry.file_type()?)))?;
+        if kind.is_dir() && depth > 1 {
+            // What cannot be read holds no inputs.
+            files.extend(files_below(&path, depth - 1).unwrap_or_default());
+        } else if !kind.is_dir() {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
 }
 
 /// Files of a run that the reconstruction itself does not need.

@@ -13,6 +13,7 @@ use crate::solve::solve;
 use crate::task::Task;
 use crate::traces::TraceRequest;
 use rowburst::reconstruct::SelfCalibration;
+use rowburst::solve::StopReason;
 use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Calibration, Experiment, read_metadata};
 use std::ops::Range;
@@ -156,9 +157,20 @@ impl Request {
                 debias,
             } => {
                 let mut completed = solve(*task, process_start, observer)?;
-                let traces = completed.evaluate(traces, debias);
+                let cancel = completed.task.cancel.clone();
+                let stop_reason = completed.reconstruction.stop_reason;
+                let is_stopped = stop_reason == StopReason::Interrupted || cancel.is_cancelled();
+                let traces = if is_stopped {
+                    completed.traces(traces.without_errors(), false)
+                } else {
+                    completed.evaluate(traces, debias)
+                };
                 let _ = observer(Event::Writing);
-                let summary = completed.write(&traces, output)?;
+                let summary = if is_stopped {
+                    completed.write_stopped(&traces, output)?
+                } else {
+                    completed.write_until(&traces, output, &cancel)?
+                };
                 let lines = traces.summary_lines();
                 Ok(Artifacts::new(
                     output,

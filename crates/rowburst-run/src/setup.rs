@@ -5,7 +5,7 @@ use crate::inputs::{
     naming_file, psf_path, read_capture, read_corrections_until, read_psfs, resolve_calibration,
 };
 use crate::options::UserOptions;
-use crate::plausibility::{check_camera, check_frame, check_psfs};
+use crate::plausibility::{check_camera, check_frame};
 use crate::task::Task;
 use rowburst::camera::CameraParams;
 use rowburst::measurement::{Corrections, Measurement, correct};
@@ -111,7 +111,7 @@ impl Setup {
         if let Some(note) = note {
             let _ = observer(Event::Note(&note));
         }
-        check_psfs(&psfs).map_err(|e| e.within(psf_path))?;
+        psfs.check_contrast().map_err(|e| e.within(psf_path))?;
         let mut from_metadata = experiment.from_metadata.clone();
         from_metadata.warnings.extend(warnings);
         Ok(Self {
@@ -142,6 +142,12 @@ impl Setup {
     /// # Errors
     /// Those of [`Self::measurement`] and [`Camera::subset`].
     pub fn task(mut self, frame: &Frame, bins: Option<Range<usize>>) -> Result<Task> {
+        if self.experiment.is_none() {
+            // That of a file has been checked when it was read.
+            self.from_metadata
+                .warnings
+                .extend(check_camera(self.camera.params())?);
+        }
         let checked = check_frame(&frame.capture, &self.camera, &self.psfs);
         let warnings = checked.map_err(|error| self.naming(error, frame))?;
         self.from_metadata.warnings.extend(warnings);

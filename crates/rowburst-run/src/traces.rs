@@ -29,9 +29,20 @@ const DEFAULT_REGION_SIDE: usize = 3;
 pub struct TraceRequest {
     regions: Vec<Region>,
     photodiodes: Vec<(String, Photodiode)>,
+    /// Whether traces are those of the video alone, without standard errors, which take long.
+    skips_errors: bool,
 }
 
 impl TraceRequest {
+    /// The same traces without standard errors and refitted video.
+    #[must_use]
+    pub(crate) fn without_errors(self) -> Self {
+        Self {
+            skips_errors: true,
+            ..self
+        }
+    }
+
     /// Parses the regions and reads the files of the photodiodes. A region is `Y,X` (its middle) or
     /// `Y,X,ROWS,COLUMNS`.
     ///
@@ -46,6 +57,7 @@ impl TraceRequest {
         Ok(Self {
             regions: regions.collect::<Result<_>>()?,
             photodiodes: photodiodes.collect::<Result<_>>()?,
+            skips_errors: false,
         })
     }
 }
@@ -106,6 +118,8 @@ pub struct Traces {
     pub debias_was_wanted: bool,
     /// The number of bins of each trace that the frame does not observe. They have no standard error.
     unobserved_bins: Vec<usize>,
+    /// The values of each trace before the refitted video took the place of the reconstruction; empty without debiasing.
+    before_debias: Vec<Vec<f64>>,
 }
 
 /// The estimate of the standard errors, in `result.json`.
@@ -225,19 +239,24 @@ pub fn find(
         }
     }
     let operator = RollingShutter::new(camera, psfs);
-    let refit = Refit::new(RefitInput {
+    let input = RefitInput {
         operator: &operator,
         measured: measurement.image().data(),
         weights: reconstruction.weights.as_deref(),
         sigma: reconstruction.sigma,
         video,
-    });
-    let missing_because = match (&refit, time.bins()) {
-        (_, 1) => Some("the video has one bin".to_string()),
-        (Err(error), _) => Some(error.to_string()),
-        (Ok(_), _) => None,
     };
-    let refit = refit.ok().filter(|_| missing_because.is_none());
+    let refit = if time.bins() == 1 {
+        Err("the video has one bin".to_string())
+    } else if request.skips_errors {
+        Err("the run was stopped".to_string())
+    } else {
+        Refit::new(input).map_err(|error| error.to_string())
+    };
+    let (refit, missing_because) = match refit {
+        Ok(refit) => (Some(refit), None),
+        Err(reason) => (None, Some(reason)),
+    };
     let mut traces: Vec<Trace> = match &refit {
         Some(refit) => refit.traces(&regions),
         None => {
@@ -264,6 +283,7 @@ pub fn find(
         debiased: refit.as_ref().filter(|_| debias).map(Refit::video),
         debias_was_wanted: debias,
         unobserved_bins,
+        before_debias: Vec::new(),
         standard_errors: StandardErrorNumbers {
             missing_because,
             prior_amplitude: refit.as_ref().map(Refit::amplitude),
@@ -321,6 +341,15 @@ impl Traces {
             ));
         }
         warnings
+    }
+
+    /// Takes the values of the traces from `video`, which has replaced that of the reconstruction.
+    pub(crate) fn replace_values(&mut self, video: &Video) {
+        self.before_debias = self
+            .traces
+            .iter_mut()
+            .map(|trace| std::mem::replace(&mut trace.value, trace.region.mean_of(video)))
+            .collect();
     }
 
     /// The traces for the report.
@@ -414,14 +443,17 @@ impl Traces {
                 columns,
             } = trace.region;
             let place = format!("y{y}_x{x}_{rows}x{columns}");
-            for what in ["value", "debiased", "standard_error"] {
+            let columns = ["value", "debiased", "standard_error", "before_debias"];
+            let count = columns.len() - usize::from(self.before_debias.is_empty());
+            for what in &columns[..count] {
                 heading.push(format!("{place}_{what}"));
             }
         }
         let row = |t: usize| -> Vec<f64> {
             let mut row = vec![(t as f64 + 0.5) * time.bin_duration_us()];
-            for trace in &self.traces {
+            for (i, trace) in self.traces.iter().enumerate() {
                 row.extend([trace.value[t], trace.debiased[t], trace.standard_error[t]]);
+                row.extend(self.before_debias.get(i).map(|before| before[t]));
             }
             row
         };

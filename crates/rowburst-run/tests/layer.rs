@@ -11,7 +11,7 @@ use rowburst_io::{
 use rowburst_run::options::UserOptions;
 use rowburst_run::simulate::{NoiseChoice, Scene, Simulation, simulate};
 use rowburst_run::{
-    Artifacts, Bias, ChunkedTask, ColourTask, Event, Frame, MovieStyle, Output, Request,
+    Artifacts, Bias, ColourTask, Event, Frame, MovieStyle, Observer, Output, Request,
     RequestParams, Setup, Summary, bias_of_array, read_experiment, solve,
 };
 use std::ops::ControlFlow;
@@ -134,20 +134,50 @@ impl Lab {
             });
             ControlFlow::Continue(())
         };
+        let artifacts = self.run_into("result", params, &mut observe)?;
+        events.dedup();
+        Ok((artifacts, events))
+    }
+
+    /// Reads the request and runs it into the folder `name`.
+    fn run_into(&self, name: &str, params: RequestParams, observe: Observer) -> Result<Artifacts> {
         let frame = self.path("frame.npy");
-        let experiment = read_experiment(&self.path("experiment.toml"), &frame, &mut observe)?;
-        let request = Request::read(&experiment, &frame, params, &mut observe)?;
+        let experiment = read_experiment(&self.path("experiment.toml"), &frame, observe)?;
+        let request = Request::read(&experiment, &frame, params, observe)?;
         let output = Output {
-            folder: &self.output("result"),
+            folder: &self.output(name),
             title: "Test",
             reproduce: None,
             movie: MovieStyle::Stamped,
             formats: None,
             record: None,
         };
-        let artifacts = request.run(&output, Instant::now(), &mut observe)?;
-        events.dedup();
-        Ok((artifacts, events))
+        request.run(&output, Instant::now(), observe)
+    }
+
+    /// Runs in chunks of four bins into the folder `name`, and stops before bin `end`; the chunks of which an iteration
+    /// was done.
+    fn run_until(&self, name: &str, end: usize, params: RequestParams) -> Vec<usize> {
+        let mut chunks = Vec::new();
+        let params = RequestParams {
+            bins_per_chunk: Some(4),
+            ..params
+        };
+        let run = self.run_into(name, params, &mut |event| {
+            if let Event::Iteration {
+                chunk: Some(chunk), ..
+            } = event
+            {
+                if chunk.bins.start >= end {
+                    return ControlFlow::Break(StopReason::Interrupted);
+                }
+                chunks.push(chunk.bins.start);
+            }
+            ControlFlow::Continue(())
+        });
+        assert_eq!(run.is_ok(), end >= SIDE);
+        chunks.dedup();
+        chunks
     }
 }
 
@@ -202,6 +232,103 @@ fn chunks_come_in_order() {
     };
     assert_eq!(summary.parts.len(), 2);
     assert_eq!(read_video(&artifacts.video()).unwrap().shape().bins, SIDE);
+}
+
+/// The state of another job is gone before its bins are replaced. Killed in between, neither job resumes with bins of the
+/// other.
+#[test]
+fn a_job_in_chunks_leaves_nothing_that_another_resumes() {
+    let lab = Lab::new(None);
+    let other = || RequestParams {
+        options: UserOptions {
+            noise_sigma: Some(0.02),
+            ..quick().options
+        },
+        bins_per_chunk: Some(4),
+        ..quick()
+    };
+    assert_eq!(lab.run_until("result", 8, quick()), [0, 4]);
+    let state = lab.path("result/parts.json");
+    assert!(state.is_file());
+    let mut is_checked = false;
+    let stopped = lab.run_into("result", other(), &mut |event| {
+        if let Event::Iteration { .. } = event {
+            assert!(!state.exists(), "bins are replaced next");
+            is_checked = true;
+            return ControlFlow::Break(StopReason::Interrupted);
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(is_checked && stopped.is_err());
+    // The first job begins anew.
+    assert_eq!(lab.run_until("result", SIDE, quick()), [0, 4, 8, 12]);
+}
+
+/// Another number of iterations gives another video: it is another job.
+#[test]
+fn a_job_in_chunks_depends_on_all_options() {
+    let lab = Lab::new(None);
+    assert_eq!(lab.run_until("result", 8, quick()), [0, 4]);
+    assert_eq!(lab.run_until("result", 12, quick()), [8]);
+    let shorter = RequestParams {
+        options: UserOptions {
+            max_iterations: Some(5),
+            ..quick().options
+        },
+        ..quick()
+    };
+    assert_eq!(lab.run_until("result", SIDE, shorter), [0, 4, 8, 12]);
+}
+
+/// A process that ends between the last chunk and `result.json`, before and after the video takes its name.
+#[test]
+fn complete_chunks_are_not_computed_again() {
+    let lab = Lab::new(None);
+    lab.run_until("calm", SIDE, quick());
+    let calm = std::fs::read(lab.path("calm/video.npy")).unwrap();
+    for obstacle in ["report.html", "result.json"] {
+        let name = format!("of-{obstacle}");
+        let blocked = lab.path(&name).join(obstacle);
+        let params = || RequestParams {
+            bins_per_chunk: Some(4),
+            ..quick()
+        };
+        // A folder in the way of the file.
+        let run = lab.run_into(&name, params(), &mut |event| {
+            if let Event::Iteration { .. } = event {
+                std::fs::create_dir_all(&blocked).unwrap();
+            }
+            ControlFlow::Continue(())
+        });
+        assert!(run.is_err(), "{obstacle} is a folder");
+        assert_eq!(
+            lab.path(&name).join("video.npy").exists(),
+            obstacle == "result.json"
+        );
+        std::fs::remove_dir(&blocked).unwrap();
+        assert_eq!(
+            lab.run_until(&name, SIDE, quick()),
+            [0usize; 0],
+            "{obstacle}"
+        );
+        assert!(std::fs::read(lab.path(&name).join("video.npy")).unwrap() == calm);
+        assert!(!lab.path(&name).join("parts.json").exists());
+    }
+}
+
+/// Values have no experiment file that has been checked.
+#[test]
+fn values_in_other_units_are_refused() {
+    let lab = Lab::new(None);
+    let mut setup = lab.setup();
+    let params = CameraParams {
+        row_time_us: 1e-5,
+        exposure_us: 1e-5,
+        ..lab.camera.params().clone()
+    };
+    setup.camera = Camera::new(params).unwrap();
+    let error = setup.task(&lab.array(), None).err().expect("seconds");
+    assert!(error.to_string().contains("seconds"), "{error}");
 }
 
 #[test]

@@ -30,6 +30,23 @@ impl Lock {
         Ok(Self { file })
     }
 
+    /// The lock `path`, or `None` where another process has it.
+    ///
+    /// # Errors
+    /// A file that cannot be made.
+    pub fn attempt(path: &Path) -> Result<Option<Self>> {
+        let fault = |e: io::Error| write_error(&e).within(path);
+        let file = open_lock(path).map_err(fault)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Self { file: Some(file) })),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) if has_no_locks(&error) => {
+                Ok(Some(Self { file: None }))
+            }
+            Err(TryLockError::Error(error)) => Err(fault(error)),
+        }
+    }
+
     /// Whether it keeps others out.
     pub fn is_real(&self) -> bool {
         self.file.is_some()
@@ -180,7 +197,9 @@ mod tests {
         assert!(lock.is_real());
         let other = open_lock(&path).unwrap();
         assert!(other.try_lock().is_err());
+        assert!(Lock::attempt(&path).unwrap().is_none());
         drop(lock);
+        assert!(Lock::attempt(&path).unwrap().is_some());
         assert!(other.try_lock().is_ok());
     }
 }

@@ -403,3 +403,23 @@ fn the_certificate_is_a_bound() {
     assert!(short.certificate.excess() > long.certificate.excess());
     assert!(long.certificate.excess() <= 1e-3 && long.stop_reason == StopReason::Converged);
 }
+
+/// A PSF that shows no place is an error, where it was a panic or an infinite penalty.
+#[test]
+fn a_flat_psf_is_an_error() {
+    let case = Case::new(Shutter::DualInsideOut, 10.0, None);
+    let flat = Psf::new(Image::from_fn(41, 41, |_, _| 1.0)).unwrap();
+    let measurement = Measurement::new(case.frame.clone()).unwrap();
+    for prior in [None, Some(Prior::STANDARD)] {
+        for tau in [Tau::Auto, Tau::Given(1e-3)] {
+            let options = Options {
+                prior,
+                tau,
+                ..Options::default()
+            };
+            let error = rowburst::reconstruct(&measurement, &case.camera, &flat, &options);
+            let message = error.unwrap_err().to_string();
+            assert!(message.contains("it is flat"), "{message}");
+        }
+    }
+}

@@ -48,7 +48,7 @@ impl Stack {
         }
         for pair in frames.windows(2) {
             let (name, image) = &pair[1];
-            if *image == pair[0].1 && image.min() < image.max() {
+            if *image == pair[0].1 && !is_clipped(image) {
                 return Err(Error::input(
                     Subject::item(parameter, name),
                     format!("the same frame as {}", pair[0].0),
@@ -101,6 +101,13 @@ impl Stack {
         self.images()
             .all(|image| image.data().iter().all(|v| v.fract() == 0.0))
     }
+}
+
+/// Whether most pixels are at one end of the counts of the frame, where they show no noise. Later checks say so.
+fn is_clipped(image: &Image) -> bool {
+    let (low, high) = (image.min(), image.max());
+    let count = |end: f32| image.data().iter().filter(|v| **v == end).count();
+    2 * count(low).max(count(high)) > image.data().len()
 }
 
 fn size(image: &Image) -> (usize, usize) {

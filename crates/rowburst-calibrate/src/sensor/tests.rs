@@ -361,6 +361,9 @@ fn bad_stacks_are_refused() {
     says(calibrate(&darks, &sensor.darks(4)), "exceeds the noise");
     let full = changed(&flats, &|_, p| *p = 4095.0);
     says(calibrate(&darks, &full), "saturated");
+    // A dead pixel does not make them copies of one frame.
+    let with_dead = changed(&flats, &|i, p| *p = if i == 7 { 0.0 } else { 4095.0 });
+    says(calibrate(&darks, &with_dead), "saturated");
     // Each flat brighter than the one before.
     let ramp = changed(&flats, &|i, p| *p *= 1.0 + i as f32);
     says(calibrate(&darks, &ramp), "two flats of equal light");

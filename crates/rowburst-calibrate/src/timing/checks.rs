@@ -18,22 +18,107 @@ pub(super) fn unseen(explained: f64, frequency_hz: f64, rows: usize) -> Error {
     ).with_kind(ErrorKind::NoSignal)
 }
 
+/// Refuses a light of too few periods in the readout. So few cannot be counted either, so the advice does not depend on
+/// `periods`.
 pub(super) fn check_periods(periods: f64, frequency_hz: f64) -> Result<()> {
     if periods >= MIN_PERIODS {
         return Ok(());
     }
     Err(Error::input(
         Parameter::Frames,
-        format!("{periods:.2} periods of the light in the readout of a frame"),
+        format!("fewer than {MIN_PERIODS} periods of the light in the readout of a frame"),
+        PERIODS_RULE,
         format!(
-            "at least {MIN_PERIODS} are needed to separate the modulation from the profile of the lamp"
-        ),
-        format!(
-            "Blink at {} Hz or more; about {} Hz gives 20 periods.",
-            rounded(1.1 * MIN_PERIODS / periods * frequency_hz),
-            rounded(20.0 / periods * frequency_hz)
+            "Blink faster, at {} Hz for example. An experiment file with the row time tells which frequency is right.",
+            rounded(10.0 * frequency_hz)
         ),
     ).with_kind(ErrorKind::NoSignal))
+}
+
+/// Why a readout needs several periods.
+const PERIODS_RULE: &str =
+    "at least 3 are needed to separate the modulation from the profile of the lamp";
+
+/// Refuses a light of which the readout holds too few periods at the row time that is expected. A readout has as many
+/// instants as rows, or half of them where the shutter reads two at once.
+pub(super) fn check_expected_periods(
+    expected_us: f64,
+    frequency_hz: f64,
+    rows: usize,
+) -> Result<()> {
+    let instants = [rows.div_ceil(2) as f64, rows as f64];
+    let periods = instants.map(|n| n * expected_us * 1e-6 * frequency_hz);
+    if EXPECTED_TOLERANCE * periods[1] >= MIN_PERIODS {
+        return Ok(());
+    }
+    let least = 1.1 * MIN_PERIODS / (instants[0] * expected_us * 1e-6);
+    let most = MAX_CYCLES_PER_ROW / (expected_us * 1e-6);
+    let good = (20.0 / MIN_PERIODS * least).min(most).max(least);
+    let kilohertz = if 1e3 * periods[1] >= MIN_PERIODS && frequency_hz * 1e3 <= most {
+        format!("Is the frequency {frequency_hz} kHz? Else blink")
+    } else {
+        "Blink".into()
+    };
+    Err(Error::input(
+        Subject::setting(Parameter::FrequencyHz, frequency_hz),
+        format!(
+            "{:.2} to {:.2} periods of the light in a readout of {rows} rows at the row time of {expected_us} µs that is expected",
+            periods[0], periods[1]
+        ),
+        PERIODS_RULE,
+        format!(
+            "{kilohertz} at {} Hz or more; about {} Hz is best.",
+            rounded(least),
+            rounded(good)
+        ),
+    ).with_kind(ErrorKind::NoSignal))
+}
+
+/// Factor by which an expected row time may be too small.
+const EXPECTED_TOLERANCE: f64 = 1.3;
+/// Cycles of the light per row time up to which its stripes are safely seen; larger aliases.
+const MAX_CYCLES_PER_ROW: f64 = 0.25;
+/// Relative distance from a multiple of the expected row time within which it is that multiple.
+const MULTIPLE_TOLERANCE: f64 = 0.1;
+/// Readout in milliseconds from which the unit of the frequency is asked for: slower than cameras read a frame.
+const LONG_READOUT_MS: f64 = 100.0;
+
+/// Refuses a row time that is half or twice the expected one, or ten times off: the light has another frequency than it
+/// is said to have.
+pub(super) fn check_expected(row_time_us: f64, frequency_hz: f64, expected: f64) -> Result<()> {
+    let ratio = row_time_us / expected;
+    let is_times = |factor: f64| (ratio / factor - 1.0).abs() < MULTIPLE_TOLERANCE;
+    let question = if is_times(2.0) {
+        format!(
+            "Does the light blink at {} Hz, twice in each period of its current?",
+            2.0 * frequency_hz
+        )
+    } else if is_times(0.5) {
+        format!(
+            "Does the light blink at {} Hz, once in two periods?",
+            0.5 * frequency_hz
+        )
+    } else if (0.1..10.0).contains(&ratio) {
+        return Ok(());
+    } else {
+        "Is the frequency in hertz?".into()
+    };
+    Err(Error::input(
+        Subject::setting(Parameter::FrequencyHz, frequency_hz),
+        format!("a row time of {row_time_us:.4} µs, {ratio:.3} times the {expected} µs that are expected"),
+        "the row time that is expected is within 30 % of the true one",
+        format!("{question} If the expected row time is wrong, correct it in the experiment file."),
+    )
+    .with_kind(ErrorKind::Conflict))
+}
+
+/// Asks for the unit of the frequency where the readout is slower than that of any camera.
+pub(super) fn readout_warning(readout_ms: f64, frequency_hz: f64) -> Option<String> {
+    (readout_ms > LONG_READOUT_MS).then(|| {
+        format!(
+            "a readout of {readout_ms:.0} ms is longer than cameras take: is the light of {frequency_hz} Hz, or of {frequency_hz} kHz?"
+        )
+    })
 }
 
 pub(super) fn check_alias(

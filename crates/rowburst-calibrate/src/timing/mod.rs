@@ -22,7 +22,10 @@ mod waveform;
 
 pub use waveform::{Extension, Waveform};
 
-use checks::{check_agreement, check_alias, check_periods, expected_warning, unseen};
+use checks::{
+    check_agreement, check_alias, check_expected, check_expected_periods, check_periods,
+    expected_warning, readout_warning, unseen,
+};
 use matched::MatchedFit;
 use orders::{advice, candidate, consistent_shutters};
 use periodic::PeriodicFit;
@@ -300,6 +303,7 @@ fn calibrate_periodic(
     let rows = frames[0].len();
     if let Some(expected) = params.expected_row_time_us {
         check_alias(frequency_hz * expected * 1e-6, frequency_hz, Some(expected))?;
+        check_expected_periods(expected, frequency_hz, rows)?;
     }
     let orders = instants(rows);
     let order_fits = OrderFits::new(frames, &orders);
@@ -320,7 +324,12 @@ fn calibrate_periodic(
     let (error, variance_inflation) = fit.error();
     let candidates = periodic_candidates(&order_fits.fits, fit, period_us, variance_inflation);
     let row_time_us = fit.cycles_per_row * period_us;
+    if let Some(expected) = params.expected_row_time_us {
+        check_expected(row_time_us, frequency_hz, expected)?;
+    }
+    let readout_ms = count_of(&orders[best]) as f64 * row_time_us * 1e-3;
     let mut warnings = expected_warning(row_time_us, params);
+    warnings.extend(readout_warning(readout_ms, frequency_hz));
     let (exposure, exposure_basis) =
         square_exposure(frames, &orders[best], fit, duty, &mut warnings);
     let (low, high) = fit.extremes(0);
@@ -332,7 +341,7 @@ fn calibrate_periodic(
         row_time_us_error: error * period_us,
         exposure_us: exposure.map(|(e, error)| (e * period_us, error * period_us)),
         exposure_basis,
-        readout_ms: count_of(&orders[best]) as f64 * row_time_us * 1e-3,
+        readout_ms,
         periods: Some(periods),
         phases: (0..frames.len()).map(|f| fit.phase(f)).collect(),
         modulation_depth: depth(low, high),

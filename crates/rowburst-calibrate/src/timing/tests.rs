@@ -352,3 +352,87 @@ fn saturation_is_told_and_takes_the_exposure_away() {
     assert_eq!(timing.exposure_us, None);
     assert!((timing.row_time_us / 9.6 - 1.0).abs() < 2e-3);
 }
+
+/// A frame of `rows` rows, of a dual shutter of 9.6 µs, under a square wave of `hertz`.
+fn dual_frame(rows: usize, hertz: f64) -> Image {
+    let light = move |t: f64| {
+        let is_on = (t * hertz * 1e-6 + 0.2).rem_euclid(1.0) < 0.5;
+        if is_on { 1.0 } else { 0.05 }
+    };
+    noisy(
+        &frame(rows, &Shutter::DualInsideOut, 9.6, 9.6, light),
+        256.0,
+        1,
+    )
+}
+
+fn judged(image: &Image, frequency_hz: f64, expected_row_time_us: Option<f64>) -> Result<Timing> {
+    let lamp = Lamp::Periodic {
+        frequency_hz,
+        duty: None,
+    };
+    let params = TimingParams {
+        expected_row_time_us,
+        ..TimingParams::default()
+    };
+    calibrate(std::slice::from_ref(image), &lamp, &params)
+}
+
+/// 108 rows in pairs are read in half a period of 1000 Hz, which the expected row time tells. The frequency that the error
+/// recommends works.
+#[test]
+fn a_light_that_is_too_slow_is_judged_by_the_expected_row_time() {
+    let image = dual_frame(108, 1000.0);
+    let message = judged(&image, 1000.0, Some(9.6)).unwrap_err().to_string();
+    assert!(message.contains("0.52 to 1.04 periods"), "{message}");
+    let numbers = message.split("Blink at ").nth(1).unwrap();
+    let least: f64 = numbers.split(" Hz").next().unwrap().parse().unwrap();
+    let best: f64 = numbers
+        .split("about ")
+        .nth(1)
+        .and_then(|text| text.split(" Hz").next())
+        .unwrap()
+        .parse()
+        .unwrap();
+    for hertz in [least, best] {
+        let timing = judged(&dual_frame(108, hertz), hertz, Some(9.6)).unwrap();
+        assert!(
+            (timing.row_time_us - 9.6).abs() < 0.2,
+            "{}",
+            timing.row_time_us
+        );
+    }
+    // Without an expected row time so few periods cannot be counted, and the error does not.
+    let message = judged(&image, 1000.0, None).unwrap_err().to_string();
+    assert!(message.contains("fewer than 3 periods"), "{message}");
+    assert!(!message.contains("1.95"), "{message}");
+}
+
+#[test]
+fn a_frequency_in_another_unit_is_asked_for() {
+    let image = dual_frame(108, 10_000.0);
+    let message = judged(&image, 10.0, Some(9.6)).unwrap_err().to_string();
+    assert!(message.contains("Is the frequency 10 kHz?"), "{message}");
+    let timing = judged(&image, 10.0, None).unwrap();
+    let warnings = timing.warnings.join("; ");
+    assert!(warnings.contains("of 10 Hz, or of 10 kHz?"), "{warnings}");
+    assert!(
+        judged(&image, 10_000.0, None)
+            .unwrap()
+            .warnings
+            .iter()
+            .all(|w| !w.contains("kHz"))
+    );
+}
+
+#[test]
+fn half_and_double_the_expected_row_time_are_refused() {
+    let image = dual_frame(216, 10_000.0);
+    for (typed, hertz) in [(5_000.0, "10000 Hz"), (20_000.0, "10000 Hz")] {
+        let message = judged(&image, typed, Some(9.6)).unwrap_err().to_string();
+        assert!(
+            message.contains(&format!("Does the light blink at {hertz}")),
+            "{message}"
+        );
+    }
+}

@@ -6,6 +6,7 @@ mod guides;
 
 pub use folder::{CaptureFiles, SimulationNames, SimulationRequest, photodiode_file};
 
+use crate::plausibility::check_camera;
 use rowburst::error::Place;
 use rowburst::linop::LinearOperator;
 use rowburst::noise::{Noise, SimulatedFrame};
@@ -105,9 +106,11 @@ pub struct SimulatedCapture {
 /// Simulates a capture.
 ///
 /// # Errors
-/// An unknown scene, a field too small for the scene, or a background or noise out of range.
+/// A camera of other units, a flat PSF, an unknown scene, a field too small for the scene, or a background or noise out of range.
 pub fn simulate(simulation: &Simulation) -> Result<SimulatedCapture> {
     let camera = simulation.camera;
+    check_camera(camera.params())?;
+    simulation.psfs.check_contrast()?;
     check_noise(simulation.noise, camera)?;
     let RenderedScene {
         video: scene,

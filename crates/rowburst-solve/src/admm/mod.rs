@@ -118,6 +118,8 @@ impl AdmmParams {
 pub struct Progress<'a> {
     /// Purpose of a preliminary run, such as the prior that it tries; empty for the final run.
     pub label: &'a str,
+    /// Runs that follow this one, such as further trials and the final run, as far as that is known.
+    pub runs_left: usize,
     /// Iterations done.
     pub iteration: usize,
     /// Most iterations.
@@ -266,6 +268,7 @@ impl Admm {
     fn progress<'a>(&'a self, until: usize, change: f64, data: &dyn DataTerm) -> Progress<'a> {
         Progress {
             label: "",
+            runs_left: 0,
             iteration: self.iterations(),
             max_iterations: self.max_iterations.max(until),
             video: &self.variables.z,

@@ -46,8 +46,8 @@ impl Chunked {
     /// [`Prior::SEPARABLE`].
     ///
     /// # Errors
-    /// A prior that couples bins, exposures longer than a row time, a video of one bin, or a noise level
-    /// that only held-out pixels could determine.
+    /// A prior that couples bins, exposures longer than a row time, a video of one bin, a flat PSF
+    /// ([`PatchSet::check_contrast`]), or a noise level that only held-out pixels could determine.
     pub fn new(
         camera: Camera,
         psfs: PatchSet,
@@ -71,6 +71,7 @@ impl Chunked {
                 ],
             ).with_kind(ErrorKind::Unsupported));
         }
+        psfs.check_contrast()?;
         let bands = Bands::new(&measurement, psfs.central());
         let (sigma, sigma_source) = noise_of(&measurement, &bands, &options);
         if sigma_source == SigmaSource::HeldOut && !matches!(options.tau, super::Tau::Given(_)) {

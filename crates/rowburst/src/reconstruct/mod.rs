@@ -16,6 +16,7 @@ mod held_out;
 mod held_out_check;
 mod model;
 mod model_check;
+mod orientation;
 mod prior;
 mod self_calibration;
 mod sequence;
@@ -37,6 +38,7 @@ pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use frame_data::FrameData;
+use orientation::Orientation;
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
@@ -147,11 +149,17 @@ pub struct Problem {
     effective_sigma: f64,
     /// Whether the support of the check of the model exceeds a third of the voxels.
     is_dense: bool,
+    /// Whether the first check of the model predicts nothing of the frame.
+    predicts_nothing: bool,
+    /// How the frame was turned, where it is predicted if it is turned back.
+    orientation: Option<Orientation>,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
     tau_factor: f64,
     camera: Camera,
     bands: Bands,
+    /// The result of the last check on held-out pixels, for a run that is stopped before it has a better one.
+    last_check: Option<Box<RunResult>>,
 }
 
 /// A reconstructed video, with the quantities that judge it.
@@ -237,7 +245,8 @@ impl Problem {
     /// Sets up the reconstruction of one of several frames that share `model`.
     ///
     /// # Errors
-    /// A frame of another size than the camera's, a `τ` or `σ` that is not finite and above zero, a prior with a term over
+    /// A frame of another size than the camera's, a flat PSF ([`PatchSet::check_contrast`]), a `τ` or `σ` that is not finite
+    /// and above zero, a prior with a term over
     /// time for a video of one bin ([`Prior::check_bins`]), or [`Model::cancel`].
     pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
@@ -251,6 +260,7 @@ impl Problem {
             )
             .with_kind(ErrorKind::Shape));
         }
+        psf.check_contrast()?;
         let tau = match options.tau {
             Tau::Given(tau) => Some(tau),
             Tau::Auto | Tau::HeldOut => None,
@@ -304,9 +314,12 @@ impl Problem {
             sigma,
             effective_sigma: sigma,
             is_dense: false,
+            predicts_nothing: false,
+            orientation: None,
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
+            last_check: None,
         })
     }
 
@@ -349,14 +362,8 @@ impl Problem {
             residual_history.push(progress.residual_rms);
             observer(progress)
         });
-        let iterations = match &found {
-            Ok(found) => found.solution.iterations,
-            Err(partial) => partial.solution.iterations,
-        };
-        if iterations == 0 {
-            self.data.cancel().check()?;
-        }
         let found = found.unwrap_or_else(|partial| {
+            let partial = self.better_partial(partial);
             // It may be of a search with another prior than that of the data.
             let background = partial.prior.background();
             if background != self.data.background() {
@@ -364,7 +371,25 @@ impl Problem {
             }
             *partial
         });
+        if found.solution.iterations == 0 {
+            self.data.cancel().check()?;
+        }
         self.build_reconstruction(found, &residual_history)
+    }
+
+    /// The better one of a run that was stopped and the last check on held-out pixels: a later search may just have begun,
+    /// or look at the frame through a loose fit.
+    fn better_partial(&mut self, partial: Box<RunResult>) -> Box<RunResult> {
+        let stop_reason = partial.solution.stop_reason;
+        match self.last_check.take() {
+            Some(mut check)
+                if partial.solution.iterations == 0 || check.misfit() < partial.misfit() =>
+            {
+                check.solution.stop_reason = stop_reason;
+                check
+            }
+            _ => partial,
+        }
     }
 
     /// Adds residual, background and fit statistics to the result of a run.
@@ -426,6 +451,7 @@ impl Problem {
             sigma: self.sigma,
             effective_sigma: self.effective_sigma,
             excluded_fraction: ones(&excluded),
+            orientation: self.orientation,
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.options.tau, Tau::Given(_)),
             stop_reason: solution.stop_reason,
@@ -544,17 +570,37 @@ impl Problem {
         &mut self,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<RunResult, Box<RunResult>> {
-        self.resolve_tau_rule(observer)?;
         let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
-        self.check_model(default_prior, observer)?;
+        let trials = match self.options.prior {
+            Some(_) => 0,
+            None => CANDIDATES.len(),
+        };
+        let mut before_trials = |progress: &Progress| {
+            let label = match progress.label {
+                "" => "checking the model",
+                label => label,
+            };
+            observer(&Progress {
+                label,
+                runs_left: trials + 1,
+                ..*progress
+            })
+        };
+        self.resolve_tau_rule(&mut before_trials)?;
+        self.check_model(default_prior, &mut before_trials)?;
         let rule = self.tau_rule();
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
+            // With a wrong model all priors are as good.
+            None if self.predicts_nothing => (None, None),
             None => match self.compare_priors(rule, observer)? {
                 Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),
             },
         };
+        if best_trial.is_some() {
+            self.last_check = None;
+        }
         let (prior, tau_factor) = choice
             .as_ref()
             .map_or((default_prior, self.tau_factor), |c| {
@@ -601,20 +647,23 @@ impl Problem {
         Ok(self.better_result(result, choice, best_trial))
     }
 
-    /// `result` with the choice that led to it. A run that was stopped early may fit worse than the trial of its prior;
-    /// then the trial counts.
+    /// `result` with the choice that led to it. A run that was stopped early may fit worse than the trial of its prior, or
+    /// than the check; then these count.
     fn better_result(
-        &self,
+        &mut self,
         result: RunResult,
         choice: Option<Choice>,
         best_trial: Option<BestTrial>,
     ) -> RunResult {
         let stop_reason = result.solution.stop_reason;
-        if let (StopReason::Interrupted | StopReason::TimeBudget, Some(best_trial)) =
-            (stop_reason, best_trial)
-            && best_trial.misfit() < rowburst_core::vecmath::norm(&result.solution.residual)
-        {
-            let found = best_trial.stopped(stop_reason);
+        if let StopReason::Interrupted | StopReason::TimeBudget = stop_reason {
+            let found = match best_trial {
+                Some(best_trial) if best_trial.misfit() < result.misfit() => {
+                    best_trial.stopped(stop_reason)
+                }
+                Some(_) => Box::new(result),
+                None => self.better_partial(Box::new(result)),
+            };
             return RunResult { choice, ..*found };
         }
         RunResult { choice, ..result }
@@ -657,6 +706,11 @@ impl RunResult {
             choice: None,
             solution,
         }
+    }
+
+    /// Norm of `W(b − A v)`, 0 at held-out pixels.
+    fn misfit(&self) -> f64 {
+        rowburst_core::vecmath::norm(&self.solution.residual)
     }
 }
 

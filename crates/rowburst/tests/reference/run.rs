@@ -93,6 +93,7 @@ impl<'a, 'o> Watch<'a, 'o> {
         }
         (self.observer)(&Progress {
             label: "",
+            runs_left: 0,
             iteration: k,
             max_iterations: self.limits.max_iterations,
             video: iterate.video,

@@ -225,10 +225,17 @@ pub(super) fn choose_prior(
     let mut best_errors: Vec<f64> = Vec::new();
     let mut best_residuals: Option<Vec<f64>> = None;
     let mut best_trial: Option<BestTrial> = None;
+    let candidates: &[&str] = if is_dense {
+        &OPEN_CANDIDATES
+    } else {
+        &CANDIDATES
+    };
     let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
         let prior: Prior = name.parse().expect("a candidate is a prior");
         data.reset(prior.background(), Some(held_out.clone()));
-        let trial = Trial::new(data, prior, rule, sigma, settings);
+        let number = choice.candidates.len() + 1;
+        let trial = Trial::new(data, prior, rule, sigma, settings)
+            .numbered(number, candidates.len().max(number));
         let max_error = choice
             .candidates
             .iter()
@@ -270,11 +277,6 @@ pub(super) fn choose_prior(
             });
         }
         Ok(())
-    };
-    let candidates: &[&str] = if is_dense {
-        &OPEN_CANDIDATES
-    } else {
-        &CANDIDATES
     };
     for name in candidates {
         run(&mut choice, name)?;

@@ -58,6 +58,9 @@ pub(super) struct Trial {
     run: Admm,
     params: AdmmParams,
     sigma: f64,
+    label: String,
+    /// See [`Progress::runs_left`].
+    runs_left: usize,
 }
 
 /// Whether the held-out error no longer falls.
@@ -87,6 +90,17 @@ impl Trial {
             run: Admm::new(data, data.shape(), params),
             params,
             sigma,
+            label: format!("testing prior {prior}"),
+            runs_left: 0,
+        }
+    }
+
+    /// The same, shown as trial `number` of `count` before the final run.
+    pub fn numbered(self, number: usize, count: usize) -> Self {
+        Self {
+            label: format!("testing prior {number} of {count}, {}", self.prior),
+            runs_left: count - number + 1,
+            ..self
         }
     }
 
@@ -198,10 +212,11 @@ impl Trial {
     ) -> Result<(Vec<f64>, bool), StopReason> {
         let until = until.min(self.params.max_iterations);
         let (background, shape) = (self.prior.background(), data.shape());
-        let label = format!("testing prior {}", self.prior);
+        let (label, runs_left) = (&*self.label, self.runs_left);
         let reason = self.run.run(data, &mut *self.prox, until, &mut |progress| {
             let progress = Progress {
-                label: &label,
+                label,
+                runs_left,
                 ..*progress
             };
             observe_sum(background, shape, &progress, observer)
