@@ -387,7 +387,7 @@ pub struct RerunArgs {
     #[arg(short, long)]
     pub output: Option<PathBuf>,
     /// Folder with the inputs, where they are no longer at their places: they are found by name and SHA-256
-    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    #[arg(long, value_name = "DIR")]
     pub inputs: Option<PathBuf>,
     #[command(flatten)]
     pub force: ForceArgs,
