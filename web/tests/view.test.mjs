@@ -514,3 +514,25 @@ test("report.html is the same page, from a file and without a network", async ()
   assert.deepEqual(faults, []);
   await page.close();
 });
+
+test("on a phone the figures of report.html fit the screen, and on a desk their words are read", async () => {
+  const page = await browser.newPage();
+  await page.goto(`file://${join(results, "leds", "report.html")}`);
+  const figures = () =>
+    page.$$eval("main figure svg", (all) => all.map((e) => ({ width: e.clientWidth, text: (12 * e.clientWidth) / e.viewBox.baseVal.width })));
+  await page.setViewport({ width: 390, height: 844 });
+  for (const { width } of await figures()) assert.ok(width <= 390, `${width} px`);
+  await page.setViewport({ width: 1280, height: 900 });
+  for (const { text } of await figures()) assert.ok(text >= 10, `words of ${text} px`);
+  // No word of the headline is broken.
+  const broken = await page.$$eval(".headline dd", (all) =>
+    all.filter((e) => {
+      const range = document.createRange();
+      range.selectNodeContents(e);
+      const lines = new Set([...range.getClientRects()].map((r) => Math.round(r.top))).size;
+      return lines > e.textContent.trim().split(/\s+/).length;
+    }).length,
+  );
+  assert.equal(broken, 0);
+  await page.close();
+});

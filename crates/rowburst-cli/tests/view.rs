@@ -52,7 +52,7 @@ fn figures_are_svg_with_text_or_png() {
         &svg[..200]
     );
     lab.done("figure out --layout fig3 -o three.png");
-    lab.done("figure out --width-mm 86 --panels frames,traces --bins 3,9 -o column.svg");
+    lab.done("figure out --width-mm 86 --panels frame,frames --bins 1,4 -o column.svg");
     let column = std::fs::read_to_string(lab.path("column.svg")).unwrap();
     assert!(column.contains("width=\"86mm\"") && column.contains(">b</text>"));
     assert!(lab.read("three.png").starts_with(b"\x89PNG"));

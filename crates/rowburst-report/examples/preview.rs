@@ -107,7 +107,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             pair("SSIM", "0.992"),
             pair("residual/σ", "0.98"),
             pair("reconstruction", "1.9 s"),
-            pair("frame rate", "104 167 Hz"),
+            pair("frame rate", "104,167 Hz"),
         ],
         fit: Some(rowburst_report::FitVerdict {
             verdict: "good",

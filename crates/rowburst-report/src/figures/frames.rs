@@ -142,7 +142,7 @@ fn compared(
             "{} of {} frames: truth, reconstruction and their difference (reconstruction − truth, \
              on a quarter of the scale). Above each, the time at which its bin begins and the \
              rows that see it. Brightness in the units of the frame per unit of PSF sum. In a good \
-             result the two upper rows look the same and the third is blank.{}",
+             result the two upper rows look the same and the third is dark.{}",
             bins.len(),
             shape.bins,
             unobserved_text(input, " (slate in the reconstruction)")

@@ -176,14 +176,14 @@ fn picture(
     let values = without(image.data(), excluded);
     let high = display_high(&values);
     let low = display_low(&values, high);
-    let mut figure = Figure::new(340.0, 0.0);
+    let mut figure = Figure::new(250.0 + BAR_ROOM, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
     let mut pixels = plane.coloured(map, low, high);
     if let Some(mask) = excluded {
         let size = (image.rows(), image.columns());
         pixels = pixels.marked(mask, size, LONGEST_SIDE, LEFT_OUT);
     }
-    let available = Rect::new(0.0, 2.0, 340.0 - BAR_ROOM, 320.0);
+    let available = Rect::new(0.0, 2.0, 250.0, 320.0);
     let place = put(&mut figure, available, pixels);
     colour_bar(&mut figure, place, map, (low, high), unit);
     scale_bar(&mut figure, place, image.columns(), pitch_um);
