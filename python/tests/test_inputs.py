@@ -305,3 +305,18 @@ def test_a_video_beyond_the_memory_is_refused_at_once():
     for call in (lambda: rb.reconstruct(frame, vast, psf), lambda: rb.LiveView(vast, psf), lambda: rb.simulate(vast, "digits", psf)):
         with pytest.raises(rb.WorkError, match="no memory for a video of .* needed.*Make field smaller"):
             call()
+
+
+def test_arrays_that_are_not_aligned_are_read(capture, camera, psf):
+    """Dask's workers unpack arrays at any byte."""
+    def misaligned(array):
+        raw = np.empty(array.nbytes + 1, np.uint8)
+        view = raw[1:].view(array.dtype).reshape(array.shape)
+        view[...] = array
+        assert not view.flags.aligned
+        return view
+
+    options = dict(prior="tv", max_iterations=3)
+    found = rb.reconstruct(misaligned(capture.frame), camera, misaligned(psf.array), truth=misaligned(capture.truth), **options)
+    expected = rb.reconstruct(capture.frame, camera, psf.array, truth=capture.truth, **options)
+    np.testing.assert_array_equal(found.video, expected.video)

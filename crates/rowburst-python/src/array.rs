@@ -72,13 +72,14 @@ fn floats<'py, T: Element>(
     }
     let options = PyDict::new(py);
     options.set_item("dtype", T::get_dtype(py))?;
-    options.set_item("order", "C")?;
+    // Dask gives arrays that are not aligned.
+    options.set_item("requirements", ("C", "A"))?;
     let errors = PyDict::new(py);
     // What `T` cannot hold becomes infinite, which is refused with its place.
     errors.set_item("over", "ignore")?;
     let state = numpy.call_method("errstate", (), Some(&errors))?;
     state.call_method0("__enter__")?;
-    let converted = numpy.call_method("asarray", (&array,), Some(&options));
+    let converted = numpy.call_method("require", (&array,), Some(&options));
     state.call_method1("__exit__", (py.None(), py.None(), py.None()))?;
     Ok((converted?, format))
 }

@@ -457,7 +457,9 @@ fn to_statistics(state: &Bound<'_, PyDict>) -> PyResult<FitStatistics> {
 fn to_weights(state: &Bound<'_, PyDict>, name: &str) -> PyResult<Option<Vec<f32>>> {
     let weights = optional_entry(state, name)?;
     let values = |value: Bound<'_, PyAny>| -> PyResult<Vec<f32>> {
-        Ok(value
+        // What Dask has unpacked is not aligned; a copy is.
+        let aligned = value.call_method0("copy")?;
+        Ok(aligned
             .cast::<PyArray1<f32>>()?
             .readonly()
             .as_slice()?

@@ -160,8 +160,8 @@ class SavedResult(VideoResult):
 
         Examples
         --------
-        >>> saved.figure(layout="fig3").svg[:4]
-        '<svg'
+        >>> saved.figure(layout="fig3").svg[:5]
+        '<?xml'
         """
         if "parts" in self._numbers:
             rule = "a figure is drawn from a result in one piece"
