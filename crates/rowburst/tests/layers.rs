@@ -77,6 +77,7 @@ const MODULES: [Module; 27] = [
             "solve",
             "patches",
             "support",
+            "guide",
         ],
     ),
     // What a frame says of the changes of a picture by a second camera.
@@ -90,6 +91,9 @@ const MODULES: [Module; 27] = [
             "linop",
             "measurement",
             "forward",
+            "metrics",
+            "patches",
+            "shutter",
         ],
     ),
     // What a finished video says of a place, with errors.

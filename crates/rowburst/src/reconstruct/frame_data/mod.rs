@@ -96,6 +96,11 @@ impl FrameData {
         self.system.model().cancel()
     }
 
+    /// Camera, PSF and operator.
+    pub fn model(&self) -> &Model {
+        self.system.model()
+    }
+
     pub fn psfs(&self) -> &crate::PatchSet {
         self.system.model().psfs()
     }
