@@ -56,8 +56,8 @@ pub use file_log::sha256;
 pub use folder::{ForeignFiles, OutputFolder};
 pub use metadata::{
     CAPTURE_KIND, CameraReading, Finding, Metadata, Origin, Provenance, capture_record_path,
-    micro_manager_metadata, origin_of_property, read_capture_record, read_metadata, read_properties,
-    reading_of_record,
+    micro_manager_metadata, origin_of_property, read_capture_record, read_metadata,
+    read_properties, reading_of_record,
 };
 #[cfg(feature = "mp4")]
 pub use mp4::{StampRenderer, write_mp4};

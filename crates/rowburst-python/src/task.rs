@@ -8,7 +8,8 @@ use crate::frame::{corrections_of, frame_of};
 use crate::interrupt::{Answer, OnProgress, PyCancel, Reporter, interruptibly_with};
 use crate::operator::{Gram, model_of};
 use crate::options::{
-    Constants, iterations_from, options_from, prior_from, self_calibration_from, tau_from, tuning_from,
+    Constants, iterations_from, options_from, prior_from, self_calibration_from, tau_from,
+    tuning_from,
 };
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};

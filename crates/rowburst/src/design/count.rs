@@ -1,7 +1,7 @@
 //! How many numbers of an instant speak about the change of a known scene; see [`count_change`] for the formula.
 
-pub use rowburst_optics::forward::count::{ChangeCount, MIN_INFORMATIVE, count_change};
 use rowburst_optics::Video;
+pub use rowburst_optics::forward::count::{ChangeCount, MIN_INFORMATIVE, count_change};
 
 /// Root mean square of what a video has beside its mean over time.
 pub fn change_rms(video: &Video) -> f64 {

@@ -8,14 +8,14 @@
 
 use super::frame_fit::FrameFit;
 use super::without_guide::WithoutGuide;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use rowburst_core::Cancel;
 use rowburst_core::linop::LinearOperator;
 use rowburst_core::vecmath::norm_squared;
-use rowburst_core::Cancel;
 use rowburst_optics::camera::CameraParams;
 use rowburst_optics::forward::count::{ChangeCount, count_change};
 use rowburst_optics::{Camera, Measurement, PatchSet, RollingShutter, Shutter};
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
 
 /// Fits of a scene at rest; more change the noise that they assume by little.
 const FITS: usize = 3;
