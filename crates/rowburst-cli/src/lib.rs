@@ -83,12 +83,7 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
         #[cfg(feature = "batch")]
         Verb::Batch(args) => batch::run(&args, cli.threads),
         #[cfg(not(feature = "batch"))]
-        Verb::Batch(_) => Err(rowburst::Error::input(
-            "batch",
-            "a command that is not in this build",
-            "it brings the Zarr archive, which takes minutes to compile",
-            "Build it in: cargo install --locked --path crates/rowburst-cli --features batch. Releases and the Python package have it.",
-        )),
+        Verb::Batch(_) => Err(left_out()),
         #[cfg(feature = "view")]
         Verb::View(args) => view::run(&args),
         Verb::Rerun(args) => rerun::run(&args, process_start),
@@ -118,6 +113,18 @@ fn run_verb(cli: Cli, process_start: Instant) -> u8 {
             if error.is_input() { 2 } else { 1 }
         }
     }
+}
+
+/// What `batch` says where it is not in this build.
+#[cfg(not(feature = "batch"))]
+fn left_out() -> rowburst::Error {
+    rowburst::Error::input(
+        rowburst::error::Subject::default(),
+        "a command that is not in this build",
+        "it brings the Zarr archive, which takes long to compile",
+        "Build it in: cargo install --locked --path crates/rowburst-cli --features batch. Releases and the Python package have it.",
+    )
+    .within("rowburst batch")
 }
 
 /// What was typed, for reports that repeat it.
