@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
 use rowburst::guide::{Guide, GuideExposure};
 use rowburst::reconstruct::Tau;
-use rowburst::{Image, PatchSet};
+use rowburst::{Cancel, Image, PatchSet};
 use rowburst_io::{Experiment, FromMetadata, Metadata, micro_manager_metadata, read_metadata};
 use rowburst_run::GuideTask;
 use rowburst_run::inputs::{read_corrections, read_psfs};
@@ -118,7 +118,7 @@ impl PyExperiment {
             let dark = corrections.dark.as_ref();
             let psfs = calibration.psf.as_deref();
             let psfs = psfs.map(|p| read_psfs(p, &camera, dark)).transpose()?;
-            let guide = GuideTask::read(&[], &experiment, None)?;
+            let guide = GuideTask::read(&[], &experiment, None, &Cancel::default())?;
             Ok(Self {
                 file: Some(experiment.clone()),
                 guides: guide.map(|guide| guide.guides).unwrap_or_default(),

@@ -38,7 +38,7 @@ impl Chance {
 }
 
 /// Words of headers, and numbers at which sizes overflow.
-const WORDS: [&[u8]; 12] = [
+const FRAGMENTS: [&[u8]; 12] = [
     b"-1",
     b"0",
     b"1e999",
@@ -77,11 +77,11 @@ pub fn mutated(seed: &[u8], chance: &mut Chance) -> Vec<u8> {
                 bytes.splice(to..to, copy);
             }
             3 => {
-                let word = WORDS[chance.below(WORDS.len())];
+                let word = FRAGMENTS[chance.below(FRAGMENTS.len())];
                 bytes.splice(at..at.min(bytes.len()), word.iter().copied());
             }
             4 => {
-                let word = WORDS[chance.below(WORDS.len())];
+                let word = FRAGMENTS[chance.below(FRAGMENTS.len())];
                 let end = (at + word.len()).min(bytes.len());
                 bytes.splice(at.min(end)..end, word.iter().copied());
             }
