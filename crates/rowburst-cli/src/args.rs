@@ -10,7 +10,7 @@ use crate::project::{NewArgs, StatusArgs};
 #[cfg(feature = "view")]
 use crate::shared_args::BrowserArgs;
 use crate::shared_args::{CalibrationArgs, ForceArgs, OpticsArgs};
-use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// One frame of a rolling-shutter camera behind a diffuser in, a 100,000 fps video out.

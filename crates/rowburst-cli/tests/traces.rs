@@ -71,8 +71,8 @@ fn traces_have_errors_and_photodiodes_find_their_leds() {
     let video = lab.array("out/video.npy");
     for (t, line) in table.lines().skip(1).enumerate() {
         let value: f64 = line.split(',').nth(1).unwrap().parse().unwrap();
-        let region = video.slice(ndarray::s![t, 5..9, 6..9]);
-        let mean = region.mapv(f64::from).mean().unwrap();
+        let pixels = (5..9).flat_map(|y| (6..9).map(move |x| [t, y, x]));
+        let mean = pixels.map(|at| f64::from(video[at])).sum::<f64>() / 12.0;
         let limit = 1e-6 * mean.abs() + 1e-12;
         assert!((value - mean).abs() <= limit, "bin {t}: {value} {mean}");
     }

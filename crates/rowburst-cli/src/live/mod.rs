@@ -284,7 +284,8 @@ mod tests {
         let options = UserOptions::default();
         let quiet = &mut |_: rowburst_run::Event| std::ops::ControlFlow::Continue(());
         let given = rowburst_io::Calibration::default();
-        let mut setup = Setup::read(&experiment, given, &options, quiet).unwrap();
+        let mut setup =
+            Setup::read(&experiment, given, &options, &Cancel::default(), quiet).unwrap();
         let mut settings = Settings::default();
         settings.push("bit_depth", 14);
         let of = |setup: Option<&Setup>| WatchParams::of(&settings, setup);
