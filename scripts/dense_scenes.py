@@ -1,15 +1,12 @@
 #!/usr/bin/env python3
-"""The numbers of docs/dense-scenes.md and of docs/design/028: dense scenes with honest and false guides and
-without one.
+"""The numbers of docs/dense-scenes.md and of docs/design/028: dense scenes with honest and false guides.
 
     python3 scripts/dense_scenes.py
     python3 scripts/dense_scenes.py --scenes bench --rows 1 --seeds 33 --guides honest,mirrored,noise
 
 Builds and runs the example `dense_scenes` of the library and prints its lines as a table. The guides honest, timed,
 keys, blurred, dim, noisy, first, last and exact belong to the frame; same-kind, mirrored, flipped, turned, larger,
-smaller, half, overexposed, noise, other-bench, other-cells and other-beam do not. auto, named and still are no guide: the
-prior that the program chooses, tv+8*tdiff, and one that lets nothing change. The last column is the time over that of a
-sparse scene in the same run.
+smaller, half, overexposed, noise, other-bench, other-cells and other-beam do not.
 """
 
 import argparse
@@ -19,9 +16,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 HONEST = {"honest", "timed", "keys", "blurred", "dim", "noisy", "first", "last", "exact"}
-WITHOUT = {"auto", "named", "still"}
 COLUMNS = ["scene", "rows", "seed", "guide", "used", "model", "psnr_db", "mean_db", "held_out", "without", "correlation",
-           "decoy_gain", "seconds", "over_sparse"]
+           "seconds"]
 
 
 def main():
@@ -29,7 +25,7 @@ def main():
     parser.add_argument("--scenes", default="bench,beam,wheel,cells")
     parser.add_argument("--rows", default="1,6", help="exposures in rows")
     parser.add_argument("--seeds", default="31,32,34")
-    parser.add_argument("--guides", default="auto,named,still,honest,timed")
+    parser.add_argument("--guides", default="honest,timed")
     parser.add_argument("--program", type=Path, help="the example, if it is built, such as target/debug/examples/dense_scenes")
     args = parser.parse_args()
     words = ["cargo", "run", "--release", "--quiet", "-p", "rowburst", "--example", "dense_scenes", "--"]
@@ -42,8 +38,6 @@ def main():
     for line in process.stdout:
         case = dict(zip(names, line.rstrip().split("\t")))
         print("| " + " | ".join(case[name] for name in COLUMNS) + " |", flush=True)
-        if case["guide"] in WITHOUT:
-            continue
         is_honest = case["guide"] in HONEST
         wrong["honest ones dropped"] += is_honest and case["used"] == "false"
         wrong["false ones used"] += not is_honest and case["used"] == "true"

@@ -58,7 +58,7 @@ pub fn of_completed<'py>(
     };
     let choice = found.choice.as_ref().map(|choice| {
         let candidates: Vec<_> = choice.candidates.iter().map(candidate).collect();
-        (candidates, choice.held_out, choice.is_change_told)
+        (candidates, choice.held_out)
     });
     state.set_item("choice", choice)?;
     state.set_item("tau", found.tau)?;
@@ -400,8 +400,8 @@ fn to_calibration(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Option<Cal
 }
 
 fn to_choice(value: &Bound<'_, PyAny>) -> PyResult<Option<Choice>> {
-    type Stored = (Vec<(String, f64, f64, f64, bool, Option<f64>)>, usize, bool);
-    let Some((candidates, held_out, is_change_told)) = value.extract::<Option<Stored>>()? else {
+    type Stored = (Vec<(String, f64, f64, f64, bool, Option<f64>)>, usize);
+    let Some((candidates, held_out)) = value.extract::<Option<Stored>>()? else {
         return Ok(None);
     };
     let candidates = candidates.into_iter().map(
@@ -419,7 +419,6 @@ fn to_choice(value: &Bound<'_, PyAny>) -> PyResult<Option<Choice>> {
     Ok(Some(Choice {
         candidates: candidates.collect::<PyResult<_>>()?,
         held_out,
-        is_change_told,
     }))
 }
 

@@ -259,19 +259,6 @@ fn an_ordinary_case_has_all_pictures() {
     assert_eq!(case.names(), expected);
 }
 
-/// Where most of the power is still, the mean and the change stand apart, the change in the colours of its sign.
-#[test]
-fn a_dense_video_is_shown_as_still_part_and_change() {
-    let mut case = Case::new(Shape::new(20, 24, 30), 24, 30);
-    case.video.data_mut().iter_mut().for_each(|v| *v += 3.0);
-    assert_eq!(case.names().last().unwrap(), "change.png");
-    let report = render(&case.input()).expect("a report");
-    let caption = &picture(&report, "change.png").caption;
-    assert!(caption.contains("99.6 % of the power"), "{caption}");
-    case.video.data_mut().iter_mut().for_each(|v| *v -= 3.0);
-    assert!(!case.names().contains(&"change.png".to_string()));
-}
-
 #[test]
 fn a_single_bin_is_shown_large() {
     let mut case = Case::new(Shape::new(1, 24, 30), 24, 30);

@@ -15,7 +15,7 @@ use crate::summary::{
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
 use crate::view_files::{self, TRUTH, ViewFiles};
-use rowburst::guide::{FrameChange, estimate_change};
+use rowburst::design::count::{ChangeCount, change_rms, count_change};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
@@ -169,7 +169,6 @@ impl CompletedTask {
         let reconstruction = &self.reconstruction;
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
         let shape = reconstruction.video.shape();
-        let change = self.change();
         ReconstructionSummary {
             schema_version: RESULT_SCHEMA_VERSION,
             version: env!("CARGO_PKG_VERSION"),
@@ -177,11 +176,7 @@ impl CompletedTask {
                 Some(guide) => format!("guide {}", guide.numbers.model),
                 None => reconstruction.prior.to_string(),
             },
-            change_count: change.map(|change| ChangeNumbers {
-                informative: change.count.informative,
-                of: change.count.of,
-                change_rms: change.change_rms,
-            }),
+            change_count: self.change_count(),
             guide: self.guide.as_ref().map(|guide| guide.numbers.clone()),
             prior_choice: self.choice(),
             tau: reconstruction.tau,
@@ -242,7 +237,7 @@ impl CompletedTask {
                 .iter()
                 .map(|point| HistoryPoint::new(point, self.start_offset_s))
                 .collect(),
-            warnings: self.warnings(traces, change),
+            warnings: self.warnings(traces),
             run: None,
         }
     }
@@ -258,27 +253,30 @@ impl CompletedTask {
     }
 
     /// How many numbers of an instant speak about the change of a dense scene.
-    fn change(&self) -> Option<FrameChange> {
+    fn change_count(&self) -> Option<ChangeNumbers> {
         let reconstruction = &self.reconstruction;
+        let video = &reconstruction.video;
         let is_dense = reconstruction.support_fraction >= DENSE_FRACTION;
-        if !is_dense || self.is_stopped() {
+        if !is_dense || video.shape().bins == 1 || self.is_stopped() {
             return None;
         }
-        let (camera, psfs) = (&self.task.camera, &self.task.psfs);
-        let is_excluded: Vec<bool> = reconstruction.excluded.iter().map(|e| *e == 1).collect();
-        estimate_change(
-            camera,
-            psfs,
-            &RollingShutter::new(camera, psfs.clone()),
-            &self.task.measurement.without(&is_excluded),
-            reconstruction.sigma,
-            &self.task.cancel,
-        )
+        let operator = RollingShutter::new(&self.task.camera, self.task.psfs.clone());
+        let change_rms = change_rms(video);
+        let count = count_change(&operator, reconstruction.sigma, change_rms)?;
+        Some(ChangeNumbers {
+            informative: count.informative,
+            of: count.of,
+            change_rms,
+        })
     }
 
     /// The warning of a dense scene whose change the frame does not tell.
-    fn density_warning(&self, change: Option<FrameChange>) -> Option<String> {
-        let count = change?.count;
+    fn density_warning(&self) -> Option<String> {
+        let numbers = self.change_count()?;
+        let count = ChangeCount {
+            informative: numbers.informative,
+            of: numbers.of,
+        };
         let is_told = self.used_guide().is_some() || !count.is_too_few();
         (!is_told).then(|| {
             format!(
@@ -320,7 +318,7 @@ impl CompletedTask {
     }
 
     /// Warnings that the user should read before trusting the video.
-    fn warnings(&self, traces: &Traces, change: Option<FrameChange>) -> Vec<String> {
+    fn warnings(&self, traces: &Traces) -> Vec<String> {
         let reconstruction = &self.reconstruction;
         let mut warnings = self.task.from_metadata.warnings.clone();
         if reconstruction.fit.verdict != Verdict::Good {
@@ -346,7 +344,7 @@ impl CompletedTask {
         if let Some(guide) = self.guide.as_ref().filter(|guide| !guide.numbers.used) {
             warnings.push(format!("the guide was {}", guide.numbers.reason));
         }
-        warnings.extend(self.density_warning(change));
+        warnings.extend(self.density_warning());
         warnings.extend(self.coverage_warnings());
         warnings.extend(traces.warnings());
         if let (true, Some(why)) = (

@@ -39,7 +39,7 @@ impl GuideTask {
         Ok((!guides.is_empty()).then_some(Self { guides, model }))
     }
 
-    /// Fits the video of the frame of `problem`, which has been checked, with the guides.
+    /// Fits the video of the frame of `problem` with the guides.
     pub(crate) fn fit(
         &self,
         problem: &Problem,
@@ -49,8 +49,8 @@ impl GuideTask {
         fit(
             camera,
             problem.operator(),
-            &problem.kept_measurement(),
-            problem.effective_sigma(),
+            problem.measurement(),
+            problem.sigma(),
             &self.guides,
             self.model,
             cancel,

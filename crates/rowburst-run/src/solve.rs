@@ -7,9 +7,6 @@ use crate::run_clock::RunClock;
 use crate::task::Task;
 use rowburst::Result;
 use rowburst::reconstruct::{Model, Options, Prior, Problem};
-use rowburst::solve::StopReason;
-use rowburst::solve::admm::Progress;
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// Reconstructs the frame of `task`. `process_start` is the start of the program, the zero of the convergence curve's
@@ -52,34 +49,31 @@ fn solve_since(
         ..task.options
     };
     let model = model.clone().with_cancel(&task.cancel);
-    let mut problem = Problem::with_model(&model, &task.measurement, options)?;
+    let problem = Problem::with_model(&model, &task.measurement, options)?;
     let setup = setup_start.elapsed();
     let remaining = task.budget.map(|b| b.saturating_sub(setup));
     let mut clock = RunClock::new(problem.sigma(), task.truth.as_ref(), remaining);
-    let mut observe = |progress: &Progress| -> ControlFlow<StopReason> {
-        let flow = clock.observe(progress);
-        clock.untimed(|metrics| {
-            observer(Event::Iteration {
-                progress,
-                metrics,
-                chunk: None,
-            })
-        })?;
-        flow
-    };
-    let mut guide = None;
-    if let Some(given) = &task.guide {
-        // A run that is stopped meanwhile goes on to the solver, which gives the video so far.
-        if problem.check(&mut observe).is_ok() {
-            guide = Some(given.fit(&problem, &task.camera, &task.cancel)?);
-        }
-    }
+    let guide = task
+        .guide
+        .as_ref()
+        .map(|guide| guide.fit(&problem, &task.camera, &task.cancel))
+        .transpose()?;
     let outcome = guide.as_ref().map(GuideOutcome::new);
     let result = if let Some(found) = guide.filter(|found| found.used) {
         let degrees_of_freedom = found.degrees_of_freedom;
         problem.judge(found.video, degrees_of_freedom)
     } else {
-        problem.solve(&mut observe)
+        problem.solve(&mut |progress| {
+            let flow = clock.observe(progress);
+            clock.untimed(|metrics| {
+                observer(Event::Iteration {
+                    progress,
+                    metrics,
+                    chunk: None,
+                })
+            })?;
+            flow
+        })
     };
     let seconds = clock.seconds();
     let reconstruction = result?;

@@ -202,7 +202,7 @@ pub struct ChangeNumbers {
     pub informative: f64,
     /// Numbers of the instant.
     pub of: usize,
-    /// Standard deviation of a white change in every voxel that leaves the frame's residual of a scene at rest, in counts.
+    /// Rms of the video less its mean over time, in counts.
     pub change_rms: f64,
 }
 

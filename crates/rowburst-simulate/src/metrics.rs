@@ -15,25 +15,6 @@ pub fn psnr_db(video: &[f32], truth: &[f32]) -> f64 {
     10.0 * (peak * peak / mean).log10()
 }
 
-/// Fall of the mean square from `before` to `after`, two errors of each pixel, in standard errors of the paired
-/// differences; NaN where an error is.
-pub fn paired_gain(before: &[f64], after: &[f64]) -> f64 {
-    let differences: Vec<f64> = before
-        .iter()
-        .zip(after)
-        .map(|(b, a)| b * b - a * a)
-        .collect();
-    let n = differences.len().max(2) as f64;
-    let mean = differences.iter().sum::<f64>() / n;
-    let squares: f64 = differences.iter().map(|d| (d - mean).powi(2)).sum();
-    let standard_error = (squares / (n * (n - 1.0))).sqrt();
-    if mean == 0.0 {
-        0.0
-    } else {
-        mean / standard_error
-    }
-}
-
 /// Structural similarity (Wang et al. 2004), the mean over bins and pixels of the
 /// single-bin map with a Gaussian window of 1.5 px, with the maximum of `truth` as the
 /// range; 1 for equal videos.

@@ -1,6 +1,4 @@
-//! Dense scenes with honest and false guides and without one: the numbers of `docs/dense-scenes.md`, one line for each case.
-//! The guides `auto`, `named` and `still` stand for no guide: the program's choice of the prior, a prior by name, and one
-//! that lets nothing change.
+//! Dense scenes with honest and false guides: the numbers of `docs/dense-scenes.md`, one line for each case.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -8,14 +6,12 @@ use rowburst::camera::CameraParams;
 use rowburst::guide::{Guide, GuideExposure, GuideModel, fit};
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Options, Problem};
-use rowburst::simulate::scene::{DenseScene, dense, moving_digit};
+use rowburst::simulate::scene::{DenseScene, dense};
 use rowburst::simulate::{SpeckleOptics, speckle_psf};
 use rowburst::{
-    Camera, Cancel, Image, LinearOperator, Measurement, Psf, RollingShutter, Sensor, Shape,
-    Shutter, Video,
+    Camera, Cancel, Image, LinearOperator, Measurement, RollingShutter, Sensor, Shape, Shutter,
+    Video,
 };
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 const N: usize = 108;
@@ -32,15 +28,14 @@ fn main() {
     let kinds = args.next().unwrap_or_else(|| "honest".into());
     let kinds: Vec<&str> = kinds.split(',').collect();
     println!(
-        "scene\trows\tseed\tguide\tused\tmodel\torder\tpsnr_db\tmean_db\theld_out\twithout\tcorrelation\tdecoy_gain\tshift_y\tshift_x\tturn_deg\tmagnification\tseconds\tover_sparse\ttrials"
+        "scene\trows\tseed\tguide\tused\tmodel\torder\tpsnr_db\tmean_db\theld_out\twithout\tcorrelation\tshift_y\tshift_x\tturn_deg\tmagnification\tseconds\ttrials"
     );
-    let sparse: Vec<f64> = rows.iter().map(|&rows| sparse_seconds(rows)).collect();
     for name in scenes.split(',') {
         let scene = DenseScene::ALL.into_iter().find(|s| s.name() == name);
         let scene = scene.expect("a dense scene");
-        for (&exposure, &sparse) in rows.iter().zip(&sparse) {
+        for &exposure in &rows {
             for &seed in &seeds {
-                Case::new(scene, exposure, seed as u64).print(&kinds, sparse);
+                Case::new(scene, exposure, seed as u64).print(&kinds);
             }
         }
     }
@@ -52,58 +47,6 @@ fn numbers(text: &str) -> Vec<usize> {
         .collect()
 }
 
-/// What stands for no guide, with its prior; `None`: the choice of the program.
-const WITHOUT: [(&str, Option<&str>); 3] = [
-    ("auto", None),
-    ("named", Some("tv+8*tdiff")),
-    ("still", Some("tv+100*tdiff")),
-];
-
-fn camera(exposure: usize) -> Camera {
-    Camera::new(CameraParams {
-        rows: N,
-        columns: N,
-        shutter: Shutter::DualInsideOut,
-        row_time_us: 10.0,
-        exposure_us: 10.0 * exposure as f64,
-        bins_per_row: 1,
-        field: None,
-        sensor: Sensor::default(),
-    })
-    .unwrap()
-}
-
-/// The video of a frame without a guide.
-fn alone(camera: &Camera, psf: &Psf, measurement: &Measurement, prior: Option<&str>) -> Video {
-    let options = Options {
-        prior: prior.map(|name| name.parse().unwrap()),
-        ..Options::default()
-    };
-    let problem = Problem::new(measurement, camera, psf, options).unwrap();
-    let found = problem.solve(&mut |_| ControlFlow::Continue(()));
-    found.unwrap().video
-}
-
-/// Time of a reconstruction of a moving digit by the program's own choice, the unit of other times.
-fn sparse_seconds(exposure: usize) -> f64 {
-    let camera = camera(exposure);
-    let truth = moving_digit(camera.video_shape(), 22, 3, 1).unwrap();
-    let psf = speckle_psf(&SpeckleOptics::demo(), 2 * N - 1, 2 * N - 1, 70).unwrap();
-    let mut light = vec![0.0; N * N];
-    RollingShutter::new(&camera, &psf).apply(truth.data(), &mut light);
-    let noise = Noise::Gaussian { snr: 256.0 };
-    let image = Image::new(N, N, light).unwrap();
-    let recorded = noise.apply(&image, camera.sensor(), 1).unwrap();
-    let start = Instant::now();
-    alone(
-        &camera,
-        &psf,
-        &Measurement::new(recorded.frame).unwrap(),
-        None,
-    );
-    start.elapsed().as_secs_f64()
-}
-
 /// A scene with its frame.
 struct Case {
     scene: DenseScene,
@@ -111,7 +54,6 @@ struct Case {
     seed: u64,
     camera: Camera,
     operator: RollingShutter,
-    psf: Psf,
     /// The scene with a margin.
     wide: Video,
     truth: Video,
@@ -134,7 +76,17 @@ fn crop(video: &Video) -> Video {
 
 impl Case {
     fn new(scene: DenseScene, exposure: usize, seed: u64) -> Self {
-        let camera = camera(exposure);
+        let camera = Camera::new(CameraParams {
+            rows: N,
+            columns: N,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 10.0,
+            exposure_us: 10.0 * exposure as f64,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
         let bins = camera.video_shape().bins;
         let side = N + 2 * MARGIN;
         let wide = dense(scene, Shape::new(bins, side, side), seed).unwrap();
@@ -159,31 +111,18 @@ impl Case {
             seed,
             camera,
             operator,
-            psf,
             wide,
         }
     }
 
     /// The picture of the second camera: the bin `t` of the scene, shifted by 5 px, turned by `degrees` and magnified.
     fn picture(&self, video: &Video, t: usize, degrees: f64, magnification: f64) -> Image {
-        self.moved(video, t, 5.0, degrees, magnification)
-    }
-
-    /// The same, shifted by `shift_px`.
-    fn moved(
-        &self,
-        video: &Video,
-        t: usize,
-        shift_px: f64,
-        degrees: f64,
-        magnification: f64,
-    ) -> Image {
         let side = video.shape().columns;
         let image = Image::new(side, side, video.bin(t).to_vec()).unwrap();
         let (s, c) = degrees.to_radians().sin_cos();
         let half = 0.5 * (N as f64 - 1.0);
         let angle = self.seed as f64;
-        let (shift_y, shift_x) = (shift_px * angle.sin(), shift_px * angle.cos());
+        let (shift_y, shift_x) = (5.0 * angle.sin(), 5.0 * angle.cos());
         let mut rng = rand_pcg::Pcg64::seed_from_u64(self.seed ^ 0x6775);
         let noise: Vec<f64> = (0..N * N)
             .map(|_| StandardNormal.sample(&mut rng))
@@ -248,7 +187,7 @@ impl Case {
             "noisy" => with_noise(honest(middle), 0.05),
             "first" => honest(0),
             "last" => honest(bins - 1),
-            "exact" => self.moved(&self.wide, middle, 0.0, 0.0, 1.0),
+            "exact" => self.picture(&self.wide, middle, 0.0, 1.0),
             "same-kind" => self.picture(&other(self.scene), middle, 0.0, 1.0),
             "other-bench" => self.picture(&other(DenseScene::Bench), middle, 0.0, 1.0),
             "other-cells" => self.picture(&other(DenseScene::Cells), middle, 0.0, 1.0),
@@ -279,28 +218,8 @@ impl Case {
         }]
     }
 
-    /// The line of a reconstruction without a guide.
-    fn print_without(&self, kind: &str, prior: Option<&str>, sparse: f64) {
-        let start = Instant::now();
-        let video = alone(&self.camera, &self.psf, &self.measurement, prior);
-        let seconds = start.elapsed().as_secs_f64();
-        println!(
-            "{}\t{}\t{}\t{kind}\t-\t-\t-\t{:.2}\t{:.2}\t-\t-\t-\t-\t-\t-\t-\t-\t{seconds:.1}\t{:.1}\t-",
-            self.scene.name(),
-            self.exposure,
-            self.seed,
-            psnr_db(video.data(), self.truth.data()),
-            psnr_db(&still_mean(&self.truth), self.truth.data()),
-            seconds / sparse,
-        );
-    }
-
-    fn print(&self, kinds: &[&str], sparse: f64) {
+    fn print(&self, kinds: &[&str]) {
         for kind in kinds {
-            if let Some((_, prior)) = WITHOUT.iter().find(|w| w.0 == *kind) {
-                self.print_without(kind, *prior, sparse);
-                continue;
-            }
             let guides = self.guide(kind);
             let start = Instant::now();
             let model = std::env::var("MODEL").unwrap_or_default();
@@ -331,7 +250,7 @@ impl Case {
                 .collect();
             let half = 0.5 * N as f64;
             println!(
-                "{}\t{}\t{}\t{kind}\t{}\t{}\t{}\t{:.2}\t{:.2}\t{:.3}\t{:.3}\t{:.3}\t{:.2}\t{:.2}\t{:.2}\t{:.2}\t{:.3}\t{seconds:.1}\t{:.1}\t{}",
+                "{}\t{}\t{}\t{kind}\t{}\t{}\t{}\t{:.2}\t{:.2}\t{:.3}\t{:.3}\t{:.3}\t{:.2}\t{:.2}\t{:.2}\t{:.3}\t{seconds:.1}\t{}",
                 self.scene.name(),
                 self.exposure,
                 self.seed,
@@ -343,12 +262,10 @@ impl Case {
                 found.best().held_out,
                 found.held_out_without,
                 found.correlation,
-                found.decoy_gain,
                 found.affine.shift_px().0,
                 found.affine.shift_px().1,
                 found.affine.rotation_deg(half),
                 found.affine.magnification(half),
-                seconds / sparse,
                 trials.join(" ")
             );
         }

@@ -1,18 +1,17 @@
 //! Dense scenes with the picture of a second camera: honest pictures help, others are dropped.
 
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rowburst::camera::CameraParams;
 use rowburst::guide::{Guide, GuideExposure, GuideFit, GuideModel, fit};
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Options, Problem, Tau};
+use rowburst::reconstruct::{Options, Problem};
 use rowburst::simulate::scene::{DenseScene, dense};
 use rowburst::simulate::{SpeckleOptics, speckle_psf};
 use rowburst::{
     Camera, Cancel, Image, LinearOperator, Measurement, Psf, RollingShutter, Sensor, Shutter, Video,
 };
-use std::ops::ControlFlow;
 
 const N: usize = 72;
 
@@ -91,33 +90,6 @@ impl Case {
         .unwrap()
     }
 
-    /// The frame with `act` on its counts, checked and fitted with the picture of the bin `middle`.
-    fn fit_disturbed(&self, middle: usize, act: impl FnOnce(&mut [f32])) -> (GuideFit, Problem) {
-        let mut image = self.measurement.image().clone();
-        act(image.data_mut());
-        let measurement = Measurement::new(image).unwrap();
-        let options = Options::default();
-        let mut problem = Problem::new(&measurement, &self.camera, &self.psf, options).unwrap();
-        problem.check(&mut |_| ControlFlow::Continue(())).unwrap();
-        let guide = Guide {
-            image: self.picture(middle, (1, 1)),
-            exposure: Some(GuideExposure {
-                time_us: (middle as f64 + 0.5) * 10.0,
-                exposure_us: 10.0,
-            }),
-        };
-        let found = fit(
-            &self.camera,
-            problem.operator(),
-            &problem.kept_measurement(),
-            problem.effective_sigma(),
-            &[guide],
-            GuideModel::Auto,
-            &Cancel::default(),
-        );
-        (found.unwrap(), problem)
-    }
-
     fn psnr(&self, video: &[f32]) -> f64 {
         psnr_db(video, self.truth.data())
     }
@@ -182,102 +154,6 @@ fn the_video_of_a_guide_is_judged_like_any_other() {
     assert!((judged.residual_over_sigma - 1.0).abs() < 0.05);
     let dark = Video::zeros(case.truth.shape());
     assert!(problem().judge(dark, 8.0).unwrap().residual_over_sigma > 50.0);
-}
-
-/// What a shifted guide does not show comes from the frame.
-#[test]
-fn the_edge_that_a_guide_does_not_show_is_reconstructed() {
-    let case = Case::new(DenseScene::Beam, 15);
-    let middle = case.truth.shape().bins / 2;
-    // It begins with row 6 of the field.
-    let found = case.fit(case.picture(middle, (6, 0)), Some(middle));
-    assert!(found.used, "{}", found.reason);
-    let strip_error = |value: &dyn Fn(usize, usize) -> f32| -> f64 {
-        let truth = case.truth.bin(middle);
-        let pixels = (0..5).flat_map(|y| (0..N).map(move |x| (y, x)));
-        pixels
-            .map(|(y, x)| f64::from(value(y, x) - truth[y * N + x]).powi(2))
-            .sum()
-    };
-    let rim = strip_error(&|_, x| case.truth.bin(middle)[6 * N + x]);
-    let edge = strip_error(&|y, x| found.video.bin(middle)[y * N + x]);
-    assert!(edge < 0.5 * rim, "{edge} of {rim}");
-}
-
-/// Hot pixels and a caption are left out before a guide is fitted, and cost little.
-#[test]
-fn foreign_pixels_do_not_reach_a_guide() {
-    let case = Case::new(DenseScene::Beam, 14);
-    let middle = case.truth.shape().bins / 2;
-    let peak = case.measurement.image().max();
-    let (clean, _) = case.fit_disturbed(middle, |_| {});
-    let hot = |counts: &mut [f32]| {
-        let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
-        for value in counts {
-            let is_hot = rng.random::<f32>() < 0.01;
-            *value += if is_hot {
-                rng.random_range(0.3..2.0) * peak
-            } else {
-                0.0
-            };
-        }
-    };
-    let caption = |counts: &mut [f32]| {
-        for y in 60..68 {
-            counts[y * N + 8..y * N + 40].fill(1.5 * peak);
-        }
-    };
-    let reference = case.psnr(clean.video.data());
-    for (name, (found, problem)) in [
-        ("hot", case.fit_disturbed(middle, hot)),
-        ("caption", case.fit_disturbed(middle, caption)),
-    ] {
-        assert!(found.used, "{name}: {}", found.reason);
-        let psnr = case.psnr(found.video.data());
-        assert!(psnr > reference - 1.5, "{name}: {psnr} of {reference} dB");
-        let judged = problem
-            .judge(found.video, found.degrees_of_freedom)
-            .unwrap();
-        let fraction = judged.excluded_fraction();
-        assert!((0.005..0.15).contains(&fraction), "{name}: {fraction}");
-    }
-}
-
-#[test]
-fn a_judged_video_is_zero_where_the_frame_does_not_see() {
-    let case = Case::new(DenseScene::Still, 3);
-    // The first instant reads the two rows in the middle.
-    let is_unread: Vec<bool> = (0..N * N)
-        .map(|i| (N / 2 - 1..=N / 2).contains(&(i / N)))
-        .collect();
-    let measurement = case.measurement.without(&is_unread);
-    let options = Options {
-        noise_sigma: Some(case.sigma),
-        ..Options::default()
-    };
-    let problem = Problem::new(&measurement, &case.camera, &case.psf, options).unwrap();
-    let judged = problem.judge(case.truth.clone(), 8.0).unwrap();
-    assert!(judged.coverage[..N * N].iter().all(|c| *c == 0));
-    assert!(judged.video.bin(0).iter().all(|v| *v == 0.0));
-    assert_eq!(judged.video.bin(1), case.truth.bin(1));
-}
-
-/// A dense video that follows the noise predicts held-out pixels no worse, so these do not end the fall of the noise level.
-#[test]
-fn the_noise_level_by_held_out_pixels_stays_at_the_noise() {
-    for (scene, seed) in [(DenseScene::Still, 16), (DenseScene::Beam, 17)] {
-        let case = Case::new(scene, seed);
-        let options = Options {
-            prior: Some("tv+8*tdiff".parse().unwrap()),
-            tau: Tau::HeldOut,
-            max_iterations: Some(60),
-            ..Options::default()
-        };
-        let problem = Problem::new(&case.measurement, &case.camera, &case.psf, options).unwrap();
-        let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
-        let ratio = found.sigma / case.sigma;
-        assert!(ratio > 0.85, "{}: {ratio} of the noise", scene.name());
-    }
 }
 
 #[test]

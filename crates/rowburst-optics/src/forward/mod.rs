@@ -15,7 +15,6 @@
 //! the exposure of each instant. `S` convolves the light of each instant and keeps the rows that the instant reads
 //! (docs/design/001).
 
-pub mod count;
 mod engine;
 mod geometry;
 pub mod gram;

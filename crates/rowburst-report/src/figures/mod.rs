@@ -1,6 +1,5 @@
 //! The figures of the report, one a file.
 
-mod change;
 mod convergence;
 mod frames;
 mod image;
@@ -114,7 +113,7 @@ pub(crate) fn all<'a>(
     };
     let moving = input.video.shape().bins > 1;
     let mut truth = truth;
-    (0..11).filter_map(move |figure| match figure {
+    (0..10).filter_map(move |figure| match figure {
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
         1 if moving => space_time::draw(input, &videos),
@@ -128,7 +127,6 @@ pub(crate) fn all<'a>(
         7 => input.direct.map(|direct| image::direct(input, direct)),
         8 => Some(residual::draw(input)),
         9 => convergence::draw(input.convergence),
-        10 if moving => change::draw(input, &videos),
         _ => None,
     })
 }

@@ -12,9 +12,8 @@ const RICHER_MARGIN: f64 = 0.995;
 const MAX_RATIO: f64 = 1.18;
 /// The same for a gain field, which the coarse video without a guide beats where cells flicker fast.
 const MAX_GAIN_RATIO: f64 = 2.0;
-/// Gain over the best decoy in standard errors that a guide needs; larger drops honest guides, smaller takes pictures of
-/// other scenes by chance.
-const MIN_DECOY_GAIN: f64 = 1.0;
+/// Correlation with the coarse picture of the scene below which the guide is dropped; pictures of other scenes reach 0.2.
+const MIN_CORRELATION: f64 = 0.4;
 /// Part of a guide's pixels at its greatest value above which it is overexposed.
 const MAX_SATURATED: f64 = 0.05;
 
@@ -56,8 +55,7 @@ pub(super) fn choose(trials: &[GuideTrial]) -> usize {
 pub(super) struct Evidence<'a> {
     pub trials: &'a [GuideTrial],
     pub held_out_without: f64,
-    /// See [`super::decoy::gain_over_decoys`].
-    pub decoy_gain: f64,
+    pub correlation: f64,
     pub saturated: f64,
     /// See [`super::Affine::deviation`].
     pub deviation: f64,
@@ -70,11 +68,11 @@ impl Evidence<'_> {
             return (false, format!("dropped: {why}"));
         }
         let reason = format!(
-            "used: {}, held-out error {:.3} σ, {:.3} σ without a guide, {:.1} standard errors better than its mirror images",
+            "used: {}, held-out error {:.3} σ, {:.3} σ without a guide, correlation {:.2}",
             chosen.model.name(),
             chosen.held_out,
             self.held_out_without,
-            self.decoy_gain
+            self.correlation
         );
         (true, reason)
     }
@@ -87,11 +85,10 @@ impl Evidence<'_> {
                 "it is overexposed, {percent:.0} % of its pixels have its greatest value"
             ));
         }
-        // Errors that are not finite gain nothing.
-        if self.decoy_gain.is_nan() || self.decoy_gain < MIN_DECOY_GAIN {
+        if self.correlation < MIN_CORRELATION {
             return Some(format!(
-                "its mirror images explain the frame as well (gain {:.1} standard errors, at least {MIN_DECOY_GAIN} is needed)",
-                self.decoy_gain
+                "it does not resemble what the frame alone shows (correlation {:.2}, at least {MIN_CORRELATION} is needed)",
+                self.correlation
             ));
         }
         if self.deviation > 1.0 {
@@ -152,21 +149,21 @@ mod tests {
     }
 
     #[test]
-    fn what_explains_the_frame_no_better_than_its_mirror_image_is_dropped() {
+    fn what_does_not_resemble_the_frame_is_dropped() {
         let trials = [trial(GuideModel::Motion, Some(2), 1.1)];
-        let of = |decoy_gain, held_out_without, saturated| {
+        let of = |correlation, held_out_without, saturated| {
             let evidence = Evidence {
                 trials: &trials,
                 held_out_without,
-                decoy_gain,
+                correlation,
                 saturated,
                 deviation: 0.2,
             };
             evidence.verdict(&trials[0]).0
         };
-        assert!(of(5.0, 1.05, 0.0));
-        assert!(!of(0.4, 1.05, 0.0));
-        assert!(!of(5.0, 0.8, 0.0));
-        assert!(!of(5.0, 1.05, 0.2));
+        assert!(of(0.8, 1.05, 0.0));
+        assert!(!of(0.2, 1.05, 0.0));
+        assert!(!of(0.8, 0.8, 0.0));
+        assert!(!of(0.8, 1.05, 0.2));
     }
 }

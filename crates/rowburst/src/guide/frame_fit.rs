@@ -8,19 +8,13 @@ use rowburst_optics::{Measurement, RollingShutter};
 
 /// Part of the pixels of every row that is held out; larger decides better and leaves less for the fit.
 const HELD_OUT_FRACTION: f64 = 0.1;
-/// Residuals over their scale at which their pull on the fit no longer grows, begins to fall, and is gone; smaller takes
-/// what a model does not follow for foreign.
-const HAMPEL: [f64; 3] = [3.0, 6.0, 12.0];
-/// Standard deviation of Gaussian noise over its median magnitude.
-const SIGMA_OVER_MEDIAN: f64 = 1.4826;
 /// Fixed seed of the draw, so that results are reproducible.
 const SEED: u64 = 0x0026_d017;
 
 /// A frame with its operator, with pixels for the fit and pixels that judge it.
-#[derive(Clone)]
 pub(super) struct FrameFit<'a> {
     operator: &'a RollingShutter,
-    counts: Vec<f32>,
+    counts: &'a [f32],
     /// `W/σ` of the fitted pixels; 0 at the others.
     fitted: Vec<f32>,
     /// `W/σ` of the held-out pixels; 0 at the others.
@@ -47,7 +41,7 @@ impl<'a> FrameFit<'a> {
         }
         Self {
             operator,
-            counts: counts.to_vec(),
+            counts,
             fitted,
             held_out,
             cancel,
@@ -59,40 +53,8 @@ impl<'a> FrameFit<'a> {
         let sums = self.fitted.iter().zip(&self.held_out);
         Self {
             fitted: sums.map(|(a, b)| a + b).collect(),
-            ..self.clone()
-        }
-    }
-
-    /// The same frame without the light of `video`.
-    pub fn without_light_of(&self, video: &[f32]) -> Self {
-        let light = self.light_of(video);
-        let counts = self.counts.iter().zip(&light).map(|(b, a)| b - a);
-        Self {
-            counts: counts.collect(),
-            ..self.clone()
-        }
-    }
-
-    /// The same frame with less weight on the fitted pixels that `video` predicts much worse than others, as in a robust fit
-    /// (Hampel 1974). The held-out pixels stay, so that models are judged by the same ones.
-    pub fn reweighted(&self, video: &[f32]) -> Self {
-        let light = self.light_of(video);
-        let residual = |i: usize| f64::from((self.counts[i] - light[i]) * self.fitted[i]).abs();
-        let used = (0..self.fitted.len()).filter(|&i| self.fitted[i] > 0.0);
-        let mut sizes: Vec<f64> = used.map(residual).collect();
-        let mut fitted = self.fitted.clone();
-        if !sizes.is_empty() {
-            let middle = sizes.len() / 2;
-            let median = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
-            // The noise is at least that of the sensor.
-            let scale = (SIGMA_OVER_MEDIAN * median).max(1.0);
-            for (i, weight) in fitted.iter_mut().enumerate() {
-                *weight *= hampel(residual(i) / scale).sqrt() as f32;
-            }
-        }
-        Self {
-            fitted,
-            ..self.clone()
+            held_out: self.held_out.clone(),
+            ..*self
         }
     }
 
@@ -170,31 +132,10 @@ impl<'a> FrameFit<'a> {
         (rms(&self.fitted), rms(&self.held_out))
     }
 
-    /// `W(b − A v)/σ` of the held-out pixels.
-    pub fn held_out_residuals(&self, video: &[f32]) -> Vec<f64> {
-        let light = self.light_of(video);
-        let pixels = (0..light.len()).filter(|&i| self.held_out[i] > 0.0);
-        pixels
-            .map(|i| f64::from(self.counts[i] - light[i]) * f64::from(self.held_out[i]))
-            .collect()
-    }
-
     fn light_of(&self, video: &[f32]) -> Vec<f32> {
         let mut frame = vec![0.0; self.operator.range_len()];
         self.operator.apply(video, &mut frame);
         frame
-    }
-}
-
-/// Weight of a residual over its scale in the sum of squares: 1, then falling so that its pull stays the same, then to 0.
-fn hampel(residual: f64) -> f64 {
-    let [bound, falls, gone] = HAMPEL;
-    if residual <= bound {
-        1.0
-    } else if residual <= falls {
-        bound / residual
-    } else {
-        bound / residual * ((gone - residual) / (gone - falls)).max(0.0)
     }
 }
 
@@ -218,14 +159,6 @@ fn draw(weights: &[f32], columns: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn large_residuals_lose_their_pull() {
-        assert_eq!(hampel(2.0), 1.0);
-        let pull = |r: f64| r * hampel(r);
-        assert!((pull(4.0) - 3.0).abs() < 1e-12 && pull(8.0) < 3.0 && pull(8.0) > 0.0);
-        assert_eq!(hampel(13.0), 0.0);
-    }
 
     #[test]
     fn every_row_holds_out_the_same_share_of_its_usable_pixels() {

@@ -73,8 +73,8 @@ impl<'a> GainModel<'a> {
         self.time.len() * self.spline.points() + 6
     }
 
-    /// The same gain everywhere.
-    fn even(&self) -> GainField {
+    /// The best gain field, and affine map.
+    pub fn fit(&self) -> GainField {
         let points = self.spline.points();
         let mut control = vec![0.0; self.time.len() * points];
         control[..points].fill(1.0);
@@ -82,36 +82,19 @@ impl<'a> GainModel<'a> {
             .frame
             .apply(&self.expand(&control, &self.warped(&self.start)));
         let gain = (dot(&even, &self.target) / norm_squared(&even).max(f64::MIN_POSITIVE)).max(0.0);
-        GainField {
+        let mut found = GainField {
             control,
             gain,
             affine: self.start,
-        }
-    }
-
-    /// The best gain field, and affine map.
-    pub fn fit(&self) -> GainField {
-        let mut found = self.even();
+        };
         self.solve(&mut found, ITERATIONS);
-        self.correct(&mut found);
-        found
-    }
-
-    /// A gain field under the map that it starts from, by few iterations.
-    pub fn coarse_fit(&self) -> GainField {
-        let mut found = self.even();
-        self.solve(&mut found, RESTART_ITERATIONS);
-        found
-    }
-
-    /// Corrects map and gain field in turn.
-    pub fn correct(&self, found: &mut GainField) {
         for _ in 0..CORRECTIONS {
-            if self.frame.cancel().is_cancelled() || !self.correct_affine(found) {
+            if self.frame.cancel().is_cancelled() || !self.correct_affine(&mut found) {
                 break;
             }
-            self.solve(found, RESTART_ITERATIONS);
+            self.solve(&mut found, RESTART_ITERATIONS);
         }
+        found
     }
 
     /// Goes on from `found` with other pixels.

@@ -16,31 +16,23 @@
 
 mod affine;
 mod basis;
-mod change;
 mod decision;
-mod decoy;
-mod edge;
 mod frame_fit;
 mod gain_field;
 mod least_squares;
 mod motion;
 mod picture;
-mod start;
 mod without_guide;
 
 pub use affine::Affine;
-pub use change::{FrameChange, estimate_change};
 
-use affine::Field;
+use affine::{Field, register};
 use decision::Evidence;
-use decoy::gain_over_decoys;
-use edge::Edge;
 use frame_fit::FrameFit;
 use gain_field::{GainField, GainModel};
 use motion::{KeyFrame, Motion, MotionModel};
 use rowburst_core::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_optics::{Camera, Image, Measurement, RollingShutter, Video};
-use start::Start;
 use tracing::info;
 use without_guide::WithoutGuide;
 
@@ -124,9 +116,6 @@ pub struct GuideFit {
     pub registered: Image,
     /// Correlation of the registered guide with the coarse picture of the scene that the frame gives without it.
     pub correlation: f64,
-    /// How far the guide predicts held-out pixels better than the best of its mirror images, fitted alike, in standard errors
-    /// of the paired differences.
-    pub decoy_gain: f64,
     /// Rms displacement of a motion over the field and the bins, in pixels.
     pub displacement_px: Option<f64>,
     /// Number of parameters of the model.
@@ -157,8 +146,6 @@ const BLURS_PX: [f64; 4] = [4.0, 2.0, 1.0, 0.0];
 const RESTART_BLURS_PX: [f64; 2] = [1.0, 0.0];
 /// Gauss–Newton steps at each blur; more gain little.
 const STEPS: usize = 6;
-/// Times that edge and motion are fitted in turn; more change little.
-const EDGE_ROUNDS: usize = 1;
 /// Blurs of the guide that are compared at the end, in pixels.
 const GUIDE_BLURS_PX: [f64; 5] = [0.0, 0.5, 1.0, 1.5, 2.0];
 
@@ -189,16 +176,22 @@ pub fn fit(
         .collect();
     let without = WithoutGuide::new(&frame);
     cancel.check()?;
-    let start = Start::new(&frame, &without, &key_frames[0]);
+    let coarse = coarse_pictures(&frame, &without, &key_frames[0]);
+    let found = coarse
+        .iter()
+        .map(|coarse| register(coarse, &key_frames[0].image));
+    let best = found.max_by(|a, b| a.1.total_cmp(&b.1));
+    let (start, correlation) = best.expect("at least one picture");
     info!(
-        "guide: registered, shift {:.2} and {:.2} px, correlation {:.3}; without a guide held-out {:.3} σ",
-        start.affine.parameters[0], start.affine.parameters[3], start.correlation, without.held_out
+        "guide: registered, shift {:.2} and {:.2} px, correlation {correlation:.3}; without a guide held-out {:.3} σ",
+        start.parameters[0], start.parameters[3], without.held_out
     );
     cancel.check()?;
     let search = Search {
         frame: &frame,
         key_frames: &key_frames,
         start,
+        correlation,
         held_out_without: without.held_out,
         saturated: decision::saturated(&guides[0].image),
         scale: f64::from(guides[0].image.max()),
@@ -210,7 +203,8 @@ pub fn fit(
 struct Search<'a> {
     frame: &'a FrameFit<'a>,
     key_frames: &'a [KeyFrame],
-    start: Start,
+    start: Affine,
+    correlation: f64,
     held_out_without: f64,
     /// Part of the guide's pixels at its greatest value.
     saturated: f64,
@@ -229,15 +223,6 @@ enum Fitted {
 struct Candidate {
     trial: GuideTrial,
     fitted: Fitted,
-    edge: Edge,
-    video: Vec<f32>,
-}
-
-/// Whether a guide is used, and why.
-struct Decision {
-    used: bool,
-    reason: String,
-    decoy_gain: f64,
 }
 
 impl Search<'_> {
@@ -256,39 +241,24 @@ impl Search<'_> {
         }
         self.frame.cancel().check()?;
         let trials: Vec<GuideTrial> = candidates.iter().map(|c| c.trial).collect();
-        let chosen = decision::choose(&trials);
-        let decided = self.judge(&trials, &trials[chosen]);
-        self.frame.cancel().check()?;
-        info!("guide {}", decided.reason);
-        self.finish(candidates.swap_remove(chosen), trials, decided)
-    }
-
-    fn judge(&self, trials: &[GuideTrial], chosen: &GuideTrial) -> Decision {
-        let shape = self.frame.shape();
-        let (picture, guide) = (&self.start.picture, &self.key_frames[0]);
-        let decoy_gain = gain_over_decoys(self.frame, picture, guide, chosen.model);
         let evidence = Evidence {
-            trials,
+            trials: &trials,
             held_out_without: self.held_out_without,
-            decoy_gain,
+            correlation: self.correlation,
             saturated: self.saturated,
             deviation: self
                 .start
-                .affine
-                .deviation(0.5 * shape.rows.max(shape.columns) as f64),
+                .deviation(0.5 * self.frame.shape().rows.max(self.frame.shape().columns) as f64),
         };
-        let (used, reason) = evidence.verdict(chosen);
-        Decision {
-            used,
-            reason,
-            decoy_gain,
-        }
+        let chosen = decision::choose(&trials);
+        let (used, reason) = evidence.verdict(&trials[chosen]);
+        info!("guide {reason}");
+        let candidate = candidates.swap_remove(chosen);
+        self.finish(candidate, trials, used, reason)
     }
 
-    /// `video` is that of the model, without the edge.
-    fn candidate(&self, fitted: Fitted, edge: &Edge, video: Vec<f32>) -> Candidate {
-        let video = edge.added_to(video);
-        let (fitted_error, held_out) = self.frame.errors(&video);
+    fn candidate(&self, fitted: Fitted, video: &[f32]) -> Candidate {
+        let (fitted_error, held_out) = self.frame.errors(video);
         let (model, order) = match &fitted {
             Fitted::Motion { order, .. } => (GuideModel::Motion, Some(*order)),
             Fitted::Gain(_) => (GuideModel::Gain, None),
@@ -306,75 +276,56 @@ impl Search<'_> {
                 held_out,
             },
             fitted,
-            edge: edge.clone(),
-            video,
         }
     }
 
     fn still(&self) -> Candidate {
-        let (guide, affine) = (&self.key_frames[0].image, &self.start.affine);
-        let (.., video) = gain_field::still(self.frame, guide, affine);
-        let edge = Edge::new(self.frame, &video, affine);
-        let (.., video) = gain_field::still(&edge.removed_from(self.frame), guide, affine);
-        self.candidate(Fitted::Still, &edge, video)
+        let (.., video) = gain_field::still(self.frame, &self.key_frames[0].image, &self.start);
+        self.candidate(Fitted::Still, &video)
     }
 
     fn gain_field(&self) -> Candidate {
-        let guide = &self.key_frames[0].image;
-        let model = GainModel::new(self.frame, guide, self.start.affine);
-        let mut found = model.fit();
+        let model = GainModel::new(self.frame, &self.key_frames[0].image, self.start);
+        let found = model.fit();
         let video = model.video(&found);
-        let robust = self.frame.reweighted(&video);
-        let edge = Edge::new(&robust, &video, &found.affine);
-        let frame = edge.removed_from(&robust);
-        let model = GainModel::new(&frame, guide, self.start.affine);
-        model.refit(&mut found);
-        model.correct(&mut found);
-        let video = model.video(&found);
-        self.candidate(Fitted::Gain(found), &edge, video)
+        self.candidate(Fitted::Gain(found), &video)
     }
 
     /// Motions with more and more cosines, each from the one before.
     fn motions(&self) -> Vec<Candidate> {
-        let bins = self.frame.shape().bins;
-        let mut orders = ORDERS.into_iter().filter(|order| *order < bins).peekable();
-        let Some(&first) = orders.peek() else {
-            return Vec::new();
-        };
-        let model = self.motion_model(self.frame, first);
-        let mut motion = model.at_rest();
-        model.fit(&mut motion, &BLURS_PX, STEPS);
-        let robust = self.frame.reweighted(&model.video(&motion));
-        // Edge and motion explain each other's light at first.
-        let mut edge = Edge::new(&robust, &model.video(&motion), &model.affine(&motion));
-        for _ in 0..EDGE_ROUNDS {
-            let frame = edge.removed_from(&robust);
-            let model = self.motion_model(&frame, first);
-            model.fit(&mut motion, &RESTART_BLURS_PX, STEPS);
-            edge = Edge::new(&robust, &model.video(&motion), &model.affine(&motion));
-        }
-        let frame = edge.removed_from(&robust);
         let mut candidates = Vec::new();
-        let mut before = self.motion_model(&frame, first);
-        for order in orders {
+        let mut last: Option<(MotionModel, Motion)> = None;
+        let bins = self.frame.shape().bins;
+        for order in ORDERS.into_iter().filter(|order| *order < bins) {
             if self.frame.cancel().is_cancelled() {
                 break;
             }
-            let model = self.motion_model(&frame, order);
-            motion = model.extended(&before, &motion);
-            model.fit(&mut motion, &RESTART_BLURS_PX, STEPS);
+            let model = self.motion_model(self.frame, order);
+            let motion = match &last {
+                Some((before, motion)) => {
+                    let mut motion = model.extended(before, motion);
+                    model.fit(&mut motion, &RESTART_BLURS_PX, STEPS);
+                    motion
+                }
+                None => {
+                    let mut motion = model.at_rest();
+                    model.fit(&mut motion, &BLURS_PX, STEPS);
+                    motion
+                }
+            };
+            let video = model.video(&motion);
             let fitted = Fitted::Motion {
                 order,
                 motion: motion.clone(),
             };
-            candidates.push(self.candidate(fitted, &edge, model.video(&motion)));
-            before = model;
+            candidates.push(self.candidate(fitted, &video));
+            last = Some((model, motion));
         }
         candidates
     }
 
     fn motion_model<'f>(&self, frame: &'f FrameFit<'f>, order: usize) -> MotionModel<'f> {
-        MotionModel::new(frame, self.key_frames, self.start.affine, order)
+        MotionModel::new(frame, self.key_frames, self.start, order)
     }
 
     /// The result, with all pixels fitted.
@@ -382,16 +333,15 @@ impl Search<'_> {
         &self,
         candidate: Candidate,
         trials: Vec<GuideTrial>,
-        decided: Decision,
+        used: bool,
+        reason: String,
     ) -> Result<GuideFit> {
         let shape = self.frame.shape();
-        let whole = self.frame.with_all_pixels().reweighted(&candidate.video);
-        let frame = candidate.edge.removed_from(&whole);
-        let guide = &self.key_frames[0].image;
+        let whole = self.frame.with_all_pixels();
         let mut displacement_px = None;
         let (video, affine, gain, offset, blur_px, parameters) = match candidate.fitted {
             Fitted::Motion { order, mut motion } => {
-                let model = self.motion_model(&frame, order);
+                let model = self.motion_model(&whole, order);
                 model.fit(&mut motion, &[0.0], 2);
                 let blur = model.best_blur(&motion, &GUIDE_BLURS_PX);
                 displacement_px = Some(model.rms_displacement_px(&motion));
@@ -400,18 +350,24 @@ impl Search<'_> {
                 (video, affine, gain, offset, blur, model.parameters())
             }
             Fitted::Gain(mut found) => {
-                let model = GainModel::new(&frame, guide, self.start.affine);
+                let model = GainModel::new(&whole, &self.key_frames[0].image, self.start);
                 model.refit(&mut found);
-                let (video, parameters) = (model.video(&found), model.parameters());
-                (video, found.affine, found.gain, 0.0, 0.0, parameters)
+                let video = model.video(&found);
+                (
+                    video,
+                    found.affine,
+                    found.gain,
+                    0.0,
+                    0.0,
+                    model.parameters(),
+                )
             }
             Fitted::Still => {
-                let affine = self.start.affine;
-                let (gain, offset, video) = gain_field::still(&frame, guide, &affine);
-                (video, affine, gain, offset, 0.0, 8)
+                let guide = &self.key_frames[0].image;
+                let (gain, offset, video) = gain_field::still(&whole, guide, &self.start);
+                (video, self.start, gain, offset, 0.0, 8)
             }
         };
-        let video = Edge::new(&whole, &video, &affine).added_to(video);
         let field = Field {
             rows: shape.rows,
             columns: shape.columns,
@@ -423,17 +379,51 @@ impl Search<'_> {
             offset,
             blur_px,
             affine,
-            registered: field.warp(guide, &affine),
-            correlation: self.start.correlation,
-            decoy_gain: decided.decoy_gain,
+            registered: field.warp(&self.key_frames[0].image, &affine),
+            correlation: self.correlation,
             displacement_px,
             degrees_of_freedom: parameters as f64,
             trials,
             held_out_without: self.held_out_without,
-            used: decided.used,
-            reason: decided.reason,
+            used,
+            reason,
         })
     }
+}
+
+/// Parts of the video that a guide of unknown time is compared with, beside the whole of it.
+const PARTS: usize = 4;
+
+/// The coarse video without a guide at the time of the guide. Where that is unknown, its mean and the means of its parts.
+fn coarse_pictures(frame: &FrameFit, without: &WithoutGuide, guide: &KeyFrame) -> Vec<Image> {
+    let bins = frame.shape().bins;
+    if let Some((from, to)) = guide.bins {
+        let bin = |t: f64| t.round().clamp(0.0, (bins - 1) as f64) as usize;
+        return vec![mean_picture(frame, without, bin(from)..=bin(to))];
+    }
+    let parts = PARTS.min(bins);
+    let part = |p: usize| p * bins / parts..=((p + 1) * bins / parts - 1);
+    std::iter::once(0..=bins - 1)
+        .chain((0..parts).map(part))
+        .map(|bins| mean_picture(frame, without, bins))
+        .collect()
+}
+
+/// The mean of the coarse video over `bins`.
+fn mean_picture(
+    frame: &FrameFit,
+    without: &WithoutGuide,
+    bins: std::ops::RangeInclusive<usize>,
+) -> Image {
+    let shape = frame.shape();
+    let count = bins.clone().count() as f32;
+    let mut picture = Image::zeros(shape.rows, shape.columns);
+    for t in bins {
+        let bin = &without.video[t * shape.pixels()..(t + 1) * shape.pixels()];
+        let pixels = picture.data_mut().iter_mut().zip(bin);
+        pixels.for_each(|(p, v)| *p += v / count);
+    }
+    picture
 }
 
 /// First and last place of an exposure on the axis of bins, on which bin `t` has its middle at `t`.

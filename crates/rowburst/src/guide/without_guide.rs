@@ -6,7 +6,7 @@
 
 use super::basis::cosines;
 use super::frame_fit::FrameFit;
-use super::least_squares::{conjugate_gradients, preconditioned_gradients};
+use super::least_squares::preconditioned_gradients;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rand::{RngExt, SeedableRng};
@@ -18,8 +18,6 @@ use rowburst_core::linop::{BinTransform, Cosine};
 const MODES: usize = 8;
 /// Iterations; more gain little once the low frequencies are found.
 const ITERATIONS: usize = 250;
-/// Iterations for the rest at few places; more gain little.
-const REST_ITERATIONS: usize = 60;
 /// Standard deviation of the still part over the mean light, and that of the first cosine of the change; that of the
 /// k-th is smaller by `1/k`.
 const STILL: f64 = 0.5;
@@ -39,11 +37,6 @@ pub(super) struct WithoutGuide {
 impl WithoutGuide {
     /// Estimates the video of the fitted pixels of `frame`.
     pub fn new(frame: &FrameFit) -> Self {
-        Self::with_iterations(frame, ITERATIONS)
-    }
-
-    /// The same with at most `iterations` of conjugate gradients. For an operator of one bin it is a scene at rest.
-    pub fn with_iterations(frame: &FrameFit, iterations: usize) -> Self {
         let shape = frame.shape();
         let mean = frame.mean_light() as f32;
         let modes = Modes::new(frame, f64::from(mean));
@@ -66,7 +59,7 @@ impl WithoutGuide {
             normal,
             |r| preconditioner.apply(r),
             &rhs,
-            iterations,
+            ITERATIONS,
             1e-4,
             frame.cancel(),
         );
@@ -76,30 +69,6 @@ impl WithoutGuide {
         let held_out = frame.errors(&video).1;
         Self { video, held_out }
     }
-}
-
-/// What `video` lacks at `places`, one flag for each pixel of the field, by the same prior; zero elsewhere.
-pub(super) fn rest_at(frame: &FrameFit, video: &[f32], places: &[bool]) -> Vec<f32> {
-    let modes = Modes::new(frame, frame.mean_light());
-    let restricted = |mut video: Vec<f32>| {
-        for bin in video.chunks_exact_mut(places.len()) {
-            let pairs = bin.iter_mut().zip(places);
-            pairs.filter(|(_, p)| !**p).for_each(|(v, _)| *v = 0.0);
-        }
-        video
-    };
-    let light = frame.apply(video);
-    let target = frame.target();
-    let missing: Vec<f32> = target.iter().zip(&light).map(|(b, a)| b - a).collect();
-    let adjoint = |r: &[f32]| modes.adjoint(&restricted(frame.adjoint(r)));
-    let normal = |z: &[f32]| {
-        let mut product = adjoint(&frame.apply(&restricted(modes.expand(z))));
-        product.iter_mut().zip(z).for_each(|(p, z)| *p += z);
-        product
-    };
-    let rhs = adjoint(&missing);
-    let z = conjugate_gradients(normal, &rhs, REST_ITERATIONS, 1e-3, frame.cancel());
-    restricted(modes.expand(&z))
 }
 
 /// Whitened coefficients: cosines in time and space, scaled by the prior's standard deviation.

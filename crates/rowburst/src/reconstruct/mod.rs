@@ -37,7 +37,6 @@ pub use self_calibration::{
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
-use crate::guide::estimate_change;
 use frame_data::FrameData;
 use orientation::Orientation;
 use rowburst_core::linop::Background;
@@ -53,11 +52,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 11;
-
-/// Part of the noise that the frame shows at frequencies that its PSF does not pass, below which no noise level by held-out
-/// pixels goes; smaller lets dense videos follow the noise.
-const FIT_FLOOR: f64 = 0.95;
+pub const ALGORITHM_REVISION: u32 = 10;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -158,8 +153,6 @@ pub struct Problem {
     predicts_nothing: bool,
     /// How the frame was turned, where it is predicted if it is turned back.
     orientation: Option<Orientation>,
-    /// Whether noise level and model have been checked already, by [`Problem::check`].
-    is_ready: bool,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
     tau_factor: f64,
@@ -323,7 +316,6 @@ impl Problem {
             is_dense: false,
             predicts_nothing: false,
             orientation: None,
-            is_ready: false,
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
@@ -528,9 +520,7 @@ impl Problem {
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
             let settings = self.options.solver_settings();
-            let least = FIT_FLOOR * self.bands.noise_floor(&self.measurement);
-            self.sigma =
-                choose::noise_level(&mut self.data, default_prior, settings, least, observer)?;
+            self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
             info!(
@@ -563,20 +553,12 @@ impl Problem {
             return Ok(None);
         }
         let settings = self.options.solver_settings();
-        let (model, sigma) = (self.data.model().clone(), self.sigma);
-        let kept = self.kept_measurement();
-        let is_change_told = || {
-            let (camera, psfs, operator) = (model.camera(), model.psfs(), model.operator());
-            let change = estimate_change(camera, psfs, operator, &kept, sigma, model.cancel());
-            change.is_some_and(|change| !change.count.is_too_few())
-        };
         choose::choose_prior(
             &mut self.data,
             rule,
             self.sigma,
             settings,
             self.is_dense,
-            is_change_told,
             observer,
         )
         .map(Some)
@@ -593,21 +575,19 @@ impl Problem {
             Some(_) => 0,
             None => CANDIDATES.len(),
         };
-        if !self.is_ready {
-            let mut before_trials = |progress: &Progress| {
-                let label = match progress.label {
-                    "" => "checking the model",
-                    label => label,
-                };
-                observer(&Progress {
-                    label,
-                    runs_left: trials + 1,
-                    ..*progress
-                })
+        let mut before_trials = |progress: &Progress| {
+            let label = match progress.label {
+                "" => "checking the model",
+                label => label,
             };
-            self.resolve_tau_rule(&mut before_trials)?;
-            self.check_model(default_prior, &mut before_trials)?;
-        }
+            observer(&Progress {
+                label,
+                runs_left: trials + 1,
+                ..*progress
+            })
+        };
+        self.resolve_tau_rule(&mut before_trials)?;
+        self.check_model(default_prior, &mut before_trials)?;
         let rule = self.tau_rule();
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),

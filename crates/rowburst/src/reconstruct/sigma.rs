@@ -102,22 +102,6 @@ impl Bands {
         }
     }
 
-    /// Noise of a pixel with weight 1 that the noise band of `measurement` shows, less what the optics leak into it; 0 where
-    /// that may be all.
-    pub fn noise_floor(&self, measurement: &Measurement) -> f64 {
-        let value = |at: usize| {
-            let weight = measurement.weights().map_or(1.0, |w| f64::from(w[at]));
-            weight * f64::from(measurement.image().data()[at])
-        };
-        let (noise, passed) = (self.noise_rms(value), self.passed_rms(value));
-        let (Some(noise), Some(passed)) = (noise, passed) else {
-            return 0.0;
-        };
-        (noise * noise - self.leak * passed * passed)
-            .max(0.0)
-            .sqrt()
-    }
-
     /// Number of values of which [`Self::noise_rms`] takes the median.
     pub fn noise_count(&self) -> usize {
         self.starts.len() * self.noise_band.len()

@@ -30,14 +30,12 @@ const LEVEL_ITERATIONS: usize = 25;
 /// Rise of the held-out error above its lowest, in standard errors, that ends the path; smaller follows chance.
 const RISE_IN_STANDARD_ERRORS: f64 = 2.0;
 
-/// The noise level in counts at which the discrepancy principle predicts held-out pixels best, at least
-/// `least`. The error is the
+/// The noise level in counts at which the discrepancy principle predicts held-out pixels best. The error is the
 /// result so far of a run that the observer stopped.
 pub(in crate::reconstruct) fn noise_level(
     data: &mut FrameData,
     prior: Prior,
     settings: SolverSettings,
-    least: f64,
     observer: &mut Observer,
 ) -> Result<f64, Box<RunResult>> {
     let shape = data.shape();
@@ -57,7 +55,7 @@ pub(in crate::reconstruct) fn noise_level(
     let mut run = Admm::new(data, shape, params);
     let mut path: Vec<(f64, f64)> = Vec::new();
     let mut selected = None;
-    while sigma >= least.max(MIN_SIGMA_RATIO * rms_of_frame) {
+    while sigma >= MIN_SIGMA_RATIO * rms_of_frame {
         let until = run.iterations()
             + if path.is_empty() {
                 FIRST_LEVEL_ITERATIONS
@@ -90,12 +88,9 @@ pub(in crate::reconstruct) fn noise_level(
         run.set_tau_rule(rule(sigma), data);
     }
     drop((run, prox));
-    let level = selected.unwrap_or(sigma).max(least);
+    let level = selected.unwrap_or(sigma);
     let mut level_errors: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / SIGMA_STEP, level, level * SIGMA_STEP] {
-        if sigma < least {
-            break;
-        }
         data.reset(full_prior.background(), Some(held_out.clone()));
         let trial = Trial::new(data, full_prior, rule(sigma), 1.0, settings);
         let trial_result = trial.run(data, &[], 0.0, observer)?;

@@ -97,11 +97,6 @@ impl FrameData {
         self.system.model().cancel()
     }
 
-    /// Camera, PSF and operator.
-    pub fn model(&self) -> &Model {
-        self.system.model()
-    }
-
     pub fn psfs(&self) -> &rowburst_optics::PatchSet {
         self.system.model().psfs()
     }
