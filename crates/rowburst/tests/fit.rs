@@ -495,58 +495,6 @@ fn an_exposure_taken_for_twice_as_long_is_told() {
 
 /// A camera that has moved since the PSF was recorded moves the video, and no residual
 /// can tell: the module's documentation says so.
-/// A frame that was turned or mirrored when it was saved is turned back, and the verdict says how.
-#[test]
-fn a_turned_frame_is_named() {
-    let size = Size {
-        rows: 44,
-        columns: 44,
-        ..SMALL
-    };
-    for scene in ["digits", "moving", "leds"] {
-        let camera = size.camera(Shutter::DualInsideOut, 1.0);
-        let good = size.simulate(camera, scene, SNR, 1);
-        let last = size.rows - 1;
-        let turned = |at: &dyn Fn(usize, usize) -> (usize, usize)| {
-            let image = Image::from_fn(size.rows, size.columns, |y, x| {
-                let (y, x) = at(y, x);
-                good.frame.at(y, x)
-            });
-            let case = Case {
-                frame: image,
-                ..good.clone()
-            };
-            case.solve().fit
-        };
-        let cases = [
-            ("frame is transposed", turned(&|y, x| (x, y))),
-            ("upside down", turned(&|y, x| (last - y, x))),
-            ("mirrored left to right", turned(&|y, x| (y, last - x))),
-            ("turned by half", turned(&|y, x| (last - y, last - x))),
-        ];
-        for (words, fit) in cases {
-            assert_eq!(
-                fit.verdict,
-                Verdict::Bad,
-                "{scene}, {words}: {}",
-                fit.reason
-            );
-            assert!(
-                fit.reason.contains(words),
-                "{scene}, {words}: {}",
-                fit.reason
-            );
-        }
-        let as_given = good.solve().fit;
-        assert_eq!(
-            as_given.verdict,
-            Verdict::Good,
-            "{scene}: {}",
-            as_given.reason
-        );
-    }
-}
-
 #[test]
 fn a_moved_camera_moves_the_video() {
     let moved = SMALL.moved("moving", 1);

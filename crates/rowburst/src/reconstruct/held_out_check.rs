@@ -109,38 +109,6 @@ impl HeldOutRun {
     }
 }
 
-/// Parts of the pixels over which the prediction is judged, those of the smallest residuals first: all, and without what
-/// may be foreign.
-const JUDGED: [f64; 3] = [1.0, 0.98, 0.9];
-
-/// Part of the variation of the pixels `measured` that no multiple of a prediction with these `residuals` explains,
-/// `√(1 − r²)` with the correlation `r`; the least over [`JUDGED`]. A PSF out of focus predicts the right pattern with
-/// another contrast.
-fn unpredicted(residuals: &[f64], measured: &[f64]) -> f64 {
-    let mut pairs: Vec<(f64, f64)> = residuals
-        .iter()
-        .copied()
-        .zip(measured.iter().copied())
-        .collect();
-    pairs.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
-    let judge = |part: f64| {
-        let pairs = &pairs[..(part * pairs.len() as f64).ceil() as usize];
-        let mean = |of: &dyn Fn(&(f64, f64)) -> f64| {
-            pairs.iter().map(of).sum::<f64>() / pairs.len().max(1) as f64
-        };
-        let predicted = |(residual, measured): &(f64, f64)| measured - residual;
-        let (of_predicted, of_measured) = (mean(&predicted), mean(&|pair| pair.1));
-        let product = mean(&|pair| (predicted(pair) - of_predicted) * (pair.1 - of_measured));
-        let powers = [
-            mean(&|pair| (predicted(pair) - of_predicted).powi(2)),
-            mean(&|pair| (pair.1 - of_measured).powi(2)),
-        ];
-        let r = product / (powers[0] * powers[1]).sqrt().max(f64::MIN_POSITIVE);
-        (1.0 - r.max(0.0).powi(2)).max(0.0).sqrt()
-    };
-    JUDGED.into_iter().map(judge).fold(1.0, f64::min)
-}
-
 /// How well a run on the pixels that are not held out explains the frame.
 pub(super) struct HeldOutCheck {
     /// `A v` of its video, at all pixels.
@@ -149,9 +117,6 @@ pub(super) struct HeldOutCheck {
     /// Weighted residuals of the held-out pixels.
     pub held_out: Vec<f64>,
     pub held_out_rms: f64,
-    /// Part of the variation of the held-out pixels that the video does not predict: 1 where it predicts no more than
-    /// their mean.
-    pub unpredicted: f64,
     /// Standard deviation of most held-out residuals, by their median.
     pub held_out_scale: f64,
     pub support_fraction: f64,
@@ -167,7 +132,6 @@ impl HeldOutCheck {
             light: data.predicted(video),
             residual_rms: run.residual_rms,
             held_out_rms,
-            unpredicted: unpredicted(&held_out, &data.held_out_measurements()),
             held_out_scale: foreign::robust_scale(
                 &mut held_out.iter().map(|r| r.abs()).collect::<Vec<_>>(),
             ),
@@ -234,10 +198,9 @@ impl Problem {
             if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {
                 self.is_dense |= is_dense;
                 info!(
-                    "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.3} of the frame, {:.1} % of the voxels active",
+                    "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",
                     check.residual_rms / self.sigma,
                     check.held_out_rms / self.sigma,
-                    check.unpredicted,
                     100.0 * check.support_fraction
                 );
                 self.last_check = Some(Box::new(run.into_result(&self.data)));
@@ -245,34 +208,5 @@ impl Problem {
             }
             until += CHECK_STEP;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn foreign_pixels_do_not_hide_what_is_predicted() {
-        let measured: Vec<f64> = (0..200)
-            .map(|i| 100.0 + 50.0 * f64::from(i).sin())
-            .collect();
-        let other = |i: i32| 50.0 * (f64::from(i) * 1.7 + 1.0).cos();
-        let nothing: Vec<f64> = (0..200)
-            .map(|i| measured[i as usize] - 100.0 - other(i))
-            .collect();
-        assert!(unpredicted(&nothing, &measured) > 0.9);
-        let tenth: Vec<f64> = (0..200).map(|i| 0.1 * other(i)).collect();
-        assert!((unpredicted(&tenth, &measured) - 0.1).abs() < 0.01);
-        // The right pattern with twice the contrast.
-        let doubled: Vec<f64> = measured.iter().map(|m| 100.0 - m).collect();
-        assert!(unpredicted(&doubled, &measured) < 1e-6);
-        // Two hot pixels of which nothing is predicted.
-        let (mut hot, mut residuals) = (measured, tenth);
-        for i in [3, 150] {
-            hot[i] += 60_000.0;
-            residuals[i] += 60_000.0;
-        }
-        assert!(unpredicted(&residuals, &hot) < 0.2);
     }
 }

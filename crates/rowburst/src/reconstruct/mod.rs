@@ -16,7 +16,6 @@ mod held_out;
 mod held_out_check;
 mod model;
 mod model_check;
-mod orientation;
 mod prior;
 mod self_calibration;
 mod sequence;
@@ -38,7 +37,6 @@ pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use frame_data::FrameData;
-use orientation::Orientation;
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
@@ -149,10 +147,6 @@ pub struct Problem {
     effective_sigma: f64,
     /// Whether the support of the check of the model exceeds a third of the voxels.
     is_dense: bool,
-    /// Whether the first check of the model predicts nothing of the frame.
-    predicts_nothing: bool,
-    /// How the frame was turned, where it is predicted if it is turned back.
-    orientation: Option<Orientation>,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
     tau_factor: f64,
@@ -314,8 +308,6 @@ impl Problem {
             sigma,
             effective_sigma: sigma,
             is_dense: false,
-            predicts_nothing: false,
-            orientation: None,
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
@@ -451,7 +443,6 @@ impl Problem {
             sigma: self.sigma,
             effective_sigma: self.effective_sigma,
             excluded_fraction: ones(&excluded),
-            orientation: self.orientation,
             sigma_source: self.sigma_source,
             tau_is_given: matches!(self.options.tau, Tau::Given(_)),
             stop_reason: solution.stop_reason,
@@ -592,7 +583,6 @@ impl Problem {
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
             // With a wrong model all priors are as good.
-            None if self.predicts_nothing => (None, None),
             None => match self.compare_priors(rule, observer)? {
                 Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),

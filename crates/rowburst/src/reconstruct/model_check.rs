@@ -20,11 +20,6 @@ const MAX_ERROR_RATIO: f64 = 0.98;
 const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
 /// Part of the pixels from which they are many.
 const MANY_EXCLUDED: f64 = 0.01;
-/// Part of the frame that the first check does not predict from which no correction can help; smaller gives up frames whose
-/// PSF is a little off.
-const NOTHING_PREDICTED: f64 = 0.7;
-/// The same from which other orientations of the frame are tried; smaller tries them on frames whose PSF is a little off.
-const DOUBTFUL: f64 = 0.25;
 
 impl Problem {
     /// Checks the model on held-out pixels. Where it does not explain the frame, leaves foreign pixels out and sets the
@@ -45,17 +40,7 @@ impl Problem {
             info!("the model explains the frame");
             return Ok(());
         }
-        if check.unpredicted > DOUBTFUL {
-            self.orientation = self.find_orientation(&check, prior, observer)?;
-        }
-        let predicts_nothing = self.orientation.is_some() || check.unpredicted > NOTHING_PREDICTED;
-        if predicts_nothing && self.options.self_calibration != SelfCalibration::On {
-            // Another PSF, orientation or shutter than those of the frame. What follows takes long and finds nothing.
-            info!("the model predicts nothing of the frame: no correction is looked for");
-            self.predicts_nothing = true;
-        } else {
-            check = self.correct_model(check, prior, observer)?;
-        }
+        check = self.correct_model(check, prior, observer)?;
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {

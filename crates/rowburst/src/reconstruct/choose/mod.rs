@@ -14,7 +14,6 @@ mod level;
 mod trial;
 
 pub(super) use level::noise_level;
-pub(super) use rowburst_simulate::metrics::paired_gain as gain;
 pub(super) use trial::{TOLERANCE, is_settled};
 
 use super::SolverSettings;

@@ -35,7 +35,6 @@
 mod statistics;
 mod verdict;
 
-use super::orientation::Orientation;
 use super::sigma::Bands;
 use super::{SigmaSource, StopReason};
 use rowburst_optics::{Camera, Image, Video};
@@ -158,8 +157,6 @@ pub(super) struct FitInput<'a> {
     pub effective_sigma: f64,
     /// Part of the pixels that were left out as foreign.
     pub excluded_fraction: f64,
-    /// How the frame was turned, where it is predicted if it is turned back.
-    pub orientation: Option<Orientation>,
     pub sigma_source: SigmaSource,
     pub tau_is_given: bool,
     pub stop_reason: StopReason,

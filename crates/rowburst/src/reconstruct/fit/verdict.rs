@@ -55,13 +55,6 @@ const WHITE_LEVEL: f64 = 0.5;
 const DIVERGED: f64 = 1.5;
 
 pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
-    if let Some(orientation) = evidence.orientation {
-        let finding = orientation.finding();
-        return (
-            Verdict::Bad,
-            format!("{finding}: turned back, it is predicted; save it as the camera gives it"),
-        );
-    }
     let (verdict, mut reason) = of_kept_pixels(evidence, s);
     if evidence.excluded_fraction >= MANY_EXCLUDED {
         reason += &format!(

@@ -256,17 +256,6 @@ impl FrameData {
             .collect()
     }
 
-    /// `W b` at the held-out pixels, with the weights that they would have.
-    pub fn held_out_measurements(&self) -> Vec<f64> {
-        let pixels = self.held_out.iter().flat_map(|held_out| held_out.pixels());
-        pixels
-            .map(|&i| {
-                let weight = self.weights.as_ref().map_or(1.0, |w| f64::from(w[i]));
-                weight * f64::from(self.frame[i])
-            })
-            .collect()
-    }
-
     /// Applies the present weights and held-out pixels to system and frame, but not to the x-step.
     fn apply_weights(&mut self) {
         let mut weights = self.weights.clone();
