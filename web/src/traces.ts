@@ -356,7 +356,8 @@ export class Traces {
     const way = ways[event.key];
     if (way) {
       const [dy, dx] = way;
-      const { y, x, rows, columns } = region;
+      // The list may not show yet where the last key has put it.
+      const { y, x, rows, columns } = this.regions.all.find((r) => r.id === region.id) ?? region;
       const rect = event.shiftKey ? { y, x, rows: rows + dy, columns: columns + dx } : { y: y + dy, x: x + dx, rows, columns };
       this.store.state.selected = region.id;
       this.regions.place(region.id, rect);

@@ -47,13 +47,23 @@ fn output(mut command: Command) -> (i32, String, String) {
     (status.code().unwrap_or(-1), text(stdout), text(stderr))
 }
 
-/// Runs a batch that must do, and returns its summary.
-fn done(lab: &Lab, out: &str, more: &[&str]) -> Value {
+/// Runs a batch that ends with the exit status `code`, and returns its summary.
+fn ended(lab: &Lab, out: &str, more: &[&str], code: i32) -> Value {
     let mut command = command(lab, out, more);
     command.arg("--json");
-    let (code, stdout, stderr) = output(command);
-    assert_eq!(code, 0, "{stderr}");
+    let (found, stdout, stderr) = output(command);
+    assert_eq!(found, code, "{stderr}");
     serde_json::from_str(&stdout).unwrap()
+}
+
+/// Runs a batch all of whose frames have videos, and returns its summary.
+fn done(lab: &Lab, out: &str, more: &[&str]) -> Value {
+    ended(lab, out, more, 0)
+}
+
+/// Runs a batch of which some frames fail, and returns its summary.
+fn done_in_part(lab: &Lab, out: &str, more: &[&str]) -> Value {
+    ended(lab, out, more, 1)
 }
 
 fn quick(more: &[&'static str]) -> Vec<&'static str> {
@@ -382,8 +392,9 @@ fn frames_that_cannot_be_used_are_recorded_and_skipped() {
 
     // Mended, it is done when asked for, and only then.
     frame(&lab, "rec/f1.npy", 1);
-    assert_eq!(done(&lab, "out.zarr", &QUICK)["frames_this_run"], 0);
-    let summary = done(&lab, "out.zarr", &quick(&["--retry-failed"]));
+    let again = done_in_part(&lab, "out.zarr", &QUICK);
+    assert_eq!(again["frames_this_run"], 0);
+    let summary = done_in_part(&lab, "out.zarr", &quick(&["--retry-failed"]));
     assert_eq!(
         (&summary["done"], &summary["failed"]),
         (&4.into(), &4.into())
@@ -599,7 +610,7 @@ fn dead_time_and_missing_frames_are_in_the_times() {
     assert_eq!(code, 2, "{stderr}");
     assert!(stderr.contains("57.600 µs"), "{stderr}");
 
-    let summary = done(
+    let summary = done_in_part(
         &lab,
         "out.zarr",
         &quick(&["--frame-period-us", "100", "--stitch"]),
@@ -625,7 +636,7 @@ fn dead_time_and_missing_frames_are_in_the_times() {
     // Again, from what is there, with the period of before.
     let before = content(&lab.path("out.zarr/stitched"));
     std::fs::remove_dir_all(lab.path("out.zarr/stitched")).unwrap();
-    done(&lab, "out.zarr", &quick(&["--stitch"]));
+    done_in_part(&lab, "out.zarr", &quick(&["--stitch"]));
     assert!(content(&lab.path("out.zarr/stitched")) == before);
 }
 

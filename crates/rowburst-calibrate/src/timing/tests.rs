@@ -312,7 +312,7 @@ fn poor_frames_are_refused_with_a_remedy() {
     refused(
         frame(512, &top, 4.0, 50.0, square(0.1)),
         FREQUENCY_HZ,
-        ["periods of the light", "Blink at"],
+        ["periods of the light", "Blink faster"],
     );
     refused(
         frame(512, &top, 9.6, 50.0, |_| 1.0),
