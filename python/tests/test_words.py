@@ -15,7 +15,7 @@ def test_messages_do_not_speak_of_the_command_line(camera, psf, capture, result,
         "Set rows and columns in the Camera": lambda: rb.reconstruct(capture.frame[1:], camera, psf),
         "^field: found": lambda: rb.Camera(rows=4, columns=4, shutter="top-down", row_time_us=1, exposure_us=1, field=(2, 2)),
         r"as in \(40, 52\)": lambda: result.traces([(99, 0)]),
-        "Add a line `gain_electrons_per_count.*to the Camera, or use snr": lambda: rb.simulate(camera, "digits", psf, peak_electrons=100),
+        "Add a line `gain_electrons_per_count.*to the Camera, or do without peak_electrons": lambda: rb.simulate(camera, "digits", psf, peak_electrons=100),
         r"`rb.calibrate.psf\(positions_mm=…\)`": lambda: rb.Psf.patches([np.ones((3, 3))], []),
     }
     (tmp_path / "file").write_text("")

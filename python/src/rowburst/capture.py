@@ -136,7 +136,14 @@ class Capture(Iterator[CapturedFrame]):
                 yield frame, live.next(frame.image, time_budget_s=time_budget_s)
 
     def close(self) -> None:
-        """End the acquisition."""
+        """End the acquisition.
+
+        Examples
+        --------
+        >>> camera = rb.capture.from_arrays(np.full((3, 24, 30), 100, np.uint16))
+        >>> first = next(camera)
+        >>> camera.close()
+        """
         close = getattr(self._deliveries, "close", None)
         if close is not None:
             close()
