@@ -183,7 +183,8 @@ mod tests {
         };
         assert!(options(|_| ()).is_ok());
         assert!(options(|o| o.bins = vec![0, 53]).is_ok());
-        let wrong: [(fn(&mut FigureOptions), &str); 4] = [
+        type Change = fn(&mut FigureOptions);
+        let wrong: [(Change, &str); 4] = [
             (|o| o.bins = vec![54], "0 to 53"),
             (|o| o.panels = vec!["frane".into()], "frame, psf"),
             (|o| o.width_mm = Some(8.6), "40 to 1000 mm"),

@@ -487,6 +487,6 @@ fn a_cancelled_run_reads_no_further_file() {
         cancel,
         ..RequestParams::default()
     };
-    let error = lab.run(params).err().expect("it was cancelled");
+    let error = lab.run(params).expect_err("it was cancelled");
     assert_eq!(error.kind(), ErrorKind::Cancelled);
 }
