@@ -282,7 +282,7 @@ fn a_subset_of_the_readout_equals_the_whole() {
                     let block = |operator: &RollingShutter, i: usize| {
                         let size = operator.indices_of(i).len();
                         let mut block = Mat::<f64>::zeros(size, size);
-                        add_gram_block(&operator, i, None, block.as_mut());
+                        add_gram_block(operator, i, None, block.as_mut());
                         block
                     };
                     assert_eq!(block(&operator, instant), block(&whole, of_whole));
