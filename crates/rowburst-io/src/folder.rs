@@ -89,8 +89,10 @@ impl OutputFolder {
         if let Some(error) = foreign_error(path, &found) {
             return Err(error);
         }
-        if log.exists() {
+        if log.exists() || holds_only_temporary(path) {
             remove_temporary(path);
+        }
+        if log.exists() {
             // One line for each file. Without room for it the longer list stays.
             let _ = folder.write_bytes(FileLog::name(), log.compacted().as_bytes());
         }
@@ -233,15 +235,26 @@ fn foreign_error(path: &Path, names: &[String]) -> Option<Error> {
 /// Ending of hidden files that are being written.
 const TEMPORARY: &str = ".part";
 
+/// Whether a file is a hidden one that was being written.
+fn is_temporary(entry: &fs::DirEntry) -> bool {
+    let name = entry.file_name();
+    let name = name.to_string_lossy();
+    name.starts_with('.') && name.ends_with(TEMPORARY)
+}
+
+fn entries(folder: &Path) -> impl Iterator<Item = fs::DirEntry> {
+    fs::read_dir(folder).into_iter().flatten().flatten()
+}
+
+/// Whether a folder holds nothing else than what a process has left that was killed at its first file.
+fn holds_only_temporary(folder: &Path) -> bool {
+    entries(folder).all(|entry| is_temporary(&entry))
+}
+
 /// Removes the hidden files that a killed process has left.
 fn remove_temporary(folder: &Path) {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    for entry in entries {
-        let name = entry.file_name();
-        let name = name.to_string_lossy();
-        if name.starts_with('.') && name.ends_with(TEMPORARY) {
-            let _ = fs::remove_file(entry.path());
-        }
+    for entry in entries(folder).filter(is_temporary) {
+        let _ = fs::remove_file(entry.path());
     }
 }
 

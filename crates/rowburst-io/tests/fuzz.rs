@@ -5,11 +5,12 @@ mod mutator;
 
 use mutator::fuzz;
 use rowburst::{Image, Shape, Video};
+#[cfg(feature = "hdf5")]
+use rowburst_io::write_hdf5_video;
 use rowburst_io::{
     Experiment, OutputFolder, TiffScale, open_recording, read_colour_image, read_metadata,
-    read_patch_set, read_photodiode, read_stack, read_video, write_hdf5_video, write_mat_video,
-    write_npy_image, write_npy_video, write_patch_set, write_png16, write_tiff_image,
-    write_tiff_video,
+    read_patch_set, read_photodiode, read_stack, read_video, write_mat_video, write_npy_image,
+    write_npy_video, write_patch_set, write_png16, write_tiff_image, write_tiff_video,
 };
 use std::path::Path;
 
