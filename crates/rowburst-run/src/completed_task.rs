@@ -308,7 +308,7 @@ impl CompletedTask {
                         "standard prior: no automatic choice with a time budget"
                     }
                     Some(_) => "given",
-                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), a model that predicts nothing of the frame, or stopped before the comparison",
+                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), or stopped before the comparison",
                 }
                 .into(),
                 held_out_pixels: None,
