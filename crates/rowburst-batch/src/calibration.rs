@@ -9,7 +9,7 @@ use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Calibration, Model, SelfCalibration, calibrate};
 use rowburst::solve::StopReason;
-use rowburst::{Error, Image, Psf, Result};
+use rowburst::{Cancel, Error, Image, Psf, Result};
 use rowburst_io::{read_image, write_npy_image};
 use rowburst_run::CalibrationNumbers;
 use rowburst_zarr::Scratch;
@@ -17,7 +17,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Frames that the correction is found from; more find more and take longer.
 const FRAMES: usize = 4;
@@ -79,7 +78,7 @@ impl RecordingCalibration {
         inputs: &BatchInputs,
         folder: &Path,
         scratch: &Scratch,
-        stop: &AtomicBool,
+        cancel: &Cancel,
     ) -> Result<Option<CalibrationFile>> {
         let is_asked_for = inputs.options.self_calibration != SelfCalibration::Off
             && inputs.budget.is_none()
@@ -98,16 +97,18 @@ impl RecordingCalibration {
                     measurements.push(measurement);
                 }
             }
-            found = calibrate(&inputs.model, &measurements, inputs.options, &mut |_| {
-                if stop.load(Ordering::Relaxed) {
+            let model = inputs.model.clone().with_cancel(cancel);
+            let looked = calibrate(&model, &measurements, inputs.options, &mut |_| {
+                if cancel.is_cancelled() {
                     ControlFlow::Break(StopReason::Interrupted)
                 } else {
                     ControlFlow::Continue(())
                 }
-            })?;
-            if stop.load(Ordering::Relaxed) {
+            });
+            if cancel.is_cancelled() {
                 return Ok(None);
             }
+            found = looked?;
         }
         let numbers = found.as_ref().map(CalibrationNumbers::new);
         if let Some(calibration) = &found {

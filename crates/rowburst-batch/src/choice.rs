@@ -11,11 +11,10 @@ use crate::measurement::{is_of_correction, read_measurement};
 use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
-use rowburst::{Error, Parameter, Result};
+use rowburst::{Cancel, Error, Parameter, Result};
 use rowburst_io::SampleFormat;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Frames that are looked at before the job begins.
 const PROBES: usize = 9;
@@ -53,6 +52,7 @@ impl RecordingSurvey {
             if probes.len() >= spread && best.is_some() {
                 break;
             }
+            inputs.model.cancel().check()?;
             let content = match read_measurement(inputs, frame) {
                 Ok((capture, measurement)) => {
                     pixel_format.get_or_insert_with(|| pixel_format_name(capture.format));
@@ -148,7 +148,7 @@ impl ChosenPrior {
         inputs: &BatchInputs,
         calibration: &RecordingCalibration,
         frame: usize,
-        stop: &AtomicBool,
+        cancel: &Cancel,
     ) -> Result<Option<Self>> {
         let (_, measurement) = read_measurement(inputs, frame)?;
         let measurement = calibration.corrected(measurement);
@@ -156,9 +156,13 @@ impl ChosenPrior {
             self_calibration: SelfCalibration::Off,
             ..inputs.options
         };
-        let problem = Problem::with_model(&calibration.model, &measurement, options)?;
-        let chosen = problem.choose(&mut |_| {
-            if stop.load(Ordering::Relaxed) {
+        let model = calibration.model.clone().with_cancel(cancel);
+        let problem = Problem::with_model(&model, &measurement, options);
+        if cancel.is_cancelled() {
+            return Ok(None);
+        }
+        let chosen = problem?.choose(&mut |_| {
+            if cancel.is_cancelled() {
                 ControlFlow::Break(StopReason::Interrupted)
             } else {
                 ControlFlow::Continue(())

@@ -39,11 +39,11 @@ pub struct LoadedBatch {
     pub from_metadata: FromMetadata,
 }
 
-/// Reads the files of a batch. `observer` hears the notes on them.
+/// Reads the files of a batch, until it is cancelled. `observer` hears the notes on them.
 ///
 /// # Errors
-/// Files that are missing or damaged, and choices that are none.
-pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch> {
+/// Files that are missing or damaged, choices that are none, too little memory, and a request to stop.
+pub fn load_batch(files: &BatchFiles, cancel: &Cancel, observer: Observer) -> Result<LoadedBatch> {
     let metadata = if is_zarr(files.frames) {
         Metadata::default()
     } else {
@@ -64,7 +64,7 @@ pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch>
         &experiment,
         files.calibration.clone(),
         &files.options,
-        &Cancel::default(),
+        cancel,
         observer,
     )?;
     if let Some(from_metadata) = setup.from_metadata.summary_line() {
@@ -75,11 +75,16 @@ pub fn load_batch(files: &BatchFiles, observer: Observer) -> Result<LoadedBatch>
     } else {
         open_recording(files.frames)?
     };
-    check_memory(files.experiment, &setup.camera)?;
+    let kept = Model::cached_gram_bytes(&setup.camera);
+    check_memory(files.experiment, &setup.camera, kept)?;
     let budget = setup.budget;
     let own_period = files.frame_period_us;
+    let model = Model::new(&setup.camera, setup.psfs)
+        .with_cancel(cancel)
+        .with_cached_gram();
+    cancel.check()?;
     let inputs = BatchInputs {
-        model: Model::new(&setup.camera, setup.psfs).with_cached_gram(),
+        model,
         corrections: setup.corrections,
         options: Options {
             // A choice takes a run for each candidate: a budget has no time for it.

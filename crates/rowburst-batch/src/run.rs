@@ -10,16 +10,18 @@ use crate::inputs::BatchInputs;
 use crate::measurement::catch_panic;
 use crate::state::{ClockFile, JobFile, State};
 use crate::table::{FrameRow, Status, csv_of};
-use rowburst::error::{Subject, With};
+use rowburst::error::{Names, Subject, With};
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence};
+use rowburst::reconstruct::{
+    Model, Options, Prior, Problem, Reconstruction, SelfCalibration, Sequence,
+};
 use rowburst::solve::StopReason;
-use rowburst::{Error, ErrorKind, Parameter, Result, Video, phrase};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result, Video, phrase};
 use rowburst_zarr::{ArchiveParams, Scratch, VideoArchive};
 use serde_json::json;
 use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -180,7 +182,7 @@ impl Batch {
     /// PSF and camera of all frames; looked for now where they are not known yet. `None` where it was stopped.
     fn calibration(
         &self,
-        stop: &AtomicBool,
+        cancel: &Cancel,
         observer: Observer,
     ) -> Result<Option<&RecordingCalibration>> {
         if self.calibration.get().is_none() {
@@ -191,7 +193,7 @@ impl Batch {
             let mut found = known()?;
             if found.is_none() {
                 observer(Event::Calibrating);
-                let file = RecordingCalibration::find(inputs, folder, &self.scratch, stop)?;
+                let file = RecordingCalibration::find(inputs, folder, &self.scratch, cancel)?;
                 let Some(file) = file else {
                     return Ok(None);
                 };
@@ -219,8 +221,8 @@ impl Batch {
     ///
     /// # Errors
     /// Those of a reconstruction, and failed writes.
-    pub fn prior(&self, stop: &AtomicBool, observer: Observer) -> Result<Option<ChosenPrior>> {
-        let Some(calibration) = self.calibration(stop, observer)? else {
+    pub fn prior(&self, cancel: &Cancel, observer: Observer) -> Result<Option<ChosenPrior>> {
+        let Some(calibration) = self.calibration(cancel, observer)? else {
             return Ok(None);
         };
         if let Some(prior) = self.inputs.options.prior {
@@ -233,7 +235,7 @@ impl Batch {
         }
         let frame = self.job.brightest;
         observer(Event::Choosing { frame });
-        let chosen = ChosenPrior::choose(&self.inputs, calibration, frame, stop)?;
+        let chosen = ChosenPrior::choose(&self.inputs, calibration, frame, cancel)?;
         if let Some(chosen) = &chosen {
             self.state.write_prior(&self.scratch, chosen)?;
         }
@@ -242,9 +244,10 @@ impl Batch {
     }
 
     /// Makes the videos of `frames`, as many at once as `allocation` says, until all are through or
-    /// `stop` is set: frames at work are then given up.
+    /// they are cancelled: frames at work are then given up.
     ///
-    /// A frame that cannot be read or reconstructed gets its line and does not stop the others.
+    /// A frame that cannot be read or reconstructed gets its line, whose message has the parameters' `names`, and does
+    /// not stop the others.
     ///
     /// # Errors
     /// Failed writes: what is written stays, and the job can be taken up again.
@@ -253,14 +256,18 @@ impl Batch {
         frames: &[usize],
         prior: &ChosenPrior,
         allocation: ThreadAllocation,
-        stop: &AtomicBool,
+        names: &(dyn Names + Sync),
+        cancel: &Cancel,
         observer: Observer,
     ) -> Result<()> {
-        let Some(calibration) = self.calibration(stop, observer)? else {
+        let Some(calibration) = self.calibration(cancel, observer)? else {
             return Ok(());
         };
+        let model = calibration.model.clone().with_cancel(cancel);
         let frame_options = FrameOptions {
             calibration,
+            model: &model,
+            names,
             options: Options {
                 prior: Some(prior.prior.parse::<Prior>()?),
                 self_calibration: SelfCalibration::Off,
@@ -270,10 +277,7 @@ impl Batch {
         };
         let budgeted = self.inputs.budget.map(|budget| BudgetedSequence {
             budget,
-            sequence: Mutex::new(Sequence::new(
-                calibration.model.clone(),
-                frame_options.options,
-            )),
+            sequence: Mutex::new(Sequence::new(model.clone(), frame_options.options)),
         });
         let allocation = match &budgeted {
             None => allocation,
@@ -286,13 +290,13 @@ impl Batch {
         let budgeted = budgeted.as_ref();
         let next = AtomicUsize::new(0);
         let failure: Mutex<Option<Error>> = Mutex::new(None);
-        let give_up = AtomicBool::new(false);
+        let give_up = Cancel::default();
         let fail = |error: Error| {
-            give_up.store(true, Ordering::Relaxed);
+            give_up.cancel();
             let mut failure = failure.lock().unwrap_or_else(PoisonError::into_inner);
             failure.get_or_insert(error);
         };
-        let is_over = || stop.load(Ordering::Relaxed) || give_up.load(Ordering::Relaxed);
+        let is_over = || cancel.is_cancelled() || give_up.is_cancelled();
         let work = || {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(allocation.threads_per_frame);
             let pool = match pool.build() {
@@ -350,8 +354,9 @@ impl Batch {
                 let row = FrameRow::done(frame, name, &found, saturated, seconds);
                 Some((row, Some(found.video)))
             }
+            Err(error) if error.kind() == ErrorKind::Cancelled => None,
             Err(error) => {
-                let message = error.to_string();
+                let message = error.message(frame_options.names);
                 Some((FrameRow::failed(frame, name, message, seconds), None))
             }
         }
@@ -383,11 +388,8 @@ impl Batch {
             let found = budgeted.reconstruct(&measurement, is_over)?;
             return Ok((measurement, found));
         }
-        let problem = Problem::with_model(
-            &frame_options.calibration.model,
-            &measurement,
-            frame_options.options,
-        )?;
+        let problem =
+            Problem::with_model(frame_options.model, &measurement, frame_options.options)?;
         let found = problem
             .with_tau_factor(frame_options.tau_factor)
             .solve(&mut |_| {
@@ -455,6 +457,9 @@ impl BudgetedSequence {
 #[derive(Clone, Copy)]
 struct FrameOptions<'b> {
     calibration: &'b RecordingCalibration,
+    /// That of the calibration, which the run's cancellation stops.
+    model: &'b Model,
+    names: &'b (dyn Names + Sync),
     options: Options,
     tau_factor: f64,
 }

@@ -9,11 +9,10 @@ use crate::clock::Clock;
 use crate::run::{Batch, Event};
 use crate::table::Status;
 use rayon::prelude::*;
-use rowburst::{Error, ErrorKind, Parameter, Result, phrase};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result, phrase};
 use rowburst_io::write_error;
 use rowburst_zarr::{StitchParams, StitchedVideo};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 impl Batch {
     /// Copies the videos of all frames into one array `[t, y, x]` inside the archive, whole or
@@ -23,7 +22,7 @@ impl Batch {
     /// An unknown frame period, frames that are not through, failed reads and writes.
     pub fn stitch(
         &self,
-        stop: &AtomicBool,
+        cancel: &Cancel,
         observer: &(dyn Fn(Event) + Sync),
     ) -> Result<Option<PathBuf>> {
         let clock = self.clock_to_stitch()?;
@@ -52,14 +51,14 @@ impl Batch {
         let stitched = StitchedVideo::create(&self.archive, &params, &hidden)?;
         let of = stitched.chunks();
         (0..of).into_par_iter().try_for_each(|chunk| {
-            if stop.load(Ordering::Relaxed) {
+            if cancel.is_cancelled() {
                 return Ok(());
             }
             stitched.copy_chunk(chunk)?;
             observer(Event::Stitched { of });
             Ok(())
         })?;
-        if stop.load(Ordering::Relaxed) {
+        if cancel.is_cancelled() {
             return Ok(None);
         }
         let path = out.join("stitched");

@@ -1,19 +1,19 @@
 //! A batch is what `Problem` makes of each frame alone, to the bit.
 
 use rowburst::camera::CameraParams;
+use rowburst::error::LibraryNames;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::Corrections;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{Model, Options, Problem, SelfCalibration};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
-use rowburst::{Camera, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
+use rowburst::{Camera, Cancel, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
 use rowburst_batch::{Batch, BatchInputs, Event, RetryPolicy, Status, ThreadAllocation};
 use rowburst_io::{Capture, Frames, SampleFormat};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Mutex;
-use std::sync::atomic::AtomicBool;
 
 /// Frames that are computed; number 2 breaks the program.
 struct ComputedRecording;
@@ -104,10 +104,10 @@ fn each_frame_is_as_if_alone() {
         let camera = camera(shutter, sensor);
         let folder = tempfile::tempdir().unwrap();
         let batch = Batch::open(inputs(&camera, prior), &folder.path().join("o.zarr")).unwrap();
-        let stop = AtomicBool::new(false);
+        let cancel = Cancel::default();
         let pending = batch.pending(0..4, RetryPolicy::SkipFailed).unwrap();
         assert_eq!(pending, [0, 1, 2, 3]);
-        let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
+        let chosen = batch.prior(&cancel, &|_| ()).unwrap().unwrap();
         let allocation = ThreadAllocation::new(2, 4, &batch.inputs().model, None);
         let seen = Mutex::new(Vec::new());
         let observer = |event: Event| {
@@ -116,7 +116,14 @@ fn each_frame_is_as_if_alone() {
             }
         };
         batch
-            .run(&pending, &chosen, allocation, &stop, &observer)
+            .run(
+                &pending,
+                &chosen,
+                allocation,
+                &LibraryNames,
+                &cancel,
+                &observer,
+            )
             .unwrap();
         let mut seen = seen.into_inner().unwrap();
         seen.sort_unstable();
@@ -149,12 +156,19 @@ fn what_was_stopped_is_left() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("o.zarr");
     let batch = Batch::open(inputs(&camera, "tv"), &out).unwrap();
-    let stop = AtomicBool::new(false);
-    let chosen = batch.prior(&stop, &|_| ()).unwrap().unwrap();
+    let cancel = Cancel::default();
+    let chosen = batch.prior(&cancel, &|_| ()).unwrap().unwrap();
     let allocation = ThreadAllocation::new(1, 4, &batch.inputs().model, None);
-    let after_one = |_: Event| stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    let after_one = |_: Event| cancel.cancel();
     batch
-        .run(&[3, 1, 0], &chosen, allocation, &stop, &after_one)
+        .run(
+            &[3, 1, 0],
+            &chosen,
+            allocation,
+            &LibraryNames,
+            &cancel,
+            &after_one,
+        )
         .unwrap();
     assert_eq!(
         batch.pending(0..4, RetryPolicy::SkipFailed).unwrap(),
@@ -166,7 +180,7 @@ fn what_was_stopped_is_left() {
         batch.pending(0..2, RetryPolicy::SkipFailed).unwrap(),
         [0, 1]
     );
-    let error = batch.stitch(&stop, &|_| ()).unwrap_err().to_string();
+    let error = batch.stitch(&cancel, &|_| ()).unwrap_err().to_string();
     assert!(error.contains("no frame period"), "{error}");
 }
 
@@ -245,12 +259,12 @@ fn a_recording_corrects_its_camera() {
         Batch::open(inputs, out).unwrap()
     };
     let folder = tempfile::tempdir().unwrap();
-    let stop = AtomicBool::new(false);
+    let cancel = Cancel::default();
     let videos = |batch: &Batch, frames: &[usize]| -> Vec<Video> {
-        let prior = batch.prior(&stop, &|_| ()).unwrap().unwrap();
+        let prior = batch.prior(&cancel, &|_| ()).unwrap().unwrap();
         let allocation = ThreadAllocation::new(2, frames.len(), &batch.inputs().model, None);
         batch
-            .run(frames, &prior, allocation, &stop, &|_| ())
+            .run(frames, &prior, allocation, &LibraryNames, &cancel, &|_| ())
             .unwrap();
         frames.iter().map(|f| batch.video(*f).unwrap()).collect()
     };

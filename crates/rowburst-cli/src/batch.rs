@@ -2,12 +2,13 @@
 
 use crate::args::BatchArgs;
 use crate::inputs::calibration_from_args;
+use crate::option_names::CommandLine;
 use crate::output::print_line;
 use crate::progress::{Interrupt, Kept, print_note};
 use crate::shared_args::ForceArgs;
 use crate::sweep;
 use indicatif::{ProgressBar, ProgressStyle};
-use rowburst::{Error, ErrorKind, Parameter, Result};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, ChosenPrior, Event, FrameRow, RetryPolicy, Status,
     ThreadAllocation, load_batch, name_correction_file,
@@ -22,7 +23,6 @@ use serde::Serialize;
 use std::io::IsTerminal;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// What a run of `batch` ends with.
@@ -74,11 +74,11 @@ pub fn run(args: &BatchArgs, threads: Option<u16>) -> Result<()> {
             "Leave it out, and start the workers with dask worker --nthreads.",
         ));
     }
-    let stop = Interrupt::listen(Kept::Frames).run;
+    let cancel = Cancel::from(Interrupt::listen(Kept::Frames).run);
     if !args.sweep.is_empty() {
-        return run_sweep(args, &stop);
+        return run_sweep(args, &cancel);
     }
-    let (summary, _) = run_one(args, &stop)?;
+    let (summary, _) = run_one(args, &cancel)?;
     if args.json {
         print_line(serde_json::to_string_pretty(&summary).expect("plain numbers and text"));
     } else {
@@ -104,7 +104,7 @@ fn refuse_failed(archive: &Path, failed: usize) -> Result<()> {
 
 /// A batch for each point of the sweep, each into an archive of its own; killed, the same command
 /// goes on.
-fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
+fn run_sweep(args: &BatchArgs, cancel: &Cancel) -> Result<()> {
     let points = sweep::points(&args.sweep)?;
     let runs = points.iter().map(|point| {
         let mut point_args = args.clone();
@@ -133,7 +133,7 @@ fn run_sweep(args: &BatchArgs, stop: &AtomicBool) -> Result<()> {
     let mut failed = 0;
     for (point, point_args) in runs {
         eprintln!("{point}");
-        let (summary, lines) = run_one(&point_args, stop)?;
+        let (summary, lines) = run_one(&point_args, cancel)?;
         failed += summary.failed;
         let done: Vec<&FrameRow> = lines.iter().filter(|l| l.status == Status::Done).collect();
         let good = done.iter().filter(|l| l.fit.as_deref() == Some("good"));
@@ -172,9 +172,9 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// One batch, through; the lines of its frames.
-fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<FrameRow>)> {
+fn run_one(args: &BatchArgs, cancel: &Cancel) -> Result<(BatchSummary, Vec<FrameRow>)> {
     let began = Instant::now();
-    let (inputs, calibration, from_metadata) = load_input(args)?;
+    let (inputs, calibration, from_metadata) = load_input(args, cancel)?;
     let batch = Batch::open(inputs, &args.output)
         .map_err(|e| name_correction_file(e, &args.frames, &calibration))?;
     let frames = &batch.inputs().frames;
@@ -198,7 +198,7 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
     };
     let pending = batch.pending(range.clone(), retry)?;
     let bar = bar(pending.len(), range.len());
-    let prior = batch.prior(stop, &|event| show(&bar, &batch, event))?;
+    let prior = batch.prior(cancel, &|event| show(&bar, &batch, event))?;
     let Some(prior) = prior else {
         bar.finish_and_clear();
         return Err(stopped(args));
@@ -211,14 +211,14 @@ fn run_one(args: &BatchArgs, stop: &AtomicBool) -> Result<(BatchSummary, Vec<Fra
         .or(args.time_budget_s.map(|_| 1));
     let allocation = ThreadAllocation::new(threads, pending.len(), &batch.inputs().model, most);
     let setup_seconds = began.elapsed().as_secs_f64();
-    let (table, seconds) = run_pending(&batch, &pending, &prior, allocation, stop, &bar)?;
-    if stop.load(Ordering::Relaxed) {
+    let (table, seconds) = run_pending(&batch, &pending, &prior, allocation, cancel, &bar)?;
+    if cancel.is_cancelled() {
         return Err(stopped(args));
     }
     let rows = batch.rows()?;
     refuse_if_all_failed(args, &rows, &range)?;
     let stitched = if args.stitch {
-        Some(stitch(args, &batch, stop)?)
+        Some(stitch(args, &batch, cancel)?)
     } else {
         None
     };
@@ -265,12 +265,12 @@ fn run_pending(
     pending: &[usize],
     prior: &ChosenPrior,
     allocation: ThreadAllocation,
-    stop: &AtomicBool,
+    cancel: &Cancel,
     bar: &ProgressBar,
 ) -> Result<(PathBuf, f64)> {
     let started = Instant::now();
     bar.reset_eta();
-    let ran = batch.run(pending, prior, allocation, stop, &|event| {
+    let ran = batch.run(pending, prior, allocation, &CommandLine, cancel, &|event| {
         show(bar, batch, event);
     });
     let seconds = started.elapsed().as_secs_f64();
@@ -286,7 +286,10 @@ fn run_pending(
 }
 
 /// The inputs of the batch, with the calibration and the metadata that they come from.
-fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadata)> {
+fn load_input(
+    args: &BatchArgs,
+    cancel: &Cancel,
+) -> Result<(BatchInputs, Calibration, FromMetadata)> {
     let files = BatchFiles {
         experiment: &args.experiment,
         frames: &args.frames,
@@ -303,7 +306,7 @@ fn load_input(args: &BatchArgs) -> Result<(BatchInputs, Calibration, FromMetadat
         frame_period_us: args.frame_period_us,
         version: env!("CARGO_PKG_VERSION"),
     };
-    let loaded = load_batch(&files, &mut print_note)?;
+    let loaded = load_batch(&files, cancel, &mut print_note)?;
     Ok((loaded.inputs, loaded.calibration, loaded.from_metadata))
 }
 
@@ -404,10 +407,10 @@ fn refuse_if_all_failed(args: &BatchArgs, rows: &[FrameRow], range: &Range<usize
     }
 }
 
-fn stitch(args: &BatchArgs, batch: &Batch, stop: &AtomicBool) -> Result<String> {
+fn stitch(args: &BatchArgs, batch: &Batch, cancel: &Cancel) -> Result<String> {
     let bar = bar(0, 0);
     bar.set_message("stitching");
-    let path = batch.stitch(stop, &|event| show(&bar, batch, event));
+    let path = batch.stitch(cancel, &|event| show(&bar, batch, event));
     bar.finish_and_clear();
     let path = path?.ok_or_else(|| stopped(args))?;
     Ok(path.display().to_string())

@@ -8,7 +8,8 @@ pub fn message(error: &Error) -> String {
     error.message(&CommandLine)
 }
 
-struct CommandLine;
+/// The names of the command line.
+pub struct CommandLine;
 
 impl Names for CommandLine {
     fn name(&self, parameter: Parameter) -> String {

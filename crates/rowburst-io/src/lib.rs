@@ -43,6 +43,7 @@ mod recording;
 mod relative;
 mod source;
 mod stack;
+mod stored_video;
 mod table;
 mod tiff;
 mod video_formats;
@@ -72,5 +73,6 @@ pub use read::{read_colour_image, read_frames, read_image, read_stack, read_vide
 pub use recording::{Frames, gaps, open_recording};
 pub use relative::relative_path;
 pub use source::{ENDINGS as IMAGE_ENDINGS, is_image};
+pub use stored_video::StoredVideo;
 pub use tiff::{TiffScale, write_tiff_colour, write_tiff_image, write_tiff_video};
 pub use video_formats::{write_hdf5_video, write_mat_video};

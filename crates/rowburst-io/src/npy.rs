@@ -78,6 +78,7 @@ pub(crate) fn read_array(source: &Source, mut file: impl Read) -> Result<Array> 
 }
 
 /// A stack `[frame, y, x]` that is read frame by frame.
+#[derive(Debug)]
 pub(crate) struct Stack {
     header: Header,
     count: usize,
@@ -120,6 +121,11 @@ impl Stack {
             rows,
             columns,
         })
+    }
+
+    /// Frames, rows and columns.
+    pub fn shape(&self) -> Shape {
+        Shape::new(self.count, self.rows, self.columns)
     }
 
     /// Reads one frame; `file` stands anywhere.
@@ -203,6 +209,7 @@ fn c_order(shape: &[usize], data: &[f32]) -> Vec<f32> {
     data.iter().map(|_| next()).collect()
 }
 
+#[derive(Debug)]
 struct Header {
     shape: Vec<usize>,
     fortran_order: bool,

@@ -1,7 +1,7 @@
 //! `rowburst._rowburst._Batch`: a recording on its way into an archive.
 
 use crate::camera::PyCamera;
-use crate::error::to_py_err;
+use crate::error::{Arguments, to_py_err};
 use crate::frame::corrections_of;
 use crate::frames::{ArrayFrames, PyFrames};
 use crate::log;
@@ -12,8 +12,8 @@ use crate::threads::{self, Threads, detached};
 use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::prelude::*;
-use rowburst::reconstruct::Options;
-use rowburst::{Error, ErrorKind, Parameter, Result};
+use rowburst::reconstruct::{Model, Options};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_batch::{
     Batch, BatchFiles, BatchInputs, Event, FrameRow, RetryPolicy, Status, ThreadAllocation,
     load_batch, name_correction_file,
@@ -22,7 +22,6 @@ use rowburst_io::{Calibration, Capture, Experiment, Frames, read_metadata};
 use rowburst_run::options::UserOptions;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -101,12 +100,12 @@ impl PyBatch {
             frame_period_us,
             version: env!("CARGO_PKG_VERSION"),
         };
-        let open = || -> Result<Batch> {
-            let loaded = load_batch(&files, &mut |_| ControlFlow::Continue(()))?;
+        let open = |cancel: &Cancel| -> Result<Batch> {
+            let loaded = load_batch(&files, cancel, &mut |_| ControlFlow::Continue(()))?;
             Batch::open(loaded.inputs, &out)
                 .map_err(|e| name_correction_file(e, &frames, &loaded.calibration))
         };
-        let batch = detached(py, open)?.map_err(to_py_err)?;
+        let batch = interruptibly(py, open)?.map_err(to_py_err)?;
         Ok(Self { batch })
     }
 
@@ -151,7 +150,7 @@ impl PyBatch {
                     && camera.sensor().bias_counts.is_some_and(|bias| bias > 0.0),
             }),
         };
-        crate::memory::check(camera)?;
+        crate::memory::check(camera, Model::cached_gram_bytes(camera))?;
         let inputs = BatchInputs {
             model: model_of(py, camera, &psfs, None, Gram::Cached)?,
             corrections,
@@ -190,7 +189,7 @@ impl PyBatch {
 
     /// The prior of all frames and how it came about; chosen now where it is not yet.
     fn prior(&self, py: Python<'_>) -> PyResult<(String, String)> {
-        let prior = interruptibly(py, |stop| self.batch.prior(stop, &|_| ()))?;
+        let prior = interruptibly(py, |cancel| self.batch.prior(cancel, &|_| ()))?;
         let prior = prior.map_err(to_py_err)?;
         let prior = prior.expect("nobody stopped it, or an exception was raised");
         Ok((prior.prior, prior.reason))
@@ -219,19 +218,20 @@ impl PyBatch {
         threads::check_process()?;
         let threads = threads.unwrap_or_else(threads::threads);
         let rows = Mutex::new(Vec::new());
-        let ran = interruptibly(py, |stop| -> Result<()> {
-            let Some(prior) = self.batch.prior(stop, &|_| ())? else {
+        let ran = interruptibly(py, |cancel| -> Result<()> {
+            let Some(prior) = self.batch.prior(cancel, &|_| ())? else {
                 return Ok(());
             };
             let allocation =
                 ThreadAllocation::new(threads, frames.len(), &self.batch.inputs().model, None);
-            self.batch.run(&frames, &prior, allocation, stop, &|event| {
-                if let Event::FrameFinished(row) = event
-                    && let Ok(mut rows) = rows.lock()
-                {
-                    rows.push(to_tuple(row));
-                }
-            })
+            self.batch
+                .run(&frames, &prior, allocation, &Arguments, cancel, &|event| {
+                    if let Event::FrameFinished(row) = event
+                        && let Ok(mut rows) = rows.lock()
+                    {
+                        rows.push(to_tuple(row));
+                    }
+                })
         })?;
         ran.map_err(to_py_err)?;
         Ok(rows.into_inner().unwrap_or_default())
@@ -300,20 +300,17 @@ impl Frames for SharedFrames {
     }
 }
 
-/// Does `work` on a thread of its own; Ctrl-C sets its flag and is raised when it has ended.
-fn interruptibly<T: Send>(
-    py: Python<'_>,
-    work: impl FnOnce(&AtomicBool) -> T + Send,
-) -> PyResult<T> {
+/// Does `work` on a thread of its own; Ctrl-C cancels it and is raised when it has ended.
+fn interruptibly<T: Send>(py: Python<'_>, work: impl FnOnce(&Cancel) -> T + Send) -> PyResult<T> {
     /// Between two looks for Ctrl-C.
     const POLL_INTERVAL: Duration = Duration::from_millis(20);
     let pool = Threads::borrow(None)?;
     log::begin(py)?;
-    let stop = AtomicBool::new(false);
+    let cancel = Cancel::default();
     let mut interruption = None;
     let done = py.detach(|| {
         std::thread::scope(|scope| {
-            let worker = scope.spawn(|| pool.install(|| work(&stop)));
+            let worker = scope.spawn(|| pool.install(|| work(&cancel)));
             while !worker.is_finished() {
                 std::thread::park_timeout(POLL_INTERVAL);
                 if interruption.is_none()
@@ -323,7 +320,7 @@ fn interruptibly<T: Send>(
                     })
                 {
                     interruption = Some(error);
-                    stop.store(true, Ordering::Relaxed);
+                    cancel.cancel();
                 }
             }
             worker.join()

@@ -92,7 +92,7 @@ fn argument(parameter: Parameter) -> &'static str {
 }
 
 /// The names of Python.
-struct Arguments;
+pub struct Arguments;
 
 impl Names for Arguments {
     fn name(&self, parameter: Parameter) -> String {

@@ -12,7 +12,7 @@ use crate::whole::Whole;
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use rowburst::reconstruct::{Options, SelfCalibration, Sequence};
+use rowburst::reconstruct::{Model, Options, SelfCalibration, Sequence};
 use rowburst::solve::StopReason;
 use rowburst_run::Setup;
 use rowburst_run::options::parse_time_budget;
@@ -115,7 +115,7 @@ impl PySequence {
         let grey = camera.grey()?;
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(grey, psf, corrections, options, None)?;
-        crate::memory::check(grey)?;
+        crate::memory::check(grey, Model::cached_gram_bytes(grey))?;
         let thread_count = threads_from(threads)?;
         let model = model_of(py, grey, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
@@ -167,6 +167,7 @@ impl PySequence {
             if reporter.is_abandoned() {
                 return None;
             }
+            sequence.set_cancel(reporter.cancel());
             Some(sequence.reconstruct(&measurement, &mut |_| {
                 if reporter.is_abandoned() {
                     ControlFlow::Break(StopReason::Interrupted)

@@ -287,7 +287,7 @@ pub fn simulate(
     let threads = threads_from(threads)?;
     let (seed, digit_px) = (seed.named("seed")? as u64, digit_px.named("digit_px")?);
     let (py_camera, camera) = (camera.clone(), camera.camera.clone());
-    crate::memory::check(&camera)?;
+    crate::memory::check(&camera, 0)?;
     let (name, given) = match scene {
         None => ("digits".to_string(), None),
         Some(value) if is_array(value) => (String::new(), Some(video(value, "scene")?)),

@@ -181,7 +181,7 @@ impl PyReconstructor {
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
         let thread_count = threads_from(threads)?;
-        crate::memory::check(&setup.camera)?;
+        crate::memory::check(&setup.camera, Model::cached_gram_bytes(&setup.camera))?;
         let model = model_of(py, &setup.camera, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
             guide: guide_of(experiment, None, None)?,
@@ -364,7 +364,7 @@ fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     let budget = parse_time_budget(inputs.time_budget_s).map_err(to_py_err)?;
     let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup }, inputs.is_corrected)?;
     let mut task = setup.task(&frame, None).map_err(to_py_err)?;
-    crate::memory::check(&task.camera)?;
+    crate::memory::check(&task.camera, 0)?;
     let truth = inputs.truth.map(|value| {
         let video = video(value, "truth")?;
         checked_truth(video, Parameter::Truth.into(), &task.camera).map_err(to_py_err)
@@ -588,7 +588,7 @@ pub fn _reconstruct_colour<'py>(
         debias,
     };
     task.check().map_err(to_py_err)?;
-    crate::memory::check(&task.first_plane().map_err(to_py_err)?)?;
+    crate::memory::check(&task.first_plane().map_err(to_py_err)?, 0)?;
     let thread_count = threads_from(threads)?;
     let watcher = Watcher::new(thread_count, progress, began);
     let planes = watcher.observe(py, move |watch| {

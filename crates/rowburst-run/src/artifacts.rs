@@ -6,7 +6,8 @@ use crate::formats::VideoFormat;
 use crate::movie::MovieStyle;
 use crate::record::RunRecord;
 use crate::summary::ReconstructionSummary;
-use rowburst_io::OutputFolder;
+use rowburst::Result;
+use rowburst_io::{OutputFolder, StoredVideo};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -29,7 +30,7 @@ pub struct Output<'a> {
 
 /// A folder of results that is complete.
 ///
-/// The video of a chunked run is on disk alone ([`Self::video`]); a raw colour frame has a folder for each plane beside
+/// The video of a chunked run is on disk alone ([`Self::open_video`]); a raw colour frame has a folder for each plane beside
 /// the video in colour.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
@@ -70,6 +71,15 @@ impl Artifacts {
             Summary::Whole(_) | Summary::Chunked(_) => "video.npy",
             Summary::Colour(_) => "colour.npy",
         })
+    }
+
+    /// The video, read from the disk bin by bin: of a run in chunks there is no other.
+    ///
+    /// # Errors
+    /// A file that has been removed, or the video of a raw colour frame, which has a fourth axis: [`Self::video`] and the
+    /// folders of the planes have it.
+    pub fn open_video(&self) -> Result<StoredVideo> {
+        StoredVideo::open(&self.video())
     }
 
     /// The file that a person opens first: the report, or the video where there is none.

@@ -6,18 +6,20 @@ use rowburst::{Camera, Error, ErrorKind, Parameter, Result, phrase};
 use std::path::Path;
 
 /// Checks that this machine has memory for a reconstruction with `camera`, before anything is allocated. Without the
-/// check the operating system could end the program without a message. `subject` names the video in the error.
+/// check the operating system could end the program without a message. `subject` names the video in the error; `kept`
+/// bytes stay between runs (0: none).
 ///
 /// # Errors
 /// The reconstruction takes more memory than this process can still use.
-pub fn check_memory(subject: impl Into<Subject>, camera: &Camera) -> Result<()> {
+pub fn check_memory(subject: impl Into<Subject>, camera: &Camera, kept: u64) -> Result<()> {
     let what = format!("a video of {}", camera.video_shape());
     let remedy = phrase![
         "Make ",
         Parameter::Field,
         " smaller, bin the frame, or use a machine with more memory."
     ];
-    check_bytes(subject, &what, Model::run_bytes(camera), remedy)
+    let needed = Model::run_bytes(camera).and_then(|run| run.checked_add(kept));
+    check_bytes(subject, &what, needed, remedy)
 }
 
 /// Checks that this machine has `needed` bytes for `what`; `None`: a number that is too large itself.

@@ -114,7 +114,7 @@ impl Request {
                 debias: params.debias,
             };
             task.check()?;
-            check_memory(&experiment.path, &task.first_plane()?)?;
+            check_memory(&experiment.path, &task.first_plane()?, 0)?;
             return Ok(Self::Colour(Box::new(task)));
         }
         let mut task = setup.task(&frame, params.bins)?;
@@ -122,7 +122,7 @@ impl Request {
             let task = ChunkedTask::new(task, bins_per_chunk)?;
             return Ok(Self::Chunked(Box::new(task)));
         }
-        check_memory(&experiment.path, &task.camera)?;
+        check_memory(&experiment.path, &task.camera, 0)?;
         let truth = params.truth.map(|path| read_truth(path, &task.camera));
         task.truth = truth.transpose()?;
         cancel.check()?;

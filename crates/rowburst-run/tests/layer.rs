@@ -231,7 +231,10 @@ fn chunks_come_in_order() {
         panic!("a video in chunks");
     };
     assert_eq!(summary.parts.len(), 2);
-    assert_eq!(read_video(&artifacts.video()).unwrap().shape().bins, SIDE);
+    let whole = read_video(&artifacts.video()).unwrap();
+    let mut stored = artifacts.open_video().unwrap();
+    assert_eq!((whole.shape(), whole.shape().bins), (stored.shape(), SIDE));
+    assert_eq!(stored.bin(9).unwrap().data(), whole.bin(9));
 }
 
 /// The state of another job is gone before its bins are replaced. Killed in between, neither job resumes with bins of the

@@ -36,6 +36,7 @@ impl LiveSolver {
                 .as_deref()
                 .unwrap_or(std::path::Path::new("")),
             &setup.camera,
+            Model::cached_gram_bytes(&setup.camera),
         )?;
         setup.measurement(&raw(first)?)?;
         let model = Model::new(&setup.camera, &setup.psfs)

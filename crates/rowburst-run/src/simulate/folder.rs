@@ -58,7 +58,7 @@ impl SimulationRequest<'_> {
         if self.captures {
             captures::check(&camera).map_err(|e| naming_camera(e, &self.experiment.path))?;
         }
-        check_memory(&self.experiment.path, &camera)?;
+        check_memory(&self.experiment.path, &camera, 0)?;
         let psfs = psfs_of(self, &camera, observer)?;
         let made = simulate(&Simulation {
             camera: &camera,

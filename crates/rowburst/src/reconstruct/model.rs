@@ -146,6 +146,13 @@ impl Model {
         gram_bytes(&self.camera)
     }
 
+    /// Memory in bytes that [`Self::with_cached_gram`] keeps; 0 where it caches nothing.
+    pub fn cached_gram_bytes(camera: &Camera) -> u64 {
+        let elements =
+            gram_bytes(camera).map_or(0, |bytes| bytes / element_bytes(camera.columns()));
+        (elements * size_of::<f64>()) as u64
+    }
+
     /// Typical peak memory of a reconstruction in bytes, before anything is allocated; `None` where the number itself is
     /// too large.
     pub fn run_bytes(camera: &Camera) -> Option<u64> {

@@ -11,8 +11,8 @@ use super::sigma::Bands;
 use super::{
     Model, Options, Prior, Problem, Reconstruction, RunResult, SigmaSource, Tau, noise_of,
 };
-use rowburst_core::Result;
 use rowburst_core::vecmath::distance_squared;
+use rowburst_core::{Cancel, Result};
 use rowburst_optics::measurement::Measurement;
 use rowburst_solve::admm::{Admm, Progress, TauRule};
 use rowburst_solve::prox::Prox;
@@ -63,6 +63,13 @@ impl Sequence {
             options,
             previous: None,
         }
+    }
+
+    /// Lets `cancel` stop the set-up of frames that start from zero. A frame that was cancelled is no start for the next.
+    pub fn set_cancel(&mut self, cancel: &Cancel) {
+        let was_cancelled = |last: &mut FrameRun| last.problem.data.cancel().is_cancelled();
+        self.previous.take_if(was_cancelled);
+        self.model = self.model.clone().with_cancel(cancel);
     }
 
     /// Drops the last frame, so that the next one starts from zero.
