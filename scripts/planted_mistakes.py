@@ -118,7 +118,7 @@ def mistakes(bench):
         ("saturated", "saturated", dict(frame=np.full_like(counts, 65535))),
         ("mostly saturated", "saturated", dict(frame=np.minimum(counts.astype(np.int64) * 9, 65535).astype(np.uint16))),
         ("infinite values", "inf|finite", dict(frame=np.full(frame.shape, 1e300))),
-        ("transposed", PSF, dict(frame=counts.T.copy())),
+        ("transposed", "turned by 90°", dict(frame=counts.T.copy())),
         ("upside down", f"{PSF}|{TIMES}", dict(frame=counts[::-1].copy())),
         ("mirrored", PSF, dict(frame=counts[:, ::-1].copy())),
         ("turned by half", PSF, dict(frame=counts[::-1, ::-1].copy())),

@@ -150,6 +150,7 @@ def test_the_figure_is_that_of_the_command_line(result, saved, folder, tmp_path)
         figure = result.figure(tmp_path / "figure.svg", layout)
         assert figure.svg.startswith("<?xml") and figure.png[:4] == b"\x89PNG" and len(repr(figure)) < 100
         assert (tmp_path / "figure.svg").read_text(encoding="utf-8") == figure.svg
+        assert figure.pdf[:5] == b"%PDF-" and figure.save(tmp_path / "figure.pdf").read_bytes() == figure.pdf
         assert saved.figure(tmp_path / "figure.png", layout).png == (tmp_path / "figure.png").read_bytes()
         assert saved.figure(layout=layout).svg == figure.svg
         program = os.environ.get("ROWBURST")
@@ -161,7 +162,7 @@ def test_the_figure_is_that_of_the_command_line(result, saved, folder, tmp_path)
             assert drawn[0] == drawn[1] and len(drawn[0]) > 5000
     with pytest.raises(rb.InputError, match="layout"):
         result.figure(layout="fig9")
-    with pytest.raises(rb.InputError, match="svg or a .png"):
+    with pytest.raises(rb.InputError, match="svg, .pdf or .png"):
         result.figure(tmp_path / "figure.jpg")
 
 

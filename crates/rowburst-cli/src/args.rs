@@ -427,7 +427,7 @@ pub struct FigureArgs {
     /// The bins of the panel frames, from 0
     #[arg(long, value_name = "BINS", value_delimiter = ',')]
     pub bins: Vec<usize>,
-    /// The file: .svg (text stays text) or .png (1600 pixels wide where no width on paper is given)
+    /// The file: .svg or .pdf (text stays text), or .png (1600 pixels wide where no width on paper is given)
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
 }

@@ -9,7 +9,7 @@ use rowburst_run::figure_of_folder;
 use std::path::{Path, PathBuf};
 
 pub fn run(args: &FigureArgs) -> Result<()> {
-    let is_svg = is_svg(&args.output)?;
+    let format = FigureFormat::of(&args.output)?;
     let layout = match args.layout {
         FigureLayout::Fig2 => Layout::Fig2,
         FigureLayout::Fig3 => Layout::Fig3,
@@ -21,28 +21,37 @@ pub fn run(args: &FigureArgs) -> Result<()> {
         bins: args.bins.clone(),
     };
     let figure = figure_of_folder(&args.result, &options)?;
-    let bytes = if is_svg {
-        figure.svg.as_bytes()
-    } else {
-        &figure.png
+    let bytes = match format {
+        FigureFormat::Svg => figure.svg.into_bytes(),
+        FigureFormat::Png => figure.png,
+        FigureFormat::Pdf => figure.pdf()?,
     };
-    write(&args.output, bytes)?;
+    write(&args.output, &bytes)?;
     print_line(args.output.display());
     Ok(())
 }
 
-/// Whether the ending of the file asks for an SVG rather than a PNG.
-fn is_svg(path: &Path) -> Result<bool> {
-    let kind = path.extension().and_then(|e| e.to_str());
-    match kind.map(str::to_ascii_lowercase).as_deref() {
-        Some("svg") => Ok(true),
-        Some("png") => Ok(false),
-        _ => Err(Error::input(
-            Parameter::Output,
-            path.display(),
-            "a figure is an .svg or a .png file",
-            "Give the file one of these endings.",
-        )),
+enum FigureFormat {
+    Svg,
+    Png,
+    Pdf,
+}
+
+impl FigureFormat {
+    /// The format that the ending of the file asks for.
+    fn of(path: &Path) -> Result<Self> {
+        let kind = path.extension().and_then(|e| e.to_str());
+        match kind.map(str::to_ascii_lowercase).as_deref() {
+            Some("svg") => Ok(Self::Svg),
+            Some("png") => Ok(Self::Png),
+            Some("pdf") => Ok(Self::Pdf),
+            _ => Err(Error::input(
+                Parameter::Output,
+                path.display(),
+                "a figure is an .svg, .pdf or .png file",
+                "Give the file one of these endings.",
+            )),
+        }
     }
 }
 

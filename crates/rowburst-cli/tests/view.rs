@@ -57,7 +57,7 @@ fn figures_are_svg_with_text_or_png() {
     assert!(column.contains("width=\"86mm\"") && column.contains(">b</text>"));
     assert!(lab.read("three.png").starts_with(b"\x89PNG"));
     for (line, word) in [
-        ("figure out --layout fig2 -o two.pdf", ".svg or a .png"),
+        ("figure out --layout fig2 -o two.eps", ".svg, .pdf or .png"),
         ("figure nothing --layout fig2 -o two.svg", "no result.json"),
     ] {
         let (status, said) = run(&lab, line);

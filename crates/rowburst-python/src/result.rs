@@ -16,7 +16,7 @@ use pyo3::types::{PyBytes, PyDict, PyType};
 use rowburst::solve::admm::Progress;
 use rowburst::{Error, Parameter, Shape, Video};
 use rowburst_io::{ForeignFiles, OutputFolder};
-use rowburst_report::Layout;
+use rowburst_report::{ComposedFigure, Layout};
 use rowburst_run::{
     ColourFolder, CompletedTask, MovieStyle, Output, ReportMeta, RunRecord, TraceRequest, Traces,
     VideoFormat, figure_of_folder, player_of,
@@ -429,19 +429,14 @@ impl PyReconstruction {
         page.map_err(to_py_err)
     }
 
-    /// The figure of `rowburst figure`: SVG and PNG.
-    fn _figure<'py>(
-        &self,
-        py: Python<'py>,
-        layout: &str,
-    ) -> PyResult<(String, Bound<'py, PyBytes>)> {
+    /// The figure of `rowburst figure`: SVG, PNG and PDF.
+    fn _figure<'py>(&self, py: Python<'py>, layout: &str) -> PyResult<FigureFiles<'py>> {
         let layout = layout_of(layout).map_err(to_py_err)?;
         let figure = self.with(py, move |state| {
             let (completed, traces) = state.with_spots();
             completed.figure(traces, "Rowburst", &layout.into())
         })?;
-        let figure = figure.map_err(to_py_err)?;
-        Ok((figure.svg, PyBytes::new(py, &figure.png)))
+        files_of(py, figure.map_err(to_py_err)?)
     }
 
     /// Writes all files of `rowburst reconstruct` into a folder; `formats` are those of the video, such as `npy,tif`.
@@ -525,17 +520,29 @@ pub fn _save_colour(
     finished.map(|_| ()).map_err(to_py_err)
 }
 
-/// The figure of a result folder: SVG and PNG.
+/// A figure as SVG, PNG and PDF.
+type FigureFiles<'py> = (String, Bound<'py, PyBytes>, Bound<'py, PyBytes>);
+
+fn files_of(py: Python<'_>, figure: ComposedFigure) -> PyResult<FigureFiles<'_>> {
+    let pdf = detached(py, || figure.pdf())?.map_err(to_py_err)?;
+    Ok((
+        figure.svg,
+        PyBytes::new(py, &figure.png),
+        PyBytes::new(py, &pdf),
+    ))
+}
+
+/// The figure of a result folder: SVG, PNG and PDF.
 #[pyfunction]
 #[pyo3(name = "_figure_of_folder")]
 pub fn figure_from_folder<'py>(
     py: Python<'py>,
     folder: PathBuf,
     layout: &str,
-) -> PyResult<(String, Bound<'py, PyBytes>)> {
+) -> PyResult<FigureFiles<'py>> {
     let layout = layout_of(layout).map_err(to_py_err)?;
     let figure = detached(py, || figure_of_folder(&folder, &layout.into()))?.map_err(to_py_err)?;
-    Ok((figure.svg, PyBytes::new(py, &figure.png)))
+    files_of(py, figure)
 }
 
 fn layout_of(name: &str) -> rowburst::Result<Layout> {

@@ -213,6 +213,7 @@ fn of_statistics<'py>(py: Python<'py>, s: &FitStatistics) -> PyResult<Bound<'py,
     state.set_item("lone_pixels", s.lone_pixels)?;
     state.set_item("residual_trend", s.residual_trend)?;
     state.set_item("mirrored", s.mirrored)?;
+    state.set_item("fine_ratio", s.fine_ratio)?;
     state.set_item("tests_timing", s.tests_timing)?;
     Ok(state)
 }
@@ -450,6 +451,7 @@ fn to_statistics(state: &Bound<'_, PyDict>) -> PyResult<FitStatistics> {
         lone_pixels: entry(state, "lone_pixels")?.extract()?,
         residual_trend: number("residual_trend")?,
         mirrored: optional("mirrored")?,
+        fine_ratio: optional("fine_ratio")?,
         tests_timing: entry(state, "tests_timing")?.extract()?,
     })
 }

@@ -71,7 +71,7 @@ const RASTER_CSS: &str = "text{font-family:'DejaVu Sans';font-size:12px;fill:#1d
 .line{stroke:#1f6fb2;stroke-width:1.6;fill:none}.reference{stroke:#5b6472;stroke-width:1.2;fill:none}\
 .bars{fill:#8fb6d8;stroke:none}";
 
-pub(crate) static FONTS: LazyLock<Arc<usvg::fontdb::Database>> = LazyLock::new(|| {
+static FONTS: LazyLock<Arc<usvg::fontdb::Database>> = LazyLock::new(|| {
     let mut fonts = usvg::fontdb::Database::new();
     for face in [dejavu::sans::regular(), dejavu::sans::bold()] {
         fonts.load_font_source(usvg::fontdb::Source::Binary(Arc::new(face)));
@@ -302,12 +302,7 @@ impl Figure {
             r#"<svg xmlns="http://www.w3.org/2000/svg" width="{}" height="{}"><style>{RASTER_CSS}</style>{}</svg>"#,
             self.width, self.height, self.body
         );
-        let options = usvg::Options {
-            fontdb: FONTS.clone(),
-            font_family: "DejaVu Sans".into(),
-            ..usvg::Options::default()
-        };
-        let tree = usvg::Tree::from_str(&svg, &options).map_err(failed)?;
+        let tree = usvg::Tree::from_str(&svg, &svg_options()).map_err(failed)?;
         let scale = self.scale as f32;
         resvg::render(
             &tree,
@@ -316,6 +311,26 @@ impl Figure {
         );
         encode(&canvas, self.paper.map(|(_, dpi)| dpi))
     }
+}
+
+/// How an SVG is read: with the embedded fonts alone, and 96 px in an inch.
+pub(crate) fn svg_options() -> usvg::Options<'static> {
+    usvg::Options {
+        fontdb: FONTS.clone(),
+        font_family: "DejaVu Sans".into(),
+        dpi: DPI,
+        ..usvg::Options::default()
+    }
+}
+
+/// Pixels of an SVG in an inch of paper.
+const DPI: f32 = 96.0;
+
+/// An SVG file as a PDF file of one page.
+pub(crate) fn pdf_of(svg: &str) -> Result<Vec<u8>> {
+    let tree = usvg::Tree::from_str(svg, &svg_options()).map_err(failed)?;
+    let page = svg2pdf::PageOptions { dpi: DPI };
+    svg2pdf::to_pdf(&tree, svg2pdf::ConversionOptions::default(), page).map_err(failed)
 }
 
 /// Copies a raster into its place: nearest neighbour when enlarged, block means when reduced.

@@ -1,6 +1,6 @@
 //! Figures for papers: several of the report's, with letters, as SVG with vector text and as PNG.
 
-use crate::figure::{Anchor, Figure};
+use crate::figure::{Anchor, Figure, pdf_of};
 use crate::{ReportInput, check, figures};
 use rowburst::{Error, Parameter, Result, phrase};
 
@@ -44,6 +44,17 @@ pub struct ComposedFigure {
     pub svg: String,
     /// 8-bit RGB on white, 1600 pixels wide, or 600 dpi where the width on paper is given.
     pub png: Vec<u8>,
+}
+
+impl ComposedFigure {
+    /// The figure as a PDF file of one page: text as text with its fonts, pictures as they are. Its width is that on
+    /// paper, where it is given.
+    ///
+    /// # Errors
+    /// A figure that cannot be converted.
+    pub fn pdf(&self) -> Result<Vec<u8>> {
+        pdf_of(&self.svg)
+    }
 }
 
 const WIDTH: f64 = 800.0;

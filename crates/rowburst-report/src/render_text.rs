@@ -1,6 +1,6 @@
 //! A line of words as pixels, such as the time below a picture of a film.
 
-use crate::figure::FONTS;
+use crate::figure::svg_options;
 use crate::pixels::failed;
 use maud::Render;
 use resvg::{tiny_skia, usvg};
@@ -19,12 +19,7 @@ pub fn render_text(text: &str, width: usize, height: usize) -> Result<Vec<u8>> {
         0.4 * size,
         0.72 * height as f64,
     );
-    let options = usvg::Options {
-        fontdb: FONTS.clone(),
-        font_family: "DejaVu Sans".into(),
-        ..usvg::Options::default()
-    };
-    let tree = usvg::Tree::from_str(&svg, &options).map_err(failed)?;
+    let tree = usvg::Tree::from_str(&svg, &svg_options()).map_err(failed)?;
     let mut canvas = tiny_skia::Pixmap::new(width as u32, height as u32)
         .ok_or_else(|| failed("words without area"))?;
     resvg::render(

@@ -297,6 +297,8 @@ pub struct FitNumbers {
     pub residual_trend: f64,
     /// Null where it cannot be tested, since instants read several rows.
     pub mirrored: Option<f64>,
+    /// Null where the PSF passes the finest detail, or rows and columns are too few.
+    pub fine_ratio: Option<f64>,
     pub tests_timing: bool,
 }
 
@@ -321,6 +323,7 @@ impl From<&FitStatistics> for FitNumbers {
             lone_pixels: s.lone_pixels,
             residual_trend: s.residual_trend,
             mirrored: s.mirrored,
+            fine_ratio: s.fine_ratio,
             tests_timing: s.tests_timing,
         }
     }

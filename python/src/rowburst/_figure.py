@@ -17,6 +17,8 @@ class Figure:
     """The figure as SVG."""
     png: bytes
     """The figure as PNG."""
+    pdf: bytes
+    """The figure as PDF."""
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Writes the figure to a file.
@@ -24,7 +26,7 @@ class Figure:
         Parameters
         ----------
         path : path
-            A file whose name ends in .svg or .png.
+            A file whose name ends in .svg, .pdf or .png.
 
         Returns
         -------
@@ -46,8 +48,10 @@ class Figure:
             target.write_text(self.svg, encoding="utf-8")
         elif target.suffix.lower() == ".png":
             target.write_bytes(self.png)
+        elif target.suffix.lower() == ".pdf":
+            target.write_bytes(self.pdf)
         else:
-            raise input_error("path", repr(str(path)), "a figure is an .svg or a .png file", "Give the file one of these endings.")
+            raise input_error("path", repr(str(path)), "a figure is an .svg, .pdf or .png file", "Give the file one of these endings.")
         return target
 
     def __repr__(self) -> str:

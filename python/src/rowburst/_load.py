@@ -151,7 +151,7 @@ class SavedResult(VideoResult):
         Returns
         -------
         Figure
-            The figure as SVG and PNG.
+            The figure as SVG, PNG and PDF.
 
         Raises
         ------

@@ -364,7 +364,7 @@ class Result(VideoResult):
         Returns
         -------
         Figure
-            The figure as SVG and PNG; notebooks show it.
+            The figure as SVG, PNG and PDF; notebooks show it.
 
         Raises
         ------

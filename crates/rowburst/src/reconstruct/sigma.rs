@@ -61,7 +61,19 @@ pub(super) struct Bands {
 
 impl Bands {
     pub fn new(measurement: &Measurement, psf: &Psf) -> Self {
-        let (length, starts) = windows(measurement.image(), measurement.weights());
+        Self::of_power(measurement.image(), measurement.weights(), |length| {
+            transfer(psf, length)
+        })
+    }
+
+    /// Those of optics that pass all frequencies alike, for [`Self::fine_rms`] alone.
+    pub fn without_optics(image: &Image, weights: Option<&[f32]>) -> Self {
+        Self::of_power(image, weights, |length| vec![1.0; length / 2 + 1])
+    }
+
+    /// `power` gives what the optics pass at each frequency of a window of so many pixels.
+    fn of_power(image: &Image, weights: Option<&[f32]>, power: impl Fn(usize) -> Vec<f64>) -> Self {
+        let (length, starts) = windows(image, weights);
         let window = (0..length)
             .map(|x| {
                 (std::f64::consts::PI * (x as f64 + 0.5) / length as f64)
@@ -69,7 +81,7 @@ impl Bands {
                     .powi(2)
             })
             .collect();
-        let power = transfer(psf, length);
+        let power = power(length);
         let mut order: Vec<usize> = (1..power.len()).collect();
         order.sort_by(|&a, &b| power[a].total_cmp(&power[b]));
         let band_size = |fraction: f64, min_count: usize| {

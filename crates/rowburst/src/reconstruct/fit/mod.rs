@@ -20,6 +20,7 @@
 //! | rows paired or overlapped wrongly (shutter, exposure too long, frame moved along `y`) | `χ²`, where the scene changes |
 //! | two rows an instant taken for one (dual for single) | a video that runs back and forth |
 //! | light outside the field, support too tight, bad pixels and columns | `χ²` of few instants, columns, pixels |
+//! | frame turned by 90° or transposed | finest detail along the rows rather than across them, where the scene changes |
 //! | stopped early | few iterations, or a residual that still falls |
 //! | pixels that hold no light of the scene | the noise band, or a solver that ran away |
 //! | too few measurements to tell | `df/m` |
@@ -120,6 +121,10 @@ pub struct FitStatistics {
     /// How much more alike bins are that lie mirrored about the middle of the time axis
     /// than others that far apart; `None` where instants read several rows.
     pub mirrored: Option<f64>,
+    /// Level of the frame at the highest frequencies along `y` over that along `x`, without the means of rows and columns:
+    /// 1 or more, since rows are read at different instants and the optics pass neither. `None` where the PSF passes
+    /// the highest frequencies, and where there are too few whole rows or columns.
+    pub fine_ratio: Option<f64>,
     /// Whether a wrong row order or exposure could show: bins are seen by several rows.
     pub tests_timing: bool,
 }

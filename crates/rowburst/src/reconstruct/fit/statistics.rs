@@ -1,7 +1,7 @@
 //! The numbers of a residual.
 
-use super::{FitInput, FitStatistics, TrimmedChiSquared};
-use rowburst_optics::{Camera, Video};
+use super::{Bands, FitInput, FitStatistics, TrimmedChiSquared};
+use rowburst_optics::{Camera, Image, Video};
 
 /// `|r|` of a pixel that stands out: noise passes it in one pixel of 1.7 million.
 const OUTLIER: f64 = 5.0;
@@ -97,8 +97,70 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
         lone_pixels: lone.len(),
         residual_trend: trend(evidence.residual_history),
         mirrored: mirrored(evidence.camera, evidence.video),
+        fine_ratio: if evidence.bands.leak() < MAX_LEAK && count > 1 {
+            let frame = evidence.normalised_residual;
+            fine_ratio(evidence.measured, frame.rows(), frame.columns(), usable)
+        } else {
+            None
+        },
         tests_timing: tests_timing(evidence.camera),
     }
+}
+
+/// See [`FitStatistics::fine_ratio`].
+fn fine_ratio(
+    measured: &[f32],
+    rows: usize,
+    columns: usize,
+    usable: impl Fn(usize) -> bool,
+) -> Option<f64> {
+    let detail = without_line_means(measured, rows, columns, &usable);
+    let weights: Vec<f32> = (0..measured.len())
+        .map(|at| f32::from(u8::from(usable(at))))
+        .collect();
+    let turned = |values: &[f32]| -> Vec<f32> {
+        let pixels = (0..columns).flat_map(|x| (0..rows).map(move |y| y * columns + x));
+        pixels.map(|at| values[at]).collect()
+    };
+    let level = |rows, columns, values: Vec<f32>, weights: &[f32]| {
+        let image = Image::new(rows, columns, values).ok()?;
+        Bands::without_optics(&image, Some(weights)).fine_rms(|at| f64::from(image.data()[at]))
+    };
+    let across = level(columns, rows, turned(&detail), &turned(&weights))?;
+    let along = level(rows, columns, detail, &weights)?;
+    Some(across / along.max(f64::MIN_POSITIVE))
+}
+
+/// The usable pixels without the mean of their row and of their column; 0 elsewhere.
+fn without_line_means(
+    measured: &[f32],
+    rows: usize,
+    columns: usize,
+    usable: impl Fn(usize) -> bool,
+) -> Vec<f32> {
+    let mut values: Vec<f64> = (0..measured.len())
+        .map(|at| {
+            if usable(at) {
+                f64::from(measured[at])
+            } else {
+                0.0
+            }
+        })
+        .collect();
+    let mut subtract_means = |count: usize, line_of: &dyn Fn(usize) -> usize| {
+        let mut sums = vec![(0.0, 0usize); count];
+        for at in (0..values.len()).filter(|&at| usable(at)) {
+            let sum = &mut sums[line_of(at)];
+            *sum = (sum.0 + values[at], sum.1 + 1);
+        }
+        for at in (0..values.len()).filter(|&at| usable(at)) {
+            let (sum, n) = sums[line_of(at)];
+            values[at] -= sum / n as f64;
+        }
+    };
+    subtract_means(rows, &|at| at / columns);
+    subtract_means(columns, &|at| at % columns);
+    values.into_iter().map(|v| v as f32).collect()
 }
 
 /// Sums of `r²` over instants or columns.
@@ -250,6 +312,30 @@ mod tests {
             video.bin_mut(t)[place(t)] = 1.0;
         }
         video
+    }
+
+    #[test]
+    fn rows_that_are_read_one_after_the_other_differ_across() {
+        // Smooth along x, another picture in each row; a strong offset of each column besides.
+        let value = |y: usize, x: usize| {
+            let phase = (y * y * 37 % 101) as f64;
+            (0.2 * x as f64 + phase).sin() + (x * x * 53 % 89) as f64
+        };
+        let (rows, columns) = (40, 48);
+        let noise = |at: usize| 1e-3 * ((at * 7919 % 1009) as f64 / 1009.0 - 0.5);
+        let frame: Vec<f32> = (0..rows * columns)
+            .map(|at| (value(at / columns, at % columns) + noise(at)) as f32)
+            .collect();
+        let turned: Vec<f32> = (0..rows * columns)
+            .map(|at| frame[at % rows * columns + at / rows])
+            .collect();
+        assert!(fine_ratio(&frame, rows, columns, |_| true).unwrap() > 10.0);
+        assert!(fine_ratio(&turned, columns, rows, |_| true).unwrap() < 0.1);
+        let white: Vec<f32> = (0..rows * columns)
+            .map(|at| (noise(at) * 1e3) as f32)
+            .collect();
+        let ratio = fine_ratio(&white, rows, columns, |at| at != 77).unwrap();
+        assert!((0.7..1.4).contains(&ratio), "{ratio}");
     }
 
     #[test]

@@ -43,6 +43,8 @@ const MIN_LIGHT_OVER_NOISE: f64 = 0.1;
 const LARGE_MISFIT: f64 = 0.1;
 /// Part of the pixels that were left out as foreign from which the verdict says so.
 const MANY_EXCLUDED: f64 = 0.005;
+/// Detail across the rows over that along them, below which a frame is turned; larger calls frames turned that are not.
+const TURNED: f64 = 1.0 / 3.0;
 /// Multiples of σ below zero that noise does not reach, and the part of the pixels that may lie there.
 const BELOW_ZERO: f64 = 5.0;
 const MANY_BELOW_ZERO: f64 = 0.05;
@@ -69,6 +71,15 @@ pub(super) fn of(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
 fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
     if let Some(found) = untestable(evidence, s) {
         return found;
+    }
+    if let Some(ratio) = s.fine_ratio.filter(|ratio| *ratio < TURNED) {
+        return (
+            Verdict::Bad,
+            format!(
+                "the frame has {} times more of the finest detail along its rows than across them, where a shutter that reads row by row leaves it: the frame is turned by 90° or transposed (rows are to be those that the shutter reads)",
+                digits(1.0 / ratio)
+            ),
+        );
     }
     if !is_model_wrong(evidence, s)
         && let Some(found) = noise_level(evidence, s)
