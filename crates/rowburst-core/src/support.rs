@@ -14,6 +14,9 @@ pub struct Support {
 /// Part of a bin's voxels above which all become active; larger restricts bins for little gain (docs/design/007).
 const MAX_ACTIVE_FRACTION: f64 = 1.0 / 3.0;
 
+/// Correlation of an added voxel over the largest of its bin; smaller adds more voxels that are dark (docs/design/007).
+const MIN_CORRELATION_RATIO: f32 = 0.5;
+
 impl Support {
     /// All voxels of videos of `shape`.
     pub fn full(shape: Shape) -> Self {
@@ -65,7 +68,7 @@ impl Support {
             } else {
                 mask.fill(1);
             }
-            unrestrict_if_crowded(mask);
+            unrestrict_if_dense(mask);
         });
         Self {
             shape,
@@ -91,17 +94,17 @@ impl Support {
         let all = Arc::make_mut(&mut self.mask);
         for &t in bins {
             let bin = &correlation[t * pixels..(t + 1) * pixels];
-            let half = 0.5 * bin.iter().copied().fold(0.0f32, f32::max);
-            if half > 0.0 {
+            let threshold = MIN_CORRELATION_RATIO * bin.iter().copied().fold(0.0f32, f32::max);
+            if threshold > 0.0 {
                 let mask = &mut all[t * pixels..(t + 1) * pixels];
-                mark_with_neighbours(mask, bin, self.shape.columns, half);
-                unrestrict_if_crowded(mask);
+                mark_with_neighbours(mask, bin, self.shape.columns, threshold);
+                unrestrict_if_dense(mask);
             }
         }
         self
     }
 
-    /// Adds all voxels of the bins with more than `max_active` active voxels.
+    /// Adds all voxels of the crowded bins, those with more than `max_active` active voxels.
     #[must_use]
     pub fn with_crowded_bins_unrestricted(mut self, max_active: usize) -> Self {
         let pixels = self.shape.pixels();
@@ -171,8 +174,8 @@ impl Support {
     }
 }
 
-/// Makes all voxels of a bin active if more than [`MAX_ACTIVE_FRACTION`] of them are.
-fn unrestrict_if_crowded(mask: &mut [u8]) {
+/// Makes all voxels of a dense bin active: one of which more than [`MAX_ACTIVE_FRACTION`] is.
+fn unrestrict_if_dense(mask: &mut [u8]) {
     let active = mask.iter().filter(|&&active| active == 1).count();
     if active as f64 > MAX_ACTIVE_FRACTION * mask.len() as f64 {
         mask.fill(1);
@@ -236,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn threshold_zero_and_crowded_bins_are_unrestricted() {
+    fn threshold_zero_and_dense_bins_are_unrestricted() {
         let shape = Shape::new(2, 4, 4);
         let video: Vec<f32> = (0..32)
             .map(|i| if i % 16 < 4 { 1.0 } else { 0.0 })

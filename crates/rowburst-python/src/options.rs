@@ -14,19 +14,20 @@ pub type Constants = BTreeMap<String, f64>;
 
 /// The standard constants of the solver with other values of some.
 pub fn tuning_from(values: impl IntoIterator<Item = (String, f64)>) -> PyResult<Tuning> {
+    let values: Vec<(String, f64)> = values.into_iter().collect();
     let mut tuning = Tuning::STANDARD;
-    for (name, value) in values {
-        tuning.set(&name, value).map_err(|error| {
-            let remedy = "The names are the fields of rowburst::solve::admm::Tuning.";
-            let found = format!("{name} = {value}");
-            to_py_err(Error::input(
-                Parameter::Tuning,
-                found,
-                error.to_string(),
-                remedy,
-            ))
-        })?;
-    }
+    let named = values.iter().map(|(name, value)| (name.as_str(), *value));
+    tuning.set_all(named).map_err(|error| {
+        let remedy = "The names are the fields of rowburst::solve::admm::Tuning.";
+        let at_fault = values.iter().find(|(name, _)| name == error.name());
+        let found = at_fault.map_or_else(String::new, |(name, value)| format!("{name} = {value}"));
+        to_py_err(Error::input(
+            Parameter::Tuning,
+            found,
+            error.to_string(),
+            remedy,
+        ))
+    })?;
     Ok(tuning)
 }
 

@@ -36,7 +36,7 @@ impl Default for DataHints {
     }
 }
 
-/// What a new factor of the x-step costs; it chooses the values of [`super::admm::PenaltyTuning`].
+/// What a new factor of the x-step costs; it chooses the values of [`super::admm::SizeTuning`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ProblemSize {
     /// A new factor costs about as much as an iteration, or no factor is needed.

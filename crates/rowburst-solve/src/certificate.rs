@@ -1,7 +1,7 @@
 //! What is proved of a video: its objective, and a lower bound of the minimum.
 //!
 //! [`super::admm`] has the bound that the solver computes along the way (docs/design/009). A strict one, for the
-//! reference solvers, is in `tests/reference/certifier.rs`.
+//! reference solvers, is in `crates/rowburst/tests/reference/certifier.rs`.
 
 /// The objective of a video, and a lower bound of its minimum.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,6 +9,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{Options, Prior, Problem, Tau};
 use rowburst::solve::StopReason;
+use rowburst::solve::admm::Tuning;
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter};
 use std::hint::black_box;
 use std::ops::ControlFlow;
@@ -116,6 +117,17 @@ fn standard() -> Options {
     }
 }
 
+/// The same without a stop by the certificate: the iterations after the warm-up, on the support.
+fn never_converged() -> Options {
+    let mut tuning = Tuning::STANDARD;
+    // Smaller than f32 can prove.
+    tuning.tolerance = 1e-12;
+    Options {
+        tuning,
+        ..standard()
+    }
+}
+
 /// The bare iteration: no factor is renewed, no support is sought.
 fn bare() -> Options {
     Options {
@@ -169,6 +181,7 @@ fn main() {
         "adjoint-wide" => adjoint(WIDE, times),
         "set-up" => set_up(times),
         "iterations" => iterations(standard(), times),
+        "late-iterations" => iterations(never_converged(), times),
         "bare-iterations" => iterations(bare(), times),
         _ => {
             eprintln!("no subject \"{subject}\"");

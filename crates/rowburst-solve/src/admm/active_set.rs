@@ -15,7 +15,7 @@ use rowburst_core::{Shape, Support};
 /// In a sparse scene few voxels are active, and the data determine these far better if the others are known to be
 /// zero. Without a restriction most iterations go into haze that moves slowly out of inactive voxels. The restriction
 /// must not cut off light that the video does not show yet, so it begins after the warm-up, and bins that cannot
-/// explain their measurements are widened.
+/// explain their measurements are widened or unrestricted.
 pub(super) struct ActiveSet {
     shape: Shape,
     estimator: SupportEstimator,

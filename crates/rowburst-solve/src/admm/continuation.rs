@@ -10,7 +10,7 @@ use super::tuning::Tuning;
 /// falls linearly. `β` follows the brightness until the run settles, since the certificate needs a constant `β`. A wait
 /// does not lower the part further.
 pub(super) struct Continuation {
-    /// See [`super::AdmmParams::threshold`].
+    /// `β` at its end over the brightness, see [`super::AdmmParams::threshold`].
     relative_threshold: f64,
     factor: f64,
     end: usize,

@@ -58,15 +58,16 @@ impl Controllers {
         self.set_tau_rule(self.penalty.rule(), data);
     }
 
-    /// Lets each controller act before an iteration. Before the first one of a run there is nothing to adapt to; it has
-    /// [`Self::set_first_threshold`] between its x-step and its z-step.
+    /// Lets each controller act before an iteration. Before the first one of a run there is nothing to adapt to; its
+    /// threshold is found in [`Self::threshold`]. A warm start continues a run, so the first iteration of a later frame
+    /// adapts, too.
     ///
     /// The order matters:
     /// 1. `ρ` first: it compares the residual of the last x-step with the bound that held then. The first iteration of
     ///    a frame has no x-step to compare.
     /// 2. The phase, which says what else is due.
     /// 3. The bound, for the next correction of `ρ`. It counts the degrees of freedom of the video as the prior left
-    ///    it, before a restriction changes the video.
+    ///    it, before a restriction changes the video. So the first count is of the video of the warm-up.
     /// 4. `β`, from the same video. Where `τ` is given, `ρ` follows here.
     /// 5. The active set. It comes after `ρ`, which its first restriction bounds from below, and after the bound, to
     ///    which the residuals of bins are compared.
@@ -100,8 +101,9 @@ impl Controllers {
         }
     }
 
-    /// Sets the first threshold `β`, a part of the brightness of `q = αx`; later ones come from [`Self::adapt`].
-    pub fn set_first_threshold(&mut self, variables: &Variables) {
+    /// The threshold `β` of the z-step. [`Self::adapt`] sets it, but for the first one of a run: this is a part of the
+    /// brightness of the first `q = αx`.
+    pub fn threshold(&mut self, variables: &Variables) -> f64 {
         if self.penalty.beta() == 0.0 {
             // With a background this is the brightness of both components; later calls take the foreground's.
             let beta = self
@@ -109,10 +111,11 @@ impl Controllers {
                 .first_beta(brightness(&variables.q), &self.schedule);
             self.penalty.set_beta_or_keep(beta);
         }
+        self.penalty.beta()
     }
 
-    /// Whether a certificate can end the run: `β` is constant, `ρ` did not change before this iteration, and the support
-    /// is stable.
+    /// Whether a certificate can end the run: `β` is constant, the controllers left `ρ` unchanged in this iteration, and
+    /// the support is stable.
     pub fn is_settled(&self) -> bool {
         self.schedule.phase() == Phase::Settled
             && self.penalty.is_unchanged()
@@ -150,10 +153,9 @@ impl Controllers {
     }
 
     fn update_bound(&mut self, variables: &Variables, data: &dyn DataTerm, prior: &dyn Prox) {
-        let tuning = &self.tuning;
-        let is_due =
-            !self.schedule.is_warming_up() && self.schedule.is_multiple_of(tuning.freedom_interval);
-        if let (TauRule::Discrepancy { sigma }, true) = (self.penalty.rule(), is_due) {
+        if let TauRule::Discrepancy { sigma } = self.penalty.rule()
+            && self.discrepancy.is_due(&self.schedule)
+        {
             let df = self.degrees_of_freedom(variables, prior);
             self.discrepancy
                 .set_degrees_of_freedom(df, sigma, data.measurement_count());
@@ -196,5 +198,165 @@ impl Controllers {
     /// The video without its background; brightness and support refer to it.
     fn foreground<'a>(&self, variables: &'a Variables) -> &'a [f32] {
         &variables.z[..self.shape.voxels()]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowburst_core::Support;
+    use rowburst_core::linop::LinearOperator;
+    use std::sync::{Arc, Mutex};
+
+    /// What the controllers ask of data and prior, in order. Videos are told by the number of their active voxels.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    enum Call {
+        DegreesOfFreedom(usize),
+        RestrictPrior,
+        RestrictData,
+        Apply(usize),
+        UpdateWeights(usize),
+    }
+
+    type Calls = Arc<Mutex<Vec<Call>>>;
+
+    fn active(video: &[f32]) -> usize {
+        video.iter().filter(|v| **v != 0.0).count()
+    }
+
+    /// `A = I` for a frame of [`VOXELS`] pixels that counts as [`MEASUREMENTS`] measurements.
+    struct RecordingData(Calls);
+
+    struct RecordingPrior(Calls);
+
+    const VOXELS: usize = 81;
+    const MEASUREMENTS: usize = 100;
+
+    impl LinearOperator for RecordingData {
+        fn domain_len(&self) -> usize {
+            VOXELS
+        }
+
+        fn range_len(&self) -> usize {
+            VOXELS
+        }
+
+        fn apply(&self, x: &[f32], y: &mut [f32]) {
+            self.0.lock().unwrap().push(Call::Apply(active(x)));
+            y.copy_from_slice(x);
+        }
+
+        fn adjoint(&self, _: &[f32], _: &mut [f32]) {
+            unreachable!("no adjoint is asked for")
+        }
+    }
+
+    impl DataTerm for RecordingData {
+        fn operator(&self) -> &dyn LinearOperator {
+            self
+        }
+
+        fn measurements(&self) -> &[f32] {
+            unreachable!("no measurements are asked for")
+        }
+
+        fn measurement_count(&self) -> usize {
+            MEASUREMENTS
+        }
+
+        fn scale(&self) -> f64 {
+            1.0
+        }
+
+        fn solve_gram(&mut self, _: &[f32], _: f64, _: &mut [f32], _: &mut [f32]) -> bool {
+            unreachable!("no solve is asked for")
+        }
+
+        fn residual_rms_of_bins(&self, _: &[f32]) -> Vec<f64> {
+            unreachable!("no residual is asked for")
+        }
+
+        fn restrict(&mut self, _: &Support) {
+            self.0.lock().unwrap().push(Call::RestrictData);
+        }
+
+        fn update_weights(&mut self, video: &[f32]) -> bool {
+            let call = Call::UpdateWeights(active(video));
+            self.0.lock().unwrap().push(call);
+            false
+        }
+    }
+
+    impl Prox for RecordingPrior {
+        fn prox(&mut self, _: &[f32], _: f64, _: &mut [f32]) {
+            unreachable!("no prox is asked for")
+        }
+
+        fn value(&self, _: &[f32]) -> f64 {
+            unreachable!("no value is asked for")
+        }
+
+        fn degrees_of_freedom(&self, z: &[f32], _: f32) -> f64 {
+            let call = Call::DegreesOfFreedom(active(z));
+            self.0.lock().unwrap().push(call);
+            19.0
+        }
+
+        fn restrict(&mut self, _: &Support) {
+            self.0.lock().unwrap().push(Call::RestrictPrior);
+        }
+
+        fn subtract_dual(&self, _: &mut [f32]) {
+            unreachable!("no dual is asked for")
+        }
+    }
+
+    /// All controllers act before iteration 21.
+    #[test]
+    fn controllers_act_in_their_order() {
+        let shape = Shape::new(1, 9, 9);
+        let calls = Calls::default();
+        let mut data = RecordingData(Arc::clone(&calls));
+        let mut prior = RecordingPrior(Arc::clone(&calls));
+        let params = AdmmParams {
+            tuning: Tuning {
+                refresh_interval: 20,
+                ..Tuning::STANDARD
+            },
+            ..AdmmParams::new(TauRule::Discrepancy { sigma: 1.0 })
+        };
+        let mut controllers = Controllers::new(&data, shape, &params);
+        let mut variables = Variables::new(&data, shape.columns);
+        // A bright voxel in haze, which the restriction takes away.
+        variables.z.fill(0.01);
+        variables.z[40] = 1.0;
+        variables.q.fill(0.5);
+        variables.x_residual_norm = Some(5.0);
+        let bright = brightness(&variables.z);
+
+        controllers.adapt(&mut variables, &mut data, &mut prior);
+        assert!(calls.lock().unwrap().is_empty(), "nothing to adapt to");
+
+        for _ in 0..20 {
+            controllers.schedule.finish_iteration();
+        }
+        controllers.adapt(&mut variables, &mut data, &mut prior);
+        // ρ follows the bound σ√m = 10 of the x-step before; the new bound is σ√(m − 19) = 9.
+        assert_eq!(controllers.penalty.rho(), 10.0 / 5.0 * 0.01);
+        assert_eq!(controllers.discrepancy.bound(), 9.0);
+        assert_eq!(controllers.schedule.phase(), Phase::Settling);
+        // β is a part of the brightness before the restriction.
+        assert_eq!(controllers.penalty.beta(), params.threshold * bright);
+        let expected = [
+            Call::DegreesOfFreedom(81),
+            Call::RestrictPrior,
+            Call::RestrictData,
+            // A z and A q on the support, the weights, and A q afresh.
+            Call::Apply(9),
+            Call::Apply(9),
+            Call::UpdateWeights(9),
+            Call::Apply(9),
+        ];
+        assert_eq!(*calls.lock().unwrap(), expected);
     }
 }

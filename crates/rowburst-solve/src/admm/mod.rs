@@ -19,29 +19,32 @@
 //! is larger: large steps find the shapes, small ones the details (`docs/design/006`).
 //!
 //! **τ by discrepancy.** With the noise `σ` known, the problem is `min R(v)` subject to `‖b − A v‖² ≤ σ²(m − df)` for
-//! `m` measurements. The iteration is the same. `ρ` is the multiplier that puts `x` on the bound; it is corrected
-//! between iterations, and `τ = ρβ` results. A fit with `df` degrees of freedom (see [`Prox::degrees_of_freedom`])
-//! also fits their share of the noise, so its residual is below `σ²m`. The bound `σ²m` would over-smooth the video
-//! (`docs/design/005`).
+//! `m` measurements. The iteration is the same. `x` is to be the point within the bound nearest to `p`, with `1/ρ`
+//! as its Lagrange multiplier; `ρ` is corrected between iterations until it is, and `τ = ρβ` results. A fit with `df`
+//! degrees of freedom (see [`Prox::degrees_of_freedom`]) also fits their share of the noise, so its residual is below
+//! `σ²m`. The bound `σ²m` would over-smooth the video (`docs/design/005`).
 //!
 //! **Support.** In a sparse scene few voxels are active. Once the video has taken shape, it is restricted to its
 //! bright voxels and their neighbours, which are updated every few iterations: the limit of reweighted ℓ1 (Candès,
 //! Wakin & Boyd 2008). The data determine these voxels far better. The iteration then converges in a few steps, since
-//! its slow part is light that stays as haze in inactive voxels. A bin whose residual is too large and no longer
-//! falls is underfit: its threshold is lowered, and the voxels to which the residual points, `Aᵀ(b − A v)`, are
-//! added; in the end all of its voxels are active (`docs/design/007`). With hundreds of voxels for each measurement a
-//! video takes shape slowly, and the first restriction waits for it (`docs/design/008`).
+//! its slow part is light that stays as haze in inactive voxels. A bin of which more than a third is active is
+//! unrestricted. A bin whose residual is too large and no longer falls is underfit: its threshold is lowered, and the
+//! voxels to which the residual points, `Aᵀ(b − A v)`, are added; in the end all of its voxels are active
+//! (`docs/design/007`). In a wide problem, see [`ProblemSize`](super::ProblemSize), an underfit bin is unrestricted at
+//! once, and after some updates restricted again. With hundreds of voxels for each pixel of the frame a video takes
+//! shape slowly, and the first restriction waits for it (`docs/design/008`).
 //!
-//! **Stopping.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ τ R(v)`) give
+//! **Stopping.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ β R(v)`) give
 //!
 //! ```text
-//! min F ≥ ⟨b, y⟩ − ½‖y‖² − v_max Σ (Aᵀy − c)₊     over videos 0 ≤ v ≤ v_max on the support
+//! min F ≥ ρ⟨b, y⟩ − ½ρ²‖y‖² − ρ v_max Σ (Aᵀy − c)₊     over videos 0 ≤ v ≤ v_max on the support
 //! ```
 //!
-//! (weak duality; Boyd & Vandenberghe 2004, ch. 5). Here `y = b − A x` of the x-step, and `c` is that of the z-step. Their
-//! excess `(Aᵀy − c)₊` is at most `ρ` times the changes of the video and of `x − z`, so the gap closes as the iteration
-//! converges. `v_max` is twice the brightest voxel. The solver stops once the objective is proved to be within
-//! [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found (`docs/design/009`).
+//! (weak duality at the dual points `ρy` and `ρc`; Boyd & Vandenberghe 2004, ch. 5). Here `ρy = b − A x` of the x-step,
+//! and `c` is that of the z-step. Their excess `(Aᵀy − c)₊` is at most the change of the video plus `x − z`, so the gap
+//! closes as the iteration converges. `v_max` is twice the brightest voxel. The solver stops once the objective is
+//! proved to be within [`AdmmParams::tolerance`] of its minimum, for the `τ` and on the support that it found
+//! (`docs/design/009`).
 
 mod active_set;
 mod brightness;
@@ -57,7 +60,7 @@ mod tuning;
 mod variables;
 
 pub use brightness::brightness;
-pub use tuning::{PenaltyTuning, Tuning, TuningError};
+pub use tuning::{SizeTuning, Tuning, TuningError};
 
 use super::{Certificate, DataTerm, StopReason};
 use crate::prox::Prox;
@@ -84,13 +87,11 @@ pub enum TauRule {
 pub struct AdmmParams {
     /// How `τ` is found.
     pub tau: TauRule,
-    /// Over-relaxation `α`, from 1 to 2; larger is faster for some scenes and slower for LEDs (`docs/design/006`).
-    pub relaxation: f64,
-    /// `β` over the brightness; larger needs fewer iterations and is less exact at the end (`docs/design/005`).
+    /// `β` over the brightness: [`Tuning::threshold`] times the factor of a prior whose terms act on more than a voxel.
     pub threshold: f64,
     /// Most iterations.
     pub max_iterations: usize,
-    /// [`Certificate::excess`] at which it stops; smaller takes more iterations for little gain (`docs/design/009`).
+    /// [`Certificate::excess`] at which it stops, by default [`Tuning::tolerance`]; 0: no certificate stops it.
     pub tolerance: f64,
     /// Whether the video is restricted to its support, see the module's head.
     pub support: bool,
@@ -101,14 +102,18 @@ pub struct AdmmParams {
 impl AdmmParams {
     /// The defaults with `tau`.
     pub fn new(tau: TauRule) -> Self {
+        Self::with_tuning(tau, Tuning::STANDARD)
+    }
+
+    /// The defaults with `tau` and other constants of the solver.
+    pub fn with_tuning(tau: TauRule, tuning: Tuning) -> Self {
         Self {
             tau,
-            relaxation: 1.7,
-            threshold: 0.015,
+            threshold: tuning.threshold,
             max_iterations: 300,
-            tolerance: 1e-3,
+            tolerance: tuning.tolerance,
             support: true,
-            tuning: Tuning::STANDARD,
+            tuning,
         }
     }
 }
@@ -132,9 +137,8 @@ pub struct Progress<'a> {
     pub objective: f64,
     /// `τ` of this iteration.
     pub tau: f64,
-    /// Relative change of the iteration. In [`solve`] it is `‖q − q'‖/‖v'‖`, with `q'` and `v'` those of the
-    /// iteration before and `v = prox(q)`, or 1 where `v' = 0`; under the same prox the video moves no farther than
-    /// `q`. In the reference solvers it is the relative change of the video.
+    /// Relative change of the iteration: `‖q − q'‖/‖v'‖`, with `q'` and `v'` those of the iteration before and
+    /// `v = prox(q)`, or 1 where `v' = 0`. Under the same prox the video moves no farther than `q`.
     pub change: f64,
     /// Part of the voxels that are active, from 0 to 1.
     pub support_fraction: f64,
@@ -167,7 +171,7 @@ pub struct Solution {
 /// share a thread pool wait for each other's iterations; give each its own pool where time counts.
 ///
 /// # Panics
-/// If the shapes of `data`, `prior` and `shape` disagree.
+/// As [`Admm::new`], or if the shape of `prior` disagrees.
 pub fn solve(
     data: &mut dyn DataTerm,
     prior: &mut dyn Prox,
@@ -182,7 +186,7 @@ pub fn solve(
 
 /// A run of the solver that can be stopped, take another rule for `τ`, and continue.
 pub struct Admm {
-    /// See [`AdmmParams::relaxation`].
+    /// See [`Tuning::relaxation`].
     relaxation: f64,
     /// See [`AdmmParams::max_iterations`].
     max_iterations: usize,
@@ -197,14 +201,17 @@ impl Admm {
     /// A run that begins at `v = 0`.
     ///
     /// # Panics
-    /// If the shapes of `data` and `shape` disagree.
+    /// If the shapes of `data` and `shape` disagree, or a constant has a value that [`Tuning::check`] refuses.
     pub fn new(data: &dyn DataTerm, shape: Shape, params: AdmmParams) -> Self {
         assert!(
             data.operator().domain_len() >= shape.voxels(),
             "the operator takes videos of this shape"
         );
+        if let Err(error) = params.tuning.check() {
+            panic!("{error}");
+        }
         Self {
-            relaxation: params.relaxation,
+            relaxation: params.tuning.relaxation,
             max_iterations: params.max_iterations,
             variables: Variables::new(data, shape.columns),
             controllers: Controllers::new(data, shape, &params),
@@ -259,8 +266,7 @@ impl Admm {
         let support = controllers.active_set.x_step_support();
         let rho = controllers.penalty.rho();
         let change = variables.x_step(data, rho, self.relaxation, support)?;
-        controllers.set_first_threshold(variables);
-        variables.z_step(prior, controllers.penalty.beta());
+        variables.z_step(prior, controllers.threshold(variables));
         variables.dual_step(data);
         Some(change)
     }

@@ -1,31 +1,29 @@
 //! The penalty `ρ`, the threshold `β` of the z-step, and with them `τ = ρβ`.
 
 use super::TauRule;
-use super::tuning::{PenaltyTuning, Tuning};
-use crate::{DataTerm, ProblemSize};
+use super::tuning::{SizeTuning, Tuning};
+use crate::DataTerm;
 
 /// Keeps `ρ`, `β` and `τ` consistent.
 ///
 /// Two of the three determine the third. Where `τ` is given, `ρ = τ/β` follows from `β`. Under the discrepancy
-/// principle `τ = ρβ` follows, and `ρ` is the Lagrange multiplier of the bound on the residual: `‖b − A x‖` rises with
-/// `ρ`, at most in proportion, so `ρ` is multiplied by the bound over the residual until both agree. A new `ρ` costs
-/// new factors of the x-step. Small corrections are therefore skipped, and larger ones while the residual still
-/// falls by itself. Bounds keep `ρ` where the x-step is numerically stable, and on a support, where the problem is
-/// not convex, near its value before.
+/// principle `τ = ρβ` follows, and `1/ρ` is the Lagrange multiplier of the bound on the residual of `x`: `‖b − A x‖`
+/// rises with `ρ`, at most in proportion, so `ρ` is multiplied by the bound over the residual until both agree. A new
+/// `ρ` costs new factors of the x-step. Small corrections are therefore skipped, and larger ones while the residual
+/// still falls by itself. Bounds keep `ρ` where the x-step is numerically stable, and on a support, where the problem
+/// is not convex, near its value before.
 pub(super) struct Penalty {
     rule: TauRule,
     rho: f64,
     beta: f64,
-    /// `ρ` at the start of the present iteration; `NaN` after a change of the rule.
+    /// `ρ` at the start of the present iteration; `NaN` in the first one.
     previous_rho: f64,
     /// Lower and upper bound of `ρ` under the discrepancy rule. The lower one only rises.
     bounds: (f64, f64),
     /// See [`DataTerm::min_rho`].
     stable_rho: f64,
-    size: ProblemSize,
     max_step: f64,
-    unrestricted_interval: usize,
-    tuning: PenaltyTuning,
+    tuning: SizeTuning,
 }
 
 /// Where a run stands, as far as the correction of `ρ` depends on it.
@@ -43,21 +41,18 @@ pub(super) struct Circumstances {
 
 impl Penalty {
     pub fn new(rule: TauRule, data: &dyn DataTerm, tuning: &Tuning) -> Self {
-        let size = data.capabilities().hints.size;
+        let size_tuning = *tuning.for_size(data.capabilities().hints.size);
         let (scale, stable_rho) = (data.scale(), data.min_rho());
-        let penalty_tuning = *tuning.for_size(size);
         let lower = (tuning.min_relative_rho * scale).max(stable_rho);
         Self {
             rule,
-            rho: penalty_tuning.initial_rho * scale,
+            rho: size_tuning.initial_rho * scale,
             beta: 0.0,
             previous_rho: f64::NAN,
             bounds: (lower, (tuning.max_relative_rho * scale).max(lower)),
             stable_rho,
-            size,
             max_step: tuning.max_rho_step,
-            unrestricted_interval: tuning.unrestricted_rho_interval,
-            tuning: penalty_tuning,
+            tuning: size_tuning,
         }
     }
 
@@ -94,7 +89,6 @@ impl Penalty {
     /// Sets how `τ` is found from now on.
     pub fn set_rule(&mut self, rule: TauRule) {
         self.rule = rule;
-        self.previous_rho = f64::NAN;
         if self.beta > 0.0 {
             self.set_rho_for_tau();
         }
@@ -135,12 +129,14 @@ impl Penalty {
         if matches!(self.rule, TauRule::Fixed(_)) {
             return;
         }
-        let is_costly = self.size == ProblemSize::Wide && now.has_unrestricted_bin;
-        let is_due = !is_costly
-            || (now.has_reached_first_restriction
-                && now.iterations.is_multiple_of(self.unrestricted_interval));
         let tuning = &self.tuning;
-        let deadband = if now.is_warming_up || is_costly {
+        let costly_interval = tuning
+            .unrestricted_rho_interval
+            .filter(|_| now.has_unrestricted_bin);
+        let is_due = costly_interval.is_none_or(|interval| {
+            now.has_reached_first_restriction && now.iterations.is_multiple_of(interval.get())
+        });
+        let deadband = if now.is_warming_up || costly_interval.is_some() {
             tuning.early_deadband_lower..tuning.early_deadband_upper
         } else {
             tuning.deadband_lower..tuning.deadband_upper
@@ -153,7 +149,7 @@ impl Penalty {
         }
     }
 
-    /// Keeps `ρ` from now on above [`PenaltyTuning::min_rho_ratio`] of its present value, under the discrepancy rule.
+    /// Keeps `ρ` from now on above [`SizeTuning::min_rho_ratio`] of its present value, under the discrepancy rule.
     pub fn raise_lower_bound(&mut self) {
         let (lower, upper) = &mut self.bounds;
         *lower = lower.max(self.tuning.min_rho_ratio * self.rho).min(*upper);
@@ -163,7 +159,7 @@ impl Penalty {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Capabilities, DataHints};
+    use crate::{Capabilities, DataHints, ProblemSize};
     use rowburst_core::Support;
     use rowburst_core::linop::LinearOperator;
 

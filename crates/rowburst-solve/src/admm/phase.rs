@@ -12,10 +12,10 @@ use rowburst_core::Shape;
 pub(super) enum Phase {
     /// The video takes shape while `β` falls. Ends at step [`Tuning::first_restriction`].
     WarmUp,
-    /// The warm-up of an undersampled video: with hundreds of voxels for each measurement its bins still get brighter
-    /// where others do not change any more, and a restriction would cut off what has no light yet. Repeats the last
-    /// [`Tuning::decline_window`] steps of the warm-up. Ends once every bin has become darker over such a window, or at
-    /// iteration [`Tuning::latest_first_restriction`].
+    /// The warm-up of an undersampled video: with hundreds of voxels for each pixel of the frame its bins still get
+    /// brighter where others do not change any more, and a restriction would cut off light that still rises. Repeats the
+    /// last [`Tuning::decline_window`] steps of the warm-up. Ends once every bin has become darker over such a window or
+    /// was found dark, or at iteration [`Tuning::latest_first_restriction`].
     WaitingForDecline,
     /// The video is restricted to its support, and `β` follows its brightness. Ends at step [`Tuning::settled_from`].
     Settling,
@@ -116,11 +116,11 @@ impl Schedule {
     }
 }
 
-/// Watches the brightness of each bin until it falls.
+/// Watches the brightness of each bin until it falls. A bin without light counts as fallen, already at the first look.
 pub(super) struct DeclineDetector {
     /// Relative fall that counts.
     decline: f64,
-    /// Brightness of each bin at the last look; 0 once it has fallen.
+    /// Brightness of each bin at the last look; 0 once it has fallen or was dark.
     rising_brightness: Vec<f64>,
 }
 
@@ -132,7 +132,7 @@ impl DeclineDetector {
         }
     }
 
-    /// Whether some bin of `video` has not yet become darker from one call to the next.
+    /// Whether some bin of `video` has had light at every call, and has not yet become darker from one to the next.
     pub fn is_rising(&mut self, video: &[f32], shape: Shape) -> bool {
         let bins = video.chunks_exact(shape.pixels());
         for (before, bin) in self.rising_brightness.iter_mut().zip(bins) {
@@ -228,5 +228,13 @@ mod tests {
         // The first bin has fallen, so it may rise again.
         assert!(detector.is_rising(&[2.0, 0.0, 1.1, 0.0], shape));
         assert!(!detector.is_rising(&[2.0, 0.0, 1.0, 0.0], shape));
+    }
+
+    #[test]
+    fn a_dark_bin_is_not_waited_for() {
+        let shape = Shape::new(2, 1, 2);
+        let mut detector = DeclineDetector::new(2, &Tuning::STANDARD);
+        assert!(detector.is_rising(&[1.0, 0.0, 0.0, 0.0], shape));
+        assert!(!detector.is_rising(&[0.9, 0.0, 1.0, 0.0], shape));
     }
 }

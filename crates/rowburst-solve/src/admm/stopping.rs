@@ -15,7 +15,7 @@ use rowburst_core::vecmath::{distance_squared, dot, norm_squared};
 /// A small change of the video proves nothing: ADMM can be slow far from the minimum. So the run stops once a lower
 /// bound of the minimum, from the variables that the iteration has anyway, is close to the objective. A bound costs
 /// about as much as an iteration, and holds for one problem only: it is computed every few iterations, where `β` is
-/// constant, `ρ` did not change and the support is stable.
+/// constant, the controllers left `ρ` unchanged and the support is stable.
 pub(super) struct Stopping {
     /// See [`AdmmParams::tolerance`].
     tolerance: f64,
@@ -70,7 +70,7 @@ impl Stopping {
         if let Some(support) = supports.of_video {
             support.zero_outside(scratch);
         }
-        // `y` is the dual point over ρ, and so are the sums: `linear` and `quadratic` scale them.
+        // `y` and `c` are over ρ, and so are the sums: `linear` and `quadratic` scale them.
         let excess: f64 = scratch
             .par_chunks(CHUNK)
             .map(|x| x.iter().map(|v| f64::from(v.max(0.0))).sum::<f64>())
@@ -94,7 +94,7 @@ pub(super) struct Supports<'a> {
     pub of_x_step: Option<&'a Support>,
 }
 
-/// The largest bound `s·linear − s²/2·quadratic`: `s·y` with `s·c` is a dual point for every `0 ≤ s ≤ 1`.
+/// The largest bound `s·linear − s²/2·quadratic`: `sρ·y` with `sρ·c` is a dual point for every `0 ≤ s ≤ 1`.
 fn best_scaled(linear: f64, quadratic: f64) -> f64 {
     let s = if quadratic > 0.0 {
         (linear / quadratic).clamp(0.0, 1.0)

@@ -1,9 +1,10 @@
 //! Estimates the support: the set of active voxels (docs/design/007).
 
 use super::tuning::Tuning;
-use crate::{DataHints, ProblemSize};
+use crate::DataHints;
 use rayon::prelude::*;
 use rowburst_core::{Shape, Support};
+use std::num::NonZeroUsize;
 
 /// The bright voxels of a video and their neighbours, updated every few iterations.
 ///
@@ -19,14 +20,64 @@ pub(super) struct SupportEstimator {
     x_step_support: Option<Support>,
     fraction: f64,
     is_stable: bool,
-    hints: DataHints,
-    /// How often each bin has been widened. A level above [`Tuning::unrestricted_level`] counts the updates down for
-    /// which the bin stays unrestricted.
-    levels: Vec<usize>,
+    /// See [`DataHints::max_restricted_voxels`].
+    max_restricted_voxels: usize,
+    /// See [`SizeTuning::unrestricted_updates`](super::SizeTuning::unrestricted_updates).
+    unrestricted_updates: Option<NonZeroUsize>,
+    bins: Vec<BinState>,
     /// Root mean square of each bin's residual at the last update; infinite before the first one, and after a widening.
     residual_rms: Vec<f64>,
     /// Whether each bin is unrestricted.
     is_unrestricted: Vec<bool>,
+}
+
+/// What underfit bins have become.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum BinState {
+    /// Its threshold was lowered so many times; from [`Tuning::unrestricted_level`] on all of its voxels are active.
+    Widened(usize),
+    /// All of its voxels are active for a while.
+    Unrestricted {
+        /// Updates, with the last one, for which they are.
+        updates_left: usize,
+    },
+}
+
+impl BinState {
+    /// As long as a bin was never underfit.
+    const INITIAL: Self = Self::Widened(0);
+
+    /// The state at the next update: a bin that has been unrestricted for all of its updates begins again.
+    fn at_next_update(self) -> Self {
+        match self {
+            Self::Unrestricted { updates_left } if updates_left > 1 => Self::Unrestricted {
+                updates_left: updates_left - 1,
+            },
+            Self::Unrestricted { .. } => Self::INITIAL,
+            Self::Widened(_) => self,
+        }
+    }
+
+    /// The state of a bin that is underfit.
+    fn widened(self, unrestricted_updates: Option<NonZeroUsize>) -> Self {
+        match (self, unrestricted_updates) {
+            (_, Some(updates)) => Self::Unrestricted {
+                updates_left: updates.get(),
+            },
+            (Self::Widened(times), None) => Self::Widened(times + 1),
+            (Self::Unrestricted { .. }, None) => self,
+        }
+    }
+
+    /// The threshold over that of a bin that was never underfit; 0: all voxels are active.
+    fn threshold_ratio(self, tuning: &Tuning) -> f64 {
+        match self {
+            Self::Widened(times) if times < tuning.unrestricted_level => {
+                tuning.widening_factor.powi(times as i32)
+            }
+            _ => 0.0,
+        }
+    }
 }
 
 /// The bins that their support cannot explain.
@@ -50,8 +101,9 @@ impl SupportEstimator {
             x_step_support: None,
             fraction: 1.0,
             is_stable: false,
-            hints,
-            levels: vec![0; shape.bins],
+            max_restricted_voxels: hints.max_restricted_voxels,
+            unrestricted_updates: tuning.for_size(hints.size).unrestricted_updates,
+            bins: vec![BinState::INITIAL; shape.bins],
             residual_rms: vec![f64::INFINITY; shape.bins],
             is_unrestricted: vec![true; shape.bins],
         }
@@ -88,7 +140,7 @@ impl SupportEstimator {
     /// Prepares for another frame, which starts from the support of the last one.
     pub fn reset(&mut self) {
         self.is_stable = false;
-        self.levels.fill(0);
+        self.bins.fill(BinState::INITIAL);
         self.residual_rms.fill(f64::INFINITY);
     }
 
@@ -113,8 +165,8 @@ impl SupportEstimator {
 
     /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
     ///
-    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, and the
-    /// voxels with the largest correlation are added.
+    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, to zero
+    /// at once where a new factor is costly, and the voxels with the largest correlation are added.
     pub fn update(
         &mut self,
         video: &[f32],
@@ -124,14 +176,9 @@ impl SupportEstimator {
         let underfit_bins = underfit.map_or(&[][..], |underfit| underfit.bins);
         self.widen(underfit_bins);
         let tuning = self.tuning;
-        let threshold = |level: &usize| {
-            if *level >= tuning.unrestricted_level {
-                0.0
-            } else {
-                tuning.support_threshold * brightness * tuning.widening_factor.powi(*level as i32)
-            }
-        };
-        let thresholds: Vec<f64> = self.levels.iter().map(threshold).collect();
+        let threshold = tuning.support_threshold * brightness;
+        let ratios = self.bins.iter().map(|bin| bin.threshold_ratio(&tuning));
+        let thresholds: Vec<f64> = ratios.map(|ratio| threshold * ratio).collect();
         let mut support = Support::above(video, self.shape, &thresholds);
         if let Some(Underfit { bins, correlation }) = underfit {
             support = support.with_correlated(correlation, bins);
@@ -141,43 +188,28 @@ impl SupportEstimator {
             && underfit_bins.is_empty()
             && fraction > tuning.stable_ratio * self.fraction
             && self
-                .levels
+                .bins
                 .iter()
-                .all(|level| *level <= tuning.unrestricted_level);
+                .all(|bin| matches!(bin, BinState::Widened(_)));
         self.fraction = fraction;
         let bins = support.mask().par_chunks_exact(self.shape.pixels());
         self.is_unrestricted = bins.map(|bin| !bin.contains(&0)).collect();
         self.x_step_support = Some(
             support
                 .clone()
-                .with_crowded_bins_unrestricted(self.hints.max_restricted_voxels),
+                .with_crowded_bins_unrestricted(self.max_restricted_voxels),
         );
         self.support = Some(support.clone());
         support
     }
 
-    /// Widens the `underfit_bins` by one level, or makes them unrestricted for [`Tuning::unrestricted_updates`]
-    /// updates in a wide problem.
-    ///
-    /// The remaining updates of a temporarily unrestricted bin are counted down; after the last one its level is 0.
+    /// Widens the `underfit_bins`, and lets the time of temporarily unrestricted bins pass.
     fn widen(&mut self, underfit_bins: &[usize]) {
-        let unrestricted = self.tuning.unrestricted_level;
-        for level in self
-            .levels
-            .iter_mut()
-            .filter(|level| **level > unrestricted)
-        {
-            *level -= 1;
-            if *level == unrestricted {
-                *level = 0;
-            }
+        for bin in &mut self.bins {
+            *bin = bin.at_next_update();
         }
         for &t in underfit_bins {
-            self.levels[t] = if self.hints.size == ProblemSize::Wide {
-                unrestricted + self.tuning.unrestricted_updates
-            } else {
-                self.levels[t] + 1
-            };
+            self.bins[t] = self.bins[t].widened(self.unrestricted_updates);
         }
     }
 }
@@ -185,6 +217,7 @@ impl SupportEstimator {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ProblemSize;
 
     fn second_bin(correlation: &[f32]) -> Option<Underfit<'_>> {
         Some(Underfit {
@@ -239,7 +272,8 @@ mod tests {
         estimator.underfit_bins(vec![1.0, 4.0], 1.0);
         assert_eq!(estimator.underfit_bins(vec![1.0, 3.9], 1.0), [1]);
         estimator.update(&video, 1.0, second_bin(&video));
-        for _ in 1..Tuning::STANDARD.unrestricted_updates {
+        let updates = Tuning::STANDARD.wide.unrestricted_updates.unwrap();
+        for _ in 1..updates.get() {
             assert_eq!(estimator.support().unwrap().pixels_of(1), None);
             assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
             estimator.update(&video, 1.0, None);

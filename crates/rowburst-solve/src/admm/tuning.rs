@@ -1,6 +1,7 @@
 //! The constants of the solver.
 
 use crate::ProblemSize;
+use std::num::NonZeroUsize;
 
 /// Why [`Tuning::set`] refuses a value.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -9,7 +10,7 @@ pub enum TuningError {
     /// No field has this name.
     #[error("no tuning constant has the name {0}")]
     UnknownName(String),
-    /// The value is not finite, not above zero, or not whole where the field is a count.
+    /// The value is not finite, not above zero, or not whole where the field is a count. Some counts may be zero.
     #[error("{name} = {value}: a tuning constant is finite and above zero, and a count is whole")]
     NotAllowed {
         /// The name of the field.
@@ -27,6 +28,17 @@ pub enum TuningError {
         /// What must hold.
         rule: &'static str,
     },
+}
+
+impl TuningError {
+    /// The name of the constant at fault.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::UnknownName(name)
+            | Self::NotAllowed { name, .. }
+            | Self::Contradicts { name, .. } => name,
+        }
+    }
 }
 
 /// A field of [`Tuning`].
@@ -65,6 +77,21 @@ impl Field for usize {
     }
 }
 
+/// A count that may be zero, as `None`.
+impl Field for Option<NonZeroUsize> {
+    fn get(&self) -> f64 {
+        self.map_or(0.0, |count| count.get() as f64)
+    }
+
+    fn set(&mut self, value: f64) -> bool {
+        let is_allowed = (0.0..=1e9).contains(&value) && value.fract() == 0.0;
+        if is_allowed {
+            *self = NonZeroUsize::new(value as usize);
+        }
+        is_allowed
+    }
+}
+
 /// Defines a struct of constants, and the table of its fields by name.
 macro_rules! constants {
     (
@@ -96,8 +123,8 @@ macro_rules! constants {
 }
 
 constants! {
-    /// The constants that depend on the cost of a new `ρ`, see [`ProblemSize`].
-    PenaltyTuning {
+    /// The constants that depend on the cost of a new factor of the x-step, see [`ProblemSize`].
+    SizeTuning {
         /// `ρ` at first, over a typical diagonal element of `A Aᵀ`; far from its end it costs more factors
         /// (docs/design/006, 008).
         initial_rho: f64,
@@ -109,11 +136,17 @@ constants! {
         deadband_lower: f64,
         /// See `deadband_lower`; larger saves factors.
         deadband_upper: f64,
-        /// `deadband_lower` up to the first restriction, and for wide problems while some bin is unrestricted; smaller
-        /// saves factors, and `ρ` settles later (docs/design/006, 008).
+        /// `deadband_lower` up to the first restriction, and while `unrestricted_rho_interval` applies; smaller saves
+        /// factors, and `ρ` settles later (docs/design/006, 008).
         early_deadband_lower: f64,
         /// See `early_deadband_lower`; larger saves factors.
         early_deadband_upper: f64,
+        /// Iterations between corrections of `ρ` while a support is used and some bin is unrestricted; larger saves
+        /// factors, and `ρ` settles later. `None`, by name 0: such a bin makes no difference (docs/design/008).
+        unrestricted_rho_interval: Option<NonZeroUsize>,
+        /// Updates for which an underfit bin is unrestricted; fewer lose light, more cost time. `None`, by name 0: the
+        /// bin is widened step by step instead (docs/design/008).
+        unrestricted_updates: Option<NonZeroUsize>,
     }
     groups {}
 }
@@ -132,19 +165,28 @@ constants! {
     /// assert!(tuning.set("support_treshold", 0.1).is_err());
     /// ```
     Tuning {
+        /// Over-relaxation `α`, from 1 to below 2; larger is faster for some scenes and slower for LEDs
+        /// (docs/design/006).
+        relaxation: f64,
+        /// `β` at its end over the brightness, for a prior whose terms act on single voxels; larger needs fewer
+        /// iterations and is less exact at the end (docs/design/005).
+        threshold: f64,
+        /// [`Certificate::excess`](crate::Certificate::excess) at which a run stops; smaller takes more iterations for
+        /// little gain (docs/design/009).
+        tolerance: f64,
         /// Step at which the warm-up ends; the first restriction is at the next multiple of `support_interval`. Smaller
         /// may lose shapes that the video does not show yet, larger takes longer (docs/design/006, 007).
         first_restriction: usize,
         /// Step from which `β` is constant and the run may stop; larger delays the first certificate (docs/design/006).
         settled_from: usize,
-        /// Voxels per measurement above which the first restriction waits for a decline; smaller makes more runs wait
-        /// (docs/design/008).
+        /// Voxels per pixel of the frame above which the first restriction waits for a decline; smaller makes more
+        /// runs wait (docs/design/008).
         undersampled: usize,
         /// Relative fall of a bin's brightness that ends the wait; smaller ends it too early (docs/design/008).
         decline: f64,
         /// Iterations over which that fall is measured; larger waits longer (docs/design/008).
         decline_window: usize,
-        /// Iteration at which the wait ends at the latest; smaller may leave bins without light (docs/design/008).
+        /// Iteration at which the wait ends at the latest; smaller may cut off light that still rises (docs/design/008).
         latest_first_restriction: usize,
         /// Step to which a warm start goes back, plus less than a `support_interval` that keeps the rhythm of the updates;
         /// smaller repeats more of the warm-up (docs/design/014).
@@ -173,9 +215,6 @@ constants! {
         min_relative_rho: f64,
         /// Largest `ρ` over a typical diagonal element of `A Aᵀ`; smaller bounds `τ` from above (docs/design/005).
         max_relative_rho: f64,
-        /// Iterations between corrections of `ρ` in wide problems with an unrestricted bin; larger saves factors, and
-        /// `ρ` settles later (docs/design/008).
-        unrestricted_rho_interval: usize,
         /// Steps between updates of the support; smaller rebuilds more Gram blocks (docs/design/007).
         support_interval: usize,
         /// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze
@@ -196,9 +235,6 @@ constants! {
         /// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer
         /// (docs/design/007).
         unrestricted_level: usize,
-        /// Updates for which an underfit bin of a wide problem is unrestricted; fewer lose light, more cost time
-        /// (docs/design/008).
-        unrestricted_updates: usize,
         /// Steps between updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
         weight_interval: usize,
         /// Step after which `late_weight_interval` holds; larger costs more rebuilt blocks
@@ -218,9 +254,9 @@ constants! {
     }
     groups {
         /// The constants of small problems, `small.…` by name.
-        small: PenaltyTuning,
+        small: SizeTuning,
         /// The constants of wide problems, `wide.…` by name.
-        wide: PenaltyTuning,
+        wide: SizeTuning,
     }
 }
 
@@ -233,6 +269,9 @@ impl Default for Tuning {
 impl Tuning {
     /// The standard values.
     pub const STANDARD: Self = Self {
+        relaxation: 1.7,
+        threshold: 0.015,
+        tolerance: 1e-3,
         first_restriction: 20,
         settled_from: 40,
         undersampled: 300,
@@ -250,7 +289,6 @@ impl Tuning {
         max_rho_step: 2.0,
         min_relative_rho: 1e-7,
         max_relative_rho: 1e7,
-        unrestricted_rho_interval: 5,
         support_interval: 10,
         support_threshold: 0.12,
         underfit_ratio: 1.3,
@@ -258,47 +296,102 @@ impl Tuning {
         stable_ratio: 0.9,
         widening_factor: 0.125,
         unrestricted_level: 5,
-        unrestricted_updates: 5,
         weight_interval: 20,
         frequent_weights_until: 100,
         late_weight_interval: 100,
         refresh_interval: 50,
         check_interval: 5,
         brightness_bound: 2.0,
-        small: PenaltyTuning {
+        small: SizeTuning {
             initial_rho: 0.01,
             min_rho_ratio: 0.3,
             deadband_lower: 0.98,
             deadband_upper: 1.02,
             early_deadband_lower: 0.8,
             early_deadband_upper: 1.25,
+            unrestricted_rho_interval: None,
+            unrestricted_updates: None,
         },
-        wide: PenaltyTuning {
+        wide: SizeTuning {
             initial_rho: 0.0015,
             min_rho_ratio: 0.1,
             deadband_lower: 0.95,
             deadband_upper: 1.05,
             early_deadband_lower: 0.6,
             early_deadband_upper: 1.6,
+            unrestricted_rho_interval: NonZeroUsize::new(5),
+            unrestricted_updates: NonZeroUsize::new(5),
         },
     };
 
     /// The values for problems of `size`.
-    pub fn for_size(&self, size: ProblemSize) -> &PenaltyTuning {
+    pub fn for_size(&self, size: ProblemSize) -> &SizeTuning {
         match size {
             ProblemSize::Small => &self.small,
             ProblemSize::Wide => &self.wide,
         }
     }
 
-    /// Sets the constant `name`: a field of [`Tuning`], or a field of [`PenaltyTuning`] after `small.` or `wide.`.
+    /// Sets the constant `name`: a field of [`Tuning`], or a field of [`SizeTuning`] after `small.` or `wide.`.
     ///
     /// # Errors
     /// An unknown name, a value that is not finite, not above zero, or not whole where the field is a count, or one that
     /// contradicts another constant. Nothing is changed then.
     pub fn set(&mut self, name: &str, value: f64) -> Result<(), TuningError> {
+        self.set_all([(name, value)])
+    }
+
+    /// Sets several constants by name. The rules between constants are checked once all are set, so the order of
+    /// `values` does not matter.
+    ///
+    /// # Errors
+    /// As [`Self::set`]. Nothing is changed then.
+    pub fn set_all<'a>(
+        &mut self,
+        values: impl IntoIterator<Item = (&'a str, f64)>,
+    ) -> Result<(), TuningError> {
+        let values: Vec<(&str, f64)> = values.into_iter().collect();
         let mut changed = *self;
-        let mut fields = changed.fields();
+        for (name, value) in &values {
+            changed.set_unchecked(name, *value)?;
+        }
+        if let Some(rule) = changed.broken_rule() {
+            let concerned = values.iter().find(|(name, _)| is_about(rule, name));
+            if let Some((name, value)) = concerned.or(values.last()) {
+                return Err(TuningError::Contradicts {
+                    name: (*name).to_string(),
+                    value: *value,
+                    rule,
+                });
+            }
+        }
+        *self = changed;
+        Ok(())
+    }
+
+    /// Checks the values of all fields and the rules between them, since fields can also be set without [`Self::set`].
+    ///
+    /// # Errors
+    /// A value that [`Self::set`] refuses.
+    pub fn check(mut self) -> Result<(), TuningError> {
+        for (name, field) in self.fields() {
+            let value = field.get();
+            if !field.set(value) {
+                return Err(TuningError::NotAllowed { name, value });
+            }
+        }
+        let Some(rule) = self.broken_rule() else {
+            return Ok(());
+        };
+        let mut changes = self.changes().into_iter();
+        let concerned = changes.find(|(name, _)| is_about(rule, name));
+        let (name, value) = concerned.expect("the standard values obey every rule");
+        Err(TuningError::Contradicts { name, value, rule })
+    }
+
+    /// Sets the constant `name`, whatever the others are.
+    fn set_unchecked(&mut self, name: &str, value: f64) -> Result<(), TuningError> {
+        let mut fields = self.fields();
         let Some((_, field)) = fields.iter_mut().find(|(field, _)| field == name) else {
             return Err(TuningError::UnknownName(name.to_string()));
         };
@@ -308,26 +401,23 @@ impl Tuning {
                 value,
             });
         }
-        if let Some(rule) = changed.violated_rule() {
-            return Err(TuningError::Contradicts {
-                name: name.to_string(),
-                value,
-                rule,
-            });
-        }
-        *self = changed;
         Ok(())
     }
 
     /// The first rule between the constants that does not hold.
-    fn violated_rule(&self) -> Option<&'static str> {
-        let of_penalty = |tuning: &PenaltyTuning| {
+    fn broken_rule(&self) -> Option<&'static str> {
+        let sizes = [&self.small, &self.wide];
+        let has_valid_deadbands = |tuning: &SizeTuning| {
             tuning.deadband_lower <= 1.0
                 && tuning.deadband_upper >= 1.0
                 && tuning.early_deadband_lower <= 1.0
                 && tuning.early_deadband_upper >= 1.0
         };
         let rules = [
+            (
+                (1.0..2.0).contains(&self.relaxation),
+                "relaxation is at least 1 and below 2",
+            ),
             (self.max_rho_step >= 1.0, "max_rho_step is at least 1"),
             (
                 self.min_relative_rho <= self.max_relative_rho,
@@ -345,12 +435,13 @@ impl Tuning {
                 "brightness_bound is at least 1",
             ),
             (
-                self.small.min_rho_ratio <= 1.0 && self.wide.min_rho_ratio <= 1.0,
+                sizes.iter().all(|tuning| tuning.min_rho_ratio <= 1.0),
                 "min_rho_ratio is at most 1",
             ),
             (
-                of_penalty(&self.small) && of_penalty(&self.wide),
-                "a deadband holds 1: its lower end is at most 1, its upper end at least 1",
+                sizes.into_iter().all(has_valid_deadbands),
+                "a deadband holds 1: deadband_lower and early_deadband_lower are at most 1, deadband_upper and \
+                 early_deadband_upper at least 1",
             ),
         ];
         rules
@@ -371,6 +462,12 @@ impl Tuning {
         let fields = self.fields().into_iter();
         fields.map(|(name, field)| (name, field.get())).collect()
     }
+}
+
+/// Whether `rule` mentions the constant `name`, without its group.
+fn is_about(rule: &str, name: &str) -> bool {
+    let field = name.rsplit('.').next();
+    rule.split([' ', ',']).any(|word| Some(word) == field)
 }
 
 #[cfg(test)]
@@ -417,6 +514,8 @@ mod tests {
             ("check_interval", -1.0),
             ("small", 1.0),
             ("small.rho", 1.0),
+            ("relaxation", 2.0),
+            ("wide.unrestricted_updates", 0.5),
             ("max_rho_step", 0.5),
             ("min_relative_rho", 1e8),
             ("max_relative_rho", 1e-8),
@@ -429,8 +528,33 @@ mod tests {
             ("wide.deadband_lower", 1.1),
             ("small.early_deadband_upper", 0.9),
         ] {
-            assert!(tuning.set(name, value).is_err(), "{name} {value}");
+            let error = tuning.set(name, value).unwrap_err();
+            assert_eq!(error.name(), name, "{value}");
         }
         assert_eq!(tuning, Tuning::STANDARD);
+    }
+
+    #[test]
+    fn rules_hold_once_all_values_are_set() {
+        let mut tuning = Tuning::STANDARD;
+        let values = [("max_relative_rho", 1e-8), ("min_relative_rho", 1e-9)];
+        tuning.set_all(values).unwrap();
+        assert_eq!(tuning.max_relative_rho, 1e-8);
+        let values = [("decline", 0.1), ("min_relative_rho", 1e-7)];
+        let error = tuning.set_all(values).unwrap_err();
+        assert_eq!(error.name(), "min_relative_rho");
+        // Nothing was changed.
+        assert_eq!(tuning.decline, Tuning::STANDARD.decline);
+    }
+
+    #[test]
+    fn fields_that_were_set_otherwise_are_checked() {
+        assert_eq!(Tuning::STANDARD.check(), Ok(()));
+        let mut tuning = Tuning::STANDARD;
+        tuning.support_interval = 0;
+        assert_eq!(tuning.check().unwrap_err().name(), "support_interval");
+        let mut tuning = Tuning::STANDARD;
+        tuning.wide.deadband_lower = 1.5;
+        assert_eq!(tuning.check().unwrap_err().name(), "wide.deadband_lower");
     }
 }

@@ -20,7 +20,7 @@ pub(super) struct Variables {
     pub az: Vec<f32>,
     /// `A q`.
     pub aq: Vec<f32>,
-    /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last x-step: `ρ y = b − A x`.
+    /// `(A Aᵀ + ρI)⁻¹(b − A p)` of the last x-step: `ρy = b − A x`.
     pub y: Vec<f32>,
     /// `‖b − A x‖` of the last x-step; `None` before the first one of a frame.
     pub x_residual_norm: Option<f64>,

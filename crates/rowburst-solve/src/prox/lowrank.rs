@@ -163,8 +163,8 @@ impl DualTerm for LowRank {
         self.spectrum(z).0.iter().map(|s| s.sqrt()).sum()
     }
 
-    /// `r (bins + pixels − r)` for `r` singular values above `tolerance` in every lit
-    /// voxel, over the pixels that are lit at any time.
+    /// `r (bins + pixels − r)` for `r` singular values above `tolerance` in every active voxel, over the pixels that are
+    /// active at any time.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
         let (bins, pixels) = (self.shape.bins, self.shape.pixels());
         let active = z.par_iter().filter(|v| **v > tolerance).count() as f64;

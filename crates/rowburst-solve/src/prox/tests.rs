@@ -63,7 +63,9 @@ fn priors(shape: Shape) -> Vec<(&'static str, Composite)> {
     priors.push(("group", Composite::new(shape, NONE, 1.0)));
     priors.push(("group + variation", Composite::new(shape, all, 0.6)));
     let mut sum = Composite::new(shape, all, 0.3);
-    for name in dual_terms().filter(|name| *name != "tcurve") {
+    // Of the terms that a prior can have: the example is in no table.
+    let is_in_table = |name: &&str| TERMS.iter().any(|spec| spec.name == *name);
+    for name in dual_terms().filter(is_in_table) {
         sum = sum.with(0.5, term(name, shape));
     }
     priors.push(("all", sum));

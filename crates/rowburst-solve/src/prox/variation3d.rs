@@ -323,7 +323,7 @@ impl DualTerm for Variation3d {
         sums.iter().sum()
     }
 
-    /// The lit voxels that differ from the ones left, above and before: the number of
+    /// The active voxels that differ from the ones left, above and before: the number of
     /// plateaus in space and time (Tibshirani & Taylor 2012).
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
         let (pixels, columns) = (self.shape.pixels(), self.shape.columns);

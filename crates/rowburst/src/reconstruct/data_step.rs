@@ -5,8 +5,8 @@
 //! prox_{s f}(p) = argmin_v f(v) + ‖v − p‖²/(2s) = p + (WA)ᵀ (WA(WA)ᵀ + I/s)⁻¹ W(b − A p)
 //! ```
 //!
-//! The step is exact where no bin is seen by two instants, since `A Aᵀ` is block-diagonal then (see
-//! docs/design/003). Otherwise conjugate gradients are restarted until they are as accurate as f32.
+//! The step is exact where no bin is seen by two instants, since `A Aᵀ` is block-diagonal then, and where these blocks
+//! fit in memory (see docs/design/003). Otherwise conjugate gradients are restarted until they are as accurate as f32.
 
 use super::frame_data::FrameData;
 use super::model::Model;

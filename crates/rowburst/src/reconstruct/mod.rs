@@ -240,7 +240,7 @@ impl Problem {
     ///
     /// # Errors
     /// A frame of another size than the camera's, a flat PSF ([`PatchSet::check_contrast`]), a `τ` or `σ` that is not finite
-    /// and above zero, a prior with a term over
+    /// and above zero, a constant of the solver that [`Tuning::check`] refuses, a prior with a term over
     /// time for a video of one bin ([`Prior::check_bins`]), or [`Model::cancel`].
     pub fn with_model(model: &Model, measurement: &Measurement, options: Options) -> Result<Self> {
         let (camera, psf) = (model.camera(), model.psfs());
@@ -273,6 +273,7 @@ impl Problem {
             }
         }
         check_tau_has_use(tau, measurement, camera)?;
+        check_tuning(options.tuning)?;
         let bands = Bands::new(measurement, psf.central());
         let (sigma, sigma_source) = noise_of(measurement, &bands, &options);
         if !(sigma.is_finite() && sigma > 0.0) {
@@ -723,6 +724,14 @@ fn check_tau_has_use(tau: Option<f64>, measurement: &Measurement, camera: &Camer
             "Leave it out: the program finds it.",
         )),
     }
+}
+
+/// Refuses constants of the solver that make no sense.
+fn check_tuning(tuning: Tuning) -> Result<()> {
+    tuning.check().map_err(|error| {
+        let remedy = "Start from Tuning::STANDARD and change constants by Tuning::set.";
+        Error::input(Parameter::Tuning, error.name(), error.to_string(), remedy)
+    })
 }
 
 /// The standard deviation of the noise in counts, and its source.

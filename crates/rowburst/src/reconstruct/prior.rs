@@ -104,12 +104,11 @@ impl Prior {
         rule: TauRule,
         settings: SolverSettings,
     ) -> AdmmParams {
-        let defaults = AdmmParams::new(rule);
+        let defaults = AdmmParams::with_tuning(rule, settings.tuning);
         AdmmParams {
             support: self.support,
             threshold: defaults.threshold * self.threshold_factor(shape),
             max_iterations: settings.max_iterations.unwrap_or(defaults.max_iterations),
-            tuning: settings.tuning,
             ..defaults
         }
     }
@@ -167,14 +166,19 @@ impl Prior {
         self.terms().filter(|(term, _)| term.background().is_none())
     }
 
-    /// Factor on the solver's threshold `β`: `min_i unit_i/w_i` over the terms. `unit_i` is the size
-    /// of what term `i` acts on, in units of the brightness of a voxel; `w_i` is its weight.
+    /// Factor on the solver's threshold `β`:
+    ///
+    /// ```text
+    /// 1                  if all terms are tv, tdiff or l1, whatever their weights
+    /// min_i unit_i/w_i   else, over the terms of the foreground
+    /// ```
+    ///
+    /// `unit_i` is the size of what term `i` acts on, in units of the brightness of a voxel; `w_i` is its weight.
     ///
     /// Without the factor `β` is a fraction of the brightness of a voxel. The norm of a trace, a
     /// singular value and a transform coefficient are larger than that; a threshold for voxels would
-    /// need thousands of iterations to act (`docs/design/012`). The factor is 1 for the terms of
-    /// [`Variation`] alone.
-    pub fn threshold_factor(&self, shape: Shape) -> f64 {
+    /// need thousands of iterations to act (`docs/design/012`).
+    pub(super) fn threshold_factor(&self, shape: Shape) -> f64 {
         if self.is_fused() {
             return 1.0;
         }

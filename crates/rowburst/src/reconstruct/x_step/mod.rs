@@ -45,7 +45,8 @@ pub(super) trait XStep: Send {
     fn solve(&mut self, system: &System, equation: Equation) -> bool;
 
     /// Solves for an `r` that has nothing to do with the one before, where the solution itself is asked for: to the
-    /// rounding of a factor, or to a residual of 0.01 `ρ‖y‖`.
+    /// rounding of a factor, to a residual of 0.01 `ρ‖y‖` by conjugate gradients, or of 0.1 `ρ‖y‖` with a static
+    /// background, as in [`Self::solve`].
     fn solve_alone(&mut self, system: &System, equation: Equation);
 
     /// The system has another support; the last one was `before` (`None`: every voxel).
