@@ -118,7 +118,7 @@ def mistakes(bench):
         ("saturated", "saturated", dict(frame=np.full_like(counts, 65535))),
         ("mostly saturated", "saturated", dict(frame=np.minimum(counts.astype(np.int64) * 9, 65535).astype(np.uint16))),
         ("infinite values", "inf|finite", dict(frame=np.full(frame.shape, 1e300))),
-        ("transposed", "turned by 90°", dict(frame=counts.T.copy())),
+        ("transposed", PSF, dict(frame=counts.T.copy())),
         ("upside down", f"{PSF}|{TIMES}", dict(frame=counts[::-1].copy())),
         ("mirrored", PSF, dict(frame=counts[:, ::-1].copy())),
         ("turned by half", PSF, dict(frame=counts[::-1, ::-1].copy())),
@@ -144,6 +144,29 @@ def mistakes(bench):
     ]
 
 
+def later_mistakes(bench):
+    """Ten more, which were planted after the verdict of 2026-11-25 was frozen."""
+    counts, psf = bench.counts, bench.psf
+    halves = counts.copy()
+    halves[:20] = halves[:20][::-1]
+    y, x = np.indices(psf.shape)
+    centre = (np.array(psf.shape) - 1) / 2
+    at = [np.rint(centre[d] + (i - centre[d]) / 1.08).astype(int) for d, i in enumerate((y, x))]
+    binned = psf[: psf.shape[0] // 2 * 2, : psf.shape[1] // 2 * 2].reshape(psf.shape[0] // 2, 2, psf.shape[1] // 2, 2).sum((1, 3))
+    return [
+        ("turned to the left", f"{PSF}|turned", dict(frame=np.rot90(counts).copy())),
+        ("even rows, then odd rows", f"{PSF}|{TIMES}", dict(frame=np.concatenate([counts[::2], counts[1::2]]))),
+        ("upper half reversed", f"{PSF}|{TIMES}", dict(frame=halves)),
+        ("PSF 8 % too large", PSF, dict(psf=psf[at[0], at[1]].copy())),
+        ("PSF binned", PSF, dict(psf=binned)),
+        ("PSF turned to the left", PSF, dict(psf=np.rot90(psf).copy())),
+        ("bias not given", "bias|dark|offset", dict(edit=[("bias_counts = 100.0", "bias_counts = 0.0")])),
+        ("gain ten times too small", "gain|σ", dict(edit=[("gain_electrons_per_count = 0.5", "gain_electrons_per_count = 0.05")])),
+        ("counts divided by 65535", "bias|dark|zero|unit", dict(frame=(counts / 65535).astype(np.float32))),
+        ("gamma of 2.2", f"{PSF}|linear", dict(frame=np.rint(65535 * (counts / 65535) ** (1 / 2.2)).astype(np.uint16))),
+    ]
+
+
 def main(program, part=""):
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(str(Path(program).resolve()), folder)
@@ -152,7 +175,7 @@ def main(program, part=""):
             sys.exit(f"the undisturbed frame: {cause}")
         print(f"undisturbed: {good_seconds:.1f} s")
         right = total = 0
-        for name, expected, change in mistakes(bench):
+        for name, expected, change in mistakes(bench) + later_mistakes(bench):
             if part not in name:
                 continue
             cause, seconds = bench.first_cause(**change)
