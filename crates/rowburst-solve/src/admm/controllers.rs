@@ -1,4 +1,7 @@
 //! All that adapts between iterations, and the order in which it acts.
+//!
+//! `τ` by held-out pixels has its controller outside (`reconstruct/choose/level.rs` of `rowburst`): it judges videos that have
+//! settled, and acts between runs by [`Controllers::set_tau_rule`].
 
 use super::active_set::{ActiveSet, Restriction};
 use super::brightness::brightness;

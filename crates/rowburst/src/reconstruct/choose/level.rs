@@ -30,6 +30,56 @@ const LEVEL_ITERATIONS: usize = 25;
 /// Rise of the held-out error above its lowest, in standard errors, that ends the path; smaller follows chance.
 const RISE_IN_STANDARD_ERRORS: f64 = 2.0;
 
+/// The noise levels that were tried, from the highest on. It is the controller of `τ` by held-out pixels, and acts between
+/// runs, by [`Admm::set_tau_rule`]: a level is judged when its video has settled.
+struct NoiseLevelPath {
+    /// Noise level in counts, and the held-out error of its video in counts rms.
+    levels: Vec<(f64, f64)>,
+    /// Standard error of a held-out error, over itself.
+    standard_error: f64,
+}
+
+impl NoiseLevelPath {
+    /// A path whose errors are of `held_out` pixels each.
+    fn new(held_out: usize) -> Self {
+        Self {
+            levels: Vec::new(),
+            standard_error: (0.5 / held_out as f64).sqrt(),
+        }
+    }
+
+    /// Iterations at the next level.
+    fn iterations(&self) -> usize {
+        if self.levels.is_empty() {
+            FIRST_LEVEL_ITERATIONS
+        } else {
+            LEVEL_ITERATIONS
+        }
+    }
+
+    fn push(&mut self, sigma: f64, error: f64) {
+        self.levels.push((sigma, error));
+    }
+
+    fn lowest_error(&self) -> f64 {
+        let errors = self.levels.iter().map(|level| level.1);
+        errors.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The highest level whose error is within a standard error of the lowest one.
+    fn selected(&self) -> Option<f64> {
+        let limit = self.lowest_error() * (1.0 + self.standard_error);
+        let mut levels = self.levels.iter();
+        levels.find(|level| level.1 <= limit).map(|level| level.0)
+    }
+
+    /// Whether the last error has risen: the video follows the noise.
+    fn has_risen(&self) -> bool {
+        let limit = self.lowest_error() * (1.0 + RISE_IN_STANDARD_ERRORS * self.standard_error);
+        self.levels.last().is_some_and(|level| level.1 > limit)
+    }
+}
+
 /// The noise level in counts at which the discrepancy principle predicts held-out pixels best. The error is the
 /// result so far of a run that the observer stopped.
 pub(in crate::reconstruct) fn noise_level(
@@ -53,15 +103,9 @@ pub(in crate::reconstruct) fn noise_level(
     };
     let mut prox = data.prox(&prior);
     let mut run = Admm::new(data, shape, params);
-    let mut path: Vec<(f64, f64)> = Vec::new();
-    let mut selected = None;
+    let mut path = NoiseLevelPath::new(held_out.pixels().len());
     while sigma >= MIN_SIGMA_RATIO * rms_of_frame {
-        let until = run.iterations()
-            + if path.is_empty() {
-                FIRST_LEVEL_ITERATIONS
-            } else {
-                LEVEL_ITERATIONS
-            };
+        let until = run.iterations() + path.iterations();
         let reason = run.run(data, &mut *prox, until, &mut |progress| {
             let progress = Progress {
                 label: "estimating the noise level",
@@ -73,22 +117,15 @@ pub(in crate::reconstruct) fn noise_level(
             let solution = run.into_solution(data, &*prox, reason);
             return Err(Box::new(RunResult::new(prior, solution)));
         }
-        let errors = data.held_out_residuals(run.video());
-        let (error, standard_error) = (rms(&errors), (0.5 / errors.len() as f64).sqrt());
-        path.push((sigma, error));
-        let lowest = path.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
-        selected = path
-            .iter()
-            .find(|p| p.1 <= lowest * (1.0 + standard_error))
-            .map(|p| p.0);
-        if error > lowest * (1.0 + RISE_IN_STANDARD_ERRORS * standard_error) {
+        path.push(sigma, rms(&data.held_out_residuals(run.video())));
+        if path.has_risen() {
             break;
         }
         sigma *= SIGMA_STEP;
         run.set_tau_rule(rule(sigma), data);
     }
     drop((run, prox));
-    let level = selected.unwrap_or(sigma);
+    let level = path.selected().unwrap_or(sigma);
     let mut level_errors: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / SIGMA_STEP, level, level * SIGMA_STEP] {
         data.reset(full_prior.background(), Some(held_out.clone()));
@@ -98,4 +135,32 @@ pub(in crate::reconstruct) fn noise_level(
     }
     let best = level_errors.iter().min_by(|a, b| a.1.total_cmp(&b.1));
     Ok(best.map_or(level, |(sigma, _)| *sigma))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_highest_level_within_a_standard_error_of_the_lowest_is_selected() {
+        // A standard error of 0.1.
+        let mut path = NoiseLevelPath::new(50);
+        assert_eq!(
+            (path.selected(), path.iterations()),
+            (None, FIRST_LEVEL_ITERATIONS)
+        );
+        for (sigma, error) in [(4.0, 2.0), (2.8, 1.2), (2.0, 1.05), (1.4, 1.0)] {
+            path.push(sigma, error);
+            assert!(!path.has_risen(), "{sigma}");
+        }
+        assert_eq!(
+            (path.selected(), path.iterations()),
+            (Some(2.0), LEVEL_ITERATIONS)
+        );
+        path.push(1.0, 1.19);
+        assert!(!path.has_risen());
+        path.push(0.7, 1.21);
+        assert!(path.has_risen());
+        assert_eq!(path.selected(), Some(2.0));
+    }
 }
