@@ -259,7 +259,7 @@ impl Project {
             file: "sensor/sensor.json",
             command: format!("rowburst calibrate sensor --darks captures/darks.tif --flats captures/flats.tif --experiment {before_timing} -o sensor"),
         }));
-        steps.push(self.psf_step(reference)?);
+        steps.push(self.psf_step(reference));
         steps.push(self.result_step(ResultStep {
             name: "calibrate psf",
             inputs: vec!["captures/psf.tif", before_psf],
@@ -376,11 +376,13 @@ impl Project {
     /// The check of the set-up, and what it found.
     fn check_step(&self) -> Step {
         let file = "check/check.json";
+        let is_there = self.folder.join("captures/led.tif").is_file();
+        let replace = if is_there { " --replace" } else { "" };
         let mut step = self.result_step(ResultStep {
             name: "check",
             inputs: vec!["captures/led.tif", "psf/experiment.toml"],
             file,
-            command: "rowburst capture frame -o captures/led.tif, of a blinking point; then rowburst check psf/experiment.toml --frame captures/led.tif --frequency-hz HZ -o check".into(),
+            command: format!("rowburst capture frame -o captures/led.tif{replace}, of a blinking point; then rowburst check psf/experiment.toml --frame captures/led.tif --frequency-hz HZ -o check"),
         });
         match step.state {
             StepState::Missing => {
@@ -440,22 +442,38 @@ impl Project {
                 }
             }
         };
-        Step {
+        let mut step = Step {
             name: step.name,
             state,
             detail,
             command: step.command.into(),
+        };
+        if step.state == StepState::OutOfDate {
+            replace_capture(&mut step);
         }
+        step
     }
 
     /// The PSF, and how much a second capture of it differs.
-    fn psf_step(&self, reference: Option<&CaptureRecord>) -> Result<Step> {
+    fn psf_step(&self, reference: Option<&CaptureRecord>) -> Step {
         let mut step = self.capture_step(&PSF, reference);
         let again = self.capture("psf-again");
         if step.state != StepState::Done || !again.is_file() {
-            return Ok(step);
+            return step;
         }
-        let found = correlation_of_captures(&self.capture(PSF.name), &again)?;
+        let found = match correlation_of_captures(&self.capture(PSF.name), &again) {
+            Ok(found) => found,
+            // Of another region, or damaged: it tells nothing of the diffuser.
+            Err(error) => {
+                let _ = write!(
+                    step.detail,
+                    "; no comparison with the second capture: {error}"
+                );
+                step.state = StepState::OutOfDate;
+                step.command = "rowburst capture psf -n 20 --again --replace".into();
+                return step;
+            }
+        };
         let (y, x) = found.shift_px;
         let _ = write!(
             step.detail,
@@ -464,12 +482,13 @@ impl Project {
         );
         if found.correlation < MIN_CORRELATION || (y, x) != (0, 0) {
             step.state = StepState::OutOfDate;
+            replace_capture(&mut step);
             let _ = write!(
                 step.detail,
                 ": the diffuser has moved or drifted (limit {MIN_CORRELATION}, no shift); take the PSF anew"
             );
         }
-        Ok(step)
+        step
     }
 
     fn result_step(&self, step: ResultStep) -> Step {
@@ -495,6 +514,11 @@ impl Project {
             command: step.command,
         }
     }
+}
+
+/// The command of a capture that is there already.
+fn replace_capture(step: &mut Step) {
+    step.command.push_str(" --replace");
 }
 
 fn make_optional(step: &mut Step) {
@@ -600,6 +624,13 @@ mod tests {
             why.contains("exposure 9.600000 µs, not 20.000000 µs"),
             "{why}"
         );
+        let command = |name: &str| {
+            let steps = project.status().unwrap();
+            let step = steps.into_iter().find(|step| step.name == name);
+            step.unwrap().command
+        };
+        assert_eq!(command("darks"), "rowburst capture darks -n 50 --replace");
+        assert_eq!(command("flats"), "rowburst capture flats -n 20");
         // A PSF is normalised: its exposure is free.
         assert_eq!(state(&project, "psf").0, StepState::Done);
     }
@@ -685,6 +716,30 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_second_capture_of_another_region_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = project(folder.path());
+        capture(&project, "psf", &speckle(0.0, 0), settings("9.6"));
+        let other = Frame {
+            rows: 20,
+            columns: 30,
+            counts: vec![1000; 600],
+            number: 0,
+            time_us: None,
+        };
+        capture(&project, "psf-again", &other, settings("9.6"));
+        let steps = project.status().unwrap();
+        let step = steps.iter().find(|step| step.name == "psf").unwrap();
+        assert_eq!(step.state, StepState::OutOfDate);
+        assert!(step.detail.contains("no comparison"), "{}", step.detail);
+        assert!(
+            step.command.ends_with("--again --replace"),
+            "{}",
+            step.command
+        );
     }
 
     #[test]
