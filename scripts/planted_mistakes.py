@@ -145,7 +145,7 @@ def mistakes(bench):
 
 
 def later_mistakes(bench):
-    """Ten more, which were planted after the verdict of 2026-11-25 was frozen."""
+    """Ten more, planted after the causes of the verdict were written (2026-11-25); only the threshold of turned frames is later."""
     counts, psf = bench.counts, bench.psf
     halves = counts.copy()
     halves[:20] = halves[:20][::-1]

@@ -1,4 +1,4 @@
-//! Figures for papers: several of the report's, with letters, as SVG with vector text and as PNG.
+//! Figures for papers: several of the report's, with letters, as SVG and PDF with vector text, and as PNG.
 
 use crate::figure::{Anchor, Figure, pdf_of};
 use crate::{ReportInput, check, figures};
