@@ -59,16 +59,35 @@ export async function until(test, ms = 15_000) {
   }
 }
 
+/** Tries `check` anew until it passes; fails as its last try did. */
+export async function eventually(check, ms = 15_000) {
+  const end = Date.now() + ms;
+  for (;;) {
+    try {
+      return await check();
+    } catch (error) {
+      if (Date.now() >= end) throw error;
+    }
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+}
+
+/** What the page was asked for so far is drawn: it draws before its next picture. */
+export async function drawn(page) {
+  await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+}
+
 /** The video is there, and drawn. */
 export async function loaded(page) {
   await page.waitForSelector("canvas.picture");
   await page.waitForFunction(() => document.querySelector(".scrub progress")?.hidden);
-  await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+  await drawn(page);
 }
 
 /** The file that a click lets the browser keep. */
 export async function download(folder, ending) {
-  const name = await until(async () => (await readdir(folder)).find((n) => n.endsWith(ending)));
+  // A busy machine takes its time for a film.
+  const name = await until(async () => (await readdir(folder)).find((n) => n.endsWith(ending)), 60_000);
   await until(async () => (await stat(join(folder, name))).size > 0);
   return readFile(join(folder, name));
 }
