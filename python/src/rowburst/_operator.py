@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,19 @@ class RollingShutterOperator(LinearOperator):
     """
 
     def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> None:
-        self._native = _rowburst._Operator(camera, psf)
         self.camera = camera
-        super().__init__(np.dtype(dtype), self._native.shape)  # type: ignore[call-arg]
+        self._psf: Psf | ArrayLike = psf
+        native = self._native
+        self._psf = native.psf
+        super().__init__(np.dtype(dtype), native.shape)  # type: ignore[call-arg]
+
+    @cached_property
+    def _native(self) -> _rowburst._Operator:
+        # A copy computes at its first call: an error while it is unpickled would end a worker of a multiprocessing.Pool.
+        return _rowburst._Operator(self.camera, self._psf)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_native"}
 
     @property
     def video_shape(self) -> tuple[int, int, int]:
@@ -146,12 +157,17 @@ class DataTerm:
     hasgrad = True
 
     def __init__(self, operator: RollingShutterOperator, frame: ArrayLike) -> None:
-        self._native = _rowburst._DataTerm(operator._native, frame)
         self.operator = operator
         self._frame = frame
+        # The mistakes of a frame are found here.
+        _ = self._native
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.operator, self._frame)
+    @cached_property
+    def _native(self) -> _rowburst._DataTerm:
+        return _rowburst._DataTerm(self.operator._native, self._frame)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_native"}
 
     def __call__(self, x: ArrayLike) -> float:
         return self._native.value(np.asarray(x).reshape(-1))

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from os import PathLike
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ class Reconstructor:
     """The reconstruction of frames of one camera: set up once, called for each frame.
 
     The operator, the PSF's spectra and the Gram blocks are computed once. A call gives the video of :func:`reconstruct`,
-    bit for bit, and any number of Python threads may call at once. It can be pickled; the copy is set up anew.
+    bit for bit, and any number of Python threads may call at once. It can be pickled; the copy is set up at its first call.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class Reconstructor:
         tuning: Mapping[str, float] | None = None,
         corrected: bool = False,
     ) -> None:
-        self._given = dict(
+        given = dict(
             psf=psf,
             prior=prior,
             tau=tau,
@@ -86,22 +87,27 @@ class Reconstructor:
             tuning=tuning,
             corrected=corrected,
         )
-        self._source = camera
-        more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
-        settings = _settings_without_guide("a Reconstructor", camera, *more)
+        self._set(camera, given)
+        self._set_up()
+
+    def _set(self, camera: Camera | Experiment, given: dict[str, Any]) -> None:
+        """Keeps the arguments; nothing is computed."""
+        shared = ("psf", "prior", "tau", "dark", "flat", "bad_pixels", "corrected")
+        settings = _settings_without_guide("a Reconstructor", camera, *(given[name] for name in shared))
+        self._source, self._given, self._settings = camera, given, settings
         self.camera: Camera = settings["camera"]
-        self._settings = settings
-        self._threads = threads
-        self._native = _rowburst._Reconstructor(
-            **settings,
-            noise_sigma=noise_sigma,
-            max_iterations=max_iterations,
-            self_calibrate=self_calibrate,
-            keep_all_pixels=keep_all_pixels,
-            threads=threads,
-            tuning=_constants(tuning),
-            corrected=corrected,
-        )
+        self._lock = Lock()
+        self._native: _rowburst._Reconstructor | None = None
+
+    def _set_up(self) -> _rowburst._Reconstructor:
+        """Operator, spectra and Gram blocks, computed once. A copy computes them at its first call, not while it is
+        unpickled: an error there would end a worker of a multiprocessing.Pool, and the pool would wait for ever."""
+        with self._lock:
+            if self._native is None:
+                own = ("noise_sigma", "max_iterations", "self_calibrate", "keep_all_pixels", "threads", "corrected")
+                options = {name: self._given[name] for name in own} | {"tuning": _constants(self._given["tuning"])}
+                self._native = _rowburst._Reconstructor(**self._settings, **options)
+            return self._native
 
     def __call__(
         self,
@@ -149,9 +155,10 @@ class Reconstructor:
         seed: int = 0,
         debias: bool = False,
     ) -> Result:
+        native = self._set_up()
         bar, callback = _callback(progress)
         try:
-            found = self._native.reconstruct(
+            found = native.reconstruct(
                 frame,
                 truth=truth,
                 direct=direct,
@@ -241,9 +248,9 @@ class Reconstructor:
         (12, 24, 30)
         """
         settings = {name: value for name, value in self._settings.items() if name != "experiment"}
-        tuning = _constants(self._given["tuning"])  # type: ignore[arg-type]
         given = self._given
-        return LiveView(**settings, noise_sigma=given["noise_sigma"], tuning=tuning, threads=given["threads"])  # type: ignore[arg-type]
+        tuning = _constants(given["tuning"])
+        return LiveView(**settings, noise_sigma=given["noise_sigma"], tuning=tuning, threads=given["threads"])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._source, self._given)
@@ -254,7 +261,9 @@ class Reconstructor:
 
 
 def _again(camera: Camera | Experiment, given: dict[str, Any]) -> Reconstructor:
-    return Reconstructor(camera, **given)
+    copy = Reconstructor.__new__(Reconstructor)
+    copy._set(camera, given)
+    return copy
 
 
 def _each(frames: Any) -> Iterator[Any]:

@@ -17,6 +17,7 @@ mod held_out_check;
 mod model;
 mod model_check;
 mod prior;
+mod psf_origin;
 mod self_calibration;
 mod sequence;
 mod sigma;

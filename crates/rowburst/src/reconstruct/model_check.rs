@@ -103,6 +103,10 @@ impl Problem {
         }
         let without = without.as_ref().unwrap_or(&check);
         let is_explained = self.is_explained(without);
+        if !is_explained && self.has_foreign_psf(without, prior, observer)? {
+            self.exclude(none);
+            return self.exclude_foreign(found, check, prior, observer);
+        }
         let mut pending = None;
         if !is_explained || self.options.self_calibration == SelfCalibration::On {
             pending = self.find_correction(prior, without, observer)?;
