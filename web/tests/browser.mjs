@@ -4,6 +4,7 @@ import { spawn } from "node:child_process";
 import { mkdtemp, readdir, readFile, writeFile, mkdir, stat } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { after } from "node:test";
 import assert from "node:assert/strict";
 import pixelmatch from "pixelmatch";
 import { PNG } from "pngjs";
@@ -37,9 +38,14 @@ export async function open(browser, url, { width = 1360, height = 1000, dark = f
   return { page, faults, folder };
 }
 
+// A test that fails does not stop its programs, and the file would not end before they do.
+const started = [];
+after(() => started.forEach((child) => child.kill("SIGKILL")));
+
 /** Starts the program and waits for its page's address. */
 export async function serve(args, where = "stdout") {
   const child = spawn(program, args, { stdio: ["ignore", "pipe", "pipe"] });
+  started.push(child);
   let [out, err] = ["", ""];
   child.stdout.on("data", (data) => (out += data));
   child.stderr.on("data", (data) => (err += data));
@@ -59,16 +65,35 @@ export async function until(test, ms = 15_000) {
   }
 }
 
+/** Tries `check` anew until it passes; fails as its last try did. */
+export async function eventually(check, ms = 15_000) {
+  const end = Date.now() + ms;
+  for (;;) {
+    try {
+      return await check();
+    } catch (error) {
+      if (Date.now() >= end) throw error;
+    }
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+}
+
+/** What the page was asked for so far is drawn: it draws before its next picture. */
+export async function drawn(page) {
+  await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+}
+
 /** The video is there, and drawn. */
 export async function loaded(page) {
   await page.waitForSelector("canvas.picture");
   await page.waitForFunction(() => document.querySelector(".scrub progress")?.hidden);
-  await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+  await drawn(page);
 }
 
 /** The file that a click lets the browser keep. */
 export async function download(folder, ending) {
-  const name = await until(async () => (await readdir(folder)).find((n) => n.endsWith(ending)));
+  // A busy machine takes its time for a film.
+  const name = await until(async () => (await readdir(folder)).find((n) => n.endsWith(ending)), 60_000);
   await until(async () => (await stat(join(folder, name))).size > 0);
   return readFile(join(folder, name));
 }
@@ -90,9 +115,15 @@ export function decoded(page, bytes, fps, bins, places) {
       await there;
       const canvas = new OffscreenCanvas(film.videoWidth, film.videoHeight);
       const ctx = canvas.getContext("2d", { willReadFrequently: true });
+      // A film that has been sought may not have its picture yet.
+      const shows = (bin) =>
+        new Promise((resolve) => {
+          const look = (_, { mediaTime }) => (Math.round(mediaTime * fps) === bin ? resolve() : film.requestVideoFrameCallback(look));
+          film.requestVideoFrameCallback(look);
+        });
       const pictures = [];
       for (const bin of bins) {
-        const sought = event("seeked");
+        const sought = Promise.all([event("seeked"), shows(bin)]);
         film.currentTime = (bin + 0.5) / fps;
         await sought;
         ctx.drawImage(film, 0, 0);

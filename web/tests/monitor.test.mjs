@@ -4,7 +4,7 @@ import { after, before, test } from "node:test";
 import assert from "node:assert/strict";
 import { mkdir, readFile, readdir, rm, writeFile } from "node:fs/promises";
 import { join } from "node:path";
-import { chromium, compare, open, results, serve, until } from "./browser.mjs";
+import { chromium, compare, eventually, open, results, serve, until } from "./browser.mjs";
 
 let browser;
 before(async () => (browser = await chromium()));
@@ -41,15 +41,17 @@ test("a camera is looked at, recorded, and its frame reconstructed in full", asy
     "stdout",
   );
   const { page, faults } = await open(browser, live.url);
+  await page.waitForSelector("#monitor-numbers");
   const numbers = () => page.$eval("#monitor-numbers", (e) => e.innerText);
-  await until(async () => /Videos a second\s+[\d.]/.test(await numbers()), 30_000);
+  await until(async () => /Latency\s+[\d.]+ ms[^]*Videos a second\s+[\d.]/.test(await numbers()), 30_000);
   assert.match(await numbers(), /Saturated\s+0 %[^]*Speckle contrast\s+[\d.]+[^]*Grain\s+[\d.]+ px[^]*Latency\s+[\d.]+ ms/);
   const colours = (selector) =>
     page.$eval(selector, (c) => new Set(new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer)).size);
-  assert.ok((await colours("#raw-frame")) > 50, "the raw frame is drawn");
-  assert.ok((await colours("canvas.picture")) > 10, "the video is drawn");
+  await eventually(async () => assert.ok((await colours("#raw-frame")) > 50, "the raw frame is drawn"));
+  await eventually(async () => assert.ok((await colours("canvas.picture")) > 10, "the video is drawn"));
   await page.click("#record");
-  await until(async () => /Stop \([3-9] frames\)/.test(await page.$eval("#record", (e) => e.textContent)));
+  // A busy machine may show no number below ten.
+  await until(async () => Number((await page.$eval("#record", (e) => e.textContent)).match(/Stop \((\d+) frames\)/)?.[1]) >= 3);
   await page.click("#record");
   const message = () => page.$eval("#monitor-message", (e) => e.textContent);
   await until(async () => /kept \d+ frames in recording\.tif/.test(await message()));
@@ -81,7 +83,9 @@ async function changeState(page, url, change) {
       return request.respond({ status: 204 });
     }
     if (path !== "/api/monitor") return request.continue();
-    const answer = await fetch(request.url() + new URL(url).search);
+    const answer = await fetch(request.url() + new URL(url).search).catch(() => null);
+    // The program has been stopped, and the page is about to be closed.
+    if (!answer) return request.abort();
     return request.respond({ contentType: "application/json", body: JSON.stringify(change(await answer.json())) });
   });
   return sent;
@@ -125,6 +129,7 @@ for (const [name, dark] of [["live-light", false], ["live-dark", true]]) {
     const source = `play:${join(folder, "one.npy")}`;
     const live = await serve(["live", experiment, "--source", source, "--time-budget-s", "20", "--port", "0", "--no-open", "-o", join(folder, name)], "stdout");
     const { page, faults } = await open(browser, live.url, { width: 1280, dark });
+    await page.waitForSelector("#monitor-message");
     await until(async () => /no more frames/.test(await page.$eval("#monitor-message", (e) => e.textContent)));
     const still = (state) => ({
       ...state,
@@ -143,7 +148,7 @@ for (const [name, dark] of [["live-light", false], ["live-dark", true]]) {
       const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
       while (walk.nextNode()) walk.currentNode.data = walk.currentNode.data.replaceAll(source, "play:one.npy");
     }, source);
-    await compare(name, await page.screenshot());
+    await eventually(async () => compare(name, await page.screenshot()));
     assert.deepEqual(faults, []);
     live.stop();
     await page.close();

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
-import { chromium, compare, open } from "./browser.mjs";
+import { chromium, compare, eventually, open } from "./browser.mjs";
 
 /** Of a page, such as `search.html?q=word`. */
 const address = (name) => new URL(name, pathToFileURL(join(process.env.SITE ?? "../target/docs", "index.html"))).href;
@@ -25,8 +25,11 @@ async function shown(name, options) {
 test("a word is found from the disk, without a server", async () => {
   const { page, faults } = await shown("search.html?q=diffuser", WIDE);
   await page.waitForFunction(() => document.querySelectorAll("#search-results li a").length > 3);
-  const titles = await page.$$eval("#search-results li a", (links) => links.map((link) => link.textContent));
-  assert.ok(titles.some((title) => /diffuser/i.test(title)), titles.join(", "));
+  // They come one after another.
+  await eventually(async () => {
+    const titles = await page.$$eval("#search-results li a", (links) => links.map((link) => link.textContent));
+    assert.ok(titles.some((title) => /diffuser/i.test(title)), titles.join(", "));
+  });
   assert.deepEqual(faults, []);
   await page.close();
 });

@@ -7,7 +7,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { PNG } from "pngjs";
-import { chromium, compare, decoded, download, freezeAt, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
+import { chromium, compare, decoded, download, drawn, eventually, freezeAt, loaded, open, pick, program, results, serve, until } from "./browser.mjs";
 
 let browser;
 let view;
@@ -39,6 +39,7 @@ test("a result loads, plays, steps and is scrubbed", async () => {
   });
   await shows(/^196\.8 µs · 21 of 54$/);
   await page.keyboard.press("Home");
+  await shows(/ 1 of 54$/);
   await page.keyboard.press("Space");
   await until(async () => Number((await time()).match(/· (\d+)/)[1]) > 3);
   assert.equal(await page.$eval("#play", (e) => e.getAttribute("aria-label")), "Pause");
@@ -236,7 +237,7 @@ test("two results are seen side by side with one clock", async () => {
       e.value = t;
       e.dispatchEvent(new Event("input"));
     }, String(bin));
-    await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+    await drawn(page);
     for (const role of ["main", "other"]) {
       const at = await brightest(role);
       assert.ok(Math.hypot(at[0] - y, at[1] - x) < 4 / 108, `bin ${bin}, ${role}: brightest at ${at}, the truth at ${[y, x]}`);
@@ -314,6 +315,7 @@ test("the first picture of 512×512×256 is there in less than 2 s", async () =>
   });
   const ms = Date.now() - began;
   console.log(`first picture after ${ms} ms`);
+  // A limit of real time, as it is meant: a machine that is busy with other work may miss it.
   assert.ok(ms < 2000, `${ms} ms`);
   assert.deepEqual(faults, []);
   await page.close();
@@ -355,7 +357,7 @@ test("a run that goes on looks as it did", async () => {
   assert.equal(await page.$eval("#stop", (e) => e.disabled), false);
   // The title is the folder's place on this machine; seconds and iterations are a few letters: two runs differ in 0.2 %.
   await page.$eval("h1", (e) => (e.textContent = "running"));
-  await compare("running", await page.screenshot(), 0.03);
+  await eventually(async () => compare("running", await page.screenshot(), 0.03));
   run.child.kill("SIGKILL");
   assert.deepEqual(faults, []);
   await page.close();
@@ -366,6 +368,7 @@ test("a run that is killed is seen to have ended, and leaves no half result to l
   const args = ["reconstruct", join(results, "leds", "experiment.toml"), "--frame", join(results, "leds", "frame.npy"), "--prior", "tv", "--max-iterations", "100000", "--tau", "1e-9"];
   const run = await serve([...args, "--view", "--port", "0", "--no-open", "-o", folder], "stderr");
   const { page } = await open(browser, run.url);
+  await page.waitForSelector("#live-words");
   await until(async () => /iteration \d+/.test(await page.$eval("#live-words", (e) => e.textContent)));
   run.child.kill("SIGKILL");
   await page.waitForSelector("#rowburst-error:not([hidden])");
@@ -448,8 +451,8 @@ test("wide and on a phone, light and dark, it looks as it did", async () => {
     await page.select("#beside", "none");
     await page.keyboard.press("Home");
     await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
+    await eventually(async () => compare(name, await page.screenshot()));
     assert.ok((await page.evaluate(() => document.documentElement.scrollWidth)) <= look.width, `${name} fits its window`);
-    await compare(name, await page.screenshot());
     await page.close();
   }
 });
@@ -463,7 +466,7 @@ test("space and time, evidence, settings and two results look as they did", asyn
     await page.click(`#tab-${name}`);
     await page.keyboard.press("Home");
     await rest();
-    await compare(name, await page.screenshot());
+    await eventually(async () => compare(name, await page.screenshot()));
   }
   await page.close();
   const two = await serve(["view", join(results, "leds"), join(results, "other", "video.npy"), "--port", "0", "--no-open"]);
@@ -471,7 +474,7 @@ test("space and time, evidence, settings and two results look as they did", asyn
   await loaded(both);
   await both.keyboard.press("Home");
   await both.evaluate(() => new Promise((resolve) => setTimeout(resolve, 400)));
-  await compare("two-results", await both.screenshot());
+  await eventually(async () => compare("two-results", await both.screenshot()));
   await both.close();
   two.stop();
 });
@@ -521,9 +524,13 @@ test("on a phone the figures of report.html fit the screen, and on a desk their 
   const figures = () =>
     page.$$eval("main figure svg", (all) => all.map((e) => ({ width: e.clientWidth, text: (12 * e.clientWidth) / e.viewBox.baseVal.width })));
   await page.setViewport({ width: 390, height: 844 });
-  for (const { width } of await figures()) assert.ok(width <= 390, `${width} px`);
+  await eventually(async () => {
+    for (const { width } of await figures()) assert.ok(width <= 390, `${width} px`);
+  });
   await page.setViewport({ width: 1280, height: 900 });
-  for (const { text } of await figures()) assert.ok(text >= 10, `words of ${text} px`);
+  await eventually(async () => {
+    for (const { text } of await figures()) assert.ok(text >= 10, `words of ${text} px`);
+  });
   // No word of the headline is broken.
   const broken = await page.$$eval(".headline dd", (all) =>
     all.filter((e) => {
