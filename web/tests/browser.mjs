@@ -78,7 +78,7 @@ export async function eventually(check, ms = 15_000) {
   }
 }
 
-/** What the page was asked for so far is drawn: it draws before its next picture. */
+/** Waits until the page has drawn what it was asked for: it draws once in each frame of the browser. */
 export async function drawn(page) {
   await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
 }
@@ -115,7 +115,7 @@ export function decoded(page, bytes, fps, bins, places) {
       await there;
       const canvas = new OffscreenCanvas(film.videoWidth, film.videoHeight);
       const ctx = canvas.getContext("2d", { willReadFrequently: true });
-      // A film that has been sought may not have its picture yet.
+      // After a seek, the film may not have its new picture yet.
       const shows = (bin) =>
         new Promise((resolve) => {
           const look = (_, { mediaTime }) => (Math.round(mediaTime * fps) === bin ? resolve() : film.requestVideoFrameCallback(look));
