@@ -1,4 +1,5 @@
-//! When frames and bins are, in microseconds from the first bin of the first frame.
+//! When frames and bins are, in microseconds from the first exposure of the first frame: the start of exposure of the row
+//! that is read first.
 
 use rowburst::{Camera, Error, Parameter, Result};
 use rowburst_io::Frames;
@@ -10,6 +11,8 @@ pub struct Clock {
     pub frame_period_us: f64,
     /// Of a bin.
     pub bin_us: f64,
+    /// Start of a frame's first bin, from the frame's first exposure.
+    pub first_bin_us: f64,
     /// Of the video of a frame.
     pub video_us: f64,
 }
@@ -37,6 +40,7 @@ impl Clock {
         Ok(Self {
             frame_period_us,
             bin_us,
+            first_bin_us: time.start_us(),
             video_us: bin_us * time.bins() as f64,
         })
     }
@@ -46,7 +50,7 @@ impl Clock {
         (self.frame_period_us - self.video_us).max(0.0)
     }
 
-    /// Start of each frame's first bin; missing frames are counted.
+    /// Start of each frame's first exposure; missing frames are counted.
     pub fn starts_us(&self, frames: &dyn Frames) -> Vec<f64> {
         let first = frames.number(0);
         (0..frames.count())

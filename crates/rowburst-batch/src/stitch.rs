@@ -103,7 +103,7 @@ fn bins_of(done: &[usize], starts_us: &[f64], clock: Clock) -> StitchParams {
     };
     let mut end_us: Option<f64> = None;
     for &frame in done {
-        let start_us = starts_us[frame];
+        let start_us = starts_us[frame] + clock.first_bin_us;
         // Half a bin either way is the jitter of a period that was measured.
         let gap_bins = end_us.map_or(0.0, |end| (start_us - end) / clock.bin_us);
         if let Some(end_us) = end_us.filter(|_| gap_bins > 0.5) {
@@ -130,6 +130,7 @@ mod tests {
         Clock {
             frame_period_us,
             bin_us: 10.0,
+            first_bin_us: 0.0,
             video_us: 30.0,
         }
     }
@@ -148,6 +149,13 @@ mod tests {
         let params = bins_of(&[0, 1], &[0.0, 100.0], clock(100.0));
         assert_eq!(line(&params), "0.0 0.1 0.2 - 1.0 1.1 1.2");
         assert_eq!(params.time_us, [5.0, 15.0, 25.0, 65.0, 105.0, 115.0, 125.0]);
+        // Exposures of half a row time: the first bin starts half a row time before the first exposure.
+        let early = Clock {
+            first_bin_us: -5.0,
+            ..clock(100.0)
+        };
+        let params = bins_of(&[0, 1], &[0.0, 100.0], early);
+        assert_eq!(params.time_us, [0.0, 10.0, 20.0, 60.0, 100.0, 110.0, 120.0]);
     }
 
     #[test]

@@ -240,6 +240,8 @@ impl Experiment {
         line(&mut text, "binning", unless_one(sensor.binning));
         line(&mut text, "bins_per_row", unless_one(params.bins_per_row));
         line(&mut text, "pixel_pitch_um", sensor.pixel_pitch_um);
+        line(&mut text, "magnification", sensor.magnification);
+        line(&mut text, "trigger_delay_us", sensor.trigger_delay_us);
         line(&mut text, "bit_depth", sensor.bit_depth);
         line(&mut text, "bias_counts", sensor.bias_counts);
         line(
@@ -360,6 +362,8 @@ fn read_params(
         sensor: Sensor {
             binning: binning.unwrap_or(1),
             pixel_pitch_um,
+            magnification: camera.number("magnification")?,
+            trigger_delay_us: camera.number("trigger_delay_us")?,
             // What 32 bits cannot hold is out of range as well.
             bit_depth: bit_depth.unwrap_or(Some(u32::MAX)),
             bias_counts: camera.number("bias_counts")?,

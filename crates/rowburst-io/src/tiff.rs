@@ -284,11 +284,17 @@ fn push(
     }
 }
 
+/// The line of the description with the time of the first page. ImageJ has no origin of time: it counts from 0, and
+/// programs that read the description have this line.
+const FIRST_TIME: &str = "time_of_first_frame";
+
 /// The axes of a stack, for ImageJ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TiffScale {
     /// Seconds from one page to the next.
     pub frame_interval_s: f64,
+    /// Seconds of the middle of the first page.
+    pub first_s: f64,
     /// Pitch of a pixel in micrometres, where it is known.
     pub pixel_pitch_um: Option<f64>,
 }
@@ -324,10 +330,11 @@ pub fn write_tiff_video(
     });
     let mut description = format!(
         "ImageJ=1.54f\nimages={0}\nframes={0}\nhyperstack=true\nmode=grayscale\nloop=false\n\
-         finterval={1}\nfps={2}\ntunit=s\n",
+         finterval={1}\nfps={2}\ntunit=s\n{FIRST_TIME}={3}\n",
         shape.bins,
         scale.frame_interval_s,
         1.0 / scale.frame_interval_s,
+        scale.first_s,
     );
     if scale.pixel_pitch_um.is_some() {
         description += "unit=micron\n";
@@ -362,11 +369,12 @@ pub fn write_tiff_colour(
     let most = colours.iter().flatten().copied().fold(0.0, f32::max);
     let mut description = format!(
         "ImageJ=1.54f\nimages={}\nchannels=3\nframes={}\nhyperstack=true\nmode=composite\nloop=false\n\
-         finterval={}\nfps={}\ntunit=s\nmin=0\nmax={most}\n",
+         finterval={}\nfps={}\ntunit=s\n{FIRST_TIME}={}\nmin=0\nmax={most}\n",
         3 * shape.bins,
         shape.bins,
         scale.frame_interval_s,
         1.0 / scale.frame_interval_s,
+        scale.first_s,
     );
     if scale.pixel_pitch_um.is_some() {
         description += "unit=micron\n";
@@ -460,6 +468,7 @@ mod tests {
 
     const SCALE: TiffScale = TiffScale {
         frame_interval_s: 9.6e-6,
+        first_s: 4.8e-6,
         pixel_pitch_um: Some(6.5),
     };
 
@@ -541,6 +550,7 @@ mod tests {
             "frames=4\n",
             "hyperstack=true\n",
             "finterval=0.0000096\n",
+            "time_of_first_frame=0.0000048\n",
             "unit=micron\n",
             "min=-1.5\nmax=57.5\n",
         ] {

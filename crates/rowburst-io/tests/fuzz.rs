@@ -4,7 +4,7 @@
 mod mutator;
 
 use mutator::fuzz;
-use rowburst::{Image, Shape, Video};
+use rowburst::{Image, Shape, TimeGrid, Video};
 #[cfg(feature = "hdf5")]
 use rowburst_io::write_hdf5_video;
 use rowburst_io::{
@@ -21,6 +21,10 @@ fn image() -> Image {
 fn video() -> Video {
     let shape = Shape::new(3, 4, 5);
     Video::new(shape, (0..60).map(|i| i as f32).collect()).unwrap()
+}
+
+fn time() -> TimeGrid {
+    TimeGrid::rolling(3, 9.6, 1.0, 1)
 }
 
 /// The bytes that `write` writes.
@@ -65,6 +69,7 @@ fn tiff() {
     fuzz_array("a.tif", &seed, &[]);
     let scale = TiffScale {
         frame_interval_s: 1e-5,
+        first_s: 0.0,
         pixel_pitch_um: Some(6.5),
     };
     let seed = written(|w| write_tiff_video(w, &video(), scale));
@@ -118,14 +123,14 @@ fn fits() {
 
 #[test]
 fn mat() {
-    let seed = written(|w| write_mat_video(w, &video(), 9.6));
+    let seed = written(|w| write_mat_video(w, &video(), &time()));
     fuzz_named("a.mat", &seed, "a.mat:video");
 }
 
 #[cfg(feature = "hdf5")]
 #[test]
 fn hdf5() {
-    let seed = written(|w| write_hdf5_video(w, &video(), 9.6));
+    let seed = written(|w| write_hdf5_video(w, &video(), &time()));
     fuzz_named("a.h5", &seed, "a.h5:/video");
 }
 

@@ -111,7 +111,7 @@ impl Bayer {
 pub struct PlaneCamera {
     /// Half the sensor's rows and columns, read when those rows are.
     pub camera: Camera,
-    /// From the start of the sensor's first instant to that of this camera's.
+    /// Start of the plane's bin 0, from the start of exposure of the sensor's row that is read first.
     pub start_us: f64,
 }
 
@@ -154,15 +154,15 @@ pub fn plane_camera(camera: &Camera, site: Site) -> Result<PlaneCamera> {
         )
         .with_kind(ErrorKind::Unsupported));
     }
-    let mut start_us = 0.0;
+    let mut delay_us = 0.0;
     let (shutter, row_time_us) = match params.shutter {
         Shutter::Global => (Shutter::Global, params.row_time_us),
         _ => {
             let instants = camera.instants().iter().skip(site.row).step_by(2);
             let instants: Vec<usize> = instants.copied().collect();
             let (order, first, step) = evenly(&instants)?;
-            // Instant k of the plane ends with the sensor's instant first + step·k.
-            start_us = (first as f64 + 1.0 - step as f64) * params.row_time_us;
+            // Instant k of the plane ends with the sensor's instant first + step·k, and exposures are equal.
+            delay_us = first as f64 * params.row_time_us;
             (Shutter::Custom(order), params.row_time_us * step as f64)
         }
     };
@@ -178,6 +178,8 @@ pub fn plane_camera(camera: &Camera, site: Site) -> Result<PlaneCamera> {
         },
         ..params.clone()
     })?;
+    let start_us = camera.time().start_us() + delay_us;
+    let camera = camera.starting_at(start_us);
     Ok(PlaneCamera { camera, start_us })
 }
 
@@ -310,6 +312,28 @@ mod tests {
         }
     }
 
+    /// A row of a plane is exposed when the sensor's row is, by the sensor's zero of time.
+    #[test]
+    fn planes_have_the_clock_of_the_sensor() {
+        for exposure_us in [4.0, 10.0, 17.0, 30.0] {
+            for shutter in [Shutter::TopDown, Shutter::BottomUp, Shutter::DualInsideOut] {
+                let whole = camera(shutter, 8, exposure_us);
+                for site in Bayer::Rggb.sites() {
+                    let plane = plane_camera(&whole, site).unwrap();
+                    let time = plane.camera.time();
+                    assert_eq!(time.start_us(), plane.start_us);
+                    for (row, &instant) in plane.camera.instants().iter().enumerate() {
+                        let run = &time.instants()[instant];
+                        let end = run.first_bin + run.weights.len();
+                        let end_us = time.start_us() + end as f64 * time.bin_duration_us();
+                        let on_sensor = whole.instants()[2 * row + site.row] as f64;
+                        assert!((end_us - (on_sensor * 10.0 + exposure_us)).abs() < 1e-9);
+                    }
+                }
+            }
+        }
+    }
+
     #[test]
     fn times_of_the_planes_are_those_of_their_rows() {
         let sites = Bayer::Rggb.sites();
@@ -360,14 +384,11 @@ mod tests {
                 // The same scene on the sensor's grid: cells of 2×2 pixels, and its bins at
                 // their time.
                 let fine = whole.video_shape();
-                let lead = |c: &Camera| match c.shutter() {
-                    Shutter::Global => 0,
-                    _ => (c.params().exposure_us / c.params().row_time_us).ceil() as isize - 1,
-                };
                 let mut on_sensor = Vec::new();
                 for t in 0..fine.bins {
-                    let at = (t as isize - lead(&whole)) - (start_us / 10.0).round() as isize;
-                    let bin = at.div_euclid(step as isize) + lead(&camera);
+                    let from_first_bin_us = whole.time().middle_us(t) - start_us;
+                    let bin =
+                        (from_first_bin_us / camera.time().bin_duration_us()).floor() as isize;
                     for y in 0..fine.rows {
                         for x in 0..fine.columns {
                             let seen = (0..shape.bins as isize).contains(&bin);

@@ -46,13 +46,17 @@ pub struct CameraParams {
     pub sensor: Sensor,
 }
 
-/// Calibration of the sensor's counts. All values but the binning are optional.
+/// Pixels and counts of the sensor, and how it sees the scene. All values but the binning are optional.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
     /// Raw pixels along one side of a pixel of the working grid.
     pub binning: usize,
     /// Pitch of a pixel of the working grid, in micrometres.
     pub pixel_pitch_um: Option<f64>,
+    /// Size of an image on the sensor over that of the object, `M` of Eq. 1.
+    pub magnification: Option<f64>,
+    /// From the trigger to the start of exposure of the row that is read first, in microseconds.
+    pub trigger_delay_us: Option<f64>,
     /// Bits of the analogue-to-digital converter; the largest count is `2^bits − 1`.
     pub bit_depth: Option<u32>,
     /// Counts without light.
@@ -70,6 +74,8 @@ impl Default for Sensor {
         Self {
             binning: 1,
             pixel_pitch_um: None,
+            magnification: None,
+            trigger_delay_us: None,
             bit_depth: None,
             bias_counts: None,
             gain_electrons_per_count: None,
@@ -222,6 +228,15 @@ impl Camera {
         })
     }
 
+    /// The same camera, whose bin 0 starts at `start_us`: of a plane, by the zero of time of the whole sensor.
+    #[must_use]
+    pub fn starting_at(self, start_us: f64) -> Self {
+        Self {
+            time: self.time.starting_at(start_us),
+            ..self
+        }
+    }
+
     /// Index of this camera's first bin in the whole readout; 0 unless it is a [`Self::subset`].
     pub fn first_bin(&self) -> usize {
         self.subset.as_ref().map_or(0, |subset| subset.first_bin)
@@ -341,6 +356,7 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     }
     let positive = [
         (Parameter::PixelPitchUm, sensor.pixel_pitch_um),
+        (Parameter::CameraMagnification, sensor.magnification),
         (
             Parameter::GainElectronsPerCount,
             sensor.gain_electrons_per_count,
@@ -360,6 +376,7 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
         }
     }
     let non_negative = [
+        (Parameter::TriggerDelayUs, sensor.trigger_delay_us),
         (Parameter::BiasCounts, sensor.bias_counts),
         (Parameter::ReadNoiseElectrons, sensor.read_noise_electrons),
     ];

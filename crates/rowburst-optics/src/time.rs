@@ -5,10 +5,14 @@
 /// Row `r` is read at the end of instant `k[r]` and integrates the video with the weights of that instant:
 /// `w[r, j] = weight(k[r], j)`. A weight is the overlap of the row's exposure (Eq. 2) with bin `j`, in row times
 /// (for a `global` shutter in exposures, so it is 1). Only a short run of consecutive bins has weights above zero.
+///
+/// Zero of time is the start of exposure of the row that is read first. Bin 0 starts at [`Self::start_us`]: at zero where
+/// the exposure is a whole number of row times, else by a part of a row time earlier.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TimeGrid {
     bins: usize,
     bin_duration_us: f64,
+    start_us: f64,
     instants: Vec<InstantWeights>,
 }
 
@@ -28,6 +32,7 @@ impl TimeGrid {
         Self {
             bins: 1,
             bin_duration_us: duration_us,
+            start_us: 0.0,
             instants: vec![InstantWeights {
                 first_bin: 0,
                 weights: vec![1.0],
@@ -70,6 +75,7 @@ impl TimeGrid {
         Self {
             bins,
             bin_duration_us: row_time_us * width,
+            start_us: (exposure - exposure.ceil()) * row_time_us,
             instants: (0..instants).map(weights_of).collect(),
         }
     }
@@ -83,6 +89,7 @@ impl TimeGrid {
         Self {
             bins: bins.len(),
             bin_duration_us: self.bin_duration_us,
+            start_us: self.start_us + bins.start as f64 * self.bin_duration_us,
             instants: kept.into_iter().map(moved).collect(),
         }
     }
@@ -96,6 +103,27 @@ impl TimeGrid {
     /// Duration of one bin in microseconds.
     pub fn bin_duration_us(&self) -> f64 {
         self.bin_duration_us
+    }
+
+    /// Start of bin 0 in microseconds from the zero of time.
+    pub fn start_us(&self) -> f64 {
+        self.start_us
+    }
+
+    /// End of the last bin in microseconds from the zero of time.
+    pub fn end_us(&self) -> f64 {
+        self.start_us + self.bins as f64 * self.bin_duration_us
+    }
+
+    /// Middle of `bin` in microseconds from the zero of time.
+    pub fn middle_us(&self, bin: usize) -> f64 {
+        self.start_us + (bin as f64 + 0.5) * self.bin_duration_us
+    }
+
+    /// The same grid, whose bin 0 starts at `start_us`.
+    #[must_use]
+    pub fn starting_at(self, start_us: f64) -> Self {
+        Self { start_us, ..self }
     }
 
     /// Frame rate of the video in hertz.
@@ -148,6 +176,38 @@ mod tests {
     #[test]
     fn exposure_that_is_a_whole_number_but_for_rounding_adds_no_bin() {
         assert_eq!(TimeGrid::rolling(8, 9.6, 28.8 / 9.6, 1).bins(), 10);
+    }
+
+    /// Instant `k` integrates from `k` row times after the zero of time on, for the exposure.
+    #[test]
+    fn zero_is_the_start_of_the_first_exposure() {
+        const ROW_US: f64 = 10.0;
+        for exposure in [0.3, 1.0, 1.7, 28.8 / 9.6, 7.25] {
+            for bins_per_row in 1..4 {
+                let grid = TimeGrid::rolling(6, ROW_US, exposure, bins_per_row);
+                for (k, instant) in grid.instants().iter().enumerate() {
+                    let from = k as f64 * ROW_US;
+                    let to = from + exposure * ROW_US;
+                    let half = 0.5 * grid.bin_duration_us();
+                    for bin in 0..grid.bins() {
+                        let middle = grid.middle_us(bin);
+                        let overlap = (to.min(middle + half) - from.max(middle - half)).max(0.0);
+                        let at = bin.checked_sub(instant.first_bin);
+                        let weight = at.and_then(|i| instant.weights.get(i)).unwrap_or(&0.0);
+                        assert!(
+                            (weight * ROW_US - overlap).abs() < 1e-9,
+                            "{exposure} {k} {bin}"
+                        );
+                    }
+                }
+                let part = grid.subset(2..4, Vec::new());
+                assert!((part.middle_us(0) - grid.middle_us(2)).abs() < 1e-9);
+                assert!(
+                    (part.end_us() - grid.middle_us(4) + 0.5 * grid.bin_duration_us()).abs() < 1e-9
+                );
+            }
+        }
+        assert_eq!(TimeGrid::single(500.0).middle_us(0), 250.0);
     }
 
     #[test]

@@ -36,6 +36,10 @@ use std::path::PathBuf;
 ///     Rows and columns of the video, if it is larger than the sensor.
 /// pixel_pitch_um : float, optional
 ///     Width of a pixel in micrometres.
+/// magnification : float, optional
+///     Size of an image on the sensor over that of the object.
+/// trigger_delay_us : float, optional
+///     From the trigger to the start of exposure of the row that is read first.
 /// bit_depth : int, optional
 ///     Bits of the converter.
 /// bias_counts, gain_electrons_per_count, read_noise_electrons, full_well_counts : float, optional
@@ -95,9 +99,9 @@ impl PyCamera {
     #[new]
     #[pyo3(signature = (*, rows, columns, shutter, exposure_us, row_time_us=None, row_order=None,
         binning=Whole::of(1), bins_per_row=Whole::of(1), field=None, pixel_pitch_um=None,
-        bit_depth=None, bias_counts=None, gain_electrons_per_count=None,
+        magnification=None, trigger_delay_us=None, bit_depth=None, bias_counts=None, gain_electrons_per_count=None,
         read_noise_electrons=None, full_well_counts=None, bayer=None),
-        text_signature = "(*, rows, columns, shutter, exposure_us, row_time_us=None, row_order=None, binning=1, bins_per_row=1, field=None, pixel_pitch_um=None, bit_depth=None, bias_counts=None, gain_electrons_per_count=None, read_noise_electrons=None, full_well_counts=None, bayer=None)")]
+        text_signature = "(*, rows, columns, shutter, exposure_us, row_time_us=None, row_order=None, binning=1, bins_per_row=1, field=None, pixel_pitch_um=None, magnification=None, trigger_delay_us=None, bit_depth=None, bias_counts=None, gain_electrons_per_count=None, read_noise_electrons=None, full_well_counts=None, bayer=None)")]
     #[allow(clippy::too_many_arguments)]
     fn new(
         rows: Whole,
@@ -110,6 +114,8 @@ impl PyCamera {
         bins_per_row: Whole,
         field: Option<(Whole, Whole)>,
         pixel_pitch_um: Option<f64>,
+        magnification: Option<f64>,
+        trigger_delay_us: Option<f64>,
         bit_depth: Option<Whole>,
         bias_counts: Option<f64>,
         gain_electrons_per_count: Option<f64>,
@@ -147,6 +153,8 @@ impl PyCamera {
             sensor: Sensor {
                 binning: binning.named("binning")?,
                 pixel_pitch_um,
+                magnification,
+                trigger_delay_us,
                 // What 32 bits cannot hold is out of range as well.
                 bit_depth: optional(bit_depth, "bit_depth")?
                     .map(|bits| u32::try_from(bits).unwrap_or(u32::MAX)),
@@ -284,6 +292,18 @@ impl PyCamera {
         self.camera.sensor().pixel_pitch_um
     }
 
+    /// Size of an image on the sensor over that of the object; None where it is unknown.
+    #[getter]
+    fn magnification(&self) -> Option<f64> {
+        self.camera.sensor().magnification
+    }
+
+    /// From the trigger to the zero of time, in microseconds; None where it is unknown.
+    #[getter]
+    fn trigger_delay_us(&self) -> Option<f64> {
+        self.camera.sensor().trigger_delay_us
+    }
+
     /// Bits of the converter; None where they are unknown.
     #[getter]
     fn bit_depth(&self) -> Option<u32> {
@@ -333,12 +353,11 @@ impl PyCamera {
         self.camera.time().frame_rate_hz()
     }
 
-    /// The middle of each bin of the video, from the start of the first, in microseconds.
+    /// The middle of each bin of the video, in microseconds from the start of exposure of the row that is read first.
     #[getter]
     fn time_us<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         let time = self.camera.time();
-        let middle = |t: usize| (t as f64 + 0.5) * time.bin_duration_us();
-        PyArray1::from_iter(py, (0..time.bins()).map(middle))
+        PyArray1::from_iter(py, (0..time.bins()).map(|bin| time.middle_us(bin)))
     }
 
     /// ``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times.
@@ -383,12 +402,15 @@ impl PyCamera {
         keys.set_item("bins_per_row", params.bins_per_row)?;
         keys.set_item("field", params.field)?;
         keys.set_item("pixel_pitch_um", this.pixel_pitch_um())?;
+        keys.set_item("magnification", this.magnification())?;
+        keys.set_item("trigger_delay_us", this.trigger_delay_us())?;
         keys.set_item("bit_depth", this.bit_depth())?;
         keys.set_item("bias_counts", this.bias_counts())?;
         keys.set_item("gain_electrons_per_count", this.gain_electrons_per_count())?;
         keys.set_item("read_noise_electrons", this.read_noise_electrons())?;
         keys.set_item("full_well_counts", this.full_well_counts())?;
         keys.set_item("bayer", this.bayer())?;
+        keys.set_item("start_us", this.camera.time().start_us())?;
         Ok((slf.get_type().getattr("_restore")?, (keys,)))
     }
 
@@ -422,6 +444,7 @@ impl PyCamera {
         changes: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let (_, (keys,)) = Self::__reduce__(slf)?;
+        keys.del_item("start_us")?;
         if let Some(changes) = changes {
             keys.update(changes.as_mapping())?;
         }
@@ -434,7 +457,24 @@ impl PyCamera {
         cls: &Bound<'py, PyType>,
         keys: &Bound<'py, PyDict>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        cls.call((), Some(keys))
+        let keys = keys.copy()?;
+        let start_us: Option<f64> = keys
+            .get_item("start_us")?
+            .map(|us| us.extract())
+            .transpose()?;
+        if start_us.is_some() {
+            keys.del_item("start_us")?;
+        }
+        let found = cls.call((), Some(&keys))?;
+        let PyCamera { camera, bayer } = found.extract()?;
+        match start_us.filter(|us| *us != camera.time().start_us()) {
+            // The plane of a colour sensor.
+            Some(start_us) => {
+                let camera = camera.starting_at(start_us);
+                Ok(Bound::new(cls.py(), Self { camera, bayer })?.into_any())
+            }
+            None => Ok(found),
+        }
     }
 
     fn __repr__(&self) -> String {

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use rowburst::traces::{Trace, brightest_regions, frequency_of};
-use rowburst::{Image, Shape, TimeGrid, Video};
+use rowburst::{Image, Sensor, Shape, TimeGrid, Video};
 use rowburst_report::{AnnotatedTrace, Direct, DirectOrigin, Iteration, ReportInput, render};
 
 #[expect(clippy::too_many_lines, reason = "one table: the input of the report")]
@@ -146,7 +146,13 @@ fn main() -> Result<(), Box<dyn Error>> {
                 ],
             ),
         ],
-        pixel_pitch_um: Some(6.5),
+        sensor: &Sensor {
+            pixel_pitch_um: Some(6.5),
+            magnification: Some(0.5),
+            trigger_delay_us: Some(12.3),
+            gain_electrons_per_count: Some(0.45),
+            ..Sensor::default()
+        },
         mp4: None,
         player: None,
         files: vec![

@@ -27,7 +27,7 @@ mod stats;
 
 use rowburst::error::Subject;
 use rowburst::traces::{Frequency, Trace};
-use rowburst::{Error, Image, Result, TimeGrid, Video};
+use rowburst::{Error, Image, Result, Sensor, TimeGrid, Video};
 
 pub use figures::REGION_COLOURS;
 pub use layout::{ComposedFigure, FigureOptions, Layout, compose};
@@ -72,8 +72,8 @@ pub struct ReportInput<'a> {
     /// Sections of the table of all numbers and settings needed to repeat the run,
     /// as (section, [(name, value)]).
     pub settings: Vec<(String, Vec<(String, String)>)>,
-    /// Pitch of the sensor's pixels in µm, for scale bars.
-    pub pixel_pitch_um: Option<f64>,
+    /// The sensor: pitch and magnification for scale bars, gain for electrons, delay after the trigger.
+    pub sensor: &'a Sensor,
     /// The video as an MP4 file, to be played in the page.
     pub mp4: Option<&'a [u8]>,
     /// The page of the viewer, which then takes the movie's place.
@@ -133,7 +133,7 @@ pub struct AlignedSignal {
     pub name: String,
     /// Correlation with the trace.
     pub correlation: f64,
-    /// Microseconds from the start of the video, and light.
+    /// Microseconds on the clock of the video, and light.
     pub points: Vec<(f64, f64)>,
 }
 

@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::figures::Section;
+use crate::figures::{Section, time_text};
 use crate::format::{TimeUnit, grouped, number};
 use crate::{FitVerdict, Player, ReportInput};
 
@@ -171,7 +171,7 @@ fn summary(input: &ReportInput) -> String {
     let unit = TimeUnit::of(shape.bins as f64 * step_us);
     format!(
         "One frame of {rows} × {columns} pixels became {} frames of {} × {}: {} {} at {} frames \
-         per second, one every {} µs.",
+         per second, one every {} µs. {}",
         shape.bins,
         shape.rows,
         shape.columns,
@@ -179,6 +179,7 @@ fn summary(input: &ReportInput) -> String {
         unit.name,
         grouped(input.time.frame_rate_hz()),
         number(step_us, 4),
+        time_text(input),
     )
 }
 

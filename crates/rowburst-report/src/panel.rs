@@ -1,5 +1,7 @@
 //! One picture in a figure: pixels in place, a colour bar, a scale bar.
 
+use rowburst::Sensor;
+
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{number, raised};
@@ -100,10 +102,46 @@ fn lines_of(text: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// Draws a scale bar under `place`, which shows `columns` pixels of `pitch_um` each.
-pub(crate) fn scale_bar(figure: &mut Figure, place: Rect, columns: usize, pitch_um: Option<f64>) {
-    let pitch_um = pitch_um.filter(|p| p.is_finite() && *p > 0.0);
-    let (unit, of_pixel) = pitch_um.map_or(("px", 1.0), |pitch| ("µm", pitch));
+/// How long a pixel is, and where.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PixelScale {
+    /// Length of a pixel in µm.
+    pub um: f64,
+    /// `at the sensor` or `at the object`.
+    pub place: &'static str,
+}
+
+impl PixelScale {
+    /// On the sensor, where the pitch is known: the scale of frame, PSF and residual.
+    pub(crate) fn of_sensor(sensor: &Sensor) -> Option<Self> {
+        let um = sensor
+            .pixel_pitch_um
+            .filter(|p| p.is_finite() && *p > 0.0)?;
+        Some(Self {
+            um,
+            place: "at the sensor",
+        })
+    }
+
+    /// In the scene, where the magnification is known too, else on the sensor: the scale of the video.
+    pub(crate) fn of_scene(sensor: &Sensor) -> Option<Self> {
+        let on_sensor = Self::of_sensor(sensor)?;
+        let magnification = sensor.magnification.filter(|m| m.is_finite() && *m > 0.0);
+        Some(magnification.map_or(on_sensor, |m| Self {
+            um: on_sensor.um / m,
+            place: "at the object",
+        }))
+    }
+}
+
+/// Draws a scale bar under `place`, which shows `columns` pixels.
+pub(crate) fn scale_bar(
+    figure: &mut Figure,
+    place: Rect,
+    columns: usize,
+    scale: Option<PixelScale>,
+) {
+    let (unit, of_pixel) = scale.map_or(("px", 1.0), |scale| ("µm", scale.um));
     let full = columns as f64 * of_pixel;
     let target = full / 4.0;
     let decade = 10_f64.powf(target.log10().floor());
@@ -120,7 +158,10 @@ pub(crate) fn scale_bar(figure: &mut Figure, place: Rect, columns: usize, pitch_
     let y = place.bottom() + 10.0;
     let ends = [(place.x, y), (place.x + width, y)];
     figure.line(&ends, "axis", r#"style="stroke-width:2.5""#);
-    let text = format!("{} {unit}", number(length, 3));
+    let mut text = format!("{} {unit}", number(length, 3));
+    if let Some(scale) = scale {
+        text += &format!(" {}", scale.place);
+    }
     figure.text(
         place.x + width + 7.0,
         y + 4.0,

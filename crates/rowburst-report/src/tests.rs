@@ -3,7 +3,7 @@
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use rowburst::traces::{Frequency, Region, Trace, brightest_regions};
-use rowburst::{Image, Shape, TimeGrid, Video};
+use rowburst::{Image, Sensor, Shape, TimeGrid, Video};
 
 use super::*;
 
@@ -16,6 +16,7 @@ struct Case {
     residual: Image,
     instants: Vec<usize>,
     time: TimeGrid,
+    sensor: Sensor,
     convergence: Vec<Iteration>,
     traces: Vec<AnnotatedTrace>,
 }
@@ -41,6 +42,7 @@ impl Case {
                 1 => TimeGrid::single(1000.0),
                 bins => TimeGrid::rolling(bins, 9.6, 1.0, 1),
             },
+            sensor: Sensor::default(),
             convergence: (1..20)
                 .map(|i| Iteration {
                     iteration: i,
@@ -76,7 +78,7 @@ impl Case {
             headline: Vec::new(),
             fit: None,
             settings: Vec::new(),
-            pixel_pitch_um: None,
+            sensor: &self.sensor,
             mp4: None,
             player: None,
             files: Vec::new(),

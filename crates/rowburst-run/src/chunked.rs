@@ -194,13 +194,14 @@ fn write_result(
     let shape = chunked.camera().video_shape();
     let statistics = VideoStatistics::read(&mut file, shape)?;
     folder.remove("video.mp4")?;
-    let bin_us = chunked.camera().time().bin_duration_us();
+    let whole = chunked.camera().time();
     let time = TimeGrid::rolling(
         statistics.preview.shape().bins,
-        bin_us * statistics.bins_each as f64,
+        whole.bin_duration_us() * statistics.bins_each as f64,
         1.0,
         1,
-    );
+    )
+    .starting_at(whole.start_us());
     if let Some(mp4) = encode_movie(&statistics.preview, &time, output.movie)? {
         folder.write_bytes("video.mp4", &mp4)?;
     }
@@ -376,6 +377,8 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         columns: shape.columns,
         first_bin: camera.first_bin(),
         frame_rate_hz: camera.time().frame_rate_hz(),
+        start_us: camera.time().start_us(),
+        trigger_delay_us: camera.sensor().trigger_delay_us,
         seconds,
         seconds_per_bin: seconds / shape.bins as f64,
         peak_memory_bytes: peak_memory_bytes(),
@@ -399,20 +402,14 @@ fn report_sheet<'a>(
     statistics: &'a VideoStatistics,
 ) -> Sheet<'a> {
     let camera = task.chunked.camera();
-    let bin_us = camera.time().bin_duration_us();
-    let time = |bin: usize| ((camera.first_bin() + bin) as f64 + 0.5) * bin_us;
+    let grid = camera.time();
+    let time = |bin: usize| grid.middle_us(bin);
     let top =
         |points: &[(f64, f64)]| 1.05 * points.iter().map(|p| p.1).fold(f64::MIN_POSITIVE, f64::max);
     let course = |name: &'a str, what, points: Vec<(f64, f64)>, caption: &str| Drawing {
         name,
         plot: Plot::Curves {
-            x: (
-                "time (µs)",
-                Scale::Linear(
-                    time(0) - 0.5 * bin_us,
-                    time(statistics.light.len()) - 0.5 * bin_us,
-                ),
-            ),
+            x: ("time (µs)", Scale::Linear(grid.start_us(), grid.end_us())),
             y: (what, Scale::Linear(0.0, top(&points))),
             curves: vec![Curve {
                 name: String::new(),

@@ -46,6 +46,10 @@ pub struct ChunkedSummary {
     /// The first bin of the video, counted in the whole readout.
     pub first_bin: usize,
     pub frame_rate_hz: f64,
+    /// See [`crate::ReconstructionSummary::start_us`].
+    pub start_us: f64,
+    /// See [`crate::ReconstructionSummary::trigger_delay_us`].
+    pub trigger_delay_us: Option<f64>,
     /// Sum of the times of all chunks.
     pub seconds: f64,
     /// `seconds` over the number of bins.

@@ -190,6 +190,7 @@ pub struct ColourFolder<'a> {
     videos: Vec<(Site, Video)>,
     bin_us: f64,
     pixel_pitch_um: Option<f64>,
+    trigger_delay_us: Option<f64>,
 }
 
 impl<'a> ColourFolder<'a> {
@@ -207,10 +208,11 @@ impl<'a> ColourFolder<'a> {
             videos: Vec::new(),
             bin_us: 0.0,
             pixel_pitch_um: None,
+            trigger_delay_us: None,
         })
     }
 
-    /// Writes the folder of a plane, whose first instant starts `start_us` after the sensor's.
+    /// Writes the folder of a plane, whose first bin starts `start_us` after the sensor's first exposure.
     ///
     /// # Errors
     /// Failed writes.
@@ -259,6 +261,7 @@ impl<'a> ColourFolder<'a> {
         let camera = &completed.task.camera;
         self.bin_us = camera.time().bin_duration_us();
         self.pixel_pitch_um = camera.sensor().pixel_pitch_um;
+        self.trigger_delay_us = camera.sensor().trigger_delay_us;
         self.planes.push(PlaneNumbers {
             name: site.name(),
             folder: folder.path().display().to_string(),
@@ -288,8 +291,11 @@ impl<'a> ColourFolder<'a> {
                 "The planes' own folders are whole.",
             ));
         };
+        let starts = self.planes.iter().map(|plane| plane.start_us);
+        let start_us = starts.fold(f64::INFINITY, f64::min);
         let scale = TiffScale {
             frame_interval_s: self.bin_us * 1e-6,
+            first_s: (start_us + 0.5 * self.bin_us) * 1e-6,
             pixel_pitch_um: self.pixel_pitch_um,
         };
         folder.write("colour.npy", |w| write_npy_colour(w, shape, &colours))?;
@@ -306,6 +312,8 @@ impl<'a> ColourFolder<'a> {
             rows: shape.rows,
             columns: shape.columns,
             frame_rate_hz: 1e6 / self.bin_us,
+            start_us,
+            trigger_delay_us: self.trigger_delay_us,
             metadata: MetadataNumbers::from(from_metadata),
             planes: self.planes,
             warnings,

@@ -17,6 +17,10 @@ pub struct ColourSummary {
     pub rows: usize,
     pub columns: usize,
     pub frame_rate_hz: f64,
+    /// Start of the first bin of the plane that begins first; see [`PlaneNumbers::start_us`].
+    pub start_us: f64,
+    /// See [`crate::ReconstructionSummary::trigger_delay_us`].
+    pub trigger_delay_us: Option<f64>,
     pub metadata: MetadataNumbers,
     pub planes: Vec<PlaneNumbers>,
     pub warnings: Vec<String>,
@@ -30,7 +34,7 @@ pub struct ColourSummary {
 pub struct PlaneNumbers {
     pub name: String,
     pub folder: String,
-    /// From the start of the sensor's first instant to that of the plane's, in microseconds.
+    /// Start of the plane's first bin, in microseconds from the start of exposure of the sensor's row that is read first.
     pub start_us: f64,
     pub prior: String,
     pub tau: f64,

@@ -210,6 +210,8 @@ impl CompletedTask {
             rows: shape.rows,
             columns: shape.columns,
             frame_rate_hz: self.task.camera.time().frame_rate_hz(),
+            start_us: self.task.camera.time().start_us(),
+            trigger_delay_us: self.task.camera.sensor().trigger_delay_us,
             metadata: MetadataNumbers::from(&self.task.from_metadata),
             bad_pixels: self.task.measurement.bad(),
             saturated_pixels: self.task.measurement.saturated(),
@@ -661,7 +663,7 @@ impl CompletedTask {
                 reason: &summary.fit_reason,
             }),
             settings: settings(task, summary),
-            pixel_pitch_um: task.camera.sensor().pixel_pitch_um,
+            sensor: task.camera.sensor(),
             mp4,
             player: page.map(|page| Player {
                 script: page.script,

@@ -4,7 +4,7 @@ use crate::completed_task::CompletedTask;
 use crate::traces::Traces;
 use rowburst::error::{Subject, Tool};
 use rowburst::traces::{Region, Trace, frequency_of};
-use rowburst::{Error, Image, Result, TimeGrid, Video, phrase};
+use rowburst::{Error, Image, Result, Sensor, TimeGrid, Video, phrase};
 use rowburst_io::{read_image, read_video};
 use rowburst_report::{
     AlignedSignal, AnnotatedTrace, ComposedFigure, Direct, DirectOrigin, FigureOptions,
@@ -19,6 +19,11 @@ struct ViewRecord {
     title: String,
     pixel_pitch_um: Option<f64>,
     bin_duration_us: f64,
+    // Absent in results of 0.1.
+    start_us: Option<f64>,
+    magnification: Option<f64>,
+    trigger_delay_us: Option<f64>,
+    gain_electrons_per_count: Option<f64>,
     truth: Option<String>,
     shutter: ShutterRecord,
     traces: Vec<TraceRecord>,
@@ -87,6 +92,10 @@ pub fn figure_of_folder(folder: &Path, options: &FigureOptions) -> Result<Compos
     let time = view
         .shutter
         .time(view.bin_duration_us, &folder.join("view.json"))?;
+    let time = match view.start_us.filter(|us| us.is_finite()) {
+        Some(start_us) => time.starting_at(start_us),
+        None => time,
+    };
     let rate = time.frame_rate_hz();
     let traces: Vec<AnnotatedTrace> = view.traces.into_iter().map(|t| t.annotated(rate)).collect();
     compose(
@@ -111,7 +120,13 @@ pub fn figure_of_folder(folder: &Path, options: &FigureOptions) -> Result<Compos
             headline: Vec::new(),
             fit: None,
             settings: Vec::new(),
-            pixel_pitch_um: view.pixel_pitch_um,
+            sensor: &Sensor {
+                pixel_pitch_um: view.pixel_pitch_um,
+                magnification: view.magnification,
+                trigger_delay_us: view.trigger_delay_us,
+                gain_electrons_per_count: view.gain_electrons_per_count,
+                ..Sensor::default()
+            },
             mp4: None,
             player: None,
             files: Vec::new(),
@@ -262,7 +277,7 @@ impl CompletedTask {
                 headline: Vec::new(),
                 fit: None,
                 settings: Vec::new(),
-                pixel_pitch_um: task.camera.sensor().pixel_pitch_um,
+                sensor: task.camera.sensor(),
                 mp4: None,
                 player: None,
                 files: Vec::new(),

@@ -96,21 +96,22 @@ pub(crate) fn write_formats(
     video: &Video,
     camera: &Camera,
 ) -> Result<()> {
-    let bin_us = camera.time().bin_duration_us();
+    let time = camera.time();
     let pixel_pitch_um = camera.sensor().pixel_pitch_um;
     let writes = |format| is_written(chosen, format, video.shape().voxels());
     if writes(VideoFormat::Tif) {
         let scale = TiffScale {
-            frame_interval_s: bin_us * 1e-6,
+            frame_interval_s: time.bin_duration_us() * 1e-6,
+            first_s: time.middle_us(0) * 1e-6,
             pixel_pitch_um,
         };
         folder.write("video.tif", |w| write_tiff_video(w, video, scale))?;
     }
     if writes(VideoFormat::Mat) {
-        folder.write("video.mat", |w| write_mat_video(w, video, bin_us))?;
+        folder.write("video.mat", |w| write_mat_video(w, video, time))?;
     }
     if writes(VideoFormat::H5) {
-        folder.write("video.h5", |w| write_hdf5_video(w, video, bin_us))?;
+        folder.write("video.h5", |w| write_hdf5_video(w, video, time))?;
     }
     if writes(VideoFormat::Zarr) {
         #[cfg(not(feature = "zarr"))]
@@ -125,7 +126,7 @@ pub(crate) fn write_formats(
         {
             folder.list("video.ome.zarr")?;
             let path = folder.path().join("video.ome.zarr");
-            rowburst_zarr::write_video(&path, video, bin_us, pixel_pitch_um)?;
+            rowburst_zarr::write_video(&path, video, time, pixel_pitch_um)?;
         }
     }
     Ok(())

@@ -45,7 +45,7 @@ fn bin_time(time: &TimeGrid, bin: usize) -> String {
         s if s < 1.0 => 2,
         _ => 1,
     };
-    format!("{:.digits$} µs", (bin as f64 + 0.5) * step)
+    format!("{:.digits$} µs", time.middle_us(bin))
 }
 
 #[cfg(all(test, feature = "mp4"))]
@@ -58,5 +58,7 @@ mod tests {
         assert_eq!(bin_time(&time(9.6), 1), "14.4 µs");
         assert_eq!(bin_time(&time(0.5), 1), "0.75 µs");
         assert_eq!(bin_time(&time(0.04), 0), "0.020 µs");
+        // The first exposure begins in the middle of bin 0.
+        assert_eq!(bin_time(&TimeGrid::rolling(4, 9.6, 0.5, 1), 1), "9.6 µs");
     }
 }

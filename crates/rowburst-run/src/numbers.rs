@@ -47,6 +47,8 @@ fn camera_settings(task: &Task) -> Vec<(String, String)> {
     ];
     let optional = [
         ("pixel_pitch_um", sensor.pixel_pitch_um),
+        ("magnification", sensor.magnification),
+        ("trigger_delay_us", sensor.trigger_delay_us),
         ("bit_depth", sensor.bit_depth.map(f64::from)),
         ("bias_counts", sensor.bias_counts),
         ("gain_electrons_per_count", sensor.gain_electrons_per_count),

@@ -48,6 +48,10 @@ pub struct ReconstructionSummary {
     pub rows: usize,
     pub columns: usize,
     pub frame_rate_hz: f64,
+    /// Start of the first bin, in microseconds from the start of exposure of the row that is read first.
+    pub start_us: f64,
+    /// From the trigger to the start of exposure of the row that is read first; null where it is not known.
+    pub trigger_delay_us: Option<f64>,
     pub metadata: MetadataNumbers,
     pub bad_pixels: usize,
     pub saturated_pixels: usize,

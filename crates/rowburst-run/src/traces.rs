@@ -432,7 +432,8 @@ impl Traces {
         (0..self.traces.len()).map(numbers).collect()
     }
 
-    /// Writes `traces.csv`: a line for each bin, which begins with the time of its middle in µs.
+    /// Writes `traces.csv`: a line for each bin, which begins with the time of its middle in µs from the start of the
+    /// first exposure.
     pub fn write(&self, folder: &OutputFolder, time: &TimeGrid) -> Result<()> {
         let mut heading = vec!["time_us".to_string()];
         for trace in &self.traces {
@@ -450,7 +451,7 @@ impl Traces {
             }
         }
         let row = |t: usize| -> Vec<f64> {
-            let mut row = vec![(t as f64 + 0.5) * time.bin_duration_us()];
+            let mut row = vec![time.middle_us(t)];
             for (i, trace) in self.traces.iter().enumerate() {
                 row.extend([trace.value[t], trace.debiased[t], trace.standard_error[t]]);
                 row.extend(self.before_debias.get(i).map(|before| before[t]));

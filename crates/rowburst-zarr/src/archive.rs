@@ -32,6 +32,8 @@ pub struct ArchiveParams {
     pub video: Shape,
     /// Duration of a bin.
     pub bin_us: f64,
+    /// Start of a frame's first bin, from the start of exposure of its row that is read first.
+    pub first_bin_us: f64,
     /// Pitch of a pixel, where it is known.
     pub pixel_pitch_um: Option<f64>,
     /// From the start of a frame to that of the next, where it is known.
@@ -64,12 +66,14 @@ impl VideoArchive {
                 kind: Some("time"),
                 unit: params.frame_period_us.map(|_| "microsecond"),
                 scale: params.frame_period_us.unwrap_or(1.0),
+                origin: 0.0,
             },
             Axis {
                 name: "t",
                 kind: None,
                 unit: Some("microsecond"),
                 scale: params.bin_us,
+                origin: params.first_bin_us + 0.5 * params.bin_us,
             },
             Axis::space("y", pitch),
             Axis::space("x", pitch),
@@ -88,7 +92,7 @@ impl VideoArchive {
         if let Some(starts) = &params.frame_start_us {
             let about = json!({
                 "unit": "microsecond",
-                "description": "start of the first bin of each frame",
+                "description": "start of exposure of the row of each frame that is read first",
             });
             let place = path.join("frame_start_us");
             write_coordinates(&place, ("frame", about), starts, scratch)?;
@@ -194,6 +198,7 @@ impl<'a> StitchedVideo<'a> {
                 kind: Some("time"),
                 unit: Some("microsecond"),
                 scale: about.bin_us,
+                origin: params.time_us[0],
             },
             Axis::space("y", about.pixel_pitch_um),
             Axis::space("x", about.pixel_pitch_um),
@@ -211,7 +216,7 @@ impl<'a> StitchedVideo<'a> {
         )?;
         let time = json!({
             "unit": "microsecond",
-            "description": "middle of each bin; in dead time the middle of the dead time",
+            "description": "middle of each bin, from the start of exposure of the first frame's row that is read first; in dead time the middle of the dead time",
         });
         let place = hidden.join("time_us");
         write_coordinates(&place, ("t", time), &params.time_us, scratch)?;

@@ -4,15 +4,15 @@ use crate::Scratch;
 use crate::archive::bins_of_chunk;
 use crate::array::{ArrayParams, FloatArray};
 use crate::ome::{Axis, write_group};
-use rowburst::{Result, Video};
+use rowburst::{Result, TimeGrid, Video};
 use rowburst_io::write_error;
 use serde_json::json;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Writes `video` as the OME-Zarr 0.5 image `path`, float32 `[t, y, x]` with bins of `bin_us` and,
-/// where it is known, pixels of `pixel_pitch_um`. What was there is replaced by the whole image or
+/// Writes `video` as the OME-Zarr 0.5 image `path`, float32 `[t, y, x]` with the bins of `time` and,
+/// where it is known, pixels of `pixel_pitch_um` on the sensor. What was there is replaced by the whole image or
 /// stays.
 ///
 /// # Errors
@@ -20,7 +20,7 @@ use std::sync::Arc;
 pub fn write_video(
     path: &Path,
     video: &Video,
-    bin_us: f64,
+    time: &TimeGrid,
     pixel_pitch_um: Option<f64>,
 ) -> Result<()> {
     let fault = |e: std::io::Error| write_error(&e).within(path);
@@ -48,19 +48,15 @@ pub fn write_video(
         values[part.len()..].fill(f32::NAN);
         array.store_chunk(&[chunk as u64, 0, 0], &values)?;
     }
-    let time = Axis {
+    let t = Axis {
         name: "t",
         kind: Some("time"),
         unit: Some("microsecond"),
-        scale: bin_us,
+        scale: time.bin_duration_us(),
+        origin: time.middle_us(0),
     };
     let space = |name| Axis::space(name, pixel_pitch_um);
-    write_group(
-        &whole,
-        &[time, space("y"), space("x")],
-        &json!({}),
-        &scratch,
-    )?;
+    write_group(&whole, &[t, space("y"), space("x")], &json!({}), &scratch)?;
     if path.exists() {
         fs::rename(path, &old).map_err(fault)?;
     }
@@ -84,12 +80,18 @@ mod tests {
             let shape = Shape::new(bins, 4, 5);
             let data: Vec<f32> = (0..shape.voxels()).map(|i| (i * bins) as f32).collect();
             let video = Video::new(shape, data).unwrap();
-            write_video(&path, &video, 9.6, Some(6.5)).unwrap();
+            let time = TimeGrid::rolling(bins, 9.6, 0.5, 1);
+            write_video(&path, &video, &time, Some(6.5)).unwrap();
             let read = crate::open_zarr_recording(&path).unwrap();
             assert_eq!(read.count(), bins);
             let names = fs::read_dir(folder.path()).unwrap();
             assert_eq!(names.count(), 1, "nothing else is left");
             let meta = fs::read_to_string(path.join("zarr.json")).unwrap();
+            let meta_value: serde_json::Value = serde_json::from_str(&meta).unwrap();
+            let dataset = &meta_value["attributes"]["ome"]["multiscales"][0]["datasets"][0];
+            let moved = &dataset["coordinateTransformations"][1]["translation"];
+            // The first exposure is the second half of bin 0.
+            assert_eq!(*moved, json!([0.0, 0.0, 0.0]));
             assert!(
                 meta.contains("9.6") && meta.contains("micrometer"),
                 "{meta}"

@@ -17,6 +17,8 @@ pub(crate) struct Axis {
     pub unit: Option<&'static str>,
     /// Distance of neighbours in `unit`.
     pub scale: f64,
+    /// Coordinate of the middle of the first in `unit`.
+    pub origin: f64,
 }
 
 impl Axis {
@@ -27,6 +29,7 @@ impl Axis {
             kind: Some("space"),
             unit: pitch_um.map(|_| "micrometer"),
             scale: pitch_um.unwrap_or(1.0),
+            origin: 0.0,
         }
     }
 }
@@ -44,6 +47,7 @@ pub(crate) fn write_group(
 
 fn group(axes: &[Axis], attributes: &Value) -> Value {
     let scale: Vec<f64> = axes.iter().map(|axis| axis.scale).collect();
+    let origin: Vec<f64> = axes.iter().map(|axis| axis.origin).collect();
     let axes: Vec<Value> = axes
         .iter()
         .map(|axis| {
@@ -67,7 +71,10 @@ fn group(axes: &[Axis], attributes: &Value) -> Value {
                     "axes": axes,
                     "datasets": [{
                         "path": "0",
-                        "coordinateTransformations": [{"type": "scale", "scale": scale}],
+                        "coordinateTransformations": [
+                            {"type": "scale", "scale": scale},
+                            {"type": "translation", "translation": origin},
+                        ],
                     }],
                 }],
             },
@@ -88,6 +95,7 @@ mod tests {
             kind,
             unit,
             scale: 9.6,
+            origin: 4.8,
         }
     }
 

@@ -14,6 +14,7 @@ fn params(frames: usize, video: Shape) -> ArchiveParams {
         frames,
         video,
         bin_us: 9.6,
+        first_bin_us: 0.0,
         pixel_pitch_um: Some(6.5),
         frame_period_us: Some(1000.5),
         frame_start_us: Some((0..frames).map(|i| 1000.5 * i as f64).collect()),

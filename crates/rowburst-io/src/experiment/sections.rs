@@ -47,6 +47,16 @@ pub(super) static CAMERA: Section = Section {
             "Pitch of a pixel after binning, in µm, for scale bars, TIFF files and simulated optics.",
         ),
         Key::optional(
+            "magnification",
+            Kind::Positive,
+            "Size of an image on the sensor over that of the object (M of Eq. 1). Scale bars, distances and speeds of report and viewer are then those at the object; files keep the pitch of the sensor.",
+        ),
+        Key::optional(
+            "trigger_delay_us",
+            Kind::NonNegative,
+            "Time from the trigger to the start of exposure of the row that is read first, in µs. Times keep this start as their zero; report and viewer say how long it is after the trigger.",
+        ),
+        Key::optional(
             "bit_depth",
             Kind::Count(1, 32),
             "Bits of the converter; pixels at its end are saturated and left out.",
@@ -59,7 +69,7 @@ pub(super) static CAMERA: Section = Section {
         Key::optional(
             "gain_electrons_per_count",
             Kind::Positive,
-            "Electrons per count. With gain and read noise, σ is that of each pixel's shot and read noise, and pixels are weighted by it.",
+            "Electrons per count. With gain and read noise, σ is that of each pixel's shot and read noise, and pixels are weighted by it. With the gain alone, light is shown in electrons, too.",
         ),
         Key::optional(
             "read_noise_electrons",

@@ -211,7 +211,7 @@ proptest! {
         times in (positive(), positive()),
         shutter in 0usize..5,
         sensor in (1usize..9, 1usize..9, prop::option::of(1u32..33)),
-        values in prop::collection::vec(prop::option::of(positive()), 5),
+        values in prop::collection::vec(prop::option::of(positive()), 7),
         field in prop::option::of((1usize..9999, 1usize..9999)),
         files in prop::collection::vec(prop::option::of("[a-zé \"\\\\']{1,8}"), 5),
         tau in prop_oneof![Just(None), Just(Some(Tau::Auto)), Just(Some(Tau::HeldOut)), positive().prop_map(|t| Some(Tau::Given(t)))],
@@ -237,6 +237,8 @@ proptest! {
                 gain_electrons_per_count: values[2],
                 read_noise_electrons: values[3],
                 full_well_counts: values[4],
+                magnification: values[5],
+                trigger_delay_us: values[6],
             },
         });
         experiment.path = "lab/run.toml".into();

@@ -89,6 +89,7 @@ fn stacks_are_read_page_by_page() {
     let (tif, npy) = (folder.path().join("s.tif"), folder.path().join("s.npy"));
     let scale = crate::TiffScale {
         frame_interval_s: 1.0,
+        first_s: 0.0,
         pixel_pitch_um: None,
     };
     let mut bytes = std::io::Cursor::new(Vec::new());

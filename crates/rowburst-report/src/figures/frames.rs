@@ -2,7 +2,7 @@
 
 use rowburst::{Shape, TimeGrid, Video};
 
-use super::{CaptionedFigure, Section, Videos, unobserved, unobserved_text};
+use super::{CaptionedFigure, Section, Videos, light_text, unobserved, unobserved_text};
 use crate::ReportInput;
 use crate::colour::{Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
@@ -65,7 +65,7 @@ fn reconstructed(input: &ReportInput, videos: &Videos, bin: usize) -> Pixels {
 fn stamp(figure: &mut Figure, input: &ReportInput, place: Rect, bin: usize) {
     let step_us = input.time.bin_duration_us();
     let unit = TimeUnit::of(input.time.bins() as f64 * step_us);
-    let time = unit.stamp(bin as f64 * step_us, step_us);
+    let time = unit.stamp(input.time.middle_us(bin), 0.5 * step_us);
     let middle = place.x + place.width / 2.0;
     figure.text(middle, place.y - 20.0, Anchor::Middle, "strong", &time);
     let read = rows(&rows_of_bin(input.instants, input.time, bin));
@@ -140,11 +140,11 @@ fn compared(
         figure,
         caption: format!(
             "{} of {} frames: truth, reconstruction and their difference (reconstruction − truth, \
-             on a quarter of the scale). Above each, the time at which its bin begins and the \
-             rows that see it. Brightness in the units of the frame per unit of PSF sum. In a good \
-             result the two upper rows look the same and the third is dark.{}",
+             on a quarter of the scale). Above each, the time of the middle of its bin and the \
+             rows that see it. {} In a good result the two upper rows look the same and the third is dark.{}",
             bins.len(),
             shape.bins,
+            light_text(input),
             unobserved_text(input, " (slate in the reconstruction)")
         ),
         alt:
@@ -177,11 +177,11 @@ fn alone(input: &ReportInput, videos: &Videos, bins: &[usize]) -> CaptionedFigur
         section: Section::Video,
         figure,
         caption: format!(
-            "{} of {} reconstructed frames. Above each, the time at which its bin begins and the \
-             rows that see it. Brightness in the units of the frame per unit of PSF sum. A good \
-             one shows sharp objects on a dark, quiet ground.{}",
+            "{} of {} reconstructed frames. Above each, the time of the middle of its bin and the \
+             rows that see it. {} A good one shows sharp objects on a dark, quiet ground.{}",
             bins.len(),
             shape.bins,
+            light_text(input),
             unobserved_text(input, " (slate)")
         ),
         alt: "Contact sheet of reconstructed frames.".into(),

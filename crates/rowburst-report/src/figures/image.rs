@@ -3,10 +3,10 @@
 use rowburst::Image;
 
 use super::{CaptionedFigure, Section, Videos};
-use super::{excluded, excluded_text, unobserved, unobserved_text, without};
+use super::{excluded, excluded_text, light_text, unobserved, unobserved_text, without};
 use crate::colour::{LEFT_OUT, Map, UNOBSERVED};
 use crate::figure::{Anchor, Figure, Rect};
-use crate::panel::{BAR_ROOM, bar_bottom, colour_bar, put, scale_bar};
+use crate::panel::{BAR_ROOM, PixelScale, bar_bottom, colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::{display_high, display_low};
 use crate::{Direct, DirectOrigin, ReportInput};
@@ -23,10 +23,10 @@ pub(super) fn frame(input: &ReportInput) -> CaptionedFigure {
             excluded(input),
             Map::Grey,
             "recorded signal (counts)",
-            input.pixel_pitch_um,
+            PixelScale::of_sensor(input.sensor),
         ),
         caption: format!(
-            "The captured frame, {size} pixels, in the units of the measurement. {} A good one \
+            "The captured frame, {size} pixels, in counts. {} A good one \
              uses the range well and is nowhere saturated.{}",
             match input.video.shape().bins {
                 1 => "All rows integrate the same light.",
@@ -52,7 +52,7 @@ pub(super) fn psf(input: &ReportInput) -> CaptionedFigure {
             None,
             Map::Light,
             "share of the light",
-            input.pixel_pitch_um,
+            PixelScale::of_sensor(input.sensor),
         ),
         caption: format!(
             "The point spread function, {size} pixels: where the diffuser sends the light of one \
@@ -77,7 +77,12 @@ pub(super) fn psf_correction(input: &ReportInput, given: &Image) -> CaptionedFig
     figure.rect(place, "axis", "");
     let range = (-limit, limit);
     colour_bar(&mut figure, place, Map::Signed, range, "share of the light");
-    scale_bar(&mut figure, place, image.columns(), input.pixel_pitch_um);
+    scale_bar(
+        &mut figure,
+        place,
+        image.columns(),
+        PixelScale::of_sensor(input.sensor),
+    );
     figure.set_height(bar_bottom(place) + 22.0);
     let percent = 100.0 * f64::from(largest) / f64::from(given.max().max(f32::MIN_POSITIVE));
     CaptionedFigure {
@@ -98,7 +103,7 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     // One of another size has pixels of which nothing is known.
     let is_of_sensor =
         (image.rows(), image.columns()) == (input.frame.rows(), input.frame.columns());
-    let pitch_um = input.pixel_pitch_um.filter(|_| is_of_sensor);
+    let scale = PixelScale::of_scene(input.sensor).filter(|_| is_of_sensor);
     let mut caption = String::from(match direct.origin {
         DirectOrigin::Truth => {
             "What the same camera would record without the diffuser (computed from the truth), in \
@@ -116,7 +121,7 @@ pub(super) fn direct(input: &ReportInput, direct: Direct) -> CaptionedFigure {
     CaptionedFigure {
         name: "direct",
         section: Section::Measurement,
-        figure: picture(image, None, Map::Grey, "recorded signal (counts)", pitch_um),
+        figure: picture(image, None, Map::Grey, "recorded signal (counts)", scale),
         caption,
         alt: "Grey-scale image of the scene as the camera records it without diffuser.".into(),
     }
@@ -149,7 +154,12 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
     }
     let range = (0.0, videos.high);
     colour_bar(&mut figure, last, Map::Light, range, "light (counts)");
-    scale_bar(&mut figure, last, shape.columns, input.pixel_pitch_um);
+    scale_bar(
+        &mut figure,
+        last,
+        shape.columns,
+        PixelScale::of_scene(input.sensor),
+    );
     figure.set_height(bar_bottom(last) + 22.0);
     CaptionedFigure {
         name: "reconstruction",
@@ -157,8 +167,8 @@ pub(super) fn still(input: &ReportInput, videos: &Videos) -> CaptionedFigure {
         figure,
         caption: format!(
             "The reconstruction: a single time bin, since every row integrates the same light. \
-             Brightness in the units of the frame per unit of PSF sum. A good one shows sharp \
-             objects on a dark, quiet ground.{}",
+             {} A good one shows sharp objects on a dark, quiet ground.{}",
+            light_text(input),
             unobserved_text(input, " (slate)")
         ),
         alt: "Image of the reconstructed scene.".into(),
@@ -171,7 +181,7 @@ fn picture(
     excluded: Option<&[u8]>,
     map: Map,
     unit: &str,
-    pitch_um: Option<f64>,
+    scale: Option<PixelScale>,
 ) -> Figure {
     let values = without(image.data(), excluded);
     let high = display_high(&values);
@@ -186,7 +196,7 @@ fn picture(
     let available = Rect::new(0.0, 2.0, 250.0, 320.0);
     let place = put(&mut figure, available, pixels);
     colour_bar(&mut figure, place, map, (low, high), unit);
-    scale_bar(&mut figure, place, image.columns(), pitch_um);
+    scale_bar(&mut figure, place, image.columns(), scale);
     figure.set_height(bar_bottom(place) + 22.0);
     figure
 }

@@ -96,6 +96,30 @@ fn unobserved_text(input: &ReportInput, mark: &str) -> String {
     })
 }
 
+/// What brightness is given in, as a sentence.
+fn light_text(input: &ReportInput) -> String {
+    let span = match input.video.shape().bins {
+        1 => "the exposure",
+        _ => "one row time",
+    };
+    let electrons = input.sensor.gain_electrons_per_count;
+    let electrons = electrons.map_or(String::new(), |gain| {
+        format!(" (1 count is {} electrons)", number(gain, 3))
+    });
+    format!(
+        "Brightness is in counts{electrons}, those that the place would give in {span} without the diffuser."
+    )
+}
+
+/// Where the zero of time is, as a sentence.
+pub(crate) fn time_text(input: &ReportInput) -> String {
+    let delay = input.sensor.trigger_delay_us;
+    let delay = delay.map_or(String::new(), |us| {
+        format!(", {} µs after the trigger", number(us, 6))
+    });
+    format!("Time 0 is the start of exposure of the row that is read first{delay}.")
+}
+
 /// All figures, in the order of the page; each is drawn when it is asked for, so that
 /// only one is held at a time. `bins` are those of the sheet of frames, where they are chosen.
 pub(crate) fn all<'a>(

@@ -6,7 +6,7 @@ use crate::chart::{Axis, Chart, Labels};
 use crate::colour::{LEFT_OUT, Map};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{fixed, number};
-use crate::panel::{bar_bottom, colour_bar, put, scale_bar};
+use crate::panel::{PixelScale, bar_bottom, colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::moments;
 
@@ -34,7 +34,12 @@ pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
         (-MAP_LIMIT_SIGMAS, MAP_LIMIT_SIGMAS),
         "(b − A v)/σ",
     );
-    scale_bar(&mut figure, place, image.columns(), input.pixel_pitch_um);
+    scale_bar(
+        &mut figure,
+        place,
+        image.columns(),
+        PixelScale::of_sensor(input.sensor),
+    );
     let height = place.height.clamp(200.0, 300.0);
     histogram(&mut figure, Rect::new(500.0, 10.0, 290.0, height), &values);
     figure.set_height((bar_bottom(place) + 22.0).max(10.0 + height + 42.0));

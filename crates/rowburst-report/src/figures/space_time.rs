@@ -15,7 +15,7 @@ use crate::chart::Axis;
 use crate::colour::{Map, srgb, time_hue};
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, grouped};
-use crate::panel::{BAR_ROOM, colour_bar};
+use crate::panel::{BAR_ROOM, PixelScale, colour_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 
 /// Most voxels that are drawn: some 60 kB of SVG.
@@ -71,8 +71,8 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         caption: format!(
             "The video in space and time. Left, each stroke is a voxel for the time of its bin, its \
              colour the time as above, its opacity the brightness. {drawn} voxels above a quarter \
-             of the white point. Right, the x–t slice: the brightest value over all rows, in the \
-             units of the frame per unit of PSF sum. Blinking points are broken lines along time, \
+             of the white point. Right, the x–t slice: the brightest value over all rows, in \
+             counts. Blinking points are broken lines along time, \
              moving points slanted ones. In a good result the space between them is empty.{}",
             unobserved_text(input, "")
         ),
@@ -287,13 +287,19 @@ fn scales(input: &ReportInput, video: &Video) -> (Axis, Axis, Axis) {
     let shape = video.shape();
     let total_us = shape.bins as f64 * input.time.bin_duration_us();
     let unit = TimeUnit::of(total_us);
-    let pitch_um = input.pixel_pitch_um.filter(|p| p.is_finite() && *p > 0.0);
-    let (length, of_pixel) = pitch_um.map_or(("px", 1.0), |pitch| ("µm", pitch));
+    let (length, of_pixel) = PixelScale::of_scene(input.sensor)
+        .map_or(("px".to_string(), 1.0), |scale| {
+            (format!("µm {}", scale.place), scale.um)
+        });
     let side = |name: &str, pixels: usize| {
         Axis::linear(0.0, pixels as f64 * of_pixel, format!("{name} ({length})"))
     };
     (
-        Axis::linear(0.0, total_us / unit.us, format!("time ({})", unit.name)),
+        Axis::linear(
+            input.time.start_us() / unit.us,
+            input.time.end_us() / unit.us,
+            format!("time ({})", unit.name),
+        ),
         side("x", shape.columns),
         side("y", shape.rows),
     )

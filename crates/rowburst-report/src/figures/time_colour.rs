@@ -7,7 +7,7 @@ use crate::ReportInput;
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::TimeUnit;
-use crate::panel::{put, scale_bar};
+use crate::panel::{PixelScale, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Pixels, Plane};
 use crate::projection::{Projection, legend};
 use crate::stats::{display_high, display_low};
@@ -38,7 +38,12 @@ pub(super) fn draw(
         let middle = place.x + place.width / 2.0;
         figure.text(middle, top - 8.0, Anchor::Middle, "strong", panel.name);
         if panel.is_field {
-            scale_bar(&mut figure, place, shape.columns, input.pixel_pitch_um);
+            scale_bar(
+                &mut figure,
+                place,
+                shape.columns,
+                PixelScale::of_scene(input.sensor),
+            );
             sensor_outline(&mut figure, place, input);
         }
         bottom = bottom.max(place.bottom());
@@ -52,7 +57,8 @@ pub(super) fn draw(
     figure.rect(bar, "axis", "");
     let unit = TimeUnit::of(total_us);
     for fraction in [0.0, 0.25, 0.5, 0.75, 1.0] {
-        let text = unit.stamp(fraction * total_us, 0.1 * unit.us);
+        let time_us = input.time.start_us() + fraction * total_us;
+        let text = unit.stamp(time_us, 0.1 * unit.us);
         let x = bar.x + fraction * bar.width;
         figure.text(x, bar.bottom() + 16.0, Anchor::Middle, "muted", &text);
     }
@@ -80,8 +86,9 @@ pub(super) fn draw(
             unobserved_text(input, "")
         ),
         alt: format!(
-            "Projection of the video over time with time shown as hue from blue at 0 to red at {}.",
-            unit.stamp(total_us, 0.1 * unit.us)
+            "Projection of the video over time with time shown as hue from blue at {} to red at {}.",
+            unit.stamp(input.time.start_us(), 0.1 * unit.us),
+            unit.stamp(input.time.end_us(), 0.1 * unit.us)
         ),
     }
 }

@@ -3,12 +3,12 @@
 use rowburst::Video;
 use rowburst::traces::Region;
 
-use super::{CaptionedFigure, Section, Videos};
+use super::{CaptionedFigure, Section, Videos, light_text, time_text};
 use crate::chart::{Axis, Chart, Labels};
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::format::{TimeUnit, frequency, frequency_with_error};
-use crate::panel::{put, scale_bar};
+use crate::panel::{PixelScale, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::{AnnotatedTrace, ReportInput};
 
@@ -22,20 +22,26 @@ const Z_95: f64 = 1.96;
 
 /// The time axis of the charts.
 struct TimeScale {
-    bins: usize,
+    start_us: f64,
+    end_us: f64,
     step_us: f64,
     unit: TimeUnit,
 }
 
 impl TimeScale {
+    /// Start of the video.
+    fn start(&self) -> f64 {
+        self.start_us / self.unit.us
+    }
+
     /// End of the video.
     fn end(&self) -> f64 {
-        self.bins as f64 * self.step_us / self.unit.us
+        self.end_us / self.unit.us
     }
 
     /// Middle of bin `t`.
     fn middle(&self, t: usize) -> f64 {
-        (t as f64 + 0.5) * self.step_us / self.unit.us
+        (self.start_us + (t as f64 + 0.5) * self.step_us) / self.unit.us
     }
 
     /// One value per bin, each with its time.
@@ -57,7 +63,8 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
     }
     let step_us = input.time.bin_duration_us();
     let scale = TimeScale {
-        bins: shape.bins,
+        start_us: input.time.start_us(),
+        end_us: input.time.end_us(),
         step_us,
         unit: TimeUnit::of(shape.bins as f64 * step_us),
     };
@@ -77,7 +84,11 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
     for (i, annotated) in traces.iter().enumerate() {
         let chart = Chart {
             place: Rect::new(330.0, 20.0 + i as f64 * (strip + 22.0), 460.0, strip),
-            x: Axis::linear(0.0, scale.end(), format!("time ({})", scale.unit.name)),
+            x: Axis::linear(
+                scale.start(),
+                scale.end(),
+                format!("time ({})", scale.unit.name),
+            ),
             y: Axis::linear(range.0, range.1, ""),
         };
         bottom = chart.place.bottom();
@@ -110,7 +121,7 @@ pub(super) fn draw(input: &ReportInput, videos: &Videos) -> Option<CaptionedFigu
         name: "traces",
         section: Section::Video,
         figure,
-        caption: caption(videos.truth.is_some(), traces, input.time.frame_rate_hz()),
+        caption: caption(input, traces),
         alt: format!(
             "Brightness over time of {} regions with 95 % confidence intervals, and a map of them.",
             traces.len()
@@ -139,7 +150,7 @@ fn draw_curves(
     for diode in &annotated.photodiodes {
         let inside = diode.points.iter().map(|&(t, v)| (t / scale.unit.us, v));
         let inside: Vec<(f64, f64)> = inside
-            .filter(|(t, _)| (0.0..=scale.end()).contains(t))
+            .filter(|(t, _)| (scale.start()..=scale.end()).contains(t))
             .collect();
         chart.curve(figure, &inside, "reference", thin);
     }
@@ -208,12 +219,15 @@ fn common_range(traces: &[AnnotatedTrace], truths: Option<&[Vec<f64>]>) -> (f64,
     (if low < 0.0 { low - margin } else { 0.0 }, high + margin)
 }
 
-fn caption(has_truth: bool, traces: &[AnnotatedTrace], rate_hz: f64) -> String {
+fn caption(input: &ReportInput, traces: &[AnnotatedTrace]) -> String {
+    let (has_truth, rate_hz) = (input.truth.is_some(), input.time.frame_rate_hz());
     let has_errors = traces
         .iter()
         .any(|t| t.trace.mean_standard_error().is_some());
-    let mut text = String::from(
-        "Brightness over time, the mean over each region (of 3 × 3 pixels where no other size is given, in the units of the frame per unit of PSF sum; points at the middle of the bins). ",
+    let mut text = format!(
+        "Brightness over time, the mean over each region (of 3 × 3 pixels where no other size is given; points at the middle of the bins). {} {} ",
+        light_text(input),
+        time_text(input)
     );
     text += if has_errors {
         "Lines are debiased estimates on the active voxels; bands are 95 % confidence intervals"
@@ -291,7 +305,7 @@ fn map(
         available,
         plane.coloured(Map::Grey, 0.0, videos.high),
     );
-    scale_bar(figure, place, columns, input.pixel_pitch_um);
+    scale_bar(figure, place, columns, PixelScale::of_scene(input.sensor));
     for (i, annotated) in traces.iter().enumerate() {
         let region = annotated.trace.region;
         let scale = (place.width / columns as f64, place.height / rows as f64);

@@ -363,7 +363,8 @@ fn write_photodiodes(seed: u64, folder: &OutputFolder, camera: &Camera) -> Resul
     for (i, led) in leds.iter().enumerate() {
         let sample = |k: usize| {
             let start = k as f64 * step_us;
-            vec![start + 0.5 * step_us, led.mean_intensity(start, step_us)]
+            let time = camera.time().start_us() + start + 0.5 * step_us;
+            vec![time, led.mean_intensity(start, step_us)]
         };
         let samples = (0..shape.bins * SAMPLES_PER_BIN).map(sample);
         folder.write(&photodiode_file(i + 1), |w| write_csv(w, &heading, samples))?;

@@ -12,7 +12,7 @@ const STREAM: u64 = 0x6775_6964;
 
 /// Checks that the second camera takes its pictures during the video of `camera`.
 pub(super) fn check_times(times_us: &[f64], camera: &Camera) -> Result<()> {
-    let end = video_us(camera);
+    let end = camera.time().end_us();
     match times_us.iter().find(|t| !(0.0..=end).contains(*t)) {
         None => Ok(()),
         Some(time) => Err(Error::input(
@@ -22,10 +22,6 @@ pub(super) fn check_times(times_us: &[f64], camera: &Camera) -> Result<()> {
             "Give times within the frame.",
         )),
     }
-}
-
-fn video_us(camera: &Camera) -> f64 {
-    camera.time().bins() as f64 * camera.time().bin_duration_us()
 }
 
 /// Writes the pictures of `video`, each with a noise of 1 % and registered with the field.
@@ -42,7 +38,7 @@ pub(super) fn write(
     let peak = f64::from(video.max());
     let mut guides = Vec::new();
     for (i, &time_us) in times_us.iter().enumerate() {
-        let bin = ((time_us / bin_us) as usize).min(shape.bins - 1);
+        let bin = (((time_us - camera.time().start_us()) / bin_us) as usize).min(shape.bins - 1);
         let noisy = video.bin(bin).iter().map(|v| {
             let noise: f64 = StandardNormal.sample(&mut rng);
             v + (NOISE * peak * noise) as f32

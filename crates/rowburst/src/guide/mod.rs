@@ -428,12 +428,8 @@ fn mean_picture(
 
 /// First and last place of an exposure on the axis of bins, on which bin `t` has its middle at `t`.
 fn bins_of(camera: &Camera, exposure: GuideExposure) -> (f64, f64) {
-    let params = camera.params();
-    let rows = params.exposure_us / params.row_time_us;
-    // The video begins a part of a row before the first exposure where that is no whole number of rows.
-    let lead_us = (rows.ceil() - rows).max(0.0) * params.row_time_us;
-    let bin_us = camera.time().bin_duration_us();
-    let place = |us: f64| (us + lead_us) / bin_us - 0.5;
+    let time = camera.time();
+    let place = |us: f64| (us - time.start_us()) / time.bin_duration_us() - 0.5;
     let half = 0.5 * exposure.exposure_us;
     (
         place(exposure.time_us - half),

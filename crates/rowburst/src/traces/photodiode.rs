@@ -97,7 +97,7 @@ impl Photodiode {
         // A sample stands for the time about it.
         let slack = 0.5 * (last - first) / (self.times_us.len() - 1) as f64 + 1e-6 * step;
         let mean = |t: usize| {
-            let from = t as f64 * step - shift_us;
+            let from = time.start_us() + t as f64 * step - shift_us;
             let to = from + step;
             let covered = from >= first - slack && to <= last + slack;
             let (from, to) = (from.max(first), to.min(last));
@@ -121,8 +121,12 @@ impl Photodiode {
         let step = time.bin_duration_us();
         let (first, last) = (self.times_us[0], self.times_us[self.times_us.len() - 1]);
         let length = step * time.bins() as f64;
+        let video_start = time.start_us();
         let overlap = MIN_OVERLAP * length.min(last - first);
-        let (low, high) = (overlap - last, length - overlap - first);
+        let (low, high) = (
+            video_start + overlap - last,
+            video_start + length - overlap - first,
+        );
         let count = ((high - low) * STEPS_PER_BIN / step).ceil().max(0.0) as usize + 1;
         // Shift 0 is among them.
         let start = (low * STEPS_PER_BIN / step).ceil() * step / STEPS_PER_BIN;
