@@ -149,11 +149,11 @@ export class Cloud {
     ctx.fillStyle = css("--muted");
     ctx.font = "12px system-ui, sans-serif";
     ctx.textAlign = "center";
-    const end = clock.bins * (clock.step_us ?? 1);
     const name = (text: string, p: [number, number, number]) => ctx.fillText(text, p[0], p[1] + 16);
-    name(`time, ${Number(end.toPrecision(4))} ${clock.unit}`, place(video.bins / 2, video.rows, 0));
-    name("x", place(video.bins, video.rows, video.columns / 2));
-    ctx.fillText("y", place(0, video.rows / 2, 0)[0] - 10, place(0, video.rows / 2, 0)[1]);
+    const [start, end] = [clock.start, clock.end].map((time) => Number(time.toPrecision(4)));
+    name(`time, ${start} to ${end} ${clock.unit}`, place(video.bins / 2, video.rows, 0));
+    name("x (px)", place(video.bins, video.rows, video.columns / 2));
+    ctx.fillText("y (px)", place(0, video.rows / 2, 0)[0] - 18, place(0, video.rows / 2, 0)[1]);
   }
 
   private drawBox(ctx: CanvasRenderingContext2D, place: (t: number, y: number, x: number) => [number, number, number]): void {

@@ -55,11 +55,11 @@ export class Evidence {
       grid,
       at,
       "frame",
-      "Captured frame; the rows that measure this bin are marked",
+      "Captured frame in counts, white the brightest; the rows that measure this bin are marked",
       (p) => this.drawFrame(p, meta),
       excluded,
     );
-    this.picture(grid, at, "psf", "PSF, square root of its light", (p) => {
+    this.picture(grid, at, "psf", "PSF, square root of each pixel's share of the light", (p) => {
       const root = p.data.map(Math.sqrt);
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.values(root, "magma", 0, highest(root));
@@ -79,7 +79,7 @@ export class Evidence {
       drawResidual,
       excluded,
     );
-    this.picture(grid, at, "direct", "The scene without the diffuser", (p) => {
+    this.picture(grid, at, "direct", "The scene without the diffuser, in counts, white the brightest", (p) => {
       const bitmap = new Bitmap(p.rows, p.columns);
       bitmap.values(p.data, "grey", 0, highest(p.data));
       return (ctx, w, hgt) => ctx.drawImage(bitmap.canvas, 0, 0, w, hgt);

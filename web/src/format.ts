@@ -31,12 +31,23 @@ export function hertz(value: number, error?: number | null): string {
   return `${text(value, 2)} ${unit}`;
 }
 
-/** The time axis of a video: microseconds where the duration of a bin is known, else bins. */
+/**
+ * The time axis of a video: microseconds where the duration of a bin is known, else bins. Zero is the start of exposure of
+ * the row that is read first.
+ */
 export class Clock {
+  /** Start and end of the video. */
+  readonly start: number;
+  readonly end: number;
+
   constructor(
     readonly bins: number,
     readonly step_us: number | null,
-  ) {}
+    start_us: number | null = null,
+  ) {
+    this.start = step_us == null ? 0 : (start_us ?? 0);
+    this.end = this.start + bins * (step_us ?? 1);
+  }
 
   get unit(): string {
     return this.step_us == null ? "bins" : "µs";
@@ -44,12 +55,12 @@ export class Clock {
 
   /** Middle of bin `t`. */
   at(t: number): number {
-    return (t + 0.5) * (this.step_us ?? 1);
+    return this.start + (t + 0.5) * (this.step_us ?? 1);
   }
 
   /** The bin that holds `time`. */
   bin(time: number): number {
-    return Math.min(this.bins - 1, Math.max(0, Math.floor(time / (this.step_us ?? 1))));
+    return Math.min(this.bins - 1, Math.max(0, Math.floor((time - this.start) / (this.step_us ?? 1))));
   }
 
   label(t: number): string {

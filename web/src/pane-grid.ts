@@ -5,7 +5,7 @@ import { number } from "./format";
 import type { Keys } from "./keys";
 import { Pane, type Role } from "./pane";
 import { dragged, gripAt, type Grip, type Regions } from "./regions";
-import type { Comparison, Layer, Store, Tool } from "./store";
+import type { Comparison, Layer, Pitch, Store, Tool } from "./store";
 import type { Rect } from "./types";
 
 interface Point {
@@ -180,7 +180,7 @@ export class PaneGrid {
       const values = this.panes.map((pane) => pane.valueAt(y, x, t)).filter((v) => v !== null);
       words.push(`row ${y}, column ${x}, ${store.clock.label(t)}: ${values.join(" · ")}`);
     }
-    if (line) words.push(`line ${lengthOf(line, store.pitch_um)}`);
+    if (line) words.push(`line ${lengthOf(line, store.pitch)}`);
     this.readout.textContent = words.join(" — ") || "Row, column and value of the pixel under the pointer";
   }
 
@@ -286,9 +286,9 @@ export class PaneGrid {
 }
 
 /** Length in pixels, and in µm where the pitch is known. */
-export function lengthOf({ x0, y0, x1, y1 }: { x0: number; y0: number; x1: number; y1: number }, pitch_um: number | null): string {
+export function lengthOf({ x0, y0, x1, y1 }: { x0: number; y0: number; x1: number; y1: number }, pitch: Pitch | null): string {
   const px = Math.hypot(x1 - x0, y1 - y0);
-  return `${number(px, 4)} px${pitch_um ? ` · ${number(px * pitch_um, 4)} µm` : ""}`;
+  return `${number(px, 4)} px${pitch ? ` · ${number(px * pitch.um, 4)} µm ${pitch.place}` : ""}`;
 }
 
 interface Geometry {

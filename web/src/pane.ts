@@ -11,7 +11,7 @@ import type { Volume } from "./volume";
 export type Role = "main" | "truth" | "difference" | "other";
 
 /** Lengths that a scale bar may have, in µm. */
-const LENGTHS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+const LENGTHS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000, 100000];
 
 export class Pane {
   readonly canvas: HTMLCanvasElement;
@@ -76,7 +76,7 @@ export class Pane {
     if (!volume.loaded[bin]) return null;
     const value = volume.value(bin, row, column);
     if (role === "difference") return `difference ${number(value - store.truth!.value(t, row, column), 4)}`;
-    const words = `${number(value, 4)} ${store.unit}`;
+    const words = store.valueWords(value, store.source.results[role === "other" ? 1 : 0]);
     return role === "main" ? words : `${this.name} ${words}`;
   }
 
@@ -252,8 +252,9 @@ export class Pane {
   }
 
   private drawScaleBar(ctx: CanvasRenderingContext2D, width: number, height: number, k: number): void {
-    const pitch = this.store.pitch_um;
-    if (!pitch || this.role !== "main") return;
+    const { pitch: scale } = this.store;
+    if (!scale || this.role !== "main") return;
+    const pitch = scale.um;
     const length = LENGTHS.filter((l) => (l / pitch) * k < width / 4).pop();
     if (!length) return;
     const px = (length / pitch) * k;
@@ -262,7 +263,7 @@ export class Pane {
     ctx.fillStyle = "#fff";
     ctx.fillRect(width - 10 - px, height - 14, px, 3);
     ctx.textAlign = "right";
-    outlined(ctx, length < 1000 ? `${length} µm` : `${length / 1000} mm`, width - 10, height - 20);
+    outlined(ctx, `${length < 1000 ? `${length} µm` : `${length / 1000} mm`} ${scale.place}`, width - 10, height - 20);
   }
 
   private drawTimeBar(ctx: CanvasRenderingContext2D, width: number): void {
@@ -276,11 +277,10 @@ export class Pane {
     ctx.fillStyle = "#fff";
     ctx.textBaseline = "top";
     ctx.textAlign = "left";
-    ctx.fillText("0", 10, 20);
-    ctx.textAlign = "right";
     const { clock } = this.store;
-    const end = clock.bins * (clock.step_us ?? 1);
-    ctx.fillText(`${Number(end.toPrecision(4))} ${clock.unit}`, 10 + wide, 20);
+    ctx.fillText(String(Number(clock.start.toPrecision(4))), 10, 20);
+    ctx.textAlign = "right";
+    ctx.fillText(`${Number(clock.end.toPrecision(4))} ${clock.unit}`, 10 + wide, 20);
     ctx.textBaseline = "alphabetic";
   }
 

@@ -82,13 +82,13 @@ function integral({ times_us, values, integrals }: Signal, time: number): number
 }
 
 /** Mean over each bin; NaN where the signal does not cover it. */
-function binned(signal: Signal, bins: number, step: number, shift: number): Float64Array {
+function binned(signal: Signal, { bins, start }: Clock, step: number, shift: number): Float64Array {
   const { times_us } = signal;
   const [first, last] = [times_us[0], times_us[times_us.length - 1]];
   // A sample stands for the time about it.
   const slack = (0.5 * (last - first)) / (times_us.length - 1) + 1e-6 * step;
   return Float64Array.from({ length: bins }, (_, t) => {
-    const [from, to] = [t * step - shift, (t + 1) * step - shift];
+    const [from, to] = [start + t * step - shift, start + (t + 1) * step - shift];
     if (from < first - slack || to > last + slack) return NaN;
     const [a, b] = [Math.max(from, first), Math.min(to, last)];
     return b > a ? (integral(signal, b) - integral(signal, a)) / (b - a) : NaN;
@@ -125,7 +125,7 @@ export function align(signal: Signal, traces: Float64Array[], clock: Clock): Ali
   const [first, last] = [signal.times_us[0], signal.times_us[signal.times_us.length - 1]];
   const length = step * bins;
   const overlap = MIN_OVERLAP * Math.min(length, last - first);
-  const [low, high] = [overlap - last, length - overlap - first];
+  const [low, high] = [clock.start + overlap - last, clock.start + length - overlap - first];
   const count = Math.max(0, Math.ceil(((high - low) * STEPS_PER_BIN) / step)) + 1;
   if (count * bins > MAX_OPERATIONS) {
     throw new Error(`${signal.name} is ${Math.round((last - first) / length)} times as long as the video; cut it to the time of the frame, or give it to rowburst reconstruct with --photodiode.`);
@@ -135,7 +135,7 @@ export function align(signal: Signal, traces: Float64Array[], clock: Clock): Ali
   const start = Math.ceil(low / fine) * fine;
   const fits: (Fit | null)[][] = traces.map(() => []);
   for (let k = 0; k < count; k++) {
-    const mean = binned(signal, bins, step, start + k * fine);
+    const mean = binned(signal, clock, step, start + k * fine);
     traces.forEach((trace, i) => fits[i].push(fitOf(mean, trace)));
   }
   const correlation = (i: number, k: number) => fits[i][k]?.correlation ?? -Infinity;
@@ -153,7 +153,7 @@ export function align(signal: Signal, traces: Float64Array[], clock: Clock): Ali
     const isPeak = here >= enough && (k === 0 || correlation(trace, k - 1) <= here) && (k + 1 === count || correlation(trace, k + 1) <= here);
     if (isPeak && (peak < 0 || Math.abs(shiftOf(k)) < Math.abs(shiftOf(peak)))) peak = k;
   }
-  const at = (shift: number) => fitOf(binned(signal, bins, step, shift), traces[trace]);
+  const at = (shift: number) => fitOf(binned(signal, clock, step, shift), traces[trace]);
   const shift_us = refined((shift) => at(shift)?.correlation ?? -Infinity, shiftOf(peak), fine);
   const fit = at(shift_us);
   return fit && { trace, shift_us, ...fit };
@@ -175,11 +175,11 @@ function refined(value: (shift: number) => number, about: number, reach: number)
 const MAX_POINTS = 5000;
 
 /** The signal's points within the video, on its clock and in the units of the trace. */
-export function alignedPoints(signal: Signal, { shift_us, gain, offset }: Alignment, end_us: number): [number[], number[]] {
+export function alignedPoints(signal: Signal, { shift_us, gain, offset }: Alignment, clock: Clock): [number[], number[]] {
   const [x, y]: [number[], number[]] = [[], []];
   for (let i = 0; i < signal.values.length; i++) {
     const time = signal.times_us[i] + shift_us;
-    if (time < 0 || time > end_us) continue;
+    if (time < clock.start || time > clock.end) continue;
     x.push(time);
     y.push(gain * signal.values[i] + offset);
   }

@@ -6,7 +6,7 @@ import { css, download, fit, h } from "./dom";
 import { number } from "./format";
 import type { Keys } from "./keys";
 import { Bitmap } from "./picture";
-import type { Store } from "./store";
+import type { Pitch, Store } from "./store";
 
 type Name = "x" | "y" | "line";
 
@@ -43,15 +43,15 @@ const [LEFT, RIGHT, TOP, BOTTOM] = [56, 10, 6, 38];
 const SAVED = { width: 640, height: 320, ratio: 2 };
 
 /** The speed of a slope in words: pixels a bin, and m/s where pitch and time are known. */
-export function speedOf({ t0, p0, t1, p1 }: Slope, step_us: number | null, pitch_um: number | null): string {
+export function speedOf({ t0, p0, t1, p1 }: Slope, step_us: number | null, pitch: Pitch | null): string {
   const [bins, px] = [t1 - t0, p1 - p0];
   if (bins === 0) return "no time passes along the line";
   const perBin = `${number(px / bins, 4)} px per bin`;
   if (step_us == null) return perBin;
   // µm over µs are m/s.
-  return pitch_um == null
+  return pitch == null
     ? `${perBin} · ${number(px / (bins * step_us), 4)} px/µs`
-    : `${perBin} · ${number((px * pitch_um) / (bins * step_us), 4)} m/s at the sensor`;
+    : `${perBin} · ${number((px * pitch.um) / (bins * step_us), 4)} m/s ${pitch.place}`;
 }
 
 export class Slices {
@@ -137,8 +137,8 @@ export class Slices {
   private setSlope(name: Name, slope: Slope | null): void {
     const slice = this.slices[name];
     slice.slope = slope;
-    const { clock, pitch_um } = this.store;
-    slice.result.textContent = slope ? speedOf(slope, clock.step_us, pitch_um) : "";
+    const { clock, pitch } = this.store;
+    slice.result.textContent = slope ? speedOf(slope, clock.step_us, pitch) : "";
     this.draw();
   }
 
@@ -245,17 +245,17 @@ export class Slices {
   }
 
   private drawSlice(ctx: CanvasRenderingContext2D, slice: Slice, place: Place, ink: { text: string; line: string }): void {
-    const { clock, pitch_um } = this.store;
+    const { clock, pitch } = this.store;
     const { path, step_px, axis } = slice.cut!;
     ctx.imageSmoothingEnabled = false;
     ctx.drawImage(slice.bitmap!.canvas, place.x, place.y, place.width, place.height);
     const length = path.length * step_px;
-    const inUm = axis === "distance" && pitch_um != null;
+    const inUm = axis === "distance" && pitch != null;
     drawAxes(
       ctx,
       place,
-      { low: 0, high: clock.bins * (clock.step_us ?? 1), label: `time (${clock.unit})` },
-      { low: 0, high: inUm ? length * pitch_um : length, label: inUm ? "distance (µm)" : `${axis} (px)` },
+      { low: clock.start, high: clock.end, label: `time (${clock.unit})` },
+      { low: 0, high: inUm ? length * pitch.um : length, label: inUm ? `distance (µm ${pitch.place})` : `${axis} (px)` },
       ink,
     );
   }

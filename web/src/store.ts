@@ -2,7 +2,7 @@
 
 import type { MapName, Scale } from "./colour";
 import type { Meta, Rect } from "./types";
-import { Clock } from "./format";
+import { Clock, number } from "./format";
 import { Coverage } from "./masks";
 import type { Source } from "./source";
 import type { Volume } from "./volume";
@@ -14,6 +14,12 @@ export interface Region extends Rect {
   colour: string;
   /** Empty where the user gave none. */
   name: string;
+}
+
+/** Length of a pixel, and where. */
+export interface Pitch {
+  um: number;
+  place: "at the sensor" | "at the object";
 }
 
 export interface Line {
@@ -88,7 +94,7 @@ export class Store {
   ) {
     const [meta, second] = source.results;
     this.meta = meta;
-    this.clock = new Clock(meta.shape[0], meta.bin_duration_us);
+    this.clock = new Clock(meta.shape[0], meta.bin_duration_us, meta.view?.start_us);
     this.video = volumes.video;
     this.truth = volumes.truth;
     this.other = volumes.other;
@@ -100,6 +106,7 @@ export class Store {
           second.shape[0],
           second.bin_duration_us ??
             (meta.bin_duration_us == null ? null : (meta.bin_duration_us * meta.shape[0]) / second.shape[0]),
+          second.bin_duration_us == null ? this.clock.start : second.view?.start_us,
         )
       : null;
     this.state = {
@@ -158,9 +165,29 @@ export class Store {
     return this.meta.view?.unit ?? "counts";
   }
 
-  /** µm at the sensor of one pixel; null where it is not known. */
-  get pitch_um(): number | null {
-    return this.meta.view?.pixel_pitch_um ?? null;
+  /** µm of one pixel, and where; null where the pitch is not known. */
+  get pitch(): Pitch | null {
+    const { pixel_pitch_um: um, magnification } = this.meta.view ?? {};
+    if (um == null) return null;
+    return magnification ? { um: um / magnification, place: "at the object" } : { um, place: "at the sensor" };
+  }
+
+  /** A value with its unit, in electrons too where the gain is known. */
+  valueWords(value: number, { view }: Meta = this.meta): string {
+    const gain = this.unit === "counts" ? view?.gain_electrons_per_count : null;
+    return `${number(value, 4)} ${this.unit}${gain ? ` (${number(value * gain, 4)} electrons)` : ""}`;
+  }
+
+  /** Where the zero of time is and what a count is, in words; empty for a video without a camera. */
+  get axesWords(): string {
+    const { view } = this.meta;
+    if (view?.start_us == null || this.clock.step_us == null) return "";
+    const delay = view.trigger_delay_us;
+    const zero = `t = 0 is the start of exposure of the row that is read first${delay == null ? "" : `, ${number(delay, 6)} µs after the trigger`}.`;
+    if (this.unit !== "counts") return zero;
+    const gain = view.gain_electrons_per_count;
+    const electrons = gain ? ` (1 count is ${number(gain, 3)} electrons)` : "";
+    return `${zero} Light is in counts${electrons}: those that the place would give in ${this.clock.bins === 1 ? "the exposure" : "one row time"} without the diffuser.`;
   }
 
   on(listener: (what: Change) => void): void {

@@ -165,7 +165,7 @@ export class Traces {
         if (!found) words = `${signal.name} fits no region: pick one that changes while the signal lasts.`;
         else {
           const { region } = regions[found.trace];
-          const [x, y] = alignedPoints(signal, found, clock.bins * (clock.step_us ?? 1));
+          const [x, y] = alignedPoints(signal, found, clock);
           if (this.shown.photodiode) curves.push({ label: signal.name, colour: `${region.colour}90`, x, y, width: 1 });
           words = `${signal.name}: correlation ${found.correlation.toFixed(3)} with ${titleOf(region)}, shifted by ${number(found.shift_us, 3)} µs`;
         }
@@ -254,7 +254,7 @@ export class Traces {
       }
       if (this.shown.photodiode) {
         for (const diode of known?.photodiodes ?? []) {
-          const kept = diode.points.filter(([t]) => t >= 0 && t <= x[x.length - 1] + x[0]);
+          const kept = diode.points.filter(([t]) => t >= clock.start && t <= clock.end);
           curves.push({
             label: diode.name,
             colour: `${colour}90`,
@@ -285,6 +285,7 @@ export class Traces {
         `${store.source.results[1].name} has other units: its values reach ${number(store.otherRatio, 2)} times those of ${store.meta.name}. Its curves (dotted) have the axis on the right.`,
       );
     }
+    if (store.axesWords) words.push(store.axesWords);
     if (!store.video.isWhole) words.push("The video is still loading.");
     if (store.source.isOffline) words.push("Values of this file have 8 bits; video.npy has all.");
     this.note.textContent = words.join(" ");

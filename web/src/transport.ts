@@ -46,7 +46,7 @@ export class Transport {
       input: () => store.goTo(Number(this.slider.value)),
     });
     this.play = this.button("Play (space)", "▶", () => this.toggle(), "play");
-    this.time = h("output", { id: "time", for: "scrub" });
+    this.time = h("output", { id: "time", for: "scrub", title: store.axesWords });
     this.loaded = h("progress", { max: clock.bins, value: 0, "aria-label": "Part of the video that is loaded" });
     this.slower = h("span", { class: "muted", id: "slower" });
     this.marks = h("div", { class: "marks", "aria-hidden": "true" });

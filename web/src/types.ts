@@ -42,6 +42,13 @@ export interface View {
   /** The title of the report. */
   title?: string;
   pixel_pitch_um?: number | null;
+  /** Start of the first bin, from the start of exposure of the row that is read first; absent in results of 0.1. */
+  start_us?: number | null;
+  /** From the trigger to the zero of time. */
+  trigger_delay_us?: number | null;
+  /** Size of an image on the sensor over that of the object. */
+  magnification?: number | null;
+  gain_electrons_per_count?: number | null;
   /** The unit of the values; absent in results of earlier versions. */
   unit?: string;
   row_bins?: [number, number][];

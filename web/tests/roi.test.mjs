@@ -93,7 +93,8 @@ test("play goes once, again and again, or to and fro, within its part", () => {
 
 test("a slope is a speed where pitch and time are known", () => {
   const slope = { t0: 2, p0: 10, t1: 12, p1: 35 };
-  assert.equal(page.speedOf(slope, 10, 6.5), "2.5 px per bin · 1.625 m/s at the sensor");
+  assert.equal(page.speedOf(slope, 10, { um: 6.5, place: "at the sensor" }), "2.5 px per bin · 1.625 m/s at the sensor");
+  assert.equal(page.speedOf(slope, 10, { um: 13, place: "at the object" }), "2.5 px per bin · 3.25 m/s at the object");
   assert.equal(page.speedOf(slope, 10, null), "2.5 px per bin · 0.25 px/µs");
   assert.equal(page.speedOf(slope, null, 6.5), "2.5 px per bin");
   assert.equal(page.speedOf({ ...slope, t1: 2 }, 10, 6.5), "no time passes along the line");

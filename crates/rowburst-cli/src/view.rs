@@ -6,7 +6,7 @@ use crate::progress::wait_for_ctrl_c;
 use rowburst::solve::admm::Progress;
 use rowburst::{Camera, Result};
 use rowburst_run::{Event, IterationMetrics};
-use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server};
+use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server, VideoAxes};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -47,8 +47,7 @@ pub fn open_live_page(
     let start = LiveStart {
         title: args.output.display().to_string(),
         shape: [shape.bins, shape.rows, shape.columns],
-        bin_duration_us: camera.time().bin_duration_us(),
-        pixel_pitch_um: camera.sensor().pixel_pitch_um,
+        axes: VideoAxes::of(camera),
     };
     let live = Arc::new(Live::new(start, Arc::clone(stop)));
     let server = Server::start(args.browser.port, Vec::new(), Some(Arc::clone(&live)))?;

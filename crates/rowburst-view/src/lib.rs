@@ -14,6 +14,8 @@
 
 mod array;
 #[cfg(feature = "server")]
+mod axes;
+#[cfg(feature = "server")]
 mod guard;
 #[cfg(feature = "server")]
 mod live;
@@ -27,6 +29,8 @@ pub mod result_files;
 mod server;
 
 pub use array::{Array, QuantisedBins, quantise8, range_of_video};
+#[cfg(feature = "server")]
+pub use axes::VideoAxes;
 #[cfg(feature = "server")]
 pub use live::{Live, LiveStart, ProgressPoint, RunStatus};
 #[cfg(feature = "server")]

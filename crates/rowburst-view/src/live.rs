@@ -3,6 +3,7 @@
 //! The solver's observer writes, the server's threads read. A video is made ready to be sent only
 //! when a page has asked since the last one, so a run that nobody watches costs nothing.
 
+use crate::VideoAxes;
 use crate::array::QuantisedBins;
 use axum::body::Bytes;
 use serde_json::{Value, json};
@@ -16,10 +17,8 @@ pub struct LiveStart {
     pub title: String,
     /// Bins, rows and columns of the video.
     pub shape: [usize; 3],
-    /// Duration of a bin in microseconds.
-    pub bin_duration_us: f64,
-    /// Pitch of the sensor's pixels in µm.
-    pub pixel_pitch_um: Option<f64>,
+    /// Units of the axes.
+    pub axes: VideoAxes,
 }
 
 /// A point of the course.
@@ -176,8 +175,8 @@ impl Live {
     pub(crate) fn meta(&self) -> Value {
         json!({
             "name": self.start.title, "images": {}, "files": [], "ranges": {},
-            "shape": self.start.shape, "bin_duration_us": self.start.bin_duration_us,
-            "view": { "title": self.start.title, "pixel_pitch_um": self.start.pixel_pitch_um },
+            "shape": self.start.shape, "bin_duration_us": self.start.axes.bin_duration_us,
+            "view": self.start.axes.view(&self.start.title),
             "result": null,
         })
     }

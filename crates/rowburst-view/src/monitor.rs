@@ -3,6 +3,7 @@
 //! The threads of the camera and of the solver write, the server's threads read. Nothing waits for the page: a frame
 //! or a video that a page has not fetched is replaced by the next.
 
+use crate::VideoAxes;
 use crate::array::QuantisedBins;
 use axum::body::Bytes;
 use serde_json::{Map, Value, json};
@@ -19,10 +20,8 @@ pub struct MonitorStart {
     pub title: String,
     /// Bins, rows and columns of the video; one bin of the frame's size where nothing is reconstructed.
     pub shape: [usize; 3],
-    /// Duration of a bin in microseconds.
-    pub bin_duration_us: f64,
-    /// Pitch of the sensor's pixels in µm.
-    pub pixel_pitch_um: Option<f64>,
+    /// Units of the axes.
+    pub axes: VideoAxes,
     /// Whether frames are reconstructed.
     pub reconstructs: bool,
 }
@@ -160,8 +159,8 @@ impl Monitor {
     pub(crate) fn meta(&self) -> Value {
         json!({
             "name": self.start.title, "images": {}, "files": [], "ranges": {},
-            "shape": self.start.shape, "bin_duration_us": self.start.bin_duration_us,
-            "view": { "title": self.start.title, "pixel_pitch_um": self.start.pixel_pitch_um },
+            "shape": self.start.shape, "bin_duration_us": self.start.axes.bin_duration_us,
+            "view": self.start.axes.view(&self.start.title),
             "result": null,
         })
     }
@@ -181,8 +180,7 @@ mod tests {
         let monitor = Monitor::new(MonitorStart {
             title: "play:a".into(),
             shape: [1, 2, 2],
-            bin_duration_us: 10.0,
-            pixel_pitch_um: None,
+            axes: VideoAxes::of_frame(10.0, None),
             reconstructs: false,
         });
         assert!(monitor.request(MonitorRequest::Record) && monitor.request(MonitorRequest::Stop));

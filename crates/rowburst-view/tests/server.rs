@@ -2,7 +2,7 @@
 
 use rowburst::{Image, Shape, Video};
 use rowburst_io::{OutputFolder, write_npy_image, write_npy_u8, write_npy_video};
-use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server};
+use rowburst_view::{Live, LiveStart, ProgressPoint, ResultFiles, RunStatus, Server, VideoAxes};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -395,8 +395,7 @@ fn a_running_reconstruction_is_watched_and_stopped() {
     let start = LiveStart {
         title: "run".into(),
         shape: [2, 3, 4],
-        bin_duration_us: 9.6,
-        pixel_pitch_um: None,
+        axes: VideoAxes::of_frame(9.6, None),
     };
     let live = Arc::new(Live::new(start, Arc::clone(&stop)));
     let server = Server::start(Some(0), Vec::new(), Some(Arc::clone(&live))).unwrap();

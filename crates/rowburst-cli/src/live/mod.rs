@@ -22,7 +22,7 @@ use rowburst_capture::{Delivery, Exposure, Frame, Settings, Source};
 use rowburst_io::Experiment;
 use rowburst_run::Setup;
 use rowburst_run::options::{UserOptions, parse_time_budget};
-use rowburst_view::{Monitor, MonitorStart, Server};
+use rowburst_view::{Monitor, MonitorStart, Server, VideoAxes};
 use serde_json::json;
 use solve::LiveSolver;
 use std::path::PathBuf;
@@ -182,16 +182,14 @@ fn start_of(
             MonitorStart {
                 title,
                 shape: [shape.bins, shape.rows, shape.columns],
-                bin_duration_us: setup.camera.time().bin_duration_us(),
-                pixel_pitch_um: setup.camera.sensor().pixel_pitch_um,
+                axes: VideoAxes::of(&setup.camera),
                 reconstructs: true,
             }
         }
         None => MonitorStart {
             title,
             shape: [1, first.rows, first.columns],
-            bin_duration_us: metadata.exposure_us.unwrap_or(1.0),
-            pixel_pitch_um: metadata.pixel_pitch_um,
+            axes: VideoAxes::of_frame(metadata.exposure_us.unwrap_or(1.0), metadata.pixel_pitch_um),
             reconstructs: false,
         },
     }
