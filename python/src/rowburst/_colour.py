@@ -24,7 +24,7 @@ class ColourResult:
         self.planes = planes
         """The result of each plane, by its name: ``red``, ``green-1``, ``green-2``, and ``blue``."""
         self.start_us = start_us
-        """From the start of the sensor's first instant to that of each plane's, in microseconds."""
+        """Start of each plane's first bin in microseconds, from the sensor's first exposure."""
         self.bayer = bayer
         """The mosaic of the sensor, such as ``rggb``."""
 

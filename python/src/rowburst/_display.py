@@ -66,6 +66,8 @@ def camera_html(camera: Camera) -> str:
         "video": f"{bins} frames of {rows}×{columns} at {camera.frame_rate_hz:,.0f} fps",
         "mosaic": camera.bayer,
         "pixel pitch": _with_unit(camera.pixel_pitch_um, "µm"),
+        "magnification": _with_unit(camera.magnification, "×"),
+        "trigger delay": _with_unit(camera.trigger_delay_us, "µs"),
         "bias": _with_unit(camera.bias_counts, "counts"),
         "gain": _with_unit(camera.gain_electrons_per_count, "electrons per count"),
         "read noise": _with_unit(camera.read_noise_electrons, "electrons"),

@@ -90,9 +90,11 @@ class SavedResult(VideoResult):
 
     @property
     def time_us(self) -> NDArray[np.float64]:
-        """The middle of each bin in microseconds, from the start of the first bin."""
+        """The middle of each bin in microseconds, from the start of exposure of the row that is read first."""
         duration = float(self._view.get("bin_duration_us", 1e6 / self.frame_rate_hz))
-        return (np.arange(len(self.video), dtype=np.float64) + 0.5) * duration
+        # Results of 0.1 do not have it.
+        start = float(self._numbers.get("start_us", 0.0))
+        return start + (np.arange(len(self.video), dtype=np.float64) + 0.5) * duration
 
     @property
     def frame_rate_hz(self) -> float:
@@ -229,7 +231,7 @@ class SavedColour:
 
     @property
     def start_us(self) -> dict[str, float]:
-        """From the start of the sensor's first instant to that of each plane's, in microseconds."""
+        """Start of each plane's first bin in microseconds, from the sensor's first exposure."""
         return {plane["name"]: float(plane["start_us"]) for plane in self._numbers["planes"]}
 
     @property
@@ -239,8 +241,9 @@ class SavedColour:
 
     @property
     def time_us(self) -> NDArray[np.float64]:
-        """The middle of each bin in microseconds, from the start of the first bin of each plane."""
-        return (np.arange(len(self.video), dtype=np.float64) + 0.5) * (1e6 / self.frame_rate_hz)
+        """The middle of each bin in microseconds, of the plane that begins first, from the sensor's first exposure."""
+        start = float(self._numbers.get("start_us", 0.0))
+        return start + (np.arange(len(self.video), dtype=np.float64) + 0.5) * (1e6 / self.frame_rate_hz)
 
     @property
     def frame_rate_hz(self) -> float:

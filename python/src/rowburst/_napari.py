@@ -49,7 +49,7 @@ def _axes(result: VideoResult) -> dict[str, Any]:
     """Scale, units and labels of the axes of a video, whose first is in microseconds."""
     time_us = result.time_us
     bin_us = float(time_us[1] - time_us[0]) if len(time_us) > 1 else 1.0
-    return {"scale": (bin_us, 1.0, 1.0), "units": _UNITS, "axis_labels": ("t", "y", "x")}
+    return {"scale": (bin_us, 1.0, 1.0), "translate": (float(time_us[0]), 0.0, 0.0), "units": _UNITS, "axis_labels": ("t", "y", "x")}
 
 
 def _video_layer(result: VideoResult, name: str) -> Layer:

@@ -27,8 +27,8 @@ def overview(result: VideoResult) -> NDArray[Any]:
     figure, axes = pyplot.subplots(2, 2, figsize=(9, 7.5), layout="constrained")
     video, numbers = result.video, result.numbers
     brightest = axes[0, 0].imshow(video.max(axis=0), cmap="gray", vmin=0)
-    axes[0, 0].set_title("maximum over time")
-    figure.colorbar(brightest, ax=axes[0, 0], label="counts")
+    axes[0, 0].set(title="maximum over time", xlabel="x (px)", ylabel="y (px)")
+    figure.colorbar(brightest, ax=axes[0, 0], label="light (counts)")
     time_colour(result, axes[0, 1], "turbo")
     axes[0, 1].set_title("time as colour")
     axes[1, 0].plot(result.time_us, video.sum(axis=(1, 2), dtype=float), color="tab:blue")
@@ -37,7 +37,7 @@ def overview(result: VideoResult) -> NDArray[Any]:
     try:
         residual = axes[1, 1].imshow(result.residual, cmap="RdBu", vmin=-4, vmax=4)
         axes[1, 1].set_title(f"residual/σ (rms {numbers['residual_over_sigma']:.2f})")
-        figure.colorbar(residual, ax=axes[1, 1])
+        figure.colorbar(residual, ax=axes[1, 1], label="residual (σ)")
     except InputError:
         # A video in chunks has none.
         axes[1, 1].set_axis_off()
@@ -63,7 +63,7 @@ def montage(result: VideoResult, frames: int, columns: int | None, cmap: str) ->
     for ax, bin_ in zip(axes.flat, shown, strict=False):
         picture = ax.imshow(video[bin_], cmap=cmap, vmin=0, vmax=float(video.max()) or 1)
         ax.set_title(f"{time_us[bin_]:.1f} µs", fontsize=8)
-    figure.colorbar(picture, ax=axes, label="counts", shrink=0.8)
+    figure.colorbar(picture, ax=axes, label="light (counts)", shrink=0.8)
     return np.asarray(axes.ravel()[: len(shown)])
 
 
@@ -79,6 +79,7 @@ def time_colour(result: VideoResult, ax: Any, cmap: str) -> Axes:
     for frame, colour in zip(video, colours, strict=True):
         np.maximum(picture, frame[..., None] / scale * colour, out=picture)
     ax.imshow(np.clip(picture, 0, 1))
+    ax.set(xlabel="x (px)", ylabel="y (px)")
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -102,7 +103,7 @@ def trace(trace: Trace, ax: Any) -> Axes:
     title = f"rows {y} to {y + rows - 1}, columns {x} to {x + columns - 1}"
     if trace.frequency_hz is not None:
         title += f": {trace.frequency_hz:,.0f} Hz"
-    ax.set(xlabel="time (µs)", ylabel="counts", title=title)
+    ax.set(xlabel="time (µs)", ylabel="light (counts)", title=title)
     ax.legend()
     drawn: Axes = ax
     return drawn

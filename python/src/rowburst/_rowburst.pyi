@@ -114,6 +114,10 @@ class Camera:
         Rows and columns of the video, if it is larger than the sensor.
     pixel_pitch_um : float, optional
         Width of a pixel in micrometres.
+    magnification : float, optional
+        Size of an image on the sensor over that of the object.
+    trigger_delay_us : float, optional
+        From the trigger to the start of exposure of the row that is read first.
     bit_depth : int, optional
         Bits of the converter.
     bias_counts, gain_electrons_per_count, read_noise_electrons, full_well_counts : float, optional
@@ -146,6 +150,8 @@ class Camera:
         bins_per_row: int = 1,
         field: tuple[int, int] | None = None,
         pixel_pitch_um: float | None = None,
+        magnification: float | None = None,
+        trigger_delay_us: float | None = None,
         bit_depth: int | None = None,
         bias_counts: float | None = None,
         gain_electrons_per_count: float | None = None,
@@ -249,6 +255,12 @@ class Camera:
     def pixel_pitch_um(self) -> float | None:
         """Width of a pixel in micrometres; None where it is unknown."""
     @property
+    def magnification(self) -> float | None:
+        """Size of an image on the sensor over that of the object; None where it is unknown."""
+    @property
+    def trigger_delay_us(self) -> float | None:
+        """From the trigger to the zero of time, in microseconds; None where it is unknown."""
+    @property
     def bit_depth(self) -> int | None:
         """Bits of the converter; None where they are unknown."""
     @property
@@ -274,7 +286,7 @@ class Camera:
         """Frames of the video a second."""
     @property
     def time_us(self) -> NDArray[np.float64]:
-        """The middle of each bin of the video, from the start of the first, in microseconds."""
+        """The middle of each bin of the video, in microseconds from the start of exposure of the row that is read first."""
     def row_time_weights(self) -> NDArray[np.float32]:
         """``w[r, j]``: overlap of the exposure of row ``r`` with bin ``j``, in row times.
 

@@ -25,7 +25,7 @@ class VideoResult:
 
     @property
     def time_us(self) -> NDArray[np.float64]:
-        """The middle of each bin in microseconds, from the start of the first bin."""
+        """The middle of each bin in microseconds, from the start of exposure of the row that is read first."""
         raise NotImplementedError
 
     @property
@@ -55,9 +55,9 @@ class VideoResult:
         Returns
         -------
         xarray.DataArray
-            float32 ``(time, y, x)`` in counts. ``time`` is the middle of each bin, from the start of the first one. Where
-            the field is larger than the sensor, ``y`` and ``x`` begin below 0. The attributes are prior, tau, noise, fit
-            and frame rate.
+            float32 ``(time, y, x)`` in counts. ``time`` is the middle of each bin, from the start of exposure of the row
+            that is read first. Where the field is larger than the sensor, ``y`` and ``x`` begin below 0. The attributes are
+            prior, tau, noise, fit, frame rate, and the delay of that start after the trigger where it is known.
 
         Raises
         ------
@@ -75,7 +75,7 @@ class VideoResult:
         _, rows, columns = self.video.shape
         sensor_rows, sensor_columns = self._sensor_shape
         numbers = self.numbers
-        kept = ("prior", "tau", "noise_sigma", "effective_sigma", "residual_over_sigma", "fit", "frame_rate_hz", "version")
+        kept = ("prior", "tau", "noise_sigma", "effective_sigma", "residual_over_sigma", "fit", "frame_rate_hz", "trigger_delay_us", "version")
         array: DataArray = xarray.DataArray(
             self.video,
             dims=("time", "y", "x"),
@@ -85,7 +85,7 @@ class VideoResult:
                 "x": ("x", np.arange(columns) - (columns - sensor_columns) / 2, {"units": "px", "long_name": "column"}),
             },
             name="video",
-            attrs={"units": "counts"} | {name: numbers[name] for name in kept if name in numbers},
+            attrs={"units": "counts"} | {name: numbers[name] for name in kept if numbers.get(name) is not None},
         )
         return array
 
