@@ -132,6 +132,8 @@ def check_archive(program, folder, out, frames):
     check("units on the axes", [axes[a].get("unit") for a in ("frame", "t", "y", "x")] ==
           ["microsecond", "microsecond", "micrometer", "micrometer"], axes)
     check("scales", scale == [PERIOD_US, BIN_US, PITCH_UM, PITCH_UM], scale)
+    origin = image["datasets"][0]["coordinateTransformations"][1]["translation"]
+    check("middle of the first bin", origin == [0, BIN_US / 2, 0, 0], origin)
     check("start of each frame",
           same(group["frame_start_us"][:], PERIOD_US * np.arange(FRAMES, dtype=np.float64)))
     with open(out / "rowburst/frames.csv", encoding="utf-8", newline="") as file:

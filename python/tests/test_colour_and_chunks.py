@@ -72,6 +72,7 @@ def test_a_folder_in_colour_is_loaded(files, camera, tmp_path):
         assert saved.frame_rate_hz == pytest.approx(colour.planes["red"].frame_rate_hz) and len(saved.time_us) == len(saved.video)
         for name, plane in colour.planes.items():
             np.testing.assert_array_equal(saved.planes[name].video, plane.video)
+            np.testing.assert_allclose(saved.planes[name].time_us, plane.time_us, atol=1e-9)
         assert {"schema_version", "planes", "warnings"} <= saved.numbers.keys() and (folder / "colour.tif").exists()
     ours, theirs = (rb.load(folder).numbers for folder in (folders[0], folders[-1]))
     for numbers in (ours, theirs):

@@ -50,6 +50,25 @@ def test_to_xarray_has_axes_with_units(either, result, camera, capture, psf):
     assert first[0] == 1 and video.time[0] == camera.row_time_us / 2
 
 
+def test_the_first_exposure_is_the_zero_of_time(capture, psf, tmp_path):
+    pytest.importorskip("xarray")
+    # At half a row time the first bin begins half a row time before the first exposure.
+    short = rb.Camera(
+        rows=24, columns=30, shutter="dual-inside-out", row_time_us=9.6, exposure_us=4.8, trigger_delay_us=12.5, magnification=0.5
+    )
+    assert (short.magnification, short.trigger_delay_us) == (0.5, 12.5)
+    assert short.time_us[:2] == pytest.approx([0, 9.6])
+    result = rb.reconstruct(capture.frame, short, psf, prior="tv", max_iterations=2)
+    saved = rb.load(result.save(tmp_path / "result"))
+    for each in (result, saved):
+        np.testing.assert_allclose(each.time_us, short.time_us, atol=1e-9)
+        assert each.numbers["start_us"] == pytest.approx(-4.8)
+        assert each.to_xarray().attrs["trigger_delay_us"] == 12.5
+        np.testing.assert_allclose(each.to_xarray().time, short.time_us, atol=1e-9)
+    for trace in saved.traces():
+        np.testing.assert_allclose(trace.time_us, short.time_us, atol=1e-9)
+
+
 def test_a_larger_field_begins_beside_the_sensor(psf, capture):
     pytest.importorskip("xarray")
     wide = rb.Camera(rows=24, columns=30, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6, field=(26, 34))

@@ -163,12 +163,23 @@ mod tests {
         write_mat_video(&mut std::fs::File::create(&mat).unwrap(), &video, &time).unwrap();
         let named = format!("{}:video", mat.display());
         assert_eq!(read_video(named.as_ref()).unwrap(), video);
+        assert_eq!(read_video(&mat).unwrap(), video);
+        let middles: Vec<f64> = (0..3).map(|bin| time.middle_us(bin)).collect();
+        let named = format!("{}:time_us", mat.display());
+        let times = crate::read::read_image(named.as_ref()).unwrap().image;
+        let expected: Vec<f32> = middles.iter().map(|us| *us as f32).collect();
+        assert_eq!(times.data(), expected);
         #[cfg(feature = "hdf5")]
         {
             let h5 = base.path().join("v.h5");
             write_hdf5_video(&mut std::fs::File::create(&h5).unwrap(), &video, &time).unwrap();
             let named = format!("{}:/video", h5.display());
             assert_eq!(read_video(named.as_ref()).unwrap(), video);
+            // The video is the only image, so that it needs no name.
+            assert_eq!(read_video(&h5).unwrap(), video);
+            let file = hdf5_pure::File::open_streaming(&h5).unwrap();
+            let times = file.dataset("time_us").unwrap().read_f64().unwrap();
+            assert_eq!(times, middles);
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape};
 
-/// A video `[t, y, x]` in C order, in the units of the frame per unit of PSF sum.
+/// A video `[t, y, x]` in C order, in counts of the frame: with a PSF of sum 1 those that a place would
+/// give in one row time without the diffuser.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Video {
     shape: Shape,
