@@ -356,7 +356,7 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
     }
     let positive = [
         (Parameter::PixelPitchUm, sensor.pixel_pitch_um),
-        (Parameter::CameraMagnification, sensor.magnification),
+        (Parameter::Magnification, sensor.magnification),
         (
             Parameter::GainElectronsPerCount,
             sensor.gain_electrons_per_count,

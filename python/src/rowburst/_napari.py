@@ -80,11 +80,14 @@ def _archive_layers(folder: Path) -> list[Layer]:
     video = group["0"]
     scales = group.attrs["ome"]["multiscales"][0]["datasets"][0]["coordinateTransformations"]
     scale = next(entry["scale"] for entry in scales if entry["type"] == "scale")
+    # Archives of 0.1 have none.
+    origin = next((entry["translation"] for entry in scales if entry["type"] == "translation"), [0.0] * len(scale))
     job = json.loads((folder / "rowburst" / "job.json").read_text(encoding="utf-8"))
     axes = group.attrs["ome"]["multiscales"][0]["axes"]
     options = {
         "name": folder.stem,
         "scale": scale,
+        "translate": origin,
         "units": [axis.get("unit", "pixel") for axis in axes],
         "axis_labels": [axis["name"] for axis in axes],
         "metadata": {"rowburst": job},

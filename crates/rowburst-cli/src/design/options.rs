@@ -254,7 +254,6 @@ impl DesignArgs {
             Parameter::Field => camera.field_rows.is_none() && camera.field_columns.is_none(),
             Parameter::ReadNoiseElectrons => self.light.read_noise_electrons.is_none(),
             Parameter::RowOrder
-            | Parameter::CameraMagnification
             | Parameter::TriggerDelayUs
             | Parameter::Binning
             | Parameter::GainElectronsPerCount

@@ -107,8 +107,6 @@ parameters! {
     BinsPerRow = "bins_per_row",
     /// Distance of two pixels, in µm.
     PixelPitchUm = "pixel_pitch_um",
-    /// Size of an image on the sensor over that of the object, of a camera.
-    CameraMagnification = "magnification",
     /// From the trigger to the first exposure, in µs.
     TriggerDelayUs = "trigger_delay_us",
     /// Bits of the converter.

@@ -204,6 +204,26 @@ fn positive() -> impl Strategy<Value = f64> {
     prop_oneof![1e-9..1e9f64, Just(1.0), Just(1e-300), Just(1e300)]
 }
 
+#[test]
+fn magnification_and_trigger_delay_are_checked() {
+    let with = |line: &str| parse(&CAMERA.replace("[camera]\n", &format!("[camera]\n{line}\n")));
+    let sensor = |line: &str| with(line).unwrap().camera().unwrap().sensor().clone();
+    assert_eq!(sensor("magnification = 0.5").magnification, Some(0.5));
+    assert_eq!(sensor("trigger_delay_us = 0").trigger_delay_us, Some(0.0));
+    for (line, key) in [
+        ("magnification = 0", "magnification"),
+        ("magnification = -2.0", "magnification"),
+        ("trigger_delay_us = -1", "trigger_delay_us"),
+    ] {
+        let read = with(line).and_then(|experiment| experiment.camera());
+        let message = read.unwrap_err().to_string();
+        assert!(
+            message.contains("run.toml") && message.contains(key),
+            "{message}"
+        );
+    }
+}
+
 proptest! {
     #[test]
     fn what_is_written_is_read(
