@@ -122,6 +122,18 @@ def test_a_source_that_fails_keeps_what_it_gave(tmp_path):
         next(rb.capture.from_arrays([FRAMES[0] * 0.5]))
 
 
+@pytest.mark.parametrize("ended", [KeyboardInterrupt(), OSError("unplugged")])
+def test_without_a_frame_what_ended_the_source_is_told(tmp_path, ended):
+    def frames():
+        raise ended
+        yield
+
+    with pytest.raises(type(ended)) as found:
+        rb.capture.from_arrays(frames(), {"row_time_us": 9.6}).record(tmp_path / "a.tif")
+    assert found.value is ended
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_captured_frame_is_that_of_its_file(tmp_path, camera, psf):
     np.save(tmp_path / "frame.npy", FRAMES[0])
     frame = next(rb.capture.open(f"play:{tmp_path / 'frame.npy'}"))

@@ -29,6 +29,8 @@ export class Monitor {
   private bitmap: Bitmap | null = null;
   private frameSnapshot = 0;
   private videoSnapshot = 0;
+  /** From the arrival of a frame to the picture of its video on the screen. */
+  private latencyMs: number | null = null;
   private isRecording = false;
   /** The controls that are shown, as text. */
   private shownControls = "";
@@ -115,7 +117,7 @@ export class Monitor {
 
   private show(state: MonitorState): void {
     const { exposure, video } = state;
-    const pairs: [string, string, (string | undefined)?][] = [];
+    const pairs: [name: string, value: string, kind?: string, id?: string][] = [];
     if (exposure) {
       const saturated = 100 * exposure.saturated_fraction;
       pairs.push(["Frame", String(exposure.number)]);
@@ -127,12 +129,12 @@ export class Monitor {
     if (state.frames_per_second) pairs.push(["Frames a second", number(state.frames_per_second, 3)]);
     pairs.push(["Dropped, incomplete", `${state.dropped ?? 0}, ${state.incomplete ?? 0}`, state.dropped || state.incomplete ? "doubtful" : undefined]);
     if (video) {
-      pairs.push(["Latency", `${number(video.latency_ms, 3)} ms`]);
+      pairs.push(["Latency", this.latencyMs == null ? "–" : `${number(this.latencyMs, 3)} ms`, undefined, "latency"]);
       if (video.videos_per_second != null) pairs.push(["Videos a second", number(video.videos_per_second, 3)]);
       pairs.push(["Not reconstructed", `${state.skipped ?? 0} frames`]);
       pairs.push(["Residual/σ", number(video.residual_over_sigma, 3)]);
     }
-    this.numbers.replaceChildren(...pairs.map(([name, value, kind]) => h("div", {}, h("dt", {}, name), h("dd", { class: kind }, value))));
+    this.numbers.replaceChildren(...pairs.map(([name, value, kind, id]) => h("div", {}, h("dt", {}, name), h("dd", { class: kind, id }, value))));
     this.isRecording = state.recording != null;
     this.recordButton.textContent = this.isRecording ? `Stop (${state.recording} frames)` : "Record";
     this.recordButton.className = this.isRecording ? "accent" : "";
@@ -180,8 +182,12 @@ export class Monitor {
     const answer = await fetch("api/monitor/bins");
     if (!answer.ok) return;
     const [low, high] = (answer.headers.get("x-range") ?? "0 1").split(" ").map(Number);
+    const sinceFrameMs = Number(answer.headers.get("x-since-frame-ms"));
+    const answered = performance.now();
     this.put(low, high, new Uint16Array(await answer.arrayBuffer()));
     this.videoSnapshot = snapshot;
+    // It is drawn in the next frame of the browser, and seen when the one after begins.
+    requestAnimationFrame(() => requestAnimationFrame(() => (this.latencyMs = sinceFrameMs + performance.now() - answered)));
   }
 
   private put(low: number, high: number, numbers: Uint16Array): void {

@@ -9,8 +9,8 @@ use crate::guide::Guide;
 use crate::record::{CaptureRecord, FrameRecord, Lost};
 use crate::settings::Settings;
 use crate::source::{Delivery, Frame, Source};
-use rowburst::error::Subject;
-use rowburst::{Cancel, Error, ErrorKind, Result, phrase};
+use rowburst::error::{Subject, With};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result, phrase};
 use rowburst_io::{OutputFolder, capture_record_path, write_error};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -99,7 +99,11 @@ impl Recorder {
                 path,
                 "a file that is there already",
                 "a recording is never replaced",
-                "Choose another name, or move the file away.",
+                phrase![
+                    "Choose another name, or move the file away",
+                    With(Parameter::Replace),
+                    "."
+                ],
             )
             .with_kind(ErrorKind::Exists));
         }

@@ -68,6 +68,7 @@ impl Names for CommandLine {
 fn option(parameter: Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::Frame => "--frame",
+        Parameter::Replace => "--replace",
         Parameter::Psf => "--psf",
         Parameter::Dark => "--dark",
         Parameter::Flat => "--flat",

@@ -162,6 +162,7 @@ fn settings_that_spoil_frames_are_refused_with_the_remedy() {
     // Nothing is replaced, unless it is asked for.
     let output = lab.run("capture frame --source play:raw.png -o a.tif");
     assert_eq!(output.status.code(), Some(2));
+    assert!(errors(&output).contains("--replace"), "{}", errors(&output));
     lab.done("capture frame --source play:raw.png -o a.tif --replace");
     assert!(lab.path("a.old.tif").exists() && lab.path("a.old.json").exists());
 }
@@ -367,6 +368,39 @@ fn ctrl_c_ends_the_full_reconstruction_of_a_live_view() {
         "{:?}",
         began.elapsed()
     );
+}
+
+#[cfg(all(unix, feature = "view"))]
+#[test]
+fn a_live_view_warns_where_the_camera_is_set_as_the_experiment_is_not() {
+    let lab = Lab::empty();
+    lab.experiment(
+        "[camera]\nrows = 32\ncolumns = 32\nshutter = \"top-down\"\nrow_time_us = 10\nexposure_us = 10\n[calibration]\npsf = \"psf.npy\"\n",
+    );
+    lab.image("psf.npy", 15, 15, |y, x| pattern(y + 50, x).powi(3));
+    lab.image("raw.png", 32, 32, |y, x| {
+        (1000.0 + 500.0 * pattern(y, x)).round()
+    });
+    lab.done("capture frame --source play:raw.png -o other.tif");
+    let mut record = record_of(&lab, "other.json");
+    record["settings"]["properties"] = serde_json::json!([
+        { "name": "row_time_us", "value": "12", "origin": "read" },
+        { "name": "exposure_us", "value": "10", "origin": "read" },
+    ]);
+    lab.write("other.json", record.to_string());
+    let live = LiveView::start(
+        &lab,
+        "experiment.toml --time-budget-s 0.05 --source play:other.tif",
+    );
+    let state = live.until(|state| state["warnings"].is_array());
+    let warnings = state["warnings"].to_string();
+    assert!(
+        warnings.contains("row_time_us is 10 in")
+            && warnings.contains("12 in the metadata (the settings of play:other.tif)"),
+        "{warnings}"
+    );
+    assert!(!warnings.contains("exposure_us"), "{warnings}");
+    assert_eq!(live.stop(), Some(130));
 }
 
 /// A camera of 64×64 pixels in `experiment.toml`, and one point that blinks at 12.5 kHz in `led.npy`.

@@ -198,7 +198,7 @@ fn check_times(folder: &Path, start_us: f64, step_us: f64) {
     ] {
         assert!(report.contains(words), "{words}");
     }
-    assert!(figure_of_folder(folder, &rowburst_report::FigureOptions::default()).is_ok());
+    assert!(figure_of_folder(folder, &rowburst_report::Layout::Fig2.into()).is_ok());
 }
 
 /// A bin is `step` long, and the exposure of the first row begins at 0.

@@ -9,6 +9,7 @@ use axum::body::Bytes;
 use serde_json::{Map, Value, json};
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// Requests that wait at most; more are refused.
 const MAX_REQUESTS: usize = 8;
@@ -76,9 +77,20 @@ struct MonitorState {
     values: Map<String, Value>,
     frame: Option<(Bytes, (usize, usize))>,
     frame_snapshot: usize,
-    video: Option<(Bytes, (f32, f32))>,
+    video: Option<ShownVideo>,
     video_snapshot: usize,
     requests: VecDeque<MonitorRequest>,
+}
+
+/// The latest video.
+#[derive(Clone)]
+pub(crate) struct ShownVideo {
+    /// All its bins, as the page takes them.
+    pub bytes: Bytes,
+    /// The values of the smallest and the largest number.
+    pub range: (f32, f32),
+    /// When its frame arrived.
+    pub arrived: Instant,
 }
 
 impl Monitor {
@@ -106,16 +118,21 @@ impl Monitor {
         state.frame_snapshot += 1;
     }
 
-    /// Shows a video `[t, y, x]`.
+    /// Shows a video `[t, y, x]`, whose frame arrived at `arrived`.
     ///
     /// # Panics
     /// If it has not the shape that was announced.
-    pub fn show_video(&self, video: &[f32]) {
+    pub fn show_video(&self, video: &[f32], arrived: Instant) {
         let voxels: usize = self.start.shape.iter().product();
         assert_eq!(video.len(), voxels, "the shape that was announced");
         let QuantisedBins { bytes, range } = QuantisedBins::of(video);
+        let bytes = bytes.into();
         let mut state = self.lock();
-        state.video = Some((bytes.into(), range));
+        state.video = Some(ShownVideo {
+            bytes,
+            range,
+            arrived,
+        });
         state.video_snapshot += 1;
     }
 
@@ -151,7 +168,7 @@ impl Monitor {
         self.lock().frame.clone()
     }
 
-    pub(crate) fn video(&self) -> Option<(Bytes, (f32, f32))> {
+    pub(crate) fn video(&self) -> Option<ShownVideo> {
         self.lock().video.clone()
     }
 

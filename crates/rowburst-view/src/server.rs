@@ -234,6 +234,7 @@ fn routes(shared: Arc<ServerState>, token: Token) -> Router {
 }
 
 const RANGE: HeaderName = HeaderName::from_static("x-range");
+const SINCE_FRAME_MS: HeaderName = HeaderName::from_static("x-since-frame-ms");
 const SHAPE: HeaderName = HeaderName::from_static("x-shape");
 
 /// Where a result was written anew, its parts would not fit those that a page has.
@@ -441,7 +442,15 @@ async fn monitor_frame(State(shared): State<Arc<ServerState>>) -> Response {
 
 async fn monitor_bins(State(shared): State<Arc<ServerState>>) -> Response {
     match shared.monitor.as_ref().and_then(|monitor| monitor.video()) {
-        Some((bytes, (low, high))) => binary(bytes, [(RANGE, format!("{low} {high}"))]),
+        Some(video) => {
+            let (low, high) = video.range;
+            let since_frame_ms = video.arrived.elapsed().as_secs_f64() * 1e3;
+            let headers = [
+                (RANGE, format!("{low} {high}")),
+                (SINCE_FRAME_MS, since_frame_ms.to_string()),
+            ];
+            binary(video.bytes, headers)
+        }
         None => not_found(),
     }
 }

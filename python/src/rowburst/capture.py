@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from . import _rowburst
 from ._errors import input_error
-from ._rowburst import LiveView, Look
+from ._rowburst import LiveView, Look, WorkError
 
 __all__ = ["Capture", "CapturedFrame", "Property", "from_arrays", "from_mmcore", "open"]
 
@@ -189,11 +189,13 @@ class Capture(Iterator[CapturedFrame]):
                 written += delivery[2] is not None and (delivery[3] is None or purpose == "record")
             else:
                 ended = "complete"
-        except KeyboardInterrupt:
-            recorder.finish("interrupted")
-            raise
-        except Exception as error:
-            recorder.finish(str(error))
+        except (KeyboardInterrupt, Exception) as error:
+            try:
+                recorder.finish("interrupted" if isinstance(error, KeyboardInterrupt) else str(error))
+            except WorkError:
+                # Without a frame nothing is kept, and what ended it is the error.
+                if written:
+                    raise
             raise
         record: dict[str, Any] = json.loads(recorder.finish(ended))
         return record

@@ -19,7 +19,7 @@ use grab::{Grabber, Latest};
 use keep::Keeper;
 use rowburst::{Cancel, ErrorKind, Result};
 use rowburst_capture::{Delivery, Exposure, Frame, Settings, Source};
-use rowburst_io::Experiment;
+use rowburst_io::{Experiment, Metadata};
 use rowburst_run::Setup;
 use rowburst_run::options::{UserOptions, parse_time_budget};
 use rowburst_view::{Monitor, MonitorStart, Server, VideoAxes};
@@ -72,11 +72,18 @@ pub fn run(args: &LiveArgs) -> Result<()> {
         // The experiment says it.
         warnings.retain(|warning| !warning.contains("row time"));
     }
+    let metadata = Metadata {
+        sources: vec![format!("the settings of {}", source.name())],
+        ..settings.reading().metadata
+    };
     let setup = args
         .experiment
         .as_ref()
-        .map(|path| setup_of(args, path, &cancel));
+        .map(|path| setup_of(args, path, &metadata, &cancel));
     let setup = setup.transpose()?;
+    if let Some(setup) = &setup {
+        warnings.extend(setup.from_metadata.warnings.iter().cloned());
+    }
     let watch_params = WatchParams::of(&settings, setup.as_ref());
     let first = first_frame(&mut *source, &cancel)?;
     let start = start_of(&settings, setup.as_ref(), &first, source.name());
@@ -133,8 +140,13 @@ pub fn controls_of(source: &mut dyn Source) -> Result<serde_json::Value> {
 }
 
 /// The setup of a preview.
-fn setup_of(args: &LiveArgs, path: &std::path::Path, cancel: &Cancel) -> Result<Setup> {
-    let experiment = Experiment::read(path)?;
+fn setup_of(
+    args: &LiveArgs,
+    path: &std::path::Path,
+    metadata: &Metadata,
+    cancel: &Cancel,
+) -> Result<Setup> {
+    let experiment = Experiment::read_with(path, metadata)?;
     let options = UserOptions {
         self_calibrate: Some("off"),
         keep_all_pixels: true,

@@ -79,7 +79,7 @@ impl LiveSolver {
                 ControlFlow::Continue(())
             }
         })?;
-        monitor.show_video(found.video.data());
+        monitor.show_video(found.video.data(), arrived);
         monitor.set("error", serde_json::Value::Null);
         monitor.set(
             "video",

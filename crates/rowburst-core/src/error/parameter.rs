@@ -83,6 +83,8 @@ parameters! {
     Output = "output",
     /// Whether a folder with foreign files is written to.
     Force = "force",
+    /// Whether a recording of the same name is moved away.
+    Replace = "replace",
     /// The folder in which inputs are looked for.
     Inputs = "inputs",
     /// The files that are written.
