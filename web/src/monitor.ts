@@ -117,7 +117,7 @@ export class Monitor {
 
   private show(state: MonitorState): void {
     const { exposure, video } = state;
-    const pairs: [name: string, value: string, kind?: string, id?: string][] = [];
+    const pairs: [name: string, value: string, kind?: string | undefined, id?: string][] = [];
     if (exposure) {
       const saturated = 100 * exposure.saturated_fraction;
       pairs.push(["Frame", String(exposure.number)]);
