@@ -17,6 +17,7 @@ mod held_out_check;
 mod model;
 mod model_check;
 mod prior;
+mod psf_origin;
 mod self_calibration;
 mod sequence;
 mod sigma;
@@ -88,6 +89,27 @@ pub(crate) struct SolverSettings {
 }
 
 impl Options {
+    /// Checks the values that no frame can make right.
+    ///
+    /// # Errors
+    /// A `τ` or `σ` that is not finite and above zero, or a constant of the solver that [`Tuning::check`] refuses.
+    pub fn check(&self) -> Result<()> {
+        for (name, value) in [
+            (Parameter::Tau, self.tau.given()),
+            (Parameter::NoiseSigma, self.noise_sigma),
+        ] {
+            if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                return Err(Error::input(
+                    name,
+                    value,
+                    "the value is a finite number above zero",
+                    "Leave it out: the program estimates it.",
+                ));
+            }
+        }
+        check_tuning(self.tuning)
+    }
+
     fn solver_settings(&self) -> SolverSettings {
         SolverSettings {
             max_iterations: self.max_iterations,
@@ -107,6 +129,16 @@ pub enum Tau {
     HeldOut,
     /// This value; it is finite and above zero.
     Given(f64),
+}
+
+impl Tau {
+    /// The value, if it is given.
+    fn given(self) -> Option<f64> {
+        match self {
+            Self::Given(tau) => Some(tau),
+            Self::Auto | Self::HeldOut => None,
+        }
+    }
 }
 
 /// The source of the noise level `σ`.
@@ -147,6 +179,8 @@ pub struct Problem {
     effective_sigma: f64,
     /// Whether the support of the check of the model exceeds a third of the voxels.
     is_dense: bool,
+    /// Frame or PSF do not belong together: no search mends the model, and all priors are as good.
+    is_hopeless: bool,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
     tau_factor: f64,
@@ -255,25 +289,8 @@ impl Problem {
             .with_kind(ErrorKind::Shape));
         }
         psf.check_contrast()?;
-        let tau = match options.tau {
-            Tau::Given(tau) => Some(tau),
-            Tau::Auto | Tau::HeldOut => None,
-        };
-        for (name, value) in [
-            (Parameter::Tau, tau),
-            (Parameter::NoiseSigma, options.noise_sigma),
-        ] {
-            if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
-                return Err(Error::input(
-                    name,
-                    value,
-                    "the value is a finite number above zero",
-                    "Leave it out: the program estimates it.",
-                ));
-            }
-        }
-        check_tau_has_use(tau, measurement, camera)?;
-        check_tuning(options.tuning)?;
+        options.check()?;
+        check_tau_has_use(options.tau.given(), measurement, camera)?;
         let bands = Bands::new(measurement, psf.central());
         let (sigma, sigma_source) = noise_of(measurement, &bands, &options);
         if !(sigma.is_finite() && sigma > 0.0) {
@@ -309,6 +326,7 @@ impl Problem {
             sigma,
             effective_sigma: sigma,
             is_dense: false,
+            is_hopeless: false,
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
@@ -485,7 +503,8 @@ impl Problem {
     }
 
     /// Chooses the prior and its factor on `τ`, as [`Problem::solve`] does where no prior is given, and
-    /// stops there. Returns `None` for a video of one bin, and for a frame with too few pixels to hold out.
+    /// stops there. Returns `None` for a video of one bin, for a frame with too few pixels to hold out, and for one that does
+    /// not belong to the PSF.
     ///
     /// # Errors
     /// The observer stopped it; the error is the reason.
@@ -497,6 +516,9 @@ impl Problem {
         self.resolve_tau_rule(observer).map_err(stopped)?;
         self.check_model(Prior::STANDARD, observer)
             .map_err(stopped)?;
+        if self.is_hopeless {
+            return Ok(None);
+        }
         let rule = self.tau_rule();
         let chosen = self.compare_priors(rule, observer).map_err(stopped)?;
         Ok(chosen.map(|(choice, _)| choice))
@@ -583,7 +605,7 @@ impl Problem {
         let rule = self.tau_rule();
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
-            // With a wrong model all priors are as good.
+            None if self.is_hopeless => (None, None),
             None => match self.compare_priors(rule, observer)? {
                 Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),
@@ -598,7 +620,10 @@ impl Problem {
                 (c.best().prior, c.best().tau_factor)
             });
         let shape = self.data.shape();
-        let params = prior.admm_params(shape, rule, self.options.solver_settings());
+        let mut params = prior.admm_params(shape, rule, self.options.solver_settings());
+        if self.is_hopeless {
+            params.max_iterations = params.max_iterations.min(held_out_check::CHECK_ITERATIONS);
+        }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
         self.data.reset(prior.background(), None);
         let mut prox = self.data.prox(&prior);
