@@ -11,7 +11,7 @@ import pytest
 
 import rowburst as rb
 
-MODULES = ["_batch", "_chunked", "_colour", "_design", "_figure", "_frames", "_load", "_operator", "_reconstruct", "_reconstructor", "_video", "_view"]
+MODULES = ["_batch", "_chunked", "_colour", "_colour_video", "_design", "_figure", "_frames", "_load", "_operator", "_reconstruct", "_reconstructor", "_video", "_view"]
 MODULES += ["_rowburst", "_sweep", "calibrate", "capture", "metrics"]
 
 

@@ -103,3 +103,27 @@ except rb.WorkError as error:
 """, RAYON_NUM_THREADS="4")
     assert said.splitlines()[:3] == ["4", "2", "2"]
     assert "5 are requested and 2 run already" in said and "Restart" in said
+
+
+@needs_fork
+def test_a_pool_that_is_given_a_set_up_object_raises():
+    """It is unpickled in the worker; an error there would end the worker, and the pool would wait for ever."""
+    said = run("""
+class Call:
+    def __init__(self, name, given):
+        self.name, self.given = name, given
+    def __call__(self, x):
+        return getattr(self.given, self.name)(x)
+if __name__ == "__main__":
+    reconstructor = rb.Reconstructor(camera, psf, prior="tv", max_iterations=3)
+    operator = rb.operator(camera, psf)
+    term = operator.data_term(frame)
+    video = np.ones(operator.shape[1])
+    for call, x in ((reconstructor, frame), (Call("matvec", operator), video), (Call("grad", term), video)):
+        with multiprocessing.get_context("fork").Pool(2) as pool:
+            try:
+                pool.map(call, [x, x])
+            except rb.WorkError as error:
+                print(error)
+""")
+    assert said.count("forkserver") == 3

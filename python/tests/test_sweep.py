@@ -65,8 +65,14 @@ def test_mistakes_are_found_before_the_first_run(capture, camera, psf):
     assert not seen
 
 
-def test_a_point_that_fails_does_not_end_the_others(capture, camera, psf):
-    found = rb.sweep(capture.frame, camera, psf, tau=[0.5, -1.0], prior="tv", max_iterations=5)
-    assert found[0] is not None and found[1] is None and "tau" in found.table[1]["error"]
-    with pytest.raises(rb.InputError, match="tau"):
-        rb.sweep(capture.frame, camera, psf, tau=[-2.0, -1.0], prior="tv", max_iterations=5)
+def test_a_point_that_fails_does_not_end_the_others(capture, camera, psf, monkeypatch):
+    def result_of(found, camera):
+        if found.tau > 1:
+            raise rb.WorkError(f"tau {found.tau}: no memory")
+        return rb.Result(found, camera)
+
+    monkeypatch.setattr(rb._sweep, "Result", result_of)
+    found = rb.sweep(capture.frame, camera, psf, tau=[0.5, 2.0], prior="tv", max_iterations=5)
+    assert found[0] is not None and found[1] is None and "tau 2" in found.table[1]["error"]
+    with pytest.raises(rb.WorkError, match="tau 2"):
+        rb.sweep(capture.frame, camera, psf, tau=[2.0, 3.0], prior="tv", max_iterations=5)

@@ -8,10 +8,11 @@ use crate::calibration::RecordingCalibration;
 use crate::identity::hash_image;
 use crate::inputs::BatchInputs;
 use crate::measurement::{is_of_correction, read_measurement};
+use rowburst::error::LibraryNames;
 use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
-use rowburst::{Cancel, Error, Parameter, Result};
+use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::SampleFormat;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -40,6 +41,15 @@ impl RecordingSurvey {
     /// Looks at frames spread over the recording, and at all of them if none of those is good.
     pub fn read(inputs: &BatchInputs) -> Result<Self> {
         let count = inputs.frames.count();
+        if count == 0 {
+            return Err(Error::input(
+                Parameter::Frames,
+                "no frame",
+                "a recording has at least one frame",
+                "Check how the array was made: its first axis, that of the frames, has the length 0.",
+            )
+            .with_kind(ErrorKind::Shape));
+        }
         let spread = PROBES.min(count);
         let last = (spread - 1).max(1);
         let picked: Vec<usize> = (0..spread).map(|i| i * (count - 1) / last).collect();
@@ -80,17 +90,30 @@ impl RecordingSurvey {
         if is_of_correction(&error) {
             return Err(error);
         }
-        Err(Error::work(
-            inputs.frames.path(),
-            format!(
-                "none of its {count} frames can be used; {}: {error}",
-                inputs.frames.name(frame)
-            ),
-            "Nothing was written.",
-        )
-        .of(Parameter::Frames)
-        .with_source(error))
+        Err(none_usable(inputs, frame, error))
     }
+}
+
+/// The error of a recording whose frames all fail, with that of the first one that was looked at, `frame`.
+fn none_usable(inputs: &BatchInputs, frame: usize, error: Error) -> Error {
+    let frames = &inputs.frames;
+    let (count, name) = (frames.count(), frames.name(frame));
+    let remedy = error.remedy().clone();
+    // The remedy ends the new message.
+    let text = error.to_string();
+    let text = text
+        .strip_suffix(&remedy.text(&LibraryNames))
+        .unwrap_or(&text);
+    let text = text.trim_end().trim_end_matches('.');
+    let place = format!("{name}: ");
+    let text = text.strip_prefix(&place).unwrap_or(text);
+    Error::work(
+        frames.path(),
+        format!("none of its {count} frames can be used, and nothing was written; {place}{text}"),
+        remedy,
+    )
+    .of(Parameter::Frames)
+    .with_source(error)
 }
 
 /// Refuses another recording of the same length: frames that both times could be read differ.
@@ -175,7 +198,7 @@ impl ChosenPrior {
                 tau_factor: 1.0,
                 frame: Some(frame),
                 reason:
-                    "standard prior: too few pixels to compare priors (one bin, or a small frame)"
+                    "standard prior: not compared with others (one bin, a small frame, or a frame that does not belong to this PSF)"
                         .into(),
             }),
             Ok(Some(choice)) => Some(Self {

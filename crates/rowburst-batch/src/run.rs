@@ -357,6 +357,9 @@ impl Batch {
             Err(error) if error.kind() == ErrorKind::Cancelled => None,
             Err(error) => {
                 let message = error.message(frame_options.names);
+                // The line has the name already.
+                let place = format!("{name}: ");
+                let message = message.strip_prefix(&place).unwrap_or(&message).to_string();
                 Some((FrameRow::failed(frame, name, message, seconds), None))
             }
         }

@@ -1,14 +1,16 @@
 //! A batch is what `Problem` makes of each frame alone, to the bit.
 
 use rowburst::camera::CameraParams;
-use rowburst::error::LibraryNames;
+use rowburst::error::{LibraryNames, Subject};
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::Corrections;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{Model, Options, Problem, SelfCalibration};
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
-use rowburst::{Camera, Cancel, Image, Psf, Result, RollingShutter, Sensor, Shutter, Video};
+use rowburst::{
+    Camera, Cancel, Error, Image, Parameter, Psf, Result, RollingShutter, Sensor, Shutter, Video,
+};
 use rowburst_batch::{Batch, BatchInputs, Event, RetryPolicy, Status, ThreadAllocation};
 use rowburst_io::{Capture, Frames, SampleFormat};
 use std::ops::ControlFlow;
@@ -34,6 +36,50 @@ impl Frames for ComputedRecording {
     fn read(&self, index: usize) -> Result<Capture> {
         assert!(index != 2, "a frame that breaks the program");
         Ok(capture(index))
+    }
+}
+
+/// A recording without a frame.
+struct EmptyRecording;
+
+impl Frames for EmptyRecording {
+    fn path(&self) -> &Path {
+        Path::new("empty")
+    }
+
+    fn count(&self) -> usize {
+        0
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("number {index}")
+    }
+
+    fn read(&self, _: usize) -> Result<Capture> {
+        unreachable!("there is no frame")
+    }
+}
+
+/// Frames that cannot be read.
+struct BrokenRecording;
+
+impl Frames for BrokenRecording {
+    fn path(&self) -> &Path {
+        Path::new("broken")
+    }
+
+    fn count(&self) -> usize {
+        2
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("frame {index}")
+    }
+
+    fn read(&self, index: usize) -> Result<Capture> {
+        let subject = Subject::item(Parameter::Frames, self.name(index));
+        let rule = "a frame is [y, x]";
+        Err(Error::input(subject, "a row", rule, "Give a frame."))
     }
 }
 
@@ -79,6 +125,41 @@ fn inputs(camera: &Camera, prior: &str) -> BatchInputs {
         frame_period_us: None,
         version: "test".into(),
     }
+}
+
+#[test]
+fn a_recording_without_a_frame_is_refused() {
+    let camera = camera(Shutter::DualInsideOut, Sensor::default());
+    let folder = tempfile::tempdir().unwrap();
+    let inputs = BatchInputs {
+        frames: Box::new(EmptyRecording),
+        ..inputs(&camera, "tv")
+    };
+    let error = Batch::open(inputs, &folder.path().join("o.zarr"))
+        .err()
+        .unwrap();
+    assert!(error.is_input(), "{error}");
+    assert_eq!(error.parameter(), Some(Parameter::Frames));
+    let message = error.to_string();
+    assert!(message.contains("at least one frame"), "{message}");
+}
+
+#[test]
+fn the_first_frame_that_fails_is_named_once() {
+    let camera = camera(Shutter::DualInsideOut, Sensor::default());
+    let folder = tempfile::tempdir().unwrap();
+    let inputs = BatchInputs {
+        frames: Box::new(BrokenRecording),
+        ..inputs(&camera, "tv")
+    };
+    let error = Batch::open(inputs, &folder.path().join("o.zarr"))
+        .err()
+        .unwrap();
+    assert_eq!(
+        error.to_string(),
+        "broken: none of its 2 frames can be used, and nothing was written; \
+         frame 0: found a row; a frame is [y, x]. Give a frame."
+    );
 }
 
 #[test]

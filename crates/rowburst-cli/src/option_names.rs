@@ -59,6 +59,9 @@ impl Names for CommandLine {
                 "Give --frame-period-us, or frame_period_us under [recording] in the experiment."
                     .to_string(),
             ),
+            (Parameter::Write, ErrorKind::Unknown) => Some(
+                "Name one or more of them, with commas between them and no spaces.".to_string(),
+            ),
             _ => None,
         }
     }
@@ -105,6 +108,7 @@ fn option(parameter: Parameter) -> Option<&'static str> {
         Parameter::TimeBudgetS => "--time-budget-s",
         Parameter::Bins => "--bins",
         Parameter::PartBins => "--part-bins",
+        Parameter::Seed => "--seed",
         Parameter::Threads => "--threads",
         Parameter::HeightPx => "--digit-px",
         Parameter::Background => "--background",
@@ -179,5 +183,8 @@ mod tests {
         let error = Error::input(Parameter::Psf, "no PSF", "a PSF is needed", "Give the PSF.")
             .with_kind(ErrorKind::Missing);
         assert!(message(&error).contains("--psf FILE"), "{error:?}");
+        let error = Error::input(Parameter::Write, "\"avi\"", "npy, tif", "Name some.")
+            .with_kind(ErrorKind::Unknown);
+        assert!(message(&error).contains("commas"), "{error:?}");
     }
 }

@@ -7,7 +7,7 @@ use crate::output::print_line;
 use crate::progress::{Bar, Interrupt, Kept, begin_run};
 use crate::sweep;
 use rowburst::error::Subject;
-use rowburst::reconstruct::Verdict;
+use rowburst::reconstruct::{Options, Verdict};
 use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::Experiment;
 use rowburst_run::options::{UserOptions, parse_prior, parse_tau};
@@ -176,22 +176,11 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
         point_args.sweep.clear();
         point_args.output = sweep_path(&args.output, &sweep_label(point), "");
         for (key, value) in point {
-            match *key {
-                "prior" => {
-                    parse_prior(value)?;
-                    point_args.prior = Some(value.clone());
-                }
-                "tau" => {
-                    parse_tau(value)?;
-                    point_args.tau = Some(value.clone());
-                }
-                "noise-sigma" => point_args.noise_sigma = Some(sweep::parse_number(key, value)?),
-                _ => point_args.max_iterations = Some(sweep::parse_count(key, value)?),
-            }
+            set_option(&mut point_args, key, value)?;
         }
         Ok((sweep_label(point), point_args))
     });
-    // All values are parsed before the first run.
+    // All values are checked before the first run.
     let runs: Vec<(String, ReconstructArgs)> = runs.collect::<Result<_>>()?;
     let mut rows: Vec<SweepRow> = Vec::new();
     let mut first_error = None;
@@ -237,6 +226,27 @@ fn run_sweep(args: &ReconstructArgs, interrupt: &Interrupt) -> Result<()> {
         }
     }
     refuse_failed(args, &rows, first_error)
+}
+
+/// Gives `args` the value of a swept option.
+fn set_option(args: &mut ReconstructArgs, key: &str, value: &str) -> Result<()> {
+    let mut options = Options::default();
+    match key {
+        "prior" => {
+            parse_prior(value)?;
+            args.prior = Some(value.into());
+        }
+        "tau" => {
+            options.tau = parse_tau(value)?;
+            args.tau = Some(value.into());
+        }
+        "noise-sigma" => {
+            options.noise_sigma = Some(sweep::parse_number(key, value)?);
+            args.noise_sigma = options.noise_sigma;
+        }
+        _ => args.max_iterations = Some(sweep::parse_count(key, value)?),
+    }
+    options.check()
 }
 
 /// Points that failed are an exit status, whatever the others are.

@@ -59,6 +59,27 @@ fn bad_values_and_options_are_refused_before_the_first_run() {
     assert!(!lab.path("out2").exists());
 }
 
+/// Values that no frame can make right are named before the first run.
+#[test]
+fn illegal_values_are_found_before_the_first_run() {
+    let lab = Lab::new();
+    for (sweep, words) in [
+        ("tau=0.5,-1", "--tau"),
+        ("noise-sigma=1,0", "--noise-sigma"),
+    ] {
+        let swept = lab.run(&format!(
+            "reconstruct experiment.toml --frame frame.npy --prior tv --sweep {sweep} --max-iterations 5 -o out"
+        ));
+        let said = String::from_utf8(swept.stderr).unwrap();
+        assert_eq!(swept.status.code(), Some(2), "{said}");
+        assert!(
+            said.contains(words) && said.contains("above zero"),
+            "{said}"
+        );
+        assert!(!lab.path("out").exists());
+    }
+}
+
 /// A point that fails does not stop the others, and the sweep is not done then.
 #[test]
 fn a_point_that_fails_is_an_exit_status() {

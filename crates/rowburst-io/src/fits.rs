@@ -6,7 +6,7 @@
 //! Standard 4.0. Compressed images are not read.
 
 use crate::arrays::{ArrayInfo, choose};
-use crate::pages::{Pages, SampleFormat};
+use crate::pages::{IntegerFrame, Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::Result;
 use std::io::{Read, Seek, SeekFrom};
@@ -92,15 +92,9 @@ impl<R: Read + Seek> Stack<R> {
     pub fn size(&self) -> (usize, usize) {
         (self.rows, self.columns)
     }
-}
 
-impl<R: Read + Seek + Send> crate::pages::Stack for Stack<R> {
-    fn count(&self) -> usize {
-        self.count
-    }
-
-    fn page(&mut self, source: &Source, at: usize) -> Result<Pages> {
-        let mut data = source.reserve_pixels(1, self.rows, self.columns)?;
+    /// The bytes of frame `at`.
+    fn bytes(&mut self, source: &Source, at: usize) -> Result<Vec<u8>> {
         let size = self.unit.bitpix.unsigned_abs() as usize / 8;
         let bytes = self.rows * self.columns * size;
         let start = (at as u64).checked_mul(bytes as u64);
@@ -121,20 +115,48 @@ impl<R: Read + Seek + Send> crate::pages::Stack for Stack<R> {
             .seek(SeekFrom::Start(start))
             .and_then(|_| self.file.read_exact(&mut buffer))
             .map_err(|e| source.unreadable(e))?;
-        decode(&self.unit, &buffer, &mut data);
-        if self.unit.cards.text("ROWORDER") == Some("BOTTOM-UP") {
-            data = data
-                .chunks_exact(self.columns)
-                .rev()
-                .flatten()
-                .copied()
-                .collect();
+        Ok(buffer)
+    }
+
+    /// The pixels of a frame, with its top row first.
+    fn top_first<T: Copy>(&self, data: Vec<T>) -> Vec<T> {
+        if self.unit.cards.text("ROWORDER") != Some("BOTTOM-UP") {
+            return data;
         }
+        let rows = data.chunks_exact(self.columns).rev();
+        rows.flatten().copied().collect()
+    }
+}
+
+impl<R: Read + Seek + Send> crate::pages::Stack for Stack<R> {
+    fn count(&self) -> usize {
+        self.count
+    }
+
+    fn page(&mut self, source: &Source, at: usize) -> Result<Pages> {
+        let mut data = source.reserve_pixels(1, self.rows, self.columns)?;
+        let buffer = self.bytes(source, at)?;
+        decode(&self.unit, &buffer, &mut data);
         Ok(Pages {
             count: 1,
             rows: self.rows,
             columns: self.columns,
-            data,
+            data: self.top_first(data),
+            format: self.format,
+        })
+    }
+
+    fn integers(&mut self, source: &Source, at: usize) -> Result<IntegerFrame> {
+        if !self.format.exceeds_f32() {
+            let page = self.page(source, at)?;
+            return Ok(IntegerFrame::of_pages(&page));
+        }
+        drop(source.reserve_pixels(1, self.rows, self.columns)?);
+        let buffer = self.bytes(source, at)?;
+        Ok(IntegerFrame {
+            rows: self.rows,
+            columns: self.columns,
+            data: self.top_first(decode_integers(&self.unit, &buffer)),
             format: self.format,
         })
     }
@@ -190,6 +212,25 @@ fn decode(unit: &Unit, bytes: &[u8], data: &mut Vec<f32>) {
         64 => integers!(i64),
         -32 => floats!(f32),
         _ => floats!(f64),
+    }
+}
+
+/// The numbers of a unit of 32 or 64 bits that BZERO alone shifts, if anything; 0 where they are BLANK.
+fn decode_integers(unit: &Unit, bytes: &[u8]) -> Vec<i64> {
+    let is_shifted = unit.cards.number("BZERO").unwrap_or(0.0) != 0.0;
+    let blank = unit.cards.whole("BLANK");
+    let known = |number: i64| (Some(number) != blank).then_some(number);
+    if unit.bitpix == 32 {
+        let shift = if is_shifted { 1 << 31 } else { 0 };
+        let numbers = bytes.as_chunks::<4>().0.iter();
+        let numbers = numbers.map(|&b| known(i64::from(i32::from_be_bytes(b))));
+        numbers.map(|n| n.map_or(0, |n| n + shift)).collect()
+    } else {
+        // 2⁶³ more is another highest bit, in numbers without a sign.
+        let shift = if is_shifted { i64::MIN } else { 0 };
+        let numbers = bytes.as_chunks::<8>().0.iter();
+        let numbers = numbers.map(|&b| known(i64::from_be_bytes(b)));
+        numbers.map(|n| n.map_or(0, |n| n ^ shift)).collect()
     }
 }
 
@@ -363,6 +404,40 @@ mod tests {
             read_stack(&path).unwrap()[0].data(),
             [300., 400., 500., 0., 100., 200.]
         );
+    }
+
+    #[test]
+    fn integers_keep_their_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.fits");
+        let cube = |bits: &'static str, zero: &'static str| {
+            let mut cards = CUBE.to_vec();
+            (cards[1], cards[6]) = (bits, zero);
+            cards
+        };
+        let read = || {
+            let recording = crate::open_recording(&path).unwrap();
+            recording.read_integers(0).unwrap().data
+        };
+        let values = [16_777_217, i64::from(u32::MAX), 0, 1, 2, 3];
+        let data: Vec<u8> = values
+            .iter()
+            .cycle()
+            .take(12)
+            .flat_map(|v| ((v - (1_i64 << 31)) as i32).to_be_bytes())
+            .collect();
+        let cards = cube("BITPIX  = 32", "BZERO   = 2147483648");
+        std::fs::write(&path, unit(&cards, &data)).unwrap();
+        assert_eq!(read(), values);
+        let values = [9_007_199_254_740_993, -1, 0, 1, 2, 3];
+        let data: Vec<u8> = values
+            .iter()
+            .cycle()
+            .take(12)
+            .flat_map(|v: &i64| v.to_be_bytes())
+            .collect();
+        std::fs::write(&path, unit(&cube("BITPIX  = 64", "BZERO   = 0"), &data)).unwrap();
+        assert_eq!(read(), values);
     }
 
     #[test]

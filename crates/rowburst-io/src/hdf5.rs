@@ -4,7 +4,7 @@
 //! `[frame, column, row]`: frames lie one after the other, each transposed.
 
 use crate::arrays::{ArrayInfo, choose};
-use crate::pages::{Axes, Pages, SampleFormat};
+use crate::pages::{Axes, IntegerFrame, Pages, SampleFormat};
 use crate::source::{ArrayPath, Source};
 use hdf5_pure::{DType, Dataset, File, Group};
 use rowburst::Result;
@@ -62,13 +62,39 @@ impl Stack {
         })
     }
 
-    /// The numbers of frame `at`.
-    fn numbers(&self, at: usize) -> std::result::Result<Vec<f32>, hdf5_pure::Error> {
-        let (first, rows) = if self.is_single {
+    /// The first row of frame `at` in the dataset, and how many it takes.
+    fn row_range(&self, at: usize) -> std::result::Result<(u64, u64), hdf5_pure::Error> {
+        Ok(if self.is_single {
             (0, self.dataset.shape()?[0])
         } else {
             (at as u64, 1)
-        };
+        })
+    }
+
+    /// The integers of frame `at` where they have 32 or 64 bits; `None`: numbers of another kind.
+    fn wide_integers(&self, at: usize) -> std::result::Result<Option<Vec<i64>>, hdf5_pure::Error> {
+        let (first, rows) = self.row_range(at)?;
+        macro_rules! read {
+            ($read:ident) => {
+                self.dataset
+                    .$read(first, rows)?
+                    .into_iter()
+                    .map(|v| v as i64)
+                    .collect()
+            };
+        }
+        Ok(Some(match self.kind {
+            DType::U32 => read!(read_u32_rows),
+            DType::I32 => read!(read_i32_rows),
+            DType::U64 => read!(read_u64_rows),
+            DType::I64 => self.dataset.read_i64_rows(first, rows)?,
+            _ => return Ok(None),
+        }))
+    }
+
+    /// The numbers of frame `at`.
+    fn numbers(&self, at: usize) -> std::result::Result<Vec<f32>, hdf5_pure::Error> {
+        let (first, rows) = self.row_range(at)?;
         macro_rules! read {
             ($read:ident) => {
                 self.dataset
@@ -116,10 +142,31 @@ impl crate::pages::Stack for Stack {
             format: self.format,
         })
     }
+
+    fn integers(&mut self, source: &Source, at: usize) -> Result<IntegerFrame> {
+        let wide = self.wide_integers(at).map_err(|e| source.unreadable(e))?;
+        let Some(mut data) = wide else {
+            let page = self.page(source, at)?;
+            return Ok(IntegerFrame::of_pages(&page));
+        };
+        let (rows, columns) = (self.rows, self.columns);
+        if data.len() != rows * columns {
+            return Err(source.unreadable("a frame is not whole"));
+        }
+        if self.axes == Axes::Matlab {
+            data = transposed(&data, rows, columns);
+        }
+        Ok(IntegerFrame {
+            rows,
+            columns,
+            data,
+            format: self.format,
+        })
+    }
 }
 
 /// `[y, x]` from numbers whose first index, `y`, is the fastest.
-pub(crate) fn transposed(data: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+pub(crate) fn transposed<T: Copy>(data: &[T], rows: usize, columns: usize) -> Vec<T> {
     let pixels = (0..rows).flat_map(|y| (0..columns).map(move |x| data[x * rows + y]));
     pixels.collect()
 }
@@ -249,6 +296,18 @@ mod tests {
         }
         let message = named("/run/frames").unwrap_err().to_string();
         assert!(message.contains("no array \"/run/frames\""), "{message}");
+    }
+
+    #[test]
+    fn integers_keep_their_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = saved(folder.path(), "a.h5", |file| {
+            file.create_dataset("frames")
+                .with_u32_data(&[1, 2, 3, 4, 16_777_217, u32::MAX, 5, 6])
+                .with_shape(&[2, 2, 2]);
+        });
+        let frame = open_recording(&path).unwrap().read_integers(1).unwrap();
+        assert_eq!(frame.data, [16_777_217, 4_294_967_295, 5, 6]);
     }
 
     #[test]

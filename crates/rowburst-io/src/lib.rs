@@ -66,7 +66,7 @@ pub use npy::{
     write_npy_colour, write_npy_f64, write_npy_i64, write_npy_image, write_npy_u8, write_npy_video,
 };
 pub use npy_chunked::ChunkedVideoFile;
-pub use pages::{Capture, SampleFormat};
+pub use pages::{Capture, IntegerFrame, SampleFormat};
 pub use patches::{is_patch_set, patch_set_stack, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
 pub use read::{read_colour_image, read_frames, read_image, read_stack, read_video};

@@ -8,7 +8,7 @@
 //! Read here because the crate at hand does not read scipy's files.
 
 use crate::arrays::{ArrayInfo, choose};
-use crate::pages::{Pages, SampleFormat};
+use crate::pages::{IntegerFrame, Pages, SampleFormat};
 use crate::source::Source;
 use flate2::bufread::ZlibDecoder;
 use rowburst::Result;
@@ -52,6 +52,8 @@ pub(crate) struct Variable {
     format: SampleFormat,
     /// In the file's order.
     data: Vec<f32>,
+    /// The same as whole numbers, where f32 rounds them; else empty.
+    integers: Vec<i64>,
 }
 
 impl Variable {
@@ -109,7 +111,7 @@ impl Variable {
         let mut data = source.reserve_pixels(count, rows, columns)?;
         let total = rows * columns * count;
         let tag = Tag::read(file, order).map_err(fault)?;
-        let Some((size, decode)) = decoder(tag.kind, order) else {
+        let Some((size, decode, decode_integers)) = decoder(tag.kind, order) else {
             return Err(source.unsupported(format!(
                 "{} of MATLAB's type {}",
                 matrix.kind(),
@@ -119,15 +121,22 @@ impl Variable {
         if u64::from(tag.bytes) != (total * size) as u64 {
             return Err(source.unreadable("a variable has not as many numbers as its size says"));
         }
+        let mut integers = Vec::new();
+        let mut push = |bytes: &[u8], data: &mut Vec<f32>| {
+            decode(bytes, data);
+            if format.exceeds_f32() {
+                decode_integers(bytes, &mut integers);
+            }
+        };
         let mut buffer = vec![0; 8192 * size];
         // A short run of numbers lies in the tag itself.
         if let Some(inline) = tag.inline {
-            decode(&inline[..total * size], &mut data);
+            push(&inline[..total * size], &mut data);
         }
         while data.len() < total {
             let bytes = &mut buffer[..(total - data.len()).min(8192) * size];
             file.read_exact(bytes).map_err(fault)?;
-            decode(bytes, &mut data);
+            push(bytes, &mut data);
         }
         Ok(Self {
             rows,
@@ -135,8 +144,16 @@ impl Variable {
             count,
             format,
             data,
+            integers,
         })
     }
+}
+
+/// The frame `at` of numbers in the file's order, `(rows, columns, frames)` with the first the fastest.
+fn frame_of<T: Copy>(data: &[T], rows: usize, columns: usize, at: usize) -> Vec<T> {
+    let frame = &data[at * rows * columns..(at + 1) * rows * columns];
+    let pixels = (0..rows).flat_map(|y| (0..columns).map(move |x| frame[x * rows + y]));
+    pixels.collect()
 }
 
 impl crate::pages::Stack for Variable {
@@ -146,13 +163,25 @@ impl crate::pages::Stack for Variable {
 
     fn page(&mut self, _: &Source, at: usize) -> Result<Pages> {
         let (rows, columns) = (self.rows, self.columns);
-        let frame = &self.data[at * rows * columns..(at + 1) * rows * columns];
-        let pixels = (0..rows).flat_map(|y| (0..columns).map(move |x| frame[x * rows + y]));
         Ok(Pages {
             count: 1,
             rows,
             columns,
-            data: pixels.collect(),
+            data: frame_of(&self.data, rows, columns, at),
+            format: self.format,
+        })
+    }
+
+    fn integers(&mut self, source: &Source, at: usize) -> Result<IntegerFrame> {
+        if self.integers.is_empty() {
+            let page = self.page(source, at)?;
+            return Ok(IntegerFrame::of_pages(&page));
+        }
+        let (rows, columns) = (self.rows, self.columns);
+        Ok(IntegerFrame {
+            rows,
+            columns,
+            data: frame_of(&self.integers, rows, columns, at),
             format: self.format,
         })
     }
@@ -320,28 +349,36 @@ impl Matrix {
     }
 }
 
-type Decode = fn(&[u8], &mut Vec<f32>);
+type Decode<T> = fn(&[u8], &mut Vec<T>);
 
-/// Bytes of a number of a type, and how to read a run of them.
-fn decoder(kind: u32, order: Order) -> Option<(usize, Decode)> {
-    macro_rules! decode {
-        ($t:ty) => {{
-            let little: Decode = |bytes, data| {
+/// Bytes of a number of a type, and how to read a run of them, in floating-point and in whole numbers.
+type Decoder = (usize, Decode<f32>, Decode<i64>);
+
+fn decoder(kind: u32, order: Order) -> Option<Decoder> {
+    macro_rules! run {
+        ($t:ty, $from:ident, $to:ty) => {{
+            let run: Decode<$to> = |bytes, data| {
                 let numbers = bytes.as_chunks::<{ size_of::<$t>() }>().0;
-                data.extend(numbers.iter().map(|&n| <$t>::from_le_bytes(n) as f32));
+                data.extend(numbers.iter().map(|&n| <$t>::$from(n) as $to));
             };
-            let big: Decode = |bytes, data| {
-                let numbers = bytes.as_chunks::<{ size_of::<$t>() }>().0;
-                data.extend(numbers.iter().map(|&n| <$t>::from_be_bytes(n) as f32));
-            };
-            Some((
-                size_of::<$t>(),
-                match order {
-                    Order::Little => little,
-                    Order::Big => big,
-                },
-            ))
+            run
         }};
+    }
+    macro_rules! decode {
+        ($t:ty) => {
+            Some(match order {
+                Order::Little => (
+                    size_of::<$t>(),
+                    run!($t, from_le_bytes, f32),
+                    run!($t, from_le_bytes, i64),
+                ),
+                Order::Big => (
+                    size_of::<$t>(),
+                    run!($t, from_be_bytes, f32),
+                    run!($t, from_be_bytes, i64),
+                ),
+            })
+        };
     }
     match kind {
         1 => decode!(i8),
@@ -449,6 +486,20 @@ mod tests {
             let read = read_stack(&folder.path().join("a.mat:video")).unwrap();
             assert_eq!((read.len(), read[0].rows(), read[1].at(0, 1)), (2, 2, 4.0));
         }
+    }
+
+    #[test]
+    fn integers_keep_their_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mat");
+        let values = [16_777_217, u32::MAX, 5, 6];
+        let data: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        std::fs::write(&path, file(&[variable("n", 13, 6, &[2, 2], &data)])).unwrap();
+        let frame = crate::open_recording(&path)
+            .unwrap()
+            .read_integers(0)
+            .unwrap();
+        assert_eq!(frame.data, [16_777_217, 5, 4_294_967_295, 6]);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! damaged header claims. Format: `numpy.lib.format`, versions 1 to 3.
 
 use crate::fault;
-use crate::pages::{Pages, SampleFormat};
+use crate::pages::{IntegerFrame, Pages, SampleFormat};
 use crate::source::Source;
 use rowburst::{Image, Result, Shape, Video};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -17,8 +17,29 @@ pub(crate) struct Array {
 }
 
 /// Reads an image `[y, x]` or a stack `[t, y, x]`.
-pub(crate) fn read(source: &Source, file: impl Read) -> Result<Pages> {
-    let array = read_array(source, file)?;
+pub(crate) fn read(source: &Source, mut file: impl Read) -> Result<Pages> {
+    let header = Header::read(source, &mut file)?;
+    pages_of(source, read_numbers(source, file, header)?)
+}
+
+/// Like [`read`], but of a stack of several pages the header alone is read, and the pages have no data.
+pub(crate) fn read_first(source: &Source, mut file: impl Read) -> Result<Pages> {
+    let header = Header::read(source, &mut file)?;
+    if let [count, rows, columns] = header.shape[..]
+        && count > 1
+    {
+        return Ok(Pages {
+            count,
+            rows,
+            columns,
+            data: Vec::new(),
+            format: header.format,
+        });
+    }
+    pages_of(source, read_numbers(source, file, header)?)
+}
+
+fn pages_of(source: &Source, array: Array) -> Result<Pages> {
     let (count, rows, columns) = match array.shape[..] {
         [rows, columns] => (1, rows, columns),
         [count, rows, columns] => (count, rows, columns),
@@ -42,6 +63,11 @@ pub(crate) fn read(source: &Source, file: impl Read) -> Result<Pages> {
 /// Reads an array of any shape.
 pub(crate) fn read_array(source: &Source, mut file: impl Read) -> Result<Array> {
     let header = Header::read(source, &mut file)?;
+    read_numbers(source, file, header)
+}
+
+/// Reads the numbers behind a header.
+fn read_numbers(source: &Source, mut file: impl Read, header: Header) -> Result<Array> {
     let total = header
         .shape
         .iter()
@@ -101,7 +127,7 @@ impl Stack {
                 ));
             }
         };
-        if header.fortran_order {
+        if header.fortran_order && count > 1 {
             return Err(source.error(
                 "an array whose first index is the fastest (Fortran order)",
                 "a recording is read frame by frame: its frames lie one after the other",
@@ -136,6 +162,44 @@ impl Stack {
         at: usize,
     ) -> Result<Pages> {
         let mut data = source.reserve_pixels(1, self.rows, self.columns)?;
+        let buffer = self.bytes(source, file, at)?;
+        (self.header.decode)(&buffer, &mut data);
+        if self.header.fortran_order {
+            data = c_order(&self.header.shape, &data);
+        }
+        Ok(Pages {
+            count: 1,
+            rows: self.rows,
+            columns: self.columns,
+            data,
+            format: self.header.format,
+        })
+    }
+
+    /// Reads one frame of integers, exactly.
+    fn integers(
+        &self,
+        source: &Source,
+        file: &mut (impl Read + Seek),
+        at: usize,
+    ) -> Result<IntegerFrame> {
+        drop(source.reserve_pixels(1, self.rows, self.columns)?);
+        let buffer = self.bytes(source, file, at)?;
+        let mut data = Vec::with_capacity(self.rows * self.columns);
+        (self.header.decode_integers)(&buffer, &mut data);
+        if self.header.fortran_order {
+            data = c_order(&self.header.shape, &data);
+        }
+        Ok(IntegerFrame {
+            rows: self.rows,
+            columns: self.columns,
+            data,
+            format: self.header.format,
+        })
+    }
+
+    /// The bytes of one frame.
+    fn bytes(&self, source: &Source, file: &mut (impl Read + Seek), at: usize) -> Result<Vec<u8>> {
         let bytes = self.rows * self.columns * self.header.size;
         let start = (at as u64)
             .checked_mul(bytes as u64)
@@ -155,14 +219,7 @@ impl Stack {
         file.seek(SeekFrom::Start(start))
             .and_then(|_| file.read_exact(&mut buffer))
             .map_err(|e| source.unreadable(e))?;
-        (self.header.decode)(&buffer, &mut data);
-        Ok(Pages {
-            count: 1,
-            rows: self.rows,
-            columns: self.columns,
-            data,
-            format: self.header.format,
-        })
+        Ok(buffer)
     }
 }
 
@@ -188,10 +245,14 @@ impl<R: Read + Seek + Send> crate::pages::Stack for OpenStack<R> {
     fn page(&mut self, source: &Source, at: usize) -> Result<Pages> {
         self.stack.frame(source, &mut self.file, at)
     }
+
+    fn integers(&mut self, source: &Source, at: usize) -> Result<IntegerFrame> {
+        self.stack.integers(source, &mut self.file, at)
+    }
 }
 
 /// The same array, from the first index fastest to the last index fastest.
-fn c_order(shape: &[usize], data: &[f32]) -> Vec<f32> {
+fn c_order<T: Copy>(shape: &[usize], data: &[T]) -> Vec<T> {
     let mut index = vec![0; shape.len()];
     let mut next = || {
         let at = (0..shape.len())
@@ -217,12 +278,14 @@ struct Header {
     /// Bytes of one number.
     size: usize,
     /// Appends the numbers of a run of bytes.
-    decode: Decode,
+    decode: Decode<f32>,
+    /// The same in whole numbers.
+    decode_integers: Decode<i64>,
     /// Bytes before the first number.
     bytes: u64,
 }
 
-type Decode = fn(&[u8], &mut Vec<f32>);
+type Decode<T> = fn(&[u8], &mut Vec<T>);
 
 impl Header {
     fn read(source: &Source, file: &mut impl Read) -> Result<Self> {
@@ -260,7 +323,7 @@ impl Header {
             .ok_or_else(bad)?;
         let lengths = shape.0.split(',').map(str::trim).filter(|d| !d.is_empty());
         let shape: Option<Vec<usize>> = lengths.map(|d| d.parse().ok()).collect();
-        let (size, format, decode) =
+        let (size, format, decode, decode_integers) =
             decoder(dtype).ok_or_else(|| source.unsupported(format!("NumPy {dtype}")))?;
         Ok(Self {
             shape: shape.ok_or_else(bad)?,
@@ -268,6 +331,7 @@ impl Header {
             format,
             size,
             decode,
+            decode_integers,
             bytes: bytes + length,
         })
     }
@@ -284,21 +348,37 @@ fn after<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     )
 }
 
-/// Bytes of one number, its kind, and how to read a run of them.
-fn decoder(dtype: &str) -> Option<(usize, SampleFormat, Decode)> {
-    macro_rules! decode {
-        ($t:ty, $format:expr) => {{
-            let little: Decode = |bytes, data| {
+/// Bytes of one number, its kind, and how to read a run of them, in floating-point and in whole numbers.
+type Decoder = (usize, SampleFormat, Decode<f32>, Decode<i64>);
+
+fn decoder(dtype: &str) -> Option<Decoder> {
+    macro_rules! run {
+        ($t:ty, $from:ident, $to:ty) => {{
+            let run: Decode<$to> = |bytes, data| {
                 let numbers = bytes.as_chunks::<{ size_of::<$t>() }>().0;
-                data.extend(numbers.iter().map(|&n| <$t>::from_le_bytes(n) as f32));
+                data.extend(numbers.iter().map(|&n| <$t>::$from(n) as $to));
             };
-            let big: Decode = |bytes, data| {
-                let numbers = bytes.as_chunks::<{ size_of::<$t>() }>().0;
-                data.extend(numbers.iter().map(|&n| <$t>::from_be_bytes(n) as f32));
-            };
-            let decode = if dtype.starts_with('>') { big } else { little };
-            Some((size_of::<$t>(), $format, decode))
+            run
         }};
+    }
+    macro_rules! decode {
+        ($t:ty, $format:expr) => {
+            Some(if dtype.starts_with('>') {
+                (
+                    size_of::<$t>(),
+                    $format,
+                    run!($t, from_be_bytes, f32),
+                    run!($t, from_be_bytes, i64),
+                )
+            } else {
+                (
+                    size_of::<$t>(),
+                    $format,
+                    run!($t, from_le_bytes, f32),
+                    run!($t, from_le_bytes, i64),
+                )
+            })
+        };
     }
     let counts = |bits| SampleFormat::Counts { bits };
     match dtype.strip_prefix(['<', '>', '|', '='])? {
@@ -475,6 +555,25 @@ mod tests {
             &[0, 1],
         );
         assert_eq!(read_image(&mask).unwrap().image.data(), [0., 1.]);
+    }
+
+    #[test]
+    fn integers_keep_their_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let values = [16_777_217, u32::MAX, 5, 6];
+        let data: Vec<u8> = values.iter().flat_map(|v| v.to_be_bytes()).collect();
+        let read = |order: &str, shape: &str| {
+            let text = dictionary(">u4", order, shape);
+            let path = file(folder.path(), 1, &text, &data);
+            let recording = crate::open_recording(&path).unwrap();
+            recording.read_integers(0).unwrap().data
+        };
+        assert_eq!(
+            read("False", "(1, 2, 2)"),
+            [16_777_217, 4_294_967_295, 5, 6]
+        );
+        // A single image may have its first index the fastest.
+        assert_eq!(read("True", "(2, 2)"), [16_777_217, 5, 4_294_967_295, 6]);
     }
 
     #[test]

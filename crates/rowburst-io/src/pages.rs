@@ -28,6 +28,11 @@ pub enum SampleFormat {
 }
 
 impl SampleFormat {
+    /// Whether it has integers that f32 rounds.
+    pub fn exceeds_f32(self) -> bool {
+        matches!(self, Self::Counts { bits } if bits > f32::MANTISSA_DIGITS)
+    }
+
     /// The largest count that the container holds, where a sensor may reach it: of integers
     /// of up to 16 bits.
     pub fn saturation_limit(self) -> Option<f64> {
@@ -38,7 +43,43 @@ impl SampleFormat {
     }
 }
 
-/// The one image that `pages` must be.
+/// A frame of whole numbers, exactly as its file has them: a [`Capture`] rounds those beyond 2²⁴.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IntegerFrame {
+    /// Rows of the frame.
+    pub rows: usize,
+    /// Columns of the frame.
+    pub columns: usize,
+    /// The pixels, in C order. Numbers of 64 bits without a sign have their bits in an `i64`.
+    pub data: Vec<i64>,
+    /// What kind of numbers the file holds.
+    pub format: SampleFormat,
+}
+
+impl IntegerFrame {
+    /// A frame of numbers that f32 holds exactly; floating-point numbers are cut to whole ones.
+    pub(crate) fn of_pages(pages: &Pages) -> Self {
+        Self {
+            rows: pages.rows,
+            columns: pages.columns,
+            data: pages.data.iter().map(|&v| v as i64).collect(),
+            format: pages.format,
+        }
+    }
+}
+
+impl From<Capture> for IntegerFrame {
+    fn from(capture: Capture) -> Self {
+        Self {
+            rows: capture.image.rows(),
+            columns: capture.image.columns(),
+            data: capture.image.data().iter().map(|&v| v as i64).collect(),
+            format: capture.format,
+        }
+    }
+}
+
+/// The one image that `pages` must be; of several, those after the first need no data.
 pub(crate) fn single(path: &Path, pages: Pages) -> Result<Capture> {
     if pages.count != 1 {
         return Err(Error::input(
@@ -94,6 +135,19 @@ pub(crate) trait Stack: Send {
 
     /// Reads one frame; sizes and kinds of numbers may differ from frame to frame.
     fn page(&mut self, source: &Source, at: usize) -> Result<Pages>;
+
+    /// Reads one frame of integers, exactly. Formats with integers of more than 24 bits have a method of their own.
+    fn integers(&mut self, source: &Source, at: usize) -> Result<IntegerFrame> {
+        let page = self.page(source, at)?;
+        Ok(IntegerFrame::of_pages(&page))
+    }
+}
+
+/// The first frame of a file, with the number of its frames as the count.
+pub(crate) fn first_page(source: &Source, stack: &mut dyn Stack) -> Result<Pages> {
+    let count = stack.count();
+    let first = stack.page(source, 0)?;
+    Ok(Pages { count, ..first })
 }
 
 /// All frames of a file, which must have one size and one kind of numbers.

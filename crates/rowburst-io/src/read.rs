@@ -1,6 +1,6 @@
 //! Reading images, stacks and videos: the format is that of the file's name.
 
-use crate::pages::{Capture, Pages, SampleFormat, all_pages, single};
+use crate::pages::{Capture, Pages, SampleFormat, all_pages, first_page, single};
 use crate::source::{Colour, Format, open};
 use crate::stack::open_stack;
 use crate::{bmp, npy, png, tiff};
@@ -66,7 +66,16 @@ pub fn read_frames(path: &Path) -> Result<(Video, SampleFormat)> {
 }
 
 fn capture(path: &Path, colour: Colour) -> Result<Capture> {
-    single(path, read_pages(path, colour)?)
+    let (source, file, format) = open(path, colour)?;
+    // A stack is refused by its header, before its pages are read.
+    let first = match format {
+        Format::Npy => npy::read_first(&source, file)?,
+        Format::Tiff => tiff::read_first(&source, file)?,
+        Format::Png => png::read(&source, file)?,
+        Format::Bmp => bmp::read(&source, file)?,
+        format => first_page(&source, &mut *open_stack(&source, file, format)?)?,
+    };
+    single(path, first)
 }
 
 fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {
@@ -117,6 +126,34 @@ mod tests {
         }
         let message = read_image(folder.path()).unwrap_err().to_string();
         assert!(message.contains("a folder"), "{message}");
+    }
+
+    #[test]
+    fn a_stack_is_refused_before_its_pages_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        // The numbers of the first page alone follow the header.
+        let mut npy = npy::header_of("<u2", &[4000, 2, 3]);
+        npy.extend([0; 12]);
+        let video = Video::new(Shape::new(2, 5, 7), vec![1.0; 70]).unwrap();
+        let mut tiff = std::io::Cursor::new(Vec::new());
+        let scale = tiff::TiffScale {
+            frame_interval_s: 1.0,
+            first_s: 0.0,
+            pixel_pitch_um: None,
+        };
+        tiff::write_tiff_video(&mut tiff, &video, scale).unwrap();
+        let files = [
+            ("a.npy", npy, "a stack of 4000 pages of 2×3"),
+            ("a.tif", tiff.into_inner(), "a stack of 2 pages of 5×7"),
+        ];
+        for (name, bytes, expected) in files {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            let error = read_image(&path).unwrap_err();
+            assert_eq!(error.kind(), rowburst::ErrorKind::Shape);
+            let message = error.to_string();
+            assert!(message.contains(expected), "{message}");
+        }
     }
 
     /// A small file of each format.

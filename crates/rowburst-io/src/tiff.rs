@@ -1,9 +1,9 @@
 //! TIFF: single images, and stacks that ImageJ and Fiji open as a time series.
 
 use crate::fault;
-use crate::ome_sizes::ome_sizes;
-use crate::pages::{Pages, SampleFormat};
-use crate::source::Source;
+use crate::ome_sizes::{OmeImages, ome_images, ome_sizes};
+use crate::pages::{IntegerFrame, Pages, SampleFormat};
+use crate::source::{ArrayPath, Source};
 use rowburst::error::Subject;
 use rowburst::{Error, ErrorKind, Image, Result, Shape, Video};
 use std::fs::File;
@@ -20,9 +20,20 @@ const CLASSIC_BYTES: u64 = (1 << 32) - (1 << 26);
 
 /// Reads every page; all must have one size and one kind of pixel.
 pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Result<Pages> {
+    read_up_to(source, file, usize::MAX)
+}
+
+/// Like [`read`], but the data are those of the first page alone.
+pub(crate) fn read_first<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Result<Pages> {
+    read_up_to(source, file, 1)
+}
+
+/// Checks every page, and reads the first `limit` of them.
+fn read_up_to<R: Read + Seek>(source: &Source, file: BufReader<R>, limit: usize) -> Result<Pages> {
     let mut pages = decoder(source, file)?;
     let first = kind(source, &mut pages)?;
     let promised = images_of_image_j(&mut pages);
+    let images = images_of_ome(source, &mut pages);
     let planes = planes_of_frame(&mut pages);
     let mut count = 1;
     while pages.more_images() {
@@ -31,11 +42,13 @@ pub(crate) fn read<R: Read + Seek>(source: &Source, file: BufReader<R>) -> Resul
         count += 1;
     }
     check_count(source, count, promised)?;
+    check_images(source, count, images)?;
     check_planes(source, count, planes)?;
     let (rows, columns, _) = first;
-    let mut data = source.reserve_pixels(count, rows, columns)?;
+    let read = count.min(limit);
+    let mut data = source.reserve_pixels(read, rows, columns)?;
     let mut format = SampleFormat::Float;
-    for page in 0..count {
+    for page in 0..read {
         format = read_page(source, &mut pages, page, &mut data)?;
     }
     Ok(Pages {
@@ -92,6 +105,7 @@ impl Stack {
     pub fn open(source: &Source, file: BufReader<File>) -> Result<Self> {
         let mut pages = decoder(source, file)?;
         let promised = images_of_image_j(&mut pages);
+        let images = images_of_ome(source, &mut pages);
         let planes = planes_of_frame(&mut pages);
         let mut count = 1;
         while pages.more_images() {
@@ -99,6 +113,7 @@ impl Stack {
             count += 1;
         }
         check_count(source, count, promised)?;
+        check_images(source, count, images)?;
         check_planes(source, count, planes)?;
         Ok(Self { pages, count })
     }
@@ -127,6 +142,43 @@ impl crate::pages::Stack for Stack {
             format,
         })
     }
+
+    fn integers(&mut self, source: &Source, page: usize) -> Result<IntegerFrame> {
+        let seek = self.pages.seek_to_image(page);
+        seek.map_err(|e| fault_of(source, e))?;
+        let (rows, columns, kind) = kind(source, &mut self.pages)?;
+        let wide = if matches!(kind, ColorType::Gray(32 | 64)) {
+            drop(source.reserve_pixels(1, rows, columns)?);
+            let samples = self.pages.read_image();
+            wide_integers(samples.map_err(|e| fault_of(source, e))?)
+        } else {
+            None
+        };
+        let Some((data, bits)) = wide else {
+            let page = self.page(source, page)?;
+            return Ok(IntegerFrame::of_pages(&page));
+        };
+        if data.len() != rows * columns {
+            return Err(source.unreadable("a page has not as many pixels as its size says"));
+        }
+        Ok(IntegerFrame {
+            rows,
+            columns,
+            data,
+            format: SampleFormat::Counts { bits },
+        })
+    }
+}
+
+/// Integers of 32 or 64 bits and how many bits the largest takes; `None`: numbers of another kind.
+fn wide_integers(samples: DecodingResult) -> Option<(Vec<i64>, u32)> {
+    match samples {
+        DecodingResult::U32(s) => Some((s.into_iter().map(i64::from).collect(), 32)),
+        DecodingResult::I32(s) => Some((s.into_iter().map(i64::from).collect(), 31)),
+        DecodingResult::U64(s) => Some((s.into_iter().map(|v| v as i64).collect(), 64)),
+        DecodingResult::I64(s) => Some((s, 63)),
+        _ => None,
+    }
 }
 
 /// How many images ImageJ says that it wrote: beyond 4 GB it has no page for those after the first.
@@ -143,6 +195,27 @@ fn check_count(source: &Source, count: usize, promised: Option<usize>) -> Result
             "every image has a page: ImageJ leaves them out beyond 4 GB",
             "Save it as BigTIFF or OME-TIFF (Bio-Formats), or as .npy from Python.",
         )),
+        _ => Ok(()),
+    }
+}
+
+/// The images that OME-XML puts into this file.
+fn images_of_ome<R: Read + Seek>(source: &Source, pages: &mut Decoder<R>) -> Option<OmeImages> {
+    let text = pages.get_tag_ascii_string(Tag::ImageDescription).ok()?;
+    let file = ArrayPath::of(source.path).file;
+    ome_images(&text, &file.file_name()?.to_string_lossy())
+}
+
+/// Refuses the pages of several images: positions or other scenes, which OME calls images and other programs series.
+fn check_images(source: &Source, count: usize, images: Option<OmeImages>) -> Result<()> {
+    match images {
+        Some(images) if images.count > 1 && images.planes.is_none_or(|planes| count > planes) => {
+            Err(source.error(
+                format!("an OME-TIFF of {} images (series)", images.count),
+                "the pages of a stack are the frames of one image",
+                "Save the image that you mean as a file of its own (in Fiji: open one series by Bio-Formats, and save it).",
+            ))
+        }
         _ => Ok(()),
     }
 }
@@ -519,6 +592,23 @@ mod tests {
     }
 
     #[test]
+    fn integers_keep_their_digits() {
+        let (_folder, path) = tif!(colortype::Gray32, (2, 1), &[16_777_217, u32::MAX]);
+        let frame = crate::open_recording(&path)
+            .unwrap()
+            .read_integers(0)
+            .unwrap();
+        assert_eq!(frame.data, [16_777_217, 4_294_967_295]);
+        assert!(frame.format.exceeds_f32());
+        let (_folder, path) = tif!(colortype::Gray16, (2, 1), &[7, u16::MAX]);
+        let frame = crate::open_recording(&path)
+            .unwrap()
+            .read_integers(0)
+            .unwrap();
+        assert_eq!(frame.data, [7, 65_535]);
+    }
+
+    #[test]
     fn colour_is_read_when_it_is_grey_or_asked_for() {
         let (_folder, path) = tif!(colortype::RGB8, (2, 1), &[7, 7, 7, 9, 9, 9]);
         assert_eq!(read_image(&path).unwrap().image.data(), [7., 9.]);
@@ -640,6 +730,41 @@ mod tests {
             "ImageJ=1.54f\nslices=4\n".into(),
         ] {
             let (_folder, path) = described(&text);
+            assert_eq!(read_video(&path).unwrap().shape().bins, 4);
+        }
+    }
+
+    #[test]
+    fn images_are_not_joined() {
+        let image = |frames: usize, file: &str| {
+            let data = match file {
+                "" => String::new(),
+                file => {
+                    format!(
+                        "<TiffData IFD=\"0\"><UUID FileName=\"{file}\">urn:uuid:1</UUID></TiffData>"
+                    )
+                }
+            };
+            format!(
+                "<Image><Pixels SizeX=\"2\" SizeY=\"1\" SizeC=\"1\" SizeZ=\"1\" SizeT=\"{frames}\" \
+                 Type=\"uint8\"><Channel/>{data}</Pixels></Image>"
+            )
+        };
+        let ome =
+            |images: [String; 2]| format!("<?xml version=\"1.0\"?><OME>{}</OME>", images.concat());
+        let files = ome([image(2, "image.tif"), image(2, "image.tif")]);
+        for text in [ome([image(2, ""), image(2, "")]), files] {
+            let (_folder, path) = described(&text);
+            for error in [
+                read_video(&path).unwrap_err(),
+                crate::open_recording(&path).err().unwrap(),
+            ] {
+                assert!(error.to_string().contains("2 images (series)"), "{error}");
+            }
+        }
+        // The other position is in a file of its own, whatever this one is called by now.
+        for [own, other] in [["image.tif", "other.tif"], ["old.tif", "older.tif"]] {
+            let (_folder, path) = described(&ome([image(4, own), image(4, other)]));
             assert_eq!(read_video(&path).unwrap().shape().bins, 4);
         }
     }

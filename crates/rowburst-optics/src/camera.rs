@@ -183,7 +183,11 @@ impl Camera {
             Parameter::Bins,
             format!("{}..{}", bins.start, bins.end),
             format!("a range of the bins 0..{}", self.time.bins()),
-            "Give the first bin and the one after the last, FIRST..END.",
+            phrase![
+                "Give the first bin and the one after the last: ",
+                (Parameter::Bins, "FIRST..END"),
+                "."
+            ],
         )?;
         let mut kept = Vec::new();
         for (i, run) in self.time.instants().iter().enumerate() {

@@ -8,7 +8,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use rowburst::{Error, ErrorKind, Image, Shape, Video};
-use rowburst_io::{Capture, SampleFormat, read_image, read_video};
+use rowburst_io::{Capture, IntegerFrame, SampleFormat, read_image, read_video};
 use std::path::{Path, PathBuf};
 
 /// Anything that numpy takes for an array, in C order and in numbers of `T`, with the kind of its own.
@@ -19,6 +19,7 @@ fn floats<'py, T: Element>(
 ) -> PyResult<(Bound<'py, PyAny>, SampleFormat)> {
     let py = value.py();
     let numpy = py.import(intern!(py, "numpy"))?;
+    let value = &computed(value)?;
     if let Some(mask) = mask_of(value)? {
         let count: usize = mask.call_method0(intern!(py, "sum"))?.extract()?;
         return Err(to_py_err(Error::input(
@@ -107,6 +108,40 @@ pub fn path_of(value: &Bound<'_, PyAny>) -> Option<PathBuf> {
     is_path.then(|| value.extract().ok()).flatten()
 }
 
+/// Whether `value` is computed by Dask.
+fn is_dask(value: &Bound<'_, PyAny>) -> PyResult<bool> {
+    value.hasattr(intern!(value.py(), "__dask_graph__"))
+}
+
+/// What a Dask array holds, with its mask, which `numpy.asarray` drops; anything else as it is.
+fn computed<'py>(value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    if is_dask(value)? {
+        value.call_method0(intern!(value.py(), "compute"))
+    } else {
+        Ok(value.clone())
+    }
+}
+
+/// 1 at the pixels that are masked in any frame of a Dask array of masked arrays, `[frame, y, x]`; `None` where it is
+/// another kind of array.
+pub fn mask_of_dask_frames(frames: &Bound<'_, PyAny>) -> PyResult<Option<Image>> {
+    let py = frames.py();
+    if !is_dask(frames)? || !frames.hasattr(intern!(py, "_meta"))? {
+        return Ok(None);
+    }
+    // An empty array of the kind that Dask computes.
+    let sample = frames.getattr(intern!(py, "_meta"))?;
+    let masked = py.import(intern!(py, "numpy.ma"))?;
+    let is_masked = masked.call_method1(intern!(py, "isMaskedArray"), (sample,))?;
+    if !is_masked.is_truthy()? {
+        return Ok(None);
+    }
+    let dask_masked = py.import(intern!(py, "dask.array.ma"))?;
+    let mask = dask_masked.call_method1(intern!(py, "getmaskarray"), (frames,))?;
+    let mask = mask.call_method1(intern!(py, "any"), (0,))?;
+    capture(&mask, "frames").map(|capture| Some(capture.image))
+}
+
 /// The mask of a masked array of numpy in which something is masked.
 fn mask_of<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
     let py = value.py();
@@ -124,6 +159,7 @@ fn mask_of<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
 /// What [`capture`] reads, and the mask of a masked array: 1 where a pixel is masked.
 pub fn masked_capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(Capture, Option<Image>)> {
     let py = value.py();
+    let value = &computed(value)?;
     let Some(mask) = mask_of(value)? else {
         return Ok((capture(value, name)?, None));
     };
@@ -167,11 +203,8 @@ pub fn is_array(value: &Bound<'_, PyAny>) -> bool {
 }
 
 /// The frame of a camera maker's file, which a package of Python reads; `None`: `path` is another kind of file.
-fn frame_of_maker<'py>(
-    value: &Bound<'py, PyAny>,
-    path: &Path,
-) -> PyResult<Option<Bound<'py, PyAny>>> {
-    let Some(makers) = makers_of(value.py(), path)? else {
+pub fn frame_of_maker<'py>(py: Python<'py>, path: &Path) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let Some(makers) = makers_of(py, path)? else {
         return Ok(None);
     };
     makers.call_method1("frame_of_maker", (path,)).map(Some)
@@ -187,9 +220,9 @@ pub fn makers_of<'py>(py: Python<'py>, path: &Path) -> PyResult<Option<Bound<'py
 /// A frame, a PSF or a mask; the name of a file is read.
 pub fn capture(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Capture> {
     if let Some(path) = path_of(value) {
-        return match frame_of_maker(value, &path)? {
+        return match frame_of_maker(value.py(), &path)? {
             Some(frame) => capture(&frame, name),
-            None => read_image(&path).map_err(to_py_err),
+            None => value.py().detach(|| read_image(&path)).map_err(to_py_err),
         };
     }
     let (array, format) = floats::<f32>(value, name, 2)?;
@@ -229,7 +262,8 @@ fn require_finite(image: Image, name: &str) -> PyResult<Image> {
 /// A video; the name of a file is read.
 pub fn video(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Video> {
     if let Some(path) = path_of(value) {
-        return read_video(&path).map_err(to_py_err);
+        let read = value.py().detach(|| read_video(&path));
+        return read.map_err(to_py_err);
     }
     let (array, _) = floats::<f32>(value, name, 3)?;
     let array = array.cast::<PyArray3<f32>>()?;
@@ -276,6 +310,13 @@ pub fn from_capture<'py>(py: Python<'py>, capture: Capture) -> PyResult<Bound<'p
     }
 }
 
+/// A frame of integers as an array `[y, x]` of the type that its file holds.
+pub fn from_integers<'py>(py: Python<'py>, frame: IntegerFrame) -> PyResult<Bound<'py, PyAny>> {
+    let dtype = dtype_of(frame.format).unwrap_or("int64");
+    let array = PyArray1::from_vec(py, frame.data).reshape([frame.rows, frame.columns])?;
+    array.call_method1("astype", (dtype,))
+}
+
 /// The name of the type of integers in numpy; `None` for floating-point numbers.
 pub fn dtype_of(format: SampleFormat) -> Option<&'static str> {
     let SampleFormat::Counts { bits } = format else {
@@ -285,9 +326,12 @@ pub fn dtype_of(format: SampleFormat) -> Option<&'static str> {
         1 => "bool",
         7 => "int8",
         15 => "int16",
+        31 => "int32",
+        63 => "int64",
         _ if bits <= 8 => "uint8",
         _ if bits <= 16 => "uint16",
-        _ => "int64",
+        _ if bits <= 32 => "uint32",
+        _ => "uint64",
     })
 }
 

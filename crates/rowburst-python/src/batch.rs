@@ -1,5 +1,6 @@
 //! `rowburst._rowburst._Batch`: a recording on its way into an archive.
 
+use crate::array::{mask_of_dask_frames, with_masked};
 use crate::camera::PyCamera;
 use crate::error::{Arguments, to_py_err};
 use crate::frame::corrections_of;
@@ -8,8 +9,8 @@ use crate::log;
 use crate::operator::{Gram, model_of};
 use crate::options::{Constants, options_from, self_calibration_from, tuning_from};
 use crate::psf::psfs_of;
-use crate::threads::{self, Threads, detached};
-use crate::whole::Whole;
+use crate::threads::{self, Threads, checked_count, detached};
+use crate::whole::{Number, Whole, optional_real};
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use rowburst::reconstruct::{Model, Options};
@@ -72,12 +73,14 @@ impl PyBatch {
         bad_pixels: Option<PathBuf>,
         prior: Option<String>,
         tau: Option<String>,
-        noise_sigma: Option<f64>,
+        noise_sigma: Option<Number>,
         max_iterations: Option<usize>,
-        frame_period_us: Option<f64>,
+        frame_period_us: Option<Number>,
         self_calibrate: &str,
         keep_all_pixels: bool,
     ) -> PyResult<Self> {
+        let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
+        let frame_period_us = optional_real(frame_period_us, "frame_period_us")?;
         refuse_guides(&experiment, &frames).map_err(to_py_err)?;
         let files = BatchFiles {
             experiment: &experiment,
@@ -126,21 +129,26 @@ impl PyBatch {
         bad_pixels: Option<&Bound<'_, PyAny>>,
         prior: &str,
         tau: Option<&Bound<'_, PyAny>>,
-        noise_sigma: Option<f64>,
+        noise_sigma: Option<Number>,
         max_iterations: Option<Whole>,
-        frame_period_us: Option<f64>,
+        frame_period_us: Option<Number>,
         self_calibrate: &str,
         keep_all_pixels: bool,
         tuning: Option<Constants>,
     ) -> PyResult<Self> {
+        let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
+        let frame_period_us = optional_real(frame_period_us, "frame_period_us")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
             tuning: tuning_from(tuning.unwrap_or_default())?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
-        let corrections = corrections_of(dark, flat, bad_pixels)?;
+        let mut corrections = corrections_of(dark, flat, bad_pixels)?;
         let camera = camera.grey()?;
         let psfs = psfs_of(psf, camera, corrections.dark.as_ref())?;
+        let mask = mask_of_dask_frames(frames)?;
+        let has_known_mask = mask.is_some();
+        corrections.bad_pixels = with_masked(corrections.bad_pixels.take(), mask);
         let frames: Box<dyn Frames> = match frames.cast::<PyFrames>() {
             Ok(recording) => Box::new(SharedFrames(Arc::clone(&recording.get().frames))),
             Err(_) => Box::new(ArrayFrames {
@@ -148,6 +156,7 @@ impl PyBatch {
                 array: frames.clone().unbind(),
                 has_bias: corrections.dark.is_none()
                     && camera.sensor().bias_counts.is_some_and(|bias| bias > 0.0),
+                has_known_mask,
             }),
         };
         crate::memory::check(camera, Model::cached_gram_bytes(camera))?;
@@ -216,6 +225,7 @@ impl PyBatch {
             return Err(to_py_err(error));
         }
         threads::check_process()?;
+        let threads = threads.map(checked_count).transpose()?;
         let threads = threads.unwrap_or_else(threads::threads);
         let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |cancel| -> Result<()> {

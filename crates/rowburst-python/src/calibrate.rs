@@ -7,7 +7,7 @@ use crate::interrupt::interruptibly;
 use crate::psf::PyPsf;
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::{Whole, optional};
+use crate::whole::{Number, Whole, optional, optional_real};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
@@ -173,12 +173,14 @@ impl PyPsfCalibration {
         exposures_ms: Vec<f64>,
         positions_mm: Option<Vec<(f64, f64)>>,
         binning: Option<Whole>,
-        saturation_counts: Option<f64>,
+        saturation_counts: Option<Number>,
         field: Option<(Whole, Whole)>,
-        expected_grain_px: Option<f64>,
+        expected_grain_px: Option<Number>,
         all_patches: bool,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let saturation_counts = optional_real(saturation_counts, "saturation_counts")?;
+        let expected_grain_px = optional_real(expected_grain_px, "expected_grain_px")?;
         for (name, value) in [
             ("saturation_counts", saturation_counts),
             ("expected_grain_px", expected_grain_px),
@@ -285,7 +287,10 @@ pub struct PyTimingCalibration {
 /// A frame of a path or an array; the channels of one in colour are averaged. And where its kind of numbers ends.
 fn light_frame(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(Image, Option<f64>)> {
     let found = match path_of(value) {
-        Some(path) => read_colour_image(&path).map_err(to_py_err)?,
+        Some(path) => {
+            let read = value.py().detach(|| read_colour_image(&path));
+            read.map_err(to_py_err)?
+        }
         None => capture(value, name)?,
     };
     Ok((found.image, found.format.saturation_limit()))
@@ -340,8 +345,8 @@ impl PyTimingCalibration {
     fn new(
         py: Python<'_>,
         frames: &Bound<'_, PyAny>,
-        frequency_hz: Option<f64>,
-        duty: Option<f64>,
+        frequency_hz: Option<Number>,
+        duty: Option<Number>,
         signal: Option<&Bound<'_, PyAny>>,
         repeat: bool,
         dark: Option<&Bound<'_, PyAny>>,
@@ -349,6 +354,8 @@ impl PyTimingCalibration {
         camera: Option<&PyCamera>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let frequency_hz = optional_real(frequency_hz, "frequency_hz")?;
+        let duty = optional_real(duty, "duty")?;
         let light = lamp_of(frequency_hz, duty, signal, repeat)?;
         let (mut images, mut end) = (Vec::new(), None);
         for (name, frame) in parts(frames, "frames")? {

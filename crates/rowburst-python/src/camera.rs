@@ -1,7 +1,7 @@
 //! `rowburst.Camera`.
 
 use crate::error::to_py_err;
-use crate::whole::{Whole, optional};
+use crate::whole::{Number, Whole, optional, optional_real};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
@@ -107,26 +107,28 @@ impl PyCamera {
         rows: Whole,
         columns: Whole,
         shutter: &str,
-        exposure_us: f64,
-        row_time_us: Option<f64>,
+        exposure_us: Number,
+        row_time_us: Option<Number>,
         row_order: Option<Vec<Whole>>,
         binning: Whole,
         bins_per_row: Whole,
         field: Option<(Whole, Whole)>,
-        pixel_pitch_um: Option<f64>,
-        magnification: Option<f64>,
-        trigger_delay_us: Option<f64>,
+        pixel_pitch_um: Option<Number>,
+        magnification: Option<Number>,
+        trigger_delay_us: Option<Number>,
         bit_depth: Option<Whole>,
-        bias_counts: Option<f64>,
-        gain_electrons_per_count: Option<f64>,
-        read_noise_electrons: Option<f64>,
-        full_well_counts: Option<f64>,
+        bias_counts: Option<Number>,
+        gain_electrons_per_count: Option<Number>,
+        read_noise_electrons: Option<Number>,
+        full_well_counts: Option<Number>,
         bayer: Option<&str>,
     ) -> PyResult<Self> {
         let row_order = row_order
             .map(|order| order.into_iter().map(|k| k.named("row_order")).collect())
             .transpose()?;
         let shutter = shutter_of(shutter, row_order).map_err(to_py_err)?;
+        let exposure_us = exposure_us.named("exposure_us")?;
+        let row_time_us = optional_real(row_time_us, "row_time_us")?;
         let row_time_us = match shutter {
             Shutter::Global => row_time_us.unwrap_or(exposure_us),
             _ => row_time_us.ok_or_else(|| {
@@ -152,16 +154,19 @@ impl PyCamera {
                 .transpose()?,
             sensor: Sensor {
                 binning: binning.named("binning")?,
-                pixel_pitch_um,
-                magnification,
-                trigger_delay_us,
+                pixel_pitch_um: optional_real(pixel_pitch_um, "pixel_pitch_um")?,
+                magnification: optional_real(magnification, "magnification")?,
+                trigger_delay_us: optional_real(trigger_delay_us, "trigger_delay_us")?,
                 // What 32 bits cannot hold is out of range as well.
                 bit_depth: optional(bit_depth, "bit_depth")?
                     .map(|bits| u32::try_from(bits).unwrap_or(u32::MAX)),
-                bias_counts,
-                gain_electrons_per_count,
-                read_noise_electrons,
-                full_well_counts,
+                bias_counts: optional_real(bias_counts, "bias_counts")?,
+                gain_electrons_per_count: optional_real(
+                    gain_electrons_per_count,
+                    "gain_electrons_per_count",
+                )?,
+                read_noise_electrons: optional_real(read_noise_electrons, "read_noise_electrons")?,
+                full_well_counts: optional_real(full_well_counts, "full_well_counts")?,
             },
         };
         let camera = Camera::new(params).map_err(to_py_err)?;

@@ -7,7 +7,7 @@ use crate::interrupt::{Answer, OnProgress, interruptibly};
 use crate::psf::psfs_of;
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::{Whole, is_bool};
+use crate::whole::{Number, Whole, is_bool, optional_real};
 use pyo3::prelude::*;
 use rowburst::Camera;
 use rowburst::design::LightParams;
@@ -38,19 +38,19 @@ impl PyDesign {
         py: Python<'_>,
         camera: Option<&PyCamera>,
         psf: Option<&Bound<'_, PyAny>>,
-        wavelength_nm: f64,
-        pupil_mm: f64,
-        focal_length_mm: f64,
-        magnification: f64,
-        na: Option<f64>,
-        diffuser_deg: f64,
-        photons: f64,
+        wavelength_nm: Number,
+        pupil_mm: Number,
+        focal_length_mm: Number,
+        magnification: Number,
+        na: Option<Number>,
+        diffuser_deg: Number,
+        photons: Number,
         bright_pixels: Whole,
-        quantum_efficiency: f64,
-        read_noise_electrons: Option<f64>,
-        full_well_electrons: Option<f64>,
-        source_bandwidth_nm: f64,
-        diffuser_path_rms_nm: Option<f64>,
+        quantum_efficiency: Number,
+        read_noise_electrons: Option<Number>,
+        full_well_electrons: Option<Number>,
+        source_bandwidth_nm: Number,
+        diffuser_path_rms_nm: Option<Number>,
         trials: bool,
         trial_snrs: Vec<f64>,
         seed: Whole,
@@ -66,20 +66,24 @@ impl PyDesign {
         let psf = psf.map(|psf| psfs_of(psf, &camera, None)).transpose()?;
         let psf = psf.map(|psfs| psfs.central().clone());
         let light = LightParams {
-            photons,
+            photons: photons.named("photons")?,
             bright_pixels: bright_pixels.named("bright_pixels")?,
-            quantum_efficiency,
-            source_bandwidth_nm,
-            diffuser_path_rms_nm,
-            ..light_of(&camera, read_noise_electrons, full_well_electrons)
+            quantum_efficiency: quantum_efficiency.named("quantum_efficiency")?,
+            source_bandwidth_nm: source_bandwidth_nm.named("source_bandwidth_nm")?,
+            diffuser_path_rms_nm: optional_real(diffuser_path_rms_nm, "diffuser_path_rms_nm")?,
+            ..light_of(
+                &camera,
+                optional_real(read_noise_electrons, "read_noise_electrons")?,
+                optional_real(full_well_electrons, "full_well_electrons")?,
+            )
         };
         let optics = LensOptics {
-            wavelength_nm,
-            pupil_mm,
-            focal_length_mm,
-            magnification,
-            na,
-            diffuser_deg,
+            wavelength_nm: wavelength_nm.named("wavelength_nm")?,
+            pupil_mm: pupil_mm.named("pupil_mm")?,
+            focal_length_mm: focal_length_mm.named("focal_length_mm")?,
+            magnification: magnification.named("magnification")?,
+            na: optional_real(na, "na")?,
+            diffuser_deg: diffuser_deg.named("diffuser_deg")?,
         };
         let pitch_um = camera.sensor().pixel_pitch_um;
         let inputs = DesignInputs {

@@ -37,8 +37,10 @@ pub fn declare_attributes(py: Python<'_>) -> PyResult<()> {
 
 /// The argument `name` as the subject of an error; `darks[3]` is one of the `darks`.
 pub fn subject(name: &str) -> Subject {
-    let argument = name.split('[').next().unwrap_or(name);
-    match Parameter::from_name(argument) {
+    let part = name.split('[').next().unwrap_or(name);
+    let mut all = Parameter::ALL.iter().copied();
+    let known = all.find(|p| argument(*p) == part);
+    match known.or_else(|| Parameter::from_name(&part.to_lowercase())) {
         Some(parameter) => Subject::item(parameter, name),
         None => Subject::named(name),
     }
@@ -87,6 +89,8 @@ fn argument(parameter: Parameter) -> &'static str {
         Parameter::Output => "folder",
         Parameter::Region => "regions",
         Parameter::PartBins => "bins_per_chunk",
+        Parameter::RmsPhase => "diffuser_phase",
+        Parameter::Write => "formats",
         other => other.name(),
     }
 }
@@ -98,6 +102,8 @@ impl Names for Arguments {
     fn name(&self, parameter: Parameter) -> String {
         match parameter {
             Parameter::Camera => "the Camera".to_string(),
+            // Sentences name it to leave the map out.
+            Parameter::SuccessMap => "trials=False".to_string(),
             other => argument(other).to_string(),
         }
     }
@@ -109,6 +115,7 @@ impl Names for Arguments {
     fn setting(&self, parameter: Parameter, value: &str) -> String {
         match parameter {
             Parameter::Region => format!("({})", value.replace(',', ", ")),
+            Parameter::Bins => format!("bins=({})", value.replace("..", ", ")),
             Parameter::ExposuresMs => {
                 format!("exposures_ms=[{}]", value.replace(',', ", "))
             }
@@ -137,6 +144,10 @@ impl Names for Arguments {
             (Parameter::FramePeriodUs, ErrorKind::Missing) => {
                 Some("Give frame_period_us=.".to_string())
             }
+            (Parameter::ExposureUs, ErrorKind::Unsupported) => Some(
+                "Call `rb.reconstruct`; if memory is short, make field smaller or bin the frame."
+                    .to_string(),
+            ),
             _ => None,
         }
     }

@@ -110,7 +110,7 @@ impl PyExperiment {
     fn new(py: Python<'_>, path: PathBuf, frame: Option<PathBuf>) -> PyResult<Self> {
         let metadata = frame.map(|frame| metadata_of(py, &frame)).transpose()?;
         let metadata = metadata.unwrap_or_default();
-        let read = || {
+        let read = || -> rowburst::Result<Self> {
             let experiment = Experiment::read_with(&path, &metadata)?;
             let camera = experiment.camera()?;
             let calibration = &experiment.calibration;
@@ -136,7 +136,7 @@ impl PyExperiment {
                 from_metadata: experiment.from_metadata,
             })
         };
-        read().map_err(to_py_err)
+        py.detach(read).map_err(to_py_err)
     }
 
     /// The camera and the field.

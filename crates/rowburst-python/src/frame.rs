@@ -34,16 +34,16 @@ pub fn corrections_of(
 
 /// A frame, corrected.
 pub fn measured(frame: &Bound<'_, PyAny>, setup: Setup) -> PyResult<Measurement> {
-    let (frame, setup) = frame_of(frame, setup, false)?;
+    let (frame, setup) = frame_of(frame, setup, None)?;
     setup.measurement(&frame).map_err(to_py_err)
 }
 
-/// A frame: a raw capture, or an array of floating-point numbers from which the bias has been subtracted. The masked
-/// pixels of a masked array are bad pixels of the set-up.
+/// A frame with its `bias`. `None`: a file or an array of integers is a raw capture, and from an array of floating-point
+/// numbers the bias has been subtracted. The masked pixels of a masked array are bad pixels of the set-up.
 pub fn frame_of(
     frame: &Bound<'_, PyAny>,
     mut setup: Setup,
-    is_corrected: bool,
+    bias: Option<Bias>,
 ) -> PyResult<(Frame, Setup)> {
     let (capture, mask) = masked_capture(frame, "frame")?;
     if capture.format == (SampleFormat::Counts { bits: 1 }) {
@@ -55,13 +55,13 @@ pub fn frame_of(
         )));
     }
     setup.corrections.bad_pixels = with_masked(setup.corrections.bad_pixels, mask);
-    let bias = if is_corrected {
-        Bias::Subtracted
-    } else if is_array(frame) {
-        bias_of_array(capture.format)
-    } else {
-        Bias::Contained
-    };
+    let bias = bias.unwrap_or_else(|| {
+        if is_array(frame) {
+            bias_of_array(capture.format)
+        } else {
+            Bias::Contained
+        }
+    });
     let frame = Frame {
         capture,
         bias,

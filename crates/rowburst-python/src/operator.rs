@@ -5,6 +5,7 @@ use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::frame::measured;
 use crate::interrupt::interruptibly;
+use crate::memory;
 use crate::pickle::State2;
 use crate::psf::{PyPsf, psfs_of};
 use crate::threads::detached;
@@ -129,12 +130,14 @@ impl PyOperator {
     /// `Aᵀ y`.
     fn adjoint<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> Vector<'py> {
         let y = vector::<f32>(y, "frame", self.shutter().range_len())?;
+        memory::check_video(self.model.camera(), size_of::<f32>())?;
         adjoint_of(py, || self.shutter(), y.as_slice()?)
     }
 
     /// `Aᵀ y` in float64.
     fn adjoint_double<'py>(&self, py: Python<'py>, y: &Bound<'py, PyAny>) -> Vector<'py, f64> {
         let y = vector::<f64>(y, "frame", self.shutter().range_len())?;
+        memory::check_video(self.model.camera(), size_of::<f64>())?;
         adjoint_of(py, || self.double(), y.as_slice()?)
     }
 }
@@ -181,6 +184,7 @@ impl PyDataTerm {
         let model = operator.model.clone();
         let setup = Setup::new(model.camera().clone(), model.psfs().clone());
         let measurement = measured(frame, setup)?;
+        memory::check_data_term(model.camera())?;
         let step = interruptibly::<(), _>(py, None, None, move |reporter| {
             let model = model.with_cancel(reporter.cancel());
             DataStep::new(&model, &measurement)

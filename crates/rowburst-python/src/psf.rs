@@ -1,11 +1,11 @@
 //! `rowburst.Psf`.
 
-use crate::array::{capture, from_image};
+use crate::array::{capture, frame_of_maker, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::pickle::State2;
-use crate::whole::Whole;
+use crate::whole::{Number, Whole, optional_real};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
@@ -114,8 +114,15 @@ impl PyPsf {
     /// (47, 59)
     #[allow(clippy::doc_lazy_continuation)]
     #[staticmethod]
-    fn from_file(path: PathBuf, camera: &PyCamera) -> PyResult<Self> {
-        let (psfs, _) = read_psfs(&path, &camera.camera, None).map_err(to_py_err)?;
+    fn from_file(py: Python<'_>, path: PathBuf, camera: &PyCamera) -> PyResult<Self> {
+        let camera = &camera.camera;
+        if let Some(frame) = frame_of_maker(py, &path)? {
+            let found = psf_from_capture(capture(&frame, "PSF")?, camera, None);
+            let (psf, _) = found.map_err(|error| to_py_err(error.within(&path)))?;
+            return Ok(Self { psfs: psf.into() });
+        }
+        let read = py.detach(|| read_psfs(&path, camera, None));
+        let (psfs, _) = read.map_err(to_py_err)?;
         Ok(Self { psfs })
     }
 
@@ -256,32 +263,34 @@ pub fn psfs_of(
 /// (47, 59)
 #[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
-#[pyo3(signature = (camera, *, wavelength_nm=532.0, pupil_mm=1.71, focal_length_mm=50.0,
-    magnification=1.0 / 22.5, na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=Whole::of(1)),
+#[pyo3(signature = (camera, *, wavelength_nm=Number::of(532.0), pupil_mm=Number::of(1.71),
+    focal_length_mm=Number::of(50.0), magnification=Number::of(1.0 / 22.5), na=None, diffuser_deg=Number::of(1.0),
+    diffuser_phase=Number::of(4.0), seed=Whole::of(1)),
     text_signature = "(camera, *, wavelength_nm=532.0, pupil_mm=1.71, focal_length_mm=50.0, magnification=..., na=None, diffuser_deg=1.0, diffuser_phase=4.0, seed=1)")]
 #[allow(clippy::too_many_arguments)]
 pub fn speckle_psf(
     py: Python<'_>,
     camera: &PyCamera,
-    wavelength_nm: f64,
-    pupil_mm: f64,
-    focal_length_mm: f64,
-    magnification: f64,
-    na: Option<f64>,
-    diffuser_deg: f64,
-    diffuser_phase: f64,
+    wavelength_nm: Number,
+    pupil_mm: Number,
+    focal_length_mm: Number,
+    magnification: Number,
+    na: Option<Number>,
+    diffuser_deg: Number,
+    diffuser_phase: Number,
     seed: Whole,
 ) -> PyResult<PyPsf> {
     let camera = camera.camera.clone();
     let seed = seed.named("seed")? as u64;
     let optics = LensOptics {
-        wavelength_nm,
-        pupil_mm,
-        focal_length_mm,
-        magnification,
-        na,
-        diffuser_deg,
+        wavelength_nm: wavelength_nm.named("wavelength_nm")?,
+        pupil_mm: pupil_mm.named("pupil_mm")?,
+        focal_length_mm: focal_length_mm.named("focal_length_mm")?,
+        magnification: magnification.named("magnification")?,
+        na: optional_real(na, "na")?,
+        diffuser_deg: diffuser_deg.named("diffuser_deg")?,
     };
+    let diffuser_phase = diffuser_phase.named("diffuser_phase")?;
     let optics = optics.optics(pixel_pitch_um(&camera));
     let psf = interruptibly::<(), _>(py, None, None, move |_| {
         speckle_for(&camera, &optics, diffuser_phase, seed)

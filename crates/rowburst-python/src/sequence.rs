@@ -8,7 +8,7 @@ use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
 use crate::options::{Constants, prior_from, tau_from, tuning_from};
 use crate::task::{setup_of, threads_from};
-use crate::whole::Whole;
+use crate::whole::{Number, Whole, optional_real};
 use numpy::PyArray3;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -95,7 +95,7 @@ impl PySequence {
         psf: &Bound<'_, PyAny>,
         prior: &str,
         tau: Option<&Bound<'_, PyAny>>,
-        noise_sigma: Option<f64>,
+        noise_sigma: Option<Number>,
         dark: Option<&Bound<'_, PyAny>>,
         flat: Option<&Bound<'_, PyAny>>,
         bad_pixels: Option<&Bound<'_, PyAny>>,
@@ -105,7 +105,7 @@ impl PySequence {
         let options = Options {
             prior: prior_from(prior)?,
             tau: tau_from(tau)?,
-            noise_sigma,
+            noise_sigma: optional_real(noise_sigma, "noise_sigma")?,
             max_iterations: None,
             self_calibration: SelfCalibration::Off,
             keep_all_pixels: true,
@@ -156,9 +156,10 @@ impl PySequence {
         &self,
         py: Python<'_>,
         frame: &Bound<'_, PyAny>,
-        time_budget_s: Option<f64>,
+        time_budget_s: Option<Number>,
     ) -> PyResult<PyLook> {
         let began = Instant::now();
+        let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
         let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
         let measurement = measured(frame, self.setup.clone())?;
         let sequence = Arc::clone(&self.sequence);

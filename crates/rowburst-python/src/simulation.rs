@@ -8,7 +8,7 @@ use crate::pickle::{State, entry, optional_entry};
 use crate::psf::{PyPsf, psfs_of};
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::Whole;
+use crate::whole::{Number, Whole, optional_real};
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -267,7 +267,7 @@ impl PySimulation {
 /// ((24, 30), (12, 24, 30))
 #[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
-#[pyo3(signature = (camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None,
+#[pyo3(signature = (camera, scene=None, psf=None, *, snr=Number::of(256.0), peak_electrons=None,
     scene_electrons=None, background=None, seed=Whole::of(1), digit_px=Whole::of(12), threads=None),
     text_signature = "(camera, scene=None, psf=None, *, snr=256.0, peak_electrons=None, scene_electrons=None, background=None, seed=1, digit_px=12, threads=None)")]
 #[allow(clippy::too_many_arguments)]
@@ -276,15 +276,19 @@ pub fn simulate(
     camera: &PyCamera,
     scene: Option<&Bound<'_, PyAny>>,
     psf: Option<&Bound<'_, PyAny>>,
-    snr: f64,
-    peak_electrons: Option<f64>,
-    scene_electrons: Option<f64>,
-    background: Option<f64>,
+    snr: Number,
+    peak_electrons: Option<Number>,
+    scene_electrons: Option<Number>,
+    background: Option<Number>,
     seed: Whole,
     digit_px: Whole,
     threads: Option<Whole>,
 ) -> PyResult<PySimulation> {
     let threads = threads_from(threads)?;
+    let snr = snr.named("snr")?;
+    let peak_electrons = optional_real(peak_electrons, "peak_electrons")?;
+    let scene_electrons = optional_real(scene_electrons, "scene_electrons")?;
+    let background = optional_real(background, "background")?;
     let (seed, digit_px) = (seed.named("seed")? as u64, digit_px.named("digit_px")?);
     let (py_camera, camera) = (camera.clone(), camera.camera.clone());
     crate::memory::check(&camera, 0)?;

@@ -15,7 +15,7 @@ use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
 use crate::run_files::{Asked, RunFiles};
 use crate::threads::checked_count;
-use crate::whole::{Whole, is_bool, optional};
+use crate::whole::{Number, Whole, is_bool, optional, optional_real};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rowburst::error::Subject;
@@ -28,8 +28,8 @@ use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_run::inputs::checked_truth;
 use rowburst_run::options::{parse_guide_model, parse_time_budget};
 use rowburst_run::{
-    ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, RunRecord, Setup,
-    Task, TraceRequest, merge_planes, run_chunked, solve, solve_with_model,
+    Bias, ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, RunRecord,
+    Setup, Task, TraceRequest, merge_planes, run_chunked, solve, solve_with_model,
 };
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -42,7 +42,8 @@ struct FrameInputs<'a, 'py> {
     direct: Option<&'a Bound<'py, PyAny>>,
     time_budget_s: Option<f64>,
     seed: Whole,
-    is_corrected: bool,
+    /// See [`frame_of`].
+    bias: Option<Bias>,
 }
 
 /// The video of a frame.
@@ -61,8 +62,8 @@ pub fn reconstruct(
     psf: &Bound<'_, PyAny>,
     prior: &str,
     tau: Option<&Bound<'_, PyAny>>,
-    noise_sigma: Option<f64>,
-    time_budget_s: Option<f64>,
+    noise_sigma: Option<Number>,
+    time_budget_s: Option<Number>,
     max_iterations: Option<Whole>,
     dark: Option<&Bound<'_, PyAny>>,
     flat: Option<&Bound<'_, PyAny>>,
@@ -84,6 +85,8 @@ pub fn reconstruct(
     files: Option<RunFiles>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
+    let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
+    let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
     let record = match (files, experiment.and_then(|e| e.file.as_ref())) {
         (Some(files), Some(experiment)) => {
             let text = tau.map(|tau| tau.str()?.extract::<String>()).transpose()?;
@@ -117,7 +120,7 @@ pub fn reconstruct(
         direct,
         time_budget_s,
         seed,
-        is_corrected: corrected,
+        bias: corrected.then_some(Bias::Subtracted),
     };
     let mut task = task_of(setup, &inputs)?;
     task.guide = match guide {
@@ -161,7 +164,7 @@ impl PyReconstructor {
         psf: &Bound<'_, PyAny>,
         prior: &str,
         tau: Option<&Bound<'_, PyAny>>,
-        noise_sigma: Option<f64>,
+        noise_sigma: Option<Number>,
         max_iterations: Option<Whole>,
         dark: Option<&Bound<'_, PyAny>>,
         flat: Option<&Bound<'_, PyAny>>,
@@ -173,6 +176,7 @@ impl PyReconstructor {
         tuning: Option<Constants>,
         corrected: bool,
     ) -> PyResult<Self> {
+        let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
             tuning: tuning_from(tuning.unwrap_or_default())?,
@@ -198,17 +202,23 @@ impl PyReconstructor {
         &self,
         prior: Option<&str>,
         tau: Option<&Bound<'_, PyAny>>,
-        noise_sigma: Option<f64>,
+        noise_sigma: Option<Number>,
         max_iterations: Option<Whole>,
     ) -> PyResult<()> {
-        self.options(prior, tau, noise_sigma, max_iterations)
-            .map(|_| ())
+        let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
+        let options = self.options(prior, tau, noise_sigma, max_iterations)?;
+        options.check().map_err(to_py_err)?;
+        let bins = self.setup.camera.video_shape().bins;
+        match options.prior {
+            Some(prior) => prior.check_bins(bins).map_err(to_py_err),
+            None => Ok(()),
+        }
     }
 
     /// The video of a frame. `cancel` ends it from another thread; `prior`, `tau`, `noise_sigma` and `max_iterations`
-    /// replace those of the set-up.
+    /// replace those of the set-up. With `raw` the bias is in the frame, of whatever numbers it is.
     #[pyo3(signature = (frame, *, truth=None, direct=None, progress=None, seed=Whole::of(0), time_budget_s=None,
-        debias=false, cancel=None, prior=None, tau=None, noise_sigma=None, max_iterations=None))]
+        debias=false, cancel=None, prior=None, tau=None, noise_sigma=None, max_iterations=None, raw=false))]
     #[allow(clippy::too_many_arguments)]
     fn reconstruct(
         &self,
@@ -218,21 +228,27 @@ impl PyReconstructor {
         direct: Option<&Bound<'_, PyAny>>,
         progress: Option<Py<PyAny>>,
         seed: Whole,
-        time_budget_s: Option<f64>,
+        time_budget_s: Option<Number>,
         debias: bool,
         cancel: Option<&PyCancel>,
         prior: Option<&str>,
         tau: Option<&Bound<'_, PyAny>>,
-        noise_sigma: Option<f64>,
+        noise_sigma: Option<Number>,
         max_iterations: Option<Whole>,
+        raw: bool,
     ) -> PyResult<PyReconstruction> {
+        let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
         let inputs = FrameInputs {
             frame,
             truth,
             direct,
-            time_budget_s,
+            time_budget_s: optional_real(time_budget_s, "time_budget_s")?,
             seed,
-            is_corrected: self.is_corrected,
+            bias: if self.is_corrected {
+                Some(Bias::Subtracted)
+            } else {
+                raw.then_some(Bias::Contained)
+            },
         };
         let began = Instant::now();
         let setup = Setup {
@@ -362,7 +378,7 @@ pub fn threads_from(threads: Option<Whole>) -> PyResult<Option<usize>> {
 fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     let seed = inputs.seed.clone().named("seed")? as u64;
     let budget = parse_time_budget(inputs.time_budget_s).map_err(to_py_err)?;
-    let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup }, inputs.is_corrected)?;
+    let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup }, inputs.bias)?;
     let mut task = setup.task(&frame, None).map_err(to_py_err)?;
     crate::memory::check(&task.camera, 0)?;
     let truth = inputs.truth.map(|value| {
@@ -551,8 +567,8 @@ pub fn _reconstruct_colour<'py>(
     psf: &Bound<'py, PyAny>,
     prior: &str,
     tau: Option<&Bound<'py, PyAny>>,
-    noise_sigma: Option<f64>,
-    time_budget_s: Option<f64>,
+    noise_sigma: Option<Number>,
+    time_budget_s: Option<Number>,
     max_iterations: Option<Whole>,
     dark: Option<&Bound<'py, PyAny>>,
     flat: Option<&Bound<'py, PyAny>>,
@@ -567,6 +583,8 @@ pub fn _reconstruct_colour<'py>(
     corrected: bool,
 ) -> PyResult<(Bound<'py, PyArray4<f32>>, Vec<PlaneResult>)> {
     let began = Instant::now();
+    let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
+    let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
     let mosaic = camera.bayer.ok_or_else(|| {
         let rule = "a camera of raw colour frames has a mosaic";
         let remedy = "Give bayer=\"rggb\" to the Camera, or call rowburst.reconstruct.";
@@ -579,7 +597,11 @@ pub fn _reconstruct_colour<'py>(
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(&camera.camera, psf, corrections, options, experiment)?;
     let budget = parse_time_budget(time_budget_s).map_err(to_py_err)?;
-    let (frame, setup) = frame_of(frame, Setup { budget, ..setup }, corrected)?;
+    let (frame, setup) = frame_of(
+        frame,
+        Setup { budget, ..setup },
+        corrected.then_some(Bias::Subtracted),
+    )?;
     let mut task = ColourTask {
         setup,
         mosaic,
@@ -640,7 +662,7 @@ pub fn _reconstruct_chunked(
     bins: Option<(Whole, Whole)>,
     prior: &str,
     tau: Option<&Bound<'_, PyAny>>,
-    noise_sigma: Option<f64>,
+    noise_sigma: Option<Number>,
     max_iterations: Option<Whole>,
     dark: Option<&Bound<'_, PyAny>>,
     flat: Option<&Bound<'_, PyAny>>,
@@ -652,13 +674,14 @@ pub fn _reconstruct_chunked(
     corrected: bool,
 ) -> PyResult<String> {
     let began = Instant::now();
+    let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let options = Options {
         tuning: tuning_from(tuning.unwrap_or_default())?,
         ..options_from(prior, tau, noise_sigma, max_iterations, false)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-    let (frame, setup) = frame_of(frame, setup, corrected)?;
+    let (frame, setup) = frame_of(frame, setup, corrected.then_some(Bias::Subtracted))?;
     let bins = match bins {
         None => None,
         Some((first, end)) => Some(first.named("bins")?..end.named("bins")?),

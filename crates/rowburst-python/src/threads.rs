@@ -19,6 +19,8 @@ static REQUESTED: AtomicUsize = AtomicUsize::new(0);
 static STARTED: OnceLock<usize> = OnceLock::new();
 /// Pools that no call uses. They are not rayon's global one, which other libraries may use.
 static IDLE: Mutex<Vec<ThreadPool>> = Mutex::new(Vec::new());
+/// Most threads of a call on a machine that has not as many cores: each thread takes memory.
+const MAX_THREADS: usize = 1024;
 /// Most pools that are kept.
 const MAX_IDLE: usize = 8;
 
@@ -98,14 +100,20 @@ pub fn check_process() -> PyResult<()> {
 /// Checks the number of threads of a call.
 ///
 /// # Errors
-/// No thread.
+/// No thread, or more than [`MAX_THREADS`] and than there are cores.
 pub fn checked_count(threads: usize) -> PyResult<usize> {
-    if threads == 0 {
-        let rule = "there is at least one";
-        let error = Error::input(Parameter::Threads, 0, rule, "Leave it out for all threads.");
-        return Err(to_py_err(error));
+    checked(threads, "Leave it out for all threads.")
+}
+
+fn checked(threads: usize, remedy: &'static str) -> PyResult<usize> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = MAX_THREADS.max(cores);
+    if (1..=most).contains(&threads) {
+        return Ok(threads);
     }
-    Ok(threads)
+    let rule = format!("there is at least one, and at most {most}");
+    let error = Error::input(Parameter::Threads, threads, rule, remedy);
+    Err(to_py_err(error))
 }
 
 /// The error of a process whose threads stayed in its parent.
@@ -140,12 +148,7 @@ fn forked() -> PyErr {
 #[allow(clippy::doc_lazy_continuation)]
 #[pyfunction]
 pub fn set_threads(threads: crate::whole::Whole) -> PyResult<()> {
-    let threads = threads.named("threads")?;
-    if threads == 0 {
-        let rule = "there is at least one";
-        let error = Error::input(Parameter::Threads, 0, rule, "Give the number of cores.");
-        return Err(to_py_err(error));
-    }
+    let threads = checked(threads.named("threads")?, "Give the number of cores.")?;
     let owner = OWNER.load(Ordering::Acquire);
     if owner == 0 {
         REQUESTED.store(threads, Ordering::Relaxed);

@@ -157,7 +157,7 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
             return Err(Error::work(
                 Subject::named("reconstruction"),
                 format!("stopped with {done} of {} bins reconstructed", shape.bins),
-                "Run the same command again to resume.",
+                "Run it again with the same settings to go on from there.",
             )
             .with_kind(ErrorKind::Cancelled));
         };

@@ -68,7 +68,7 @@ impl VideoFormat {
                     "a video is written as {}",
                     Self::ALL.map(Self::name).join(", ")
                 ),
-                "Name one or more of them, with commas between them and no spaces.",
+                "Name one or more of them.",
             )
             .with_kind(ErrorKind::Unknown)
         })

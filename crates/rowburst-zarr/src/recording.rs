@@ -2,7 +2,7 @@
 
 use rowburst::error::Subject;
 use rowburst::{Error, ErrorKind, Image, Result};
-use rowburst_io::{Capture, Frames, SampleFormat};
+use rowburst_io::{Capture, Frames, IntegerFrame, SampleFormat};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -111,6 +111,27 @@ struct ZarrRecording {
     cache: ChunkCacheDecodedLruChunkLimit,
 }
 
+impl ZarrRecording {
+    /// Where frame `index` is in the array.
+    fn subset(&self, index: usize) -> ArraySubset {
+        let (index, sides) = (index as u64, self.shape[1..].iter());
+        let ranges: Vec<_> = std::iter::once(index..index + 1)
+            .chain(sides.map(|&n| 0..n))
+            .collect();
+        ArraySubset::new_with_ranges(&ranges)
+    }
+
+    /// The error of a frame that cannot be read.
+    fn damaged(&self, index: usize, reason: &str) -> Error {
+        Error::input(
+            Subject::in_file(&self.path, format!("frame {index}")),
+            format!("a frame that cannot be read ({reason})"),
+            "every chunk of the array must be whole",
+            "Copy or save the array again: a chunk is damaged.",
+        )
+    }
+}
+
 impl Frames for ZarrRecording {
     fn path(&self) -> &Path {
         &self.path
@@ -125,23 +146,25 @@ impl Frames for ZarrRecording {
     }
 
     fn read(&self, index: usize) -> Result<Capture> {
-        let (index, sides) = (index as u64, self.shape[1..].iter());
-        let ranges: Vec<_> = std::iter::once(index..index + 1)
-            .chain(sides.map(|&n| 0..n))
-            .collect();
-        let subset = ArraySubset::new_with_ranges(&ranges);
-        let data = self.kind.read(&self.cache, &subset).map_err(|reason| {
-            Error::input(
-                Subject::in_file(&self.path, format!("frame {index}")),
-                format!("a frame that cannot be read ({reason})"),
-                "every chunk of the array must be whole",
-                "Copy or save the array again: a chunk is damaged.",
-            )
-        })?;
+        let data = self.kind.read(&self.cache, &self.subset(index));
+        let data = data.map_err(|reason| self.damaged(index, &reason))?;
         Ok(Capture {
             image: Image::new(self.rows, self.columns, data)?,
             format: self.kind.format(),
         })
+    }
+
+    fn read_integers(&self, index: usize) -> Result<IntegerFrame> {
+        let data = self.kind.read_wide(&self.cache, &self.subset(index));
+        match data.map_err(|reason| self.damaged(index, &reason))? {
+            Some(data) => Ok(IntegerFrame {
+                rows: self.rows,
+                columns: self.columns,
+                data,
+                format: self.kind.format(),
+            }),
+            None => self.read(index).map(IntegerFrame::from),
+        }
     }
 }
 
@@ -220,6 +243,30 @@ impl Kind {
             Self::I64 => read!(i64),
             Self::F32 => read!(f32),
             Self::F64 => read!(f64),
+        }
+    }
+
+    /// Integers of 32 or 64 bits, exactly; `None`: numbers of another kind.
+    fn read_wide(
+        self,
+        cache: &ChunkCacheDecodedLruChunkLimit,
+        subset: &ArraySubset,
+    ) -> std::result::Result<Option<Vec<i64>>, String> {
+        let options = CodecOptions::default().with_concurrent_target(1);
+        macro_rules! read {
+            ($t:ty) => {
+                cache
+                    .retrieve_array_subset::<Vec<$t>>(subset, &options)
+                    .map(|values| Some(values.into_iter().map(|v| v as i64).collect()))
+                    .map_err(|e| e.to_string())
+            };
+        }
+        match self {
+            Self::U32 => read!(u32),
+            Self::I32 => read!(i32),
+            Self::U64 => read!(u64),
+            Self::I64 => read!(i64),
+            _ => Ok(None),
         }
     }
 }

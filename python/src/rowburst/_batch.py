@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
+from ._checks import check_number, check_threads, shown
 from ._errors import input_error
 from ._extras import need
 from ._frames import recording_of
@@ -89,8 +90,9 @@ def batch(
     >>> summary["done"], summary["left"]
     (2, 0)
     """
-    if threads is not None and threads < 1:
-        raise input_error("threads", threads, "there is at least one", "Leave it out for all.")
+    for name, number in (("noise_sigma", noise_sigma), ("frame_period_us", frame_period_us)):
+        check_number(name, number)
+    check_threads(threads)
     if isinstance(camera, (str, PathLike)):
         camera = Experiment(camera, frames if isinstance(frames, (str, PathLike)) else None)
     if isinstance(camera, Experiment) and frame_period_us is None:
@@ -100,6 +102,10 @@ def batch(
         settings["camera"] = settings["camera"].replace(bias_counts=None)
     settings.pop("experiment")
     frames = recording_of(frames)
+    if not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
+        rule = "a recording is a path, or an array [frame, y, x] whose length is known"
+        remedy = "Give numpy.stack(list(frames)); Reconstructor.map takes frames one after another."
+        raise input_error("frames", shown(frames), rule, remedy)
     if np.ma.isMaskedArray(frames):
         settings["bad_pixels"] = _with_masked(settings["bad_pixels"], np.asarray(np.ma.getmaskarray(frames).any(axis=0)))
         frames = np.ma.filled(frames, 0)

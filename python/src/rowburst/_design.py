@@ -8,10 +8,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _rowburst
+from ._checks import check_camera, check_number, check_threads, checked_array, checked_numbers, checked_psf
 from ._display import table_html
+from ._errors import input_error
+from ._extras import need
 from ._rowburst import Camera, Psf
 from ._stored import Stored, stored
 
@@ -101,7 +105,7 @@ def design(
     trials: bool = True,
     trial_snr: Sequence[float] = (),
     seed: int = 1,
-    progress: Callable[[float], object] | None = None,
+    progress: Callable[[float], object] | bool | None = None,
     scene: ArrayLike | PathLike[str] | None = None,
     threads: int | None = None,
 ) -> Design:
@@ -134,8 +138,9 @@ def design(
         SNRs of the trials; by default 8 to 256, each twice the last.
     seed : int
         Seed of speckle, scenes and noise.
-    progress : callable, optional
-        Called with the part of the trials that is done, from 0 to 1. ``False`` from it ends them with an error.
+    progress : bool or callable, optional
+        ``True`` for a tqdm bar, or a function that is called with the part of the trials that is done, from 0 to 1.
+        ``False`` from it ends them with an error.
     scene : array or path, optional
         A video ``[t, y, x]`` of the scene, which is fitted to the field: how many numbers of an instant speak about its
         change.
@@ -158,27 +163,75 @@ def design(
     >>> round(planned.numbers["frame_rate_hz"])
     104167
     """
-    native = _rowburst._Design(
-        camera,
-        psf,
-        wavelength_nm=wavelength_nm,
-        pupil_mm=pupil_mm,
-        focal_length_mm=focal_length_mm,
-        magnification=magnification,
-        na=na,
-        diffuser_deg=diffuser_deg,
-        photons=photons,
-        bright_pixels=bright_pixels,
-        quantum_efficiency=quantum_efficiency,
-        read_noise_electrons=read_noise_electrons,
-        full_well_electrons=full_well_electrons,
-        source_bandwidth_nm=source_bandwidth_nm,
-        diffuser_path_rms_nm=diffuser_path_rms_nm,
-        trials=trials,
-        trial_snrs=[float(snr) for snr in trial_snr],
-        seed=seed,
-        progress=progress,
-        scene=scene,
-        threads=threads,
-    )
+    if camera is not None:
+        check_camera(camera, takes_experiment=False)
+    for name, number in (
+        ("wavelength_nm", wavelength_nm),
+        ("pupil_mm", pupil_mm),
+        ("focal_length_mm", focal_length_mm),
+        ("magnification", magnification),
+        ("na", na),
+        ("diffuser_deg", diffuser_deg),
+        ("photons", photons),
+        ("quantum_efficiency", quantum_efficiency),
+        ("read_noise_electrons", read_noise_electrons),
+        ("full_well_electrons", full_well_electrons),
+        ("source_bandwidth_nm", source_bandwidth_nm),
+        ("diffuser_path_rms_nm", diffuser_path_rms_nm),
+    ):
+        check_number(name, number)
+    snrs = checked_numbers("trial_snr", trial_snr)
+    check_threads(threads)
+    bar, callback = _listener(progress)
+    try:
+        native = _rowburst._Design(
+            camera,
+            checked_psf(psf),
+            wavelength_nm=wavelength_nm,
+            pupil_mm=pupil_mm,
+            focal_length_mm=focal_length_mm,
+            magnification=magnification,
+            na=na,
+            diffuser_deg=diffuser_deg,
+            photons=photons,
+            bright_pixels=bright_pixels,
+            quantum_efficiency=quantum_efficiency,
+            read_noise_electrons=read_noise_electrons,
+            full_well_electrons=full_well_electrons,
+            source_bandwidth_nm=source_bandwidth_nm,
+            diffuser_path_rms_nm=diffuser_path_rms_nm,
+            trials=trials,
+            trial_snrs=snrs,
+            seed=seed,
+            progress=callback,
+            scene=checked_array("scene", scene),
+            threads=threads,
+        )
+    finally:
+        if bar is not None:
+            bar.close()
     return Design(native)
+
+
+class _PartBar:
+    """A tqdm bar of the part that is done, in percent."""
+
+    def __init__(self) -> None:
+        self.bar = need("tqdm.auto", "progress=True").tqdm(total=100, unit="%", leave=False)
+
+    def __call__(self, part: float) -> None:
+        self.bar.update(round(100 * part) - self.bar.n)
+
+    def close(self) -> None:
+        self.bar.close()
+
+
+def _listener(progress: object) -> tuple[_PartBar | None, Callable[[float], object] | None]:
+    """The bar of the trials, if there is one, and what is called with the part that is done."""
+    if progress is None or callable(progress):
+        return None, progress
+    if isinstance(progress, (bool, np.bool_)):
+        bar = _PartBar() if progress else None
+        return bar, bar
+    rule = "it is True for a tqdm bar, or a function of the part that is done, from 0 to 1"
+    raise input_error("progress", repr(progress), rule, "Give progress=True, or leave it out.")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from ._colour_video import ColourVideo
     from ._rowburst import Camera, Psf, Simulation
     from ._video import VideoResult
 
@@ -21,18 +22,20 @@ _MAX_SIDE = 240
 
 
 def _png(picture: NDArray[Any]) -> bytes:
-    """An image ``[y, x]`` as a grey PNG of 8 bits, from 0 to its maximum."""
-    step = -(-max(picture.shape) // _MAX_SIDE)
+    """An image ``[y, x]`` in grey, or ``[y, x, colour]``, as a PNG of 8 bits, from 0 to its maximum."""
+    step = -(-max(picture.shape[:2]) // _MAX_SIDE)
     picture = np.asarray(picture[::step, ::step], float)
     top = picture.max() or 1.0
-    grey = np.clip(255 * picture / top, 0, 255).astype(np.uint8)
-    rows, columns = grey.shape
-    lines = np.hstack([np.zeros((rows, 1), np.uint8), grey]).tobytes()
+    values = np.clip(255 * picture / top, 0, 255).astype(np.uint8)
+    rows, columns = values.shape[:2]
+    lines = np.hstack([np.zeros((rows, 1), np.uint8), values.reshape(rows, -1)]).tobytes()
+    # The kind of a PNG: grey, or red, green and blue.
+    kind = 0 if values.ndim == 2 else 2
 
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
-    header = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, kind, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
 
 
@@ -117,4 +120,17 @@ def result_html(result: VideoResult, kind: str) -> str:
         "iterations": _iterations(numbers),
         "warnings": "; ".join(numbers.get("warnings", [])) or None,
     }
+    return table_html(f"rowburst.{kind}", table) + _image(result.video.max(axis=0), "maximum over time")
+
+
+def colour_html(result: ColourVideo, kind: str) -> str:
+    """A result in colour: its main numbers, the verdict of each plane, and the maximum over time."""
+    bins, rows, columns, _ = result.video.shape
+    table = {
+        "video": f"{bins} frames of {rows}×{columns} in colour at {result.frame_rate_hz:,.0f} fps",
+        "mosaic": result.bayer,
+        "prior": result.prior,
+    }
+    for name, plane in result.planes.items():
+        table[name] = f"{plane.fit}: {plane.fit_reason}"
     return table_html(f"rowburst.{kind}", table) + _image(result.video.max(axis=0), "maximum over time")

@@ -12,9 +12,11 @@ from ._errors import input_error
 _PACKAGES = {
     "dcimg": "dcimg",
     "deepinv": "deepinv",
+    "distributed": "distributed",
     "matplotlib": "matplotlib",
     "ndtiff": "ndtiff",
     "pco_tools": "pco-tools",
+    "scico": "scico",
     "sif_parser": "sif_parser",
     "tifffile": "tifffile",
     "torch": "torch",

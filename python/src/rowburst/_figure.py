@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from ._errors import input_error
+from ._errors import as_path, input_error, write
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,22 +37,20 @@ class Figure:
         ------
         InputError
             The file has another ending.
+        WorkError
+            The file cannot be written.
 
         Examples
         --------
         >>> result.figure().save("figure.svg").name
         'figure.svg'
         """
-        target = Path(path)
-        if target.suffix.lower() == ".svg":
-            target.write_text(self.svg, encoding="utf-8")
-        elif target.suffix.lower() == ".png":
-            target.write_bytes(self.png)
-        elif target.suffix.lower() == ".pdf":
-            target.write_bytes(self.pdf)
-        else:
+        forms: dict[str, str | bytes] = {".svg": self.svg, ".png": self.png, ".pdf": self.pdf}
+        target = as_path(path)
+        ending = target.suffix.lower()
+        if ending not in forms:
             raise input_error("path", repr(str(path)), "a figure is an .svg, .pdf or .png file", "Give the file one of these endings.")
-        return target
+        return write(target, forms[ending])
 
     def __repr__(self) -> str:
         return f"<rowburst.Figure: SVG of {len(self.svg) / 1000:.0f} kB; figure.save(path) writes it>"

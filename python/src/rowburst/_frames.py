@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _rowburst
+from ._checks import checked_whole
 from ._errors import input_error
 from ._extras import need
-from ._makers import frame_of_maker, is_of_maker, open_makers
+from ._makers import foreign_reader, frame_of_maker, is_of_maker, open_makers
 from ._ndtiff import is_ndtiff, read_ndtiff
 
 _TIFF = (".tif", ".tiff", ".btf", ".tf8")
@@ -29,7 +31,8 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
         Hamamatsu .dcimg, PCO .b16 (a file or a folder of them) and .pcoraw need ``pip install rowburst[cameras]``; the
         folder of an NDTiff dataset needs ``pip install rowburst[ndtiff]``.
     channel : int, optional
-        The channel of an OME-TIFF, ImageJ stack or NDTiff dataset that has several; counted from 0. A stack needs tifffile.
+        The channel of an OME-TIFF, ImageJ stack, OME-Zarr image or NDTiff dataset that has several; counted from 0. A stack
+        needs tifffile, and an OME-Zarr image zarr.
 
     Returns
     -------
@@ -40,8 +43,8 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
     Raises
     ------
     InputError
-        The path is missing, damaged or of another kind; the frames differ in size; or a stack has several channels and
-        ``channel`` is not given.
+        The path is missing, damaged or of another kind; the frames differ in size; a stack has several channels and
+        ``channel`` is not given; or ``channel`` is none of its channels.
     WorkError
         The frames do not fit into memory.
 
@@ -51,6 +54,8 @@ def read_frames(path: str | PathLike[str], *, channel: int | None = None) -> NDA
     >>> rb.read_frames("frames.npy").shape
     (2, 24, 30)
     """
+    if channel is not None:
+        channel = checked_whole("channel", channel, 0, "Give the number of a channel, counted from 0, not its name.")
     if is_ndtiff(Path(path)):
         return read_ndtiff(Path(path), channel).frames
     if channel is not None:
@@ -125,25 +130,47 @@ def frame_of(frame: Any) -> Any:
 
 
 def _channel(path: Path, channel: int) -> NDArray[Any]:
-    """One channel of a TIFF stack, in the order of time."""
-    if not path.name.lower().endswith(_TIFF):
-        raise input_error("channel", channel, f"only TIFF stacks have channels here, not {path}", "Leave it out.")
-    tifffile = need("tifffile", "read_frames(channel=)")
-    try:
-        with tifffile.TiffFile(path) as file:
+    """One channel of a TIFF stack or an OME-Zarr image, in the order of time."""
+    if not path.exists():
+        raise input_error(path, "no such file", "the file must exist", "Check the path.", kind="not-found")
+    if path.name.lower().endswith(_TIFF):
+        what, remedy = "a TIFF stack is needed", "Save or copy it again."
+        tifffile = need("tifffile", "read_frames(channel=)")
+        with foreign_reader(path, "tifffile", what, remedy), tifffile.TiffFile(path) as file:
             series = file.series[0]
-            axes, array = series.axes, series.asarray()
-    except (OSError, ValueError) as error:
-        found = f"a file that tifffile cannot read ({error})"
-        raise input_error(path, found, "a TIFF stack is needed", "Save or copy it again.", kind="unreadable") from error
-    channels = dict(zip(axes, array.shape, strict=True)).get("C", 1)
-    if not 0 <= channel < channels:
+            axes, array = list(series.axes), series.asarray()
+    elif (multiscale := _multiscale(path)) is not None:
+        what, remedy = "a whole OME-Zarr image is needed", "Copy it again."
+        zarr = need("zarr", "read_frames(channel=)")
+        with foreign_reader(path, "zarr", what, remedy):
+            axes = [str(axis["name"]).upper() for axis in multiscale["axes"]]
+            array = zarr.open_array(str(path / multiscale["datasets"][0]["path"]), mode="r")
+    else:
+        rule = f"only TIFF stacks, OME-Zarr images and NDTiff datasets have channels here, not {path}"
+        raise input_error("channel", channel, rule, "Leave it out.")
+    channels = dict(zip(axes, array.shape, strict=False)).get("C", 1)
+    if channel >= channels:
         raise input_error("channel", channel, f"{path} has {channels} channels, counted from 0", "Give one of them.")
-    if "C" in axes:
-        array = np.take(array, channel, axis=axes.index("C"))
-        axes = axes.replace("C", "")
-    if array.ndim > 3 or not axes.endswith("YX"):
+    with foreign_reader(path, "its reader", what, remedy):
+        frames = np.asarray(array[tuple(channel if axis == "C" else slice(None) for axis in axes)])
+    axes = [axis for axis in axes if axis != "C"]
+    # Beside time, axes such as the depth may have one place.
+    if axes[-2:] != ["Y", "X"] or sum(length > 1 for length in frames.shape[:-2]) > 1:
         rule = "the frames of a recording have one channel and one depth"
         remedy = "Save the part that you mean as a file of its own."
-        raise input_error(path, f"the axes {axes}", rule, remedy, kind="shape")
-    return np.ascontiguousarray(array.reshape(-1, *array.shape[-2:]))
+        raise input_error(path, f"the axes {' '.join(axes)}", rule, remedy, kind="shape")
+    return np.ascontiguousarray(frames.reshape(-1, *frames.shape[-2:]))
+
+
+def _multiscale(path: Path) -> dict[str, Any] | None:
+    """What an OME-Zarr image says of its resolutions, from version 0.4 on; None: the path is no such image."""
+    for name, place in (("zarr.json", ("attributes", "ome")), (".zattrs", ())):
+        try:
+            found: Any = json.loads((path / name).read_text(encoding="utf-8"))
+            for key in place:
+                found = found[key]
+            multiscale: dict[str, Any] = found["multiscales"][0]
+        except (OSError, ValueError, LookupError, TypeError):
+            continue
+        return multiscale
+    return None

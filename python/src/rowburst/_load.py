@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _rowburst
+from ._colour_video import ColourVideo
 from ._display import result_html
 from ._errors import input_error
 from ._figure import Figure, save_figure
@@ -125,6 +126,11 @@ class SavedResult(VideoResult):
     def traces(self) -> list[Trace]:
         """The traces that were written: of the requested regions, then of the brightest spots.
 
+        Returns
+        -------
+        list of Trace
+            Light over time, in counts, with standard errors.
+
         Examples
         --------
         >>> saved.traces()[0].value.shape == saved.time_us.shape
@@ -146,7 +152,7 @@ class SavedResult(VideoResult):
         Parameters
         ----------
         path : path, optional
-            A .svg or .png file that is written.
+            A .svg, .pdf or .png file that is written.
         layout : str
             ``"fig2"`` or ``"fig3"``.
 
@@ -158,7 +164,9 @@ class SavedResult(VideoResult):
         Raises
         ------
         InputError
-            The layout is unknown, or the video is one in chunks.
+            The layout is unknown, the file has another ending, or the video is one in chunks.
+        WorkError
+            The file cannot be written.
 
         Examples
         --------
@@ -188,6 +196,8 @@ class SavedResult(VideoResult):
 
         Raises
         ------
+        InputError
+            The port is no whole number from 0 to 65535.
         WorkError
             The port is taken.
 
@@ -207,7 +217,7 @@ class SavedResult(VideoResult):
         return result_html(self, "SavedResult")
 
 
-class SavedColour:
+class SavedColour(ColourVideo):
     """A video in colour from the folder of :meth:`ColourResult.save` or ``rowburst reconstruct``. :func:`load` makes it.
 
     Arrays are read when they are first used.
@@ -217,10 +227,12 @@ class SavedColour:
         self.folder = Path(folder)
         self._numbers = _numbers_of(self.folder)
         self._video: NDArray[np.float32] | None = None
-        self.planes: dict[str, SavedResult] = {}
+        self._planes = {plane["name"]: SavedResult(self.folder / plane["name"]) for plane in self._numbers["planes"]}
+
+    @property
+    def planes(self) -> dict[str, SavedResult]:
         """The result of each plane, by its name: ``red``, ``green-1``, ``green-2``, and ``blue``."""
-        for plane in self._numbers["planes"]:
-            self.planes[plane["name"]] = SavedResult(self.folder / plane["name"])
+        return self._planes
 
     @property
     def video(self) -> NDArray[np.float32]:
@@ -255,6 +267,53 @@ class SavedColour:
         """The content of ``result.json``."""
         numbers: dict[str, Any] = json.loads(json.dumps(self._numbers))
         return numbers
+
+    def traces(self) -> dict[str, list[Trace]]:
+        """The traces of each plane that were written.
+
+        Returns
+        -------
+        dict of list of Trace
+            By the name of the plane. The times are those of the plane.
+
+        Examples
+        --------
+        >>> colour = rb.reconstruct_colour(frame, camera.replace(bayer="rggb"), psf, prior="tv", max_iterations=5)
+        >>> sorted(rb.load(colour.save("colour")).traces())
+        ['blue', 'green-1', 'green-2', 'red']
+        """
+        return {name: plane.traces() for name, plane in self.planes.items()}
+
+    def view(self, port: int | None = None, open_browser: bool = True) -> View:
+        """Opens the viewer of ``rowburst view`` on the planes, as :meth:`Result.view` does.
+
+        Parameters
+        ----------
+        port : int, optional
+            The port; 0 is any.
+        open_browser : bool
+            Whether a browser is opened, where there is a screen.
+
+        Returns
+        -------
+        View
+            Its ``url``, and ``close()``.
+
+        Raises
+        ------
+        InputError
+            The port is no whole number from 0 to 65535.
+        WorkError
+            The port is taken.
+
+        Examples
+        --------
+        >>> colour = rb.reconstruct_colour(frame, camera.replace(bayer="rggb"), psf, prior="tv", max_iterations=5)
+        >>> with rb.load(colour.save("colour")).view(port=0, open_browser=False) as view:
+        ...     print(view.url[:17])
+        http://127.0.0.1:
+        """
+        return View([plane.folder for plane in self.planes.values()], port, open_browser)
 
     def __repr__(self) -> str:
         bins, rows, columns, _ = self.video.shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ._errors import input_error
 from ._extras import need
 from ._ndtiff import is_ndtiff, read_ndtiff
+from ._rowburst import InputError, WorkError
 
 
 @dataclass(frozen=True)
@@ -49,16 +50,24 @@ def open_makers(path: Path) -> MakersFile:
         _, rows, columns = data.frames.shape
         return MakersFile(data.frames, {"rows": rows, "columns": columns}, data.record)
     reader = _READERS[".b16"] if path.is_dir() else _READERS[path.suffix.lower()]
-    try:
+    what = "whole .b16 files are needed" if path.is_dir() else f"a whole {path.suffix} file is needed"
+    remedy = "Copy it again, or save it as TIFF by the camera's software."
+    with foreign_reader(path, "its reader", what, remedy):
         found = reader(path)
         _, rows, columns = found.frames.shape
-    except (OSError, ValueError, SyntaxError, KeyError, IndexError, TypeError) as error:
-        if getattr(error, "kind", None) is not None:
-            raise
-        what = f"a file that its reader cannot read ({type(error).__name__}: {error})"
-        remedy = "Copy it again, or save it as TIFF by the camera's software."
-        raise input_error(path, what, f"a whole {path.suffix} file is needed", remedy, kind="unreadable") from error
     return MakersFile(found.frames, {"rows": rows, "columns": columns} | found.settings)
+
+
+@contextlib.contextmanager
+def foreign_reader(path: Path, reader: str, rule: str, remedy: str) -> Iterator[None]:
+    """Names the file where a package that reads it fails. Packages raise whatever their code meets in a damaged file."""
+    try:
+        yield
+    except (InputError, WorkError, MemoryError):
+        raise
+    except Exception as error:
+        found = f"a file that {reader} cannot read ({type(error).__name__}: {error})"
+        raise input_error(path, found, rule, remedy, kind="unreadable") from error
 
 
 def frame_of_maker(path: Path) -> NDArray[Any]:

@@ -12,6 +12,7 @@ import numpy as np
 from . import _load, _reconstruct, _rowburst
 from ._errors import input_error
 from ._extras import need
+from ._video import first_pixel
 
 if TYPE_CHECKING:
     from ._video import VideoResult
@@ -46,10 +47,13 @@ def _folder(path: str) -> Path:
 
 
 def _axes(result: VideoResult) -> dict[str, Any]:
-    """Scale, units and labels of the axes of a video, whose first is in microseconds."""
+    """Scale, place, units and labels of the axes of a video. The first is in microseconds; the others are pixels of the
+    sensor, on which the layer of the frame lies."""
     time_us = result.time_us
     bin_us = float(time_us[1] - time_us[0]) if len(time_us) > 1 else 1.0
-    return {"scale": (bin_us, 1.0, 1.0), "translate": (float(time_us[0]), 0.0, 0.0), "units": _UNITS, "axis_labels": ("t", "y", "x")}
+    sides = zip(result.video.shape[1:], result._sensor_shape, strict=True)
+    place = (float(time_us[0]), *(float(first_pixel(field, sensor)) for field, sensor in sides))
+    return {"scale": (bin_us, 1.0, 1.0), "translate": place, "units": _UNITS, "axis_labels": ("t", "y", "x")}
 
 
 def _video_layer(result: VideoResult, name: str) -> Layer:

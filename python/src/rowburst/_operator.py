@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy.sparse.linalg import LinearOperator
 
 from . import _rowburst
+from ._checks import check_camera, check_positive, checked_array, checked_psf
 from ._extras import need
+from ._lazy import Lazy
 from ._rowburst import Camera, Psf
+
+if TYPE_CHECKING:
+    from ._torch import TorchOperator
 
 
 def _like(array: NDArray[Any]) -> np.dtype[Any]:
@@ -24,10 +30,29 @@ class RollingShutterOperator(LinearOperator):
     Vectors of float32 are computed in float32 and give float32; all others, in float64.
     """
 
-    def __init__(self, camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> None:
-        self._native = _rowburst._Operator(camera, psf)
+    def __init__(
+        self, camera: Camera, psf: Psf | ArrayLike | PathLike[str] | None, dtype: DTypeLike = np.float64
+    ) -> None:
+        check_camera(camera, takes_experiment=False)
         self.camera = camera
-        super().__init__(np.dtype(dtype), self._native.shape)  # type: ignore[call-arg]
+        self._psf: Psf | ArrayLike | PathLike[str] | None = checked_psf(psf)
+        self._lazy: Lazy[_rowburst._Operator] = Lazy()
+        native = self._native
+        self._psf = native.psf
+        super().__init__(np.dtype(dtype), native.shape)  # type: ignore[call-arg]
+
+    @property
+    def _native(self) -> _rowburst._Operator:
+        # A copy computes at its first call: an error while it is unpickled would end a worker of a multiprocessing.Pool,
+        # and the pool would wait for ever.
+        return self._lazy.get(lambda: _rowburst._Operator(self.camera, self._psf))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lazy"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lazy = Lazy()
 
     @property
     def video_shape(self) -> tuple[int, int, int]:
@@ -63,7 +88,7 @@ class RollingShutterOperator(LinearOperator):
             return self.matvec(x.reshape(-1)).reshape(self.frame_shape)
         return super().__call__(x)
 
-    def data_term(self, frame: ArrayLike) -> DataTerm:
+    def data_term(self, frame: ArrayLike | PathLike[str]) -> DataTerm:
         """``½‖W(b - A v)‖²`` of a raw frame ``b``, with its exact prox.
 
         Parameters
@@ -95,7 +120,12 @@ class RollingShutterOperator(LinearOperator):
         Returns
         -------
         scico.linop.LinearOperator
-            From videos ``[t, y, x]`` to frames ``[y, x]``.
+            From videos ``[t, y, x]`` to frames ``[y, x]``, of float32.
+
+        Raises
+        ------
+        InputError
+            scico is not installed.
 
         Examples
         --------
@@ -104,11 +134,12 @@ class RollingShutterOperator(LinearOperator):
             S = rb.operator(camera, psf).to_scico()
             frame = S(snp.zeros(S.input_shape))
         """
+        need("scico", "to_scico")
         from ._scico import linear_operator
 
         return linear_operator(self)
 
-    def to_torch(self) -> Any:
+    def to_torch(self) -> TorchOperator:
         """The same on torch tensors, videos ``[..., t, y, x]`` to frames ``[..., y, x]``, with gradients.
 
         Returns
@@ -145,13 +176,27 @@ class DataTerm:
 
     hasgrad = True
 
-    def __init__(self, operator: RollingShutterOperator, frame: ArrayLike) -> None:
-        self._native = _rowburst._DataTerm(operator._native, frame)
+    def __init__(self, operator: RollingShutterOperator, frame: ArrayLike | PathLike[str]) -> None:
         self.operator = operator
-        self._frame = frame
+        self._frame: ArrayLike | PathLike[str] = checked_array("frame", frame)
+        self._lazy: Lazy[_rowburst._DataTerm] = Lazy()
+        # The mistakes of a frame are found here.
+        _ = self._native
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.operator, self._frame)
+    @property
+    def _native(self) -> _rowburst._DataTerm:
+        return self._lazy.get(lambda: _rowburst._DataTerm(self.operator._native, self._frame))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lazy"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lazy = Lazy()
+
+    def __repr__(self) -> str:
+        rows, columns = self.operator.frame_shape
+        return f"<rowburst.DataTerm of a frame of {rows}×{columns}>"
 
     def __call__(self, x: ArrayLike) -> float:
         return self._native.value(np.asarray(x).reshape(-1))
@@ -168,6 +213,11 @@ class DataTerm:
         -------
         numpy.ndarray
             The gradient, in the shape of ``x``.
+
+        Raises
+        ------
+        InputError
+            The video has another number of values, or one that is not finite.
 
         Examples
         --------
@@ -199,7 +249,7 @@ class DataTerm:
         Raises
         ------
         InputError
-            The step is not above zero.
+            The step is not above zero, or the video has another number of values, or one that is not finite.
 
         Examples
         --------
@@ -227,12 +277,18 @@ class DataTerm:
         numpy.ndarray
             In the shape of ``x``.
 
+        Raises
+        ------
+        InputError
+            The step is not above zero, or the video has another number of values, or one that is not finite.
+
         Examples
         --------
         >>> term = rb.operator(camera, psf).data_term(frame)
         >>> term.proxdual(np.ones((12, 24, 30)), 1.0).shape
         (12, 24, 30)
         """
+        check_positive("step", step, "Give a step above zero, such as 1.0.")
         x = np.asarray(x)
         return x - float(step) * self.prox(x / float(step), 1.0 / float(step))
 
@@ -242,7 +298,12 @@ class DataTerm:
         Returns
         -------
         scico.functional.Functional
-            With ``grad`` and the exact ``prox``; ``jax.vmap`` and ``jit`` take it.
+            With ``grad`` and the exact ``prox``, of float32; ``jax.vmap`` and ``jit`` take it.
+
+        Raises
+        ------
+        InputError
+            scico is not installed.
 
         Examples
         --------
@@ -251,20 +312,23 @@ class DataTerm:
             f = rb.operator(camera, psf).data_term(frame).to_scico()
             video = f.prox(snp.zeros(camera.video_shape), 1.0)
         """
+        need("scico", "to_scico")
         from ._scico import functional
 
         return functional(self)
 
 
-def operator(camera: Camera, psf: Psf | ArrayLike, dtype: DTypeLike = np.float64) -> RollingShutterOperator:
+def operator(
+    camera: Camera, psf: Psf | ArrayLike | PathLike[str] | None, dtype: DTypeLike = np.float64
+) -> RollingShutterOperator:
     """The forward operator ``A`` of a camera behind a diffuser.
 
     Parameters
     ----------
     camera : Camera
         The camera.
-    psf : Psf or array
-        The point-spread function.
+    psf : Psf, array or path
+        The point-spread function ``[y, x]``. None, which an experiment without a PSF has, is refused.
     dtype : dtype
         The type that solvers see, and in which most of them work: with ``numpy.float32`` they are about twice as fast.
 

@@ -13,6 +13,7 @@ from ._rowburst import InputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from ._colour_video import ColourVideo
     from ._reconstruct import Trace
     from ._video import VideoResult
 
@@ -48,31 +49,68 @@ def overview(result: VideoResult) -> NDArray[Any]:
     return np.asarray(axes)
 
 
-def montage(result: VideoResult, frames: int, columns: int | None, cmap: str) -> NDArray[Any]:
+def _in_colour(picture: NDArray[Any], top: float) -> NDArray[Any]:
+    """A picture ``[y, x, colour]`` in counts as matplotlib takes it, ``top`` being white."""
+    return np.clip(picture / top, 0, 1)
+
+
+def colour_overview(result: ColourVideo) -> NDArray[Any]:
+    """The four pictures of a result in colour."""
+    pyplot = _pyplot("plot")
+    figure, axes = pyplot.subplots(2, 2, figsize=(9, 7.5), layout="constrained")
+    video, time_us = result.video, result.time_us
+    brightest = video.max(axis=0)
+    axes[0, 0].imshow(_in_colour(brightest, float(brightest.max()) or 1))
+    axes[0, 0].set(title="maximum over time", xlabel="x (cells of 2×2 px)", ylabel="y (cells of 2×2 px)")
+    time_colour(result, axes[0, 1], "turbo")
+    axes[0, 1].set_title("time as colour")
+    for index, colour in enumerate(("red", "green", "blue")):
+        axes[1, 0].plot(time_us, video[..., index].sum(axis=(1, 2), dtype=float), color=f"tab:{colour}", label=colour)
+    axes[1, 0].set(xlabel="time (µs)", ylabel="light of all pixels (counts)", title="light over time")
+    axes[1, 0].set_ylim(bottom=0)
+    axes[1, 0].legend()
+    residual = axes[1, 1].imshow(result.residual, cmap="RdBu", vmin=-4, vmax=4)
+    axes[1, 1].set_title("residual/σ of the raw frame")
+    figure.colorbar(residual, ax=axes[1, 1], label="residual (σ)")
+    bins, rows, columns, _ = video.shape
+    figure.suptitle(
+        f"{bins} frames of {rows}×{columns} in colour at {result.frame_rate_hz:,.0f} fps, {result.prior}, the fit is {result.fit}"
+    )
+    return np.asarray(axes)
+
+
+def montage(result: VideoResult | ColourVideo, frames: int, columns: int | None, cmap: str) -> NDArray[Any]:
     """Bins side by side."""
     pyplot = _pyplot("montage")
     video, time_us = result.video, result.time_us
     shown = np.unique(np.linspace(0, len(video) - 1, min(frames, len(video))).round().astype(int))
     across = min(columns or round(np.sqrt(1.5 * len(shown)) + 0.5), len(shown))
     down = -(-len(shown) // across)
-    _, height, width = video.shape
+    height, width = video.shape[1:3]
+    top = float(video.max()) or 1
     size = (1.7 * across, 1.7 * down * height / width + 0.3 * down)
     figure, axes = pyplot.subplots(down, across, figsize=size, squeeze=False, layout="constrained")
     for ax in axes.flat:
         ax.set_axis_off()
     for ax, bin_ in zip(axes.flat, shown, strict=False):
-        picture = ax.imshow(video[bin_], cmap=cmap, vmin=0, vmax=float(video.max()) or 1)
+        if video.ndim == 4:
+            ax.imshow(_in_colour(video[bin_], top))
+        else:
+            picture = ax.imshow(video[bin_], cmap=cmap, vmin=0, vmax=top)
         ax.set_title(f"{time_us[bin_]:.1f} µs", fontsize=8)
-    figure.colorbar(picture, ax=axes, label="light (counts)", shrink=0.8)
+    if video.ndim == 3:
+        figure.colorbar(picture, ax=axes, label="light (counts)", shrink=0.8)
     return np.asarray(axes.ravel()[: len(shown)])
 
 
-def time_colour(result: VideoResult, ax: Any, cmap: str) -> Axes:
-    """The brightest tinted bin of each pixel."""
+def time_colour(result: VideoResult | ColourVideo, ax: Any, cmap: str) -> Axes:
+    """The brightest tinted bin of each pixel; of a video in colour, of the mean of its colours."""
     pyplot = _pyplot("time_colour")
     if ax is None:
         ax = pyplot.subplots(layout="constrained")[1]
     video, time_us = result.video, result.time_us
+    if video.ndim == 4:
+        video = video.mean(axis=-1)
     colours = pyplot.get_cmap(cmap)(np.linspace(0, 1, len(video)))[:, :3]
     picture = np.zeros((*video.shape[1:], 3), np.float32)
     scale = float(video.max()) or 1

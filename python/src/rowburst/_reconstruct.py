@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
+from ._checks import check_camera, check_number, check_port, check_threads, checked_array, checked_psf
 from ._display import result_html
-from ._errors import input_error
+from ._errors import input_error, write
 from ._figure import Figure, save_figure
 from ._makers import is_of_maker
 from ._rowburst import Camera, Experiment, Progress, Psf
@@ -104,14 +105,17 @@ class Report(str):
         pathlib.Path
             The file.
 
+        Raises
+        ------
+        WorkError
+            The file cannot be written.
+
         Examples
         --------
         >>> result.report().save("report.html").name
         'report.html'
         """
-        target = Path(path)
-        target.write_text(self, encoding="utf-8")
-        return target
+        return write(path, self)
 
     def __repr__(self) -> str:
         return f"<rowburst.Report: a page of {len(self) / 1000:.0f} kB; report.save(path) writes it>"
@@ -370,6 +374,8 @@ class Result(VideoResult):
         ------
         InputError
             The layout is unknown, or the file has another ending.
+        WorkError
+            The file cannot be written.
 
         Examples
         --------
@@ -398,6 +404,8 @@ class Result(VideoResult):
 
         Raises
         ------
+        InputError
+            The port is no whole number from 0 to 65535.
         WorkError
             The port is taken.
 
@@ -407,9 +415,14 @@ class Result(VideoResult):
         ...     print(view.url[:17])
         http://127.0.0.1:
         """
+        check_port(port)
         folder = TemporaryDirectory(prefix="rowburst-")
-        self.save(folder.name)
-        return View([Path(folder.name)], port, open_browser, folder)
+        try:
+            self.save(folder.name)
+            return View([Path(folder.name)], port, open_browser, folder)
+        except BaseException:
+            folder.cleanup()
+            raise
 
     def _repr_html_(self) -> str:
         return result_html(self, "Result")
@@ -481,6 +494,11 @@ def _settings(
     corrected: bool = False,
 ) -> dict[str, Any]:
     """The arguments that an experiment gives where they are left out, and the experiment."""
+    check_camera(camera, takes_experiment=True)
+    psf = checked_psf(psf)
+    dark, flat, bad_pixels = (
+        checked_array(name, value) for name, value in (("dark", dark), ("flat", flat), ("bad_pixels", bad_pixels))
+    )
     for name, value in ("dark", dark), ("flat", flat):
         if corrected and value is not None:
             rule = "a corrected frame needs no dark and no flat"
@@ -536,9 +554,11 @@ def _pictures(guide: ArrayLike | Sequence[ArrayLike] | None) -> list[ArrayLike] 
     """The pictures of a guide as a list."""
     if guide is None:
         return None
-    if isinstance(guide, (list, tuple)) and all(isinstance(g, (str, PathLike)) or np.ndim(g) == 2 for g in guide):
-        return list(guide)
-    return [cast("ArrayLike", guide)]
+    if isinstance(guide, (list, tuple)):
+        pictures = [picture if isinstance(picture, (str, PathLike)) else checked_array("guide", picture) for picture in guide]
+        if all(isinstance(picture, (str, PathLike)) or np.ndim(picture) == 2 for picture in pictures):
+            return cast("list[ArrayLike]", pictures)
+    return [cast("ArrayLike", checked_array("guide", guide))]
 
 
 def reconstruct(
@@ -649,7 +669,13 @@ def reconstruct(
     >>> result.video.shape, result.prior
     ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
+    for name, number in (("noise_sigma", noise_sigma), ("time_budget_s", time_budget_s)):
+        check_number(name, number)
+    check_threads(threads)
     settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
+    frame, truth, direct = (
+        checked_array(name, value) for name, value in (("frame", frame), ("truth", truth), ("direct", direct))
+    )
     given = dict(psf=psf, dark=dark, flat=flat, bad_pixels=bad_pixels, truth=truth, direct=direct)
     is_plain = not corrected and tuning is None and guide_exposures_us is None
     files = _files(frame, given, guide) if is_plain and isinstance(camera, Experiment) else None

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from os import PathLike
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _rowburst
+from ._checks import check_number, check_threads, checked_array, checked_whole, shown
 from ._errors import input_error
 from ._frames import recording_of
+from ._lazy import Lazy
 from ._reconstruct import Result, _callback, _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, LiveView, Progress, Psf
 
@@ -22,7 +24,7 @@ class Reconstructor:
     """The reconstruction of frames of one camera: set up once, called for each frame.
 
     The operator, the PSF's spectra and the Gram blocks are computed once. A call gives the video of :func:`reconstruct`,
-    bit for bit, and any number of Python threads may call at once. It can be pickled; the copy is set up anew.
+    bit for bit, and any number of Python threads may call at once. It can be pickled; the copy is set up at its first call.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ class Reconstructor:
         tuning: Mapping[str, float] | None = None,
         corrected: bool = False,
     ) -> None:
-        self._given = dict(
+        given = dict(
             psf=psf,
             prior=prior,
             tau=tau,
@@ -86,22 +88,25 @@ class Reconstructor:
             tuning=tuning,
             corrected=corrected,
         )
-        self._source = camera
-        more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
-        settings = _settings_without_guide("a Reconstructor", camera, *more)
+        check_number("noise_sigma", noise_sigma)
+        check_threads(threads)
+        self._set(camera, given)
+        self._set_up()
+
+    def _set(self, camera: Camera | Experiment, given: dict[str, Any]) -> None:
+        """Keeps the arguments; nothing is computed."""
+        shared = ("psf", "prior", "tau", "dark", "flat", "bad_pixels", "corrected")
+        settings = _settings_without_guide("a Reconstructor", camera, *(given[name] for name in shared))
+        self._source, self._given, self._settings = camera, given, settings
         self.camera: Camera = settings["camera"]
-        self._settings = settings
-        self._threads = threads
-        self._native = _rowburst._Reconstructor(
-            **settings,
-            noise_sigma=noise_sigma,
-            max_iterations=max_iterations,
-            self_calibrate=self_calibrate,
-            keep_all_pixels=keep_all_pixels,
-            threads=threads,
-            tuning=_constants(tuning),
-            corrected=corrected,
-        )
+        self._lazy: Lazy[_rowburst._Reconstructor] = Lazy()
+
+    def _set_up(self) -> _rowburst._Reconstructor:
+        """Operator, spectra and Gram blocks, computed once. A copy computes them at its first call, not while it is
+        unpickled: an error there would end a worker of a multiprocessing.Pool, and the pool would wait for ever."""
+        own = ("noise_sigma", "max_iterations", "self_calibrate", "keep_all_pixels", "threads", "corrected")
+        options = {name: self._given[name] for name in own} | {"tuning": _constants(self._given["tuning"])}
+        return self._lazy.get(lambda: _rowburst._Reconstructor(**self._settings, **options))
 
     def __call__(
         self,
@@ -130,6 +135,8 @@ class Reconstructor:
         ------
         InputError
             An argument breaks a rule.
+        WorkError
+            The work failed, such as for lack of memory or in a process that was forked after something was computed.
 
         Examples
         --------
@@ -148,10 +155,14 @@ class Reconstructor:
         progress: Callable[[Progress], object] | bool | None = None,
         seed: int = 0,
         debias: bool = False,
+        raw: bool = False,
     ) -> Result:
+        check_number("time_budget_s", time_budget_s)
+        frame, truth = checked_array("frame", frame), checked_array("truth", truth)
+        native = self._set_up()
         bar, callback = _callback(progress)
         try:
-            found = self._native.reconstruct(
+            found = native.reconstruct(
                 frame,
                 truth=truth,
                 direct=direct,
@@ -160,6 +171,7 @@ class Reconstructor:
                 time_budget_s=time_budget_s,
                 debias=debias,
                 cancel=cancel,
+                raw=raw,
             )
         finally:
             if bar is not None:
@@ -179,7 +191,8 @@ class Reconstructor:
         ----------
         frames : path, array or iterable
             A recording as :func:`read_frames` takes it, read frame by frame; an array ``[frame, y, x]`` of numpy, Dask,
-            Zarr or HDF5; or anything that gives frames.
+            Zarr or HDF5; or anything that gives frames. A recording on disk is a raw capture, as a file is for
+            :func:`reconstruct`: the bias is subtracted from floating-point numbers as well.
         workers : int
             Frames that are reconstructed at the same time, by Python threads. More than one is faster on small sensors,
             and takes the memory of as many reconstructions.
@@ -195,6 +208,8 @@ class Reconstructor:
         ------
         InputError
             A frame breaks a rule, or ``workers`` is below 1.
+        WorkError
+            The work failed.
 
         Examples
         --------
@@ -203,29 +218,10 @@ class Reconstructor:
         (12, 24, 30)
         (12, 24, 30)
         """
-        if not isinstance(workers, (int, np.integer)) or workers < 1:
-            raise input_error("workers", workers, "at least one works", "Leave it out.")
-        return self._mapped(_each(recording_of(frames)), workers, debias)
-
-    def _mapped(self, frames: Iterator[Any], workers: int, debias: bool) -> Iterator[Result]:
-        if workers == 1:
-            for frame in frames:
-                yield self(frame, debias=debias)
-            return
-        pending: deque[Future[Result]] = deque()
-        # Only the main thread hears Ctrl-C; the token ends the frames that other threads work at.
-        cancel = _rowburst._Cancel()
-        pool = ThreadPoolExecutor(workers, thread_name_prefix="rowburst")
-        try:
-            for frame in frames:
-                pending.append(pool.submit(self._call, frame, cancel, debias=debias))
-                if len(pending) >= workers:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            cancel.cancel()
-            pool.shutdown(wait=False, cancel_futures=True)
+        workers = checked_whole("workers", workers, 1)
+        # A frame of a file is a raw capture, of whatever numbers it is.
+        call = partial(self._call, debias=debias, raw=isinstance(frames, (str, PathLike)))
+        return _mapped(call, _each(recording_of(frames)), workers)
 
     def live(self) -> LiveView:
         """A live view with the camera, PSF, corrections, prior, tau and threads of this reconstructor.
@@ -235,15 +231,20 @@ class Reconstructor:
         LiveView
             Its ``next(frame)`` gives a video.
 
+        Raises
+        ------
+        WorkError
+            The machine has too little memory.
+
         Examples
         --------
         >>> reconstructor.live().next(frame).video.shape
         (12, 24, 30)
         """
         settings = {name: value for name, value in self._settings.items() if name != "experiment"}
-        tuning = _constants(self._given["tuning"])  # type: ignore[arg-type]
         given = self._given
-        return LiveView(**settings, noise_sigma=given["noise_sigma"], tuning=tuning, threads=given["threads"])  # type: ignore[arg-type]
+        tuning = _constants(given["tuning"])
+        return LiveView(**settings, noise_sigma=given["noise_sigma"], tuning=tuning, threads=given["threads"])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._source, self._given)
@@ -254,11 +255,38 @@ class Reconstructor:
 
 
 def _again(camera: Camera | Experiment, given: dict[str, Any]) -> Reconstructor:
-    return Reconstructor(camera, **given)
+    copy = Reconstructor.__new__(Reconstructor)
+    copy._set(camera, given)
+    return copy
 
 
 def _each(frames: Any) -> Iterator[Any]:
     """The frames of an array or an iterable, without an array's copy as a whole."""
     if hasattr(frames, "__getitem__") and hasattr(frames, "__len__"):
         return (frames[index] for index in range(len(frames)))
-    return iter(frames)
+    try:
+        return iter(frames)
+    except TypeError as error:
+        rule = "it is a path, an array [frame, y, x], or anything that gives frames"
+        raise input_error("frames", shown(frames), rule, "Give a list of frames, such as [frame].") from error
+
+
+def _mapped(call: Callable[..., Result], frames: Iterator[Any], workers: int) -> Iterator[Result]:
+    """``call`` of each frame, in their order, of as many at a time as there are workers."""
+    if workers == 1:
+        yield from map(call, frames)
+        return
+    pending: deque[Future[Result]] = deque()
+    # Only the main thread hears Ctrl-C; the token ends the frames that other threads work at.
+    cancel = _rowburst._Cancel()
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="rowburst")
+    try:
+        for frame in frames:
+            pending.append(pool.submit(call, frame, cancel))
+            if len(pending) >= workers:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        cancel.cancel()
+        pool.shutdown(wait=False, cancel_futures=True)

@@ -8,6 +8,8 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._reconstructor import Reconstructor
+
 __all__ = [
     "Camera",
     "Experiment",
@@ -445,7 +447,7 @@ class Experiment:
     @property
     def tau(self) -> str | float:
         """The weight of the prior, ``auto`` or ``held-out``."""
-    def reconstructor(self, **options: Any) -> Any:
+    def reconstructor(self, **options: Any) -> Reconstructor:
         """A reconstructor with everything that the file says.
 
         Parameters
@@ -610,7 +612,7 @@ class LiveView:
     def __new__(
         cls,
         camera: Camera,
-        psf: Psf | ArrayLike | PathLike[str],
+        psf: Psf | ArrayLike | PathLike[str] | None,
         *,
         prior: str = "auto",
         tau: float | str | None = None,
@@ -769,6 +771,7 @@ class _Reconstructor:
         tau: str | float | None = None,
         noise_sigma: float | None = None,
         max_iterations: int | None = None,
+        raw: bool = False,
     ) -> Result: ...
     def check(
         self,
@@ -829,7 +832,7 @@ class _View:
 
 @final
 class _Operator:
-    def __new__(cls, camera: Camera, psf: Psf | ArrayLike) -> _Operator: ...
+    def __new__(cls, camera: Camera, psf: Psf | ArrayLike | PathLike[str] | None) -> _Operator: ...
     @property
     def shape(self) -> tuple[int, int]: ...
     @property
@@ -843,7 +846,7 @@ class _Operator:
 
 @final
 class _DataTerm:
-    def __new__(cls, operator: _Operator, frame: ArrayLike) -> _DataTerm: ...
+    def __new__(cls, operator: _Operator, frame: ArrayLike | PathLike[str]) -> _DataTerm: ...
     def value(self, x: ArrayLike) -> float: ...
     def gradient(self, x: ArrayLike) -> NDArray[np.float32]: ...
     def prox(self, x: ArrayLike, step: float) -> NDArray[np.float32]: ...

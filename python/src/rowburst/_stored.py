@@ -7,6 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from ._errors import write, write_error
+
 
 class Stored:
     """Stands for the native part after pickling."""
@@ -30,8 +32,11 @@ class Stored:
     def save(self, folder: str | PathLike[str]) -> None:
         for name, content in self._files.items():
             path = Path(folder) / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise write_error(path.parent, error) from error
+            write(path, content)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Stored, (self._values, self._files)

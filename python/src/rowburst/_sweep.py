@@ -8,11 +8,12 @@ from html import escape
 from itertools import product
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from numpy.typing import ArrayLike
 
 from . import _rowburst
+from ._checks import check_positive, check_threads, checked_array, checked_whole, shown
 from ._errors import input_error
 from ._reconstruct import Result, _callback, _constants, _settings
 from ._rowburst import Camera, Experiment, InputError, Progress, Psf, WorkError
@@ -61,7 +62,11 @@ class Sweep(Sequence[Result | None]):
         _rowburst._save_sweep(folder, rows)
         return Path(folder)
 
-    def __getitem__(self, index: Any) -> Any:
+    @overload
+    def __getitem__(self, index: int) -> Result | None: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Result | None]: ...
+    def __getitem__(self, index: int | slice) -> Result | None | list[Result | None]:
         return self.results[index]
 
     def __len__(self) -> int:
@@ -127,7 +132,7 @@ def sweep(
     Raises
     ------
     InputError
-        An argument breaks a rule, or nothing is swept.
+        An argument breaks a rule, or nothing is swept. All values are checked before the first run.
     WorkError
         All points failed.
 
@@ -146,6 +151,11 @@ def sweep(
     if not swept or not points:
         rule = "a sweep has at least one sequence with a value in it"
         raise input_error("prior", "nothing that is swept", rule, 'Give for example prior=["tv", "tv+l1"], tau=[0.1, 1.0].')
+    for name, value in given.items():
+        for one in swept.get(name, [value]):
+            _check_value(name, one)
+    check_threads(threads)
+    frame, truth = checked_array("frame", frame), checked_array("truth", truth)
     settings = _settings(camera, psf, fixed["prior"], fixed["tau"], dark, flat, bad_pixels, corrected)
     native = _rowburst._Reconstructor(
         **settings,
@@ -157,7 +167,7 @@ def sweep(
         tuning=_constants(tuning),
         corrected=corrected,
     )
-    # All values are checked before the first run.
+    # Priors and τ as text, which the library reads.
     for point in points:
         native.check(**point)
     results: list[Result | None] = []
@@ -191,6 +201,26 @@ _COLUMNS = ("prior", "tau", "residual_over_sigma", "psnr_db", "ssim", "fit", "er
 
 def _is_list(value: object) -> bool:
     return isinstance(value, Iterable) and not isinstance(value, str) and getattr(value, "ndim", 1) > 0
+
+
+def _check_value(name: str, value: Any) -> None:
+    """Refuses a value of a sweep that no run could use; None is an argument that is left out."""
+    if value is None:
+        return
+    if name == "max_iterations":
+        checked_whole(name, value, 1)
+    elif name == "noise_sigma":
+        check_positive(name, value)
+    elif name == "tau":
+        if isinstance(value, str):
+            try:
+                value = float(value)
+            except ValueError:
+                # A word, such as "auto".
+                return
+        check_positive(name, value)
+    elif not isinstance(value, str):
+        raise input_error(name, shown(value), 'it is the text of a prior, such as "tv"', 'Leave it out for "auto".')
 
 
 def _label(point: Mapping[str, Any]) -> str:

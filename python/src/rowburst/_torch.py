@@ -25,16 +25,60 @@ class TorchOperator:
         self.video_shape = operator.video_shape
         self.frame_shape = operator.frame_shape
 
+    def __repr__(self) -> str:
+        return f"<rowburst.TorchOperator: videos {self.video_shape} to frames {self.frame_shape}>"
+
     def __call__(self, video: Any) -> Any:
-        """The frames of videos."""
+        """The frames ``[..., y, x]`` of videos ``[..., t, y, x]``."""
         return _Linear.apply(video, self, False)
 
     def adjoint(self, frame: Any) -> Any:
-        """``Aᵀ`` of frames: videos."""
+        """``Aᵀ`` of frames ``[..., y, x]``: videos ``[..., t, y, x]``.
+
+        Parameters
+        ----------
+        frame : torch.Tensor
+            Frames ``[..., y, x]``.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[..., t, y, x]``, of the type and on the device of the frames.
+
+        Raises
+        ------
+        InputError
+            The last axes are not those of a frame.
+
+        Examples
+        --------
+        ::
+
+            A = rb.operator(camera, psf).to_torch()
+            video = A.adjoint(torch.ones(A.frame_shape))
+        """
         return _Linear.apply(frame, self, True)
 
     def deepinv(self) -> Any:
-        """The same as a ``deepinv.physics.LinearPhysics``, on videos ``[batch, 1, t, y, x]`` and frames ``[batch, 1, y, x]``."""
+        """The same as a ``deepinv.physics.LinearPhysics``, on videos ``[batch, 1, t, y, x]`` and frames ``[batch, 1, y, x]``.
+
+        Returns
+        -------
+        deepinv.physics.LinearPhysics
+            With ``A``, ``A_adjoint`` and the solvers of deepinv.
+
+        Raises
+        ------
+        InputError
+            deepinv is not installed.
+
+        Examples
+        --------
+        ::
+
+            physics = rb.operator(camera, psf).to_torch().deepinv()
+            video = physics.A_dagger(frame[None, None], solver="CG")
+        """
         from ._extras import need
 
         need("deepinv", "TorchOperator.deepinv")

@@ -7,12 +7,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._errors import input_error
+from ._checks import checked_whole
 from ._extras import need
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from xarray import DataArray
+
+
+def first_pixel(field: int, sensor: int) -> int:
+    """The pixel of the sensor, along one side, at which the first pixel of the field lies.
+
+    It is a whole number from 0 down, as in the operator: of an odd difference the smaller half lies before the sensor.
+    """
+    return -((field - sensor) // 2)
+
+
+def pixels(field: int, sensor: int) -> NDArray[np.float64]:
+    """The pixels of the sensor, along one side, at which those of the field lie."""
+    return np.arange(field, dtype=np.float64) + first_pixel(field, sensor)
 
 
 class VideoResult:
@@ -56,8 +69,9 @@ class VideoResult:
         -------
         xarray.DataArray
             float32 ``(time, y, x)`` in counts. ``time`` is the middle of each bin, from the start of exposure of the row
-            that is read first. Where the field is larger than the sensor, ``y`` and ``x`` begin below 0. The attributes are
-            prior, tau, noise, fit, frame rate, and the delay of that start after the trigger where it is known.
+            that is read first. ``y`` and ``x`` are whole pixels, and 0 is the first of the sensor; where the field is larger
+            than the sensor, they begin below 0. The attributes are prior, tau, noise, fit, frame rate, and the delay of that
+            start after the trigger where it is known.
 
         Raises
         ------
@@ -81,8 +95,8 @@ class VideoResult:
             dims=("time", "y", "x"),
             coords={
                 "time": ("time", self.time_us, {"units": "µs", "long_name": "middle of the bin"}),
-                "y": ("y", np.arange(rows) - (rows - sensor_rows) / 2, {"units": "px", "long_name": "row of the sensor"}),
-                "x": ("x", np.arange(columns) - (columns - sensor_columns) / 2, {"units": "px", "long_name": "column"}),
+                "y": ("y", pixels(rows, sensor_rows), {"units": "px", "long_name": "row of the sensor"}),
+                "x": ("x", pixels(columns, sensor_columns), {"units": "px", "long_name": "column of the sensor"}),
             },
             name="video",
             attrs={"units": "counts"} | {name: numbers[name] for name in kept if numbers.get(name) is not None},
@@ -131,7 +145,7 @@ class VideoResult:
         Raises
         ------
         InputError
-            matplotlib is not installed, or ``frames`` or ``columns`` is below 1.
+            matplotlib is not installed, or ``frames`` or ``columns`` is no whole number from 1.
 
         Examples
         --------
@@ -140,9 +154,8 @@ class VideoResult:
         """
         from . import _plot
 
-        for name, value in (("frames", frames), ("columns", 1 if columns is None else columns)):
-            if value < 1:
-                raise input_error(name, value, "there is at least one", "Leave it out.")
+        frames = checked_whole("frames", frames, 1)
+        columns = None if columns is None else checked_whole("columns", columns, 1)
         return _plot.montage(self, frames, columns, cmap)
 
     def time_colour(self, ax: Axes | None = None, cmap: str = "turbo") -> Axes:

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from . import _rowburst
+from ._checks import check_port
 
 # Views that are open: a view that nobody holds goes on until the end of the process.
 _OPEN: set[View] = set()
@@ -29,6 +30,7 @@ class View:
         open_browser: bool = True,
         folder: TemporaryDirectory[str] | None = None,
     ) -> None:
+        check_port(port)
         self._native = _rowburst._View(list(results), port)
         self._folder = folder
         _OPEN.add(self)
@@ -41,7 +43,7 @@ class View:
         return self._native.url
 
     def close(self) -> None:
-        """Ends the server and removes its temporary files.
+        """Ends the server and removes its temporary files. A view that is closed already stays closed.
 
         Examples
         --------

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _rowburst
+from ._checks import check_number
 from ._errors import input_error
 from ._rowburst import LiveView, Look, WorkError
 
@@ -38,7 +39,7 @@ class Property:
     origin: str = "read"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CapturedFrame:
     """A frame of a camera."""
 
@@ -50,6 +51,11 @@ class CapturedFrame:
     time_us: int | None
     #: What is wrong with the frame; ``None`` where it is whole.
     incomplete: str | None = None
+
+    def __repr__(self) -> str:
+        rows, columns = self.image.shape
+        fault = "" if self.incomplete is None else f", incomplete: {self.incomplete}"
+        return f"<rowburst.CapturedFrame {self.number}: {rows}×{columns}{fault}>"
 
 
 #: Number, time, counts, fault and last number, as the extension gives them.
@@ -78,6 +84,10 @@ class Capture(Iterator[CapturedFrame]):
         self.lost: list[tuple[int, int, str]] = []
         self._deliveries = deliveries
         self._skip = skip
+
+    def __repr__(self) -> str:
+        camera = "" if self.camera is None else f", {self.camera}"
+        return f"<rowburst.Capture of {self.name}{camera}: {len(self.settings)} settings, {len(self.lost)} gaps so far>"
 
     def __next__(self) -> CapturedFrame:
         for number, time_us, image, fault, last in self._deliveries:
@@ -118,6 +128,11 @@ class Capture(Iterator[CapturedFrame]):
         CapturedFrame, Look
             A whole frame and its video, which goes on from the one before.
 
+        Raises
+        ------
+        InputError
+            The time budget is no number, or a frame is not one of the live view's camera.
+
         Examples
         --------
         >>> counts = np.rint(1000 * frame / frame.max()).astype(np.uint16)
@@ -126,6 +141,7 @@ class Capture(Iterator[CapturedFrame]):
         >>> [look.video.shape for _, look in source.watch(live)]
         [(12, 24, 30), (12, 24, 30)]
         """
+        check_number("time_budget_s", time_budget_s)
         while True:
             if self._skip is not None:
                 self._skip()

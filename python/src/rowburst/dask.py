@@ -19,7 +19,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ._errors import input_error
+from ._checks import check_number, checked_whole
+from ._extras import need
 from ._rowburst import InputError, WorkError, _Batch, __version__
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def reconstruct(
     Raises
     ------
     InputError
-        An argument breaks a rule, or the archive was begun with other settings.
+        An argument breaks a rule, the archive was begun with other settings, or dask.distributed is not installed.
     WorkError
         No worker joined the scheduler in time, or the work failed.
 
@@ -138,11 +139,12 @@ def reconstruct(
         with distributed.Client("tcp://host:8786") as client:
             summary = rowburst.dask.reconstruct("frames.zarr", "videos.zarr", "experiment.toml", client)
     """
-    from distributed import as_completed
-
-    if threads_per_task < 1 or (frames_per_task is not None and frames_per_task < 1):
-        found = f"{frames_per_task}, threads_per_task {threads_per_task}"
-        raise input_error("frames_per_task", found, "both are at least 1", "Leave them out.")
+    as_completed = need("distributed", "rowburst.dask.reconstruct").as_completed
+    threads_per_task = checked_whole("threads_per_task", threads_per_task, 1)
+    frames_per_task = None if frames_per_task is None else checked_whole("frames_per_task", frames_per_task, 1)
+    check_number("workers_timeout_s", workers_timeout_s)
+    for name in ("noise_sigma", "frame_period_us"):
+        check_number(name, options.get(name))
     given = {name: value for name, value in options.items() if value is not None}
     for name in _FILES:
         if name in given:

@@ -47,6 +47,10 @@ parameters! {
     DarksAndFlats = "darks_and_flats",
     /// Captures of a point source.
     Captures = "captures",
+    /// Expected size of the grains of the speckle, in pixels.
+    ExpectedGrainPx = "expected_grain_px",
+    /// Counts of a saturated pixel of a capture.
+    SaturationCounts = "saturation_counts",
     /// Positions of the point source at each capture, in mm.
     PositionsMm = "positions_mm",
     /// Exposure of each capture, in ms.
@@ -59,6 +63,8 @@ parameters! {
     Guide = "guide",
     /// What a scene does with the light of a guide.
     GuideModel = "guide_model",
+    /// Time and exposure of each guide, in µs.
+    GuideExposuresUs = "guide_exposures_us",
     /// Times at which a simulation takes guides, in µs.
     GuideTimesUs = "guide_times_us",
     /// The scene of a simulation.
@@ -153,6 +159,8 @@ parameters! {
     PartBins = "part_bins",
     /// Step length of a data step.
     Step = "step",
+    /// The seed of random numbers.
+    Seed = "seed",
     /// Number of threads.
     Threads = "threads",
     /// The memory of a reconstruction.

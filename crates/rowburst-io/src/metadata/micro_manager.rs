@@ -1,7 +1,7 @@
 //! Micro-Manager: a JSON record for each image, in TIFF tag 51123 or in `metadata.txt`.
 //!
-//! Keys as of Micro-Manager 1.4 and 2.0 (`Exposure-ms`, `ROI`, `Binning`, `BitDepth`,
-//! `PixelSizeUm`); a property of a device is `DEVICE-PROPERTY`, as the device adapters name them:
+//! Keys as of Micro-Manager 1.4 and 2.0 (`Exposure-ms`, or `Exposure` of Pycro-Manager, `ROI`, `Binning`,
+//! `BitDepth`, `PixelSizeUm`); a property of a device is `DEVICE-PROPERTY`, as the device adapters name them:
 //! the table of `properties.rs` knows them.
 
 use super::properties::read_properties;
@@ -117,7 +117,10 @@ fn of_records(records: &[&Map<String, Value>], source: &str) -> Metadata {
         origin: roi.map(|(origin, _)| origin),
         shutter: reading.shutter,
         row_time_us: reading.row_time_us,
-        exposure_us: number("Exposure-ms").and_then(|ms| positive(ms * 1e3)),
+        // Pycro-Manager writes `Exposure`, in ms as well.
+        exposure_us: number("Exposure-ms")
+            .or(number("Exposure"))
+            .and_then(|ms| positive(ms * 1e3)),
         // What was asked for, not what was kept: Interval_ms is no frame period.
         frame_period_us: None,
         binning: binning.and_then(|b| binning_of(&b)),

@@ -51,6 +51,17 @@ fn micro_managers_tag_is_read() {
 }
 
 #[test]
+fn the_exposure_of_pycro_manager_is_read() {
+    let record = r#"{"Exposure": "0.5", "Width": 6, "Height": 4}"#;
+    let found = micro_manager_metadata(record, "a record");
+    assert_eq!(found.exposure_us, Some(500.0));
+    // That of Micro-Manager comes first.
+    let record = r#"{"Exposure": 7, "Exposure-ms": 0.25}"#;
+    let found = micro_manager_metadata(record, "a record");
+    assert_eq!(found.exposure_us, Some(250.0));
+}
+
+#[test]
 fn metadata_txt_is_read_for_the_image_and_the_folder() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.tif", "b.tif"] {

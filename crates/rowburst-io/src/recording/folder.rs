@@ -2,7 +2,7 @@
 
 use super::{Frames, names, open_file};
 use crate::fault;
-use crate::pages::Capture;
+use crate::pages::{Capture, IntegerFrame};
 use crate::read::read_image;
 use crate::source::{ENDINGS, Format, is_image};
 use rowburst::{Error, Result};
@@ -89,6 +89,15 @@ impl Frames for Folder {
     fn read(&self, index: usize) -> Result<Capture> {
         read_image(&self.path.join(&self.names[index]))
     }
+
+    fn read_integers(&self, index: usize) -> Result<IntegerFrame> {
+        let frames = open_file(&self.path.join(&self.names[index]))?;
+        if frames.count() > 1 {
+            // Its error says that one image is needed.
+            return self.read(index).map(IntegerFrame::from);
+        }
+        frames.read_integers(0)
+    }
 }
 
 /// Stacks in a folder, one after the other: programs begin a new file at 4 GB.
@@ -146,5 +155,10 @@ impl Frames for Chain {
     fn read(&self, index: usize) -> Result<Capture> {
         let (_, frames, at) = self.part(index);
         frames.read(at)
+    }
+
+    fn read_integers(&self, index: usize) -> Result<IntegerFrame> {
+        let (_, frames, at) = self.part(index);
+        frames.read_integers(at)
     }
 }

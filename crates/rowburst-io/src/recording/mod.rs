@@ -7,7 +7,7 @@
 mod folder;
 mod names;
 
-use crate::pages::{Capture, Stack, single};
+use crate::pages::{Capture, IntegerFrame, Stack, single};
 use crate::read::read_image;
 use crate::source::{Colour, Format, Source, open};
 use crate::stack::open_stack;
@@ -40,6 +40,15 @@ pub trait Frames: Send + Sync {
     /// # Errors
     /// A frame that is missing or damaged; the others may still be read.
     fn read(&self, index: usize) -> Result<Capture>;
+
+    /// Like [`Self::read`], for a frame of integers, which keep all their digits. Floating-point numbers are cut to whole
+    /// ones.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`].
+    fn read_integers(&self, index: usize) -> Result<IntegerFrame> {
+        self.read(index).map(IntegerFrame::from)
+    }
 }
 
 /// Opens a folder of images or of stacks (all of one format), or a file of frames: a multi-page
@@ -95,6 +104,16 @@ struct StackFile {
     stack: Mutex<Box<dyn Stack>>,
 }
 
+impl StackFile {
+    fn source(&self) -> Source<'_> {
+        Source {
+            path: &self.path,
+            bytes: self.bytes,
+            colour: Colour::Refused,
+        }
+    }
+}
+
 impl Frames for StackFile {
     fn path(&self) -> &Path {
         &self.path
@@ -110,16 +129,17 @@ impl Frames for StackFile {
     }
 
     fn read(&self, index: usize) -> Result<Capture> {
-        let source = Source {
-            path: &self.path,
-            bytes: self.bytes,
-            colour: Colour::Refused,
-        };
+        let source = self.source();
         // A reader that another thread left in mid-page seeks anew.
         let mut stack = self.stack.lock().unwrap_or_else(PoisonError::into_inner);
         let page = stack.page(&source, index);
         drop(stack);
         single(&self.path, page?)
+    }
+
+    fn read_integers(&self, index: usize) -> Result<IntegerFrame> {
+        let mut stack = self.stack.lock().unwrap_or_else(PoisonError::into_inner);
+        stack.integers(&self.source(), index)
     }
 }
 

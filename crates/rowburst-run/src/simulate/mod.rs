@@ -314,6 +314,9 @@ struct RenderedScene {
 fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
     let shape = camera.video_shape();
     let of_font = |error: Error| {
+        if error.parameter() == Some(Parameter::HeightPx) {
+            return error;
+        }
         let height = simulation.digit_height_px.to_string();
         error.within(Place::Setting(Parameter::HeightPx, height))
     };
