@@ -8,8 +8,6 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._reconstructor import Reconstructor
-
 __all__ = [
     "Camera",
     "Experiment",
@@ -447,7 +445,7 @@ class Experiment:
     @property
     def tau(self) -> str | float:
         """The weight of the prior, ``auto`` or ``held-out``."""
-    def reconstructor(self, **options: Any) -> Reconstructor:
+    def reconstructor(self, **options: Any) -> Any:
         """A reconstructor with everything that the file says.
 
         Parameters
