@@ -198,7 +198,7 @@ impl ChosenPrior {
                 tau_factor: 1.0,
                 frame: Some(frame),
                 reason:
-                    "standard prior: not compared with others (one bin, a small frame, or a frame that does not belong to this PSF)"
+                    "standard prior: too few pixels to compare priors (one bin, or a small frame)"
                         .into(),
             }),
             Ok(Some(choice)) => Some(Self {

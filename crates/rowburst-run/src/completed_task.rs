@@ -310,7 +310,7 @@ impl CompletedTask {
                         "standard prior: no automatic choice with a time budget"
                     }
                     Some(_) => "given",
-                    None => "standard prior: not compared with others (one bin, a small frame, stopped before, or a frame that does not belong to this PSF)",
+                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), or stopped before the comparison",
                 }
                 .into(),
                 held_out_pixels: None,

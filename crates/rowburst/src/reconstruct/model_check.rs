@@ -85,10 +85,6 @@ impl Problem {
         mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        if self.has_turned_frame() {
-            self.is_hopeless = true;
-            return Ok(check);
-        }
         let found = self.find_foreign(observer)?;
         if !self.calibrates() {
             return self.exclude_foreign(found, check, prior, observer);
@@ -107,11 +103,6 @@ impl Problem {
         }
         let without = without.as_ref().unwrap_or(&check);
         let is_explained = self.is_explained(without);
-        if !is_explained && self.has_foreign_psf(without, prior, observer)? {
-            self.exclude(none);
-            self.is_hopeless = true;
-            return Ok(check);
-        }
         let mut pending = None;
         if !is_explained || self.options.self_calibration == SelfCalibration::On {
             pending = self.find_correction(prior, without, observer)?;
