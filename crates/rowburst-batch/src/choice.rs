@@ -97,20 +97,15 @@ impl RecordingSurvey {
 /// The error of a recording whose frames all fail, with that of the first one that was looked at, `frame`.
 fn none_usable(inputs: &BatchInputs, frame: usize, error: Error) -> Error {
     let frames = &inputs.frames;
-    let (count, name) = (frames.count(), frames.name(frame));
-    let remedy = error.remedy().clone();
-    // The remedy ends the new message.
-    let text = error.to_string();
-    let text = text
-        .strip_suffix(&remedy.text(&LibraryNames))
-        .unwrap_or(&text);
-    let text = text.trim_end().trim_end_matches('.');
-    let place = format!("{name}: ");
-    let text = text.strip_prefix(&place).unwrap_or(text);
     Error::work(
         frames.path(),
-        format!("none of its {count} frames can be used, and nothing was written; {place}{text}"),
-        remedy,
+        format!(
+            "none of its {} frames can be used, and nothing was written; {}: {}",
+            frames.count(),
+            frames.name(frame),
+            error.reason(&LibraryNames)
+        ),
+        error.remedy().clone(),
     )
     .of(Parameter::Frames)
     .with_source(error)

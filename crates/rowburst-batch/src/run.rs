@@ -356,10 +356,12 @@ impl Batch {
             }
             Err(error) if error.kind() == ErrorKind::Cancelled => None,
             Err(error) => {
-                let message = error.message(frame_options.names);
-                // The line has the name already.
-                let place = format!("{name}: ");
-                let message = message.strip_prefix(&place).unwrap_or(&message).to_string();
+                // The line has the frame's name already.
+                let message = if error.label() == Some(&name) {
+                    error.explanation(frame_options.names)
+                } else {
+                    error.message(frame_options.names)
+                };
                 Some((FrameRow::failed(frame, name, message, seconds), None))
             }
         }

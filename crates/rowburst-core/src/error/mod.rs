@@ -432,17 +432,25 @@ impl Error {
             } => text += &names.subject(*parameter),
             _ => text.truncate(text.len().saturating_sub(2)),
         }
+        text + ": " + &self.explanation(names)
+    }
+
+    /// The message without the name of what is at fault.
+    pub fn explanation(&self, names: &dyn Names) -> String {
         let remedy = names
             .remedy(self)
             .unwrap_or_else(|| self.0.remedy.text(names));
+        format!("{}. {remedy}", self.reason(names))
+    }
+
+    /// What was found, and the rule that it breaks: the message without the name of what is at fault and without the remedy.
+    pub fn reason(&self, names: &dyn Names) -> String {
         let value = &self.0.value;
         if self.0.rule.is_empty() {
-            write!(text, ": {value}. {remedy}").expect("a string grows");
+            value.clone()
         } else {
-            let rule = self.0.rule.text(names);
-            write!(text, ": found {value}; {rule}. {remedy}").expect("a string grows");
+            format!("found {value}; {}", self.0.rule.text(names))
         }
-        text
     }
 }
 
