@@ -163,14 +163,21 @@ fn size(png: &[u8]) -> (u32, u32) {
     reader.info().size()
 }
 
-/// How many pixels of the picture `name` have this colour.
-fn count(report: &Report, name: &str, colour: [u8; 3]) -> usize {
+/// The bytes of the picture `name` and those of one of its rows.
+fn bytes_of(report: &Report, name: &str) -> (Vec<u8>, usize) {
     let png = &picture(report, name).png;
     let mut reader = png::Decoder::new(std::io::Cursor::new(png))
         .read_info()
         .expect("a PNG");
     let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
     reader.next_frame(&mut pixels).expect("its pixels");
+    let row = reader.info().width as usize * 3;
+    (pixels, row)
+}
+
+/// How many pixels of the picture `name` have this colour.
+fn count(report: &Report, name: &str, colour: [u8; 3]) -> usize {
+    let (pixels, _) = bytes_of(report, name);
     let is_it = |pixel: &&[u8]| **pixel == colour;
     pixels.chunks_exact(3).filter(is_it).count()
 }
@@ -178,6 +185,24 @@ fn count(report: &Report, name: &str, colour: [u8; 3]) -> usize {
 fn picture<'a>(report: &'a Report, name: &str) -> &'a Picture {
     let found = report.pictures.iter().find(|p| p.name == name);
     found.expect("the picture")
+}
+
+/// The names of the axes are not cut at the left edge of the box, which is dark there.
+#[test]
+fn labels_of_space_and_time_are_whole() {
+    for magnification in [None, Some(0.5)] {
+        let mut case = Case::new(Shape::new(20, 24, 30), 24, 30);
+        case.sensor.pixel_pitch_um = Some(6.5);
+        case.sensor.magnification = magnification;
+        let report = render(&case.input()).expect("a report");
+        let (pixels, row) = bytes_of(&report, "space-time.png");
+        let is_light = |bytes: &&[u8]| bytes[0].min(bytes[1]).min(bytes[2]) > 100;
+        // The page is white above and below.
+        let rows = pixels.len() / row;
+        let edge = pixels.chunks_exact(row).skip(rows / 8).take(3 * rows / 4);
+        let light = edge.filter(|bytes| bytes.chunks_exact(3).take(4).any(|p| is_light(&p)));
+        assert_eq!(light.count(), 0, "magnification {magnification:?}");
+    }
 }
 
 #[test]

@@ -287,10 +287,8 @@ fn scales(input: &ReportInput, video: &Video) -> (Axis, Axis, Axis) {
     let shape = video.shape();
     let total_us = shape.bins as f64 * input.time.bin_duration_us();
     let unit = TimeUnit::of(total_us);
-    let (length, of_pixel) = PixelScale::of_scene(input.sensor)
-        .map_or(("px".to_string(), 1.0), |scale| {
-            (format!("µm {}", scale.place), scale.um)
-        });
+    let (length, of_pixel) =
+        PixelScale::of_scene(input.sensor).map_or(("px", 1.0), |scale| ("µm", scale.um));
     let side = |name: &str, pixels: usize| {
         Axis::linear(0.0, pixels as f64 * of_pixel, format!("{name} ({length})"))
     };
@@ -308,6 +306,11 @@ fn scales(input: &ReportInput, video: &Video) -> (Axis, Axis, Axis) {
 /// The largest value over y against time and x, of the reconstruction and of the truth.
 fn slices(figure: &mut Figure, input: &ReportInput, videos: &Videos) {
     let (time, x, _) = scales(input, videos.video);
+    // The box has no room for the place of its lengths.
+    let x_label = PixelScale::of_scene(input.sensor).map_or_else(
+        || x.label().to_string(),
+        |scale| format!("x (µm {})", scale.place),
+    );
     let shape = videos.video.shape();
     let named = [
         ("reconstruction", Some(videos.video)),
@@ -333,7 +336,7 @@ fn slices(figure: &mut Figure, input: &ReportInput, videos: &Videos) {
             let at = place.y + x.fraction(value) * place.height;
             figure.text(place.x - 6.0, at + 4.0, Anchor::End, "muted", &text);
         }
-        figure.text_upwards(place.x - 38.0, place.y + height / 2.0, "muted", x.label());
+        figure.text_upwards(place.x - 38.0, place.y + height / 2.0, "muted", &x_label);
         colour_bar(figure, place, Map::Light, range, "counts");
     }
     for (value, text) in time.ticks(4) {
