@@ -132,6 +132,29 @@ impl Measurement {
         }
     }
 
+    /// The same measurement with even noise: every usable pixel has weight 1.
+    #[must_use]
+    pub fn with_even_noise(&self) -> Self {
+        let weights = self.weights.as_ref().filter(|w| w.contains(&0.0));
+        let is_usable = |w: &f32| f32::from(u8::from(*w > 0.0));
+        Self {
+            weights: weights.map(|w| w.iter().map(is_usable).collect()),
+            noise: None,
+            ..self.clone()
+        }
+    }
+
+    /// Median of the weights above zero; 1 where all are 1.
+    pub fn typical_weight(&self) -> f64 {
+        let weights = self.weights.iter().flatten().copied();
+        let mut usable: Vec<f32> = weights.filter(|w| *w > 0.0).collect();
+        let middle = usable.len() / 2;
+        if usable.is_empty() {
+            return 1.0;
+        }
+        f64::from(*usable.select_nth_unstable_by(middle, f32::total_cmp).1)
+    }
+
     /// The light `(b − offset)/gain` of pixels that turn a light `l` into `gain·l + offset` counts; both `[y, x]`. A
     /// pixel's noise is divided by its gain too, and its weight multiplied.
     ///

@@ -310,7 +310,7 @@ impl CompletedTask {
                         "standard prior: no automatic choice with a time budget"
                     }
                     Some(_) => "given",
-                    None => "standard prior: too few pixels to compare priors (one bin, or a small frame), or stopped before the comparison",
+                    None => "standard prior: not compared with others (one bin, a small frame, stopped before, or a frame that does not belong to this PSF)",
                 }
                 .into(),
                 held_out_pixels: None,

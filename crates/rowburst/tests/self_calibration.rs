@@ -73,6 +73,20 @@ impl Case {
         let psnr = psnr_db(found.video.data(), self.truth.data());
         (found, psnr)
     }
+
+    /// The reconstruction with the default options, and the number of iterations of all its runs.
+    fn solve_automatically(&self, light: &Image, psf: &Psf) -> (Reconstruction, usize) {
+        let noise = Noise::Gaussian { snr: 256.0 };
+        let frame = noise.apply(light, self.camera.sensor(), 7).unwrap().frame;
+        let measurement = Measurement::new(frame).unwrap();
+        let problem = Problem::new(&measurement, &self.camera, psf, Options::default()).unwrap();
+        let mut iterations = 0;
+        let found = problem.solve(&mut |_| {
+            iterations += 1;
+            ControlFlow::Continue(())
+        });
+        (found.unwrap(), iterations)
+    }
 }
 
 /// The value of the image at `(y, x)` by a windowed sinc, which self-calibration does not use.
@@ -215,10 +229,39 @@ fn another_diffuser_stays() {
     let other = speckle_psf(&optics, 2 * ROWS - 1, 2 * COLUMNS - 1, 6).unwrap();
     let (found, _) = case.solve(&case.light, &other, SelfCalibration::Auto);
     assert!(found.calibration.is_none());
-    assert!(found.calibration.is_none());
     assert_ne!(found.fit.verdict, Verdict::Good);
     let reason = &found.fit.reason;
     assert!(reason.contains("does not belong to this frame"), "{reason}");
+}
+
+/// That a frame does not belong to its PSF is seen early: neither corrections nor priors are tried, and the verdict names
+/// the PSF.
+#[test]
+fn a_mirrored_psf_is_seen_early() {
+    let case = Case::new(1.0);
+    let mirrored = |image: &Image| {
+        let (rows, columns) = (image.rows(), image.columns());
+        Image::from_fn(rows, columns, |y, x| image.at(y, columns - 1 - x))
+    };
+    let (right, right_iterations) = case.solve_automatically(&case.light, &case.psf);
+    assert_eq!(right.fit.verdict, Verdict::Good, "{}", right.fit.reason);
+    let mirrored_psf = Psf::new(mirrored(case.psf.image())).unwrap();
+    let wrong = [
+        ("mirrored PSF", &case.light, &mirrored_psf),
+        ("mirrored frame", &mirrored(&case.light), &case.psf),
+    ];
+    for (name, light, psf) in wrong {
+        let (found, iterations) = case.solve_automatically(light, psf);
+        println!("{name}: {iterations} iterations, {right_iterations} where nothing is wrong");
+        assert!(found.calibration.is_none(), "{name}");
+        assert!(found.choice.is_none(), "{name}");
+        let reason = &found.fit.reason;
+        assert!(
+            reason.contains("does not belong to this frame"),
+            "{name}: {reason}"
+        );
+        assert!(iterations < 3 * right_iterations, "{name}: {iterations}");
+    }
 }
 
 /// A noisy capture of the PSF is refined.

@@ -86,7 +86,7 @@ impl Controllers {
             return;
         }
         self.penalty.begin_iteration();
-        self.correct_penalty(variables);
+        self.correct_penalty(variables, data);
         self.advance_phase(variables);
         self.update_bound(variables, data, prior);
         if self.continuation.is_due(&self.schedule) {
@@ -133,7 +133,7 @@ impl Controllers {
         }
     }
 
-    fn correct_penalty(&mut self, variables: &Variables) {
+    fn correct_penalty(&mut self, variables: &Variables, data: &dyn DataTerm) {
         let Some(x_residual_norm) = variables.x_residual_norm else {
             return;
         };
@@ -141,6 +141,7 @@ impl Controllers {
             is_warming_up: self.schedule.is_warming_up(),
             has_reached_first_restriction: self.schedule.has_reached_first_restriction(),
             has_unrestricted_bin: self.active_set.has_unrestricted_bin(),
+            has_diverged: variables.have_diverged(data),
             iterations: self.schedule.iterations(),
         };
         let bound = self.discrepancy.bound();

@@ -35,6 +35,8 @@ pub(super) struct Circumstances {
     pub has_reached_first_restriction: bool,
     /// Some bin is unrestricted though a support is used.
     pub has_unrestricted_bin: bool,
+    /// The video explains the measurements far less well than no video.
+    pub has_diverged: bool,
     /// Iterations done.
     pub iterations: usize,
 }
@@ -124,7 +126,8 @@ impl Penalty {
         }
     }
 
-    /// Corrects `ρ` towards the `bound` of `‖b − A x‖` under the discrepancy rule.
+    /// Corrects `ρ` towards the `bound` of `‖b − A x‖` under the discrepancy rule. A bound that no video meets would lower `ρ`
+    /// until light of both signs grows without end, so `ρ` rises where the run diverges.
     pub fn correct(&mut self, bound: f64, x_residual_norm: f64, now: Circumstances) {
         if matches!(self.rule, TauRule::Fixed(_)) {
             return;
@@ -143,6 +146,11 @@ impl Penalty {
         };
         let correction =
             (bound / x_residual_norm.max(1e-30)).clamp(1.0 / self.max_step, self.max_step);
+        let correction = if now.has_diverged {
+            self.max_step
+        } else {
+            correction
+        };
         if is_due && !deadband.contains(&correction) {
             let (lower, upper) = self.bounds;
             self.rho = (self.rho * correction).clamp(lower, upper);
@@ -218,6 +226,7 @@ mod tests {
         is_warming_up: false,
         has_reached_first_restriction: true,
         has_unrestricted_bin: false,
+        has_diverged: false,
         iterations: 31,
     };
 
@@ -255,6 +264,12 @@ mod tests {
         assert!((penalty.rho() - 0.055).abs() < 1e-12);
         penalty.correct(1.0, 100.0, SETTLED);
         assert!((penalty.rho() - 0.033).abs() < 1e-12);
+        let diverged = Circumstances {
+            has_diverged: true,
+            ..SETTLED
+        };
+        penalty.correct(1.0, 100.0, diverged);
+        assert!((penalty.rho() - 0.066).abs() < 1e-12);
     }
 
     #[test]

@@ -7,6 +7,9 @@ use rowburst_core::vecmath::{distance_squared, norm_squared, simd};
 use rowburst_core::{Cancel, Support};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// `‖b − A z‖` over `‖b‖` above which a run has diverged; smaller takes the first iterations for that.
+const DIVERGED_RESIDUAL: f64 = 2.0;
+
 /// The variables of the iteration, named as in the head of [`super`], with their products with `A`.
 ///
 /// `q = x̂ + u` is stored in place of the scaled dual `u` and of `x`. Before a dual step it is the point of the z-step;
@@ -127,6 +130,12 @@ impl Variables {
     pub fn residual(&self, data: &dyn DataTerm) -> Vec<f32> {
         let pairs = data.measurements().iter().zip(&self.az);
         pairs.map(|(b, a)| b - a).collect()
+    }
+
+    /// Whether the video explains the measurements far less well than no video, whose residual is `b`.
+    pub fn have_diverged(&self, data: &dyn DataTerm) -> bool {
+        let b = data.measurements();
+        distance_squared(b, &self.az) > (DIVERGED_RESIDUAL * DIVERGED_RESIDUAL) * norm_squared(b)
     }
 
     /// Root mean square of `b − A z` over the measurements with a weight above zero.

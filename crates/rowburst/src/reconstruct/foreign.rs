@@ -69,6 +69,8 @@ pub(super) struct Foreign {
     pub pixels: Vec<bool>,
     /// In counts.
     pub level: f64,
+    /// Whether the video followed the noise level to the end: foreign pixels may be all that is wrong.
+    pub is_followed: bool,
 }
 
 /// Finds the bright foreign pixels of the frame in `data`, down to the noise level `least_level`, with the faint pixels
@@ -115,7 +117,7 @@ pub(super) fn find(
     // The last level that the video could follow: the scale of its residual and the foreign pixels.
     let mut best = (f64::INFINITY, lines.is_broken.clone());
     let mut is_first = true;
-    loop {
+    let is_followed = loop {
         if !is_first {
             run.set_tau_rule(rule(level), data);
             // As for another frame: the threshold follows the brightness of the new level's video.
@@ -141,14 +143,14 @@ pub(super) fn find(
         let is_unsettled =
             robust.typical_scale > REACHED_RATIO * level && level < FINE_LEVEL * light;
         if has_diverged || is_unsettled {
-            break;
+            break false;
         }
         best = (robust.typical_scale, robust.is_foreign.clone());
         if level <= last_level {
-            break;
+            break true;
         }
         level = last_level.max(LEVEL_RATIO * level.min(robust.typical_scale));
-    }
+    };
     data.set_measurements(measured.clone());
     let (level, found) = best;
     let count = found.iter().filter(|foreign| **foreign).count();
@@ -157,7 +159,11 @@ pub(super) fn find(
     } else {
         with_edges(&found, columns)
     };
-    Ok(Foreign { pixels, level })
+    Ok(Foreign {
+        pixels,
+        level,
+        is_followed,
+    })
 }
 
 /// Takes the pixels of instants back of which most are foreign: a loose fit has not reached the light of a flash.

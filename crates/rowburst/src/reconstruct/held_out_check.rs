@@ -177,6 +177,16 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
+        self.held_out_check_down_to(0.0, prior, observer)
+    }
+
+    /// The same, at most until the held-out error is below `error`.
+    pub(super) fn held_out_check_down_to(
+        &mut self,
+        error: f64,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
         // A `τ` that is given may fit no frame: the model is not to blame.
         let rule = TauRule::Discrepancy {
             sigma: self.effective_sigma,
@@ -195,7 +205,8 @@ impl Problem {
             let is_wide = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
             let is_dense = is_wide && was_wide && until >= FIRST_DENSE_ITERATION;
             was_wide = is_wide;
-            if has_converged || is_dense || until >= CHECK_ITERATIONS || self.is_explained(&check) {
+            let is_done = check.held_out_rms < error || self.is_explained(&check);
+            if has_converged || is_dense || until >= CHECK_ITERATIONS || is_done {
                 self.is_dense |= is_dense;
                 info!(
                     "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",

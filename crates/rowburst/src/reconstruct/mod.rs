@@ -17,6 +17,7 @@ mod held_out_check;
 mod model;
 mod model_check;
 mod prior;
+mod psf_origin;
 mod self_calibration;
 mod sequence;
 mod sigma;
@@ -178,6 +179,8 @@ pub struct Problem {
     effective_sigma: f64,
     /// Whether the support of the check of the model exceeds a third of the voxels.
     is_dense: bool,
+    /// Frame or PSF do not belong together: no search mends the model, and all priors are as good.
+    is_hopeless: bool,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
     tau_factor: f64,
@@ -323,6 +326,7 @@ impl Problem {
             sigma,
             effective_sigma: sigma,
             is_dense: false,
+            is_hopeless: false,
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
@@ -499,7 +503,8 @@ impl Problem {
     }
 
     /// Chooses the prior and its factor on `τ`, as [`Problem::solve`] does where no prior is given, and
-    /// stops there. Returns `None` for a video of one bin, and for a frame with too few pixels to hold out.
+    /// stops there. Returns `None` for a video of one bin, for a frame with too few pixels to hold out, and for one that does
+    /// not belong to the PSF.
     ///
     /// # Errors
     /// The observer stopped it; the error is the reason.
@@ -511,6 +516,9 @@ impl Problem {
         self.resolve_tau_rule(observer).map_err(stopped)?;
         self.check_model(Prior::STANDARD, observer)
             .map_err(stopped)?;
+        if self.is_hopeless {
+            return Ok(None);
+        }
         let rule = self.tau_rule();
         let chosen = self.compare_priors(rule, observer).map_err(stopped)?;
         Ok(chosen.map(|(choice, _)| choice))
@@ -597,7 +605,7 @@ impl Problem {
         let rule = self.tau_rule();
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
-            // With a wrong model all priors are as good.
+            None if self.is_hopeless => (None, None),
             None => match self.compare_priors(rule, observer)? {
                 Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),
@@ -612,7 +620,10 @@ impl Problem {
                 (c.best().prior, c.best().tau_factor)
             });
         let shape = self.data.shape();
-        let params = prior.admm_params(shape, rule, self.options.solver_settings());
+        let mut params = prior.admm_params(shape, rule, self.options.solver_settings());
+        if self.is_hopeless {
+            params.max_iterations = params.max_iterations.min(held_out_check::CHECK_ITERATIONS);
+        }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
         self.data.reset(prior.background(), None);
         let mut prox = self.data.prox(&prior);

@@ -10,8 +10,8 @@ use tracing::info;
 
 /// Effective noise level over what a refined PSF leaves, where the check calls the frame explained; larger smooths more.
 const EXPLAINED_SIGMA: f64 = 0.72;
-/// Held-out error after a correction of the model over that before, below which it is made before the rest of the foreign
-/// pixels is looked for; larger corrects the model for what foreign pixels do.
+/// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
+/// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
 /// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
@@ -77,22 +77,28 @@ impl Problem {
     /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, PSF or camera. Returns the
     /// check after the corrections.
     ///
-    /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. Without them PSF and
-    /// camera are corrected first: if that explains the frame, no pixel is foreign.
+    /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. If the model explains the
+    /// frame without them, they are foreign and nothing else is wrong: the shortest search. Otherwise PSF and camera are
+    /// corrected with those left out, and where that helps, all pixels are judged again.
     fn correct_model(
         &mut self,
         check: HeldOutCheck,
         mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
+        if self.has_turned_frame() {
+            self.is_hopeless = true;
+            return Ok(check);
+        }
         let found = self.find_foreign(observer)?;
         if !self.calibrates() {
             return self.exclude_foreign(found, check, prior, observer);
         }
         let none = vec![false; self.excluded.len()];
+        let (standing_out, is_followed) = (found.pixels.clone(), found.is_followed);
         let mut without = None;
-        if found.pixels.contains(&true) {
-            self.exclude(found.pixels.clone());
+        if standing_out.contains(&true) {
+            self.exclude(standing_out.clone());
             without = Some(self.held_out_check(prior, observer)?);
         }
         if !self.calibrates() {
@@ -101,16 +107,37 @@ impl Problem {
             self.exclude(none);
             return self.exclude_foreign(found, check, prior, observer);
         }
-        let without = without.as_ref().unwrap_or(&check);
-        let is_explained = self.is_explained(without);
-        let mut pending = None;
-        if !is_explained || self.options.self_calibration == SelfCalibration::On {
-            pending = self.find_correction(prior, without, observer)?;
+        if !is_followed {
+            let without = without.as_ref().unwrap_or(&check);
+            self.is_hopeless = self.has_foreign_psf(without, prior, observer)?;
         }
         self.exclude(none.clone());
+        if self.is_hopeless {
+            return Ok(check);
+        }
+        let check = self.exclude_foreign(found, check, prior, observer)?;
+        let is_explained = self.is_explained(&check);
+        if is_explained && self.options.self_calibration != SelfCalibration::On {
+            return Ok(check);
+        }
+        let excluded = self.excluded.clone();
+        let start = match &without {
+            Some(without) if !excluded.contains(&true) => {
+                self.exclude(standing_out);
+                without
+            }
+            _ => &check,
+        };
+        if is_followed && self.has_foreign_psf(start, prior, observer)? {
+            self.exclude(excluded);
+            self.is_hopeless = true;
+            return Ok(check);
+        }
+        let mut pending = self.find_correction(prior, start, observer)?;
         if let Some(finding) =
             pending.take_if(|found| found.explains || found.error_ratio() < CLEAR_CORRECTION)
         {
+            self.exclude(none.clone());
             self.apply_correction(finding.calibration, none);
             let check = self.held_out_check(prior, observer)?;
             if self.is_explained(&check) {
@@ -119,18 +146,14 @@ impl Problem {
             let found = self.find_foreign(observer)?;
             return self.exclude_foreign(found, check, prior, observer);
         }
-        let check = self.exclude_foreign(found, check, prior, observer)?;
-        if is_explained || self.is_explained(&check) {
-            return Ok(check);
+        self.exclude(excluded.clone());
+        match pending {
+            Some(finding) if !is_explained => {
+                self.apply_correction(finding.calibration, excluded);
+                self.held_out_check(prior, observer)
+            }
+            _ => Ok(check),
         }
-        if self.excluded.contains(&true) {
-            pending = self.find_correction(prior, &check, observer)?.or(pending);
-        }
-        let Some(finding) = pending else {
-            return Ok(check);
-        };
-        self.apply_correction(finding.calibration, self.excluded.clone());
-        self.held_out_check(prior, observer)
     }
 
     /// Pixels that stand out at a loose fit, if foreign pixels are to be left out.
@@ -142,6 +165,7 @@ impl Problem {
             return Ok(Foreign {
                 pixels: vec![false; self.excluded.len()],
                 level: self.sigma,
+                is_followed: true,
             });
         }
         // Foreign pixels may have raised an estimate from the frame.
@@ -151,7 +175,29 @@ impl Problem {
         };
         let instants = self.camera.instants();
         let lines = BrokenLines::new(&self.measurement, instants);
-        foreign::find(&mut self.data, instants, &lines, least_level, observer)
+        // The weights of foreign pixels follow from their own light, and hide bright ones in a loose fit.
+        let measurement = self.measurement.without(&self.excluded);
+        let weight = measurement.typical_weight();
+        self.data.set_frame(&measurement.with_even_noise());
+        let found = foreign::find(
+            &mut self.data,
+            instants,
+            &lines,
+            least_level / weight,
+            observer,
+        );
+        self.data.set_frame(&measurement);
+        if let Ok(found) = &found {
+            info!(
+                "{:.2} % of the pixels stand out at a noise level of {:.1} σ",
+                100.0 * count(&found.pixels) as f64 / found.pixels.len() as f64,
+                weight * found.level / self.sigma
+            );
+        }
+        found.map(|found| Foreign {
+            level: weight * found.level,
+            ..found
+        })
     }
 
     /// Leaves the pixels `found`, and others that prove to be foreign, out where the video then predicts better than in

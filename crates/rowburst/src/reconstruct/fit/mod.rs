@@ -179,3 +179,15 @@ pub(super) fn judge(evidence: &FitInput) -> Fit {
         statistics,
     }
 }
+
+/// Whether a frame `W b/σ` with weights `W`, `[y, x]`, has its fine detail along the rows, where a shutter that reads row by
+/// row leaves it across them: it is turned by 90° or transposed.
+pub(super) fn is_turned(
+    measured: &[f32],
+    weights: Option<&[f32]>,
+    camera: &Camera,
+    bands: &Bands,
+) -> bool {
+    let ratio = statistics::fine_ratio_of_frame(measured, weights, camera, bands);
+    ratio.is_some_and(|ratio| ratio < verdict::TURNED)
+}

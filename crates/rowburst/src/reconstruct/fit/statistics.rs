@@ -97,17 +97,30 @@ pub(super) fn of(evidence: &FitInput) -> FitStatistics {
         lone_pixels: lone.len(),
         residual_trend: trend(evidence.residual_history),
         mirrored: mirrored(evidence.camera, evidence.video),
-        fine_ratio: if evidence.bands.leak() < MAX_LEAK && count > 1 {
-            let frame = evidence.normalised_residual;
-            fine_ratio(evidence.measured, frame.rows(), frame.columns(), usable)
-        } else {
-            None
-        },
+        fine_ratio: fine_ratio_of_frame(
+            evidence.measured,
+            evidence.weights,
+            evidence.camera,
+            evidence.bands,
+        ),
         tests_timing: tests_timing(evidence.camera),
     }
 }
 
-/// See [`FitStatistics::fine_ratio`].
+/// See [`FitStatistics::fine_ratio`]; `measured` is `W b/σ` and `weights` is `W`, `[y, x]`.
+pub(super) fn fine_ratio_of_frame(
+    measured: &[f32],
+    weights: Option<&[f32]>,
+    camera: &Camera,
+    bands: &Bands,
+) -> Option<f64> {
+    if bands.leak() >= MAX_LEAK || camera.time().instants().len() < 2 {
+        return None;
+    }
+    let usable = |at: usize| weights.is_none_or(|w| w[at] > 0.0);
+    fine_ratio(measured, camera.rows(), camera.columns(), usable)
+}
+
 fn fine_ratio(
     measured: &[f32],
     rows: usize,

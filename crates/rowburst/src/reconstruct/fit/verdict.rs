@@ -44,7 +44,7 @@ const LARGE_MISFIT: f64 = 0.1;
 /// Part of the pixels that were left out as foreign from which the verdict says so.
 const MANY_EXCLUDED: f64 = 0.005;
 /// Detail across the rows over that along them, below which a frame is turned; larger takes dead columns for it.
-const TURNED: f64 = 1.0 / 8.0;
+pub(super) const TURNED: f64 = 1.0 / 8.0;
 /// Multiples of σ below zero that noise does not reach, and the part of the pixels that may lie there.
 const BELOW_ZERO: f64 = 5.0;
 const MANY_BELOW_ZERO: f64 = 0.05;

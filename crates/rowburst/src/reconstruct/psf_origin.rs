@@ -1,0 +1,147 @@
+//! Whether the model belongs to the frame at all. No self-calibration mends the PSF of another diffuser, a turned PSF or a
+//! turned frame, and the searches for what is wrong with PSF, camera and pixels would take many times as long as a run.
+//!
+//! A speckle pattern explains its frame better than its mirror images and itself turned by 180°, which are as fine and as
+//! bright but not what the light has passed. A pattern that does not is not the frame's (docs/design/020).
+
+use super::choose::Observer;
+use super::fit;
+use super::frame_data::FrameData;
+use super::held_out_check::HeldOutCheck;
+use super::{Model, Prior, Problem, RunResult, SelfCalibration};
+use rowburst_optics::{Image, PatchSet, Psf};
+use rowburst_solve::DataTerm;
+use tracing::info;
+
+/// Held-out error over that with a PSF that is not the frame's, above which the PSF itself is not the frame's; smaller gives
+/// up PSFs that can be mended.
+const MAX_ERROR_RATIO: f64 = 0.88;
+/// Correlation with its image above which a PSF cannot be told from it.
+const MAX_SYMMETRY: f64 = 0.5;
+/// The images of a PSF that are tried: mirrored along y and along x.
+const IMAGES: [(bool, bool); 3] = [(true, true), (false, true), (true, false)];
+
+impl Problem {
+    /// Whether the frame is turned by 90° or transposed. It is not looked for where a correction of the model is asked for by name.
+    pub(super) fn has_turned_frame(&self) -> bool {
+        let is_turned = self.options.self_calibration != SelfCalibration::On
+            && fit::is_turned(
+                self.data.measurements(),
+                self.data.weights(),
+                &self.camera,
+                &self.bands,
+            );
+        if is_turned {
+            info!("the frame is turned: nothing else is looked for");
+        }
+        is_turned
+    }
+
+    /// Whether the PSF belongs to another frame than this, whose check with `prior` gave `check`. It is not looked for where
+    /// a correction of the model is asked for by name.
+    pub(super) fn has_foreign_psf(
+        &mut self,
+        check: &HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        if self.options.self_calibration == SelfCalibration::On {
+            return Ok(false);
+        }
+        for image in IMAGES {
+            let psfs = mirrored(self.data.psfs(), image);
+            let central = self.data.psfs().central().image();
+            if correlation(central.data(), psfs.central().image().data()) > MAX_SYMMETRY {
+                continue;
+            }
+            let limit = check.held_out_rms / MAX_ERROR_RATIO;
+            let with_image = self.check_with_psfs(psfs, limit, prior, observer)?;
+            let ratio = check.held_out_rms / with_image.held_out_rms;
+            info!("held-out error over that with an image of the PSF: {ratio:.3}");
+            if ratio > MAX_ERROR_RATIO {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// The check with other PSFs, at most until its held-out error is below `error`. All else stays as it is.
+    fn check_with_psfs(
+        &mut self,
+        psfs: PatchSet,
+        error: f64,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let model = Model::new(&self.camera, psfs).with_cancel(self.data.cancel());
+        let mut data = FrameData::new(&model, &self.measurement.without(&self.excluded));
+        std::mem::swap(&mut self.data, &mut data);
+        let (is_dense, last_check) = (self.is_dense, self.last_check.take());
+        let check = self.held_out_check_down_to(error, prior, observer);
+        self.data = data;
+        (self.is_dense, self.last_check) = (is_dense, last_check);
+        check
+    }
+}
+
+/// The PSFs, each mirrored along y and along x where `along` says so.
+fn mirrored(psfs: &PatchSet, along: (bool, bool)) -> PatchSet {
+    let images = psfs.psfs().iter().map(|psf| {
+        Psf::new(mirrored_image(psf.image(), along)).expect("the values of a PSF in another order")
+    });
+    PatchSet::new(images.collect(), psfs.offsets_px().to_vec()).expect("as many as before")
+}
+
+fn mirrored_image(image: &Image, along: (bool, bool)) -> Image {
+    let (rows, columns) = (image.rows(), image.columns());
+    let at = |i: usize, count: usize, is_mirrored| if is_mirrored { count - 1 - i } else { i };
+    Image::from_fn(rows, columns, |y, x| {
+        image.at(at(y, rows, along.0), at(x, columns, along.1))
+    })
+}
+
+/// Correlation of two images of the same size; 1 where one of them is flat.
+fn correlation(a: &[f32], b: &[f32]) -> f64 {
+    let centred = |values: &[f32]| -> Vec<f64> {
+        let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
+        values.iter().map(|&v| f64::from(v) - mean).collect()
+    };
+    let (a, b) = (centred(a), centred(b));
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let scale = (product(&a, &a) * product(&b, &b)).sqrt();
+    if scale > 0.0 {
+        product(&a, &b) / scale
+    } else {
+        1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_are_mirrored_along_their_axes() {
+        let image = Image::new(2, 2, vec![1.0, 2.0, 3.0, 4.0]).unwrap();
+        let data = |along| mirrored_image(&image, along).into_data();
+        assert_eq!(data((true, false)), [3.0, 4.0, 1.0, 2.0]);
+        assert_eq!(data((false, true)), [2.0, 1.0, 4.0, 3.0]);
+        assert_eq!(data((true, true)), [4.0, 3.0, 2.0, 1.0]);
+    }
+
+    #[test]
+    fn a_symmetric_image_is_like_its_mirror_image() {
+        let ring = Image::from_fn(5, 5, |y, x| {
+            let r = (y as f32 - 2.0).hypot(x as f32 - 2.0);
+            (-r).exp()
+        });
+        for along in IMAGES {
+            let mirrored = mirrored_image(&ring, along);
+            assert!(correlation(ring.data(), mirrored.data()) > 0.999);
+        }
+        let slope = Image::from_fn(5, 5, |y, x| (y + x) as f32);
+        let turned = mirrored_image(&slope, (true, true));
+        assert!((correlation(slope.data(), turned.data()) + 1.0).abs() < 1e-9);
+        assert!((correlation(&[1.0; 4], &[1.0, 2.0, 3.0, 4.0]) - 1.0).abs() < 1e-9);
+    }
+}
