@@ -126,6 +126,27 @@ def test_masked_pixels_of_a_dask_recording_are_bad(camera, psf, masked, tmp_path
     np.testing.assert_array_equal(*found)
 
 
+def test_masked_pixels_of_xarray_are_bad(camera, psf, masked):
+    """xarray replaces masked values by NaN, in older versions when Dask computes them."""
+    da, xarray = pytest.importorskip("dask.array"), pytest.importorskip("xarray")
+    frames, masks = masked
+    dims = ("frame", "y", "x")
+    by_dask = da.ma.masked_array(da.from_array(frames, chunks=(1, 12, -1)), mask=da.from_array(masks, chunks=(1, 12, -1)))
+    expected = rb.reconstruct(np.ma.masked_array(frames[0], masks[0]), camera, psf, **TV).video
+    reconstructor = rb.Reconstructor(camera, psf, **TV)
+    for theirs in (xarray.DataArray(by_dask, dims=dims), xarray.DataArray(np.ma.masked_array(frames, masks), dims=dims)):
+        for found in (rb.reconstruct(theirs[0], camera, psf, **TV), reconstructor(theirs[0]), next(reconstructor.map(theirs))):
+            np.testing.assert_array_equal(found.video, expected)
+    # Nothing is masked: the integers of a raw capture stay integers.
+    counts = np.rint(1000 * frames[1] / frames[1].max()).astype(np.uint16)
+    biased = camera.replace(bias_counts=10)
+    raw = xarray.DataArray(da.from_array(counts), dims=dims[1:])
+    np.testing.assert_array_equal(
+        rb.reconstruct(raw, biased, psf, **TV).video, rb.reconstruct(counts, biased, psf, **TV).video
+    )
+    refused(lambda: rb.Psf(xarray.DataArray([[1.0, np.nan]])), "a masked array with 1 masked values")
+
+
 # Integers of many digits
 
 

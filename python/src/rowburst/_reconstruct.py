@@ -598,7 +598,8 @@ def reconstruct(
         The frame ``[y, x]``. Integers are a raw capture: dark or bias is subtracted, and the largest value of their type is
         saturation. Floating-point numbers are a frame without bias: ``bias_counts`` of the camera is not subtracted from
         them, while a ``dark`` that is given is. A file is a raw capture, as on the command line, even one of floating-point
-        numbers. Masked pixels of masked arrays (frame, dark, flat and bad pixels) are bad pixels.
+        numbers. Masked pixels of masked arrays (frame, dark, flat and bad pixels) are bad pixels, and so is NaN in an
+        ``xarray.DataArray``, which makes floating-point numbers of masked integers.
     camera : Camera or Experiment
         The camera. An experiment also gives each of ``psf``, ``dark``, ``flat``, ``bad_pixels``, ``prior``, ``tau`` and
         ``guide`` that is left out.
