@@ -61,6 +61,21 @@ def test_a_stack_in_the_place_of_a_frame_is_refused_by_its_header(camera, psf, t
     assert (error.kind, error.path) == ("shape", str(path))
 
 
+def test_a_truth_of_another_shape_is_refused_by_its_header(camera, psf, capture, tmp_path):
+    path = tmp_path / "truth.npy"
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": (4000, 24, 30)})
+    for call in (
+        lambda: rb.reconstruct(capture.frame, camera, psf, truth=path, **TV),
+        lambda: rb.Reconstructor(camera, psf, **TV)(capture.frame, truth=str(path)),
+    ):
+        error = refused(call, "found 4000×24×30", "the camera gives a video of 12×24×30")
+        assert (error.parameter, error.path) == ("truth", str(path))
+    np.save(path, capture.truth)
+    by_path, by_array = (rb.reconstruct(capture.frame, camera, psf, truth=truth, **TV) for truth in (path, capture.truth))
+    assert by_path.numbers["psnr_db"] == by_array.numbers["psnr_db"]
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
 def test_other_threads_run_while_a_frame_is_read(tmp_path):
     """A pipe is opened once the other thread opens it, too."""

@@ -1,6 +1,6 @@
 //! `rowburst.reconstruct`.
 
-use crate::array::{finite_image, video};
+use crate::array::{finite_image, path_of, video};
 use crate::camera::PyCamera;
 use crate::error::{subject, to_py_err};
 use crate::experiment::PyExperiment;
@@ -23,9 +23,9 @@ use rowburst::guide::{Guide, GuideExposure};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options};
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Cancel, Error, ErrorKind, Parameter, Result};
+use rowburst::{Camera, Cancel, Error, ErrorKind, Parameter, Result, Video};
 use rowburst_io::{ForeignFiles, OutputFolder};
-use rowburst_run::inputs::checked_truth;
+use rowburst_run::inputs::{checked_truth, read_truth};
 use rowburst_run::options::{parse_guide_model, parse_time_budget};
 use rowburst_run::{
     Bias, ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, RunRecord,
@@ -381,14 +381,20 @@ fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup }, inputs.bias)?;
     let mut task = setup.task(&frame, None).map_err(to_py_err)?;
     crate::memory::check(&task.camera, 0)?;
-    let truth = inputs.truth.map(|value| {
-        let video = video(value, "truth")?;
-        checked_truth(video, Parameter::Truth.into(), &task.camera).map_err(to_py_err)
-    });
+    let truth = inputs.truth.map(|value| truth_of(value, &task.camera));
     task.truth = truth.transpose()?;
     let direct = inputs.direct.map(|v| finite_image(v, "direct"));
     task.direct = direct.transpose()?;
     Ok(Task { seed, ..task })
+}
+
+/// The true video; the name of a file is read.
+fn truth_of(value: &Bound<'_, PyAny>, camera: &Camera) -> PyResult<Video> {
+    let truth = match path_of(value) {
+        Some(path) => value.py().detach(|| read_truth(&path, camera)),
+        None => checked_truth(video(value, "truth")?, Parameter::Truth.into(), camera),
+    };
+    truth.map_err(to_py_err)
 }
 
 /// How a frame is reconstructed.
