@@ -21,7 +21,7 @@ from ._errors import input_error, write
 from ._figure import Figure, save_figure
 from ._makers import is_of_maker
 from ._rowburst import Camera, Experiment, Progress, Psf
-from ._video import VideoResult
+from ._video import VideoResult, first_pixel
 from ._view import View
 
 if TYPE_CHECKING:
@@ -151,6 +151,11 @@ class Result(VideoResult):
     def time_us(self) -> NDArray[np.float64]:
         """The middle of each bin of the video."""
         return self.camera.time_us
+
+    @property
+    def _first_pixel(self) -> tuple[int, int]:
+        (rows, columns), (sensor_rows, sensor_columns) = self.camera.field, self.camera.frame_shape
+        return first_pixel(rows, sensor_rows), first_pixel(columns, sensor_columns)
 
     @property
     def frame_rate_hz(self) -> float:
