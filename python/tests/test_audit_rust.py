@@ -275,8 +275,35 @@ def test_a_truth_value_is_no_number(camera, psf, capture):
             error = refused(call, f"{name}: found {value}", "not a truth value")
             assert (type(error), error.parameter) == (rb.InputError, name)
     assert camera.replace(row_time_us=10).row_time_us == camera.replace(row_time_us=np.float32(10)).row_time_us == 10
-    with pytest.raises(TypeError, match="row_time_us"):
-        camera.replace(row_time_us="ten")
+    refused(lambda: camera.replace(row_time_us="ten"), "row_time_us: found 'ten'")
+
+
+@pytest.mark.parametrize("value", [True, np.True_, "a"])
+def test_no_list_and_no_mapping_takes_a_truth_value_for_a_number(value, camera, psf, capture, result):
+    frame, pair = capture.frame, [np.eye(5), np.eye(5)[::-1]]
+    for name, call in (
+        ("tuning[support_threshold]", lambda: rb.reconstruct(frame, camera, psf, tuning={"support_threshold": value})),
+        ("tuning[support_threshold]", lambda: rb.Reconstructor(camera, psf, tuning={"support_threshold": value})),
+        ("tuning[support_threshold]", lambda: rb.LiveView(camera, psf, tuning={"support_threshold": value})),
+        ("guide_exposures_us[1]", lambda: rb.reconstruct(frame, camera, psf, guide=[frame, frame], guide_exposures_us=[(1, 5), (2, value)])),
+        ("offsets_px[0]", lambda: rb.Psf.patches(pair, [(value, 0), (10, 0)])),
+        ("positions_mm[2]", lambda: rb.calibrate.psf([frame] * 3, positions_mm=[(0, 0), (1, 1), (value, 2)])),
+        ("signal[0]", lambda: rb.calibrate.timing(frame, signal=[(value, 1.0), (10, 2.0)])),
+        ("exposures_ms[1]", lambda: rb._rowburst._PsfCalibration([frame, frame], exposures_ms=[1.0, value])),
+        ("regions", lambda: result.traces([(8, value)])),
+    ):
+        error = refused(call, f"{name}: found")
+        assert type(error) is rb.InputError
+    for name, call in (
+        ("rows", lambda: camera.replace(rows=value)),
+        ("bit_depth", lambda: camera.replace(bit_depth=value)),
+        ("field", lambda: camera.replace(field=(24, value))),
+        ("row_order", lambda: camera.replace(shutter="custom", row_order=[value, *range(1, 24)])),
+        ("threads", lambda: rb.LiveView(camera, psf, threads=value)),
+        ("threads", lambda: rb.set_threads(value)),
+        ("seed", lambda: rb.simulate(camera, "digits", psf, seed=value)),
+    ):
+        assert refused(call, f"{name}: found", "whole number from 0").parameter == name
 
 
 def test_no_machine_has_so_many_threads(camera, psf, capture):

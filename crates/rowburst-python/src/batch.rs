@@ -7,7 +7,7 @@ use crate::frame::corrections_of;
 use crate::frames::{ArrayFrames, PyFrames};
 use crate::log;
 use crate::operator::{Gram, model_of};
-use crate::options::{Constants, options_from, self_calibration_from, tuning_from};
+use crate::options::{Constants, options_from, self_calibration_from, tuning_of};
 use crate::psf::psfs_of;
 use crate::threads::{self, Threads, checked_count, detached};
 use crate::whole::{Number, Whole, optional_real};
@@ -140,7 +140,7 @@ impl PyBatch {
         let frame_period_us = optional_real(frame_period_us, "frame_period_us")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
-            tuning: tuning_from(tuning.unwrap_or_default())?,
+            tuning: tuning_of(tuning)?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let mut corrections = corrections_of(dark, flat, bad_pixels)?;

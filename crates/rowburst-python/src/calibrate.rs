@@ -7,7 +7,7 @@ use crate::interrupt::interruptibly;
 use crate::psf::PyPsf;
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::{Number, Whole, optional, optional_real};
+use crate::whole::{Number, Numbers, Whole, optional, optional_real, real_pairs};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
@@ -162,7 +162,7 @@ fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<C
 #[pymethods]
 impl PyPsfCalibration {
     #[new]
-    #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Vec::new(), positions_mm=None, binning=None,
+    #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Numbers::none(), positions_mm=None, binning=None,
         saturation_counts=None, field=None, expected_grain_px=None, all_patches=false, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -170,8 +170,8 @@ impl PyPsfCalibration {
         captures: &Bound<'_, PyAny>,
         dark: Option<&Bound<'_, PyAny>>,
         camera: Option<&PyCamera>,
-        exposures_ms: Vec<f64>,
-        positions_mm: Option<Vec<(f64, f64)>>,
+        exposures_ms: Numbers,
+        positions_mm: Option<Vec<(Number, Number)>>,
         binning: Option<Whole>,
         saturation_counts: Option<Number>,
         field: Option<(Whole, Whole)>,
@@ -181,6 +181,10 @@ impl PyPsfCalibration {
     ) -> PyResult<Self> {
         let saturation_counts = optional_real(saturation_counts, "saturation_counts")?;
         let expected_grain_px = optional_real(expected_grain_px, "expected_grain_px")?;
+        let exposures_ms = exposures_ms.named("exposures_ms")?;
+        let positions_mm = positions_mm
+            .map(|pairs| real_pairs(pairs, "positions_mm"))
+            .transpose()?;
         for (name, value) in [
             ("saturation_counts", saturation_counts),
             ("expected_grain_px", expected_grain_px),
@@ -307,10 +311,7 @@ fn lamp_of(
         (None, Some(signal)) => {
             let points: Vec<(f64, f64)> = match path_of(signal) {
                 Some(path) => read_waveform(&path).map_err(to_py_err)?,
-                None => signal
-                    .try_iter()?
-                    .map(|point| point?.extract::<(f64, f64)>())
-                    .collect::<PyResult<_>>()?,
+                None => real_pairs(signal.extract()?, "signal")?,
             };
             let extension = if repeat {
                 Extension::Repeats

@@ -7,7 +7,7 @@ use crate::interrupt::{Answer, OnProgress, interruptibly};
 use crate::psf::psfs_of;
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::{Number, Whole, is_bool, optional_real};
+use crate::whole::{Number, Numbers, Whole, is_bool, optional_real};
 use pyo3::prelude::*;
 use rowburst::Camera;
 use rowburst::design::LightParams;
@@ -52,7 +52,7 @@ impl PyDesign {
         source_bandwidth_nm: Number,
         diffuser_path_rms_nm: Option<Number>,
         trials: bool,
-        trial_snrs: Vec<f64>,
+        trial_snrs: Numbers,
         seed: Whole,
         progress: Option<Py<PyAny>>,
         scene: Option<&Bound<'_, PyAny>>,
@@ -91,7 +91,7 @@ impl PyDesign {
             camera,
             light,
             psf_file: None,
-            trial_snrs: checked_snrs(&trial_snrs).map_err(to_py_err)?,
+            trial_snrs: checked_snrs(&trial_snrs.named("trial_snr")?).map_err(to_py_err)?,
             scene: scene.map(|scene| video(scene, "scene")).transpose()?,
             seed: seed.named("seed")? as u64,
         };

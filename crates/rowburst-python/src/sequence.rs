@@ -6,7 +6,7 @@ use crate::error::to_py_err;
 use crate::frame::{corrections_of, measured};
 use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
-use crate::options::{Constants, prior_from, tau_from, tuning_from};
+use crate::options::{Constants, prior_from, tau_from, tuning_of};
 use crate::task::{setup_of, threads_from};
 use crate::whole::{Number, Whole, optional_real};
 use numpy::PyArray3;
@@ -109,7 +109,7 @@ impl PySequence {
             max_iterations: None,
             self_calibration: SelfCalibration::Off,
             keep_all_pixels: true,
-            tuning: tuning_from(tuning.unwrap_or_default())?,
+            tuning: tuning_of(tuning)?,
             is_preview: true,
         };
         let grey = camera.grey()?;

@@ -9,13 +9,13 @@ use crate::interrupt::{Answer, OnProgress, PyCancel, Reporter, interruptibly_wit
 use crate::operator::{Gram, model_of};
 use crate::options::{
     Constants, iterations_from, options_from, prior_from, self_calibration_from, tau_from,
-    tuning_from,
+    tuning_of,
 };
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
 use crate::run_files::{Asked, RunFiles};
 use crate::threads::checked_count;
-use crate::whole::{Number, Whole, is_bool, optional, optional_real};
+use crate::whole::{Number, Whole, is_bool, optional, optional_real, real_pairs};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rowburst::error::Subject;
@@ -80,13 +80,16 @@ pub fn reconstruct(
     tuning: Option<Constants>,
     corrected: bool,
     guide: Option<Vec<Bound<'_, PyAny>>>,
-    guide_exposures_us: Option<Vec<(f64, f64)>>,
+    guide_exposures_us: Option<Vec<(Number, Number)>>,
     guide_model: Option<&str>,
     files: Option<RunFiles>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
+    let guide_exposures_us = guide_exposures_us
+        .map(|pairs| real_pairs(pairs, "guide_exposures_us"))
+        .transpose()?;
     let record = match (files, experiment.and_then(|e| e.file.as_ref())) {
         (Some(files), Some(experiment)) => {
             let text = tau.map(|tau| tau.str()?.extract::<String>()).transpose()?;
@@ -108,7 +111,7 @@ pub fn reconstruct(
     };
     let options = Options {
         self_calibration: self_calibration_from(self_calibrate)?,
-        tuning: tuning_from(tuning.unwrap_or_default())?,
+        tuning: tuning_of(tuning)?,
         ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -179,7 +182,7 @@ impl PyReconstructor {
         let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
-            tuning: tuning_from(tuning.unwrap_or_default())?,
+            tuning: tuning_of(tuning)?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -597,7 +600,7 @@ pub fn _reconstruct_colour<'py>(
         to_py_err(Error::input(Parameter::Bayer, "None", rule, remedy))
     })?;
     let options = Options {
-        tuning: tuning_from(tuning.unwrap_or_default())?,
+        tuning: tuning_of(tuning)?,
         ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -682,7 +685,7 @@ pub fn _reconstruct_chunked(
     let began = Instant::now();
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let options = Options {
-        tuning: tuning_from(tuning.unwrap_or_default())?,
+        tuning: tuning_of(tuning)?,
         ..options_from(prior, tau, noise_sigma, max_iterations, false)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;

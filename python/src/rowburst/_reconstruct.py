@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_camera, check_number, check_port, check_threads, checked_array, checked_psf
+from ._checks import check_camera, check_number, check_port, check_threads, checked_array, checked_psf, is_bool
 from ._display import result_html
 from ._errors import input_error, write
 from ._figure import Figure, save_figure
@@ -445,7 +445,7 @@ def _region_text(region: object) -> str:
     try:
         numbers = list(region)  # type: ignore[call-overload]
         whole = [int(n) for n in numbers]
-        if whole == numbers:
+        if whole == numbers and not any(map(is_bool, numbers)):
             return ",".join(map(str, whole))
     except (TypeError, ValueError, OverflowError):
         pass

@@ -239,7 +239,8 @@ def psf(
     >>> found.psf.shape == capture.shape, found.numbers["contrast"] > 0.6
     (True, True)
     """
-    positions = None if positions_mm is None else np.asarray(positions_mm, float)
+    # Of objects: the numbers are checked one by one, as they are given.
+    positions = None if positions_mm is None else np.asarray(positions_mm, object)
     if positions is not None and (positions.ndim != 2 or positions.shape[1] != 2):
         found, rule = f"an array of shape {positions.shape}", "it is [capture, 2], a pair (y, x) for each capture"
         raise input_error("positions_mm", found, rule, "Give a list of pairs.", kind="shape")
@@ -253,7 +254,7 @@ def psf(
         dark=frame_of(dark),
         camera=camera,
         exposures_ms=checked_numbers("exposures_ms", exposures_ms),
-        positions_mm=None if positions is None else [(float(y), float(x)) for y, x in positions],
+        positions_mm=None if positions is None else [(y, x) for y, x in positions],
         binning=binning,
         saturation_counts=saturation_counts,
         field=field,
@@ -373,12 +374,12 @@ def timing(
     check_threads(threads)
     points = signal
     if signal is not None and not isinstance(signal, (str, PathLike)):
-        array = np.asarray(signal, float)
+        array = np.asarray(signal, object)
         if array.ndim != 2 or array.shape[1] != 2:
             found, rule = f"an array of shape {array.shape}", "it is [point, 2], a pair (time_us, value) for each point"
             remedy = "Give a list of pairs, or the name of a CSV file."
             raise input_error("signal", found, rule, remedy, kind="shape")
-        points = [(float(time), float(value)) for time, value in array]
+        points = [(time, value) for time, value in array]
     # A list of numbers is one frame, not a list of frames.
     given: Any = frames_of(frames)
     if not isinstance(given, (str, PathLike)) and not hasattr(given, "ndim"):
