@@ -70,11 +70,12 @@ impl PySensorCalibration {
         flats: &Bound<'_, PyAny>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let threads = threads_from(threads)?;
         let (darks, flats) = (
             frames_of(darks, Parameter::Darks)?,
             frames_of(flats, Parameter::Flats)?,
         );
-        let made = interruptibly::<(), _>(py, threads_from(threads)?, None, move |_| {
+        let made = interruptibly::<(), _>(py, threads, None, move |_| {
             let sensor = calibrate_frames(darks, flats, None, &mut |_| ControlFlow::Continue(()))?;
             Ok(Self { sensor })
         })?;
@@ -179,6 +180,7 @@ impl PyPsfCalibration {
         all_patches: bool,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let threads = threads_from(threads)?;
         let saturation_counts = optional_real(saturation_counts, "saturation_counts")?;
         let expected_grain_px = optional_real(expected_grain_px, "expected_grain_px")?;
         let exposures_ms = exposures_ms.named("exposures_ms")?;
@@ -242,7 +244,6 @@ impl PyPsfCalibration {
             expected_grain_px,
             all_patches,
         };
-        let threads = threads_from(threads)?;
         let calibration = interruptibly::<(), _>(py, threads, None, move |_| inputs.calibrate())?;
         Ok(Self {
             calibration: calibration.map_err(to_py_err)?,
@@ -355,6 +356,7 @@ impl PyTimingCalibration {
         camera: Option<&PyCamera>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let threads = threads_from(threads)?;
         let frequency_hz = optional_real(frequency_hz, "frequency_hz")?;
         let duty = optional_real(duty, "duty")?;
         let light = lamp_of(frequency_hz, duty, signal, repeat)?;
@@ -377,7 +379,7 @@ impl PyTimingCalibration {
             saturation_limit: end,
             camera: camera.map(|c| c.camera.clone()),
         };
-        let found = interruptibly::<(), _>(py, threads_from(threads)?, None, move |_| {
+        let found = interruptibly::<(), _>(py, threads, None, move |_| {
             let timing = inputs.calibrate(None)?;
             Ok(Self { timing })
         })?;

@@ -59,6 +59,8 @@ impl PyDesign {
         threads: Option<Whole>,
     ) -> PyResult<Self> {
         let began = Instant::now();
+        let threads = threads_from(threads)?;
+        let trial_snrs = checked_snrs(&trial_snrs.named("trial_snr")?).map_err(to_py_err)?;
         let camera = match camera {
             Some(camera) => camera.camera.clone(),
             None => Camera::new(paper_camera()).map_err(to_py_err)?,
@@ -91,7 +93,7 @@ impl PyDesign {
             camera,
             light,
             psf_file: None,
-            trial_snrs: checked_snrs(&trial_snrs.named("trial_snr")?).map_err(to_py_err)?,
+            trial_snrs,
             scene: scene.map(|scene| video(scene, "scene")).transpose()?,
             seed: seed.named("seed")? as u64,
         };
@@ -112,7 +114,7 @@ impl PyDesign {
             Some(_) => Some(&call),
             None => None,
         };
-        let found = interruptibly(py, threads_from(threads)?, on_progress, move |reporter| {
+        let found = interruptibly(py, threads, on_progress, move |reporter| {
             let design = inputs.run(psf, trials, began, &mut |event| match event {
                 Event::Trials { part, .. } => match reporter.ask(|| part) {
                     Answer::Continue => ControlFlow::Continue(()),

@@ -102,6 +102,7 @@ impl PySequence {
         tuning: Option<Constants>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let thread_count = threads_from(threads)?;
         let options = Options {
             prior: prior_from(prior)?,
             tau: tau_from(tau)?,
@@ -116,7 +117,6 @@ impl PySequence {
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(grey, psf, corrections, options, None)?;
         crate::memory::check(grey, Model::cached_gram_bytes(grey))?;
-        let thread_count = threads_from(threads)?;
         let model = model_of(py, grey, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
             thread_count,

@@ -85,6 +85,7 @@ pub fn reconstruct(
     files: Option<RunFiles>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
+    let thread_count = threads_from(threads)?;
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
     let guide_exposures_us = guide_exposures_us
@@ -116,7 +117,6 @@ pub fn reconstruct(
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-    let thread_count = threads_from(threads)?;
     let inputs = FrameInputs {
         frame,
         truth,
@@ -179,6 +179,7 @@ impl PyReconstructor {
         tuning: Option<Constants>,
         corrected: bool,
     ) -> PyResult<Self> {
+        let thread_count = threads_from(threads)?;
         let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
@@ -187,7 +188,6 @@ impl PyReconstructor {
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-        let thread_count = threads_from(threads)?;
         crate::memory::check(&setup.camera, Model::cached_gram_bytes(&setup.camera))?;
         let model = model_of(py, &setup.camera, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
@@ -592,6 +592,7 @@ pub fn _reconstruct_colour<'py>(
     corrected: bool,
 ) -> PyResult<(Bound<'py, PyArray4<f32>>, Vec<PlaneResult>)> {
     let began = Instant::now();
+    let thread_count = threads_from(threads)?;
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
     let mosaic = camera.bayer.ok_or_else(|| {
@@ -620,7 +621,6 @@ pub fn _reconstruct_colour<'py>(
     };
     task.check().map_err(to_py_err)?;
     crate::memory::check(&task.first_plane().map_err(to_py_err)?, 0)?;
-    let thread_count = threads_from(threads)?;
     let watcher = Watcher::new(thread_count, progress, began);
     let planes = watcher.observe(py, move |watch| {
         task.setup.cancel = watch.reporter.cancel().clone();
@@ -683,6 +683,7 @@ pub fn _reconstruct_chunked(
     corrected: bool,
 ) -> PyResult<String> {
     let began = Instant::now();
+    let thread_count = threads_from(threads)?;
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let options = Options {
         tuning: tuning_of(tuning)?,
@@ -697,7 +698,6 @@ pub fn _reconstruct_chunked(
     };
     let task = setup.task(&frame, bins).map_err(to_py_err)?;
     let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
-    let thread_count = threads_from(threads)?;
     let watcher = Watcher::new(thread_count, progress, began);
     let artifacts = watcher.observe(py, move |watch| {
         let task = Task {

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_camera, check_number, check_port, check_threads, checked_array, checked_psf, is_bool
+from ._checks import check_camera, check_port, checked_array, checked_psf, is_bool
 from ._display import result_html
 from ._errors import input_error, write
 from ._figure import Figure, save_figure
@@ -675,9 +675,6 @@ def reconstruct(
     >>> result.video.shape, result.prior
     ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
-    for name, number in (("noise_sigma", noise_sigma), ("time_budget_s", time_budget_s)):
-        check_number(name, number)
-    check_threads(threads)
     settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
     frame, truth, direct = (
         checked_array(name, value) for name, value in (("frame", frame), ("truth", truth), ("direct", direct))

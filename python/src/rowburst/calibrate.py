@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_camera, check_number, check_threads, checked_numbers
+from ._checks import check_camera
 from ._errors import input_error
 from ._frames import frame_of, frames_of
 from ._rowburst import Camera, Psf
@@ -156,7 +156,6 @@ def sensor(darks: _Frames, flats: _Frames, *, threads: int | None = None) -> Sen
     >>> abs(found.camera_fields["gain_electrons_per_count"] - 2) < 0.2
     True
     """
-    check_threads(threads)
     return SensorCalibration(_rowburst._SensorCalibration(frames_of(darks), frames_of(flats), threads=threads))
 
 
@@ -246,14 +245,11 @@ def psf(
         raise input_error("positions_mm", found, rule, "Give a list of pairs.", kind="shape")
     if camera is not None:
         check_camera(camera, takes_experiment=False)
-    for name, number in (("saturation_counts", saturation_counts), ("expected_grain_px", expected_grain_px)):
-        check_number(name, number)
-    check_threads(threads)
     native = _rowburst._PsfCalibration(
         frames_of(captures),
         dark=frame_of(dark),
         camera=camera,
-        exposures_ms=checked_numbers("exposures_ms", exposures_ms),
+        exposures_ms=exposures_ms,
         positions_mm=None if positions is None else [(y, x) for y, x in positions],
         binning=binning,
         saturation_counts=saturation_counts,
@@ -369,9 +365,6 @@ def timing(
     """
     if camera is not None:
         check_camera(camera, takes_experiment=False)
-    for name, number in (("frequency_hz", frequency_hz), ("duty", duty)):
-        check_number(name, number)
-    check_threads(threads)
     points = signal
     if signal is not None and not isinstance(signal, (str, PathLike)):
         array = np.asarray(signal, object)
