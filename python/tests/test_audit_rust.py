@@ -61,6 +61,21 @@ def test_a_stack_in_the_place_of_a_frame_is_refused_by_its_header(camera, psf, t
     assert (error.kind, error.path) == ("shape", str(path))
 
 
+def test_a_truth_of_another_shape_is_refused_by_its_header(camera, psf, capture, tmp_path):
+    path = tmp_path / "truth.npy"
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": (4000, 24, 30)})
+    for call in (
+        lambda: rb.reconstruct(capture.frame, camera, psf, truth=path, **TV),
+        lambda: rb.Reconstructor(camera, psf, **TV)(capture.frame, truth=str(path)),
+    ):
+        error = refused(call, "found 4000×24×30", "the camera gives a video of 12×24×30")
+        assert (error.parameter, error.path) == ("truth", str(path))
+    np.save(path, capture.truth)
+    by_path, by_array = (rb.reconstruct(capture.frame, camera, psf, truth=truth, **TV) for truth in (path, capture.truth))
+    assert by_path.numbers["psnr_db"] == by_array.numbers["psnr_db"]
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
 def test_other_threads_run_while_a_frame_is_read(tmp_path):
     """A pipe is opened once the other thread opens it, too."""
@@ -124,6 +139,27 @@ def test_masked_pixels_of_a_dask_recording_are_bad(camera, psf, masked, tmp_path
         assert rb.batch(recording, tmp_path / f"{name}.zarr", camera, psf, **TV)["done"] == 2
     found = [zarr.open(str(tmp_path / f"{name}.zarr"))["0"][...] for name in ("numpy", "dask")]
     np.testing.assert_array_equal(*found)
+
+
+def test_masked_pixels_of_xarray_are_bad(camera, psf, masked):
+    """xarray replaces masked values by NaN, in older versions when Dask computes them."""
+    da, xarray = pytest.importorskip("dask.array"), pytest.importorskip("xarray")
+    frames, masks = masked
+    dims = ("frame", "y", "x")
+    by_dask = da.ma.masked_array(da.from_array(frames, chunks=(1, 12, -1)), mask=da.from_array(masks, chunks=(1, 12, -1)))
+    expected = rb.reconstruct(np.ma.masked_array(frames[0], masks[0]), camera, psf, **TV).video
+    reconstructor = rb.Reconstructor(camera, psf, **TV)
+    for theirs in (xarray.DataArray(by_dask, dims=dims), xarray.DataArray(np.ma.masked_array(frames, masks), dims=dims)):
+        for found in (rb.reconstruct(theirs[0], camera, psf, **TV), reconstructor(theirs[0]), next(reconstructor.map(theirs))):
+            np.testing.assert_array_equal(found.video, expected)
+    # Nothing is masked: the integers of a raw capture stay integers.
+    counts = np.rint(1000 * frames[1] / frames[1].max()).astype(np.uint16)
+    biased = camera.replace(bias_counts=10)
+    raw = xarray.DataArray(da.from_array(counts), dims=dims[1:])
+    np.testing.assert_array_equal(
+        rb.reconstruct(raw, biased, psf, **TV).video, rb.reconstruct(counts, biased, psf, **TV).video
+    )
+    refused(lambda: rb.Psf(xarray.DataArray([[1.0, np.nan]])), "a masked array with 1 masked values")
 
 
 # Integers of many digits
@@ -239,8 +275,35 @@ def test_a_truth_value_is_no_number(camera, psf, capture):
             error = refused(call, f"{name}: found {value}", "not a truth value")
             assert (type(error), error.parameter) == (rb.InputError, name)
     assert camera.replace(row_time_us=10).row_time_us == camera.replace(row_time_us=np.float32(10)).row_time_us == 10
-    with pytest.raises(TypeError, match="row_time_us"):
-        camera.replace(row_time_us="ten")
+    refused(lambda: camera.replace(row_time_us="ten"), "row_time_us: found 'ten'")
+
+
+@pytest.mark.parametrize("value", [True, np.True_, "a"])
+def test_no_list_and_no_mapping_takes_a_truth_value_for_a_number(value, camera, psf, capture, result):
+    frame, pair = capture.frame, [np.eye(5), np.eye(5)[::-1]]
+    for name, call in (
+        ("tuning[support_threshold]", lambda: rb.reconstruct(frame, camera, psf, tuning={"support_threshold": value})),
+        ("tuning[support_threshold]", lambda: rb.Reconstructor(camera, psf, tuning={"support_threshold": value})),
+        ("tuning[support_threshold]", lambda: rb.LiveView(camera, psf, tuning={"support_threshold": value})),
+        ("guide_exposures_us[1]", lambda: rb.reconstruct(frame, camera, psf, guide=[frame, frame], guide_exposures_us=[(1, 5), (2, value)])),
+        ("offsets_px[0]", lambda: rb.Psf.patches(pair, [(value, 0), (10, 0)])),
+        ("positions_mm[2]", lambda: rb.calibrate.psf([frame] * 3, positions_mm=[(0, 0), (1, 1), (value, 2)])),
+        ("signal[0]", lambda: rb.calibrate.timing(frame, signal=[(value, 1.0), (10, 2.0)])),
+        ("exposures_ms[1]", lambda: rb._rowburst._PsfCalibration([frame, frame], exposures_ms=[1.0, value])),
+        ("regions", lambda: result.traces([(8, value)])),
+    ):
+        error = refused(call, f"{name}: found")
+        assert type(error) is rb.InputError
+    for name, call in (
+        ("rows", lambda: camera.replace(rows=value)),
+        ("bit_depth", lambda: camera.replace(bit_depth=value)),
+        ("field", lambda: camera.replace(field=(24, value))),
+        ("row_order", lambda: camera.replace(shutter="custom", row_order=[value, *range(1, 24)])),
+        ("threads", lambda: rb.LiveView(camera, psf, threads=value)),
+        ("threads", lambda: rb.set_threads(value)),
+        ("seed", lambda: rb.simulate(camera, "digits", psf, seed=value)),
+    ):
+        assert refused(call, f"{name}: found", "whole number from 0").parameter == name
 
 
 def test_no_machine_has_so_many_threads(camera, psf, capture):

@@ -139,6 +139,35 @@ def test_chunks_are_those_of_the_command_line_and_go_on(files, camera, tmp_path)
             absent()
 
 
+@pytest.mark.parametrize("field", [(26, 33), (25, 30)])
+def test_a_saved_video_has_the_axes_of_the_one_in_memory(field, files, camera, tmp_path):
+    pytest.importorskip("xarray")
+    psf, frame = np.load(files / "psf.npy"), np.load(files / "frame.npy")
+    wide = camera.replace(field=field, pixel_pitch_um=6.5)
+    options = dict(prior="tv", max_iterations=3)
+    result = rb.reconstruct(frame, wide, psf, self_calibrate="off", **options)
+    expected = result.to_xarray()
+    first = [-((field[0] - 24) // 2), -((field[1] - 30) // 2)]
+    assert [expected.y.values[0], expected.x.values[0]] == first
+    assert [result.numbers["first_row"], result.numbers["first_column"]] == first
+    folder = result.save(tmp_path / "whole", formats=["zarr"])
+    saved = [rb.load(folder), rb.reconstruct_chunked(frame, tmp_path / "chunks", wide, psf, bins_per_chunk=4, **options)]
+    if PROGRAM:
+        # The frame of a part of the bins has the rows that these expose.
+        (tmp_path / "wide.toml").write_text(wide.to_toml())
+        command(files, tmp_path / "wide.toml", "--prior", "tv", "--max-iterations", 3, "--bins", "2..8", "-o", tmp_path / "part")
+        saved.append(rb.load(tmp_path / "part"))
+    for found in (one.to_xarray() for one in saved):
+        for axis in ("y", "x"):
+            np.testing.assert_array_equal(found[axis].values, expected[axis].values)
+    pytest.importorskip("zarr")
+    rb.batch(frame[None], tmp_path / "videos.zarr", wide, psf, **options)
+    for image in (folder / "video.ome.zarr", tmp_path / "videos.zarr"):
+        ome = json.loads((image / "zarr.json").read_text())["attributes"]["ome"]
+        scale, origin = ome["multiscales"][0]["datasets"][0]["coordinateTransformations"]
+        assert origin["translation"][-2:] == [6.5 * first[0], 6.5 * first[1]] and scale["scale"][-2:] == [6.5, 6.5]
+
+
 def test_the_command_of_the_package_checks_the_memory(tmp_path):
     large = rb.Camera(rows=4096, columns=4096, shutter="top-down", row_time_us=9.6, exposure_us=9.6)
     (tmp_path / "experiment.toml").write_text(large.to_toml())

@@ -252,7 +252,7 @@ def test_other_numbers_below_zero(camera, psf, capture):
     with pytest.raises(rb.InputError, match="threads: found -2"):
         rb.set_threads(-2)
     assert rb.Camera(**(CAMERA | {"rows": np.int64(24)})) == camera
-    with pytest.raises(TypeError, match="rows"):
+    with pytest.raises(rb.InputError, match="rows: found 24.5"):
         rb.Camera(**(CAMERA | {"rows": 24.5}))
 
 

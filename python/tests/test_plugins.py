@@ -8,6 +8,8 @@ import pytest
 
 import rowburst as rb
 
+GUIDE = Path(__file__).parents[2] / "docs" / "python.md"
+
 
 def test_torch_gradients_are_the_adjoint(camera, psf, capture):
     torch = pytest.importorskip("torch")
@@ -107,6 +109,10 @@ def test_napari_shows_and_reconstructs_headless(result, tmp_path, monkeypatch):
     PluginManager.instance().discover()
     viewer = ViewerModel()
     folder = result.save(tmp_path / "result")
+    # napari reads folders of pictures as well: the plugin is named, as the guide says.
+    claims = [reader.command for reader in PluginManager.instance().iter_compatible_readers([str(folder)])]
+    assert "rowburst.read" in claims and len(claims) > 1
+    assert 'viewer.open("folder", plugin="rowburst")' in GUIDE.read_text(encoding="utf-8")
     layers = viewer.open(str(folder), plugin="rowburst")
     np.testing.assert_array_equal(layers[0].data, result.video)
     assert layers[0].scale[0] == pytest.approx(9.6)

@@ -9,6 +9,7 @@ import { isSame, MAX_REGIONS, type Regions, titleOf, within, wordsOf } from "./r
 import { type Spectrum, spectrum } from "./spectrum";
 import type { Region, Store } from "./store";
 import type { KnownTrace } from "./types";
+import type { Volume } from "./volume";
 
 /** Regions that are shown at first where the user asked for none. */
 const FIRST = 3;
@@ -29,7 +30,8 @@ export class Traces {
   private signals: Signal[] = [];
   private readonly diodes: HTMLElement;
   private pending = false;
-  private seen = -1;
+  /** Bins that were there when the curves were drawn. */
+  private drawnBins = -1;
 
   constructor(
     private readonly store: Store,
@@ -201,16 +203,26 @@ export class Traces {
     }
   }
 
+  /** The videos whose curves are drawn. */
+  private get volumes(): Volume[] {
+    const { video, truth, other } = this.store;
+    return [video, truth, other].filter((volume) => volume != null);
+  }
+
+  private get loadedBins(): number {
+    return this.volumes.reduce((bins, volume) => bins + volume.count, 0);
+  }
+
   /** Draws soon, but not for each of many bins that come in. */
   private later(): void {
-    if (this.pending || this.store.video.count === this.seen) return;
+    if (this.pending || this.loadedBins === this.drawnBins) return;
     this.pending = true;
     setTimeout(
       () => {
         this.pending = false;
         this.draw();
       },
-      this.store.video.isWhole ? 0 : 400,
+      this.volumes.every((volume) => volume.isWhole) ? 0 : 400,
     );
   }
 
@@ -222,7 +234,7 @@ export class Traces {
   private draw(): void {
     const { store } = this;
     const { clock } = store;
-    this.seen = store.video.count;
+    this.drawnBins = this.loadedBins;
     const x = Float64Array.from({ length: clock.bins }, (_, t) => clock.at(t));
     const curves: Curve[] = [];
     const spectra: Curve[] = [];

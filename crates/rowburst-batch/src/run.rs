@@ -477,6 +477,7 @@ fn archive_params(inputs: &BatchInputs, clock: Option<Clock>) -> ArchiveParams {
         bin_us: camera.time().bin_duration_us(),
         first_bin_us: camera.time().start_us(),
         pixel_pitch_um: camera.sensor().pixel_pitch_um,
+        field_offset: camera.field_offset(),
         frame_period_us: clock.map(|clock| clock.frame_period_us),
         frame_start_us: clock.map(|clock| clock.starts_us(&*inputs.frames)),
         attributes: json!({

@@ -69,7 +69,9 @@ pub use npy_chunked::ChunkedVideoFile;
 pub use pages::{Capture, IntegerFrame, SampleFormat};
 pub use patches::{is_patch_set, patch_set_stack, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
-pub use read::{read_colour_image, read_frames, read_image, read_stack, read_video};
+pub use read::{
+    read_colour_image, read_frames, read_image, read_stack, read_video, read_video_shape,
+};
 pub use recording::{Frames, gaps, open_recording};
 pub use relative::relative_path;
 pub use source::{ENDINGS as IMAGE_ENDINGS, is_image};

@@ -65,17 +65,30 @@ pub fn read_frames(path: &Path) -> Result<(Video, SampleFormat)> {
     Ok((video, pages.format))
 }
 
+/// Bins, rows and columns of a video. Of its pages the first one is read at most.
+///
+/// # Errors
+/// Those of [`read_video`] that the header or the first page shows.
+pub fn read_video_shape(path: &Path) -> Result<Shape> {
+    let first = read_first(path, Colour::Refused)?;
+    Ok(Shape::new(first.count, first.rows, first.columns))
+}
+
 fn capture(path: &Path, colour: Colour) -> Result<Capture> {
-    let (source, file, format) = open(path, colour)?;
     // A stack is refused by its header, before its pages are read.
-    let first = match format {
-        Format::Npy => npy::read_first(&source, file)?,
-        Format::Tiff => tiff::read_first(&source, file)?,
-        Format::Png => png::read(&source, file)?,
-        Format::Bmp => bmp::read(&source, file)?,
-        format => first_page(&source, &mut *open_stack(&source, file, format)?)?,
-    };
-    single(path, first)
+    single(path, read_first(path, colour)?)
+}
+
+/// The number of pages and their size; data of the first page at most.
+fn read_first(path: &Path, colour: Colour) -> Result<Pages> {
+    let (source, file, format) = open(path, colour)?;
+    match format {
+        Format::Npy => npy::read_first(&source, file),
+        Format::Tiff => tiff::read_first(&source, file),
+        Format::Png => png::read(&source, file),
+        Format::Bmp => bmp::read(&source, file),
+        format => first_page(&source, &mut *open_stack(&source, file, format)?),
+    }
 }
 
 fn read_pages(path: &Path, colour: Colour) -> Result<Pages> {
@@ -153,6 +166,22 @@ mod tests {
             assert_eq!(error.kind(), rowburst::ErrorKind::Shape);
             let message = error.to_string();
             assert!(message.contains(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn the_shape_of_a_video_is_known_before_its_pages_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npy");
+        // The header alone.
+        std::fs::write(&path, npy::header_of("<f4", &[4000, 2, 3])).unwrap();
+        assert_eq!(read_video_shape(&path).unwrap(), Shape::new(4000, 2, 3));
+        assert!(read_video(&path).is_err());
+        for (name, bytes) in samples() {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            let video = read_video(&path).unwrap();
+            assert_eq!(read_video_shape(&path).unwrap(), video.shape(), "{name}");
         }
     }
 

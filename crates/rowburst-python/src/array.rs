@@ -6,6 +6,7 @@ use numpy::{
 };
 use pyo3::intern;
 use pyo3::prelude::*;
+use pyo3::pyclass::CompareOp;
 use pyo3::types::{PyDict, PyString};
 use rowburst::{Error, ErrorKind, Image, Shape, Video};
 use rowburst_io::{Capture, IntegerFrame, SampleFormat, read_image, read_video};
@@ -113,13 +114,24 @@ fn is_dask(value: &Bound<'_, PyAny>) -> PyResult<bool> {
     value.hasattr(intern!(value.py(), "__dask_graph__"))
 }
 
-/// What a Dask array holds, with its mask, which `numpy.asarray` drops; anything else as it is.
+/// What a Dask array or an `xarray.DataArray` holds, with its mask, which `numpy.asarray` drops; anything else as it is.
 fn computed<'py>(value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    if is_dask(value)? {
-        value.call_method0(intern!(value.py(), "compute"))
-    } else {
-        Ok(value.clone())
+    let py = value.py();
+    let is_xarray = value.hasattr(intern!(py, "to_masked_array"))?;
+    let mut array = value.clone();
+    if is_xarray {
+        array = value.getattr(intern!(py, "data"))?;
     }
+    if is_dask(&array)? {
+        array = array.call_method0(intern!(py, "compute"))?;
+    }
+    if is_xarray {
+        // xarray replaces masked values by NaN.
+        let is_nan = array.rich_compare(&array, CompareOp::Ne)?;
+        let masked = py.import(intern!(py, "numpy.ma"))?;
+        array = masked.call_method1(intern!(py, "masked_where"), (is_nan, array))?;
+    }
+    Ok(array)
 }
 
 /// 1 at the pixels that are masked in any frame of a Dask array of masked arrays, `[frame, y, x]`; `None` where it is

@@ -7,9 +7,10 @@ use crate::frame::corrections_of;
 use crate::frames::{ArrayFrames, PyFrames};
 use crate::log;
 use crate::operator::{Gram, model_of};
-use crate::options::{Constants, options_from, self_calibration_from, tuning_from};
+use crate::options::{Constants, options_from, self_calibration_from, tuning_of};
 use crate::psf::psfs_of;
-use crate::threads::{self, Threads, checked_count, detached};
+use crate::task::threads_from;
+use crate::threads::{self, Threads, detached};
 use crate::whole::{Number, Whole, optional_real};
 use numpy::PyArray3;
 use pyo3::prelude::*;
@@ -30,6 +31,8 @@ use std::time::Duration;
 #[pyclass(name = "_Batch", module = "rowburst._rowburst", frozen)]
 pub struct PyBatch {
     batch: Batch,
+    /// The threads of its runs, if it has some of its own.
+    thread_count: Option<usize>,
 }
 
 /// A frame that is through.
@@ -109,14 +112,17 @@ impl PyBatch {
                 .map_err(|e| name_correction_file(e, &frames, &loaded.calibration))
         };
         let batch = interruptibly(py, open)?.map_err(to_py_err)?;
-        Ok(Self { batch })
+        Ok(Self {
+            batch,
+            thread_count: None,
+        })
     }
 
     /// The batch of a recording in memory or on disk, with the calibration as values.
     #[staticmethod]
     #[pyo3(signature = (camera, psf, frames, out, *, dark=None, flat=None, bad_pixels=None, prior="auto", tau=None,
         noise_sigma=None, max_iterations=None, frame_period_us=None, self_calibrate="auto", keep_all_pixels=false,
-        tuning=None))]
+        tuning=None, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn of_values(
         py: Python<'_>,
@@ -135,12 +141,14 @@ impl PyBatch {
         self_calibrate: &str,
         keep_all_pixels: bool,
         tuning: Option<Constants>,
+        threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let thread_count = threads_from(threads)?;
         let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
         let frame_period_us = optional_real(frame_period_us, "frame_period_us")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
-            tuning: tuning_from(tuning.unwrap_or_default())?,
+            tuning: tuning_of(tuning)?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let mut corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -170,7 +178,10 @@ impl PyBatch {
             version: env!("CARGO_PKG_VERSION").into(),
         };
         let batch = detached(py, || Batch::open(inputs, &out))?.map_err(to_py_err)?;
-        Ok(Self { batch })
+        Ok(Self {
+            batch,
+            thread_count,
+        })
     }
 
     /// Number of frames in the recording.
@@ -210,14 +221,15 @@ impl PyBatch {
         Some(found.to_string())
     }
 
-    /// Makes the videos of `frames`, with `threads` threads; a line for each frame.
+    /// Makes the videos of `frames`, with `threads` threads or those of the batch; a line for each frame.
     #[pyo3(signature = (frames, threads=None))]
     fn run(
         &self,
         py: Python<'_>,
         frames: Vec<usize>,
-        threads: Option<usize>,
+        threads: Option<Whole>,
     ) -> PyResult<Vec<FrameRowTuple>> {
+        let threads = threads_from(threads)?.or(self.thread_count);
         let count = self.count();
         if let Some(bad) = frames.iter().find(|&&frame| frame >= count) {
             let rule = format!("the recording has the frames 0 to {}", count - 1);
@@ -225,7 +237,6 @@ impl PyBatch {
             return Err(to_py_err(error));
         }
         threads::check_process()?;
-        let threads = threads.map(checked_count).transpose()?;
         let threads = threads.unwrap_or_else(threads::threads);
         let rows = Mutex::new(Vec::new());
         let ran = interruptibly(py, |cancel| -> Result<()> {

@@ -7,7 +7,7 @@ use crate::interrupt::interruptibly;
 use crate::psf::PyPsf;
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::{Number, Whole, optional, optional_real};
+use crate::whole::{Number, Numbers, Whole, optional, optional_real, real_pairs};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
@@ -70,11 +70,12 @@ impl PySensorCalibration {
         flats: &Bound<'_, PyAny>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let threads = threads_from(threads)?;
         let (darks, flats) = (
             frames_of(darks, Parameter::Darks)?,
             frames_of(flats, Parameter::Flats)?,
         );
-        let made = interruptibly::<(), _>(py, threads_from(threads)?, None, move |_| {
+        let made = interruptibly::<(), _>(py, threads, None, move |_| {
             let sensor = calibrate_frames(darks, flats, None, &mut |_| ControlFlow::Continue(()))?;
             Ok(Self { sensor })
         })?;
@@ -162,7 +163,7 @@ fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<C
 #[pymethods]
 impl PyPsfCalibration {
     #[new]
-    #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Vec::new(), positions_mm=None, binning=None,
+    #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Numbers::none(), positions_mm=None, binning=None,
         saturation_counts=None, field=None, expected_grain_px=None, all_patches=false, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -170,8 +171,8 @@ impl PyPsfCalibration {
         captures: &Bound<'_, PyAny>,
         dark: Option<&Bound<'_, PyAny>>,
         camera: Option<&PyCamera>,
-        exposures_ms: Vec<f64>,
-        positions_mm: Option<Vec<(f64, f64)>>,
+        exposures_ms: Numbers,
+        positions_mm: Option<Vec<(Number, Number)>>,
         binning: Option<Whole>,
         saturation_counts: Option<Number>,
         field: Option<(Whole, Whole)>,
@@ -179,8 +180,13 @@ impl PyPsfCalibration {
         all_patches: bool,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let threads = threads_from(threads)?;
         let saturation_counts = optional_real(saturation_counts, "saturation_counts")?;
         let expected_grain_px = optional_real(expected_grain_px, "expected_grain_px")?;
+        let exposures_ms = exposures_ms.named("exposures_ms")?;
+        let positions_mm = positions_mm
+            .map(|pairs| real_pairs(pairs, "positions_mm"))
+            .transpose()?;
         for (name, value) in [
             ("saturation_counts", saturation_counts),
             ("expected_grain_px", expected_grain_px),
@@ -238,7 +244,6 @@ impl PyPsfCalibration {
             expected_grain_px,
             all_patches,
         };
-        let threads = threads_from(threads)?;
         let calibration = interruptibly::<(), _>(py, threads, None, move |_| inputs.calibrate())?;
         Ok(Self {
             calibration: calibration.map_err(to_py_err)?,
@@ -307,10 +312,7 @@ fn lamp_of(
         (None, Some(signal)) => {
             let points: Vec<(f64, f64)> = match path_of(signal) {
                 Some(path) => read_waveform(&path).map_err(to_py_err)?,
-                None => signal
-                    .try_iter()?
-                    .map(|point| point?.extract::<(f64, f64)>())
-                    .collect::<PyResult<_>>()?,
+                None => real_pairs(signal.extract()?, "signal")?,
             };
             let extension = if repeat {
                 Extension::Repeats
@@ -354,6 +356,7 @@ impl PyTimingCalibration {
         camera: Option<&PyCamera>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let threads = threads_from(threads)?;
         let frequency_hz = optional_real(frequency_hz, "frequency_hz")?;
         let duty = optional_real(duty, "duty")?;
         let light = lamp_of(frequency_hz, duty, signal, repeat)?;
@@ -376,7 +379,7 @@ impl PyTimingCalibration {
             saturation_limit: end,
             camera: camera.map(|c| c.camera.clone()),
         };
-        let found = interruptibly::<(), _>(py, threads_from(threads)?, None, move |_| {
+        let found = interruptibly::<(), _>(py, threads, None, move |_| {
             let timing = inputs.calibrate(None)?;
             Ok(Self { timing })
         })?;

@@ -7,7 +7,7 @@ use crate::interrupt::{Answer, OnProgress, interruptibly};
 use crate::psf::psfs_of;
 use crate::task::threads_from;
 use crate::threads::detached;
-use crate::whole::{Number, Whole, is_bool, optional_real};
+use crate::whole::{Number, Numbers, Whole, is_bool, optional_real};
 use pyo3::prelude::*;
 use rowburst::Camera;
 use rowburst::design::LightParams;
@@ -52,13 +52,15 @@ impl PyDesign {
         source_bandwidth_nm: Number,
         diffuser_path_rms_nm: Option<Number>,
         trials: bool,
-        trial_snrs: Vec<f64>,
+        trial_snrs: Numbers,
         seed: Whole,
         progress: Option<Py<PyAny>>,
         scene: Option<&Bound<'_, PyAny>>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
         let began = Instant::now();
+        let threads = threads_from(threads)?;
+        let trial_snrs = checked_snrs(&trial_snrs.named("trial_snr")?).map_err(to_py_err)?;
         let camera = match camera {
             Some(camera) => camera.camera.clone(),
             None => Camera::new(paper_camera()).map_err(to_py_err)?,
@@ -91,7 +93,7 @@ impl PyDesign {
             camera,
             light,
             psf_file: None,
-            trial_snrs: checked_snrs(&trial_snrs).map_err(to_py_err)?,
+            trial_snrs,
             scene: scene.map(|scene| video(scene, "scene")).transpose()?,
             seed: seed.named("seed")? as u64,
         };
@@ -112,7 +114,7 @@ impl PyDesign {
             Some(_) => Some(&call),
             None => None,
         };
-        let found = interruptibly(py, threads_from(threads)?, on_progress, move |reporter| {
+        let found = interruptibly(py, threads, on_progress, move |reporter| {
             let design = inputs.run(psf, trials, began, &mut |event| match event {
                 Event::Trials { part, .. } => match reporter.ask(|| part) {
                     Answer::Continue => ControlFlow::Continue(()),

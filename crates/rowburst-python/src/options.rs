@@ -1,7 +1,7 @@
 //! The options of a reconstruction, from what Python gives.
 
 use crate::error::to_py_err;
-use crate::whole::{Whole, is_bool, optional};
+use crate::whole::{Number, Whole, is_bool, optional};
 use pyo3::prelude::*;
 use rowburst::reconstruct::{Options, Prior, SelfCalibration, Tau};
 use rowburst::solve::admm::Tuning;
@@ -10,11 +10,20 @@ use rowburst_run::options::{parse_prior, parse_self_calibration, parse_tau};
 use std::collections::BTreeMap;
 
 /// Other values of the solver's constants, by name.
-pub type Constants = BTreeMap<String, f64>;
+pub type Constants = BTreeMap<String, Number>;
+
+/// The standard constants of the solver with the values that a user gives.
+pub fn tuning_of(constants: Option<Constants>) -> PyResult<Tuning> {
+    let constants = constants.unwrap_or_default().into_iter();
+    let values = constants.map(|(name, value)| {
+        let value = value.named(&format!("tuning[{name}]"))?;
+        Ok::<_, PyErr>((name, value))
+    });
+    tuning_from(&values.collect::<PyResult<Vec<_>>>()?)
+}
 
 /// The standard constants of the solver with other values of some.
-pub fn tuning_from(values: impl IntoIterator<Item = (String, f64)>) -> PyResult<Tuning> {
-    let values: Vec<(String, f64)> = values.into_iter().collect();
+pub fn tuning_from(values: &[(String, f64)]) -> PyResult<Tuning> {
     let mut tuning = Tuning::STANDARD;
     let named = values.iter().map(|(name, value)| (name.as_str(), *value));
     tuning.set_all(named).map_err(|error| {

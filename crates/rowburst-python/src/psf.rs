@@ -5,7 +5,7 @@ use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
 use crate::pickle::State2;
-use crate::whole::{Number, Whole, optional_real};
+use crate::whole::{Number, Whole, optional_real, real_pairs};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
@@ -78,7 +78,8 @@ impl PyPsf {
     /// (2, [(-10.0, 0.0), (10.0, 0.0)])
     #[allow(clippy::doc_lazy_continuation)]
     #[staticmethod]
-    fn patches(values: Vec<Bound<'_, PyAny>>, offsets_px: Vec<(f64, f64)>) -> PyResult<Self> {
+    fn patches(values: Vec<Bound<'_, PyAny>>, offsets_px: Vec<(Number, Number)>) -> PyResult<Self> {
+        let offsets_px = real_pairs(offsets_px, "offsets_px")?;
         let psfs = values.iter().map(|v| {
             let image = capture(v, "PSF")?.image;
             rowburst::Psf::new(image).map_err(to_py_err)

@@ -6,7 +6,7 @@ use crate::error::to_py_err;
 use crate::frame::{corrections_of, measured};
 use crate::interrupt::interruptibly;
 use crate::operator::{Gram, model_of};
-use crate::options::{Constants, prior_from, tau_from, tuning_from};
+use crate::options::{Constants, prior_from, tau_from, tuning_of};
 use crate::task::{setup_of, threads_from};
 use crate::whole::{Number, Whole, optional_real};
 use numpy::PyArray3;
@@ -102,6 +102,7 @@ impl PySequence {
         tuning: Option<Constants>,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
+        let thread_count = threads_from(threads)?;
         let options = Options {
             prior: prior_from(prior)?,
             tau: tau_from(tau)?,
@@ -109,14 +110,13 @@ impl PySequence {
             max_iterations: None,
             self_calibration: SelfCalibration::Off,
             keep_all_pixels: true,
-            tuning: tuning_from(tuning.unwrap_or_default())?,
+            tuning: tuning_of(tuning)?,
             is_preview: true,
         };
         let grey = camera.grey()?;
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(grey, psf, corrections, options, None)?;
         crate::memory::check(grey, Model::cached_gram_bytes(grey))?;
-        let thread_count = threads_from(threads)?;
         let model = model_of(py, grey, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
             thread_count,

@@ -305,7 +305,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
                 &entry(state, "self_calibrate")?.extract::<String>()?,
             )?,
             keep_all_pixels: entry(state, "keep_all_pixels")?.extract()?,
-            tuning: tuning_from(entry(state, "tuning")?.extract::<Vec<(String, f64)>>()?)?,
+            tuning: tuning_from(&entry(state, "tuning")?.extract::<Vec<(String, f64)>>()?)?,
             ..Options::default()
         },
         budget: budget.map(Duration::from_secs_f64),

@@ -1,6 +1,6 @@
 //! `rowburst.reconstruct`.
 
-use crate::array::{finite_image, video};
+use crate::array::{finite_image, path_of, video};
 use crate::camera::PyCamera;
 use crate::error::{subject, to_py_err};
 use crate::experiment::PyExperiment;
@@ -9,13 +9,13 @@ use crate::interrupt::{Answer, OnProgress, PyCancel, Reporter, interruptibly_wit
 use crate::operator::{Gram, model_of};
 use crate::options::{
     Constants, iterations_from, options_from, prior_from, self_calibration_from, tau_from,
-    tuning_from,
+    tuning_of,
 };
 use crate::psf::psfs_of;
 use crate::result::{PyProgress, PyReconstruction};
 use crate::run_files::{Asked, RunFiles};
 use crate::threads::checked_count;
-use crate::whole::{Number, Whole, is_bool, optional, optional_real};
+use crate::whole::{Number, Whole, is_bool, optional, optional_real, real_pairs};
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use rowburst::error::Subject;
@@ -23,9 +23,9 @@ use rowburst::guide::{Guide, GuideExposure};
 use rowburst::measurement::Corrections;
 use rowburst::reconstruct::{Model, Options};
 use rowburst::solve::StopReason;
-use rowburst::{Camera, Cancel, Error, ErrorKind, Parameter, Result};
+use rowburst::{Camera, Cancel, Error, ErrorKind, Parameter, Result, Video};
 use rowburst_io::{ForeignFiles, OutputFolder};
-use rowburst_run::inputs::checked_truth;
+use rowburst_run::inputs::{checked_truth, read_truth};
 use rowburst_run::options::{parse_guide_model, parse_time_budget};
 use rowburst_run::{
     Bias, ChunkedTask, ColourTask, CompletedTask, Event, GuideTask, MovieStyle, Output, RunRecord,
@@ -80,13 +80,17 @@ pub fn reconstruct(
     tuning: Option<Constants>,
     corrected: bool,
     guide: Option<Vec<Bound<'_, PyAny>>>,
-    guide_exposures_us: Option<Vec<(f64, f64)>>,
+    guide_exposures_us: Option<Vec<(Number, Number)>>,
     guide_model: Option<&str>,
     files: Option<RunFiles>,
 ) -> PyResult<PyReconstruction> {
     let began = Instant::now();
+    let thread_count = threads_from(threads)?;
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
+    let guide_exposures_us = guide_exposures_us
+        .map(|pairs| real_pairs(pairs, "guide_exposures_us"))
+        .transpose()?;
     let record = match (files, experiment.and_then(|e| e.file.as_ref())) {
         (Some(files), Some(experiment)) => {
             let text = tau.map(|tau| tau.str()?.extract::<String>()).transpose()?;
@@ -108,12 +112,11 @@ pub fn reconstruct(
     };
     let options = Options {
         self_calibration: self_calibration_from(self_calibrate)?,
-        tuning: tuning_from(tuning.unwrap_or_default())?,
+        tuning: tuning_of(tuning)?,
         ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
     let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-    let thread_count = threads_from(threads)?;
     let inputs = FrameInputs {
         frame,
         truth,
@@ -176,15 +179,15 @@ impl PyReconstructor {
         tuning: Option<Constants>,
         corrected: bool,
     ) -> PyResult<Self> {
+        let thread_count = threads_from(threads)?;
         let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
         let options = Options {
             self_calibration: self_calibration_from(self_calibrate)?,
-            tuning: tuning_from(tuning.unwrap_or_default())?,
+            tuning: tuning_of(tuning)?,
             ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
         };
         let corrections = corrections_of(dark, flat, bad_pixels)?;
         let setup = setup_of(camera.grey()?, psf, corrections, options, experiment)?;
-        let thread_count = threads_from(threads)?;
         crate::memory::check(&setup.camera, Model::cached_gram_bytes(&setup.camera))?;
         let model = model_of(py, &setup.camera, &setup.psfs, thread_count, Gram::Cached)?;
         Ok(Self {
@@ -381,14 +384,20 @@ fn task_of(setup: Setup, inputs: &FrameInputs<'_, '_>) -> PyResult<Task> {
     let (frame, setup) = frame_of(inputs.frame, Setup { budget, ..setup }, inputs.bias)?;
     let mut task = setup.task(&frame, None).map_err(to_py_err)?;
     crate::memory::check(&task.camera, 0)?;
-    let truth = inputs.truth.map(|value| {
-        let video = video(value, "truth")?;
-        checked_truth(video, Parameter::Truth.into(), &task.camera).map_err(to_py_err)
-    });
+    let truth = inputs.truth.map(|value| truth_of(value, &task.camera));
     task.truth = truth.transpose()?;
     let direct = inputs.direct.map(|v| finite_image(v, "direct"));
     task.direct = direct.transpose()?;
     Ok(Task { seed, ..task })
+}
+
+/// The true video; the name of a file is read.
+fn truth_of(value: &Bound<'_, PyAny>, camera: &Camera) -> PyResult<Video> {
+    let truth = match path_of(value) {
+        Some(path) => value.py().detach(|| read_truth(&path, camera)),
+        None => checked_truth(video(value, "truth")?, Parameter::Truth.into(), camera),
+    };
+    truth.map_err(to_py_err)
 }
 
 /// How a frame is reconstructed.
@@ -583,6 +592,7 @@ pub fn _reconstruct_colour<'py>(
     corrected: bool,
 ) -> PyResult<(Bound<'py, PyArray4<f32>>, Vec<PlaneResult>)> {
     let began = Instant::now();
+    let thread_count = threads_from(threads)?;
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let time_budget_s = optional_real(time_budget_s, "time_budget_s")?;
     let mosaic = camera.bayer.ok_or_else(|| {
@@ -591,7 +601,7 @@ pub fn _reconstruct_colour<'py>(
         to_py_err(Error::input(Parameter::Bayer, "None", rule, remedy))
     })?;
     let options = Options {
-        tuning: tuning_from(tuning.unwrap_or_default())?,
+        tuning: tuning_of(tuning)?,
         ..options_from(prior, tau, noise_sigma, max_iterations, keep_all_pixels)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -611,7 +621,6 @@ pub fn _reconstruct_colour<'py>(
     };
     task.check().map_err(to_py_err)?;
     crate::memory::check(&task.first_plane().map_err(to_py_err)?, 0)?;
-    let thread_count = threads_from(threads)?;
     let watcher = Watcher::new(thread_count, progress, began);
     let planes = watcher.observe(py, move |watch| {
         task.setup.cancel = watch.reporter.cancel().clone();
@@ -674,9 +683,10 @@ pub fn _reconstruct_chunked(
     corrected: bool,
 ) -> PyResult<String> {
     let began = Instant::now();
+    let thread_count = threads_from(threads)?;
     let noise_sigma = optional_real(noise_sigma, "noise_sigma")?;
     let options = Options {
-        tuning: tuning_from(tuning.unwrap_or_default())?,
+        tuning: tuning_of(tuning)?,
         ..options_from(prior, tau, noise_sigma, max_iterations, false)?
     };
     let corrections = corrections_of(dark, flat, bad_pixels)?;
@@ -688,7 +698,6 @@ pub fn _reconstruct_chunked(
     };
     let task = setup.task(&frame, bins).map_err(to_py_err)?;
     let bins_per_chunk = optional(bins_per_chunk, "bins_per_chunk")?.unwrap_or(0);
-    let thread_count = threads_from(threads)?;
     let watcher = Watcher::new(thread_count, progress, began);
     let artifacts = watcher.observe(py, move |watch| {
         let task = Task {

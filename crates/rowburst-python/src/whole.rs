@@ -1,4 +1,5 @@
-//! Numbers that users give.
+//! Numbers that users give. They are checked here alone; what is no number is an `InputError` with the name of the
+//! argument. A truth value is no number, though Python takes it for 0 or 1.
 
 use crate::error::{subject, to_py_err};
 use pyo3::Borrowed;
@@ -19,16 +20,11 @@ impl Whole {
     /// The number.
     ///
     /// # Errors
-    /// A number below 0 or above the range of sizes, or a truth value; the error names the argument.
+    /// Anything but a whole number from 0 to the largest size; the error names the argument.
     pub fn named(self, name: &str) -> PyResult<usize> {
-        self.0.map_err(|found| {
-            to_py_err(Error::input(
-                subject(name),
-                found,
-                "the value is a whole number from 0",
-                "Give a non-negative int.",
-            ))
-        })
+        let rule = "the value is a whole number from 0";
+        self.0
+            .map_err(|found| refused(name, found, rule, "Give a non-negative int."))
     }
 }
 
@@ -37,21 +33,19 @@ impl<'py> FromPyObject<'_, 'py> for Whole {
 
     fn extract(value: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
         let value = &*value;
-        if value.is_instance_of::<PyBool>() {
-            return Ok(Self(Err(value.str()?.to_string())));
+        if is_bool(value)? {
+            return Ok(Self(Err(shown(value)?)));
         }
-        // A TypeError for what is no whole number, with the name of the argument by PyO3.
-        let index = value
-            .py()
-            .import("operator")?
-            .call_method1("index", (value,))?;
-        let number = index.extract::<usize>();
-        Ok(Self(number.map_err(|_| index.to_string())))
+        let index = value.py().import("operator")?.getattr("index")?;
+        let number = index.call1((value,)).and_then(|i| i.extract::<usize>());
+        Ok(Self(match number {
+            Ok(number) => Ok(number),
+            Err(_) => Err(shown(value)?),
+        }))
     }
 }
 
-/// A real number; a truth value is none, though Python takes it for 0 or 1. It is checked by [`Number::named`], which
-/// knows the name of the argument.
+/// A real number. It is checked by [`Number::named`], which knows the name of the argument.
 #[derive(Clone)]
 pub struct Number(Result<f64, String>);
 
@@ -64,17 +58,11 @@ impl Number {
     /// The number.
     ///
     /// # Errors
-    /// A truth value; the error names the argument.
+    /// Anything but a number; the error names the argument.
     pub fn named(self, name: &str) -> PyResult<f64> {
-        self.0.map_err(|found| {
-            let rule = "the value is a number, and not a truth value";
-            to_py_err(Error::input(
-                subject(name),
-                found,
-                rule,
-                "Give a float or an int.",
-            ))
-        })
+        let rule = "the value is a number, and not a truth value";
+        self.0
+            .map_err(|found| refused(name, found, rule, "Give a float or an int."))
     }
 }
 
@@ -84,11 +72,62 @@ impl<'py> FromPyObject<'_, 'py> for Number {
     fn extract(value: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
         let value = &*value;
         if is_bool(value)? {
-            return Ok(Self(Err(value.str()?.to_string())));
+            return Ok(Self(Err(shown(value)?)));
         }
-        // A TypeError for what is no number, with the name of the argument by PyO3.
-        value.extract::<f64>().map(|number| Self(Ok(number)))
+        Ok(Self(match value.extract::<f64>() {
+            Ok(number) => Ok(number),
+            Err(_) => Err(shown(value)?),
+        }))
     }
+}
+
+/// A sequence of real numbers. It is checked by [`Numbers::named`], which knows the name of the argument.
+pub struct Numbers(Result<Vec<Number>, String>);
+
+impl Numbers {
+    /// No number: the default of an argument.
+    pub const fn none() -> Self {
+        Self(Ok(Vec::new()))
+    }
+
+    /// The numbers.
+    ///
+    /// # Errors
+    /// Anything but a sequence of numbers; the error names the argument, and the element that is no number.
+    pub fn named(self, name: &str) -> PyResult<Vec<f64>> {
+        let rule = "the value is a sequence of numbers";
+        let numbers = self
+            .0
+            .map_err(|found| refused(name, found, rule, "Give a list."))?;
+        let numbers = numbers.into_iter().enumerate();
+        numbers
+            .map(|(i, number)| number.named(&format!("{name}[{i}]")))
+            .collect()
+    }
+}
+
+impl<'py> FromPyObject<'_, 'py> for Numbers {
+    type Error = PyErr;
+
+    fn extract(value: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let value = &*value;
+        Ok(Self(match value.extract::<Vec<Number>>() {
+            Ok(numbers) => Ok(numbers),
+            Err(_) => Err(shown(value)?),
+        }))
+    }
+}
+
+/// Pairs of real numbers.
+///
+/// # Errors
+/// Those of [`Number::named`].
+pub fn real_pairs(pairs: Vec<(Number, Number)>, name: &str) -> PyResult<Vec<(f64, f64)>> {
+    let named = |(i, (first, second)): (usize, (Number, Number))| {
+        let name = format!("{name}[{i}]");
+        Ok::<_, PyErr>((first.named(&name)?, second.named(&name)?))
+    };
+    pairs.into_iter().enumerate().map(named).collect()
 }
 
 /// The real number of an optional argument.
@@ -114,4 +153,14 @@ pub fn is_bool(value: &Bound<'_, PyAny>) -> PyResult<bool> {
     }
     let numpy_bool = value.py().import("numpy")?.getattr("bool_")?;
     value.is_instance(&numpy_bool)
+}
+
+fn refused(name: &str, found: String, rule: &'static str, remedy: &'static str) -> PyErr {
+    to_py_err(Error::input(subject(name), found, rule, remedy))
+}
+
+/// What a message says of `value`.
+fn shown(value: &Bound<'_, PyAny>) -> PyResult<String> {
+    let checks = value.py().import("rowburst._checks")?;
+    checks.call_method1("shown", (value,))?.extract()
 }

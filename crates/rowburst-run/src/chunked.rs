@@ -328,6 +328,7 @@ impl VideoStatistics {
 fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
     let camera = task.chunked.camera();
     let shape = camera.video_shape();
+    let (rows_before, columns_before) = camera.field_offset();
     let (sigma, source) = task.chunked.sigma();
     let bins = |p: &ChunkNumbers| (p.end_bin - p.first_bin) as f64;
     let squares: f64 = parts
@@ -375,6 +376,8 @@ fn summarise(task: &ChunkedTask, parts: Vec<ChunkNumbers>) -> ChunkedSummary {
         frames: shape.bins,
         rows: shape.rows,
         columns: shape.columns,
+        first_row: -(rows_before as i64),
+        first_column: -(columns_before as i64),
         first_bin: camera.first_bin(),
         frame_rate_hz: camera.time().frame_rate_hz(),
         start_us: camera.time().start_us(),

@@ -43,6 +43,10 @@ pub struct ChunkedSummary {
     pub frames: usize,
     pub rows: usize,
     pub columns: usize,
+    /// See [`crate::ReconstructionSummary::first_row`].
+    pub first_row: i64,
+    /// See [`crate::ReconstructionSummary::first_column`].
+    pub first_column: i64,
     /// The first bin of the video, counted in the whole readout.
     pub first_bin: usize,
     pub frame_rate_hz: f64,

@@ -169,6 +169,7 @@ impl CompletedTask {
         let reconstruction = &self.reconstruction;
         let (options, truth) = (&self.task.options, self.task.truth.as_ref());
         let shape = reconstruction.video.shape();
+        let (rows_before, columns_before) = self.task.camera.field_offset();
         ReconstructionSummary {
             schema_version: RESULT_SCHEMA_VERSION,
             version: env!("CARGO_PKG_VERSION"),
@@ -209,6 +210,8 @@ impl CompletedTask {
             frames: shape.bins,
             rows: shape.rows,
             columns: shape.columns,
+            first_row: -(rows_before as i64),
+            first_column: -(columns_before as i64),
             frame_rate_hz: self.task.camera.time().frame_rate_hz(),
             start_us: self.task.camera.time().start_us(),
             trigger_delay_us: self.task.camera.sensor().trigger_delay_us,

@@ -126,7 +126,8 @@ pub(crate) fn write_formats(
         {
             folder.list("video.ome.zarr")?;
             let path = folder.path().join("video.ome.zarr");
-            rowburst_zarr::write_video(&path, video, time, pixel_pitch_um)?;
+            let field_offset = camera.field_offset();
+            rowburst_zarr::write_video(&path, video, time, pixel_pitch_um, field_offset)?;
         }
     }
     Ok(())

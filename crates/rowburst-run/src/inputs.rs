@@ -3,11 +3,11 @@
 use rowburst::error::Subject;
 use rowburst::measurement::Corrections;
 use rowburst::{
-    Camera, Cancel, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, Video, phrase,
+    Camera, Cancel, Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result, Shape, Video, phrase,
 };
 use rowburst_io::{
     Calibration, Capture, Experiment, SampleFormat, is_patch_set, read_image, read_patch_set,
-    read_video,
+    read_video, read_video_shape,
 };
 use std::path::Path;
 use tracing::info;
@@ -164,14 +164,16 @@ pub fn read_psfs(
     Ok((found.0.into(), note))
 }
 
-/// Reads the true video and checks it by [`checked_truth`].
+/// Reads the true video and checks it by [`checked_truth`]. One of another shape is refused before it is read.
 ///
 /// # Errors
 /// A file that cannot be read, and those of [`checked_truth`].
 pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
+    let subject = Subject::from(path).of(Parameter::Truth);
+    check_truth_shape(read_video_shape(path)?, &subject, camera)?;
     let video = read_video(path)?;
     info!("read {}: {}", path.display(), video.shape());
-    checked_truth(video, path.into(), camera)
+    checked_truth(video, subject, camera)
 }
 
 /// Checks that `video` is finite and has the shape that `camera` gives. `subject` is the truth in errors.
@@ -180,6 +182,7 @@ pub fn read_truth(path: &Path, camera: &Camera) -> Result<Video> {
 /// Another shape, or a value that is not finite.
 pub fn checked_truth(video: Video, subject: Subject, camera: &Camera) -> Result<Video> {
     let shape = video.shape();
+    check_truth_shape(shape, &subject, camera)?;
     if let Some(bad) = video.data().iter().position(|v| !v.is_finite()) {
         return Err(Error::input(
             subject,
@@ -199,17 +202,21 @@ pub fn checked_truth(video: Video, subject: Subject, camera: &Camera) -> Result<
         )
         .with_kind(ErrorKind::NotFinite));
     }
-    if shape != camera.video_shape() {
-        return Err(Error::input(
-            subject,
-            shape,
-            format!("the camera gives a video of {}", camera.video_shape()),
-            phrase![
-                "Leave ",
-                Parameter::Truth,
-                " out, or give the truth on the grid of the reconstruction."
-            ],
-        ));
-    }
     Ok(video)
+}
+
+fn check_truth_shape(shape: Shape, subject: &Subject, camera: &Camera) -> Result<()> {
+    if shape == camera.video_shape() {
+        return Ok(());
+    }
+    Err(Error::input(
+        subject.clone(),
+        shape,
+        format!("the camera gives a video of {}", camera.video_shape()),
+        phrase![
+            "Leave ",
+            Parameter::Truth,
+            " out, or give the truth on the grid of the reconstruction."
+        ],
+    ))
 }

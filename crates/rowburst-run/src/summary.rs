@@ -47,6 +47,10 @@ pub struct ReconstructionSummary {
     pub frames: usize,
     pub rows: usize,
     pub columns: usize,
+    /// The row of the sensor at which the first row of the video lies: below 0 where the field is larger than the sensor.
+    pub first_row: i64,
+    /// The same of the columns.
+    pub first_column: i64,
     pub frame_rate_hz: f64,
     /// Start of the first bin, in microseconds from the start of exposure of the row that is read first.
     pub start_us: f64,

@@ -36,12 +36,23 @@ pub struct ArchiveParams {
     pub first_bin_us: f64,
     /// Pitch of a pixel, where it is known.
     pub pixel_pitch_um: Option<f64>,
+    /// Rows and columns by which the field begins before the sensor.
+    pub field_offset: (usize, usize),
     /// From the start of a frame to that of the next, where it is known.
     pub frame_period_us: Option<f64>,
     /// Start of each frame, where it is known.
     pub frame_start_us: Option<Vec<f64>>,
     /// What else the group is to say, under `rowburst`.
     pub attributes: Value,
+}
+
+impl ArchiveParams {
+    /// The axes `y` and `x`.
+    fn space(&self) -> [Axis; 2] {
+        let (rows, columns) = self.field_offset;
+        [("y", rows), ("x", columns)]
+            .map(|(name, offset_px)| Axis::space(name, self.pixel_pitch_um, offset_px))
+    }
 }
 
 /// An archive that is being written.
@@ -59,7 +70,8 @@ impl VideoArchive {
     /// # Errors
     /// Failed writes.
     pub fn create(path: &Path, params: ArchiveParams, scratch: &Arc<Scratch>) -> Result<Self> {
-        let (shape, pitch) = (params.video, params.pixel_pitch_um);
+        let shape = params.video;
+        let [y, x] = params.space();
         let axes = [
             Axis {
                 name: "frame",
@@ -75,8 +87,8 @@ impl VideoArchive {
                 scale: params.bin_us,
                 origin: params.first_bin_us + 0.5 * params.bin_us,
             },
-            Axis::space("y", pitch),
-            Axis::space("x", pitch),
+            y,
+            x,
         ];
         let (rows, columns) = (shape.rows as u64, shape.columns as u64);
         let array = FloatArray::create(
@@ -192,6 +204,7 @@ impl<'a> StitchedVideo<'a> {
             bins: params.bins.len(),
             ..about.video
         };
+        let [y, x] = about.space();
         let axes = [
             Axis {
                 name: "t",
@@ -200,8 +213,8 @@ impl<'a> StitchedVideo<'a> {
                 scale: about.bin_us,
                 origin: params.time_us[0],
             },
-            Axis::space("y", about.pixel_pitch_um),
-            Axis::space("x", about.pixel_pitch_um),
+            y,
+            x,
         ];
         let lengths = [shape.bins as u64, shape.rows as u64, shape.columns as u64];
         let array = FloatArray::create(

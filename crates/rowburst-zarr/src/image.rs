@@ -12,8 +12,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Writes `video` as the OME-Zarr 0.5 image `path`, float32 `[t, y, x]` with the bins of `time` and,
-/// where it is known, pixels of `pixel_pitch_um` on the sensor. What was there is replaced by the whole image or
-/// stays.
+/// where it is known, pixels of `pixel_pitch_um` on the sensor. The field begins `field_offset` rows and columns before
+/// the sensor. What was there is replaced by the whole image or stays.
 ///
 /// # Errors
 /// Failed writes.
@@ -22,6 +22,7 @@ pub fn write_video(
     video: &Video,
     time: &TimeGrid,
     pixel_pitch_um: Option<f64>,
+    field_offset: (usize, usize),
 ) -> Result<()> {
     let fault = |e: std::io::Error| write_error(&e).within(path);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -55,8 +56,9 @@ pub fn write_video(
         scale: time.bin_duration_us(),
         origin: time.middle_us(0),
     };
-    let space = |name| Axis::space(name, pixel_pitch_um);
-    write_group(&whole, &[t, space("y"), space("x")], &json!({}), &scratch)?;
+    let y = Axis::space("y", pixel_pitch_um, field_offset.0);
+    let x = Axis::space("x", pixel_pitch_um, field_offset.1);
+    write_group(&whole, &[t, y, x], &json!({}), &scratch)?;
     if path.exists() {
         fs::rename(path, &old).map_err(fault)?;
     }
@@ -81,7 +83,7 @@ mod tests {
             let data: Vec<f32> = (0..shape.voxels()).map(|i| (i * bins) as f32).collect();
             let video = Video::new(shape, data).unwrap();
             let time = TimeGrid::rolling(bins, 9.6, 0.5, 1);
-            write_video(&path, &video, &time, Some(6.5)).unwrap();
+            write_video(&path, &video, &time, Some(6.5), (1, 2)).unwrap();
             let read = crate::open_zarr_recording(&path).unwrap();
             assert_eq!(read.count(), bins);
             let names = fs::read_dir(folder.path()).unwrap();
@@ -90,8 +92,8 @@ mod tests {
             let meta_value: serde_json::Value = serde_json::from_str(&meta).unwrap();
             let dataset = &meta_value["attributes"]["ome"]["multiscales"][0]["datasets"][0];
             let moved = &dataset["coordinateTransformations"][1]["translation"];
-            // The first exposure is the second half of bin 0.
-            assert_eq!(*moved, json!([0.0, 0.0, 0.0]));
+            // The first exposure is the second half of bin 0; the field begins before the sensor.
+            assert_eq!(*moved, json!([0.0, -6.5, -13.0]));
             assert!(
                 meta.contains("9.6") && meta.contains("micrometer"),
                 "{meta}"

@@ -22,14 +22,16 @@ pub(crate) struct Axis {
 }
 
 impl Axis {
-    /// `y` or `x`, in micrometres where the pitch of a pixel is known.
-    pub fn space(name: &'static str, pitch_um: Option<f64>) -> Self {
+    /// `y` or `x` from the first pixel of the sensor, in micrometres where the pitch of a pixel is known. The field
+    /// begins `offset_px` pixels before the sensor.
+    pub fn space(name: &'static str, pitch_um: Option<f64>, offset_px: usize) -> Self {
+        let scale = pitch_um.unwrap_or(1.0);
         Self {
             name,
             kind: Some("space"),
             unit: pitch_um.map(|_| "micrometer"),
-            scale: pitch_um.unwrap_or(1.0),
-            origin: 0.0,
+            scale,
+            origin: 0.0 - scale * offset_px as f64,
         }
     }
 }
@@ -109,7 +111,8 @@ mod tests {
     fn it_is_valid_by_another_program() {
         let frame = axis("frame", Some("time"), None);
         let t = axis("t", None, Some("microsecond"));
-        let (y, x) = (Axis::space("y", Some(6.5)), Axis::space("x", None));
+        let (y, x) = (Axis::space("y", Some(6.5), 0), Axis::space("x", None, 3));
+        assert_eq!((y.origin, x.origin), (0.0, -3.0));
         assert!(is_valid(&[frame.clone(), t.clone(), y.clone(), x.clone()]));
         // The order of the axes is what forbids calling t the time.
         let time = axis("t", Some("time"), Some("microsecond"));

@@ -16,6 +16,7 @@ fn params(frames: usize, video: Shape) -> ArchiveParams {
         bin_us: 9.6,
         first_bin_us: 0.0,
         pixel_pitch_um: Some(6.5),
+        field_offset: (2, 0),
         frame_period_us: Some(1000.5),
         frame_start_us: Some((0..frames).map(|i| 1000.5 * i as f64).collect()),
         attributes: json!({"values": "counts"}),
@@ -56,6 +57,10 @@ fn a_video_comes_back_to_the_bit() {
         assert_eq!(
             image["datasets"][0]["coordinateTransformations"][0]["scale"],
             json!([1000.5, 9.6, 6.5, 6.5])
+        );
+        assert_eq!(
+            image["datasets"][0]["coordinateTransformations"][1]["translation"],
+            json!([0.0, 4.8, -13.0, 0.0])
         );
         assert_eq!(
             image["axes"][1],

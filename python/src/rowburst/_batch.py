@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_number, check_threads, shown
+from ._checks import shown
 from ._errors import input_error
 from ._extras import need
 from ._frames import recording_of
@@ -90,9 +90,6 @@ def batch(
     >>> summary["done"], summary["left"]
     (2, 0)
     """
-    for name, number in (("noise_sigma", noise_sigma), ("frame_period_us", frame_period_us)):
-        check_number(name, number)
-    check_threads(threads)
     if isinstance(camera, (str, PathLike)):
         camera = Experiment(camera, frames if isinstance(frames, (str, PathLike)) else None)
     if isinstance(camera, Experiment) and frame_period_us is None:
@@ -118,6 +115,7 @@ def batch(
         keep_all_pixels=keep_all_pixels,
         frame_period_us=frame_period_us,
         tuning=_constants(tuning),
+        threads=threads,
         **settings,
     )
     bar, callback = _listener(progress)
@@ -176,7 +174,7 @@ def _run(
     group = 4 * threads if progress is not None else max(len(left), 1)
     made = 0
     for start in range(0, len(left), group):
-        made += len(job.run(left[start : start + group], threads))
+        made += len(job.run(left[start : start + group]))
         if progress is not None:
             progress(made, len(left))
     table, rows = job.write_table(), job.rows()

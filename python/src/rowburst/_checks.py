@@ -1,10 +1,12 @@
-"""Checks of arguments. Their errors name the argument, what was found, and what it may be."""
+"""Checks of arguments. Their errors name the argument, what was found, and what it may be.
+
+Numbers that are given to the extension are checked there.
+"""
 
 from __future__ import annotations
 
 import math
 import operator
-import os
 from os import PathLike, fspath
 from typing import Any
 
@@ -12,9 +14,6 @@ import numpy as np
 
 from ._errors import input_error
 from ._rowburst import Camera, Experiment, Psf
-
-# Most threads of a call: more are no machine's, and each takes memory of its own.
-MAX_THREADS = max(1024, os.cpu_count() or 1)
 
 
 def shown(value: object) -> str:
@@ -58,32 +57,11 @@ def check_number(name: str, value: Any, remedy: str = "Leave it out.") -> None:
     raise input_error(name, shown(value), "it is a number", remedy)
 
 
-def checked_numbers(name: str, values: Any) -> list[float]:
-    """A sequence of numbers."""
-    try:
-        numbers = [] if isinstance(values, (str, bytes)) else list(values)
-    except TypeError:
-        numbers = []
-    if not numbers and (not hasattr(values, "__len__") or len(values)):
-        raise input_error(name, shown(values), "it is a sequence of numbers", f"Give a list: {name}=[…].")
-    for number in numbers:
-        check_number(name, number)
-        if number is None:
-            raise input_error(name, "None", "it is a sequence of numbers", "Leave it out.")
-    return [float(number) for number in numbers]
-
-
 def check_positive(name: str, value: Any, remedy: str = "Leave it out.") -> None:
     """Refuses what is no finite number above zero; None is an argument that is left out."""
     check_number(name, value, remedy)
     if value is not None and not (math.isfinite(value) and value > 0):
         raise input_error(name, shown(value), "it is a finite number above zero", remedy)
-
-
-def check_threads(threads: Any) -> None:
-    """Refuses a number of threads that no machine has; None is an argument that is left out."""
-    if threads is not None and checked_whole("threads", threads, 1, "Leave it out for all.") > MAX_THREADS:
-        raise input_error("threads", shown(threads), f"there are at most {MAX_THREADS}", "Leave it out for all.")
 
 
 def check_port(port: Any) -> None:

@@ -8,7 +8,7 @@ from os import PathLike
 from numpy.typing import ArrayLike
 
 from . import _rowburst
-from ._checks import check_number, check_threads, checked_array
+from ._checks import checked_array
 from ._load import SavedResult
 from ._reconstruct import _callback, _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, Progress, Psf
@@ -72,8 +72,6 @@ def reconstruct_chunked(
     >>> saved.video.shape, len(saved.numbers["parts"])
     ((12, 24, 30), 3)
     """
-    check_number("noise_sigma", noise_sigma)
-    check_threads(threads)
     frame = checked_array("frame", frame)
     more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
     settings = _settings_without_guide("a video in chunks", camera, *more)

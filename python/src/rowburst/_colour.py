@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_number, check_port, check_threads, checked_array
+from ._checks import check_port, checked_array
 from ._colour_video import ColourVideo, plane_of
 from ._reconstruct import Report, Result, Trace, _callback, _constants, _settings_without_guide
 from ._rowburst import Camera, Experiment, Progress, Psf
@@ -276,9 +276,6 @@ def reconstruct_colour(
     >>> colour.video.shape, sorted(colour.planes)
     ((12, 12, 15, 3), ['blue', 'green-1', 'green-2', 'red'])
     """
-    for name, number in (("noise_sigma", noise_sigma), ("time_budget_s", time_budget_s)):
-        check_number(name, number)
-    check_threads(threads)
     frame = checked_array("frame", frame)
     more = (psf, prior, tau, dark, flat, bad_pixels, corrected)
     settings = _settings_without_guide("a raw colour frame", camera, *more)

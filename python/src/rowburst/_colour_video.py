@@ -127,14 +127,14 @@ class ColourVideo:
         """
         xarray = need("xarray", "to_xarray")
         _, rows, columns, _ = self.video.shape
-        plane_rows, plane_columns = self._first._sensor_shape
+        first_row, first_column = self._first._first_pixel
         array: DataArray = xarray.DataArray(
             self.video,
             dims=("time", "y", "x", "colour"),
             coords={
                 "time": ("time", self.time_us, {"units": "µs", "long_name": "middle of the bin"}),
-                "y": ("y", pixels(rows, plane_rows), {"units": "cells", "long_name": "row of cells of the sensor"}),
-                "x": ("x", pixels(columns, plane_columns), {"units": "cells", "long_name": "column of cells of the sensor"}),
+                "y": ("y", pixels(rows, first_row), {"units": "cells", "long_name": "row of cells of the sensor"}),
+                "x": ("x", pixels(columns, first_column), {"units": "cells", "long_name": "column of cells of the sensor"}),
                 "colour": ("colour", list(COLOURS)),
             },
             name="video",

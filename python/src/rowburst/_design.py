@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _rowburst
-from ._checks import check_camera, check_number, check_threads, checked_array, checked_numbers, checked_psf
+from ._checks import check_camera, checked_array, checked_psf
 from ._display import table_html
 from ._errors import input_error
 from ._extras import need
@@ -165,23 +165,6 @@ def design(
     """
     if camera is not None:
         check_camera(camera, takes_experiment=False)
-    for name, number in (
-        ("wavelength_nm", wavelength_nm),
-        ("pupil_mm", pupil_mm),
-        ("focal_length_mm", focal_length_mm),
-        ("magnification", magnification),
-        ("na", na),
-        ("diffuser_deg", diffuser_deg),
-        ("photons", photons),
-        ("quantum_efficiency", quantum_efficiency),
-        ("read_noise_electrons", read_noise_electrons),
-        ("full_well_electrons", full_well_electrons),
-        ("source_bandwidth_nm", source_bandwidth_nm),
-        ("diffuser_path_rms_nm", diffuser_path_rms_nm),
-    ):
-        check_number(name, number)
-    snrs = checked_numbers("trial_snr", trial_snr)
-    check_threads(threads)
     bar, callback = _listener(progress)
     try:
         native = _rowburst._Design(
@@ -201,7 +184,7 @@ def design(
             source_bandwidth_nm=source_bandwidth_nm,
             diffuser_path_rms_nm=diffuser_path_rms_nm,
             trials=trials,
-            trial_snrs=snrs,
+            trial_snrs=trial_snr,
             seed=seed,
             progress=callback,
             scene=checked_array("scene", scene),

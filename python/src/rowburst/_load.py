@@ -16,7 +16,7 @@ from ._display import result_html
 from ._errors import input_error
 from ._figure import Figure, save_figure
 from ._reconstruct import Trace
-from ._video import VideoResult
+from ._video import VideoResult, first_pixel
 from ._view import View
 
 
@@ -74,10 +74,13 @@ class SavedResult(VideoResult):
         return self._array("view-residual.npy")
 
     @property
-    def _sensor_shape(self) -> tuple[int, int]:
-        # A video in chunks has no residual; its report has a map of it.
-        shape = self.residual.shape if (self.folder / "view-residual.npy").is_file() else self.video.shape[1:]
-        return shape[0], shape[1]
+    def _first_pixel(self) -> tuple[int, int]:
+        if "first_row" in self._numbers:
+            return int(self._numbers["first_row"]), int(self._numbers["first_column"])
+        # Results of 0.1 do not have it, and those in chunks have no residual.
+        field = self.video.shape[1:]
+        sensor = self.residual.shape if (self.folder / "view-residual.npy").is_file() else field
+        return first_pixel(field[0], sensor[0]), first_pixel(field[1], sensor[1])
 
     @property
     def frame(self) -> NDArray[np.float32]:

@@ -12,7 +12,6 @@ import numpy as np
 from . import _load, _reconstruct, _rowburst
 from ._errors import input_error
 from ._extras import need
-from ._video import first_pixel
 
 if TYPE_CHECKING:
     from ._video import VideoResult
@@ -51,8 +50,8 @@ def _axes(result: VideoResult) -> dict[str, Any]:
     sensor, on which the layer of the frame lies."""
     time_us = result.time_us
     bin_us = float(time_us[1] - time_us[0]) if len(time_us) > 1 else 1.0
-    sides = zip(result.video.shape[1:], result._sensor_shape, strict=True)
-    place = (float(time_us[0]), *(float(first_pixel(field, sensor)) for field, sensor in sides))
+    first_row, first_column = result._first_pixel
+    place = (float(time_us[0]), float(first_row), float(first_column))
     return {"scale": (bin_us, 1.0, 1.0), "translate": place, "units": _UNITS, "axis_labels": ("t", "y", "x")}
 
 

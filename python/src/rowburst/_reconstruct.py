@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_camera, check_number, check_port, check_threads, checked_array, checked_psf
+from ._checks import check_camera, check_port, checked_array, checked_psf, is_bool
 from ._display import result_html
 from ._errors import input_error, write
 from ._figure import Figure, save_figure
 from ._makers import is_of_maker
 from ._rowburst import Camera, Experiment, Progress, Psf
-from ._video import VideoResult
+from ._video import VideoResult, first_pixel
 from ._view import View
 
 if TYPE_CHECKING:
@@ -151,6 +151,11 @@ class Result(VideoResult):
     def time_us(self) -> NDArray[np.float64]:
         """The middle of each bin of the video."""
         return self.camera.time_us
+
+    @property
+    def _first_pixel(self) -> tuple[int, int]:
+        (rows, columns), (sensor_rows, sensor_columns) = self.camera.field, self.camera.frame_shape
+        return first_pixel(rows, sensor_rows), first_pixel(columns, sensor_columns)
 
     @property
     def frame_rate_hz(self) -> float:
@@ -440,7 +445,7 @@ def _region_text(region: object) -> str:
     try:
         numbers = list(region)  # type: ignore[call-overload]
         whole = [int(n) for n in numbers]
-        if whole == numbers:
+        if whole == numbers and not any(map(is_bool, numbers)):
             return ",".join(map(str, whole))
     except (TypeError, ValueError, OverflowError):
         pass
@@ -598,7 +603,8 @@ def reconstruct(
         The frame ``[y, x]``. Integers are a raw capture: dark or bias is subtracted, and the largest value of their type is
         saturation. Floating-point numbers are a frame without bias: ``bias_counts`` of the camera is not subtracted from
         them, while a ``dark`` that is given is. A file is a raw capture, as on the command line, even one of floating-point
-        numbers. Masked pixels of masked arrays (frame, dark, flat and bad pixels) are bad pixels.
+        numbers. Masked pixels of masked arrays (frame, dark, flat and bad pixels) are bad pixels, and so is NaN in an
+        ``xarray.DataArray``, which makes floating-point numbers of masked integers.
     camera : Camera or Experiment
         The camera. An experiment also gives each of ``psf``, ``dark``, ``flat``, ``bad_pixels``, ``prior``, ``tau`` and
         ``guide`` that is left out.
@@ -669,9 +675,6 @@ def reconstruct(
     >>> result.video.shape, result.prior
     ((12, 24, 30), 'tv+0.5*tdiff+support')
     """
-    for name, number in (("noise_sigma", noise_sigma), ("time_budget_s", time_budget_s)):
-        check_number(name, number)
-    check_threads(threads)
     settings = _settings(camera, psf, prior, tau, dark, flat, bad_pixels, corrected)
     frame, truth, direct = (
         checked_array(name, value) for name, value in (("frame", frame), ("truth", truth), ("direct", direct))

@@ -12,7 +12,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from . import _rowburst
-from ._checks import check_number, check_threads, checked_array, checked_whole, shown
+from ._checks import checked_array, checked_whole, shown
 from ._errors import input_error
 from ._frames import recording_of
 from ._lazy import Lazy
@@ -88,8 +88,6 @@ class Reconstructor:
             tuning=tuning,
             corrected=corrected,
         )
-        check_number("noise_sigma", noise_sigma)
-        check_threads(threads)
         self._set(camera, given)
         self._set_up()
 
@@ -157,7 +155,6 @@ class Reconstructor:
         debias: bool = False,
         raw: bool = False,
     ) -> Result:
-        check_number("time_budget_s", time_budget_s)
         frame, truth = checked_array("frame", frame), checked_array("truth", truth)
         native = self._set_up()
         bar, callback = _callback(progress)

@@ -887,6 +887,7 @@ class _Batch:
         self_calibrate: str = "auto",
         keep_all_pixels: bool = False,
         tuning: Mapping[str, float] | None = None,
+        threads: int | None = None,
     ) -> _Batch: ...
     @property
     def count(self) -> int: ...
@@ -922,7 +923,7 @@ class _PsfCalibration:
         *,
         dark: ArrayLike | PathLike[str] | None = None,
         camera: Camera | None = None,
-        exposures_ms: list[float] = ...,
+        exposures_ms: Sequence[float] = ...,
         positions_mm: list[tuple[float, float]] | None = None,
         binning: int | None = None,
         saturation_counts: float | None = None,
@@ -979,7 +980,7 @@ class _Design:
         source_bandwidth_nm: float,
         diffuser_path_rms_nm: float | None,
         trials: bool,
-        trial_snrs: list[float],
+        trial_snrs: Sequence[float],
         seed: int,
         progress: Callable[[float], object] | None = None,
         scene: ArrayLike | PathLike[str] | None = None,

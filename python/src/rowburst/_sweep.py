@@ -13,7 +13,7 @@ from typing import Any, overload
 from numpy.typing import ArrayLike
 
 from . import _rowburst
-from ._checks import check_positive, check_threads, checked_array, checked_whole, shown
+from ._checks import checked_array, shown
 from ._errors import input_error
 from ._reconstruct import Result, _callback, _constants, _settings
 from ._rowburst import Camera, Experiment, InputError, Progress, Psf, WorkError
@@ -151,10 +151,9 @@ def sweep(
     if not swept or not points:
         rule = "a sweep has at least one sequence with a value in it"
         raise input_error("prior", "nothing that is swept", rule, 'Give for example prior=["tv", "tv+l1"], tau=[0.1, 1.0].')
-    for name, value in given.items():
-        for one in swept.get(name, [value]):
-            _check_value(name, one)
-    check_threads(threads)
+    for one in swept.get("prior", [prior]):
+        if one is not None and not isinstance(one, str):
+            raise input_error("prior", shown(one), 'it is the text of a prior, such as "tv"', 'Leave it out for "auto".')
     frame, truth = checked_array("frame", frame), checked_array("truth", truth)
     settings = _settings(camera, psf, fixed["prior"], fixed["tau"], dark, flat, bad_pixels, corrected)
     native = _rowburst._Reconstructor(
@@ -201,26 +200,6 @@ _COLUMNS = ("prior", "tau", "residual_over_sigma", "psnr_db", "ssim", "fit", "er
 
 def _is_list(value: object) -> bool:
     return isinstance(value, Iterable) and not isinstance(value, str) and getattr(value, "ndim", 1) > 0
-
-
-def _check_value(name: str, value: Any) -> None:
-    """Refuses a value of a sweep that no run could use; None is an argument that is left out."""
-    if value is None:
-        return
-    if name == "max_iterations":
-        checked_whole(name, value, 1)
-    elif name == "noise_sigma":
-        check_positive(name, value)
-    elif name == "tau":
-        if isinstance(value, str):
-            try:
-                value = float(value)
-            except ValueError:
-                # A word, such as "auto".
-                return
-        check_positive(name, value)
-    elif not isinstance(value, str):
-        raise input_error(name, shown(value), 'it is the text of a prior, such as "tv"', 'Leave it out for "auto".')
 
 
 def _label(point: Mapping[str, Any]) -> str:

@@ -23,9 +23,9 @@ def first_pixel(field: int, sensor: int) -> int:
     return -((field - sensor) // 2)
 
 
-def pixels(field: int, sensor: int) -> NDArray[np.float64]:
+def pixels(count: int, first: int) -> NDArray[np.float64]:
     """The pixels of the sensor, along one side, at which those of the field lie."""
-    return np.arange(field, dtype=np.float64) + first_pixel(field, sensor)
+    return np.arange(count, dtype=np.float64) + first
 
 
 class VideoResult:
@@ -57,10 +57,9 @@ class VideoResult:
         raise NotImplementedError
 
     @property
-    def _sensor_shape(self) -> tuple[int, int]:
-        """Rows and columns of the frame."""
-        rows, columns = self.residual.shape
-        return rows, columns
+    def _first_pixel(self) -> tuple[int, int]:
+        """The pixel ``(y, x)`` of the sensor at which the first of the field lies."""
+        raise NotImplementedError
 
     def to_xarray(self) -> DataArray:
         """The video with the axes ``time`` (microseconds), ``y`` and ``x`` (pixels of the sensor).
@@ -87,7 +86,7 @@ class VideoResult:
         """
         xarray = need("xarray", "to_xarray")
         _, rows, columns = self.video.shape
-        sensor_rows, sensor_columns = self._sensor_shape
+        first_row, first_column = self._first_pixel
         numbers = self.numbers
         kept = ("prior", "tau", "noise_sigma", "effective_sigma", "residual_over_sigma", "fit", "frame_rate_hz", "trigger_delay_us", "version")
         array: DataArray = xarray.DataArray(
@@ -95,8 +94,8 @@ class VideoResult:
             dims=("time", "y", "x"),
             coords={
                 "time": ("time", self.time_us, {"units": "µs", "long_name": "middle of the bin"}),
-                "y": ("y", pixels(rows, sensor_rows), {"units": "px", "long_name": "row of the sensor"}),
-                "x": ("x", pixels(columns, sensor_columns), {"units": "px", "long_name": "column of the sensor"}),
+                "y": ("y", pixels(rows, first_row), {"units": "px", "long_name": "row of the sensor"}),
+                "x": ("x", pixels(columns, first_column), {"units": "px", "long_name": "column of the sensor"}),
             },
             name="video",
             attrs={"units": "counts"} | {name: numbers[name] for name in kept if numbers.get(name) is not None},

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _rowburst
-from ._checks import check_camera, check_number, check_threads, checked_numbers
+from ._checks import check_camera
 from ._errors import input_error
 from ._frames import frame_of, frames_of
 from ._rowburst import Camera, Psf
@@ -156,7 +156,6 @@ def sensor(darks: _Frames, flats: _Frames, *, threads: int | None = None) -> Sen
     >>> abs(found.camera_fields["gain_electrons_per_count"] - 2) < 0.2
     True
     """
-    check_threads(threads)
     return SensorCalibration(_rowburst._SensorCalibration(frames_of(darks), frames_of(flats), threads=threads))
 
 
@@ -239,21 +238,19 @@ def psf(
     >>> found.psf.shape == capture.shape, found.numbers["contrast"] > 0.6
     (True, True)
     """
-    positions = None if positions_mm is None else np.asarray(positions_mm, float)
+    # Of objects: the numbers are checked one by one, as they are given.
+    positions = None if positions_mm is None else np.asarray(positions_mm, object)
     if positions is not None and (positions.ndim != 2 or positions.shape[1] != 2):
         found, rule = f"an array of shape {positions.shape}", "it is [capture, 2], a pair (y, x) for each capture"
         raise input_error("positions_mm", found, rule, "Give a list of pairs.", kind="shape")
     if camera is not None:
         check_camera(camera, takes_experiment=False)
-    for name, number in (("saturation_counts", saturation_counts), ("expected_grain_px", expected_grain_px)):
-        check_number(name, number)
-    check_threads(threads)
     native = _rowburst._PsfCalibration(
         frames_of(captures),
         dark=frame_of(dark),
         camera=camera,
-        exposures_ms=checked_numbers("exposures_ms", exposures_ms),
-        positions_mm=None if positions is None else [(float(y), float(x)) for y, x in positions],
+        exposures_ms=exposures_ms,
+        positions_mm=None if positions is None else [(y, x) for y, x in positions],
         binning=binning,
         saturation_counts=saturation_counts,
         field=field,
@@ -368,17 +365,14 @@ def timing(
     """
     if camera is not None:
         check_camera(camera, takes_experiment=False)
-    for name, number in (("frequency_hz", frequency_hz), ("duty", duty)):
-        check_number(name, number)
-    check_threads(threads)
     points = signal
     if signal is not None and not isinstance(signal, (str, PathLike)):
-        array = np.asarray(signal, float)
+        array = np.asarray(signal, object)
         if array.ndim != 2 or array.shape[1] != 2:
             found, rule = f"an array of shape {array.shape}", "it is [point, 2], a pair (time_us, value) for each point"
             remedy = "Give a list of pairs, or the name of a CSV file."
             raise input_error("signal", found, rule, remedy, kind="shape")
-        points = [(float(time), float(value)) for time, value in array]
+        points = [(time, value) for time, value in array]
     # A list of numbers is one frame, not a list of frames.
     given: Any = frames_of(frames)
     if not isinstance(given, (str, PathLike)) and not hasattr(given, "ndim"):

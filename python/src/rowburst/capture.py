@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _rowburst
-from ._checks import check_number
 from ._errors import input_error
 from ._rowburst import LiveView, Look, WorkError
 
@@ -141,7 +140,6 @@ class Capture(Iterator[CapturedFrame]):
         >>> [look.video.shape for _, look in source.watch(live)]
         [(12, 24, 30), (12, 24, 30)]
         """
-        check_number("time_budget_s", time_budget_s)
         while True:
             if self._skip is not None:
                 self._skip()

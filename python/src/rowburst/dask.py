@@ -143,8 +143,6 @@ def reconstruct(
     threads_per_task = checked_whole("threads_per_task", threads_per_task, 1)
     frames_per_task = None if frames_per_task is None else checked_whole("frames_per_task", frames_per_task, 1)
     check_number("workers_timeout_s", workers_timeout_s)
-    for name in ("noise_sigma", "frame_period_us"):
-        check_number(name, options.get(name))
     given = {name: value for name, value in options.items() if value is not None}
     for name in _FILES:
         if name in given:
