@@ -2,7 +2,7 @@
 
 use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
-use rowburst::measurement::Measurement;
+use rowburst::measurement::{self, Corrections, Measurement};
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{Options, Prior, Problem, Reconstruction, SelfCalibration, Verdict};
@@ -43,15 +43,20 @@ fn psf(camera: &Camera, seed: u64) -> Psf {
     speckle_psf(&optics, ROWS + rows - 1, COLUMNS + columns - 1, seed).unwrap()
 }
 
-fn recorded(camera: &Camera, psf: &Psf, truth: &Video) -> Image {
+/// The noiseless frame.
+fn light(camera: &Camera, psf: &Psf, truth: &Video) -> Image {
     let operator = RollingShutter::new(camera, psf);
     let mut light = vec![0.0; operator.range_len()];
     operator.apply(truth.data(), &mut light);
     // The transforms leave rounding errors where there is no light.
     light.iter_mut().for_each(|v| *v = v.max(0.0));
-    let noiseless = Image::new(ROWS, COLUMNS, light).unwrap();
+    Image::new(ROWS, COLUMNS, light).unwrap()
+}
+
+fn recorded(camera: &Camera, psf: &Psf, truth: &Video) -> Image {
     let noise = Noise::Gaussian { snr: 256.0 };
-    noise.apply(&noiseless, camera.sensor(), 7).unwrap().frame
+    let recorded = noise.apply(&light(camera, psf, truth), camera.sensor(), 7);
+    recorded.unwrap().frame
 }
 
 impl Case {
@@ -187,6 +192,50 @@ fn foreign_pixels_are_left_out() {
             );
         }
     }
+}
+
+/// Hot pixels are found where gain and read noise are known, too: a pixel's weight follows from its own counts, so that of a
+/// hot one is small.
+#[test]
+fn hot_pixels_of_a_sensor_of_known_noise_are_left_out() {
+    let case = Case::new();
+    let camera = Camera::new(CameraParams {
+        sensor: Sensor {
+            bit_depth: Some(16),
+            bias_counts: Some(100.0),
+            gain_electrons_per_count: Some(0.5),
+            read_noise_electrons: Some(1.6),
+            ..Sensor::default()
+        },
+        ..case.camera.params().clone()
+    });
+    let camera = camera.unwrap();
+    let noise = Noise::Camera {
+        peak_electrons: 20_000.0,
+    };
+    let light = light(&camera, &case.psf, &case.truth);
+    let recorded = noise.apply(&light, camera.sensor(), 7).unwrap();
+    let scaled = case.truth.data().iter();
+    let truth: Vec<f32> = scaled.map(|v| v * recorded.scale as f32).collect();
+    let hot = |y: usize, x: usize| scatter(y, x) == 3;
+    let (frame, mask) = planted(&recorded.frame, recorded.frame.max(), hot);
+    let psnr_of = |measurement: &Measurement, keep_all_pixels| {
+        let options = Options {
+            prior: Some(Prior::STANDARD),
+            keep_all_pixels,
+            ..Options::default()
+        };
+        let problem = Problem::new(measurement, &camera, &case.psf, options).unwrap();
+        let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+        (psnr_db(found.video.data(), &truth), found)
+    };
+    let measurement = measurement::correct(&frame, &camera, &Corrections::default()).unwrap();
+    let (db, found) = psnr_of(&measurement, false);
+    let pairs = mask.iter().zip(&found.excluded);
+    assert_eq!(pairs.filter(|(planted, found)| planted > found).count(), 0);
+    let is_masked: Vec<bool> = mask.iter().map(|m| *m == 1).collect();
+    let (by_hand, _) = psnr_of(&measurement.without(&is_masked), true);
+    assert!(db > by_hand - 0.3, "{db} dB, {by_hand} masked by hand");
 }
 
 /// With a PSF of another capture the noise level includes the error of the model; a noise level that is given does not.
