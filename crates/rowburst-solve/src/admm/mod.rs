@@ -82,6 +82,13 @@ pub enum TauRule {
     },
 }
 
+impl TauRule {
+    /// Whether the discrepancy principle gives `τ`.
+    pub fn is_discrepancy(self) -> bool {
+        matches!(self, Self::Discrepancy { .. })
+    }
+}
+
 /// Parameters of [`Admm`]; [`Self::new`] has the defaults.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdmmParams {

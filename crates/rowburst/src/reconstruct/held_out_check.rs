@@ -36,7 +36,7 @@ const MAX_OUTLIERS: f64 = 2e-4;
 
 /// A run on the pixels that are not held out.
 pub(super) struct HeldOutRun {
-    prior: Prior,
+    pub prior: Prior,
     prox: Box<dyn Prox>,
     pub admm: Admm,
     residual_rms: f64,
@@ -101,8 +101,15 @@ impl HeldOutRun {
 }
 
 impl HeldOutRun {
+    /// Goes on with all pixels: with those that are held out, too.
+    pub fn with_all_pixels(mut self, data: &mut FrameData) -> (Admm, Box<dyn Prox>) {
+        data.release_held_out();
+        self.admm.warm_start(data);
+        (self.admm, self.prox)
+    }
+
     /// The result of a run that has ended.
-    fn into_result(self, data: &FrameData) -> RunResult {
+    pub fn into_result(self, data: &FrameData) -> RunResult {
         let reason = StopReason::IterationLimit;
         let solution = self.admm.into_solution(data, &*self.prox, reason);
         RunResult::new(self.prior, solution)
@@ -177,16 +184,18 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        self.held_out_check_down_to(0.0, prior, observer)
+        let (check, run) = self.held_out_run(0.0, prior, observer)?;
+        self.last_check = Some(Box::new(run.into_result(&self.data)));
+        Ok(check)
     }
 
-    /// The same, at most until the held-out error is below `error`.
-    pub(super) fn held_out_check_down_to(
+    /// The same, at most until the held-out error is below `error`. Also returns the run, which can continue.
+    pub(super) fn held_out_run(
         &mut self,
         error: f64,
         prior: Prior,
         observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
+    ) -> Result<(HeldOutCheck, HeldOutRun), Box<RunResult>> {
         // A `τ` that is given may fit no frame: the model is not to blame.
         let rule = TauRule::Discrepancy {
             sigma: self.effective_sigma,
@@ -214,8 +223,7 @@ impl Problem {
                     check.held_out_rms / self.sigma,
                     100.0 * check.support_fraction
                 );
-                self.last_check = Some(Box::new(run.into_result(&self.data)));
-                return Ok(check);
+                return Ok((check, run));
             }
             until += CHECK_STEP;
         }

@@ -38,6 +38,7 @@ pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use frame_data::FrameData;
+use held_out_check::HeldOutRun;
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
@@ -186,6 +187,8 @@ pub struct Problem {
     tau_factor: f64,
     camera: Camera,
     bands: Bands,
+    /// The check of a model that explains the frame, from which the final run can go on.
+    checked_run: Option<HeldOutRun>,
     /// The result of the last check on held-out pixels, for a run that is stopped before it has a better one.
     last_check: Option<Box<RunResult>>,
 }
@@ -330,6 +333,7 @@ impl Problem {
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
+            checked_run: None,
             last_check: None,
         })
     }
@@ -566,6 +570,9 @@ impl Problem {
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
+        if let Some(run) = self.checked_run.take() {
+            self.last_check = Some(Box::new(run.into_result(&self.data)));
+        }
         let settings = self.options.solver_settings();
         choose::choose_prior(
             &mut self.data,
@@ -625,16 +632,23 @@ impl Problem {
             params.max_iterations = params.max_iterations.min(held_out_check::CHECK_ITERATIONS);
         }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
-        self.data.reset(prior.background(), None);
-        let mut prox = self.data.prox(&prior);
-        let mut run = Admm::new(&self.data, shape, params);
+        let (mut run, mut prox) = match self.checked_run.take() {
+            Some(checked) if checked.prior == prior && rule.is_discrepancy() => {
+                checked.with_all_pixels(&mut self.data)
+            }
+            _ => {
+                self.data.reset(prior.background(), None);
+                let run = Admm::new(&self.data, shape, params);
+                (run, self.data.prox(&prior))
+            }
+        };
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
                 observe_sum(prior.background(), shape, progress, observer)
             })
         };
         let mut stop_reason = None;
-        if tau_factor != 1.0 && matches!(rule, TauRule::Discrepancy { .. }) {
+        if tau_factor != 1.0 && rule.is_discrepancy() {
             // The factor applies to the `τ` of the discrepancy principle, so the run finds that `τ` first.
             run.set_tolerance(choose::TOLERANCE);
             let reason = run_until(

@@ -32,14 +32,16 @@ impl Problem {
         if !self.is_checked() {
             return Ok(());
         }
-        let mut check = self.held_out_check(prior, observer)?;
+        let (mut check, mut run) = self.held_out_run(0.0, prior, observer)?;
         if self.opens(&mut prior) {
-            check = self.held_out_check(prior, observer)?;
+            (check, run) = self.held_out_run(0.0, prior, observer)?;
         }
         if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
             info!("the model explains the frame");
+            self.checked_run = Some(run);
             return Ok(());
         }
+        self.last_check = Some(Box::new(run.into_result(&self.data)));
         check = self.correct_model(check, prior, observer)?;
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;

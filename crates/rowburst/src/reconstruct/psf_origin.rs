@@ -16,6 +16,8 @@ use tracing::info;
 /// Held-out error over that with a PSF that is not the frame's, above which the PSF itself is not the frame's; smaller gives
 /// up PSFs that can be mended.
 const MAX_ERROR_RATIO: f64 = 0.88;
+/// The same, below which the other images need not be tried; larger may miss that the PSF is not the frame's.
+const CLEAR_ERROR_RATIO: f64 = 0.7;
 /// Correlation with its image above which a PSF cannot be told from it.
 const MAX_SYMMETRY: f64 = 0.5;
 /// The images of a PSF that are tried: mirrored along y and along x.
@@ -61,6 +63,9 @@ impl Problem {
             if ratio > MAX_ERROR_RATIO {
                 return Ok(true);
             }
+            if ratio < CLEAR_ERROR_RATIO {
+                return Ok(false);
+            }
         }
         Ok(false)
     }
@@ -76,11 +81,11 @@ impl Problem {
         let model = Model::new(&self.camera, psfs).with_cancel(self.data.cancel());
         let mut data = FrameData::new(&model, &self.measurement.without(&self.excluded));
         std::mem::swap(&mut self.data, &mut data);
-        let (is_dense, last_check) = (self.is_dense, self.last_check.take());
-        let check = self.held_out_check_down_to(error, prior, observer);
+        let is_dense = self.is_dense;
+        let checked = self.held_out_run(error, prior, observer);
         self.data = data;
-        (self.is_dense, self.last_check) = (is_dense, last_check);
-        check
+        self.is_dense = is_dense;
+        checked.map(|(check, _)| check)
     }
 }
 

@@ -140,7 +140,7 @@ impl Trial {
             residuals,
             support_fraction: self.run.support_fraction(),
         };
-        let is_tunable = matches!(self.params.tau, TauRule::Discrepancy { .. });
+        let is_tunable = self.params.tau.is_discrepancy();
         if is_tunable && !stopped_early && rms(&found.residuals) <= max_error {
             found = match self.tune(data, found, observer) {
                 Ok(found) => found,

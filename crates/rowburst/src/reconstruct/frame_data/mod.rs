@@ -136,6 +136,13 @@ impl FrameData {
         }
     }
 
+    /// Uses the held-out pixels, too, and keeps support and weights.
+    pub fn release_held_out(&mut self) {
+        self.held_out = None;
+        self.apply_weights();
+        self.x_step.rebuild(&self.system);
+    }
+
     /// Replaces the frame by another one of the same camera and keeps the support. Weights that were updated from the
     /// light, and the weights and noise model that a run starts from, are kept where the same pixels have weights above
     /// zero.
