@@ -24,7 +24,8 @@ const SAME: f64 = 1e-5;
 const SKETCH: usize = 64;
 
 /// Options that leave nothing to a rule that may change; σ is given for each problem.
-const OPTIONS: &str = "--prior tv+0.5*tdiff+support --tau auto --keep-all-pixels";
+const OPTIONS: &str =
+    "--prior tv+0.5*tdiff+support --tau auto --keep-all-pixels --self-calibrate off";
 
 /// The problems in `../shared/problems` with their σ, the rms of the frame over 256.
 const SHARED: [(&str, &str); 5] = [

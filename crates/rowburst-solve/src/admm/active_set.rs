@@ -76,9 +76,14 @@ impl ActiveSet {
         self.is_used && !schedule.is_warming_up() && schedule.is_multiple_of(self.interval)
     }
 
-    /// Prepares for another frame, which starts from the support of the last one.
-    pub fn reset(&mut self) {
-        self.estimator.reset();
+    /// Lets the support change again.
+    pub fn unsettle(&mut self) {
+        self.estimator.unsettle();
+    }
+
+    /// Forgets which bins their support could not explain.
+    pub fn forget_underfit_bins(&mut self) {
+        self.estimator.forget_underfit_bins();
     }
 
     /// Updates the support, and sets the voxels outside it to zero.

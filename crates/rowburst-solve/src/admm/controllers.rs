@@ -54,11 +54,16 @@ impl Controllers {
         self.discrepancy.reset(rule, data.measurement_count());
     }
 
-    /// Continues with the measurements of another frame, whose scene has changed little.
+    /// Continues with other measurements, of a scene that has changed little.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
         self.schedule.warm_start();
-        self.active_set.reset();
+        self.active_set.unsettle();
         self.set_tau_rule(self.penalty.rule(), data);
+    }
+
+    /// Forgets which bins their support could not explain: those of another frame are others.
+    pub fn forget_underfit_bins(&mut self) {
+        self.active_set.forget_underfit_bins();
     }
 
     /// Lets each controller act before an iteration. Before the first one of a run there is nothing to adapt to; its

@@ -351,6 +351,12 @@ impl Admm {
 
     /// Continues with `data`, which hold another frame, from the end of the last frame's run.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
+        self.controllers.forget_underfit_bins();
+        self.reweight(data);
+    }
+
+    /// Continues with `data`, which hold the same frame with other weights. Iterations are counted anew.
+    pub fn reweight(&mut self, data: &dyn DataTerm) {
         self.controllers.warm_start(data);
         self.variables.x_residual_norm = None;
         // `A` contains the weights of the measurements, which may be others.

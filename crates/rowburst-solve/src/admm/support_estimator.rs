@@ -137,9 +137,13 @@ impl SupportEstimator {
         self.is_stable
     }
 
-    /// Prepares for another frame, which starts from the support of the last one.
-    pub fn reset(&mut self) {
+    /// Lets the support change again.
+    pub fn unsettle(&mut self) {
         self.is_stable = false;
+    }
+
+    /// Prepares for another frame, which starts from the support of the last one.
+    pub fn forget_underfit_bins(&mut self) {
         self.bins.fill(BinState::INITIAL);
         self.residual_rms.fill(f64::INFINITY);
     }

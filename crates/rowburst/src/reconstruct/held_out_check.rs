@@ -104,7 +104,7 @@ impl HeldOutRun {
     /// Goes on with all pixels: with those that are held out, too.
     pub fn with_all_pixels(mut self, data: &mut FrameData) -> (Admm, Box<dyn Prox>) {
         data.release_held_out();
-        self.admm.warm_start(data);
+        self.admm.reweight(data);
         (self.admm, self.prox)
     }
 

@@ -187,7 +187,9 @@ pub struct Problem {
     tau_factor: f64,
     camera: Camera,
     bands: Bands,
-    /// The check of a model that explains the frame, from which the final run can go on.
+    /// Whether the check has shown that the model explains the frame.
+    passed_check: bool,
+    /// That check, from which the final run goes on if it has the same prior.
     checked_run: Option<HeldOutRun>,
     /// The result of the last check on held-out pixels, for a run that is stopped before it has a better one.
     last_check: Option<Box<RunResult>>,
@@ -333,6 +335,7 @@ impl Problem {
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
+            passed_check: false,
             checked_run: None,
             last_check: None,
         })
@@ -632,11 +635,18 @@ impl Problem {
             params.max_iterations = params.max_iterations.min(held_out_check::CHECK_ITERATIONS);
         }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
-        let (mut run, mut prox) = match self.checked_run.take() {
-            Some(checked) if checked.prior == prior && rule.is_discrepancy() => {
-                checked.with_all_pixels(&mut self.data)
-            }
-            _ => {
+        // A run of a model that explains the frame always begins without held-out pixels, whether the prior was chosen or not.
+        let begun = match self.checked_run.take() {
+            _ if !(self.passed_check && rule.is_discrepancy()) => None,
+            Some(checked) if checked.prior == prior => Some(checked),
+            _ => match self.held_out_run(0.0, prior, observer) {
+                Ok((_, begun)) => Some(begun),
+                Err(stopped) => return Ok(self.better_result(*stopped, choice, best_trial)),
+            },
+        };
+        let (mut run, mut prox) = match begun {
+            Some(begun) => begun.with_all_pixels(&mut self.data),
+            None => {
                 self.data.reset(prior.background(), None);
                 let run = Admm::new(&self.data, shape, params);
                 (run, self.data.prox(&prior))

@@ -38,7 +38,7 @@ impl Problem {
         }
         if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
             info!("the model explains the frame");
-            self.checked_run = Some(run);
+            (self.passed_check, self.checked_run) = (true, Some(run));
             return Ok(());
         }
         self.last_check = Some(Box::new(run.into_result(&self.data)));
