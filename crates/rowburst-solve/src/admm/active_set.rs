@@ -77,8 +77,8 @@ impl ActiveSet {
     }
 
     /// Lets the support change again.
-    pub fn unsettle(&mut self) {
-        self.estimator.unsettle();
+    pub fn allow_changes(&mut self) {
+        self.estimator.allow_changes();
     }
 
     /// Forgets which bins their support could not explain.

@@ -57,7 +57,7 @@ impl Controllers {
     /// Continues with other measurements, of a scene that has changed little.
     pub fn warm_start(&mut self, data: &dyn DataTerm) {
         self.schedule.warm_start();
-        self.active_set.unsettle();
+        self.active_set.allow_changes();
         self.set_tau_rule(self.penalty.rule(), data);
     }
 

@@ -138,7 +138,7 @@ impl SupportEstimator {
     }
 
     /// Lets the support change again.
-    pub fn unsettle(&mut self) {
+    pub fn allow_changes(&mut self) {
         self.is_stable = false;
     }
 

@@ -43,7 +43,8 @@ use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
 use rowburst_optics::{Camera, Image, PatchSet, Video};
-use rowburst_solve::admm::{Admm, Progress, Solution, TauRule, Tuning};
+use rowburst_solve::admm::{Admm, AdmmParams, Progress, Solution, TauRule, Tuning};
+use rowburst_solve::prox::Prox;
 use rowburst_solve::{Certificate, DataTerm, StopReason};
 use sigma::Bands;
 use std::ops::ControlFlow;
@@ -56,6 +57,9 @@ pub const ALGORITHM_REVISION: u32 = 11;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
+
+/// Most iterations for a frame that does not belong to its PSF: enough to show that the fit is bad.
+const HOPELESS_ITERATIONS: usize = 80;
 
 /// Options of a reconstruction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -632,25 +636,12 @@ impl Problem {
         let shape = self.data.shape();
         let mut params = prior.admm_params(shape, rule, self.options.solver_settings());
         if self.is_hopeless {
-            params.max_iterations = params.max_iterations.min(held_out_check::CHECK_ITERATIONS);
+            params.max_iterations = params.max_iterations.min(HOPELESS_ITERATIONS);
         }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
-        // A run of a model that explains the frame always begins without held-out pixels, whether the prior was chosen or not.
-        let begun = match self.checked_run.take() {
-            _ if !(self.passed_check && rule.is_discrepancy()) => None,
-            Some(checked) if checked.prior == prior => Some(checked),
-            _ => match self.held_out_run(0.0, prior, observer) {
-                Ok((_, begun)) => Some(begun),
-                Err(stopped) => return Ok(self.better_result(*stopped, choice, best_trial)),
-            },
-        };
-        let (mut run, mut prox) = match begun {
-            Some(begun) => begun.with_all_pixels(&mut self.data),
-            None => {
-                self.data.reset(prior.background(), None);
-                let run = Admm::new(&self.data, shape, params);
-                (run, self.data.prox(&prior))
-            }
+        let (mut run, mut prox) = match self.begin_run(prior, params, observer) {
+            Ok(begun) => begun,
+            Err(stopped) => return Ok(self.better_result(*stopped, choice, best_trial)),
         };
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
             run.run(data, &mut *prox, until, &mut |progress| {
@@ -685,6 +676,27 @@ impl Problem {
         );
         let result = RunResult::new(prior, solution);
         Ok(self.better_result(result, choice, best_trial))
+    }
+
+    /// The beginning of the final run. Where the model explains the frame, it is one without held-out pixels: that of the check,
+    /// or for another prior one like it, so that a prior gives the same video chosen or given.
+    fn begin_run(
+        &mut self,
+        prior: Prior,
+        params: AdmmParams,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> std::result::Result<(Admm, Box<dyn Prox>), Box<RunResult>> {
+        let checked = self.checked_run.take();
+        if self.passed_check && params.tau.is_discrepancy() {
+            let begun = match checked {
+                Some(checked) if checked.prior == prior => checked,
+                _ => self.held_out_run(0.0, prior, observer)?.1,
+            };
+            return Ok(begun.with_all_pixels(&mut self.data));
+        }
+        self.data.reset(prior.background(), None);
+        let run = Admm::new(&self.data, self.data.shape(), params);
+        Ok((run, self.data.prox(&prior)))
     }
 
     /// `result` with the choice that led to it. A run that was stopped early may fit worse than the trial of its prior, or

@@ -6,10 +6,14 @@ use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
 use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau};
+use rowburst_core::vecmath::norm;
+use rowburst_solve::DataTerm;
 use tracing::info;
 
 /// Effective noise level over what a refined PSF leaves, where the check calls the frame explained; larger smooths more.
 const EXPLAINED_SIGMA: f64 = 0.72;
+/// Effective noise level over the light of the frame at most; near 1 no video explains the frame as well as noise does.
+const MAX_EFFECTIVE_SIGMA: f64 = 0.5;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
@@ -46,7 +50,10 @@ impl Problem {
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {
-            self.effective_sigma = self.effective_sigma_after(&check);
+            let light =
+                norm(self.data.measurements()) / (self.data.measurement_count() as f64).sqrt();
+            let most = (MAX_EFFECTIVE_SIGMA * light).max(self.sigma);
+            self.effective_sigma = self.effective_sigma_after(&check).min(most);
             info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
