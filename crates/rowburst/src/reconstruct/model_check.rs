@@ -7,6 +7,7 @@ use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
 use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau};
 use rowburst_core::vecmath::norm;
+use rowburst_optics::Shutter;
 use rowburst_solve::DataTerm;
 use tracing::info;
 
@@ -95,7 +96,10 @@ impl Problem {
         mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        if self.has_turned_frame() {
+        let is_global = *self.camera.shutter() == Shutter::Global;
+        if self.has_turned_frame()
+            || is_global && self.has_other_shutter(&check, prior, observer)?
+        {
             self.is_hopeless = true;
             return Ok(check);
         }
@@ -118,7 +122,7 @@ impl Problem {
         }
         if !is_followed {
             let without = without.as_ref().unwrap_or(&check);
-            self.is_hopeless = self.has_foreign_psf(without, prior, observer)?;
+            self.is_hopeless = self.has_foreign_model(without, prior, observer)?;
         }
         self.exclude(none.clone());
         if self.is_hopeless {
@@ -137,7 +141,7 @@ impl Problem {
             }
             _ => &check,
         };
-        if is_followed && self.has_foreign_psf(start, prior, observer)? {
+        if is_followed && self.has_foreign_model(start, prior, observer)? {
             self.exclude(excluded);
             self.is_hopeless = true;
             return Ok(check);

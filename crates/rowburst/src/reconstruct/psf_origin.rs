@@ -2,14 +2,16 @@
 //! turned frame, and the searches for what is wrong with PSF, camera and pixels would take many times as long as a run.
 //!
 //! A speckle pattern explains its frame better than its mirror images and itself turned by 180°, which are as fine and as
-//! bright but not what the light has passed. A pattern that does not is not the frame's (docs/design/020).
+//! bright but not what the light has passed. A pattern that does not is not the frame's. Likewise a frame is explained better by
+//! the shutter that has read it than by one of another kind (docs/design/020).
 
 use super::choose::Observer;
 use super::fit;
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Prior, Problem, RunResult, SelfCalibration};
-use rowburst_optics::{Image, PatchSet, Psf};
+use rowburst_optics::camera::CameraParams;
+use rowburst_optics::{Camera, Image, PatchSet, Psf, Shutter};
 use rowburst_solve::DataTerm;
 use tracing::info;
 
@@ -20,6 +22,9 @@ const MAX_ERROR_RATIO: f64 = 0.88;
 const CLEAR_ERROR_RATIO: f64 = 0.7;
 /// Correlation with its image above which a PSF cannot be told from it.
 const MAX_SYMMETRY: f64 = 0.5;
+/// Held-out error with another shutter over that with the camera's, below which the camera has the other one; larger takes it
+/// for that where both explain the frame.
+const MAX_SHUTTER_RATIO: f64 = 0.5;
 /// The images of a PSF that are tried: mirrored along y and along x.
 const IMAGES: [(bool, bool); 3] = [(true, true), (false, true), (true, false)];
 
@@ -39,9 +44,9 @@ impl Problem {
         is_turned
     }
 
-    /// Whether the PSF belongs to another frame than this, whose check with `prior` gave `check`. It is not looked for where
-    /// a correction of the model is asked for by name.
-    pub(super) fn has_foreign_psf(
+    /// Whether PSF or shutter belong to another frame than this, whose check with `prior` gave `check`. It is not looked for
+    /// where a correction of the model is asked for by name.
+    pub(super) fn has_foreign_model(
         &mut self,
         check: &HeldOutCheck,
         prior: Prior,
@@ -50,6 +55,7 @@ impl Problem {
         if self.options.self_calibration == SelfCalibration::On {
             return Ok(false);
         }
+        let mut is_shutter_tried = false;
         for image in IMAGES {
             let psfs = mirrored(self.data.psfs(), image);
             let central = self.data.psfs().central().image();
@@ -57,12 +63,17 @@ impl Problem {
                 continue;
             }
             let limit = check.held_out_rms / MAX_ERROR_RATIO;
-            let with_image = self.check_with_psfs(psfs, limit, prior, observer)?;
+            let camera = self.camera.clone();
+            let with_image = self.check_with(camera, psfs, limit, prior, observer)?;
             let ratio = check.held_out_rms / with_image.held_out_rms;
             info!("held-out error over that with an image of the PSF: {ratio:.3}");
             if ratio > MAX_ERROR_RATIO {
                 return Ok(true);
             }
+            if !is_shutter_tried && self.has_other_shutter(check, prior, observer)? {
+                return Ok(true);
+            }
+            is_shutter_tried = true;
             if ratio < CLEAR_ERROR_RATIO {
                 return Ok(false);
             }
@@ -70,20 +81,62 @@ impl Problem {
         Ok(false)
     }
 
-    /// The check with other PSFs, at most until its held-out error is below `error`. All else stays as it is.
-    fn check_with_psfs(
+    /// Whether a shutter of another kind explains the frame far better than the camera's, whose check gave `check`; it is then
+    /// kept for the verdict. One that reads the rows in reverse order is not of another kind: it reverses time.
+    pub(super) fn has_other_shutter(
         &mut self,
+        check: &HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        let kinds: &[Shutter] = match self.camera.shutter() {
+            Shutter::TopDown | Shutter::BottomUp => &[Shutter::DualInsideOut],
+            Shutter::DualInsideOut | Shutter::DualOutsideIn => &[Shutter::TopDown],
+            Shutter::Global => &[Shutter::DualInsideOut, Shutter::TopDown],
+            Shutter::Custom(_) => &[],
+        };
+        // A part of the readout has row times that no shutter gives alone.
+        let whole = Camera::new(self.camera.params().clone());
+        if !whole.is_ok_and(|whole| whole == self.camera) {
+            return Ok(false);
+        }
+        for shutter in kinds {
+            let params = CameraParams {
+                shutter: shutter.clone(),
+                ..self.camera.params().clone()
+            };
+            let Ok(camera) = Camera::new(params) else {
+                continue;
+            };
+            let limit = MAX_SHUTTER_RATIO * check.held_out_rms;
+            let psfs = self.data.psfs().clone();
+            let with_shutter = self.check_with(camera, psfs, limit, prior, observer)?;
+            let ratio = with_shutter.held_out_rms / check.held_out_rms;
+            info!("held-out error with another shutter over that with the camera's: {ratio:.3}");
+            if ratio < MAX_SHUTTER_RATIO {
+                self.other_shutter = Some(shutter.clone());
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// The check with another camera or other PSFs, at most until its held-out error is below `error`. All else stays as it is.
+    fn check_with(
+        &mut self,
+        mut camera: Camera,
         psfs: PatchSet,
         error: f64,
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let model = Model::new(&self.camera, psfs).with_cancel(self.data.cancel());
+        let model = Model::new(&camera, psfs).with_cancel(self.data.cancel());
         let mut data = FrameData::new(&model, &self.measurement.without(&self.excluded));
         std::mem::swap(&mut self.data, &mut data);
+        std::mem::swap(&mut self.camera, &mut camera);
         let is_dense = self.is_dense;
         let checked = self.held_out_run(error, prior, observer);
-        self.data = data;
+        (self.data, self.camera) = (data, camera);
         self.is_dense = is_dense;
         checked.map(|(check, _)| check)
     }
