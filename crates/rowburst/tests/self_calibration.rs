@@ -265,6 +265,32 @@ fn a_mirrored_psf_is_seen_early() {
     }
 }
 
+/// A shutter of another kind is named, and nothing else is looked for.
+#[test]
+fn another_shutter_is_named() {
+    let mut case = Case::new(1.0);
+    let (light, psf) = (case.light.clone(), case.psf.clone());
+    let (_, right_iterations) = case.solve_automatically(&light, &psf);
+    for shutter in [Shutter::TopDown, Shutter::Global] {
+        let params = CameraParams {
+            shutter,
+            ..case.camera.params().clone()
+        };
+        case.camera = Camera::new(params).unwrap();
+        let (found, iterations) = case.solve_automatically(&light, &psf);
+        let name = case.camera.shutter().name();
+        println!("{name}: {iterations} iterations, {right_iterations} with the right shutter");
+        let reason = &found.fit.reason;
+        assert!(reason.contains("dual-inside-out"), "{name}: {reason}");
+        assert_eq!(found.fit.verdict, Verdict::Bad, "{name}");
+        assert!(
+            found.calibration.is_none() && found.choice.is_none(),
+            "{name}"
+        );
+        assert!(iterations < 2 * right_iterations, "{name}: {iterations}");
+    }
+}
+
 /// A noisy capture of the PSF is refined.
 #[test]
 fn a_noisy_psf_is_refined() {

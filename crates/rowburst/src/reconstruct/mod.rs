@@ -42,7 +42,7 @@ use held_out_check::HeldOutRun;
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
-use rowburst_optics::{Camera, Image, PatchSet, Video};
+use rowburst_optics::{Camera, Image, PatchSet, Shutter, Video};
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, Solution, TauRule, Tuning};
 use rowburst_solve::prox::Prox;
 use rowburst_solve::{Certificate, DataTerm, StopReason};
@@ -186,6 +186,8 @@ pub struct Problem {
     is_dense: bool,
     /// Frame or PSF do not belong together: no search mends the model, and all priors are as good.
     is_hopeless: bool,
+    /// A shutter of another kind that explains the frame, which the camera's does not.
+    other_shutter: Option<Shutter>,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
     tau_factor: f64,
@@ -336,6 +338,7 @@ impl Problem {
             effective_sigma: sigma,
             is_dense: false,
             is_hopeless: false,
+            other_shutter: None,
             sigma_source,
             calibration: None,
             tau_factor: 1.0,
@@ -465,6 +468,7 @@ impl Problem {
             measured: &measured,
             weights: self.data.weights(),
             camera: &self.camera,
+            other_shutter: self.other_shutter.as_ref(),
             bands: &self.bands,
             video: &video,
             degrees_of_freedom: solution.degrees_of_freedom,

@@ -7,6 +7,7 @@ use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
 use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau};
 use rowburst_core::vecmath::norm;
+use rowburst_optics::Shutter;
 use rowburst_solve::DataTerm;
 use tracing::info;
 
@@ -95,7 +96,8 @@ impl Problem {
         mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        if self.has_turned_frame() {
+        let is_global = *self.camera.shutter() == Shutter::Global;
+        if self.has_turned_frame() || is_global && self.has_other_shutter(observer)? {
             self.is_hopeless = true;
             return Ok(check);
         }
@@ -116,9 +118,10 @@ impl Problem {
             self.exclude(none);
             return self.exclude_foreign(found, check, prior, observer);
         }
-        if !is_followed {
-            let without = without.as_ref().unwrap_or(&check);
-            self.is_hopeless = self.has_foreign_psf(without, prior, observer)?;
+        let start = without.as_ref().unwrap_or(&check);
+        if !self.is_explained(start) {
+            self.is_hopeless = !is_followed && self.has_foreign_psf(start, prior, observer)?
+                || self.has_other_shutter(observer)?;
         }
         self.exclude(none.clone());
         if self.is_hopeless {

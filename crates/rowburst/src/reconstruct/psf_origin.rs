@@ -2,14 +2,16 @@
 //! turned frame, and the searches for what is wrong with PSF, camera and pixels would take many times as long as a run.
 //!
 //! A speckle pattern explains its frame better than its mirror images and itself turned by 180°, which are as fine and as
-//! bright but not what the light has passed. A pattern that does not is not the frame's (docs/design/020).
+//! bright but not what the light has passed. A pattern that does not is not the frame's. Likewise a frame is explained better by
+//! the shutter that has read it than by one of another kind (docs/design/020).
 
 use super::choose::Observer;
 use super::fit;
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Prior, Problem, RunResult, SelfCalibration};
-use rowburst_optics::{Image, PatchSet, Psf};
+use rowburst_optics::camera::CameraParams;
+use rowburst_optics::{Camera, Image, PatchSet, Psf, Shutter};
 use rowburst_solve::DataTerm;
 use tracing::info;
 
@@ -57,7 +59,8 @@ impl Problem {
                 continue;
             }
             let limit = check.held_out_rms / MAX_ERROR_RATIO;
-            let with_image = self.check_with_psfs(psfs, limit, prior, observer)?;
+            let camera = self.camera.clone();
+            let (_, with_image) = self.check_with(camera, psfs, limit, prior, observer)?;
             let ratio = check.held_out_rms / with_image.held_out_rms;
             info!("held-out error over that with an image of the PSF: {ratio:.3}");
             if ratio > MAX_ERROR_RATIO {
@@ -70,22 +73,66 @@ impl Problem {
         Ok(false)
     }
 
-    /// The check with other PSFs, at most until its held-out error is below `error`. All else stays as it is.
-    fn check_with_psfs(
+    /// Whether a shutter of another kind explains the frame, which the camera's does not; it is then kept for the verdict. One that reads the rows in reverse order is not of another kind: it reverses time.
+    pub(super) fn has_other_shutter(
         &mut self,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        if self.options.self_calibration == SelfCalibration::On {
+            return Ok(false);
+        }
+        // With the wrong shutter a sparse scene looks dense.
+        let prior = self.options.prior.unwrap_or(Prior::STANDARD);
+        let kinds: &[Shutter] = match self.camera.shutter() {
+            Shutter::TopDown | Shutter::BottomUp => &[Shutter::DualInsideOut],
+            Shutter::DualInsideOut | Shutter::DualOutsideIn => &[Shutter::TopDown],
+            Shutter::Global => &[Shutter::DualInsideOut, Shutter::TopDown],
+            Shutter::Custom(_) => &[],
+        };
+        // A part of the readout has row times that no shutter gives alone.
+        let whole = Camera::new(self.camera.params().clone());
+        if !whole.is_ok_and(|whole| whole == self.camera) {
+            return Ok(false);
+        }
+        for shutter in kinds {
+            let params = CameraParams {
+                shutter: shutter.clone(),
+                ..self.camera.params().clone()
+            };
+            let Ok(camera) = Camera::new(params) else {
+                continue;
+            };
+            let psfs = self.data.psfs().clone();
+            let (is_explained, _) = self.check_with(camera, psfs, 0.0, prior, observer)?;
+            info!("another shutter explains the frame: {is_explained}");
+            if is_explained {
+                self.other_shutter = Some(shutter.clone());
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// The check with another camera or other PSFs, at most until its held-out error is below `error`, and whether they explain
+    /// the frame. All else stays as it is.
+    fn check_with(
+        &mut self,
+        mut camera: Camera,
         psfs: PatchSet,
         error: f64,
         prior: Prior,
         observer: &mut Observer,
-    ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let model = Model::new(&self.camera, psfs).with_cancel(self.data.cancel());
+    ) -> Result<(bool, HeldOutCheck), Box<RunResult>> {
+        let model = Model::new(&camera, psfs).with_cancel(self.data.cancel());
         let mut data = FrameData::new(&model, &self.measurement.without(&self.excluded));
         std::mem::swap(&mut self.data, &mut data);
-        let is_dense = self.is_dense;
+        std::mem::swap(&mut self.camera, &mut camera);
+        let is_dense = std::mem::take(&mut self.is_dense);
         let checked = self.held_out_run(error, prior, observer);
-        self.data = data;
+        let checked = checked.map(|(check, _)| (self.is_explained(&check), check));
+        (self.data, self.camera) = (data, camera);
         self.is_dense = is_dense;
-        checked.map(|(check, _)| check)
+        checked
     }
 }
 

@@ -38,7 +38,7 @@ mod verdict;
 
 use super::sigma::Bands;
 use super::{SigmaSource, StopReason};
-use rowburst_optics::{Camera, Image, Video};
+use rowburst_optics::{Camera, Image, Shutter, Video};
 
 /// Whether a video may be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -149,6 +149,8 @@ pub(super) struct FitInput<'a> {
     /// `W`; 0 for pixels without information.
     pub weights: Option<&'a [f32]>,
     pub camera: &'a Camera,
+    /// A shutter of another kind that explains the frame, which the camera's does not.
+    pub other_shutter: Option<&'a Shutter>,
     pub bands: &'a Bands,
     pub video: &'a Video,
     /// `df` as the prior counts it.

@@ -4,6 +4,7 @@
 //! (docs/design/015).
 
 use super::{FitInput, FitStatistics, SigmaSource, StopReason, Verdict};
+use rowburst_optics::Shutter;
 
 /// `χ²` from which a fit is suspicious; smaller doubts good fits (docs/design/015).
 const SUSPICIOUS: f64 = 1.25;
@@ -81,6 +82,9 @@ fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
             ),
         );
     }
+    if let Some(shutter) = evidence.other_shutter {
+        return (Verdict::Bad, of_shutter(shutter, evidence.camera.shutter()));
+    }
     if !is_model_wrong(evidence, s)
         && let Some(found) = noise_level(evidence, s)
     {
@@ -140,6 +144,19 @@ fn of_kept_pixels(evidence: &FitInput, s: &FitStatistics) -> (Verdict, String) {
             "; the order and times of the rows are not tested, since no two rows see the same bin";
     }
     (Verdict::Good, reason)
+}
+
+/// The sentence on a frame that `other` explains and the shutter that is given does not.
+fn of_shutter(other: &Shutter, given: &Shutter) -> String {
+    let reversed = match other {
+        Shutter::DualInsideOut => "dual-outside-in",
+        _ => "bottom-up",
+    };
+    format!(
+        "the shutter \"{}\" (or \"{reversed}\", which reverses time) explains the frame, and \"{}\" does not: give the one that has read it",
+        other.name(),
+        given.name()
+    )
 }
 
 /// The verdict where the residual cannot test noise level and model.
