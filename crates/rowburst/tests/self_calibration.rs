@@ -12,6 +12,7 @@ use rowburst::reconstruct::{
     ModelParameter, Options, Prior, Problem, Reconstruction, SelfCalibration, Verdict,
 };
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
+use rowburst::solve::StopReason;
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
 use std::ops::ControlFlow;
 
@@ -76,16 +77,30 @@ impl Case {
 
     /// The reconstruction with the default options, and the number of iterations of all its runs.
     fn solve_automatically(&self, light: &Image, psf: &Psf) -> (Reconstruction, usize) {
+        self.solve_until(usize::MAX, light, psf)
+    }
+
+    /// The same, stopped after `most` iterations.
+    fn solve_until(&self, most: usize, light: &Image, psf: &Psf) -> (Reconstruction, usize) {
         let noise = Noise::Gaussian { snr: 256.0 };
         let frame = noise.apply(light, self.camera.sensor(), 7).unwrap().frame;
         let measurement = Measurement::new(frame).unwrap();
         let problem = Problem::new(&measurement, &self.camera, psf, Options::default()).unwrap();
         let mut iterations = 0;
-        let found = problem.solve(&mut |_| {
+        let voxels = self.camera.video_shape().voxels();
+        let found = problem.solve(&mut |progress| {
+            // Checks with another shutter have videos of another shape.
+            assert_eq!(progress.video.len(), voxels);
             iterations += 1;
-            ControlFlow::Continue(())
+            if iterations == most {
+                ControlFlow::Break(StopReason::Interrupted)
+            } else {
+                ControlFlow::Continue(())
+            }
         });
-        (found.unwrap(), iterations)
+        let found = found.unwrap();
+        assert_eq!(found.video.shape(), self.camera.video_shape());
+        (found, iterations)
     }
 }
 
@@ -288,6 +303,10 @@ fn another_shutter_is_named() {
             "{name}"
         );
         assert!(iterations < 2 * right_iterations, "{name}: {iterations}");
+        for most in (20..iterations).step_by(150) {
+            let (stopped, _) = case.solve_until(most, &light, &psf);
+            assert_eq!(stopped.stop_reason, StopReason::Interrupted);
+        }
     }
 }
 

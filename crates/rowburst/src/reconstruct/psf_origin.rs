@@ -13,6 +13,7 @@ use super::{Model, Prior, Problem, RunResult, SelfCalibration};
 use rowburst_optics::camera::CameraParams;
 use rowburst_optics::{Camera, Image, PatchSet, Psf, Shutter};
 use rowburst_solve::DataTerm;
+use rowburst_solve::admm::Progress;
 use tracing::info;
 
 /// Held-out error over that with a PSF that is not the frame's, above which the PSF itself is not the frame's; smaller gives
@@ -123,16 +124,30 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<(bool, HeldOutCheck), Box<RunResult>> {
+        // Its video may have another shape: an observer sees none of it, and it is no result.
+        let dark = vec![0.0; self.data.shape().voxels()];
+        let mut observe = |progress: &Progress| {
+            observer(&Progress {
+                video: &dark,
+                ..*progress
+            })
+        };
         let model = Model::new(&camera, psfs).with_cancel(self.data.cancel());
         let mut data = FrameData::new(&model, &self.measurement.without(&self.excluded));
         std::mem::swap(&mut self.data, &mut data);
         std::mem::swap(&mut self.camera, &mut camera);
         let is_dense = std::mem::take(&mut self.is_dense);
-        let checked = self.held_out_run(error, prior, observer);
+        let checked = self.held_out_run(error, prior, &mut observe);
         let checked = checked.map(|(check, _)| (self.is_explained(&check), check));
         (self.data, self.camera) = (data, camera);
         self.is_dense = is_dense;
-        checked
+        checked.map_err(|stopped| match self.last_check.take() {
+            Some(mut last) => {
+                last.solution.stop_reason = stopped.solution.stop_reason;
+                last
+            }
+            None => stopped,
+        })
     }
 }
 
