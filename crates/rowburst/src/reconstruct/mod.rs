@@ -17,10 +17,10 @@ mod held_out_check;
 mod model;
 mod model_check;
 mod prior;
-mod psf_origin;
 mod self_calibration;
 mod sequence;
 mod sigma;
+mod wrong_model;
 mod x_step;
 
 use choose::BestTrial;
@@ -59,7 +59,7 @@ pub const ALGORITHM_REVISION: u32 = 11;
 const TAU_SEARCH_THIRDS: usize = 2;
 
 /// Most iterations for a frame that does not belong to its PSF: enough to show that the fit is bad.
-const HOPELESS_ITERATIONS: usize = 80;
+const WRONG_MODEL_ITERATIONS: usize = 80;
 
 /// Options of a reconstruction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -184,8 +184,8 @@ pub struct Problem {
     effective_sigma: f64,
     /// Whether the support of the check of the model exceeds a third of the voxels.
     is_dense: bool,
-    /// Frame or PSF do not belong together: no search mends the model, and all priors are as good.
-    is_hopeless: bool,
+    /// Frame, PSF and shutter do not belong together: no search mends the model, and all priors are as good.
+    has_wrong_model: bool,
     /// A shutter of another kind that explains the frame, which the camera's does not.
     other_shutter: Option<Shutter>,
     sigma_source: SigmaSource,
@@ -337,7 +337,7 @@ impl Problem {
             sigma,
             effective_sigma: sigma,
             is_dense: false,
-            is_hopeless: false,
+            has_wrong_model: false,
             other_shutter: None,
             sigma_source,
             calibration: None,
@@ -531,7 +531,7 @@ impl Problem {
         self.resolve_tau_rule(observer).map_err(stopped)?;
         self.check_model(Prior::STANDARD, observer)
             .map_err(stopped)?;
-        if self.is_hopeless {
+        if self.has_wrong_model {
             return Ok(None);
         }
         let rule = self.tau_rule();
@@ -623,7 +623,7 @@ impl Problem {
         let rule = self.tau_rule();
         let (choice, best_trial) = match self.options.prior {
             Some(_) => (None, None),
-            None if self.is_hopeless => (None, None),
+            None if self.has_wrong_model => (None, None),
             None => match self.compare_priors(rule, observer)? {
                 Some((choice, best_trial)) => (Some(choice), best_trial),
                 None => (None, None),
@@ -639,8 +639,8 @@ impl Problem {
             });
         let shape = self.data.shape();
         let mut params = prior.admm_params(shape, rule, self.options.solver_settings());
-        if self.is_hopeless {
-            params.max_iterations = params.max_iterations.min(HOPELESS_ITERATIONS);
+        if self.has_wrong_model {
+            params.max_iterations = params.max_iterations.min(WRONG_MODEL_ITERATIONS);
         }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
         let (mut run, mut prox) = match self.begin_run(prior, params, observer) {

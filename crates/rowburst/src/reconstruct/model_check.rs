@@ -97,8 +97,8 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let is_global = *self.camera.shutter() == Shutter::Global;
-        if self.has_turned_frame() || is_global && self.has_other_shutter(observer)? {
-            self.is_hopeless = true;
+        if self.has_turned_frame() || is_global && self.has_other_shutter(&check, observer)? {
+            self.has_wrong_model = true;
             return Ok(check);
         }
         let found = self.find_foreign(observer)?;
@@ -120,11 +120,11 @@ impl Problem {
         }
         let start = without.as_ref().unwrap_or(&check);
         if !self.is_explained(start) {
-            self.is_hopeless = !is_followed && self.has_foreign_psf(start, prior, observer)?
-                || self.has_other_shutter(observer)?;
+            self.has_wrong_model = !is_followed && self.has_foreign_psf(start, prior, observer)?
+                || self.has_other_shutter(start, observer)?;
         }
         self.exclude(none.clone());
-        if self.is_hopeless {
+        if self.has_wrong_model {
             return Ok(check);
         }
         let check = self.exclude_foreign(found, check, prior, observer)?;
@@ -142,7 +142,7 @@ impl Problem {
         };
         if is_followed && self.has_foreign_psf(start, prior, observer)? {
             self.exclude(excluded);
-            self.is_hopeless = true;
+            self.has_wrong_model = true;
             return Ok(check);
         }
         let mut pending = self.find_correction(prior, start, observer)?;

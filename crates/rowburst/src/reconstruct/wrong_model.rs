@@ -1,9 +1,9 @@
-//! Whether the model belongs to the frame at all. No self-calibration mends the PSF of another diffuser, a turned PSF or a
-//! turned frame, and the searches for what is wrong with PSF, camera and pixels would take many times as long as a run.
+//! Whether the model belongs to the frame at all. No self-calibration mends the PSF of another diffuser, a turned frame or
+//! another shutter, and the searches for what is wrong with PSF, camera and pixels would take many times as long as a run.
 //!
 //! A speckle pattern explains its frame better than its mirror images and itself turned by 180°, which are as fine and as
-//! bright but not what the light has passed. A pattern that does not is not the frame's. Likewise a frame is explained better by
-//! the shutter that has read it than by one of another kind (docs/design/020).
+//! bright but not what the light has passed. A pattern that does not is not the frame's. A shutter is not the frame's where
+//! it does not explain the frame and one of another kind does (docs/design/020).
 
 use super::choose::Observer;
 use super::fit;
@@ -23,11 +23,15 @@ const MAX_ERROR_RATIO: f64 = 0.88;
 const CLEAR_ERROR_RATIO: f64 = 0.7;
 /// Correlation with its image above which a PSF cannot be told from it.
 const MAX_SYMMETRY: f64 = 0.5;
+/// Held-out error with a rolling shutter over that with a global one, which has a single bin, below which the frame is of a
+/// rolling one; larger takes a PSF that can be mended for that.
+const MAX_GLOBAL_RATIO: f64 = 0.1;
 /// The images of a PSF that are tried: mirrored along y and along x.
 const IMAGES: [(bool, bool); 3] = [(true, true), (false, true), (true, false)];
 
 impl Problem {
-    /// Whether the frame is turned by 90° or transposed. It is not looked for where a correction of the model is asked for by name.
+    /// Whether the frame is turned by 90° or transposed. It is not looked for where a correction of the model is asked for
+    /// by name.
     pub(super) fn has_turned_frame(&self) -> bool {
         let is_turned = self.options.self_calibration != SelfCalibration::On
             && fit::is_turned(
@@ -74,9 +78,13 @@ impl Problem {
         Ok(false)
     }
 
-    /// Whether a shutter of another kind explains the frame, which the camera's does not; it is then kept for the verdict. One that reads the rows in reverse order is not of another kind: it reverses time.
+    /// Whether a shutter of another kind explains the frame, which the camera's does not (`check`); it is then kept for the
+    /// verdict.
+    /// One that reads the rows in reverse order is not of another kind: it reverses time. It is not looked for where a
+    /// correction of the model is asked for by name.
     pub(super) fn has_other_shutter(
         &mut self,
+        check: &HeldOutCheck,
         observer: &mut Observer,
     ) -> Result<bool, Box<RunResult>> {
         if self.options.self_calibration == SelfCalibration::On {
@@ -86,9 +94,9 @@ impl Problem {
         let prior = self.options.prior.unwrap_or(Prior::STANDARD);
         let kinds: &[Shutter] = match self.camera.shutter() {
             Shutter::TopDown | Shutter::BottomUp => &[Shutter::DualInsideOut],
-            Shutter::DualInsideOut | Shutter::DualOutsideIn => &[Shutter::TopDown],
             Shutter::Global => &[Shutter::DualInsideOut, Shutter::TopDown],
-            Shutter::Custom(_) => &[],
+            // A single shutter has twice the bins of a dual one, and explains what a PSF that can be mended does not.
+            Shutter::DualInsideOut | Shutter::DualOutsideIn | Shutter::Custom(_) => &[],
         };
         // A part of the readout has row times that no shutter gives alone.
         let whole = Camera::new(self.camera.params().clone());
@@ -104,9 +112,11 @@ impl Problem {
                 continue;
             };
             let psfs = self.data.psfs().clone();
-            let (is_explained, _) = self.check_with(camera, psfs, 0.0, prior, observer)?;
-            info!("another shutter explains the frame: {is_explained}");
-            if is_explained {
+            let (is_explained, other) = self.check_with(camera, psfs, 0.0, prior, observer)?;
+            let ratio = other.held_out_rms / check.held_out_rms;
+            info!("another shutter explains the frame: {is_explained}, error ratio {ratio:.3}");
+            let is_global = *self.camera.shutter() == Shutter::Global;
+            if is_explained && (!is_global || ratio < MAX_GLOBAL_RATIO) {
                 self.other_shutter = Some(shutter.clone());
                 return Ok(true);
             }
