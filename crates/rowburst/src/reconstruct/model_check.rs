@@ -37,16 +37,25 @@ impl Problem {
         if !self.is_checked() {
             return Ok(());
         }
-        let (mut check, mut run) = self.held_out_run(0.0, prior, observer)?;
-        if self.opens(&mut prior) {
-            (check, run) = self.held_out_run(0.0, prior, observer)?;
+        let (mut check, run) = self.held_out_run(0.0, prior, observer)?;
+        let mut run = Some(run);
+        let is_global = *self.camera.shutter() == Shutter::Global;
+        if is_global && !self.is_explained(&check) {
+            self.last_check = run.take().map(|run| Box::new(run.into_result(&self.data)));
+            self.has_wrong_model = self.has_other_shutter(&check, observer)?;
+        }
+        if !self.has_wrong_model && self.opens(&mut prior) {
+            let opened = self.held_out_run(0.0, prior, observer)?;
+            (check, run) = (opened.0, Some(opened.1));
         }
         if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
             info!("the model explains the frame");
-            (self.passed_check, self.checked_run) = (true, Some(run));
+            (self.passed_check, self.checked_run) = (true, run);
             return Ok(());
         }
-        self.last_check = Some(Box::new(run.into_result(&self.data)));
+        if let Some(run) = run {
+            self.last_check = Some(Box::new(run.into_result(&self.data)));
+        }
         check = self.correct_model(check, prior, observer)?;
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
@@ -96,9 +105,8 @@ impl Problem {
         mut prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let is_global = *self.camera.shutter() == Shutter::Global;
-        if self.has_turned_frame() || is_global && self.has_other_shutter(&check, observer)? {
-            self.has_wrong_model = true;
+        self.has_wrong_model = self.has_wrong_model || self.has_turned_frame();
+        if self.has_wrong_model {
             return Ok(check);
         }
         let found = self.find_foreign(observer)?;
