@@ -84,16 +84,30 @@ fn traces_have_errors_and_photodiodes_find_their_leds() {
 }
 
 #[test]
-fn errors_that_are_not_known_are_left_empty() {
+fn long_exposures_have_errors_too() {
     let lab = Lab::empty();
     lab.experiment(&CAMERA.replace("exposure_us = 9.6", "exposure_us = 24"));
     lab.done("simulate experiment.toml --scene moving --digit-px 8 -o sim");
+    let said = lab.done(&format!("{RECONSTRUCT} --debias -o out"));
+    assert!(said.contains("debiased: total light"), "{said}");
+    let result = lab.result("out");
+    assert!(result["trace_errors"]["missing_because"].is_null());
+    let error = result["traces"][0]["mean_standard_error"].as_f64().unwrap();
+    assert!(error > 0.0, "{error}");
+    assert_eq!(result["debias"]["untouched_bins"], 0);
+}
+
+#[test]
+fn errors_that_are_not_known_are_left_empty() {
+    let lab = Lab::empty();
+    lab.experiment(&CAMERA.replace("exposure_us = 9.6", "exposure_us = 24"));
+    lab.done("simulate experiment.toml --scene still -o sim");
     lab.done(&format!(
-        "{RECONSTRUCT} --max-iterations 40 --debias -o out"
+        "{RECONSTRUCT} --prior tv+2*tdiff --max-iterations 40 --debias -o out"
     ));
     let result = lab.result("out");
     let why = result["trace_errors"]["missing_because"].as_str().unwrap();
-    assert!(why.contains("one instant"), "{why}");
+    assert!(why.contains("lit voxels"), "{why}");
     assert!(result["traces"][0]["mean_standard_error"].is_null());
     let warnings = result["warnings"].to_string();
     assert!(warnings.contains("debiasing had no effect"), "{warnings}");

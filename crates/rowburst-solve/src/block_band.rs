@@ -10,24 +10,29 @@ use faer::linalg::triangular_solve::{
     solve_lower_triangular_in_place, solve_upper_triangular_in_place,
 };
 use faer::reborrow::{Reborrow, ReborrowMut};
-use faer::{Accum, ColMut, Mat, Par, Spec};
+use faer::{Accum, ColMut, Mat, MatMut, MatRef, Par, Spec};
 use rayon::prelude::*;
 use rowburst_core::linop::Scalar;
+use std::sync::Arc;
 
 /// Rows of a parallel task; fixed, so that the bits do not depend on the number of threads.
 const PART: usize = 128;
 
-/// `K` and the Cholesky factor of `K + ρI` for the last `ρ`.
+/// `K`.
 pub struct BlockBand<T> {
     /// First row of each block, and the number of rows.
-    starts: Vec<usize>,
+    starts: Arc<[usize]>,
     /// The last block below the diagonal of each block column.
     last: Vec<usize>,
-    /// Block columns, from the diagonal block on; above the diagonal undefined.
+    /// Block columns, from the diagonal block on.
     matrix: Vec<Mat<T>>,
-    factor: Vec<Mat<T>>,
-    /// `ρ` of the factor, if there is one.
-    rho: Option<f64>,
+}
+
+/// The Cholesky factor of `K + ρI`.
+pub struct BandFactor<T> {
+    starts: Arc<[usize]>,
+    /// Block columns, from the diagonal block on; above the diagonal undefined.
+    panels: Vec<Mat<T>>,
     is_ill_conditioned: bool,
 }
 
@@ -45,9 +50,6 @@ impl<T: Scalar> BlockBand<T> {
             matrix: matrix.collect(),
             starts,
             last,
-            factor: Vec::new(),
-            rho: None,
-            is_ill_conditioned: false,
         }
     }
 
@@ -61,63 +63,76 @@ impl<T: Scalar> BlockBand<T> {
         (0..sizes.len()).map(column).sum()
     }
 
-    /// Adds `block` to the block at the block row `s` and the block column `t ≤ s`.
-    pub fn add(&mut self, s: usize, t: usize, block: faer::MatRef<T>) {
+    /// First row of each block, and the number of rows.
+    pub fn starts(&self) -> &[usize] {
+        &self.starts
+    }
+
+    /// Adds `block` to the block at the block row `s` and the block column `t ≤ s`. Blocks on the diagonal are whole.
+    pub fn add(&mut self, s: usize, t: usize, block: MatRef<T>) {
         let first = self.starts[s] - self.starts[t];
         let mut to = self.matrix[t].get_mut(first..first + block.nrows(), ..);
         to += block;
-        self.rho = None;
     }
 
-    /// Whether rounding made a pivot of the present factor too small: `ρ` is too small for `T`.
-    pub fn is_ill_conditioned(&self) -> bool {
-        self.is_ill_conditioned
-    }
-
-    /// Replaces `values` by `(K + ρI)⁻¹ values`. Factorises if `ρ` has changed.
+    /// `Lᵀ K L`, where `roots` are the blocks of a block-diagonal `L`.
     ///
     /// # Panics
-    /// If the matrix is not finite, or the length does not match.
-    pub fn solve(&mut self, values: &mut [T], rho: f64) {
-        if self.rho != Some(rho) {
-            self.factorise(rho);
-        }
-        let one = -T::one();
-        for (panel, window) in self.factor.iter().zip(self.starts.windows(2)) {
-            let (start, size) = (window[0], window[1] - window[0]);
-            let (current, rest) = values[start..start + panel.nrows()].split_at_mut(size);
-            let mut current = ColMut::from_slice_mut(current).as_mat_mut();
-            let (diagonal, below) = panel.split_at_row(size);
-            solve_lower_triangular_in_place(diagonal, current.rb_mut(), Par::Seq);
-            let rest = ColMut::from_slice_mut(rest).as_mat_mut();
-            matmul(rest, Accum::Add, below, current.rb(), one, Par::Seq);
-        }
-        for (panel, window) in self.factor.iter().zip(self.starts.windows(2)).rev() {
-            let (start, size) = (window[0], window[1] - window[0]);
-            let (current, rest) = values[start..start + panel.nrows()].split_at_mut(size);
-            let mut current = ColMut::from_slice_mut(current).as_mat_mut();
-            let (diagonal, below) = panel.split_at_row(size);
-            let rest = ColMut::from_slice_mut(rest).as_mat_mut();
-            let transposed = below.transpose();
-            matmul(
-                current.rb_mut(),
-                Accum::Add,
-                transposed,
-                rest.rb(),
-                one,
-                Par::Seq,
-            );
-            solve_upper_triangular_in_place(diagonal.transpose(), current, Par::Seq);
+    /// If a size does not match.
+    #[must_use]
+    pub fn congruent(&self, roots: &[Mat<T>]) -> Self {
+        let columns = self.matrix.par_iter().zip(roots).enumerate();
+        let matrix = columns.map(|(t, (column, right))| {
+            let half = column * right;
+            let mut whole = Mat::zeros(half.nrows(), half.ncols());
+            for s in t..=self.last[t] {
+                let first = self.starts[s] - self.starts[t];
+                let rows = self.starts[s + 1] - self.starts[s];
+                let to = whole.as_mut().subrows_mut(first, rows);
+                let from = half.subrows(first, rows);
+                matmul(
+                    to,
+                    Accum::Replace,
+                    roots[s].transpose(),
+                    from,
+                    T::one(),
+                    Par::Seq,
+                );
+            }
+            whole
+        });
+        Self {
+            matrix: matrix.collect(),
+            starts: Arc::clone(&self.starts),
+            last: self.last.clone(),
         }
     }
 
-    fn factorise(&mut self, rho: f64) {
+    /// The factor of `K + ρI`.
+    ///
+    /// # Panics
+    /// If the matrix is not finite.
+    pub fn factor(&self, rho: f64) -> BandFactor<T> {
+        let mut factor = BandFactor {
+            starts: Arc::clone(&self.starts),
+            panels: Vec::new(),
+            is_ill_conditioned: false,
+        };
+        self.refactor(rho, &mut factor);
+        factor
+    }
+
+    /// Replaces `factor` by that of `K + ρI`, in its memory.
+    ///
+    /// # Panics
+    /// If the matrix is not finite.
+    pub fn refactor(&self, rho: f64, factor: &mut BandFactor<T>) {
         let shift = T::nearest(rho);
-        self.factor.clone_from(&self.matrix);
-        self.is_ill_conditioned = false;
-        for t in 0..self.factor.len() {
+        factor.panels.clone_from(&self.matrix);
+        factor.is_ill_conditioned = false;
+        for t in 0..factor.panels.len() {
             let size = self.starts[t + 1] - self.starts[t];
-            let (panel, rest) = self.factor[t..].split_first_mut().expect("t is a column");
+            let (panel, rest) = factor.panels[t..].split_first_mut().expect("t is a column");
             let (mut diagonal, mut below) = panel.as_mut().split_at_row_mut(size);
             for j in 0..size {
                 diagonal[(j, j)] += shift;
@@ -135,7 +150,7 @@ impl<T: Scalar> BlockBand<T> {
                 Spec::default(),
             )
             .expect("K is finite and positive semi-definite");
-            self.is_ill_conditioned |= info.dynamic_regularization_count > 0;
+            factor.is_ill_conditioned |= info.dynamic_regularization_count > 0;
             let (diagonal, chunks) = (diagonal.rb(), below.rb_mut().par_row_chunks_mut(PART));
             chunks.for_each(|rows| {
                 solve_lower_triangular_in_place(diagonal, rows.transpose_mut(), Par::Seq);
@@ -151,16 +166,70 @@ impl<T: Scalar> BlockBand<T> {
                 matmul(to, Accum::Add, rows, block.transpose(), -T::one(), Par::Seq);
             });
         }
-        self.rho = Some(rho);
     }
 }
 
-fn starts_of(sizes: &[usize]) -> Vec<usize> {
+impl<T: Scalar> BandFactor<T> {
+    /// Whether rounding made a pivot too small: `ρ` is too small for `T`.
+    pub fn is_ill_conditioned(&self) -> bool {
+        self.is_ill_conditioned
+    }
+
+    /// The natural logarithm of the determinant of `K + ρI`.
+    pub fn log_determinant(&self) -> f64 {
+        let diagonal = |panel: &Mat<T>| -> f64 {
+            let pivots = (0..panel.ncols()).map(|j| panel[(j, j)].into());
+            pivots.map(|pivot: f64| pivot.ln()).sum()
+        };
+        2.0 * self.panels.iter().map(diagonal).sum::<f64>()
+    }
+
+    /// Replaces `values` by `(K + ρI)⁻¹ values`.
+    ///
+    /// # Panics
+    /// If the length does not match.
+    pub fn solve(&self, values: &mut [T]) {
+        self.solve_columns(ColMut::from_slice_mut(values).as_mat_mut());
+    }
+
+    /// Replaces each column of `values` by `(K + ρI)⁻¹` times it.
+    ///
+    /// # Panics
+    /// If the number of rows does not match.
+    pub fn solve_columns(&self, mut values: MatMut<T>) {
+        let one = -T::one();
+        for (panel, window) in self.panels.iter().zip(self.starts.windows(2)) {
+            let (start, size) = (window[0], window[1] - window[0]);
+            let touched = values.rb_mut().subrows_mut(start, panel.nrows());
+            let (mut current, rest) = touched.split_at_row_mut(size);
+            let (diagonal, below) = panel.split_at_row(size);
+            solve_lower_triangular_in_place(diagonal, current.rb_mut(), Par::Seq);
+            matmul(rest, Accum::Add, below, current.rb(), one, Par::Seq);
+        }
+        for (panel, window) in self.panels.iter().zip(self.starts.windows(2)).rev() {
+            let (start, size) = (window[0], window[1] - window[0]);
+            let touched = values.rb_mut().subrows_mut(start, panel.nrows());
+            let (mut current, rest) = touched.split_at_row_mut(size);
+            let (diagonal, below) = panel.split_at_row(size);
+            matmul(
+                current.rb_mut(),
+                Accum::Add,
+                below.transpose(),
+                rest.rb(),
+                one,
+                Par::Seq,
+            );
+            solve_upper_triangular_in_place(diagonal.transpose(), current, Par::Seq);
+        }
+    }
+}
+
+fn starts_of(sizes: &[usize]) -> Arc<[usize]> {
     let mut starts = vec![0];
     for size in sizes {
         starts.push(starts[starts.len() - 1] + size);
     }
-    starts
+    starts.into()
 }
 
 #[cfg(test)]
@@ -195,12 +264,38 @@ mod tests {
         for rho in [0.5, 0.01] {
             let whole = &dense + Mat::<f64>::identity(n, n) * faer::Scale(rho);
             let expected = whole.llt(Side::Lower).unwrap().solve(&right);
+            let factor = band.factor(rho);
+            assert!(!factor.is_ill_conditioned());
             let mut values: Vec<f64> = right.iter().copied().collect();
-            band.solve(&mut values, rho);
-            assert!(!band.is_ill_conditioned());
+            factor.solve(&mut values);
             for (value, expected) in values.iter().zip(expected.iter()) {
                 assert!((value - expected).abs() < 1e-12, "{value} {expected}");
             }
+            let mut columns = Mat::from_fn(n, 2, |i, j| right[i] * (1.0 + j as f64));
+            factor.solve_columns(columns.as_mut());
+            assert!((0..n).all(|i| (columns[(i, 1)] - 2.0 * values[i]).abs() < 1e-12));
+            let pivots = whole.llt(Side::Lower).unwrap();
+            let logarithm: f64 = (0..n).map(|i| 2.0 * pivots.L()[(i, i)].ln()).sum();
+            assert!((factor.log_determinant() - logarithm).abs() < 1e-10);
+        }
+        // Lᵀ K L of the blocks is that of the dense matrices.
+        let roots = sizes.map(|size| Mat::from_fn(size, size, |i, j| root(i + 2 * j, size)));
+        let mut whole_root = Mat::<f64>::zeros(n, n);
+        for (t, block) in roots.iter().enumerate() {
+            let (first, size) = (starts[t], sizes[t]);
+            whole_root
+                .get_mut(first..first + size, first..first + size)
+                .copy_from(block);
+        }
+        let expected = whole_root.transpose() * &dense * &whole_root;
+        let expected = (&expected + Mat::<f64>::identity(n, n) * faer::Scale(30.0))
+            .llt(Side::Lower)
+            .unwrap()
+            .solve(&right);
+        let mut values: Vec<f64> = right.iter().copied().collect();
+        band.congruent(&roots).factor(30.0).solve(&mut values);
+        for (value, expected) in values.iter().zip(expected.iter()) {
+            assert!((value - expected).abs() < 1e-12, "{value} {expected}");
         }
     }
 }

@@ -48,6 +48,7 @@
 //! Arrays are C order; a video is `[t, y, x]`, an image `[y, x]`, and `y` is the
 //! axis that the shutter scans.
 
+mod active_gram;
 pub mod design;
 pub mod guide;
 pub mod reconstruct;

@@ -5,11 +5,13 @@
 //! foreign pixels that are not found yet. Pixels are added in each round; they come back near the noise of the sensor and
 //! at the end (docs/design/020).
 
-use super::choose::{self, Observer};
+use super::Observer;
+use super::choose;
 use super::foreign::{Foreign, Pixels, Residual, Scales};
 use super::held_out_check::{
-    CHECK_ITERATIONS, CHECK_STEP, FIRST_CHECK_ITERATION, HeldOutCheck, HeldOutRun, MAX_RESIDUAL,
+    CHECK_ITERATIONS, CHECK_STEP, FIRST_CHECK_ITERATION, HeldOutCheck, MAX_RESIDUAL,
 };
+use super::held_out_run::HeldOutRun;
 use super::sigma::Bands;
 use super::{Prior, Problem, RunResult, SigmaSource, noise_of};
 use rowburst_solve::DataTerm;

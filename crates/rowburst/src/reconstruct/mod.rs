@@ -14,6 +14,7 @@ mod frame_data;
 mod given_video;
 mod held_out;
 mod held_out_check;
+mod held_out_run;
 mod model;
 mod model_check;
 mod prior;
@@ -38,7 +39,7 @@ pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use frame_data::FrameData;
-use held_out_check::HeldOutRun;
+use held_out_run::HeldOutRun;
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
@@ -581,16 +582,21 @@ impl Problem {
         if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
-        if let Some(run) = self.checked_run.take() {
-            self.last_check = Some(Box::new(run.into_result(&self.data)));
-        }
+        let checked = match self.checked_run.take() {
+            Some(run) if !self.is_dense && run.rule() == rule => Some(run),
+            Some(run) => {
+                self.last_check = Some(Box::new(run.into_result(&self.data)));
+                None
+            }
+            None => None,
+        };
         let settings = self.options.solver_settings();
         choose::choose_prior(
             &mut self.data,
             rule,
             self.sigma,
             settings,
-            self.is_dense,
+            (self.is_dense, checked),
             observer,
         )
         .map(Some)
@@ -731,6 +737,9 @@ fn ones(mask: &[u8]) -> f64 {
     let count: usize = mask.iter().map(|&v| usize::from(v)).sum();
     count as f64 / mask.len().max(1) as f64
 }
+
+/// A callback after every iteration, which may stop the run.
+type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
 
 /// Calls `observer` with the sum of foreground and background as the video.
 fn observe_sum(

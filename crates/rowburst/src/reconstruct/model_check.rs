@@ -1,7 +1,8 @@
 //! What follows from the check of the model: foreign pixels are left out, PSF and camera are corrected, and the effective
 //! noise level is set (docs/design/020).
 
-use super::choose::{self, Observer};
+use super::Observer;
+use super::choose;
 use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};

@@ -5,7 +5,7 @@
 //! bright but not what the light has passed. A pattern that does not is not the frame's. A shutter is not the frame's where
 //! it does not explain the frame and one of another kind does (docs/design/020).
 
-use super::choose::Observer;
+use super::Observer;
 use super::fit;
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;

@@ -19,6 +19,13 @@ pub(super) struct Information {
     pub projected: Mat<f64>,
 }
 
+/// How likely data are for each amplitude of a prior.
+pub(super) trait Evidence: Send + Sync {
+    /// Minus the logarithm of how likely the prior `amplitude² K` makes the data, up to a constant (Rasmussen & Williams,
+    /// eq. 5.8); `None` where rounding made it unknown.
+    fn negative_log_evidence(&self, amplitude: f64) -> Option<f64>;
+}
+
 /// `Lᵀ Aᵀ A L` and `Lᵀ Aᵀ b` of a prior; its amplitude is still open.
 pub(super) struct WhitenedSystem {
     root: Mat<f64>,
@@ -38,8 +45,7 @@ impl WhitenedSystem {
         })
     }
 
-    /// The estimate for the prior `amplitude² K`, and minus the logarithm of how likely it
-    /// makes the data, up to a constant (Rasmussen & Williams, eq. 5.8).
+    /// The estimate for the prior `amplitude² K`, and [`Evidence::negative_log_evidence`].
     pub fn estimate(self, amplitude: f64) -> Option<(Posterior, f64)> {
         let (factor, solved, evidence) = self.factorise(amplitude)?;
         let mean = &self.root * solved * faer::Scale(amplitude);
@@ -49,11 +55,6 @@ impl WhitenedSystem {
             mean,
         };
         Some((posterior, evidence))
-    }
-
-    /// The second of [`Self::estimate`] alone.
-    pub fn negative_log_evidence(&self, amplitude: f64) -> Option<f64> {
-        self.factorise(amplitude).map(|(_, _, evidence)| evidence)
     }
 
     fn factorise(&self, amplitude: f64) -> Option<(Mat<f64>, Mat<f64>, f64)> {
@@ -68,6 +69,12 @@ impl WhitenedSystem {
         let determinant: f64 = (0..size).map(|i| p[(i, i)].ln()).sum();
         solve_upper_triangular_in_place(p.transpose(), solved.as_mut(), Par::Seq);
         Some((p, solved, determinant - 0.5 * gain))
+    }
+}
+
+impl Evidence for WhitenedSystem {
+    fn negative_log_evidence(&self, amplitude: f64) -> Option<f64> {
+        self.factorise(amplitude).map(|(_, _, evidence)| evidence)
     }
 }
 

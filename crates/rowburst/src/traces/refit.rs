@@ -24,11 +24,14 @@
 //! hardly changes how often the interval holds the truth (docs/design/016). Fainter light outside `S` is not
 //! accounted for otherwise.
 //!
-//! Bins must be independent: exposures longer than a row couple them, and are refused.
+//! Where an exposure is longer than a row, instants share bins, and all bins are estimated together (`coupled`).
+
+mod coupled;
 
 use super::kernel::{Voxel, covariance, scales};
-use super::posterior::{Information, Posterior, WhitenedSystem};
+use super::posterior::{Evidence, Information, Posterior, WhitenedSystem};
 use super::region::{Region, Trace};
+use coupled::CoupledSystem;
 use faer::Mat;
 use rayon::prelude::*;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, Support};
@@ -36,6 +39,7 @@ use rowburst_optics::InstantWeights;
 use rowburst_optics::forward::gram::columns_of;
 use rowburst_optics::{RollingShutter, Video};
 use rowburst_solve::admm::brightness;
+use std::ops::Range;
 
 /// What an estimate is made from.
 #[derive(Clone, Copy)]
@@ -51,6 +55,9 @@ pub struct RefitInput<'a> {
     /// The reconstruction, which says where light is and about how much.
     pub video: &'a Video,
 }
+
+/// A region in a bin.
+pub type Place = (usize, Region);
 
 /// An estimate of the lit voxels, bin by bin.
 pub struct Refit<'a> {
@@ -79,10 +86,14 @@ pub struct DebiasedVideo {
 
 /// Threshold of `S` over the brightness; larger leaves faint light out, smaller costs precision (docs/design/016).
 const THRESHOLD: f64 = 0.01;
+/// Doublings of the threshold in a bin that has too many voxels and shares instants with others.
+const RAISED: u32 = 4;
 /// Most voxels of an instant: a factorisation grows with the cube of their number.
 const MAX_VOXELS: usize = 400;
 /// Most instants that `a` and `ℓ` are found from; more cost time for some per cent (docs/design/016).
 const MAX_SAMPLES: usize = 12;
+/// Regions whose traces are estimated at a time; more make systems of coupled bins larger.
+const MAX_REGIONS: usize = 4;
 /// Lengths that are tried, in pixels; between them a parabola decides.
 const LENGTHS_PX: [f64; 12] = [
     0.5, 0.6, 0.75, 0.9, 1.1, 1.3, 1.55, 1.85, 2.2, 2.6, 3.1, 3.7,
@@ -108,7 +119,7 @@ impl<'a> Refit<'a> {
     /// Finds out how rough the light is.
     ///
     /// # Errors
-    /// Bins that several instants see.
+    /// Too many lit voxels in bins that instants share.
     ///
     /// # Panics
     /// If a length does not match, or `σ` is not above zero.
@@ -118,15 +129,6 @@ impl<'a> Refit<'a> {
         assert_eq!(input.measured.len(), pixels, "length of the frame");
         assert_eq!(input.video.shape(), operator.video_shape(), "the video");
         assert!(input.sigma > 0.0, "σ is above zero");
-        if !operator.time().is_disjoint() {
-            return Err(Error::input(
-                Parameter::StandardErrors,
-                "an exposure longer than a row",
-                "they are known where each bin is seen by one instant",
-                "Expose for one row time at most, or use the traces without errors.",
-            )
-            .with_kind(ErrorKind::Unsupported));
-        }
         let mut refit = Self {
             brightness: brightness(input.video.data()),
             input,
@@ -135,8 +137,18 @@ impl<'a> Refit<'a> {
             chi_squared: 1.0,
             inflation: 1.0,
         };
-        if refit.brightness > 0.0 {
-            let samples = refit.samples();
+        if refit.is_coupled() && !refit.is_feasible() {
+            return Err(Error::input(
+                Parameter::StandardErrors,
+                "an exposure longer than a row of many lit voxels",
+                format!("bins that rows share are estimated together, which needs at most {MAX_VOXELS} lit voxels in each, and fewer where more rows share them"),
+                "Expose for one row time at most, or use the traces without errors.",
+            )
+            .with_kind(ErrorKind::Unsupported));
+        }
+        if refit.brightness > 0.0
+            && let Some(samples) = refit.samples()
+        {
             refit.fit_hyperparameters(&samples);
             refit.test(&samples);
         }
@@ -170,61 +182,57 @@ impl<'a> Refit<'a> {
     pub fn traces(&self, regions: &[Region]) -> Vec<Trace> {
         let start = |region: &Region| Trace::without_errors(*region, self.input.video);
         let mut traces: Vec<Trace> = regions.iter().map(start).collect();
-        let instants = 0..self.input.operator.time().instants().len();
-        let found: Vec<Vec<RegionMean>> = instants
-            .into_par_iter()
-            .map(|i| self.means(i, regions))
-            .collect();
-        for mean in found.iter().flatten() {
-            let trace = &mut traces[mean.region];
-            trace.debiased[mean.bin] = mean.value;
-            trace.standard_error[mean.bin] = self.inflation * mean.variance.max(0.0).sqrt();
+        let bins = self.shape().bins;
+        let at_a_time = if self.is_coupled() {
+            MAX_REGIONS
+        } else {
+            regions.len().max(1)
+        };
+        let chunks = traces.chunks_mut(at_a_time);
+        for (traces, regions) in chunks.zip(regions.chunks(at_a_time)) {
+            let of_bin = |t: usize| regions.iter().map(move |region| (t, *region));
+            let places: Vec<Place> = (0..bins).flat_map(of_bin).collect();
+            for ((k, (t, _)), mean) in places.iter().enumerate().zip(self.means(&places)) {
+                if let Some((value, error)) = mean {
+                    let trace = &mut traces[k % regions.len()];
+                    (trace.debiased[*t], trace.standard_error[*t]) = (value, error);
+                }
+            }
         }
         traces
     }
 
-    /// Mean and standard error of `regions` in bin `t` alone; `None` where they are not known.
+    /// Mean and standard error of each region in its bin; `None` where they are not known.
     ///
     /// # Panics
     /// If a region does not lie in the field, or there is no such bin.
-    pub fn traces_of_bin(&self, t: usize, regions: &[Region]) -> Vec<Option<(f64, f64)>> {
-        let instants = self.input.operator.time().instants();
-        let sees =
-            |run: &InstantWeights| (run.first_bin..run.first_bin + run.weights.len()).contains(&t);
-        let mut found = vec![None; regions.len()];
-        if let Some(i) = instants.iter().position(sees) {
-            for mean in self.means(i, regions).iter().filter(|m| m.bin == t) {
-                let error = self.inflation * mean.variance.max(0.0).sqrt();
-                found[mean.region] = Some((mean.value, error));
-            }
-        }
+    pub fn means(&self, places: &[Place]) -> Vec<Option<(f64, f64)>> {
+        let found: Vec<Option<Mean>> = if self.is_coupled() {
+            let means = self.coupled_means(places);
+            means.map_or(vec![None; places.len()], |means| {
+                means.into_iter().map(Some).collect()
+            })
+        } else {
+            self.independent_means(places)
+        };
+        let error = |mean: Mean| self.inflation * mean.variance.max(0.0).sqrt();
+        let found = found.into_iter();
         found
+            .map(|mean| mean.map(|mean| (mean.value, error(mean))))
+            .collect()
     }
 
     /// The video with its lit voxels as the refit has them.
     pub fn video(&self) -> DebiasedVideo {
         let old = self.input.video;
-        let shape = old.shape();
         let mut video = old.clone();
-        let instants = self.input.operator.time().instants();
-        let found: Vec<Option<Vec<(usize, f32)>>> = (0..instants.len())
-            .into_par_iter()
-            .map(|i| {
-                let system = self.system(i, &[])?;
-                let posterior = self.estimate(&system)?;
-                let index = |p: &Voxel| p.bin * shape.pixels() + p.y * shape.columns + p.x;
-                let value = |k: usize| posterior.mean()[(k, 0)].max(0.0) as f32;
-                let voxels = system.voxels.iter().enumerate();
-                Some(voxels.map(|(k, p)| (index(p), value(k))).collect())
-            })
-            .collect();
         let mut untouched_bins = 0;
-        for (run, found) in instants.iter().zip(found) {
+        for (bins, found) in self.values() {
             let Some(found) = found else {
-                untouched_bins += run.weights.len();
+                untouched_bins += bins.len();
                 continue;
             };
-            for t in run.first_bin..run.first_bin + run.weights.len() {
+            for t in bins {
                 video.bin_mut(t).fill(0.0);
             }
             for (at, value) in found {
@@ -248,22 +256,52 @@ impl<'a> Refit<'a> {
         }
     }
 
+    /// Index of each voxel in the video with its estimate, by bins that are estimated together; `None` where they have too
+    /// many lit voxels.
+    fn values(&self) -> Vec<(Range<usize>, Option<Vec<(usize, f32)>>)> {
+        let shape = self.shape();
+        if self.is_coupled() {
+            return vec![(0..shape.bins, self.coupled_values())];
+        }
+        let instants = self.input.operator.time().instants().par_iter().enumerate();
+        let values = |(i, run): (usize, &InstantWeights)| {
+            let found = self.system(i, &[]).and_then(|system| {
+                let posterior = self.estimate(&system)?;
+                let index = |p: &Voxel| p.bin * shape.pixels() + p.y * shape.columns + p.x;
+                let value = |k: usize| posterior.mean()[(k, 0)].max(0.0) as f32;
+                let voxels = system.voxels.iter().enumerate();
+                Some(voxels.map(|(k, p)| (index(p), value(k))).collect())
+            });
+            (run.first_bin..run.first_bin + run.weights.len(), found)
+        };
+        instants.map(values).collect()
+    }
+
     fn shape(&self) -> Shape {
         self.input.video.shape()
     }
 
     /// The lit voxels of bin `t`, 1 in a mask; `None` where they are too many.
     fn active_mask(&self, t: usize) -> Option<Vec<u8>> {
+        // The light of a bin that shares instants with others must not be left out: it would be sought in these.
+        let steps = if self.is_coupled() { RAISED } else { 0 };
+        (0..=steps).find_map(|step| {
+            let threshold = THRESHOLD * self.brightness * f64::from(1 << step);
+            let mask = self.mask_above(t, threshold);
+            let count = mask.iter().filter(|&&active| active == 1).count();
+            (count <= MAX_VOXELS).then_some(mask)
+        })
+    }
+
+    /// What bin `t` of the video has above `threshold`, with neighbours, 1 in a mask.
+    fn mask_above(&self, t: usize, threshold: f64) -> Vec<u8> {
         let shape = Shape::new(1, self.shape().rows, self.shape().columns);
-        let bin = self.input.video.bin(t);
-        let threshold = THRESHOLD * self.brightness;
         if threshold <= 0.0 {
-            return Some(vec![0; shape.pixels()]);
+            return vec![0; shape.pixels()];
         }
         // A bin that is lit all over comes back whole.
-        let support = Support::above(bin, shape, &[threshold]);
-        let count = support.mask().iter().filter(|&&active| active == 1).count();
-        (count <= MAX_VOXELS).then(|| support.mask().to_vec())
+        let support = Support::above(self.input.video.bin(t), shape, &[threshold]);
+        support.mask().to_vec()
     }
 
     /// The system of instant `i` with the `regions` that touch lit voxels; `None` where too
@@ -298,7 +336,7 @@ impl<'a> Refit<'a> {
 
     fn add_voxels(&self, bin: usize, is_in: impl Fn(usize) -> bool, voxels: &mut Vec<Voxel>) {
         let columns = self.shape().columns;
-        let scales = scales(self.input.video.bin(bin), columns, self.brightness);
+        let scales = scales(&self.expected_bin(bin), columns, self.brightness);
         let of = |(at, &scale): (usize, &f64)| Voxel {
             bin,
             y: at / columns,
@@ -346,49 +384,61 @@ impl<'a> Refit<'a> {
         Some(whitened.estimate(self.amplitude)?.0)
     }
 
-    /// The means over `regions` in the bins of instant `i`.
-    fn means(&self, i: usize, regions: &[Region]) -> Vec<RegionMean> {
-        let Some(system) = self.system(i, regions) else {
-            return Vec::new();
+    /// The means where each bin is seen by one instant at most.
+    fn independent_means(&self, places: &[Place]) -> Vec<Option<Mean>> {
+        let instants = self.input.operator.time().instants().par_iter().enumerate();
+        let found = instants.map(|(i, run)| {
+            let bins = run.first_bin..run.first_bin + run.weights.len();
+            let seen = places.iter().enumerate();
+            let seen: Vec<(usize, &Place)> = seen.filter(|(_, p)| bins.contains(&p.0)).collect();
+            let of_instant: Vec<Place> = seen.iter().map(|(_, place)| **place).collect();
+            let means = self.means_of_instant(i, &of_instant);
+            let indices = seen.into_iter().map(|(k, _)| k);
+            indices.zip(means).collect::<Vec<_>>()
+        });
+        let found: Vec<Vec<(usize, Option<Mean>)>> = found.collect();
+        let mut means = vec![None; places.len()];
+        for (k, mean) in found.into_iter().flatten() {
+            means[k] = mean;
+        }
+        means
+    }
+
+    /// The means in bins of instant `i`.
+    fn means_of_instant(&self, i: usize, places: &[Place]) -> Vec<Option<Mean>> {
+        let none = vec![None; places.len()];
+        let regions: Vec<Region> = places.iter().map(|place| place.1).collect();
+        let Some(system) = self.system(i, &regions) else {
+            return none;
         };
         let Some(posterior) = self.estimate(&system) else {
-            return Vec::new();
+            return none;
         };
-        let run = &self.input.operator.time().instants()[i];
         let columns = self.shape().columns;
         let of_video = |p: &Voxel| f64::from(self.input.video.bin(p.bin)[p.y * columns + p.x]);
         let video = Mat::from_fn(system.voxels.len(), 1, |k, _| of_video(&system.voxels[k]));
         let pulled = system.matrix.transpose() * (&system.matrix * &video);
         let pulled = posterior.covariance_with(pulled.col_as_slice(0)) - &video;
-        let mut means = Vec::new();
-        for bin in run.first_bin..run.first_bin + run.weights.len() {
-            for (k, region) in regions.iter().enumerate() {
-                let (weights, inside) = mean_weights(&system.voxels, region, bin);
-                let (value, variance) = if inside || region.pixels() > MAX_VOXELS / 2 {
-                    let values = weights.iter().enumerate();
-                    let mean = values.map(|(k, c)| c * posterior.mean()[(k, 0)]).sum();
-                    // The estimate is wᵀAᵀb with w = cov(v) c.
-                    let seen = &system.matrix * posterior.covariance_with(&weights);
-                    let pull = mean_square_nearby(&system.voxels, &pulled, region, bin);
-                    // Between what is expected of a video that the frame alone shows, and of one
-                    // that the reconstruction has right.
-                    let known = seen.squared_norm_l2() + pull;
-                    (mean, 0.5 * (known + posterior.variance(&weights)))
-                } else {
-                    match self.dark_mean(i, bin, region, &system, &posterior) {
-                        Some(found) => found,
-                        None => continue,
-                    }
-                };
-                means.push(RegionMean {
-                    region: k,
-                    bin,
-                    value,
-                    variance,
-                });
+        let mean = |(bin, region): &Place| {
+            let (weights, inside) = mean_weights(&system.voxels, region, *bin);
+            if !inside && region.pixels() <= MAX_VOXELS / 2 {
+                return self.dark_mean(i, *bin, region, &system, &posterior);
             }
-        }
-        means
+            let values = weights.iter().enumerate();
+            let value = values.map(|(k, c)| c * posterior.mean()[(k, 0)]).sum();
+            // The estimate is wᵀAᵀb with w = cov(v) c.
+            let seen = &system.matrix * posterior.covariance_with(&weights);
+            let pulled = pulled.col_as_slice(0);
+            let pull = mean_square_nearby(&system.voxels, pulled, region, *bin);
+            // Between what is expected of a video that the frame alone shows, and of one
+            // that the reconstruction has right.
+            let known = seen.squared_norm_l2() + pull;
+            Some(Mean {
+                value,
+                variance: 0.5 * (known + posterior.variance(&weights)),
+            })
+        };
+        places.iter().map(mean).collect()
     }
 
     /// Mean and variance of a region far from all lit voxels: those of the same joint estimate,
@@ -400,7 +450,7 @@ impl<'a> Refit<'a> {
         region: &Region,
         active: &System,
         posterior: &Posterior,
-    ) -> Option<(f64, f64)> {
+    ) -> Option<Mean> {
         let columns = self.shape().columns;
         let wide = region.dilated(1, self.shape());
         let mut voxels = Vec::new();
@@ -417,12 +467,14 @@ impl<'a> Refit<'a> {
         let (found, _) = whitened.estimate(self.amplitude)?;
         let (weights, _) = mean_weights(&dark.voxels, region, bin);
         let values = weights.iter().enumerate();
-        let mean = values.map(|(k, c)| c * found.mean()[(k, 0)]).sum();
-        Some((mean, found.variance(&weights)))
+        Some(Mean {
+            value: values.map(|(k, c)| c * found.mean()[(k, 0)]).sum(),
+            variance: found.variance(&weights),
+        })
     }
 
-    /// Instants, evenly spaced in time, that hold light.
-    fn samples(&self) -> Vec<System> {
+    /// What `a` and `ℓ` are found from; `None` without light.
+    fn samples(&self) -> Option<Samples> {
         let instants = self.input.operator.time().instants();
         let is_active = |i: &usize| {
             let run = &instants[*i];
@@ -431,36 +483,35 @@ impl<'a> Refit<'a> {
             bins.any(|t| self.input.video.bin(t).iter().any(|&v| v > half))
         };
         let active: Vec<usize> = (0..instants.len()).filter(is_active).collect();
+        if self.is_coupled() {
+            return self.coupled_sample(&active).map(Samples::Coupled);
+        }
         let step = active.len().div_ceil(MAX_SAMPLES).max(1);
         let chosen: Vec<usize> = active.into_iter().step_by(step).collect();
         let systems = chosen.into_par_iter().map(|i| self.system(i, &[]));
         let systems: Vec<Option<System>> = systems.collect();
-        systems
+        let systems = systems
             .into_iter()
             .flatten()
             .filter(|s| !s.voxels.is_empty())
-            .collect()
+            .map(|s| (s.information(), s));
+        let systems: Vec<(Information, System)> = systems.collect();
+        (!systems.is_empty()).then_some(Samples::Instants(systems))
     }
 
     /// Sets `a` and `ℓ` to what makes the frame most likely.
-    fn fit_hyperparameters(&mut self, samples: &[System]) {
-        if samples.is_empty() {
-            return;
-        }
-        let informations: Vec<Information> = samples.par_iter().map(System::information).collect();
-        let whitened = |length: f64| -> Option<Vec<WhitenedSystem>> {
-            let pairs = samples.par_iter().zip(&informations);
-            pairs.map(|(s, info)| s.whiten(info, length)).collect()
-        };
+    fn fit_hyperparameters(&mut self, samples: &Samples) {
         let mut amplitude = self.amplitude;
         let mut tried = [None; LENGTHS_PX.len()];
         let mut value = |k: usize| -> f64 {
             *tried[k].get_or_insert_with(|| {
-                whitened(LENGTHS_PX[k]).map_or(f64::INFINITY, |whitened| {
-                    let (best, value) = best_amplitude(&whitened, amplitude);
-                    amplitude = best;
-                    value
-                })
+                samples
+                    .whiten(LENGTHS_PX[k])
+                    .map_or(f64::INFINITY, |whitened| {
+                        let (best, value) = best_amplitude(&whitened, amplitude);
+                        amplitude = best;
+                        value
+                    })
             })
         };
         let last = LENGTHS_PX.len() - 1;
@@ -481,25 +532,30 @@ impl<'a> Refit<'a> {
             let points = [at - 1, at, at + 1].map(|k| (logs(k), value(k)));
             length = lowest_of_parabola(points).exp();
         }
-        if let Some(whitened) = whitened(length) {
+        if let Some(whitened) = samples.whiten(length) {
             self.length_px = length;
             self.amplitude = best_amplitude(&whitened, amplitude).0;
         }
     }
 
     /// Tests whether the refit explains what the samples were fitted to.
-    fn test(&mut self, samples: &[System]) {
-        let parts: Vec<Option<(f64, f64)>> = samples
-            .par_iter()
-            .map(|system| {
-                let posterior = self.estimate(system)?;
-                let rest = &system.measured - &system.matrix * posterior.mean();
-                let free = system.informative as f64 - posterior.effective_dof();
-                Some((rest.squared_norm_l2(), free))
-            })
-            .collect();
-        let sum = |of: fn(&(f64, f64)) -> f64| parts.iter().flatten().map(of).sum::<f64>();
-        let (misfit, free) = (sum(|p| p.0), sum(|p| p.1));
+    fn test(&mut self, samples: &Samples) {
+        let (misfit, free) = match samples {
+            Samples::Coupled(system) => system
+                .misfit(self.length_px, self.amplitude)
+                .unwrap_or_default(),
+            Samples::Instants(systems) => {
+                let parts = systems.par_iter().map(|(_, system)| {
+                    let posterior = self.estimate(system)?;
+                    let rest = &system.measured - &system.matrix * posterior.mean();
+                    let free = system.informative as f64 - posterior.effective_dof();
+                    Some((rest.squared_norm_l2(), free))
+                });
+                let parts: Vec<Option<(f64, f64)>> = parts.collect();
+                let sum = |of: fn(&(f64, f64)) -> f64| parts.iter().flatten().map(of).sum::<f64>();
+                (sum(|p| p.0), sum(|p| p.1))
+            }
+        };
         if free >= 1.0 {
             self.chi_squared = misfit / free;
             if self.chi_squared > 1.0 + SIGNIFICANT * (2.0 / free).sqrt() {
@@ -509,10 +565,36 @@ impl<'a> Refit<'a> {
     }
 }
 
+/// What `a` and `ℓ` are found from.
+enum Samples {
+    /// Instants, evenly spaced in time, that hold light.
+    Instants(Vec<(Information, System)>),
+    /// Consecutive instants that share bins.
+    Coupled(CoupledSystem),
+}
+
+impl Samples {
+    /// How likely the data are for this length, of each part; `None` where a covariance is not positive definite.
+    fn whiten(&self, length_px: f64) -> Option<Vec<Box<dyn Evidence>>> {
+        match self {
+            Self::Instants(systems) => {
+                let whitened = systems.par_iter().map(|(information, system)| {
+                    let whitened = system.whiten(information, length_px)?;
+                    Some(Box::new(whitened) as Box<dyn Evidence>)
+                });
+                whitened.collect()
+            }
+            Self::Coupled(system) => {
+                let whitened = system.whiten(length_px)?;
+                Some(vec![Box::new(whitened)])
+            }
+        }
+    }
+}
+
 /// The mean over a region in a bin.
-struct RegionMean {
-    region: usize,
-    bin: usize,
+#[derive(Debug, Clone, Copy)]
+struct Mean {
     value: f64,
     variance: f64,
 }
@@ -547,7 +629,7 @@ const NEARBY: usize = 2;
 
 /// The mean square of the mean of `values` over `region` in `bin` and over the same region moved by
 /// up to [`NEARBY`] pixels.
-fn mean_square_nearby(voxels: &[Voxel], values: &Mat<f64>, region: &Region, bin: usize) -> f64 {
+fn mean_square_nearby(voxels: &[Voxel], values: &[f64], region: &Region, bin: usize) -> f64 {
     let side = 2 * NEARBY + 1;
     let mut sums = vec![0.0; side * side];
     for (k, voxel) in voxels.iter().enumerate().filter(|(_, p)| p.bin == bin) {
@@ -557,7 +639,7 @@ fn mean_square_nearby(voxels: &[Voxel], values: &Mat<f64>, region: &Region, bin:
             if let (Some(y), Some(x)) = (y, x)
                 && region.contains(y, x)
             {
-                *sum += values[(k, 0)];
+                *sum += values[k];
             }
         }
     }
@@ -567,7 +649,7 @@ fn mean_square_nearby(voxels: &[Voxel], values: &Mat<f64>, region: &Region, bin:
 }
 
 /// The amplitude at which the data are most likely, and how unlikely they then are.
-fn best_amplitude(whitened: &[WhitenedSystem], start: f64) -> (f64, f64) {
+fn best_amplitude(whitened: &[Box<dyn Evidence>], start: f64) -> (f64, f64) {
     let value = |ln_a: f64| -> f64 {
         let parts: Option<Vec<f64>> = whitened
             .par_iter()

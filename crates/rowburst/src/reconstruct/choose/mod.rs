@@ -18,17 +18,14 @@ pub(super) use trial::{TOLERANCE, is_settled};
 
 use super::SolverSettings;
 use super::frame_data::FrameData;
-use super::{Prior, RunResult};
+use super::held_out_run::HeldOutRun;
+use super::{Observer, Prior, RunResult};
 use rowburst_core::linop::Background;
 use rowburst_core::vecmath::norm;
 use rowburst_solve::StopReason;
-use rowburst_solve::admm::{Progress, Solution, TauRule};
-use std::ops::ControlFlow;
+use rowburst_solve::admm::{Solution, TauRule};
 use tracing::info;
-use trial::Trial;
-
-/// A callback after every iteration, which may stop the run.
-pub(super) type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
+use trial::{Trial, TrialResult};
 
 /// Priors of `auto`; an earlier one is kept where later ones are no better. More candidates cost a run each
 /// (`docs/design/011`).
@@ -82,7 +79,7 @@ pub(super) fn open_prior() -> Prior {
 /// The candidates of `auto` with their held-out errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Choice {
-    /// The candidates in the order in which they were tried.
+    /// The candidates in their order of preference.
     pub candidates: Vec<Candidate>,
     /// Number of held-out pixels.
     pub held_out: usize,
@@ -206,59 +203,44 @@ impl BestTrial {
     }
 }
 
-/// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. Returns the choice and the
-/// best trial. The error is the result so far where the observer stopped it: the best trial, or the first one.
-pub(super) fn choose_prior(
-    data: &mut FrameData,
-    rule: TauRule,
-    sigma: f64,
-    settings: SolverSettings,
-    is_dense: bool,
-    observer: &mut Observer,
-) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
-    let held_out = data.held_out();
-    let mut choice = Choice {
-        candidates: Vec::new(),
-        held_out: held_out.pixels().len(),
-    };
-    // The held-out errors of the best candidate at each check.
-    let mut best_errors: Vec<f64> = Vec::new();
-    let mut best_residuals: Option<Vec<f64>> = None;
-    let mut best_trial: Option<BestTrial> = None;
-    let candidates: &[&str] = if is_dense {
-        &OPEN_CANDIDATES
-    } else {
-        &CANDIDATES
-    };
-    let mut run = |choice: &mut Choice, name: &str| -> Result<(), Box<RunResult>> {
-        let prior: Prior = name.parse().expect("a candidate is a prior");
-        data.reset(prior.background(), Some(held_out.clone()));
-        let number = choice.candidates.len() + 1;
-        let trial = Trial::new(data, prior, rule, sigma, settings)
-            .numbered(number, candidates.len().max(number));
-        let max_error = choice
-            .candidates
-            .iter()
-            .map(|c| MAX_TUNING_ERROR_RATIO * c.error);
-        let max_error = max_error.fold(f64::INFINITY, f64::min);
-        let trial_result = match trial.run(data, &best_errors, max_error, observer) {
-            Ok(trial_result) => trial_result,
-            Err(stopped) => {
-                let Some(best_trial) = best_trial.take() else {
-                    return Err(stopped);
-                };
-                data.reset(best_trial.prior.background(), Some(held_out.clone()));
-                return Err(best_trial.stopped(stopped.solution.stop_reason));
+/// The candidates that were tried so far, in their order of preference.
+struct Trials {
+    choice: Choice,
+    /// The place of each candidate in the order of preference.
+    places: Vec<usize>,
+    /// The held-out residuals of each candidate.
+    residuals: Vec<Vec<f64>>,
+    /// The held-out errors of the best candidate at each check.
+    best_errors: Vec<f64>,
+    best: Option<BestTrial>,
+}
+
+impl Trials {
+    /// Tries the candidate whose place in the order of preference is `place`, after `count` trials in all.
+    fn run(
+        &mut self,
+        (place, trial): (usize, Trial),
+        count: usize,
+        data: &mut FrameData,
+        observer: &mut Observer,
+    ) -> Result<(), Box<RunResult>> {
+        let number = self.places.len() + 1;
+        let trial = trial.numbered(number, count.max(number));
+        let found = trial.run(data, &self.best_errors, self.max_tuning_error(), observer);
+        let found = match (found, self.best.take()) {
+            (Err(stopped), Some(best)) => {
+                data.reset(best.prior.background(), Some(data.held_out()));
+                return Err(best.stopped(stopped.solution.stop_reason));
+            }
+            (found, best) => {
+                self.best = best;
+                found?
             }
         };
-        let candidate = Candidate {
-            gain: best_residuals
-                .as_ref()
-                .map(|before| gain(before, &trial_result.residuals)),
-            ..trial_result.candidate
-        };
+        let candidate = found.candidate;
         info!(
-            "tried prior {prior}: held-out error {:.4} σ, factor {} on τ{}",
+            "tried prior {}: held-out error {:.4} σ, factor {} on τ{}",
+            candidate.prior,
             candidate.error,
             candidate.tau_factor,
             if candidate.stopped_early {
@@ -267,26 +249,91 @@ pub(super) fn choose_prior(
                 ""
             }
         );
-        choice.candidates.push(candidate);
-        if choice.best() == candidate {
-            best_residuals = Some(trial_result.residuals);
-            best_errors = trial_result.errors;
-            best_trial = Some(BestTrial {
-                prior,
-                solution: trial_result.run_result.solution,
-            });
-        }
+        self.insert(place, found);
         Ok(())
-    };
-    for name in candidates {
-        run(&mut choice, name)?;
     }
-    if choice.best().support_fraction > DENSE_SUPPORT {
-        for name in DENSE_CANDIDATES {
-            run(&mut choice, name)?;
+
+    fn insert(&mut self, place: usize, found: TrialResult) {
+        let at = self.places.partition_point(|before| *before < place);
+        let candidates = &mut self.choice.candidates;
+        self.places.insert(at, place);
+        candidates.insert(at, found.candidate);
+        self.residuals.insert(at, found.residuals);
+        // Each is compared with the best before it, as in [`Choice::best`].
+        let mut best = 0;
+        for next in 1..candidates.len() {
+            let gained = gain(&self.residuals[best], &self.residuals[next]);
+            candidates[next].gain = Some(gained);
+            if gained > candidates[next].min_gain() || candidates[best].error.is_nan() {
+                best = next;
+            }
+        }
+        candidates[0].gain = None;
+        if best == at {
+            let prior = found.candidate.prior;
+            let solution = found.run_result.solution;
+            self.best_errors = found.errors;
+            self.best = Some(BestTrial { prior, solution });
         }
     }
-    Ok((choice, best_trial))
+
+    /// The largest error at which other `τ` are tried.
+    fn max_tuning_error(&self) -> f64 {
+        let errors = self.choice.candidates.iter().map(|c| c.error);
+        MAX_TUNING_ERROR_RATIO * errors.fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. `checked` is a run of one of
+/// them on these pixels, by this rule, which is tried first and goes on. Returns the choice and the best trial. The error
+/// is the result so far where the observer stopped it: the best trial, or the first one.
+pub(super) fn choose_prior(
+    data: &mut FrameData,
+    rule: TauRule,
+    sigma: f64,
+    settings: SolverSettings,
+    (is_dense, checked): (bool, Option<HeldOutRun>),
+    observer: &mut Observer,
+) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
+    let held_out = data.held_out();
+    let mut trials = Trials {
+        choice: Choice {
+            candidates: Vec::new(),
+            held_out: held_out.pixels().len(),
+        },
+        places: Vec::new(),
+        residuals: Vec::new(),
+        best_errors: Vec::new(),
+        best: None,
+    };
+    let names: &[&str] = if is_dense {
+        &OPEN_CANDIDATES
+    } else {
+        &CANDIDATES
+    };
+    let parse = |name: &&str| name.parse::<Prior>().expect("a candidate is a prior");
+    let mut priors: Vec<Prior> = names.iter().map(parse).collect();
+    if let Some(run) = checked
+        && let Some(place) = priors.iter().position(|prior| *prior == run.prior)
+    {
+        let trial = Trial::after(run, sigma);
+        trials.run((place, trial), priors.len(), data, observer)?;
+    }
+    let mut place = 0;
+    while place < priors.len() {
+        let prior = priors[place];
+        if !trials.places.contains(&place) {
+            data.reset(prior.background(), Some(held_out.clone()));
+            let trial = Trial::new(data, prior, rule, sigma, settings);
+            trials.run((place, trial), priors.len(), data, observer)?;
+        }
+        place += 1;
+        let is_dense = trials.choice.best().support_fraction > DENSE_SUPPORT;
+        if place == priors.len() && is_dense && place == names.len() {
+            priors.extend(DENSE_CANDIDATES.iter().map(parse));
+        }
+    }
+    Ok((trials.choice, trials.best))
 }
 
 pub(super) fn rms(values: &[f64]) -> f64 {

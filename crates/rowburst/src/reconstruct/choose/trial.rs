@@ -2,6 +2,7 @@
 
 use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
+use super::super::held_out_run::HeldOutRun;
 use super::super::{Prior, RunResult, observe_sum};
 use super::{Candidate, MIN_GAIN, Observer, gain, rms};
 use rowburst_solve::StopReason;
@@ -17,7 +18,7 @@ const EARLY_ERROR_RATIO: f64 = 6.0;
 /// The same from [`LATE_FROM`] on.
 const LATE_ERROR_RATIO: f64 = 1.5;
 /// Iteration at which a candidate is first compared; smaller may stop the best.
-const FIRST_CHECK: usize = 100;
+const FIRST_CHECK: usize = 80;
 /// First iteration at which [`LATE_ERROR_RATIO`] applies; smaller may stop the best.
 const LATE_FROM: usize = 200;
 /// Iterations between two comparisons; larger stops candidates later.
@@ -89,6 +90,25 @@ impl Trial {
             prox: data.prox(&prior),
             run: Admm::new(data, data.shape(), params),
             params,
+            sigma,
+            label: format!("testing prior {prior}"),
+            runs_left: 0,
+        }
+    }
+
+    /// The trial that goes on from a run on the same pixels by the same rule.
+    pub fn after(run: HeldOutRun, sigma: f64) -> Self {
+        let prior = run.prior;
+        let (mut run, prox, params) = run.into_parts();
+        run.set_tolerance(TOLERANCE);
+        Self {
+            prior,
+            prox,
+            run,
+            params: AdmmParams {
+                tolerance: TOLERANCE,
+                ..params
+            },
             sigma,
             label: format!("testing prior {prior}"),
             runs_left: 0,

@@ -2,8 +2,8 @@
 
 use super::super::frame_data::FrameData;
 use super::super::held_out::HeldOut;
-use super::super::held_out_check::HeldOutRun;
-use super::super::{Model, Prior, RunResult, SolverSettings, choose};
+use super::super::held_out_run::HeldOutRun;
+use super::super::{Model, Observer, Prior, RunResult, SolverSettings};
 use super::parameters::{ModelParameter, Parameters};
 use super::psf_model::PsfModel;
 use rowburst_core::Cancel;
@@ -282,7 +282,7 @@ impl<'p> Calibrator<'p> {
         correction: &Correction,
         sigma: f64,
         iterations: usize,
-        observer: &mut choose::Observer,
+        observer: &mut Observer,
     ) -> Result<Trial, Box<RunResult>> {
         let mut data = self.data(frame, correction);
         let rule = TauRule::Discrepancy { sigma };

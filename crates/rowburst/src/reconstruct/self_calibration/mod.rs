@@ -17,7 +17,7 @@ mod step;
 
 pub use parameters::ModelParameter;
 
-use super::choose::Observer;
+use super::Observer;
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Options, Prior, Problem, RunResult};

@@ -1,7 +1,8 @@
 //! The search for a correction: reconstructions that leave pixels out, and steps between them.
 
+use super::super::Observer;
 use super::super::RunResult;
-use super::super::choose::{self, Observer};
+use super::super::choose;
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::ModelParameter;
 use super::step::{Free, StepReport, step};
