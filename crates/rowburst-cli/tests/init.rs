@@ -6,9 +6,9 @@ use common::Lab;
 use rowburst::Shutter;
 use rowburst_io::Experiment;
 
-/// Each camera with the rows of its sensor and its shutter.
+/// Each camera with the rows of its sensor, or of [`OPEN`] where no source says them, and its shutter.
 const CAMERAS: [(&str, usize, Shutter); 7] = [
-    ("iris-9", 2960, Shutter::TopDown),
+    ("iris-9", 1000, Shutter::TopDown),
     ("orca-flash4.0-v3", 2048, Shutter::DualInsideOut),
     ("pco.edge-4.2", 2048, Shutter::DualOutsideIn),
     ("pco.edge-5.5", 2160, Shutter::DualOutsideIn),
@@ -18,7 +18,9 @@ const CAMERAS: [(&str, usize, Shutter); 7] = [
 ];
 
 /// What a user fills in where no source says it.
-const OPEN: [(&str, &str); 2] = [
+const OPEN: [(&str, &str); 4] = [
+    ("# rows =", "rows = 1000"),
+    ("# columns =", "columns = 1000"),
     ("# row_time_us =", "row_time_us = 10"),
     ("# exposure_us =", "exposure_us = 10"),
 ];
