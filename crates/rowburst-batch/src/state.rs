@@ -76,7 +76,7 @@ impl State {
                 }
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) if error.kind() == io::ErrorKind::NotADirectory => {
+            Err(_) if out.is_file() => {
                 return refuse("a file where a folder is needed");
             }
             Err(error) => return refuse(&format!("a folder that cannot be read ({error})")),

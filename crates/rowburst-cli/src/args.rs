@@ -15,7 +15,13 @@ use std::path::PathBuf;
 
 /// One frame of a rolling-shutter camera behind a diffuser in, a 100,000 fps video out.
 #[derive(Debug, Parser)]
-#[command(name = "rowburst", version, about, max_term_width = 100)]
+#[command(
+    name = "rowburst",
+    bin_name = "rowburst",
+    version,
+    about,
+    max_term_width = 100
+)]
 pub struct Cli {
     /// Threads to use [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..=1024))]

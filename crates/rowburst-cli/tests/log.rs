@@ -43,6 +43,8 @@ fn verbose_logs_every_step_with_its_time() {
         "wrote verbose/video.npy, ",
         "wrote verbose/result.json, ",
     ] {
+        // As paths are written here.
+        let step = &step.replace('/', std::path::MAIN_SEPARATOR_STR);
         let at = rest.find(step);
         let at = at.unwrap_or_else(|| panic!("no \"{step}\" after the steps before it in\n{log}"));
         rest = &rest[at + step.len()..];

@@ -281,4 +281,21 @@ mod tests {
         assert_eq!(solve_normal(&[[1.0, 2.0], [2.0, 1.0]], &[1.0, 1.0]), None);
         assert_eq!(solve_normal(&[[f64::NAN]], &[1.0]), None);
     }
+
+    /// The processor's own set is used, as on ARM under an emulator.
+    #[test]
+    fn the_set_of_the_processor_is_used() {
+        #[cfg(target_arch = "aarch64")]
+        let own = std::arch::is_aarch64_feature_detected!("neon").then_some("neon");
+        #[cfg(target_arch = "x86_64")]
+        let own = std::arch::is_x86_feature_detected!("avx2").then_some("avx");
+        #[cfg(not(any(target_arch = "aarch64", target_arch = "x86_64")))]
+        let own: Option<&str> = None;
+        let own = own.filter(|_| !is_portable()).unwrap_or_default();
+        assert!(
+            instruction_set().starts_with(own),
+            "{own}: {}",
+            instruction_set()
+        );
+    }
 }

@@ -3,8 +3,8 @@
 use crate::source::ArrayPath;
 use std::path::{Path, PathBuf};
 
-/// `path` as seen from `folder`; absolute where they have no folder in common but the root. `FILE.h5:/path` keeps the name
-/// of its array.
+/// `path` as seen from `folder`, with `/` on every system; absolute where they have no folder in common but the root.
+/// `FILE.h5:/path` keeps the name of its array.
 pub fn relative_path(path: &Path, folder: &Path) -> String {
     let ArrayPath { file, array } = ArrayPath::of(path);
     let absolute = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
@@ -13,16 +13,18 @@ pub fn relative_path(path: &Path, folder: &Path) -> String {
     };
     let pairs = file.components().zip(folder.components());
     let common = pairs.take_while(|(a, b)| a == b).count();
-    let mut seen = PathBuf::new();
     // The root is a component.
-    if common > 1 {
+    let seen = if common > 1 {
+        let mut seen = PathBuf::new();
         (common..folder.components().count()).for_each(|_| seen.push(".."));
         seen.extend(file.components().skip(common));
+        seen.to_string_lossy()
+            .replace(std::path::MAIN_SEPARATOR, "/")
     } else {
-        seen = file;
-    }
+        file.to_string_lossy().into_owned()
+    };
     let name = array.map_or(String::new(), |array| format!(":{array}"));
-    seen.to_string_lossy().into_owned() + &name
+    seen + &name
 }
 
 #[cfg(test)]

@@ -69,8 +69,7 @@ impl<'a> Source<'a> {
     /// Opens `path`, which must be a file with something in it.
     pub fn open(path: &'a Path, colour: Colour) -> Result<(Self, BufReader<File>)> {
         let file = ArrayPath::of(path).file;
-        let open = || -> std::io::Result<_> { Ok((file.metadata()?, File::open(&file)?)) };
-        let (metadata, file) = open().map_err(|e| fault::read_error(path, &e))?;
+        let metadata = file.metadata().map_err(|e| fault::read_error(path, &e))?;
         let bytes = metadata.len();
         let source = Self {
             path,
@@ -85,6 +84,7 @@ impl<'a> Source<'a> {
             let remedy = "Save or copy it again: the writing may have been cut short.";
             return Err(source.error("an empty file", "an image has pixels", remedy));
         }
+        let file = File::open(&file).map_err(|e| fault::read_error(path, &e))?;
         Ok((source, BufReader::new(file)))
     }
 

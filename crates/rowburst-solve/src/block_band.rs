@@ -85,7 +85,7 @@ impl<T: Scalar> BlockBand<T> {
         let matrix = columns.map(|(t, (column, right))| {
             let half = column * right;
             let mut whole = Mat::zeros(half.nrows(), half.ncols());
-            for s in t..=self.last[t] {
+            for (s, left) in roots.iter().enumerate().take(self.last[t] + 1).skip(t) {
                 let first = self.starts[s] - self.starts[t];
                 let rows = self.starts[s + 1] - self.starts[s];
                 let to = whole.as_mut().subrows_mut(first, rows);
@@ -93,7 +93,7 @@ impl<T: Scalar> BlockBand<T> {
                 matmul(
                     to,
                     Accum::Replace,
-                    roots[s].transpose(),
+                    left.transpose(),
                     from,
                     T::one(),
                     Par::Seq,

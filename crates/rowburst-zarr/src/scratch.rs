@@ -5,6 +5,7 @@ use rowburst_io::write_error;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
 
 /// A lock that other processes wait for; given back when dropped or when the process ends.
 ///
@@ -68,7 +69,8 @@ fn has_no_locks(error: &io::Error) -> bool {
 #[derive(Debug)]
 pub struct Scratch {
     folder: PathBuf,
-    _lock: Lock,
+    /// `None` while it is dropped.
+    lock: Option<Lock>,
 }
 
 /// Held by a process as long as its folder is in use.
@@ -89,7 +91,7 @@ impl Scratch {
         let lock = Lock::wait(&folder.join(IN_USE))?;
         Ok(Self {
             folder,
-            _lock: lock,
+            lock: Some(lock),
         })
     }
 
@@ -110,10 +112,7 @@ impl Scratch {
 
     /// [`Scratch::put`] with the error as it is.
     pub(crate) fn try_put(&self, target: &Path, bytes: &[u8]) -> io::Result<()> {
-        let mut builder = tempfile::Builder::new();
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let mut file = builder.tempfile_in(&self.folder)?;
+        let mut file = new_file(&self.folder)?;
         file.write_all(bytes)?;
         // A disk that is full may say so only now.
         file.as_file().sync_all()?;
@@ -126,8 +125,21 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
+        // Windows removes no file that is open.
+        self.lock = None;
         let _ = fs::remove_dir_all(&self.folder);
     }
+}
+
+/// A new file in `folder`, with the permissions of any other file.
+fn new_file(folder: &Path) -> io::Result<NamedTempFile> {
+    #[cfg(unix)]
+    let builder = &mut tempfile::Builder::new();
+    #[cfg(unix)]
+    let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    #[cfg(not(unix))]
+    let builder = tempfile::Builder::new();
+    builder.tempfile_in(folder)
 }
 
 /// Removes the folders of processes that have ended.

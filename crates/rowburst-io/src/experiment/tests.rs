@@ -224,6 +224,13 @@ fn magnification_and_trigger_delay_are_checked() {
     }
 }
 
+/// Names of files; on Windows `\` separates them.
+const NAME: &str = if cfg!(windows) {
+    "[a-zé ']{1,8}"
+} else {
+    "[a-zé \"\\\\']{1,8}"
+};
+
 proptest! {
     #[test]
     fn what_is_written_is_read(
@@ -233,7 +240,7 @@ proptest! {
         sensor in (1usize..9, 1usize..9, prop::option::of(1u32..33)),
         values in prop::collection::vec(prop::option::of(positive()), 7),
         field in prop::option::of((1usize..9999, 1usize..9999)),
-        files in prop::collection::vec(prop::option::of("[a-zé \"\\\\']{1,8}"), 5),
+        files in prop::collection::vec(prop::option::of(NAME), 5),
         tau in prop_oneof![Just(None), Just(Some(Tau::Auto)), Just(Some(Tau::HeldOut)), positive().prop_map(|t| Some(Tau::Given(t)))],
     ) {
         let shutters = [

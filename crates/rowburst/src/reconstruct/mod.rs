@@ -596,7 +596,8 @@ impl Problem {
             rule,
             self.sigma,
             settings,
-            (self.is_dense, checked),
+            self.is_dense,
+            checked,
             observer,
         )
         .map(Some)

@@ -18,7 +18,7 @@ mod tone;
 
 pub use frequency::{AliasedHarmonic, Frequency, frequency_of};
 pub use photodiode::{Alignment, Photodiode};
-pub use refit::{DebiasedVideo, Refit, RefitInput};
+pub use refit::{DebiasedVideo, Place, Refit, RefitInput};
 pub use region::{Region, Trace};
 pub use spot::{Spot, brightest_regions, brightest_spots};
 pub use tone::{Tone, strongest_tone};

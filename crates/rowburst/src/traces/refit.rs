@@ -41,6 +41,9 @@ use rowburst_optics::{RollingShutter, Video};
 use rowburst_solve::admm::brightness;
 use std::ops::Range;
 
+/// Index of each voxel in the video with its value.
+type VoxelValues = Vec<(usize, f32)>;
+
 /// What an estimate is made from.
 #[derive(Clone, Copy)]
 pub struct RefitInput<'a> {
@@ -208,10 +211,7 @@ impl<'a> Refit<'a> {
     /// If a region does not lie in the field, or there is no such bin.
     pub fn means(&self, places: &[Place]) -> Vec<Option<(f64, f64)>> {
         let found: Vec<Option<Mean>> = if self.is_coupled() {
-            let means = self.coupled_means(places);
-            means.map_or(vec![None; places.len()], |means| {
-                means.into_iter().map(Some).collect()
-            })
+            self.coupled_means(places)
         } else {
             self.independent_means(places)
         };
@@ -258,7 +258,7 @@ impl<'a> Refit<'a> {
 
     /// Index of each voxel in the video with its estimate, by bins that are estimated together; `None` where they have too
     /// many lit voxels.
-    fn values(&self) -> Vec<(Range<usize>, Option<Vec<(usize, f32)>>)> {
+    fn values(&self) -> Vec<(Range<usize>, Option<VoxelValues>)> {
         let shape = self.shape();
         if self.is_coupled() {
             return vec![(0..shape.bins, self.coupled_values())];

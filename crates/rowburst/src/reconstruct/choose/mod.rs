@@ -206,8 +206,8 @@ impl BestTrial {
 /// The candidates that were tried so far, in their order of preference.
 struct Trials {
     choice: Choice,
-    /// The place of each candidate in the order of preference.
-    places: Vec<usize>,
+    /// The rank of each candidate in the order of preference.
+    ranks: Vec<usize>,
     /// The held-out residuals of each candidate.
     residuals: Vec<Vec<f64>>,
     /// The held-out errors of the best candidate at each check.
@@ -216,15 +216,15 @@ struct Trials {
 }
 
 impl Trials {
-    /// Tries the candidate whose place in the order of preference is `place`, after `count` trials in all.
+    /// Tries the candidate whose rank in the order of preference is `rank`, after `count` trials in all.
     fn run(
         &mut self,
-        (place, trial): (usize, Trial),
+        (rank, trial): (usize, Trial),
         count: usize,
         data: &mut FrameData,
         observer: &mut Observer,
     ) -> Result<(), Box<RunResult>> {
-        let number = self.places.len() + 1;
+        let number = self.ranks.len() + 1;
         let trial = trial.numbered(number, count.max(number));
         let found = trial.run(data, &self.best_errors, self.max_tuning_error(), observer);
         let found = match (found, self.best.take()) {
@@ -249,14 +249,14 @@ impl Trials {
                 ""
             }
         );
-        self.insert(place, found);
+        self.insert(rank, found);
         Ok(())
     }
 
-    fn insert(&mut self, place: usize, found: TrialResult) {
-        let at = self.places.partition_point(|before| *before < place);
+    fn insert(&mut self, rank: usize, found: TrialResult) {
+        let at = self.ranks.partition_point(|before| *before < rank);
         let candidates = &mut self.choice.candidates;
-        self.places.insert(at, place);
+        self.ranks.insert(at, rank);
         candidates.insert(at, found.candidate);
         self.residuals.insert(at, found.residuals);
         // Each is compared with the best before it, as in [`Choice::best`].
@@ -292,7 +292,8 @@ pub(super) fn choose_prior(
     rule: TauRule,
     sigma: f64,
     settings: SolverSettings,
-    (is_dense, checked): (bool, Option<HeldOutRun>),
+    is_dense: bool,
+    checked: Option<HeldOutRun>,
     observer: &mut Observer,
 ) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
     let held_out = data.held_out();
@@ -301,7 +302,7 @@ pub(super) fn choose_prior(
             candidates: Vec::new(),
             held_out: held_out.pixels().len(),
         },
-        places: Vec::new(),
+        ranks: Vec::new(),
         residuals: Vec::new(),
         best_errors: Vec::new(),
         best: None,
@@ -314,22 +315,22 @@ pub(super) fn choose_prior(
     let parse = |name: &&str| name.parse::<Prior>().expect("a candidate is a prior");
     let mut priors: Vec<Prior> = names.iter().map(parse).collect();
     if let Some(run) = checked
-        && let Some(place) = priors.iter().position(|prior| *prior == run.prior)
+        && let Some(rank) = priors.iter().position(|prior| *prior == run.prior)
     {
         let trial = Trial::after(run, sigma);
-        trials.run((place, trial), priors.len(), data, observer)?;
+        trials.run((rank, trial), priors.len(), data, observer)?;
     }
-    let mut place = 0;
-    while place < priors.len() {
-        let prior = priors[place];
-        if !trials.places.contains(&place) {
+    let mut rank = 0;
+    while rank < priors.len() {
+        let prior = priors[rank];
+        if !trials.ranks.contains(&rank) {
             data.reset(prior.background(), Some(held_out.clone()));
             let trial = Trial::new(data, prior, rule, sigma, settings);
-            trials.run((place, trial), priors.len(), data, observer)?;
+            trials.run((rank, trial), priors.len(), data, observer)?;
         }
-        place += 1;
+        rank += 1;
         let is_dense = trials.choice.best().support_fraction > DENSE_SUPPORT;
-        if place == priors.len() && is_dense && place == names.len() {
+        if rank == priors.len() && is_dense && rank == names.len() {
             priors.extend(DENSE_CANDIDATES.iter().map(parse));
         }
     }

@@ -29,7 +29,7 @@ const MAX_COST: f64 = 3e10;
 const BRIGHT: f64 = 0.1;
 /// Factor on what is expected of the light at the ends of the frame, where the prior decides more; smaller makes too short
 /// intervals there (docs/design/016).
-const END_SCALE: f64 = 2.0;
+const OUTER_SCALE: f64 = 2.0;
 /// Columns of a parallel task; fixed, so that the bits do not depend on the number of threads.
 const PART: usize = 16;
 /// Step of `ln ρ` in the derivative of `ln det H`; larger is less exact, smaller is lost in rounding.
@@ -93,16 +93,15 @@ impl CoupledSystem {
     pub fn misfit(&self, length_px: f64, amplitude: f64) -> Option<(f64, f64)> {
         let whitened = self.whiten(length_px)?;
         let posterior = whitened.posterior(amplitude);
-        let explained = dot(&posterior.solved, &whitened.projected);
-        let rest =
-            self.power - explained - posterior.rho * dot(&posterior.solved, &posterior.solved);
+        let explained = dot(&posterior.units, &whitened.projected);
+        let rest = self.power - explained - posterior.rho * dot(&posterior.units, &posterior.units);
         // tr(I − ρH⁻¹), by the derivative of ln det H with ln ρ.
         let log_determinant = |step: f64| {
             let factor = whitened.gram.factor(posterior.rho * step.exp());
             factor.log_determinant()
         };
         let slope = (log_determinant(LOG_STEP) - log_determinant(-LOG_STEP)) / (2.0 * LOG_STEP);
-        let used = posterior.solved.len() as f64 - slope;
+        let used = posterior.units.len() as f64 - slope;
         Some((
             rest / (self.sigma * self.sigma),
             self.informative as f64 - used,
@@ -124,13 +123,13 @@ impl WhitenedBand {
     fn posterior(&self, amplitude: f64) -> BandPosterior<'_> {
         let rho = (self.sigma / amplitude).powi(2);
         let factor = self.gram.factor(rho);
-        let mut solved = self.projected.clone();
-        factor.solve(&mut solved);
+        let mut units = self.projected.clone();
+        factor.solve(&mut units);
         BandPosterior {
             system: self,
             rho,
             factor,
-            solved,
+            units,
         }
     }
 }
@@ -140,7 +139,7 @@ impl Evidence for WhitenedBand {
         let posterior = self.posterior(amplitude);
         let size = self.projected.len() as f64;
         let determinant = 2.0 * size * amplitude.ln() + posterior.factor.log_determinant();
-        let gain = dot(&posterior.solved, &self.projected) / (self.sigma * self.sigma);
+        let gain = dot(&posterior.units, &self.projected) / (self.sigma * self.sigma);
         Some(0.5 * (determinant - gain))
     }
 }
@@ -152,14 +151,14 @@ struct BandPosterior<'a> {
     /// Of `H`.
     factor: BandFactor<f64>,
     /// `L⁻¹ E v`.
-    solved: Vec<f64>,
+    units: Vec<f64>,
 }
 
 impl BandPosterior<'_> {
     /// `E v`.
     fn mean(&self) -> Vec<f64> {
         let WhitenedBand { roots, gram, .. } = self.system;
-        by_bin(gram, roots, &self.solved, |root, of| root * of)
+        by_bin(gram, roots, &self.units, |root, of| root * of)
     }
 
     /// `E v − v` of the estimate from the noiseless frame of the video `v`.
@@ -178,7 +177,7 @@ impl BandPosterior<'_> {
     /// For each `c`, weights of the voxels of a bin: the variance of `cᵀ v`, and the part of it that is noise of the estimate.
     fn variances(&self, weights: &[(usize, Vec<f64>)]) -> Vec<(f64, f64)> {
         let starts = self.system.gram.starts();
-        let mut columns = Mat::<f64>::zeros(self.solved.len(), weights.len());
+        let mut columns = Mat::<f64>::zeros(self.units.len(), weights.len());
         let sides: Vec<Mat<f64>> = weights
             .par_iter()
             .map(|(bin, c)| {
@@ -194,7 +193,8 @@ impl BandPosterior<'_> {
         let parts = columns.par_col_chunks_mut(PART);
         parts.for_each(|part| self.factor.solve_columns(part));
         let sigma_squared = self.system.sigma * self.system.sigma;
-        let variance = |(k, ((bin, _), side)): (usize, (&(usize, Vec<f64>), &Mat<f64>))| {
+        let variance = |k: usize| {
+            let (side, bin) = (&sides[k], &weights[k].0);
             let column = columns.col(k);
             let whole: f64 = (0..side.nrows())
                 .map(|i| side[(i, 0)] * column[starts[*bin] + i])
@@ -202,12 +202,7 @@ impl BandPosterior<'_> {
             let noise = whole - self.rho * column.squared_norm_l2();
             (sigma_squared * whole, sigma_squared * noise.max(0.0))
         };
-        weights
-            .iter()
-            .zip(&sides)
-            .enumerate()
-            .map(variance)
-            .collect()
+        (0..weights.len()).map(variance).collect()
     }
 }
 
@@ -267,7 +262,7 @@ impl Refit<'_> {
     }
 
     /// Whether fewer instants see bin `t` than others: it lies at an end of the frame.
-    fn is_end(&self, t: usize) -> bool {
+    fn is_outer(&self, t: usize) -> bool {
         let seen_by = |t: usize| self.instants_of(&(t..t + 1)).len();
         let most = (0..self.shape().bins).map(seen_by).max();
         most.is_some_and(|most| seen_by(t) < most)
@@ -302,8 +297,8 @@ impl Refit<'_> {
             }
             let mut voxels = Vec::new();
             self.add_voxels(t, |at| mask[at] == 1, &mut voxels);
-            if self.is_end(t) {
-                voxels.iter_mut().for_each(|p| p.scale *= END_SCALE);
+            if self.is_outer(t) {
+                voxels.iter_mut().for_each(|p| p.scale *= OUTER_SCALE);
             }
             voxels
         });
@@ -372,8 +367,19 @@ impl Refit<'_> {
         Some(values.map(|(p, v)| (index(p), v.max(0.0) as f32)).collect())
     }
 
-    /// The means over regions in bins; `None` where too many voxels are lit.
-    pub(super) fn coupled_means(&self, places: &[Place]) -> Option<Vec<Mean>> {
+    /// The means over regions in bins; `None` in bins that no instant sees, or where too many voxels are lit.
+    pub(super) fn coupled_means(&self, places: &[Place]) -> Vec<Option<Mean>> {
+        let bins = self.bins_of(&self.all_instants());
+        let seen = |place: &&Place| bins.contains(&place.0);
+        let found = self.means_of_seen(&places.iter().filter(seen).copied().collect::<Vec<_>>());
+        let mut found = found.unwrap_or_default().into_iter();
+        let means = places.iter();
+        means
+            .map(|place| seen(&place).then(|| found.next()).flatten())
+            .collect()
+    }
+
+    fn means_of_seen(&self, places: &[Place]) -> Option<Vec<Mean>> {
         let system = self.coupled_system(&self.all_instants(), places)?;
         let whitened = system.whiten(self.length_px)?;
         let posterior = whitened.posterior(self.amplitude);
@@ -443,69 +449,106 @@ mod tests {
 
     const LENGTH_PX: f64 = 1.4;
     const SIGMA: f64 = 0.3;
+    /// Some of the instants, as a sample has them.
+    const INSTANTS: Range<usize> = 1..3;
+
+    /// A frame of 6×5 pixels at an exposure of 2.5 rows, and two voxels that are lit in each bin.
+    struct Frame {
+        operator: RollingShutter,
+        video: Video,
+        measured: Vec<f32>,
+        weights: Vec<f32>,
+    }
+
+    impl Frame {
+        fn new() -> Self {
+            let camera = Camera::new(CameraParams {
+                rows: 6,
+                columns: 5,
+                shutter: Shutter::DualInsideOut,
+                row_time_us: 10.0,
+                exposure_us: 25.0,
+                bins_per_row: 1,
+                field: None,
+                sensor: Sensor::default(),
+            })
+            .unwrap();
+            let wave = |i: usize| ((i * i) as f32 * 0.7).sin() + 1.1;
+            let psf = Psf::new(Image::from_fn(11, 9, |y, x| wave(y * 9 + x))).unwrap();
+            let mut video = Video::zeros(camera.video_shape());
+            for bin in 0..camera.video_shape().bins {
+                let columns = camera.video_shape().columns;
+                let at = [(1 + bin % 3, 2), (4, bin % 4)];
+                for (k, (y, x)) in at.into_iter().enumerate() {
+                    video.bin_mut(bin)[y * columns + x] = 1.0 + 0.3 * k as f32;
+                }
+            }
+            Self {
+                operator: RollingShutter::new(&camera, &psf),
+                video,
+                measured: (0..30).map(|i| 2.0 * wave(i + 3)).collect(),
+                weights: (0..30).map(|i| [1.0, 0.5, 0.0][i % 3]).collect(),
+            }
+        }
+
+        fn refit(&self) -> Refit<'_> {
+            Refit {
+                input: RefitInput {
+                    operator: &self.operator,
+                    measured: &self.measured,
+                    weights: Some(&self.weights),
+                    sigma: SIGMA,
+                    video: &self.video,
+                },
+                brightness: 1.2,
+                amplitude: 0.8,
+                length_px: LENGTH_PX,
+                chi_squared: 1.0,
+                inflation: 1.0,
+            }
+        }
+
+        /// Indices of the pixels of the instants.
+        fn read(&self) -> Vec<usize> {
+            INSTANTS.flat_map(|i| self.operator.indices_of(i)).collect()
+        }
+
+        /// `W A` of the voxels and `W b`, 0 in the rows that other instants read.
+        fn dense(&self, voxels: &[Voxel]) -> (Mat<f64>, Mat<f64>) {
+            let (m, read, columns) = (30, self.read(), self.video.shape().columns);
+            let mut a = Mat::<f64>::zeros(m, voxels.len());
+            let mut b = Mat::<f64>::zeros(m, 1);
+            for (j, voxel) in voxels.iter().enumerate() {
+                let mut one = Video::zeros(self.video.shape());
+                one.bin_mut(voxel.bin)[voxel.y * columns + voxel.x] = 1.0;
+                let mut light = vec![0.0; m];
+                self.operator.apply(one.data(), &mut light);
+                for &i in &read {
+                    a[(i, j)] = f64::from(self.weights[i]) * f64::from(light[i]);
+                }
+            }
+            for i in read {
+                b[(i, 0)] = f64::from(self.weights[i]) * f64::from(self.measured[i]);
+            }
+            (a, b)
+        }
+    }
+
+    fn assert_near(found: f64, expected: f64, tolerance: f64) {
+        let limit = tolerance * expected.abs().max(1.0);
+        assert!((found - expected).abs() < limit, "{found} {expected}");
+    }
 
     /// Against the textbook's form, `K Aᵀ W (W A K Aᵀ W + σ²I)⁻¹` of dense matrices.
     #[test]
     fn estimate_errors_and_evidence_agree_with_another_form() {
-        let camera = Camera::new(CameraParams {
-            rows: 6,
-            columns: 5,
-            shutter: Shutter::DualInsideOut,
-            row_time_us: 10.0,
-            exposure_us: 25.0,
-            bins_per_row: 1,
-            field: None,
-            sensor: Sensor::default(),
-        })
-        .unwrap();
-        let wave = |i: usize| ((i * i) as f32 * 0.7).sin() + 1.1;
-        let psf = Psf::new(Image::from_fn(11, 9, |y, x| wave(y * 9 + x))).unwrap();
-        let operator = RollingShutter::new(&camera, &psf);
-        let shape = camera.video_shape();
-        let mut video = Video::zeros(shape);
-        for bin in 0..shape.bins {
-            let at = [(1 + bin % 3, 2), (4, bin % 4)];
-            for (k, (y, x)) in at.into_iter().enumerate() {
-                video.bin_mut(bin)[y * shape.columns + x] = 1.0 + 0.3 * k as f32;
-            }
-        }
-        let measured: Vec<f32> = (0..30).map(|i| 2.0 * wave(i + 3)).collect();
-        let weights: Vec<f32> = (0..30).map(|i| [1.0, 0.5, 0.0][i % 3]).collect();
-        let refit = Refit {
-            input: RefitInput {
-                operator: &operator,
-                measured: &measured,
-                weights: Some(&weights),
-                sigma: SIGMA,
-                video: &video,
-            },
-            brightness: 1.2,
-            amplitude: 0.8,
-            length_px: LENGTH_PX,
-            chi_squared: 1.0,
-            inflation: 1.0,
-        };
-        // Some of the instants, as a sample has them.
-        let instants = 1..3;
-        let system = refit.coupled_system(&instants, &[]).unwrap();
+        let frame = Frame::new();
+        let refit = frame.refit();
+        let system = refit.coupled_system(&INSTANTS, &[]).unwrap();
         let whitened = system.whiten(LENGTH_PX).unwrap();
         let voxels: Vec<Voxel> = system.voxels.iter().flatten().copied().collect();
-        let (n, m) = (voxels.len(), 30);
-        let rows: Vec<usize> = instants.flat_map(|i| operator.indices_of(i)).collect();
-        let mut a = Mat::<f64>::zeros(m, n);
-        for (j, voxel) in voxels.iter().enumerate() {
-            let mut one = Video::zeros(shape);
-            one.bin_mut(voxel.bin)[voxel.y * shape.columns + voxel.x] = 1.0;
-            let mut light = vec![0.0; m];
-            operator.apply(one.data(), &mut light);
-            for &i in &rows {
-                a[(i, j)] = f64::from(weights[i]) * f64::from(light[i]);
-            }
-        }
-        let b = Mat::from_fn(m, 1, |i, _| {
-            let is_read = rows.contains(&i);
-            f64::from(u8::from(is_read)) * f64::from(weights[i]) * f64::from(measured[i])
-        });
+        let (a, b) = frame.dense(&voxels);
+        let (n, m) = (voxels.len(), a.nrows());
         let mut evidences = Vec::new();
         for amplitude in [0.8, 1.7] {
             let posterior = whitened.posterior(amplitude);
@@ -515,49 +558,35 @@ mod tests {
             let whole = dense.llt(Side::Lower).unwrap();
             let gain = &k * a.transpose() * whole.solve(Mat::<f64>::identity(m, m));
             let mean = &gain * &b;
-            let covariance = &k - &gain * &a * &k;
             for (i, value) in posterior.mean().iter().enumerate() {
-                assert!(
-                    (value - mean[(i, 0)]).abs() < 1e-6,
-                    "{i}: {value} {}",
-                    mean[(i, 0)]
-                );
+                assert_near(*value, mean[(i, 0)], 1e-6);
             }
             let starts = whitened.gram.starts();
             let c: Vec<f64> = (0..starts[3] - starts[2]).map(|i| 1.0 - i as f64).collect();
-            let mut whole_c = Mat::<f64>::zeros(n, 1);
-            (0..c.len()).for_each(|i| whole_c[(starts[2] + i, 0)] = c[i]);
+            let mut all = Mat::<f64>::zeros(n, 1);
+            (0..c.len()).for_each(|i| all[(starts[2] + i, 0)] = c[i]);
             let (variance, of_noise) = posterior.variances(&[(2, c)])[0];
-            let expected = (whole_c.transpose() * &covariance * &whole_c)[(0, 0)];
-            assert!(
-                (variance - expected).abs() < 1e-6 * expected,
-                "{variance} {expected}"
-            );
-            let passed = gain.transpose() * &whole_c;
-            let expected = SIGMA * SIGMA * passed.squared_norm_l2();
-            assert!(
-                (of_noise - expected).abs() < 1e-6 * expected,
-                "{of_noise} {expected}"
-            );
+            let covariance = &k - &gain * &a * &k;
+            let expected = (all.transpose() * &covariance * &all)[(0, 0)];
+            assert_near(variance, expected, 1e-6);
+            let passed = gain.transpose() * &all;
+            assert_near(of_noise, SIGMA * SIGMA * passed.squared_norm_l2(), 1e-6);
             let truth: Vec<f64> = (0..n).map(|i| (i as f64).cos()).collect();
             let v = Mat::from_fn(n, 1, |i, _| truth[i]);
             let expected = &gain * &a * &v - &v;
             for (i, value) in posterior.pull(&truth).iter().enumerate() {
-                assert!((value - expected[(i, 0)]).abs() < 1e-6, "{i}");
+                assert_near(*value, expected[(i, 0)], 1e-6);
             }
             let determinant: f64 = (0..m).map(|i| whole.L()[(i, i)].ln()).sum();
             let expected = determinant + 0.5 * (b.transpose() * whole.solve(&b))[(0, 0)];
-            let evidence = whitened.negative_log_evidence(amplitude).unwrap();
-            evidences.push(evidence - expected);
+            evidences.push(whitened.negative_log_evidence(amplitude).unwrap() - expected);
             let (misfit, free) = system.misfit(LENGTH_PX, amplitude).unwrap();
             let rest = (&b - &a * &mean).squared_norm_l2() / (SIGMA * SIGMA);
-            assert!((misfit - rest).abs() < 1e-5 * rest, "{misfit} {rest}");
-            let informative = rows.iter().filter(|&&i| weights[i] > 0.0).count() as f64;
-            let hat: f64 = (0..m).map(|i| (&a * &gain)[(i, i)]).sum();
-            assert!(
-                (free - (informative - hat)).abs() < 0.02 * hat,
-                "{free} {hat}"
-            );
+            assert_near(misfit, rest, 1e-5);
+            let read = frame.read().into_iter();
+            let informative = read.filter(|&i| frame.weights[i] > 0.0).count() as f64;
+            let used: f64 = (0..m).map(|i| (&a * &gain)[(i, i)]).sum();
+            assert_near(informative - free, used, 0.02);
         }
         assert!((evidences[0] - evidences[1]).abs() < 1e-5, "{evidences:?}");
     }
