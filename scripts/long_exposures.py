@@ -28,7 +28,7 @@ if __name__ == "__main__":
     with_packages(CACHE, __file__, ["numpy", "scipy", "PIL"])
 
 import numpy as np
-from real_frames import Bench, KEEP, with_noise
+from real_frames import KEEP, Bench, exposure_text, with_noise
 
 PRIOR = "tv+0.5*tdiff+support"
 SCENES = {"moving": "moving digit", "digits": "54 digits", "leds": "three LEDs"}
@@ -56,7 +56,7 @@ def problem(bench, scene, exposure, seed, shutter, bins_per_row, electrons=None)
 
 
 def run(bench, made):
-    return bench.reconstruct(made, PRIOR, KEEP, "--self-calibrate", "off", "--noise-sigma", f"{made.sigma:.9g}", "--threads", 1)
+    return bench.reconstruct(made, PRIOR, KEEP, "--self-calibrate", "off", "--noise-sigma", f"{made.sigma:.9g}", "--threads", "1")
 
 
 def seconds_to(result, below_db):
@@ -82,7 +82,7 @@ def speed_rows(bench, options):
     cases += [(scene, exposure, *variant) for variant in VARIANTS for scene in ("moving", "digits") for exposure in (2.5, 6)]
     one_row = {}
     for scene, exposure, shutter, bins in cases:
-        name = f"{SCENES[scene]}, {exposure:g} rows" + ("" if (shutter, bins) == DUAL else f", {shutter}, {bins} bins a row")
+        name = f"{SCENES[scene]}, {exposure_text(exposure)}" + f", {shutter}" * (shutter != DUAL[0]) + ", 2 bins a row" * (bins == 2)
         if options.match not in name:
             continue
         say(name)
@@ -144,7 +144,7 @@ def main():
         "## Light against speed",
         "The same lamp: the first number is the electrons in the brightest pixel at one row, and an exposure of n rows has n times as many. PSNR "
         "in dB; the best of a row is bold.",
-        table(["scene", "electrons at one row", *(f"{e:g} rows" for e in options.exposures)], light),
+        table(["scene", "electrons at one row", *map(exposure_text, options.exposures)], light),
     ]) + "\n"
     print(text) if options.output is None else options.output.write_text(text)
 

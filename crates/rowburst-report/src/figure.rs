@@ -327,10 +327,21 @@ pub(crate) fn svg_options() -> usvg::Options<'static> {
 const DPI: f32 = 96.0;
 
 /// An SVG file as a PDF file of one page.
+#[cfg(feature = "pdf")]
 pub(crate) fn pdf_of(svg: &str) -> Result<Vec<u8>> {
     let tree = usvg::Tree::from_str(svg, &svg_options()).map_err(failed)?;
     let page = svg2pdf::PageOptions { dpi: DPI };
     svg2pdf::to_pdf(&tree, svg2pdf::ConversionOptions::default(), page).map_err(failed)
+}
+
+#[cfg(not(feature = "pdf"))]
+pub(crate) fn pdf_of(_svg: &str) -> Result<Vec<u8>> {
+    Err(rowburst::Error::work(
+        rowburst::error::Subject::named("PDF"),
+        "it is not part of this program",
+        "Write an .svg or .png, or build it in: cargo install --locked --path crates/rowburst-cli --features pdf. Releases and the Python package have it.",
+    )
+    .with_kind(rowburst::ErrorKind::Unsupported))
 }
 
 /// Copies a raster into its place: nearest neighbour when enlarged, block means when reduced.

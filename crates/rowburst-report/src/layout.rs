@@ -51,7 +51,7 @@ impl ComposedFigure {
     /// paper, where it is given.
     ///
     /// # Errors
-    /// A figure that cannot be converted.
+    /// A figure that cannot be converted, or a build without the feature `pdf`.
     pub fn pdf(&self) -> Result<Vec<u8>> {
         pdf_of(&self.svg)
     }
