@@ -293,12 +293,7 @@ fn files() {
             "a folder as experiment",
             |lab| std::fs::create_dir(lab.path("run")).unwrap(),
             "reconstruct run --frame frame.npy -o out",
-            [
-                "run",
-                "a folder",
-                "an experiment file",
-                "run/experiment.toml",
-            ],
+            ["run", "a folder", "an experiment file", "experiment.toml"],
         ),
         case(
             "unknown extension",

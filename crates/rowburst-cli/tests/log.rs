@@ -25,7 +25,8 @@ fn verbose_logs_every_step_with_its_time() {
         assert!(seconds >= last && !text.is_empty(), "{line}");
         last = seconds;
     }
-    // In this order.
+    // In this order, with paths as on this system.
+    let log = log.replace(std::path::MAIN_SEPARATOR, "/");
     let mut rest = log.as_str();
     for step in [
         "instruction set",
@@ -43,8 +44,6 @@ fn verbose_logs_every_step_with_its_time() {
         "wrote verbose/video.npy, ",
         "wrote verbose/result.json, ",
     ] {
-        // As paths are written here.
-        let step = &step.replace('/', std::path::MAIN_SEPARATOR_STR);
         let at = rest.find(step);
         let at = at.unwrap_or_else(|| panic!("no \"{step}\" after the steps before it in\n{log}"));
         rest = &rest[at + step.len()..];

@@ -1,14 +1,18 @@
 //! Paths as seen from a folder, so that both may move together.
 
 use crate::source::ArrayPath;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// `path` as seen from `folder`, with `/` on every system; absolute where they have no folder in common but the root.
 /// `FILE.h5:/path` keeps the name of its array.
 pub fn relative_path(path: &Path, folder: &Path) -> String {
     let ArrayPath { file, array } = ArrayPath::of(path);
-    let absolute = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
-    let (Ok(file), Ok(folder)) = (absolute(&file), absolute(folder)) else {
+    // Both by the same rule: on Windows the two forms have no component in common.
+    let both = |rule: fn(&Path) -> io::Result<PathBuf>| Ok((rule(&file)?, rule(folder)?));
+    let found: io::Result<_> = both(|path| path.canonicalize())
+        .or_else(|_: io::Error| both(|path| std::path::absolute(path)));
+    let Ok((file, folder)) = found else {
         return path.to_string_lossy().into_owned();
     };
     let pairs = file.components().zip(folder.components());
