@@ -90,7 +90,7 @@ pub struct DebiasedVideo {
 /// Threshold of `S` over the brightness; larger leaves faint light out, smaller costs precision (docs/design/016).
 const THRESHOLD: f64 = 0.01;
 /// Doublings of the threshold in a bin that has too many voxels and shares instants with others.
-const RAISED: u32 = 4;
+const MAX_DOUBLINGS: u32 = 4;
 /// Most voxels of an instant: a factorisation grows with the cube of their number.
 const MAX_VOXELS: usize = 400;
 /// Most instants that `a` and `ℓ` are found from; more cost time for some per cent (docs/design/016).
@@ -261,7 +261,8 @@ impl<'a> Refit<'a> {
     fn values(&self) -> Vec<(Range<usize>, Option<VoxelValues>)> {
         let shape = self.shape();
         if self.is_coupled() {
-            return vec![(0..shape.bins, self.coupled_values())];
+            let values = self.coupled_values().into_iter().enumerate();
+            return values.map(|(t, found)| (t..t + 1, found)).collect();
         }
         let instants = self.input.operator.time().instants().par_iter().enumerate();
         let values = |(i, run): (usize, &InstantWeights)| {
@@ -284,7 +285,7 @@ impl<'a> Refit<'a> {
     /// The lit voxels of bin `t`, 1 in a mask; `None` where they are too many.
     fn active_mask(&self, t: usize) -> Option<Vec<u8>> {
         // The light of a bin that shares instants with others must not be left out: it would be sought in these.
-        let steps = if self.is_coupled() { RAISED } else { 0 };
+        let steps = if self.is_coupled() { MAX_DOUBLINGS } else { 0 };
         (0..=steps).find_map(|step| {
             let threshold = THRESHOLD * self.brightness * f64::from(1 << step);
             let mask = self.mask_above(t, threshold);

@@ -10,8 +10,8 @@
 //! `H` is banded in time: bins further apart than an exposure have no instant in common.
 
 use super::{
-    Evidence, MAX_SAMPLES, MAX_VOXELS, Mean, Place, Refit, RefitInput, mean_square_nearby,
-    mean_weights,
+    Evidence, MAX_SAMPLES, MAX_VOXELS, Mean, Place, Refit, RefitInput, THRESHOLD, VoxelValues,
+    mean_square_nearby, mean_weights,
 };
 use crate::active_gram::ActiveColumns;
 use crate::traces::kernel::{Voxel, covariance};
@@ -93,15 +93,17 @@ impl CoupledSystem {
     pub fn misfit(&self, length_px: f64, amplitude: f64) -> Option<(f64, f64)> {
         let whitened = self.whiten(length_px)?;
         let posterior = whitened.posterior(amplitude);
-        let explained = dot(&posterior.units, &whitened.projected);
-        let rest = self.power - explained - posterior.rho * dot(&posterior.units, &posterior.units);
+        let explained = dot(&posterior.whitened_mean, &whitened.projected);
+        let rest = self.power
+            - explained
+            - posterior.rho * dot(&posterior.whitened_mean, &posterior.whitened_mean);
         // tr(I − ρH⁻¹), by the derivative of ln det H with ln ρ.
         let log_determinant = |step: f64| {
             let factor = whitened.gram.factor(posterior.rho * step.exp());
             factor.log_determinant()
         };
         let slope = (log_determinant(LOG_STEP) - log_determinant(-LOG_STEP)) / (2.0 * LOG_STEP);
-        let used = posterior.units.len() as f64 - slope;
+        let used = posterior.whitened_mean.len() as f64 - slope;
         Some((
             rest / (self.sigma * self.sigma),
             self.informative as f64 - used,
@@ -123,13 +125,13 @@ impl WhitenedBand {
     fn posterior(&self, amplitude: f64) -> BandPosterior<'_> {
         let rho = (self.sigma / amplitude).powi(2);
         let factor = self.gram.factor(rho);
-        let mut units = self.projected.clone();
-        factor.solve(&mut units);
+        let mut whitened_mean = self.projected.clone();
+        factor.solve(&mut whitened_mean);
         BandPosterior {
             system: self,
             rho,
             factor,
-            units,
+            whitened_mean,
         }
     }
 }
@@ -139,7 +141,7 @@ impl Evidence for WhitenedBand {
         let posterior = self.posterior(amplitude);
         let size = self.projected.len() as f64;
         let determinant = 2.0 * size * amplitude.ln() + posterior.factor.log_determinant();
-        let gain = dot(&posterior.units, &self.projected) / (self.sigma * self.sigma);
+        let gain = dot(&posterior.whitened_mean, &self.projected) / (self.sigma * self.sigma);
         Some(0.5 * (determinant - gain))
     }
 }
@@ -151,14 +153,14 @@ struct BandPosterior<'a> {
     /// Of `H`.
     factor: BandFactor<f64>,
     /// `L⁻¹ E v`.
-    units: Vec<f64>,
+    whitened_mean: Vec<f64>,
 }
 
 impl BandPosterior<'_> {
     /// `E v`.
     fn mean(&self) -> Vec<f64> {
         let WhitenedBand { roots, gram, .. } = self.system;
-        by_bin(gram, roots, &self.units, |root, of| root * of)
+        by_bin(gram, roots, &self.whitened_mean, |root, of| root * of)
     }
 
     /// `E v − v` of the estimate from the noiseless frame of the video `v`.
@@ -177,7 +179,7 @@ impl BandPosterior<'_> {
     /// For each `c`, weights of the voxels of a bin: the variance of `cᵀ v`, and the part of it that is noise of the estimate.
     fn variances(&self, weights: &[(usize, Vec<f64>)]) -> Vec<(f64, f64)> {
         let starts = self.system.gram.starts();
-        let mut columns = Mat::<f64>::zeros(self.units.len(), weights.len());
+        let mut columns = Mat::<f64>::zeros(self.whitened_mean.len(), weights.len());
         let sides: Vec<Mat<f64>> = weights
             .par_iter()
             .map(|(bin, c)| {
@@ -261,11 +263,21 @@ impl Refit<'_> {
         first..(first + 2 * reach + 1).min(bins)
     }
 
-    /// Whether fewer instants see bin `t` than others: it lies at an end of the frame.
-    fn is_outer(&self, t: usize) -> bool {
-        let seen_by = |t: usize| self.instants_of(&(t..t + 1)).len();
-        let most = (0..self.shape().bins).map(seen_by).max();
-        most.is_some_and(|most| seen_by(t) < most)
+    /// Whether fewer instants see a bin than others, for each bin: it lies at an end of the frame.
+    fn outer_bins(&self) -> Vec<bool> {
+        let mut seen_by = vec![0; self.shape().bins];
+        for run in self.input.operator.time().instants() {
+            let seen = &mut seen_by[run.first_bin..][..run.weights.len()];
+            seen.iter_mut().for_each(|count| *count += 1);
+        }
+        let most = seen_by.iter().copied().max();
+        seen_by.iter().map(|count| Some(*count) < most).collect()
+    }
+
+    /// Whether bin `t` has more lit voxels than are estimated: its faint light is left out, so it has no errors itself.
+    fn is_crowded(&self, t: usize) -> bool {
+        let mask = self.mask_above(t, THRESHOLD * self.brightness);
+        mask.iter().filter(|&&lit| lit == 1).count() > MAX_VOXELS
     }
 
     /// The lit voxels of `bins` with the surroundings of `places`; `None` where they are too many in a bin.
@@ -279,6 +291,7 @@ impl Refit<'_> {
         };
         let lit = masks(&|t| self.active_mask(t))?;
         let bright = masks(&|t| Some(self.mask_above(t, BRIGHT * self.brightness)))?;
+        let outer = self.outer_bins();
         let voxels = bins.clone().into_par_iter().zip(lit).map(|(t, mut mask)| {
             let near = self.near_bins(t);
             let near = near.start.max(bins.start)..near.end.min(bins.end);
@@ -297,7 +310,7 @@ impl Refit<'_> {
             }
             let mut voxels = Vec::new();
             self.add_voxels(t, |at| mask[at] == 1, &mut voxels);
-            if self.is_outer(t) {
+            if outer[t] {
                 voxels.iter_mut().for_each(|p| p.scale *= OUTER_SCALE);
             }
             voxels
@@ -355,22 +368,38 @@ impl Refit<'_> {
         self.coupled_system(&(first..end), &[])
     }
 
-    /// Index of each voxel in the video, with its estimate; `None` where too many are lit.
-    pub(super) fn coupled_values(&self) -> Option<Vec<(usize, f32)>> {
-        let system = self.coupled_system(&self.all_instants(), &[])?;
-        let whitened = system.whiten(self.length_px)?;
-        let mean = whitened.posterior(self.amplitude).mean();
+    /// Index of each voxel in the video, with its estimate, by bin; `None` where too many are lit.
+    pub(super) fn coupled_values(&self) -> Vec<Option<VoxelValues>> {
+        let bins = self.shape().bins;
+        let estimate = || {
+            let system = self.coupled_system(&self.all_instants(), &[])?;
+            let whitened = system.whiten(self.length_px)?;
+            let mean = whitened.posterior(self.amplitude).mean();
+            Some((system, mean))
+        };
+        let Some((system, mean)) = estimate() else {
+            return vec![None; bins];
+        };
         let shape = self.shape();
         let index = |p: &Voxel| p.bin * shape.pixels() + p.y * shape.columns + p.x;
-        let voxels = system.voxels.iter().flatten();
-        let values = voxels.zip(&mean);
-        Some(values.map(|(p, v)| (index(p), v.max(0.0) as f32)).collect())
+        let mut values = vec![Some(Vec::new()); bins];
+        for (p, v) in system.voxels.iter().flatten().zip(&mean) {
+            let of_bin = values[p.bin].get_or_insert_default();
+            of_bin.push((index(p), v.max(0.0) as f32));
+        }
+        (0..bins)
+            .filter(|&t| self.is_crowded(t))
+            .for_each(|t| values[t] = None);
+        values
     }
 
     /// The means over regions in bins; `None` in bins that no instant sees, or where too many voxels are lit.
     pub(super) fn coupled_means(&self, places: &[Place]) -> Vec<Option<Mean>> {
         let bins = self.bins_of(&self.all_instants());
-        let seen = |place: &&Place| bins.contains(&place.0);
+        let known: Vec<bool> = (0..self.shape().bins)
+            .map(|t| bins.contains(&t) && !self.is_crowded(t))
+            .collect();
+        let seen = |place: &&Place| known[place.0];
         let found = self.means_of_seen(&places.iter().filter(seen).copied().collect::<Vec<_>>());
         let mut found = found.unwrap_or_default().into_iter();
         let means = places.iter();
