@@ -104,6 +104,30 @@ impl Support {
         self
     }
 
+    /// Adds, in the bins `bins`, the voxels of `before` where `video` is above `threshold`.
+    ///
+    /// # Panics
+    /// If a length or the shape of `before` does not match.
+    #[must_use]
+    pub fn with_still_lit(
+        mut self,
+        before: &Self,
+        video: &[f32],
+        threshold: f32,
+        bins: impl Iterator<Item = usize>,
+    ) -> Self {
+        assert_eq!(before.shape, self.shape, "shape of the support before");
+        assert_eq!(video.len(), self.shape.voxels(), "length of the video");
+        let pixels = self.shape.pixels();
+        let all = Arc::make_mut(&mut self.mask);
+        for t in bins {
+            for i in t * pixels..(t + 1) * pixels {
+                all[i] |= before.mask[i] & u8::from(video[i] > threshold);
+            }
+        }
+        self
+    }
+
     /// Adds all voxels of the crowded bins, those with more than `max_active` active voxels.
     #[must_use]
     pub fn with_crowded_bins_unrestricted(mut self, max_active: usize) -> Self {
@@ -236,6 +260,21 @@ mod tests {
         let support = dark.with_correlated(&correlation, &[1]);
         assert_eq!(support.pixels_of(0), Some(vec![]));
         assert_eq!(support.pixels_of(1).unwrap().len(), 15);
+    }
+
+    #[test]
+    fn lit_voxels_of_a_bin_stay_active() {
+        let shape = Shape::new(2, 6, 6);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[7], video[36 + 7], video[28]) = (0.1, 0.1, 0.1);
+        let mut mask = vec![0u8; shape.voxels()];
+        (mask[7], mask[8], mask[36 + 7]) = (1, 1, 1);
+        let before = Support::from_mask(mask, shape);
+        let support = Support::above(&video, shape, &[1.0, 1.0]);
+        let support = support.with_still_lit(&before, &video, 0.05, [0].into_iter());
+        // Not the dark voxel 8, not voxel 28, which was inactive, and none of the other bin.
+        assert_eq!(support.pixels_of(0), Some(vec![7]));
+        assert_eq!(support.pixels_of(1), Some(vec![]));
     }
 
     #[test]

@@ -19,8 +19,8 @@ pub struct Capabilities<'a> {
 /// support makes the problem non-convex, which of its solutions is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DataHints {
-    /// How much a new `ρ` costs.
-    pub size: ProblemSize,
+    /// Which constants it takes.
+    pub kind: ProblemKind,
     /// Most active voxels of a bin for which a restricted x-step takes less time than an unrestricted one.
     ///
     /// A bin with more is unrestricted in the x-step; the prior alone keeps its inactive voxels at zero.
@@ -30,20 +30,22 @@ pub struct DataHints {
 impl Default for DataHints {
     fn default() -> Self {
         Self {
-            size: ProblemSize::Small,
+            kind: ProblemKind::Small,
             max_restricted_voxels: usize::MAX,
         }
     }
 }
 
-/// What a new factor of the x-step costs; it chooses the values of [`super::admm::SizeTuning`].
+/// What a new factor of the x-step costs, and whether bins depend on each other; it chooses the values of [`super::admm::KindTuning`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ProblemSize {
+pub enum ProblemKind {
     /// A new factor costs about as much as an iteration, or no factor is needed.
     #[default]
     Small,
     /// A wide sensor, whose blocks have thousands of measurements: a new factor costs more than ten iterations.
     Wide,
+    /// Exposures longer than a row: rows share bins, and light in a wrong bin is found more slowly.
+    Coupled,
 }
 
 /// A data term that computes `P Aᵀ y` part by part.

@@ -8,9 +8,10 @@ use rowburst_core::vecmath::{dot, norm};
 
 /// An approximate inverse of `A Aᵀ + ρI`, symmetric and positive definite.
 pub trait Preconditioner: Send {
-    /// Most iterations of a call for videos that are restricted to a support or not. Larger makes fewer x-steps
-    /// inexact and costs time (docs/design/025).
-    fn max_iterations(&self, is_restricted: bool) -> usize;
+    /// Most iterations of a call for videos that are restricted to a support or not, see
+    /// [`ConjugateGradient::early_calls`] for early ones. Larger makes fewer x-steps inexact and costs time
+    /// (docs/design/025).
+    fn max_iterations(&self, is_restricted: bool, is_early: bool) -> usize;
 
     /// Writes the approximation of `(A Aᵀ + ρI)⁻¹ r` to `out`.
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]);
@@ -32,6 +33,8 @@ pub struct ConjugateGradient {
     is_stale: bool,
     /// Calls since the last change of the operator.
     calls: usize,
+    /// So many calls from the first one on are early ones, for which a coarse solution will do; 0: none.
+    pub early_calls: usize,
     support: Option<Support>,
 }
 
@@ -44,6 +47,7 @@ impl ConjugateGradient {
             gram_y: vec![0.0; length],
             is_stale: false,
             calls: 0,
+            early_calls: 0,
             support: None,
         }
     }
@@ -100,6 +104,9 @@ impl ConjugateGradient {
             gram(y, &mut self.gram_y);
             self.is_stale = false;
         }
+        let max_iterations = self
+            .preconditioner
+            .max_iterations(self.support.is_some(), self.calls < self.early_calls);
         self.calls += 1;
         gram_y.copy_from_slice(&self.gram_y);
         let mut residual: Vec<f32> = (0..r.len())
@@ -113,7 +120,6 @@ impl ConjugateGradient {
         // rᵀ M⁻¹ r with the residual r and the preconditioner M⁻¹.
         let mut residual_product = dot(&residual, &preconditioned);
         let is_reached = |residual: &[f32], y: &[f32]| norm(residual) <= tolerance * rho * norm(y);
-        let max_iterations = self.preconditioner.max_iterations(self.support.is_some());
         for _ in 0..max_iterations {
             if is_reached(&residual, y) || residual_product <= 0.0 {
                 break;

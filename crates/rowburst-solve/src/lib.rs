@@ -12,7 +12,7 @@ pub mod coupled_blocks;
 pub mod prox;
 
 pub(crate) use capabilities::write_adjoint;
-pub use capabilities::{Capabilities, DataHints, FusedAdjoint, ProblemSize};
+pub use capabilities::{Capabilities, DataHints, FusedAdjoint, ProblemKind};
 pub use certificate::Certificate;
 
 use rowburst_core::Support;

@@ -124,7 +124,7 @@ use std::ops::ControlFlow;
 pub mod solve {
     #[doc(inline)]
     pub use rowburst_solve::{
-        Capabilities, Certificate, DataHints, DataTerm, FusedAdjoint, ProblemSize, StopReason, admm,
+        Capabilities, Certificate, DataHints, DataTerm, FusedAdjoint, ProblemKind, StopReason, admm,
     };
 }
 

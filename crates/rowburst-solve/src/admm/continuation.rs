@@ -2,6 +2,7 @@
 
 use super::phase::{Phase, Schedule};
 use super::tuning::Tuning;
+use crate::ProblemKind;
 
 /// Chooses `β` as a part of the video's brightness that falls over the first steps.
 ///
@@ -19,11 +20,11 @@ pub(super) struct Continuation {
 }
 
 impl Continuation {
-    pub fn new(relative_threshold: f64, tuning: &Tuning) -> Self {
+    pub fn new(relative_threshold: f64, tuning: &Tuning, kind: ProblemKind) -> Self {
         Self {
             relative_threshold,
             factor: tuning.continuation_factor,
-            end: tuning.continuation_end,
+            end: tuning.for_kind(kind).continuation_end,
             interval: tuning.threshold_interval,
             initial_brightness_ratio: tuning.initial_brightness_ratio,
         }
@@ -53,8 +54,8 @@ mod tests {
 
     #[test]
     fn the_threshold_falls_to_its_end() {
-        let continuation = Continuation::new(0.01, &Tuning::STANDARD);
-        let mut schedule = Schedule::new(&Tuning::STANDARD);
+        let continuation = Continuation::new(0.01, &Tuning::STANDARD, ProblemKind::Small);
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
         assert_eq!(continuation.beta(0.0, &schedule), None);
         assert_eq!(continuation.first_beta(1.0, &schedule), Some(0.4));
         let mut betas = Vec::new();

@@ -33,13 +33,14 @@ pub(super) struct Controllers {
 impl Controllers {
     pub fn new(data: &dyn DataTerm, shape: Shape, params: &AdmmParams) -> Self {
         let tuning = &params.tuning;
+        let kind = data.capabilities().hints.kind;
         let mut controllers = Self {
             shape,
-            schedule: Schedule::new(tuning),
+            schedule: Schedule::new(tuning, kind),
             penalty: Penalty::new(params.tau, data, tuning),
             active_set: ActiveSet::new(data, shape, params),
             discrepancy: Discrepancy::new(tuning),
-            continuation: Continuation::new(params.threshold, tuning),
+            continuation: Continuation::new(params.threshold, tuning, kind),
             noise_weights: NoiseWeights::new(tuning),
             decline: DeclineDetector::new(shape.bins, tuning),
             tuning: *tuning,

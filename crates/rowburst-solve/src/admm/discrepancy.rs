@@ -54,11 +54,12 @@ impl Discrepancy {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ProblemKind;
 
     #[test]
     fn degrees_of_freedom_are_counted_after_the_warm_up() {
         let discrepancy = Discrepancy::new(&Tuning::STANDARD);
-        let mut schedule = Schedule::new(&Tuning::STANDARD);
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
         let mut steps = Vec::new();
         for _ in 0..55 {
             schedule.finish_iteration();

@@ -30,7 +30,7 @@
 //! its slow part is light that stays as haze in inactive voxels. A bin of which more than a third is active is
 //! unrestricted. A bin whose residual is too large and no longer falls is underfit: its threshold is lowered, and the
 //! voxels to which the residual points, `Aᵀ(b − A v)`, are added; in the end all of its voxels are active
-//! (`docs/design/007`). In a wide problem, see [`ProblemSize`](super::ProblemSize), an underfit bin is unrestricted at
+//! (`docs/design/007`). In a wide problem, see [`ProblemKind`](super::ProblemKind), an underfit bin is unrestricted at
 //! once, and after some updates restricted again. With hundreds of voxels for each pixel of the frame a video takes
 //! shape slowly, and the first restriction waits for it (`docs/design/008`).
 //!
@@ -60,7 +60,7 @@ mod tuning;
 mod variables;
 
 pub use brightness::brightness;
-pub use tuning::{SizeTuning, Tuning, TuningError};
+pub use tuning::{KindTuning, Tuning, TuningError};
 
 use super::{Certificate, DataTerm, StopReason};
 use crate::prox::Prox;

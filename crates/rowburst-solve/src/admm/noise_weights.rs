@@ -36,11 +36,12 @@ impl NoiseWeights {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ProblemKind;
 
     #[test]
     fn weights_become_rarer() {
         let weights = NoiseWeights::new(&Tuning::STANDARD);
-        let mut schedule = Schedule::new(&Tuning::STANDARD);
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
         let mut steps = Vec::new();
         for _ in 0..310 {
             schedule.finish_iteration();

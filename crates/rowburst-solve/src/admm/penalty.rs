@@ -1,7 +1,7 @@
 //! The penalty `ρ`, the threshold `β` of the z-step, and with them `τ = ρβ`.
 
 use super::TauRule;
-use super::tuning::{SizeTuning, Tuning};
+use super::tuning::{KindTuning, Tuning};
 use crate::DataTerm;
 
 /// Keeps `ρ`, `β` and `τ` consistent.
@@ -23,7 +23,7 @@ pub(super) struct Penalty {
     /// See [`DataTerm::min_rho`].
     stable_rho: f64,
     max_step: f64,
-    tuning: SizeTuning,
+    tuning: KindTuning,
 }
 
 /// Where a run stands, as far as the correction of `ρ` depends on it.
@@ -43,18 +43,18 @@ pub(super) struct Circumstances {
 
 impl Penalty {
     pub fn new(rule: TauRule, data: &dyn DataTerm, tuning: &Tuning) -> Self {
-        let size_tuning = *tuning.for_size(data.capabilities().hints.size);
+        let kind_tuning = *tuning.for_kind(data.capabilities().hints.kind);
         let (scale, stable_rho) = (data.scale(), data.min_rho());
         let lower = (tuning.min_relative_rho * scale).max(stable_rho);
         Self {
             rule,
-            rho: size_tuning.initial_rho * scale,
+            rho: kind_tuning.initial_rho * scale,
             beta: 0.0,
             previous_rho: f64::NAN,
             bounds: (lower, (tuning.max_relative_rho * scale).max(lower)),
             stable_rho,
             max_step: tuning.max_rho_step,
-            tuning: size_tuning,
+            tuning: kind_tuning,
         }
     }
 
@@ -157,7 +157,7 @@ impl Penalty {
         }
     }
 
-    /// Keeps `ρ` from now on above [`SizeTuning::min_rho_ratio`] of its present value, under the discrepancy rule.
+    /// Keeps `ρ` from now on above [`KindTuning::min_rho_ratio`] of its present value, under the discrepancy rule.
     pub fn raise_lower_bound(&mut self) {
         let (lower, upper) = &mut self.bounds;
         *lower = lower.max(self.tuning.min_rho_ratio * self.rho).min(*upper);
@@ -167,13 +167,13 @@ impl Penalty {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Capabilities, DataHints, ProblemSize};
+    use crate::{Capabilities, DataHints, ProblemKind};
     use rowburst_core::Support;
     use rowburst_core::linop::LinearOperator;
 
     /// A data term whose numbers alone count.
     struct Numbers {
-        size: ProblemSize,
+        kind: ProblemKind,
         min_rho: f64,
     }
 
@@ -212,7 +212,7 @@ mod tests {
 
         fn capabilities(&self) -> Capabilities<'_> {
             let hints = DataHints {
-                size: self.size,
+                kind: self.kind,
                 ..DataHints::default()
             };
             Capabilities {
@@ -230,13 +230,13 @@ mod tests {
         iterations: 31,
     };
 
-    fn penalty(rule: TauRule, size: ProblemSize, min_rho: f64) -> Penalty {
-        Penalty::new(rule, &Numbers { size, min_rho }, &Tuning::STANDARD)
+    fn penalty(rule: TauRule, kind: ProblemKind, min_rho: f64) -> Penalty {
+        Penalty::new(rule, &Numbers { kind, min_rho }, &Tuning::STANDARD)
     }
 
     #[test]
     fn a_given_tau_is_the_product() {
-        let mut penalty = penalty(TauRule::Fixed(0.2), ProblemSize::Small, 0.5);
+        let mut penalty = penalty(TauRule::Fixed(0.2), ProblemKind::Small, 0.5);
         penalty.set_beta(0.1);
         assert_eq!((penalty.rho(), penalty.tau()), (2.0, 0.2));
         penalty.correct(1.0, 10.0, SETTLED);
@@ -251,7 +251,7 @@ mod tests {
     #[test]
     fn rho_moves_towards_the_bound() {
         let rule = TauRule::Discrepancy { sigma: 1.0 };
-        let mut penalty = penalty(rule, ProblemSize::Small, 0.0);
+        let mut penalty = penalty(rule, ProblemKind::Small, 0.0);
         assert_eq!(penalty.rho(), 0.1);
         penalty.begin_iteration();
         penalty.correct(1.0, 1.01, SETTLED);
@@ -275,13 +275,13 @@ mod tests {
     #[test]
     fn corrections_are_rarer_while_they_are_dear() {
         let rule = TauRule::Discrepancy { sigma: 1.0 };
-        let is_corrected = |size, residual_norm, now| {
-            let mut penalty = penalty(rule, size, 0.0);
+        let is_corrected = |kind, residual_norm, now| {
+            let mut penalty = penalty(rule, kind, 0.0);
             penalty.begin_iteration();
             penalty.correct(1.0, residual_norm, now);
             !penalty.is_unchanged()
         };
-        let (small, wide) = (ProblemSize::Small, ProblemSize::Wide);
+        let (small, wide) = (ProblemKind::Small, ProblemKind::Wide);
         let early = Circumstances {
             is_warming_up: true,
             ..SETTLED

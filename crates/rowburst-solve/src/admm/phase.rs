@@ -1,7 +1,8 @@
 //! The phases of a run, and what ends each of them.
 
 use super::brightness::brightness;
-use super::tuning::Tuning;
+use super::tuning::{KindTuning, Tuning};
+use crate::ProblemKind;
 use rowburst_core::Shape;
 
 /// What a run is doing.
@@ -10,14 +11,14 @@ use rowburst_core::Shape;
 /// steps, so a wait or a warm start, which go back some steps, repeat the updates of these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// The video takes shape while `β` falls. Ends at step [`Tuning::first_restriction`].
+    /// The video takes shape while `β` falls. Ends at step [`KindTuning::first_restriction`].
     WarmUp,
     /// The warm-up of an undersampled video: with hundreds of voxels for each pixel of the frame its bins still get
     /// brighter where others do not change any more, and a restriction would cut off light that still rises. Repeats the
     /// last [`Tuning::decline_window`] steps of the warm-up. Ends once every bin has become darker over such a window or
     /// was found dark, or at iteration [`Tuning::latest_first_restriction`].
     WaitingForDecline,
-    /// The video is restricted to its support, and `β` follows its brightness. Ends at step [`Tuning::settled_from`].
+    /// The video is restricted to its support, and `β` follows its brightness. Ends at step [`KindTuning::settled_from`].
     Settling,
     /// `β` is constant, and the run stops as soon as its certificate permits. Ends with the run.
     Settled,
@@ -31,15 +32,17 @@ pub(super) struct Schedule {
     /// Iterations done since the start of the run or of the present frame.
     iterations: usize,
     tuning: Tuning,
+    kind_tuning: KindTuning,
 }
 
 impl Schedule {
-    pub fn new(tuning: &Tuning) -> Self {
+    pub fn new(tuning: &Tuning, kind: ProblemKind) -> Self {
         Self {
             phase: Phase::WarmUp,
             step: 0,
             iterations: 0,
             tuning: *tuning,
+            kind_tuning: *tuning.for_kind(kind),
         }
     }
 
@@ -64,7 +67,7 @@ impl Schedule {
 
     /// Whether the step of the first restriction is reached, though the video may wait.
     pub fn has_reached_first_restriction(&self) -> bool {
-        self.phase != Phase::WarmUp || self.step >= self.tuning.first_restriction
+        self.phase != Phase::WarmUp || self.step >= self.kind_tuning.first_restriction
     }
 
     /// Whether the step is a multiple of `interval`.
@@ -80,9 +83,12 @@ impl Schedule {
 
     /// Enters the next phase if the present one has ended. `must_wait` is asked at the end of the warm-up.
     pub fn advance(&mut self, must_wait: impl FnOnce() -> bool) {
-        let Tuning {
+        let KindTuning {
             first_restriction,
             settled_from,
+            ..
+        } = self.kind_tuning;
+        let Tuning {
             decline_window,
             latest_first_restriction,
             ..
@@ -101,14 +107,14 @@ impl Schedule {
         }
     }
 
-    /// Begins another frame. At most the steps after [`Tuning::warm_start_step`] are repeated, and the next update of
+    /// Begins another frame. At most the steps after [`KindTuning::warm_start_step`] are repeated, and the next update of
     /// the support comes when it would have come without a new frame.
     pub fn warm_start(&mut self) {
-        let start = self.tuning.warm_start_step;
+        let start = self.kind_tuning.warm_start_step;
         let past_start = self.step.saturating_sub(start);
         self.step = self.step.min(start) + past_start % self.tuning.support_interval;
         self.iterations = 0;
-        self.phase = if self.step < self.tuning.first_restriction {
+        self.phase = if self.step < self.kind_tuning.first_restriction {
             Phase::WarmUp
         } else {
             Phase::Settling
@@ -171,7 +177,7 @@ mod tests {
 
     #[test]
     fn phases_follow_each_other() {
-        let mut schedule = Schedule::new(&Tuning::STANDARD);
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
         let phases = phases(&mut schedule, 60, |_| false);
         assert!(phases[..19].iter().all(|p| *p == Phase::WarmUp));
         assert!(phases[19..39].iter().all(|p| *p == Phase::Settling));
@@ -181,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_wait_repeats_the_last_steps_of_the_warm_up() {
-        let mut schedule = Schedule::new(&Tuning::STANDARD);
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
         let phases = phases(&mut schedule, 60, |done| done < 33);
         assert!(phases[..19].iter().all(|p| *p == Phase::WarmUp));
         // The bins are looked at after 20, 25, 30 and 35 iterations.
@@ -196,7 +202,7 @@ mod tests {
 
     #[test]
     fn a_wait_ends_at_the_latest_iteration() {
-        let mut schedule = Schedule::new(&Tuning::STANDARD);
+        let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
         let phases = phases(&mut schedule, 160, |_| true);
         assert!(
             phases[19..149]
@@ -209,7 +215,7 @@ mod tests {
     #[test]
     fn a_warm_start_keeps_the_rhythm_of_the_support() {
         for done in [5, 19, 20, 26, 33, 57, 142] {
-            let mut schedule = Schedule::new(&Tuning::STANDARD);
+            let mut schedule = Schedule::new(&Tuning::STANDARD, ProblemKind::Small);
             phases(&mut schedule, done, |_| false);
             schedule.warm_start();
             assert_eq!(schedule.iterations(), 0);

@@ -1,6 +1,6 @@
 //! Estimates the support: the set of active voxels (docs/design/007).
 
-use super::tuning::Tuning;
+use super::tuning::{KindTuning, Tuning};
 use crate::DataHints;
 use rayon::prelude::*;
 use rowburst_core::{Shape, Support};
@@ -22,8 +22,7 @@ pub(super) struct SupportEstimator {
     is_stable: bool,
     /// See [`DataHints::max_restricted_voxels`].
     max_restricted_voxels: usize,
-    /// See [`SizeTuning::unrestricted_updates`](super::SizeTuning::unrestricted_updates).
-    unrestricted_updates: Option<NonZeroUsize>,
+    kind_tuning: KindTuning,
     bins: Vec<BinState>,
     /// Root mean square of each bin's residual at the last update; infinite before the first one, and after a widening.
     residual_rms: Vec<f64>,
@@ -34,7 +33,7 @@ pub(super) struct SupportEstimator {
 /// What underfit bins have become.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum BinState {
-    /// Its threshold was lowered so many times; from [`Tuning::unrestricted_level`] on all of its voxels are active.
+    /// Its threshold was lowered so many times; from [`KindTuning::unrestricted_level`] on all of its voxels are active.
     Widened(usize),
     /// All of its voxels are active for a while.
     Unrestricted {
@@ -70,9 +69,14 @@ impl BinState {
     }
 
     /// The threshold over that of a bin that was never underfit; 0: all voxels are active.
-    fn threshold_ratio(self, tuning: &Tuning) -> f64 {
+    fn threshold_ratio(self, tuning: &KindTuning) -> f64 {
+        let is_restricted = |times| {
+            tuning
+                .unrestricted_level
+                .is_none_or(|level| times < level.get())
+        };
         match self {
-            Self::Widened(times) if times < tuning.unrestricted_level => {
+            Self::Widened(times) if is_restricted(times) => {
                 tuning.widening_factor.powi(times as i32)
             }
             _ => 0.0,
@@ -102,7 +106,7 @@ impl SupportEstimator {
             fraction: 1.0,
             is_stable: false,
             max_restricted_voxels: hints.max_restricted_voxels,
-            unrestricted_updates: tuning.for_size(hints.size).unrestricted_updates,
+            kind_tuning: *tuning.for_kind(hints.kind),
             bins: vec![BinState::INITIAL; shape.bins],
             residual_rms: vec![f64::INFINITY; shape.bins],
             is_unrestricted: vec![true; shape.bins],
@@ -170,7 +174,8 @@ impl SupportEstimator {
     /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
     ///
     /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, to zero
-    /// at once where a new factor is costly, and the voxels with the largest correlation are added.
+    /// at once where a new factor is costly, and the voxels with the largest correlation are added. Of bins that were
+    /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`.
     pub fn update(
         &mut self,
         video: &[f32],
@@ -181,9 +186,18 @@ impl SupportEstimator {
         self.widen(underfit_bins);
         let tuning = self.tuning;
         let threshold = tuning.support_threshold * brightness;
-        let ratios = self.bins.iter().map(|bin| bin.threshold_ratio(&tuning));
+        let kind_tuning = self.kind_tuning;
+        let ratios = self
+            .bins
+            .iter()
+            .map(|bin| bin.threshold_ratio(&kind_tuning));
         let thresholds: Vec<f64> = ratios.map(|ratio| threshold * ratio).collect();
         let mut support = Support::above(video, self.shape, &thresholds);
+        if let Some(before) = &self.support {
+            let widened = (0..self.shape.bins).filter(|&t| self.bins[t] != BinState::INITIAL);
+            let kept = kind_tuning.kept_threshold * brightness;
+            support = support.with_still_lit(before, video, kept as f32, widened);
+        }
         if let Some(Underfit { bins, correlation }) = underfit {
             support = support.with_correlated(correlation, bins);
         }
@@ -213,7 +227,7 @@ impl SupportEstimator {
             *bin = bin.at_next_update();
         }
         for &t in underfit_bins {
-            self.bins[t] = self.bins[t].widened(self.unrestricted_updates);
+            self.bins[t] = self.bins[t].widened(self.kind_tuning.unrestricted_updates);
         }
     }
 }
@@ -221,7 +235,7 @@ impl SupportEstimator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ProblemSize;
+    use crate::ProblemKind;
 
     fn second_bin(correlation: &[f32]) -> Option<Underfit<'_>> {
         Some(Underfit {
@@ -263,10 +277,36 @@ mod tests {
     }
 
     #[test]
+    fn a_widened_bin_of_coupled_rows_keeps_added_voxels_that_show_light() {
+        let shape = Shape::new(2, 9, 9);
+        let hints = DataHints {
+            kind: ProblemKind::Coupled,
+            ..DataHints::default()
+        };
+        let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
+        let mut video = vec![0.0f32; shape.voxels()];
+        (video[40], video[81 + 40]) = (1.0, 1.0);
+        estimator.update(&video, 1.0, None);
+        let mut lacking = vec![0.0f32; shape.voxels()];
+        lacking[81 + 10] = 1.0;
+        estimator.update(&video, 1.0, second_bin(&lacking));
+        // Light of a hundredth is far below the threshold.
+        video[81 + 10] = 0.01;
+        let support = estimator.update(&video, 1.0, None);
+        assert_eq!(support.mask()[81 + 10], 1);
+        assert_eq!(support.pixels_of(1).unwrap().len(), 9 + 1);
+        // However often it is widened, it is not unrestricted.
+        for _ in 0..9 {
+            estimator.update(&video, 1.0, second_bin(&lacking));
+        }
+        assert!(estimator.support().unwrap().pixels_of(1).is_some());
+    }
+
+    #[test]
     fn a_bin_of_a_large_sensor_is_unrestricted_for_a_while() {
         let shape = Shape::new(2, 9, 9);
         let hints = DataHints {
-            size: ProblemSize::Wide,
+            kind: ProblemKind::Wide,
             max_restricted_voxels: 50,
         };
         let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);

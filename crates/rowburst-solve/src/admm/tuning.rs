@@ -1,6 +1,6 @@
 //! The constants of the solver.
 
-use crate::ProblemSize;
+use crate::ProblemKind;
 use std::num::NonZeroUsize;
 
 /// Why [`Tuning::set`] refuses a value.
@@ -123,8 +123,8 @@ macro_rules! constants {
 }
 
 constants! {
-    /// The constants that depend on the cost of a new factor of the x-step, see [`ProblemSize`].
-    SizeTuning {
+    /// The constants that depend on the kind of the problem, see [`ProblemKind`].
+    KindTuning {
         /// `ρ` at first, over a typical diagonal element of `A Aᵀ`; far from its end it costs more factors
         /// (docs/design/006, 008).
         initial_rho: f64,
@@ -147,6 +147,26 @@ constants! {
         /// Updates for which an underfit bin is unrestricted; fewer lose light, more cost time. `None`, by name 0: the
         /// bin is widened step by step instead (docs/design/008).
         unrestricted_updates: Option<NonZeroUsize>,
+        /// Step at which the warm-up ends; the first restriction is at the next multiple of `support_interval`. Smaller
+        /// may lose shapes that the video does not show yet, larger takes longer (docs/design/006, 007).
+        first_restriction: usize,
+        /// Step from which `β` is constant and the run may stop; larger delays the first certificate (docs/design/006).
+        settled_from: usize,
+        /// Step to which a warm start goes back, plus less than a `support_interval` that keeps the rhythm of the updates;
+        /// smaller repeats more of the warm-up (docs/design/014).
+        warm_start_step: usize,
+        /// Step at which `β` reaches its end; later is faster for large shapes but less robust
+        /// (docs/design/006).
+        continuation_end: usize,
+        /// Factor on a bin's threshold at each widening; smaller makes bins unrestricted in fewer steps
+        /// (docs/design/007).
+        widening_factor: f64,
+        /// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer. `None`, by name
+        /// 0: no number of them (docs/design/007, 025).
+        unrestricted_level: Option<NonZeroUsize>,
+        /// Brightness over that of the video above which a voxel of a widened bin stays active; smaller gives added voxels
+        /// more time to show light. From 1 on it makes no difference (docs/design/025).
+        kept_threshold: f64,
     }
     groups {}
 }
@@ -174,11 +194,6 @@ constants! {
         /// [`Certificate::excess`](crate::Certificate::excess) at which a run stops; smaller takes more iterations for
         /// little gain (docs/design/009).
         tolerance: f64,
-        /// Step at which the warm-up ends; the first restriction is at the next multiple of `support_interval`. Smaller
-        /// may lose shapes that the video does not show yet, larger takes longer (docs/design/006, 007).
-        first_restriction: usize,
-        /// Step from which `β` is constant and the run may stop; larger delays the first certificate (docs/design/006).
-        settled_from: usize,
         /// Voxels per pixel of the frame above which the first restriction waits for a decline; smaller makes more
         /// runs wait (docs/design/008).
         undersampled: usize,
@@ -188,14 +203,8 @@ constants! {
         decline_window: usize,
         /// Iteration at which the wait ends at the latest; smaller may cut off light that still rises (docs/design/008).
         latest_first_restriction: usize,
-        /// Step to which a warm start goes back, plus less than a `support_interval` that keeps the rhythm of the updates;
-        /// smaller repeats more of the warm-up (docs/design/014).
-        warm_start_step: usize,
         /// `β` at first over its end; larger finds shapes faster and may lose faint points (docs/design/006).
         continuation_factor: f64,
-        /// Step at which `β` reaches its end; later is faster for large shapes but less robust
-        /// (docs/design/006).
-        continuation_end: usize,
         /// Steps between updates of `β`; larger follows the brightness less closely (docs/design/006).
         threshold_interval: usize,
         /// Brightness of the scene over that of the first x-step, which spreads sparse light; larger gives a larger
@@ -229,12 +238,6 @@ constants! {
         /// Active voxels over those of the last update above which the support is stable; larger delays the first
         /// certificate (docs/design/007).
         stable_ratio: f64,
-        /// Factor on a bin's threshold at each widening; smaller makes bins unrestricted in fewer steps
-        /// (docs/design/007).
-        widening_factor: f64,
-        /// Widenings after which a bin is unrestricted; larger keeps underfit bins restricted for longer
-        /// (docs/design/007).
-        unrestricted_level: usize,
         /// Steps between updates of the noise weights; smaller costs more rebuilt blocks (docs/design/010).
         weight_interval: usize,
         /// Step after which `late_weight_interval` holds; larger costs more rebuilt blocks
@@ -254,9 +257,11 @@ constants! {
     }
     groups {
         /// The constants of small problems, `small.…` by name.
-        small: SizeTuning,
+        small: KindTuning,
         /// The constants of wide problems, `wide.…` by name.
-        wide: SizeTuning,
+        wide: KindTuning,
+        /// The constants of problems whose rows share bins, `coupled.…` by name.
+        coupled: KindTuning,
     }
 }
 
@@ -272,15 +277,11 @@ impl Tuning {
         relaxation: 1.7,
         threshold: 0.015,
         tolerance: 1e-3,
-        first_restriction: 20,
-        settled_from: 40,
         undersampled: 300,
         decline: 0.005,
         decline_window: 5,
         latest_first_restriction: 150,
-        warm_start_step: 26,
         continuation_factor: 4.0,
-        continuation_end: 20,
         threshold_interval: 5,
         initial_brightness_ratio: 10.0,
         freedom_interval: 10,
@@ -294,15 +295,13 @@ impl Tuning {
         underfit_ratio: 1.3,
         stall_ratio: 0.85,
         stable_ratio: 0.9,
-        widening_factor: 0.125,
-        unrestricted_level: 5,
         weight_interval: 20,
         frequent_weights_until: 100,
         late_weight_interval: 100,
         refresh_interval: 50,
         check_interval: 5,
         brightness_bound: 2.0,
-        small: SizeTuning {
+        small: KindTuning {
             initial_rho: 0.01,
             min_rho_ratio: 0.3,
             deadband_lower: 0.98,
@@ -311,8 +310,15 @@ impl Tuning {
             early_deadband_upper: 1.25,
             unrestricted_rho_interval: None,
             unrestricted_updates: None,
+            first_restriction: 20,
+            settled_from: 40,
+            warm_start_step: 26,
+            continuation_end: 20,
+            widening_factor: 0.125,
+            unrestricted_level: NonZeroUsize::new(5),
+            kept_threshold: 1.0,
         },
-        wide: SizeTuning {
+        wide: KindTuning {
             initial_rho: 0.0015,
             min_rho_ratio: 0.1,
             deadband_lower: 0.95,
@@ -321,18 +327,43 @@ impl Tuning {
             early_deadband_upper: 1.6,
             unrestricted_rho_interval: NonZeroUsize::new(5),
             unrestricted_updates: NonZeroUsize::new(5),
+            first_restriction: 20,
+            settled_from: 40,
+            warm_start_step: 26,
+            continuation_end: 20,
+            widening_factor: 0.125,
+            unrestricted_level: NonZeroUsize::new(5),
+            kept_threshold: 1.0,
+        },
+        coupled: KindTuning {
+            initial_rho: 0.01,
+            min_rho_ratio: 0.3,
+            deadband_lower: 0.98,
+            deadband_upper: 1.02,
+            early_deadband_lower: 0.8,
+            early_deadband_upper: 1.25,
+            unrestricted_rho_interval: None,
+            unrestricted_updates: None,
+            first_restriction: 40,
+            settled_from: 60,
+            warm_start_step: 46,
+            continuation_end: 40,
+            widening_factor: 0.5,
+            unrestricted_level: None,
+            kept_threshold: 0.005,
         },
     };
 
-    /// The values for problems of `size`.
-    pub fn for_size(&self, size: ProblemSize) -> &SizeTuning {
-        match size {
-            ProblemSize::Small => &self.small,
-            ProblemSize::Wide => &self.wide,
+    /// The values for problems of `kind`.
+    pub fn for_kind(&self, kind: ProblemKind) -> &KindTuning {
+        match kind {
+            ProblemKind::Small => &self.small,
+            ProblemKind::Wide => &self.wide,
+            ProblemKind::Coupled => &self.coupled,
         }
     }
 
-    /// Sets the constant `name`: a field of [`Tuning`], or a field of [`SizeTuning`] after `small.` or `wide.`.
+    /// Sets the constant `name`: a field of [`Tuning`], or a field of [`KindTuning`] after `small.`, `wide.` or `coupled.`.
     ///
     /// # Errors
     /// An unknown name, a value that is not finite, not above zero, or not whole where the field is a count, or one that
@@ -406,8 +437,8 @@ impl Tuning {
 
     /// The first rule between the constants that does not hold.
     fn broken_rule(&self) -> Option<&'static str> {
-        let sizes = [&self.small, &self.wide];
-        let has_valid_deadbands = |tuning: &SizeTuning| {
+        let kinds = [&self.small, &self.wide, &self.coupled];
+        let has_valid_deadbands = |tuning: &KindTuning| {
             tuning.deadband_lower <= 1.0
                 && tuning.deadband_upper >= 1.0
                 && tuning.early_deadband_lower <= 1.0
@@ -425,7 +456,10 @@ impl Tuning {
             ),
             (self.max_freedom < 1.0, "max_freedom is below 1"),
             (self.decline < 1.0, "decline is below 1"),
-            (self.widening_factor <= 1.0, "widening_factor is at most 1"),
+            (
+                kinds.iter().all(|tuning| tuning.widening_factor <= 1.0),
+                "widening_factor is at most 1",
+            ),
             (
                 self.support_threshold <= 1.0,
                 "support_threshold is at most 1",
@@ -435,11 +469,11 @@ impl Tuning {
                 "brightness_bound is at least 1",
             ),
             (
-                sizes.iter().all(|tuning| tuning.min_rho_ratio <= 1.0),
+                kinds.iter().all(|tuning| tuning.min_rho_ratio <= 1.0),
                 "min_rho_ratio is at most 1",
             ),
             (
-                sizes.into_iter().all(has_valid_deadbands),
+                kinds.into_iter().all(has_valid_deadbands),
                 "a deadband holds 1: deadband_lower and early_deadband_lower are at most 1, deadband_upper and \
                  early_deadband_upper at least 1",
             ),
@@ -521,7 +555,7 @@ mod tests {
             ("max_relative_rho", 1e-8),
             ("max_freedom", 1.0),
             ("decline", 1.0),
-            ("widening_factor", 2.0),
+            ("small.widening_factor", 2.0),
             ("support_threshold", 1.5),
             ("brightness_bound", 0.5),
             ("small.min_rho_ratio", 2.0),

@@ -117,7 +117,7 @@ impl Problem {
         let rule = TauRule::Discrepancy {
             sigma: self.effective_sigma,
         };
-        let settings = self.options.solver_settings();
+        let settings = self.options.solver_settings().of_a_trial();
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, settings);
         let mut until = FIRST_CHECK_ITERATION;
         let mut errors = Vec::new();

@@ -46,7 +46,7 @@ use rowburst_optics::measurement::Measurement;
 use rowburst_optics::{Camera, Image, PatchSet, Shutter, Video};
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, Solution, TauRule, Tuning};
 use rowburst_solve::prox::Prox;
-use rowburst_solve::{Certificate, DataTerm, StopReason};
+use rowburst_solve::{Certificate, DataTerm, ProblemKind, StopReason};
 use sigma::Bands;
 use std::ops::ControlFlow;
 use tracing::info;
@@ -54,7 +54,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 12;
+pub const ALGORITHM_REVISION: u32 = 13;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -92,6 +92,15 @@ pub(crate) struct SolverSettings {
     pub max_iterations: Option<usize>,
     /// See [`Options::tuning`].
     pub tuning: Tuning,
+}
+
+impl SolverSettings {
+    /// For runs that judge a model, a prior or pixels: these are judged at fixed iterations, for which the patience of
+    /// [`Tuning::coupled`] is too long (docs/design/025).
+    pub fn of_a_trial(mut self) -> Self {
+        self.tuning.coupled = self.tuning.small;
+        self
+    }
 }
 
 impl Options {
@@ -549,7 +558,7 @@ impl Problem {
         let default_prior = self.options.prior.unwrap_or(Prior::STANDARD);
         let is_unknown = self.sigma_source == SigmaSource::HeldOut && self.options.tau == Tau::Auto;
         if is_unknown || self.options.tau == Tau::HeldOut {
-            let settings = self.options.solver_settings();
+            let settings = self.options.solver_settings().of_a_trial();
             self.sigma = choose::noise_level(&mut self.data, default_prior, settings, observer)?;
             self.sigma_source = SigmaSource::HeldOut;
             self.effective_sigma = self.sigma;
@@ -590,7 +599,7 @@ impl Problem {
             }
             None => None,
         };
-        let settings = self.options.solver_settings();
+        let settings = self.options.solver_settings().of_a_trial();
         choose::choose_prior(
             &mut self.data,
             rule,
@@ -698,7 +707,9 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<(Admm, Box<dyn Prox>), Box<RunResult>> {
         let checked = self.checked_run.take();
-        if self.passed_check && params.tau.is_discrepancy() {
+        // Where rows share bins a trial takes other constants than a final run.
+        let can_go_on = self.data.capabilities().hints.kind != ProblemKind::Coupled;
+        if self.passed_check && params.tau.is_discrepancy() && can_go_on {
             let begun = match checked {
                 Some(checked) if checked.prior == prior => checked,
                 _ => self.held_out_run(0.0, prior, observer)?.1,

@@ -286,7 +286,8 @@ impl<'p> Calibrator<'p> {
     ) -> Result<Trial, Box<RunResult>> {
         let mut data = self.data(frame, correction);
         let rule = TauRule::Discrepancy { sigma };
-        let mut run = HeldOutRun::without_reset(&data, self.prior, rule, SolverSettings::default());
+        let settings = SolverSettings::default().of_a_trial();
+        let mut run = HeldOutRun::without_reset(&data, self.prior, rule, settings);
         let mut labelled = |progress: &Progress| {
             observer(&Progress {
                 label: LABEL,

@@ -2,15 +2,19 @@
 
 use super::active_system::ActiveSystem;
 use super::preconditioner::{MeanFieldPreconditioner, PlanePreconditioner};
-use super::{Equation, System, XStep};
+use super::{Equation, Precision, System, XStep};
 use rowburst_core::Support;
 use rowburst_core::linop::Background;
-use rowburst_solve::DataHints;
 use rowburst_solve::conjugate_gradient::{ConjugateGradient, Preconditioner, TOLERANCE};
+use rowburst_solve::{DataHints, ProblemKind};
 use std::sync::Arc;
 
 /// Residual over `ρ‖y‖` of conjugate gradients where the solution itself is asked for.
 const EXACT_TOLERANCE: f64 = 0.01;
+
+/// Early x-steps of exposures longer than a row, see [`ConjugateGradient::early_calls`]; more cost quality, fewer time
+/// (docs/design/025).
+const EARLY_CALLS: usize = 40;
 
 /// Most calls of conjugate gradients for that.
 const MAX_EXACT_CALLS: usize = 10;
@@ -23,9 +27,13 @@ pub struct ConjugateGradients {
 
 impl ConjugateGradients {
     /// For a system on all voxels.
-    pub fn new(system: &System) -> Self {
+    pub fn new(system: &System, precision: Precision) -> Self {
+        let mut solver = ConjugateGradient::new(preconditioner(system), system.measurement_len());
+        if precision == Precision::Adaptive && !system.shutter().time().is_disjoint() {
+            solver.early_calls = EARLY_CALLS;
+        }
         Self {
-            solver: ConjugateGradient::new(preconditioner(system), system.measurement_len()),
+            solver,
             active: None,
         }
     }
@@ -53,6 +61,7 @@ impl XStep for ConjugateGradients {
             }
         }
         self.solver.forget();
+        self.solver.early_calls = 0;
         let operator = system.stacked_operator();
         for _ in 0..MAX_EXACT_CALLS {
             if self
@@ -85,8 +94,16 @@ impl XStep for ConjugateGradients {
         true
     }
 
-    fn hints(&self, _system: &System) -> DataHints {
-        DataHints::default()
+    fn hints(&self, system: &System) -> DataHints {
+        let kind = if system.shutter().time().is_disjoint() {
+            ProblemKind::Small
+        } else {
+            ProblemKind::Coupled
+        };
+        DataHints {
+            kind,
+            ..DataHints::default()
+        }
     }
 
     #[cfg(test)]

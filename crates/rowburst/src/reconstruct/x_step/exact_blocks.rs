@@ -4,7 +4,7 @@ use super::{Equation, System, XStep};
 use rowburst_core::Support;
 use rowburst_core::linop::Background;
 use rowburst_solve::blocks::Blocks;
-use rowburst_solve::{DataHints, ProblemSize};
+use rowburst_solve::{DataHints, ProblemKind};
 
 /// Measurements of an instant above which a factor costs more than ten iterations (docs/design/008).
 const LARGE_BLOCK: usize = 1024;
@@ -147,7 +147,7 @@ pub fn block_hints(system: &System) -> DataHints {
         return DataHints::default();
     }
     DataHints {
-        size: ProblemSize::Wide,
+        kind: ProblemKind::Wide,
         // Above this number the block of all voxels is cheaper than that of the active ones. A block on a support
         // costs `m²` products for each active voxel; the block of all voxels uses the shifts of the field and costs
         // `4 m²` for each row of the field.

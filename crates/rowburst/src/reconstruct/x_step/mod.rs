@@ -85,7 +85,7 @@ pub(super) enum Method {
 /// The solver for `system`.
 pub(super) fn choose(system: &System, precision: Precision) -> Box<dyn XStep> {
     if !has_exact_blocks(system) {
-        Box::new(ConjugateGradients::new(system))
+        Box::new(ConjugateGradients::new(system, precision))
     } else if system.background() == Background::Static {
         Box::new(StaticBackground::new(system))
     } else {

@@ -48,13 +48,15 @@ impl MeanFieldPreconditioner {
 }
 
 impl Preconditioner for MeanFieldPreconditioner {
-    fn max_iterations(&self, is_restricted: bool) -> usize {
+    fn max_iterations(&self, is_restricted: bool, is_early: bool) -> usize {
         let has_unused = self.weights.as_ref().is_some_and(|w| w.contains(&0.0));
         match (is_restricted, has_unused) {
             // Inexact steps on a support leave bins without light, which are then taken for underfit.
             (true, _) => 40,
             // The mean field knows no single pixels, so a mask takes more iterations.
             (false, true) => 20,
+            // The first iterations find shapes, for which a coarse step will do.
+            (false, false) if is_early => 2,
             (false, false) => 6,
         }
     }
@@ -81,7 +83,7 @@ pub struct PlanePreconditioner {
 }
 
 impl Preconditioner for PlanePreconditioner {
-    fn max_iterations(&self, _is_restricted: bool) -> usize {
+    fn max_iterations(&self, _is_restricted: bool, _is_early: bool) -> usize {
         100
     }
 
