@@ -2,7 +2,7 @@
 """docs/long-exposures.md: what an exposure longer than a row costs in quality and in time.
 
     cargo build --release
-    python3 scripts/long_exposures.py -o docs/long-exposures.md     an hour; an interrupted table continues
+    python3 scripts/long_exposures.py -o docs/long-exposures.md     ten minutes; an interrupted table continues
     python3 scripts/long_exposures.py --quick                       a small subset, printed
     python3 scripts/long_exposures.py --match "moving digit"
 
