@@ -31,7 +31,8 @@
 //! unrestricted. A bin whose residual is too large and no longer falls is underfit: its threshold is lowered, and the
 //! voxels to which the residual points, `Aᵀ(b − A v)`, are added; in the end all of its voxels are active
 //! (`docs/design/007`). In a wide problem, see [`ProblemKind`](super::ProblemKind), an underfit bin is unrestricted at
-//! once, and after some updates restricted again. With hundreds of voxels for each pixel of the frame a video takes
+//! once, and after some updates restricted again. Where rows share bins, the first restriction comes later, and
+//! underfit bins are widened gently and not unrestricted (`docs/design/025`). With hundreds of voxels for each pixel of the frame a video takes
 //! shape slowly, and the first restriction waits for it (`docs/design/008`).
 //!
 //! **Stopping.** Every `y` and every `c` of the prior's dual (`⟨c, v⟩ ≤ β R(v)`) give

@@ -265,6 +265,25 @@ constants! {
     }
 }
 
+/// The standard values of small problems, which the other kinds share but for some.
+const SMALL: KindTuning = KindTuning {
+    initial_rho: 0.01,
+    min_rho_ratio: 0.3,
+    deadband_lower: 0.98,
+    deadband_upper: 1.02,
+    early_deadband_lower: 0.8,
+    early_deadband_upper: 1.25,
+    unrestricted_rho_interval: None,
+    unrestricted_updates: None,
+    first_restriction: 20,
+    settled_from: 40,
+    warm_start_step: 26,
+    continuation_end: 20,
+    widening_factor: 0.125,
+    unrestricted_level: NonZeroUsize::new(5),
+    kept_threshold: 1.0,
+};
+
 impl Default for Tuning {
     fn default() -> Self {
         Self::STANDARD
@@ -301,23 +320,7 @@ impl Tuning {
         refresh_interval: 50,
         check_interval: 5,
         brightness_bound: 2.0,
-        small: KindTuning {
-            initial_rho: 0.01,
-            min_rho_ratio: 0.3,
-            deadband_lower: 0.98,
-            deadband_upper: 1.02,
-            early_deadband_lower: 0.8,
-            early_deadband_upper: 1.25,
-            unrestricted_rho_interval: None,
-            unrestricted_updates: None,
-            first_restriction: 20,
-            settled_from: 40,
-            warm_start_step: 26,
-            continuation_end: 20,
-            widening_factor: 0.125,
-            unrestricted_level: NonZeroUsize::new(5),
-            kept_threshold: 1.0,
-        },
+        small: SMALL,
         wide: KindTuning {
             initial_rho: 0.0015,
             min_rho_ratio: 0.1,
@@ -327,23 +330,9 @@ impl Tuning {
             early_deadband_upper: 1.6,
             unrestricted_rho_interval: NonZeroUsize::new(5),
             unrestricted_updates: NonZeroUsize::new(5),
-            first_restriction: 20,
-            settled_from: 40,
-            warm_start_step: 26,
-            continuation_end: 20,
-            widening_factor: 0.125,
-            unrestricted_level: NonZeroUsize::new(5),
-            kept_threshold: 1.0,
+            ..SMALL
         },
         coupled: KindTuning {
-            initial_rho: 0.01,
-            min_rho_ratio: 0.3,
-            deadband_lower: 0.98,
-            deadband_upper: 1.02,
-            early_deadband_lower: 0.8,
-            early_deadband_upper: 1.25,
-            unrestricted_rho_interval: None,
-            unrestricted_updates: None,
             first_restriction: 40,
             settled_from: 60,
             warm_start_step: 46,
@@ -351,6 +340,7 @@ impl Tuning {
             widening_factor: 0.5,
             unrestricted_level: None,
             kept_threshold: 0.005,
+            ..SMALL
         },
     };
 

@@ -52,7 +52,7 @@ fn check_one(data: &mut FrameData, part: f64, k: usize, state: &str) {
         .collect();
     let rho = part * data.scale();
     let (mut y, mut gram_y) = (vec![f32::NAN; m], vec![f32::NAN; m]);
-    // Inexact steps go on from the last one.
+    // Inexact steps go on from the last one; the first 40 of long exposures are coarse.
     assert!(
         (0..60).any(|_| data.solve_gram(&r, rho, &mut y, &mut gram_y)),
         "{state}"

@@ -12,12 +12,12 @@ use std::sync::Arc;
 /// Residual over `ρ‖y‖` of conjugate gradients where the solution itself is asked for.
 const EXACT_TOLERANCE: f64 = 0.01;
 
+/// Most calls of conjugate gradients for that.
+const MAX_EXACT_CALLS: usize = 10;
+
 /// Early x-steps of exposures longer than a row, see [`ConjugateGradient::early_calls`]; more cost quality, fewer time
 /// (docs/design/025).
 const EARLY_CALLS: usize = 40;
-
-/// Most calls of conjugate gradients for that.
-const MAX_EXACT_CALLS: usize = 10;
 
 /// Preconditioned conjugate gradients, unless an exact step on the support takes less time.
 pub struct ConjugateGradients {
