@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import subprocess
 
 import numpy as np
@@ -114,6 +115,21 @@ def test_a_psf_is_that_of_the_capture_and_of_the_command_line(speckle, tmp_path)
         rb.calibrate.psf(capture, expected_grain_px=-1)
     with pytest.raises(rb.InputError, match="positions_mm"):
         rb.calibrate.psf(capture, positions_mm=[1, 2])
+
+
+def test_the_blur_of_a_pinhole_is_removed(speckle, tmp_path):
+    capture, dark = speckle
+    camera = rb.Camera(rows=96, columns=96, shutter="top-down", row_time_us=10, exposure_us=10, pixel_pitch_um=6.5, magnification=0.5)
+    found = rb.calibrate.psf(capture, dark=dark, camera=camera, pinhole_um=13)
+    assert found.numbers["capture"]["pinhole_px"] == 1.0
+    plain = rb.calibrate.psf(capture, dark=dark, camera=camera)
+    assert found.psf.array.std() > plain.psf.array.std()
+    # How it was captured stays with a PSF: in a file, and when pickled.
+    read = rb.Psf.from_file(found.save(tmp_path / "psf") / "psf.npy", camera)
+    assert read == found.psf != rb.Psf(found.psf.array)
+    assert pickle.loads(pickle.dumps(read)) == read
+    with pytest.raises(rb.InputError, match="pinhole_um: found 13.*pixel_pitch_um"):
+        rb.calibrate.psf(capture, pinhole_um=13)
 
 
 def test_positions_give_the_memory_effect(speckle, tmp_path):

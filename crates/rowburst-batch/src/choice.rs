@@ -5,7 +5,6 @@
 //! work on it, and after every kill.
 
 use crate::calibration::RecordingCalibration;
-use crate::identity::hash_image;
 use crate::inputs::BatchInputs;
 use crate::measurement::{is_of_correction, read_measurement};
 use rowburst::error::LibraryNames;
@@ -14,6 +13,7 @@ use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
 use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::SampleFormat;
+use rowburst_io::hash_image;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 

@@ -1,7 +1,8 @@
 //! Fingerprints: whether two jobs are one.
 
 use rowburst::error::With;
-use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Result, phrase};
+use rowburst::{Error, ErrorKind, Parameter, PatchSet, Result, phrase};
+use rowburst_io::hash_image;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,30 +15,17 @@ fn hex(hash: Sha256) -> String {
     HASH.to_string() + &digits.collect::<String>()
 }
 
-fn update(hash: &mut Sha256, image: &Image) {
-    for side in [image.rows(), image.columns()] {
-        hash.update((side as u64).to_le_bytes());
-    }
-    image
-        .data()
-        .iter()
-        .for_each(|v| hash.update(v.to_le_bytes()));
-}
-
-/// Of the size and the bits of the pixels.
-pub(crate) fn hash_image(image: &Image) -> String {
-    let mut hash = Sha256::new();
-    update(&mut hash, image);
-    hex(hash)
-}
-
 /// Of all PSFs and their places.
 pub(crate) fn hash_psfs(psfs: &PatchSet) -> String {
     let mut hash = Sha256::new();
     for (psf, (y, x)) in psfs.psfs().iter().zip(psfs.offsets_px()) {
-        update(&mut hash, psf.image());
+        hash.update(hash_image(psf.image()));
         hash.update(y.to_le_bytes());
         hash.update(x.to_le_bytes());
+        if let Some(capture) = psf.capture() {
+            hash.update(capture.noise_per_light.to_le_bytes());
+            hash.update(capture.pinhole_px.to_le_bytes());
+        }
     }
     hex(hash)
 }
@@ -85,7 +73,7 @@ pub(crate) fn check_same(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rowburst::Psf;
+    use rowburst::{Image, Psf, PsfCapture};
 
     fn parts(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
         let owned = |(k, v): &(&str, &str)| (k.to_string(), v.to_string());
@@ -107,14 +95,15 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_counts() {
-        let image =
-            |value: f32| Image::from_fn(2, 3, |y, x| if y == 1 && x == 2 { value } else { 1.0 });
-        let base = hash_image(&image(1.0));
-        assert_eq!(base, hash_image(&image(1.0)));
-        assert_ne!(base, hash_image(&image(1.0 + f32::EPSILON)));
-        assert_ne!(base, hash_image(&Image::from_fn(3, 2, |_, _| 1.0)));
-        let psf = |value| hash_psfs(&PatchSet::from(&Psf::new(image(value)).unwrap()));
-        assert_ne!(psf(1.0), psf(2.0));
+    fn values_and_captures_of_psfs_count() {
+        let psf = |value| Psf::new(Image::from_fn(2, 3, |y, x| value + (y + x) as f32)).unwrap();
+        let hash = |psf: Psf| hash_psfs(&PatchSet::from(&psf));
+        assert_eq!(hash(psf(1.0)), hash(psf(1.0)));
+        assert_ne!(hash(psf(1.0)), hash(psf(2.0)));
+        let captured = psf(1.0).with_capture(Some(PsfCapture {
+            noise_per_light: 1e-6,
+            pinhole_px: 0.0,
+        }));
+        assert_ne!(hash(psf(1.0)), hash(captured));
     }
 }

@@ -1,9 +1,10 @@
 //! What a batch is to do.
 
-use crate::identity::{hash_image, hash_psfs};
+use crate::identity::hash_psfs;
 use rowburst::Result;
 use rowburst::measurement::{Corrections, Measurement};
 use rowburst::reconstruct::{ALGORITHM_REVISION, Model, Options};
+use rowburst_io::hash_image;
 use rowburst_io::{Capture, Frames};
 use rowburst_run::{Bias, check_frame, correct_capture};
 use std::collections::BTreeMap;

@@ -80,6 +80,7 @@ fn option(parameter: Parameter) -> Option<&'static str> {
         Parameter::Flats => "--flats",
         Parameter::DarksAndFlats => "--darks and --flats",
         Parameter::PositionsMm => "--positions-mm",
+        Parameter::PinholeUm => "--pinhole-um",
         Parameter::ExposuresMs => "--exposures-ms",
         Parameter::Truth => "--truth",
         Parameter::Direct => "--direct",

@@ -208,6 +208,7 @@ pub enum Kept {
     /// The result so far, if there is one.
     Result,
     /// The frames that are finished, from which the same command resumes.
+    #[cfg(feature = "batch")]
     Frames,
     /// The chunks that are finished, from which the same command resumes.
     Chunks,
@@ -218,14 +219,19 @@ pub enum Kept {
 impl Kept {
     /// Whether the program has or will have something to keep, so that it ends by itself.
     fn has_something(self) -> bool {
-        matches!(self, Self::Frames | Self::Recorded)
-            || Phase::Running.is_now()
-            || Phase::Writing.is_now()
+        let is_kept_at_once = match self {
+            Self::Result | Self::Chunks => false,
+            #[cfg(feature = "batch")]
+            Self::Frames => true,
+            Self::Recorded => true,
+        };
+        is_kept_at_once || Phase::Running.is_now() || Phase::Writing.is_now()
     }
 
     fn text(self) -> &'static str {
         match self {
             Self::Result => "the current result will be written",
+            #[cfg(feature = "batch")]
             Self::Frames => "finished frames are kept; the same command resumes",
             Self::Chunks => "finished chunks are kept; the same command resumes",
             Self::Recorded => "the frames so far are kept",

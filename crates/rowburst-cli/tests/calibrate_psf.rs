@@ -25,6 +25,13 @@ fn calibrated(lab: &Lab, arguments: &str) -> Value {
     serde_json::from_str(&lab.done(&format!("calibrate psf {arguments} --json -o out"))).unwrap()
 }
 
+/// What is said of bad input.
+fn refused(lab: &Lab, arguments: &str) -> String {
+    let output = lab.run(arguments);
+    assert_eq!(output.status.code(), Some(2));
+    String::from_utf8(output.stderr).unwrap()
+}
+
 fn warned(result: &Value, of: &str) -> bool {
     let warnings = result["warnings"].as_array().unwrap();
     warnings.iter().any(|w| w.as_str().unwrap().contains(of))
@@ -387,4 +394,61 @@ fn the_experiment_written_reconstructs() {
     );
     let result: Value = serde_json::from_str(&result).unwrap();
     assert!(result["psnr_db"].as_f64().unwrap() > 25.0, "{result}");
+}
+
+/// The size of the pinhole's image follows from the camera; the reconstruction reads how the PSF was captured.
+#[test]
+fn a_pinhole_is_removed_and_its_noise_is_handed_on() {
+    let lab = Lab::empty();
+    lab.image("pinhole.png", 96, 90, grains(5));
+    let camera = |more: &str| {
+        format!(
+            "[camera]\nrows = 48\ncolumns = 44\nshutter = \"dual-inside-out\"\nrow_time_us = 9.6\nexposure_us = 9.6\n{more}"
+        )
+    };
+    lab.experiment(&camera(""));
+    let told = refused(
+        &lab,
+        "calibrate psf pinhole.png --experiment experiment.toml --pinhole-um 26 -o out",
+    );
+    assert!(told.contains("--pinhole-um: found 26"), "{told}");
+    assert!(told.contains("pixel_pitch_um"), "{told}");
+    let told = refused(&lab, "calibrate psf pinhole.png --pinhole-um -1 -o out");
+    assert!(told.contains("above zero"), "{told}");
+
+    lab.experiment(&camera("pixel_pitch_um = 6.5\nmagnification = 0.5\n"));
+    let blurred = calibrated(&lab, "pinhole.png --experiment experiment.toml");
+    assert_eq!(blurred["capture"]["pinhole_px"], 0.0, "{blurred}");
+    let before = lab.read("out/psf.npy");
+    let found = calibrated(
+        &lab,
+        "pinhole.png --experiment experiment.toml --pinhole-um 13",
+    );
+    assert_eq!(found["capture"]["pinhole_px"], 1.0, "{found}");
+    assert_ne!(lab.read("out/psf.npy"), before);
+    assert!(
+        found["capture"]["noise_per_light"].as_f64().unwrap() > 0.0,
+        "{found}"
+    );
+    let wide = calibrated(
+        &lab,
+        "pinhole.png --experiment experiment.toml --pinhole-um 100",
+    );
+    assert!(
+        warned(&wide, "the image of the pinhole is 7.7 px wide"),
+        "{wide}"
+    );
+
+    calibrated(
+        &lab,
+        "pinhole.png --experiment experiment.toml --pinhole-um 13",
+    );
+    lab.done("simulate out/experiment.toml --scene digits --digit-px 8 -o sim");
+    let reconstruct = "reconstruct out/experiment.toml --frame sim/frame.npy --json -o video";
+    let result: Value = serde_json::from_str(&lab.done(reconstruct)).unwrap();
+    let inputs = result["run"]["inputs"].as_array().unwrap();
+    assert!(
+        inputs.iter().any(|i| i["role"] == "psf_capture"),
+        "{result}"
+    );
 }

@@ -237,14 +237,14 @@ fn a_folder_leads_through_the_experiment() {
 }
 
 /// `rowburst live` while it runs, asked as its page asks.
-#[cfg(unix)]
+#[cfg(all(unix, feature = "view"))]
 struct LiveView {
     child: std::process::Child,
     address: String,
     token: String,
 }
 
-#[cfg(unix)]
+#[cfg(all(unix, feature = "view"))]
 impl LiveView {
     fn start(lab: &Lab, arguments: &str) -> Self {
         use std::io::{BufRead, BufReader};
@@ -303,7 +303,7 @@ impl LiveView {
     }
 }
 
-#[cfg(unix)]
+#[cfg(all(unix, feature = "view"))]
 fn told(state: &Value, words: &str) -> bool {
     state["message"].as_str().is_some_and(|m| m.contains(words))
 }

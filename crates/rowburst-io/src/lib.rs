@@ -38,6 +38,7 @@ mod pages;
 mod patches;
 mod photron;
 mod png;
+mod psf_capture;
 mod read;
 mod recording;
 mod relative;
@@ -69,6 +70,7 @@ pub use npy_chunked::ChunkedVideoFile;
 pub use pages::{Capture, IntegerFrame, SampleFormat};
 pub use patches::{is_patch_set, patch_set_stack, read_patch_set, write_patch_set};
 pub use png::{write_png8, write_png16};
+pub use psf_capture::{hash_image, psf_capture_json, psf_capture_path, read_psf_capture};
 pub use read::{
     read_colour_image, read_frames, read_image, read_stack, read_video, read_video_shape,
 };

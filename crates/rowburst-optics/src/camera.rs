@@ -97,6 +97,11 @@ impl Sensor {
             (well, end) => well.or(end),
         }
     }
+
+    /// Size at the object of a pixel of the working grid, in micrometres. `None` if pitch or magnification is not known.
+    pub fn object_pixel_um(&self) -> Option<f64> {
+        Some(self.pixel_pitch_um? / self.magnification?)
+    }
 }
 
 /// Longest side of a sensor or a field in pixels: twice that of the largest sensors; tables of its pixels still fit

@@ -19,7 +19,7 @@ pub use forward::RollingShutter;
 pub use image::Image;
 pub use measurement::{Corrections, Measurement, RawFrame};
 pub use patches::PatchSet;
-pub use psf::Psf;
+pub use psf::{Psf, PsfCapture};
 pub use shutter::Shutter;
 pub use time::{InstantWeights, TimeGrid};
 pub use video::Video;

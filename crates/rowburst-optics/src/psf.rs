@@ -16,6 +16,16 @@ const MAX_STORED_SUM_ERROR: f64 = 1e-3;
 pub struct Psf {
     /// Shared by all clones: operators and patch sets hold their own.
     image: Arc<Image>,
+    capture: Option<PsfCapture>,
+}
+
+/// How a PSF was captured: what it may be wrong by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PsfCapture {
+    /// Variance of the noise of a pixel of the capture over its light, where the light sums to 1.
+    pub noise_per_light: f64,
+    /// Diameter in pixels of the image of the pinhole whose blur was removed; 0: none was.
+    pub pinhole_px: f64,
 }
 
 impl Psf {
@@ -56,6 +66,7 @@ impl Psf {
         }
         Ok(Self {
             image: Arc::new(image),
+            capture: None,
         })
     }
 
@@ -76,6 +87,7 @@ impl Psf {
         Self::new(image.clone())?;
         Ok(Self {
             image: Arc::new(image),
+            capture: None,
         })
     }
 
@@ -83,6 +95,19 @@ impl Psf {
     #[inline]
     pub fn image(&self) -> &Image {
         &self.image
+    }
+
+    /// The same PSF, of which `capture` is known.
+    #[must_use]
+    pub fn with_capture(mut self, capture: Option<PsfCapture>) -> Self {
+        self.capture = capture;
+        self
+    }
+
+    /// What is known of its capture.
+    #[inline]
+    pub fn capture(&self) -> Option<PsfCapture> {
+        self.capture
     }
 
     /// The value at displacement `(dy, dx)` in pixels; zero where it is not covered.

@@ -164,7 +164,7 @@ fn groups_of(captures: &Bound<'_, PyAny>, has_positions: bool) -> PyResult<Vec<C
 impl PyPsfCalibration {
     #[new]
     #[pyo3(signature = (captures, *, dark=None, camera=None, exposures_ms=Numbers::none(), positions_mm=None, binning=None,
-        saturation_counts=None, field=None, expected_grain_px=None, all_patches=false, threads=None))]
+        saturation_counts=None, field=None, expected_grain_px=None, pinhole_um=None, all_patches=false, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -177,12 +177,14 @@ impl PyPsfCalibration {
         saturation_counts: Option<Number>,
         field: Option<(Whole, Whole)>,
         expected_grain_px: Option<Number>,
+        pinhole_um: Option<Number>,
         all_patches: bool,
         threads: Option<Whole>,
     ) -> PyResult<Self> {
         let threads = threads_from(threads)?;
         let saturation_counts = optional_real(saturation_counts, "saturation_counts")?;
         let expected_grain_px = optional_real(expected_grain_px, "expected_grain_px")?;
+        let pinhole_um = optional_real(pinhole_um, "pinhole_um")?;
         let exposures_ms = exposures_ms.named("exposures_ms")?;
         let positions_mm = positions_mm
             .map(|pairs| real_pairs(pairs, "positions_mm"))
@@ -242,6 +244,8 @@ impl PyPsfCalibration {
                 .map_err(|e: PyErr| e)?,
             sensor_rows: camera.map(|c| c.rows()),
             expected_grain_px,
+            pinhole_um,
+            object_pixel_um: sensor.and_then(|s| s.object_pixel_um()),
             all_patches,
         };
         let calibration = interruptibly::<(), _>(py, threads, None, move |_| inputs.calibrate())?;

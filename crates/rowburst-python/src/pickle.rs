@@ -8,6 +8,8 @@ use pyo3::types::PyDict;
 pub type State<'py> = (Bound<'py, PyAny>, (Bound<'py, PyDict>,));
 /// The same with two arguments.
 pub type State2<'py, A, B> = (Bound<'py, PyAny>, (A, B));
+/// The same with three arguments.
+pub type State3<'py, A, B, C> = (Bound<'py, PyAny>, (A, B, C));
 
 /// The value `name` of a state.
 pub fn entry<'py>(state: &Bound<'py, PyDict>, name: &str) -> PyResult<Bound<'py, PyAny>> {

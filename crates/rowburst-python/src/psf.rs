@@ -4,18 +4,19 @@ use crate::array::{capture, frame_of_maker, from_image};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
 use crate::interrupt::interruptibly;
-use crate::pickle::State2;
+use crate::pickle::State3;
 use crate::whole::{Number, Whole, optional_real, real_pairs};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
-use rowburst::{Camera, Error, Image, Parameter, PatchSet};
+use rowburst::{Camera, Error, Image, Parameter, PatchSet, PsfCapture};
 use rowburst_run::inputs::{psf_from_capture, read_psfs};
 use rowburst_run::simulate::{LensOptics, pixel_pitch_um, speckle_for};
 use std::path::PathBuf;
 
-/// What `Psf.__reduce__` gives: the values and the offsets of each PSF.
-type Stored<'py> = State2<'py, Vec<Bound<'py, PyArray2<f32>>>, Vec<(f64, f64)>>;
+/// What `Psf.__reduce__` gives: of each PSF the values, the offset, and noise and pinhole of its capture.
+type Stored<'py> =
+    State3<'py, Vec<Bound<'py, PyArray2<f32>>>, Vec<(f64, f64)>, Vec<Option<(f64, f64)>>>;
 
 /// A point-spread function that sums to 1, or several that share out the field.
 ///
@@ -172,7 +173,12 @@ impl PyPsf {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Stored<'py>> {
         let this = slf.get();
         let restore = slf.get_type().getattr("_restore")?;
-        Ok((restore, (this.arrays(slf.py())?, this.offsets_px())))
+        let captures = this.psfs.psfs().iter().map(|psf| {
+            let capture = psf.capture()?;
+            Some((capture.noise_per_light, capture.pinhole_px))
+        });
+        let arrays = this.arrays(slf.py())?;
+        Ok((restore, (arrays, this.offsets_px(), captures.collect())))
     }
 
     /// The PSF of what `__reduce__` gives, bit for bit.
@@ -181,10 +187,17 @@ impl PyPsf {
         _cls: &Bound<'_, PyType>,
         values: Vec<Bound<'_, PyAny>>,
         offsets_px: Vec<(f64, f64)>,
+        captures: Vec<Option<(f64, f64)>>,
     ) -> PyResult<Self> {
-        let psfs = values.iter().map(|v| {
+        let psfs = values.iter().zip(captures).map(|(v, known)| {
             let image = capture(v, "PSF")?.image;
-            rowburst::Psf::from_normalized(image).map_err(to_py_err)
+            let psf = rowburst::Psf::from_normalized(image).map_err(to_py_err)?;
+            Ok(
+                psf.with_capture(known.map(|(noise_per_light, pinhole_px)| PsfCapture {
+                    noise_per_light,
+                    pinhole_px,
+                })),
+            )
         });
         let psfs = PatchSet::new(psfs.collect::<PyResult<_>>()?, offsets_px);
         Ok(Self {

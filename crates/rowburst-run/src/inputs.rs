@@ -7,7 +7,7 @@ use rowburst::{
 };
 use rowburst_io::{
     Calibration, Capture, Experiment, SampleFormat, is_patch_set, read_image, read_patch_set,
-    read_video, read_video_shape,
+    read_psf_capture, read_video, read_video_shape,
 };
 use std::path::Path;
 use tracing::info;
@@ -144,7 +144,8 @@ pub fn psf_from_capture(
     Ok((Psf::new(image)?, note))
 }
 
-/// Reads the PSFs of `path`: a patch set as it is, or one image by [`psf_from_capture`]. Also returns the note.
+/// Reads the PSFs of `path`: a patch set as it is, or one image by [`psf_from_capture`], with what a file beside it says of
+/// its capture. Also returns the note.
 ///
 /// # Errors
 /// A file that cannot be read, or holds no PSF.
@@ -158,10 +159,13 @@ pub fn read_psfs(
         info!("read {}: {} PSFs", path.display(), set.psfs().len());
         return Ok((set, None));
     }
-    let capture = read_capture(path)?;
-    let found = psf_from_capture(capture, camera, dark).map_err(|e| e.within(path))?;
-    let note = found.1.map(|note| format!("{}: {note}", path.display()));
-    Ok((found.0.into(), note))
+    let read = read_capture(path)?;
+    let capture = read_psf_capture(path, &read.image);
+    let (psf, note) = psf_from_capture(read, camera, dark).map_err(|e| e.within(path))?;
+    // Binning changes the noise and the size of a pinhole.
+    let psf = psf.with_capture(capture.filter(|_| note.is_none()));
+    let note = note.map(|note| format!("{}: {note}", path.display()));
+    Ok((psf.into(), note))
 }
 
 /// Reads the true video and checks it by [`checked_truth`]. One of another shape is refused before it is read.

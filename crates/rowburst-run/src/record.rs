@@ -102,6 +102,7 @@ pub(crate) mod role {
     pub const FRAME: &str = "frame";
     pub const PSF: &str = "psf";
     pub const PSF_STACK: &str = "psf_stack";
+    pub const PSF_CAPTURE: &str = "psf_capture";
     pub const DARK: &str = "dark";
     pub const FLAT: &str = "flat";
     pub const BAD_PIXELS: &str = "bad_pixels";

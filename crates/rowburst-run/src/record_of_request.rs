@@ -6,7 +6,7 @@ use crate::record::{CameraNumbers, InputFile, OptionNumbers, RunRecord, role, ut
 use crate::request::RequestParams;
 use rowburst::Result;
 use rowburst::reconstruct::Tau;
-use rowburst_io::{Experiment, patch_set_stack, sha256};
+use rowburst_io::{Experiment, patch_set_stack, psf_capture_path, sha256};
 use std::path::{Path, PathBuf};
 
 impl RunRecord {
@@ -38,6 +38,9 @@ impl RunRecord {
         }
         let stack = calibration.psf.as_deref().and_then(patch_set_stack);
         files.extend(stack.map(|path| (role::PSF_STACK, path)));
+        let capture = calibration.psf.as_deref().map(psf_capture_path);
+        let capture = capture.filter(|path| path.is_file());
+        files.extend(capture.map(|path| (role::PSF_CAPTURE, path)));
         let diodes = params.photodiodes.iter();
         files.extend(diodes.map(|path| (role::PHOTODIODE, path.clone())));
         let guides = guide_files(params.guides, experiment).into_iter();

@@ -929,6 +929,7 @@ class _PsfCalibration:
         saturation_counts: float | None = None,
         field: tuple[int, int] | None = None,
         expected_grain_px: float | None = None,
+        pinhole_um: float | None = None,
         all_patches: bool = False,
         threads: int | None = None,
     ) -> _PsfCalibration: ...

@@ -189,6 +189,7 @@ def psf(
     saturation_counts: float | None = None,
     field: tuple[int, int] | None = None,
     expected_grain_px: float | None = None,
+    pinhole_um: float | None = None,
     all_patches: bool = False,
     threads: int | None = None,
 ) -> PsfCalibration:
@@ -215,6 +216,9 @@ def psf(
         Rows and columns of the field; by default those of the camera, or the span of the positions.
     expected_grain_px : float, optional
         Diffraction-limited grain in pixels, to compare with.
+    pinhole_um : float, optional
+        Diameter of the pinhole in µm: its blur is removed. The size of its image is known from the camera's pixel pitch and
+        magnification, or from ``positions_mm``.
     all_patches : bool
         Whether every position has a patch, not only as many as the field needs.
     threads : int, optional
@@ -255,6 +259,7 @@ def psf(
         saturation_counts=saturation_counts,
         field=field,
         expected_grain_px=expected_grain_px,
+        pinhole_um=pinhole_um,
         all_patches=all_patches,
         threads=threads,
     )

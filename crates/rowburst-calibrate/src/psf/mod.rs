@@ -2,7 +2,7 @@
 //! optics.
 //!
 //! ```text
-//! captures ──merge──▶ PointSourceImage ──suppress_noise──▶ light ≥ 0 ──centred_psfs──▶ Psf
+//! captures ──merge──▶ PointSourceImage ──without_pinhole, suppress_noise──▶ light ≥ 0 ──centred_psfs──▶ Psf
 //!                                       │
 //!                                       ├─ statistics: contrast, grain, histogram
 //!                                       ├─ ballistic_core: light that was not scattered
@@ -17,7 +17,9 @@ mod filter;
 mod fourier;
 mod memory;
 mod merge;
+mod pinhole;
 mod place;
+mod power;
 mod reach;
 mod statistics;
 
@@ -25,6 +27,8 @@ pub use ballistic::{Core, ballistic_core};
 pub use black_level::{BlackLevel, DenoisedLight, noise_of, suppress_noise};
 pub use memory::{MemoryEffect, PositionedCapture, memory_effect};
 pub use merge::{MergeParams, NamedCapture, PointSourceImage, merge};
+pub use pinhole::{SharpenedCapture, pinhole_inverse, pinhole_transfer, without_pinhole};
 pub use place::{centred_psfs, centroid, patch_set, patches_needed, select_patches, span_px};
+pub use power::{CaptureSpectrum, Plane};
 pub use reach::{MIN_REACH, Reach, row_reach};
 pub use statistics::{HISTOGRAM_BIN_WIDTH, SpeckleStatistics, statistics};

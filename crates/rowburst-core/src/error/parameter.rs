@@ -49,6 +49,8 @@ parameters! {
     Captures = "captures",
     /// Expected size of the grains of the speckle, in pixels.
     ExpectedGrainPx = "expected_grain_px",
+    /// Diameter of the pinhole, in µm.
+    PinholeUm = "pinhole_um",
     /// Counts of a saturated pixel of a capture.
     SaturationCounts = "saturation_counts",
     /// Positions of the point source at each capture, in mm.

@@ -53,6 +53,10 @@ pub struct PsfArgs {
     /// Diffraction-limited grain λz/D in pixels, to compare with
     #[arg(long, allow_hyphen_values = true)]
     pub expected_grain_px: Option<f64>,
+    /// Diameter of the pinhole in µm: its blur is removed. Its image on the sensor is known from the
+    /// experiment's pixel_pitch_um and magnification, or from --positions-mm
+    #[arg(long, allow_hyphen_values = true)]
+    pub pinhole_um: Option<f64>,
     /// Make a patch of every position, not only of as many as the field needs
     #[arg(long)]
     pub all_patches: bool,

@@ -4,12 +4,11 @@ use super::PsfArgs;
 use super::captures::read_positions;
 use crate::calibrate::experiment_of;
 use crate::output::print_line;
-use rowburst::calibrate::psf::MemoryEffect;
 use rowburst::error::Subject;
 use rowburst::{Error, Result};
 use rowburst_io::{Experiment, read_image};
 use rowburst_run::calibrate::psf::{
-    CaptureFile, CaptureGroup, PsfFolder, PsfInputs, PsfSummary, read_captures,
+    CaptureFile, CaptureGroup, PsfCalibration, PsfFolder, PsfInputs, PsfSummary, read_captures,
 };
 use rowburst_run::short;
 
@@ -32,7 +31,7 @@ pub fn run(args: &PsfArgs) -> Result<()> {
     if args.json {
         print_line(serde_json::to_string_pretty(&found.summary).expect("plain numbers and text"));
     } else {
-        print_summary(&found.summary, found.effect.as_ref().map(|e| &e.0), args);
+        print_summary(&found, args);
     }
     Ok(())
 }
@@ -79,6 +78,8 @@ fn inputs(args: &PsfArgs, experiment: Option<&Experiment>) -> Result<PsfInputs> 
         field: field_of(args, experiment),
         sensor_rows: experiment.map(|e| e.params.rows),
         expected_grain_px: args.expected_grain_px,
+        pinhole_um: args.pinhole_um,
+        object_pixel_um: sensor.and_then(|s| s.object_pixel_um()),
         all_patches: args.all_patches,
     })
 }
@@ -107,7 +108,8 @@ fn print_warnings(summary: &PsfSummary) {
     }
 }
 
-fn print_summary(summary: &PsfSummary, effect: Option<&MemoryEffect>, args: &PsfArgs) {
+fn print_summary(found: &PsfCalibration, args: &PsfArgs) {
+    let (summary, effect) = (&found.summary, found.effect.as_ref().map(|e| &e.0));
     print_line(format!("contrast     {:.3}", summary.contrast));
     print_line(format!(
         "grain        {:.2} px (rows {:.2}, columns {:.2})",
@@ -121,6 +123,12 @@ fn print_summary(summary: &PsfSummary, effect: Option<&MemoryEffect>, args: &Psf
         "saturated    {:.2} %",
         100.0 * summary.saturated_fraction
     ));
+    if let Some(capture) = found.psf.capture().filter(|c| c.pinhole_px > 0.0) {
+        print_line(format!(
+            "pinhole      {:.2} px (its blur is removed)",
+            capture.pinhole_px
+        ));
+    }
     print_line(format!(
         "row reach    {} of the mean at the far edge ({})",
         short(summary.row_reach.worst),
@@ -180,6 +188,7 @@ fn command_line(args: &PsfArgs) -> String {
             "--expected-grain-px",
             args.expected_grain_px.map(|v| v.to_string()),
         ),
+        ("--pinhole-um", args.pinhole_um.map(|v| v.to_string())),
         ("--field", args.field.map(|(r, c)| format!("{r}x{c}"))),
     ] {
         if let Some(value) = value {

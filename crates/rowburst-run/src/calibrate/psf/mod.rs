@@ -7,15 +7,18 @@ mod summary;
 pub use captures::{CaptureFile, read_captures};
 pub use summary::{MemorySummary, PsfSummary, RowReach};
 
+use crate::short;
 use report::{PsfReportInput, render};
 use rowburst::calibrate::psf::{
     Core, MemoryEffect, MergeParams, NamedCapture, PointSourceImage, PositionedCapture, Reach,
-    SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect, merge, noise_of,
-    patch_set, patches_needed, row_reach, select_patches, span_px, statistics, suppress_noise,
+    SharpenedCapture, SpeckleStatistics, ballistic_core, centred_psfs, centroid, memory_effect,
+    merge, noise_of, patch_set, patches_needed, row_reach, select_patches, span_px, statistics,
+    suppress_noise, without_pinhole,
 };
 use rowburst::error::Subject;
-use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Psf, Result};
-use rowburst_io::{Experiment, OutputFolder, write_npy_image, write_patch_set};
+use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Psf, PsfCapture, Result};
+use rowburst_io::{Experiment, OutputFolder, psf_capture_json, write_npy_image, write_patch_set};
+
 use summary::{remarks, warnings};
 
 /// Standard deviations of noise above which light is light.
@@ -74,6 +77,10 @@ pub struct PsfInputs {
     pub sensor_rows: Option<usize>,
     /// Diffraction-limited grain in pixels, to compare with.
     pub expected_grain_px: Option<f64>,
+    /// Diameter of the pinhole in µm, whose blur is removed; `None`: a point.
+    pub pinhole_um: Option<f64>,
+    /// Size at the object of a pixel of the working grid, in µm; the memory effect takes precedence.
+    pub object_pixel_um: Option<f64>,
     /// Whether each position has a patch, not only as many as the field needs.
     pub all_patches: bool,
 }
@@ -117,7 +124,8 @@ impl PsfInputs {
             .transpose()?;
         let effect = memory.as_ref().map(|m| &m.effect);
         let index = effect.map_or(0, |e| e.reference);
-        let reference = ReferencePsf::new(&lights[index])?;
+        let pinhole_px = self.pinhole_px(effect)?;
+        let reference = ReferencePsf::new(&lights[index], pinhole_px)?;
         let field = self.field;
         let sensor_rows = self.sensor_rows.unwrap_or(reference.light.image.rows());
         let field_rows = field.map_or(sensor_rows, |f| f.0);
@@ -136,6 +144,7 @@ impl PsfInputs {
             self.expected_grain_px,
         );
         warned.extend(saturated_captures(&lights, index, &self.groups));
+        warned.extend(reference.wide_pinhole(self.pinhole_um));
         let summary = reference.summary(
             &lights,
             self.binning,
@@ -152,6 +161,32 @@ impl PsfInputs {
             summary,
             reach,
         })
+    }
+
+    /// Diameter of the pinhole's image in pixels; 0: a point.
+    fn pinhole_px(&self, effect: Option<&MemoryEffect>) -> Result<f64> {
+        let Some(pinhole_um) = self.pinhole_um else {
+            return Ok(0.0);
+        };
+        let bad = |rule: &'static str, remedy: &'static str| {
+            Error::input(Parameter::PinholeUm, pinhole_um, rule, remedy)
+        };
+        if !(pinhole_um.is_finite() && pinhole_um > 0.0) {
+            return Err(bad(
+                "the diameter of a pinhole is a number above zero",
+                "Leave it out where it is not known.",
+            ));
+        }
+        let px_per_um = effect
+            .map(|effect| effect.shift_px_per_mm / 1e3)
+            .or(self.object_pixel_um.map(f64::recip));
+        let px_per_um = px_per_um.ok_or_else(|| {
+            bad(
+                "the size of its image on the sensor is known from the camera",
+                "Give a camera or an experiment file with pixel_pitch_um and magnification, or captures at several positions.",
+            )
+        })?;
+        Ok(pinhole_um * px_per_um)
     }
 
     /// The light of one place, on the working grid.
@@ -217,7 +252,7 @@ impl PsfCalibration {
             folder.write_bytes("experiment.toml", toml.as_bytes())?;
         }
         let input = PsfReportInput {
-            psf: self.psf.image(),
+            psf: &self.psf,
             speckle: &self.speckle,
             reach: &self.reach,
             effect: self
@@ -245,27 +280,47 @@ struct ReferencePsf<'a> {
     /// Centroid `(y, x)` of the envelope, which becomes zero displacement.
     centre: (f64, f64),
     psf: Psf,
+    capture: PsfCapture,
+    /// Diameter in pixels of the largest pinhole's image that loses no detail.
+    max_pinhole_px: f64,
 }
 
 impl<'a> ReferencePsf<'a> {
-    fn new(light: &'a PointSourceImage) -> Result<Self> {
+    fn new(light: &'a PointSourceImage, pinhole_px: f64) -> Result<Self> {
         let speckle = statistics(&light.image);
         let core = ballistic_core(&light.image, speckle.grain_px);
         let centre = centroid(&speckle.envelope);
         let (rows, columns) = (light.image.rows(), light.image.columns());
         let zero = ((rows / 2) as f64, (columns / 2) as f64);
-        let psf = centred_psfs(
-            &[&cleaned(&light.image, speckle.grain_px)],
-            &[(zero.0 - centre.0, zero.1 - centre.1)],
-        )?
-        .remove(0);
+        let sharp = without_pinhole(&light.image, pinhole_px);
+        let cleaned = cleaned(&light.image, &sharp, speckle.grain_px);
+        let sum: f64 = cleaned.data().iter().map(|&p| f64::from(p)).sum();
+        let moves = (zero.0 - centre.0, zero.1 - centre.1);
+        let psf = centred_psfs(&[&cleaned], &[moves])?.remove(0);
+        let capture = PsfCapture {
+            noise_per_light: sharp.noise_per_light / sum,
+            pinhole_px,
+        };
         Ok(Self {
+            psf: psf.with_capture(Some(capture)),
+            capture,
+            max_pinhole_px: sharp.max_pinhole_px,
             light,
             speckle,
             core,
             centre,
-            psf,
         })
+    }
+
+    /// A warning of a pinhole of `diameter_um` whose image is too wide for its blur to be removed.
+    fn wide_pinhole(&self, diameter_um: Option<f64>) -> Option<String> {
+        let pinhole_px = self.capture.pinhole_px;
+        let diameter_um = diameter_um.filter(|_| pinhole_px > self.max_pinhole_px)?;
+        Some(format!(
+            "the image of the pinhole is {:.1} px wide: fine detail of the PSF is lost, and no calculation brings it back; take a pinhole of at most {} µm",
+            pinhole_px,
+            short(diameter_um * self.max_pinhole_px / pinhole_px)
+        ))
     }
 
     /// The light that each sensor row gets from each row of the field.
@@ -315,6 +370,7 @@ impl<'a> ReferencePsf<'a> {
             noise_part: self.speckle.noise_fraction,
             lit_fraction: self.speckle.lit_fraction,
             floor_counts: self.light.black_level.map(|f| f.counts),
+            capture: psf_capture_json(self.capture, self.psf.image()),
             middle_px: self.centre,
             remarks: remarks(self.light, &self.speckle, &row_reach, effect),
             row_reach,
@@ -324,9 +380,10 @@ impl<'a> ReferencePsf<'a> {
     }
 }
 
-/// `light` without its noise.
-fn cleaned(light: &Image, grain_px: f64) -> Image {
-    suppress_noise(light, grain_px, noise_of(light), NOISE_FLOOR_SIGMAS).image
+/// The light of `sharp` without its noise, of which `light` tells how much there is.
+fn cleaned(light: &Image, sharp: &SharpenedCapture, grain_px: f64) -> Image {
+    let noise = noise_of(light);
+    suppress_noise(&sharp.image, grain_px, noise, NOISE_FLOOR_SIGMAS).image
 }
 
 /// The memory effect between captures at known positions.
@@ -369,7 +426,10 @@ impl MemoryMeasurement {
         };
         let captures = self.captures.iter();
         let cleaned: Vec<Image> = captures
-            .map(|p| cleaned(&p.light, reference.speckle.grain_px))
+            .map(|p| {
+                let sharp = without_pinhole(&p.light, reference.capture.pinhole_px);
+                cleaned(&p.light, &sharp, reference.speckle.grain_px)
+            })
             .collect();
         patch_set(
             &cleaned,

@@ -4,12 +4,12 @@ use super::summary::PsfSummary;
 use crate::calibrate::verdict;
 use crate::short;
 use rowburst::calibrate::psf::{HISTOGRAM_BIN_WIDTH, MemoryEffect, Reach, SpeckleStatistics};
-use rowburst::{Image, Result};
+use rowburst::{Image, Psf, Result};
 use rowburst_report::{Curve, Drawing, Ink, Plot, Report, Scale, Sheet};
 
 /// What the page shows.
 pub struct PsfReportInput<'a> {
-    pub psf: &'a Image,
+    pub psf: &'a Psf,
     pub speckle: &'a SpeckleStatistics,
     pub reach: &'a Reach,
     /// The memory effect and the places `(y, x)` in millimetres.
@@ -24,10 +24,9 @@ pub fn render(
     reproduce: Option<&str>,
 ) -> Result<Report> {
     let summary = input.summary;
-    let highest = input.psf.max();
-    let relative = Image::from_fn(input.psf.rows(), input.psf.columns(), |y, x| {
-        input.psf.at(y, x) / highest
-    });
+    let psf = input.psf.image();
+    let highest = psf.max();
+    let relative = Image::from_fn(psf.rows(), psf.columns(), |y, x| psf.at(y, x) / highest);
     let sensor_rows: Vec<f64> = (0..input.reach.map.columns()).map(|r| r as f64).collect();
     let mut sections = vec![
         (
@@ -78,7 +77,7 @@ pub fn render(
         notes: summary.remarks.clone(),
         headline: headline(summary),
         sections,
-        tables: tables(summary),
+        tables: tables(summary, input.psf),
         files,
         reproduce,
     }
@@ -115,7 +114,7 @@ fn headline(summary: &PsfSummary) -> Vec<(String, String)> {
     all
 }
 
-fn tables(summary: &PsfSummary) -> Vec<(String, Vec<(String, String)>)> {
+fn tables(summary: &PsfSummary, psf: &Psf) -> Vec<(String, Vec<(String, String)>)> {
     let mut speckle = vec![
         pair(
             "grain along rows (y)",
@@ -145,6 +144,17 @@ fn tables(summary: &PsfSummary) -> Vec<(String, Vec<(String, String)>)> {
     ];
     if let Some(floor) = summary.floor_counts {
         speckle.push(pair("black level", format!("{floor:.2} counts")));
+    }
+    if let Some(capture) = psf.capture() {
+        let noise = (capture.noise_per_light / f64::from(psf.image().max())).sqrt();
+        speckle.push(pair(
+            "noise of the brightest pixel",
+            format!("{:.2} %", 100.0 * noise),
+        ));
+        if capture.pinhole_px > 0.0 {
+            let width = format!("{:.2} px wide, its blur is removed", capture.pinhole_px);
+            speckle.push(pair("image of the pinhole", width));
+        }
     }
     let reach = &summary.row_reach;
     let mut tables = vec![

@@ -31,6 +31,8 @@ pub struct PsfSummary {
     pub lit_fraction: f64,
     /// Taken from the captures where there is no dark frame.
     pub floor_counts: Option<f64>,
+    /// What a reconstruction reads of the capture: noise, pinhole, and the PSF that they are of.
+    pub capture: serde_json::Value,
     /// Point (y, x) of the binned capture that became zero displacement.
     pub middle_px: (f64, f64),
     pub row_reach: RowReach,

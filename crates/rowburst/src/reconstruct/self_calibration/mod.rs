@@ -27,7 +27,7 @@ use psf_error::Capture;
 use rowburst_core::linop::Background;
 use rowburst_core::{Cancel, Result};
 use rowburst_optics::measurement::Measurement;
-use rowburst_optics::{Camera, Image, PatchSet, Psf, RollingShutter};
+use rowburst_optics::{Camera, PatchSet, RollingShutter};
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::Progress;
 use search::{Proposal, Search};
@@ -144,22 +144,18 @@ impl Frames<'_> {
             _ => Prior::STANDARD,
         };
         let capture = match self.psfs.psfs() {
-            [psf] => Some(Capture::new(psf.image())),
+            [psf] => Some(Capture::new(psf)),
             _ => None,
         };
-        let anchor = capture.as_ref().and_then(|capture| {
-            let image = self.psfs.central().image();
-            let anchor = Image::new(image.rows(), image.columns(), capture.anchor.clone());
-            capture.noise.as_ref()?;
-            Psf::new(anchor.expect("the size of the capture")).ok()
-        });
+        let anchor = capture.as_ref().map(|capture| &capture.anchor);
+        let anchor = anchor.filter(|anchor| *anchor != self.psfs.central());
         let mut search = Search {
             calibrator: Calibrator::new(
                 self.shutter,
                 self.camera,
                 self.cancel,
                 self.psfs,
-                anchor.as_ref(),
+                anchor,
                 self.measurements,
                 prior,
             ),
