@@ -7,7 +7,7 @@ use crate::inputs::BatchInputs;
 use crate::measurement::read_measurement;
 use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Calibration, Model, SelfCalibration, calibrate};
+use rowburst::reconstruct::{Calibration, Model, calibrate};
 use rowburst::solve::StopReason;
 use rowburst::{Cancel, Error, Image, Psf, Result};
 use rowburst_io::{read_image, write_npy_image};
@@ -80,7 +80,7 @@ impl RecordingCalibration {
         scratch: &Scratch,
         cancel: &Cancel,
     ) -> Result<Option<CalibrationFile>> {
-        let is_asked_for = inputs.options.self_calibration != SelfCalibration::Off
+        let is_asked_for = !inputs.options.self_calibration.is_off()
             && inputs.budget.is_none()
             && inputs.model.psfs().psfs().len() == 1;
         let mut frames = Vec::new();

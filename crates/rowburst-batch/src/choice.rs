@@ -171,7 +171,7 @@ impl ChosenPrior {
         let (_, measurement) = read_measurement(inputs, frame)?;
         let measurement = calibration.corrected(measurement);
         let options = Options {
-            self_calibration: SelfCalibration::Off,
+            self_calibration: SelfCalibration::OFF,
             ..inputs.options
         };
         let model = calibration.model.clone().with_cancel(cancel);

@@ -68,10 +68,7 @@ impl BatchInputs {
                 "noise sigma",
                 or_auto(options.noise_sigma.map(|s| s.to_string())),
             ),
-            (
-                "self-calibration",
-                options.self_calibration.name().to_string(),
-            ),
+            ("self-calibration", options.self_calibration.to_string()),
             ("keep all pixels", options.keep_all_pixels.to_string()),
             (
                 "most iterations",

@@ -270,7 +270,7 @@ impl Batch {
             names,
             options: Options {
                 prior: Some(prior.prior.parse::<Prior>()?),
-                self_calibration: SelfCalibration::Off,
+                self_calibration: SelfCalibration::OFF,
                 ..self.inputs.options
             },
             tau_factor: prior.tau_factor,

@@ -355,11 +355,11 @@ fn a_recording_corrects_its_camera() {
             .map(|(video, seed)| psnr_db(video.data(), truth(seed).data()))
             .collect()
     };
-    let off = open(SelfCalibration::Off, &folder.path().join("off.zarr"));
+    let off = open(SelfCalibration::OFF, &folder.path().join("off.zarr"));
     let before = psnr(&videos(&off, &[0, 1, 2]));
     assert!(off.self_calibration().is_none());
     let out = folder.path().join("auto.zarr");
-    let batch = open(SelfCalibration::Auto, &out);
+    let batch = open(SelfCalibration::AUTO, &out);
     let found = videos(&batch, &[0, 1, 2]);
     let after = psnr(&found);
     for (before, after) in before.iter().zip(&after) {
@@ -369,7 +369,7 @@ fn a_recording_corrects_its_camera() {
     assert_eq!(frames, [0, 1, 2]);
     let vignetting = calibration["vignetting"]["value"].as_f64().unwrap();
     assert!((vignetting + 0.2).abs() < 0.02, "{vignetting}");
-    let again = open(SelfCalibration::Auto, &out);
+    let again = open(SelfCalibration::AUTO, &out);
     assert_eq!(videos(&again, &[1])[0], found[1]);
     assert_eq!(again.self_calibration(), batch.self_calibration());
 }

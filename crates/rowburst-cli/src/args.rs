@@ -295,7 +295,8 @@ pub struct ReconstructArgs {
     /// Standard deviation of the noise in counts [default: from the calibration, or the frame]
     #[arg(long, allow_hyphen_values = true)]
     pub noise_sigma: Option<f64>,
-    /// Let the frame correct its PSF and camera: off, auto (where they do not explain the frame) or on
+    /// Let the frame correct its PSF and camera: off, auto (where they do not explain the frame), on, or a
+    /// list of what may be corrected, such as scale,rotation_deg, by the names in result.json
     #[arg(long, value_name = "WHEN")]
     pub self_calibrate: Option<String>,
     /// Use every pixel that is not marked as bad: do not look for foreign pixels, such as hot pixels or a

@@ -49,7 +49,7 @@ pub fn options_from(
     keep_all_pixels: bool,
 ) -> PyResult<Options> {
     Ok(Options {
-        self_calibration: SelfCalibration::Off,
+        self_calibration: SelfCalibration::OFF,
         prior: prior_from(prior)?,
         tau: tau_from(tau)?,
         noise_sigma,

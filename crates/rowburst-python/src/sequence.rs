@@ -108,7 +108,7 @@ impl PySequence {
             tau: tau_from(tau)?,
             noise_sigma: optional_real(noise_sigma, "noise_sigma")?,
             max_iterations: None,
-            self_calibration: SelfCalibration::Off,
+            self_calibration: SelfCalibration::OFF,
             keep_all_pixels: true,
             tuning: tuning_of(tuning)?,
             is_preview: true,

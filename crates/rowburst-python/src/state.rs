@@ -6,7 +6,7 @@
 use crate::array::{finite_image, from_image, from_video, video};
 use crate::camera::PyCamera;
 use crate::error::to_py_err;
-use crate::options::{prior_from, tau_from, tuning_from};
+use crate::options::{prior_from, self_calibration_from, tau_from, tuning_from};
 use crate::pickle::{entry, optional_entry};
 use crate::psf::PyPsf;
 use numpy::{PyArray1, PyArray3, PyArrayMethods};
@@ -16,7 +16,7 @@ use pyo3::types::PyDict;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{
     Calibration, Candidate, Choice, Fit, FitStatistics, FoundParameter, ModelParameter, Options,
-    Prior, Reconstruction, SelfCalibration, SigmaSource, Tau, TrimmedChiSquared, Verdict,
+    Prior, Reconstruction, SigmaSource, Tau, TrimmedChiSquared, Verdict,
 };
 use rowburst::solve::{Certificate, StopReason};
 use rowburst::{Cancel, Image, Video};
@@ -171,7 +171,7 @@ fn of_task<'py>(py: Python<'py>, task: &Task) -> PyResult<Bound<'py, PyDict>> {
     }
     state.set_item("requested_sigma", options.noise_sigma)?;
     state.set_item("max_iterations", options.max_iterations)?;
-    state.set_item("self_calibrate", options.self_calibration.name())?;
+    state.set_item("self_calibrate", options.self_calibration.to_string())?;
     state.set_item("keep_all_pixels", options.keep_all_pixels)?;
     state.set_item("tuning", options.tuning.changes())?;
     state.set_item("budget_s", task.budget.map(|b| b.as_secs_f64()))?;
@@ -299,9 +299,7 @@ fn to_task(state: &Bound<'_, PyDict>) -> PyResult<Task> {
             tau: tau_from(Some(&entry(state, "requested_tau")?))?,
             noise_sigma: entry(state, "requested_sigma")?.extract()?,
             max_iterations: entry(state, "max_iterations")?.extract()?,
-            self_calibration: named(
-                &SelfCalibration::ALL,
-                SelfCalibration::name,
+            self_calibration: self_calibration_from(
                 &entry(state, "self_calibrate")?.extract::<String>()?,
             )?,
             keep_all_pixels: entry(state, "keep_all_pixels")?.extract()?,

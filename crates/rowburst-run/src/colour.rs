@@ -132,7 +132,7 @@ impl ColourTask {
             options: Options {
                 prior,
                 // Each plane would correct the PSF in its own way.
-                self_calibration: SelfCalibration::Off,
+                self_calibration: SelfCalibration::OFF,
                 ..setup.options
             },
             budget: setup.budget.map(|budget| budget / 4),

@@ -101,23 +101,12 @@ pub fn parse_prior(name: &str) -> Result<Option<Prior>> {
     }
 }
 
-/// Parses when a frame corrects its PSF and its camera: `off`, `auto` or `on`; `None` is `auto`.
+/// Parses when a frame corrects its PSF and its camera, and what of them; `None` is `auto`. See [`SelfCalibration`].
 ///
 /// # Errors
 /// Another text.
 pub fn parse_self_calibration(text: Option<&str>) -> Result<SelfCalibration> {
-    let Some(text) = text else {
-        return Ok(SelfCalibration::default());
-    };
-    let known = SelfCalibration::ALL.into_iter().find(|s| s.name() == text);
-    known.ok_or_else(|| {
-        Error::input(
-            Parameter::SelfCalibrate,
-            format!("\"{text}\""),
-            "self-calibration is off, auto or on",
-            "Leave it out: a frame that the model does not explain corrects its PSF and camera.",
-        )
-    })
+    text.map_or(Ok(SelfCalibration::default()), str::parse)
 }
 
 /// Parses the model of a guide: `auto`, `motion`, `gain` or `still`; `None` is `auto`.

@@ -8,11 +8,11 @@ use crate::guide::GuideTask;
 use crate::inputs::{read_capture, read_truth};
 use crate::memory::check_memory;
 use crate::options::UserOptions;
+use crate::options::parse_self_calibration;
 use crate::setup::{Frame, Setup};
 use crate::solve::solve;
 use crate::task::Task;
 use crate::traces::TraceRequest;
-use rowburst::reconstruct::SelfCalibration;
 use rowburst::solve::StopReason;
 use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_io::{Calibration, Experiment, read_metadata};
@@ -186,7 +186,7 @@ impl Request {
 
 /// Refuses what belongs to one grey video.
 fn refuse_colour(params: &RequestParams) -> Result<()> {
-    let self_calibrate = params.options.self_calibrate;
+    let self_calibration = parse_self_calibration(params.options.self_calibrate)?;
     let given = [
         (Parameter::Truth, params.truth.is_some()),
         (Parameter::Direct, params.direct.is_some()),
@@ -195,10 +195,7 @@ fn refuse_colour(params: &RequestParams) -> Result<()> {
         (Parameter::Photodiode, !params.photodiodes.is_empty()),
         (Parameter::Bins, params.bins.is_some()),
         (Parameter::PartBins, params.bins_per_chunk.is_some()),
-        (
-            Parameter::SelfCalibrate,
-            self_calibrate == Some(SelfCalibration::On.name()),
-        ),
+        (Parameter::SelfCalibrate, self_calibration.is_on()),
     ];
     match given.iter().find(|(_, given)| *given) {
         None => Ok(()),

@@ -107,7 +107,11 @@ fn options(chance: &mut Chance) -> Options {
         },
         noise_sigma: (chance.below(3) == 0).then(|| power(chance, -20.0, 20.0)),
         max_iterations: (chance.below(2) == 0).then(|| 1 + chance.below(60)),
-        self_calibration: SelfCalibration::ALL[chance.below(3)],
+        self_calibration: [
+            SelfCalibration::OFF,
+            SelfCalibration::AUTO,
+            SelfCalibration::ON,
+        ][chance.below(3)],
         keep_all_pixels: chance.below(2) == 0,
         ..Options::default()
     }

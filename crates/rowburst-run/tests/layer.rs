@@ -94,7 +94,7 @@ impl Lab {
                 prior: Some("tv".parse().unwrap()),
                 noise_sigma: Some(0.01),
                 max_iterations: Some(10),
-                self_calibration: rowburst::reconstruct::SelfCalibration::Off,
+                self_calibration: rowburst::reconstruct::SelfCalibration::OFF,
                 keep_all_pixels: true,
                 ..Default::default()
             },

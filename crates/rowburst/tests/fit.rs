@@ -368,7 +368,7 @@ impl Case {
         let options = Options {
             noise_sigma: self.sigma,
             // The verdict is on the model as given.
-            self_calibration: SelfCalibration::Off,
+            self_calibration: SelfCalibration::OFF,
             ..self.options
         };
         let problem = Problem::new(&measurement, &camera, &self.psf, options).unwrap();

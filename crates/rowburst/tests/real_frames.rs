@@ -256,7 +256,7 @@ fn a_wrong_psf_has_an_effective_noise_level() {
         frame: case.frame.clone(),
     };
     let as_given = Options {
-        self_calibration: SelfCalibration::Off,
+        self_calibration: SelfCalibration::OFF,
         ..Options::default()
     };
     let found = wrong.solve(&wrong.frame, as_given);

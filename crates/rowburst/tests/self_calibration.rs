@@ -9,7 +9,8 @@ use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
 use rowburst::reconstruct::{
-    ModelParameter, Options, Prior, Problem, Reconstruction, SelfCalibration, Verdict,
+    FoundParameter, ModelParameter, Options, Prior, Problem, Reconstruction, SelfCalibration,
+    Verdict,
 };
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::solve::StopReason;
@@ -161,8 +162,8 @@ fn value_of(found: &Reconstruction, parameter: ModelParameter) -> f64 {
 #[test]
 fn a_right_model_stays() {
     let case = Case::new(1.0);
-    let (off, expected) = case.solve(&case.light, &case.psf, SelfCalibration::Off);
-    for when in [SelfCalibration::Auto, SelfCalibration::On] {
+    let (off, expected) = case.solve(&case.light, &case.psf, SelfCalibration::OFF);
+    for when in [SelfCalibration::AUTO, SelfCalibration::ON] {
         let (found, psnr) = case.solve(&case.light, &case.psf, when);
         assert!(found.calibration.is_none());
         assert_eq!(found.effective_sigma, off.effective_sigma);
@@ -170,12 +171,37 @@ fn a_right_model_stays() {
     }
 }
 
+/// Only what is listed is corrected, and a list is found sooner.
+#[test]
+fn only_what_is_listed_is_corrected() {
+    let case = Case::new(1.0);
+    let larger = distorted(&case.psf, 1.01, 0.0);
+    let (all, of_all) = case.solve(&case.light, &larger, SelfCalibration::AUTO);
+    let (some, of_some) = case.solve(&case.light, &larger, "scale,rotation_deg".parse().unwrap());
+    assert!((of_all - of_some).abs() < 0.5, "{of_all} {of_some}");
+    let found = some.calibration.expect("the scale is found").parameters;
+    let names: Vec<&str> = found.iter().map(|p| p.parameter.name()).collect();
+    assert_eq!(names, ["scale"]);
+    assert!(all.calibration.is_some());
+    let (other, _) = case.solve(
+        &case.light,
+        &larger,
+        "vignetting,psf_refinement".parse().unwrap(),
+    );
+    let is_of_list = |p: &FoundParameter| p.parameter == ModelParameter::Vignetting;
+    assert!(
+        other
+            .calibration
+            .is_none_or(|c| c.parameters.iter().all(is_of_list))
+    );
+}
+
 /// A PSF of another size and angle, vignetting and stray light are found, one by one and at exposures longer than a row.
 #[test]
 fn parameters_are_found() {
     for exposure in [1.0, 2.5] {
         let case = Case::new(exposure);
-        let (_, perfect) = case.solve(&case.light, &case.psf, SelfCalibration::Off);
+        let (_, perfect) = case.solve(&case.light, &case.psf, SelfCalibration::OFF);
         let mean = case.light.data().iter().sum::<f32>() / case.light.data().len() as f32;
         let vignetted = Image::from_fn(ROWS, COLUMNS, |y, x| {
             let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
@@ -210,8 +236,8 @@ fn parameters_are_found() {
         let step = if exposure == 1.0 { 1 } else { 2 };
         for (psf, light, parameter, expected, tolerance) in faults.into_iter().step_by(step) {
             let name = format!("{} at {exposure} rows", parameter.name());
-            let (_, before) = case.solve(light, &psf, SelfCalibration::Off);
-            let (found, after) = case.solve(light, &psf, SelfCalibration::Auto);
+            let (_, before) = case.solve(light, &psf, SelfCalibration::OFF);
+            let (found, after) = case.solve(light, &psf, SelfCalibration::AUTO);
             println!("{name}: {before:.2} -> {after:.2} dB, perfect {perfect:.2}");
             assert!(found.calibration.is_some(), "{name}: nothing was corrected");
             let value = value_of(&found, parameter);
@@ -243,7 +269,7 @@ fn another_diffuser_stays() {
         ..SpeckleOptics::demo()
     };
     let other = speckle_psf(&optics, 2 * ROWS - 1, 2 * COLUMNS - 1, 6).unwrap();
-    let (found, _) = case.solve(&case.light, &other, SelfCalibration::Auto);
+    let (found, _) = case.solve(&case.light, &other, SelfCalibration::AUTO);
     assert!(found.calibration.is_none());
     assert_ne!(found.fit.verdict, Verdict::Good);
     let reason = &found.fit.reason;
@@ -323,8 +349,8 @@ fn a_noisy_psf_is_refined() {
     });
     let capture = Image::new(image.rows(), image.columns(), capture.collect()).unwrap();
     let psf = Psf::new(capture).unwrap();
-    let (_, before) = case.solve(&case.light, &psf, SelfCalibration::Off);
-    let (found, after) = case.solve(&case.light, &psf, SelfCalibration::Auto);
+    let (_, before) = case.solve(&case.light, &psf, SelfCalibration::OFF);
+    let (found, after) = case.solve(&case.light, &psf, SelfCalibration::AUTO);
     println!("{before:.2} -> {after:.2} dB");
     let calibration = found.calibration.expect("a correction");
     assert!(

@@ -93,7 +93,7 @@ impl Chunked {
                 prior: Some(prior),
                 // A chunk alone has too few pixels to tell foreign ones, and all chunks have the same PSF.
                 keep_all_pixels: true,
-                self_calibration: SelfCalibration::Off,
+                self_calibration: SelfCalibration::OFF,
                 ..options
             },
             camera,

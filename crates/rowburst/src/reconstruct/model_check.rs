@@ -6,7 +6,7 @@ use super::choose;
 use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
-use super::{Prior, Problem, RunResult, SelfCalibration, SigmaSource, Tau};
+use super::{Prior, Problem, RunResult, SigmaSource, Tau};
 use rowburst_core::vecmath::norm;
 use rowburst_optics::Shutter;
 use rowburst_solve::DataTerm;
@@ -49,7 +49,7 @@ impl Problem {
             let opened = self.held_out_run(0.0, prior, observer)?;
             (check, run) = (opened.0, Some(opened.1));
         }
-        if self.is_explained(&check) && self.options.self_calibration != SelfCalibration::On {
+        if self.is_explained(&check) && !self.options.self_calibration.is_on() {
             info!("the model explains the frame");
             (self.passed_check, self.checked_run) = (true, run);
             return Ok(());
@@ -138,7 +138,7 @@ impl Problem {
         }
         let check = self.exclude_foreign(found, check, prior, observer)?;
         let is_explained = self.is_explained(&check);
-        if is_explained && self.options.self_calibration != SelfCalibration::On {
+        if is_explained && !self.options.self_calibration.is_on() {
             return Ok(check);
         }
         let excluded = self.excluded.clone();
@@ -264,18 +264,15 @@ impl Problem {
 
     /// Whether the frame may correct PSF and camera.
     fn calibrates(&self) -> bool {
-        match self.options.self_calibration {
-            SelfCalibration::Off => false,
-            SelfCalibration::Auto => !self.is_dense,
-            SelfCalibration::On => true,
-        }
+        let asked = self.options.self_calibration;
+        asked.is_on() || !asked.is_off() && !self.is_dense
     }
 
     /// Whether the model is checked on held-out pixels before the run.
     pub(super) fn is_checked(&self) -> bool {
         let has_use = !self.options.keep_all_pixels
             || self.options.noise_sigma.is_none()
-            || self.options.self_calibration != SelfCalibration::Off;
+            || !self.options.self_calibration.is_off();
         let is_long = self
             .options
             .max_iterations

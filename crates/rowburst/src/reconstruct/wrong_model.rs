@@ -9,7 +9,7 @@ use super::Observer;
 use super::fit;
 use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
-use super::{Model, Prior, Problem, RunResult, SelfCalibration};
+use super::{Model, Prior, Problem, RunResult};
 use rowburst_optics::camera::CameraParams;
 use rowburst_optics::{Camera, Image, PatchSet, Psf, Shutter};
 use rowburst_solve::DataTerm;
@@ -33,7 +33,7 @@ impl Problem {
     /// Whether the frame is turned by 90° or transposed. It is not looked for where a correction of the model is asked for
     /// by name.
     pub(super) fn has_turned_frame(&self) -> bool {
-        let is_turned = self.options.self_calibration != SelfCalibration::On
+        let is_turned = !self.options.self_calibration.is_on()
             && fit::is_turned(
                 self.data.measurements(),
                 self.data.weights(),
@@ -54,7 +54,7 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<bool, Box<RunResult>> {
-        if self.options.self_calibration == SelfCalibration::On {
+        if self.options.self_calibration.is_on() {
             return Ok(false);
         }
         for image in IMAGES {
@@ -87,7 +87,7 @@ impl Problem {
         check: &HeldOutCheck,
         observer: &mut Observer,
     ) -> Result<bool, Box<RunResult>> {
-        if self.options.self_calibration == SelfCalibration::On {
+        if self.options.self_calibration.is_on() {
             return Ok(false);
         }
         // With the wrong shutter a sparse scene looks dense.

@@ -43,11 +43,6 @@ const GROUPS: [&[ModelParameter]; 4] = [
         ModelParameter::Shear,
     ],
 ];
-/// All parameters that steps find, and the rows.
-const ALL_FREE: Free = Free {
-    parameters: &FREE,
-    has_row_offsets: true,
-};
 /// First noise level of the search over the light of the frames; larger stands larger errors of the model.
 const START_LEVEL: f64 = 0.05;
 /// The same over the noise of the sensor.
@@ -247,7 +242,22 @@ impl Search<'_, '_, '_> {
         light: f64,
     ) -> Result<Proposal, Box<RunResult>> {
         let level = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
-        self.parameters(start.correction.clone(), ALL_FREE, level)
+        self.all_parameters(start, level)
+    }
+
+    /// All parameters that may be corrected together, from those of `start` and the noise level `level` on.
+    fn all_parameters(&mut self, start: &Proposal, level: f64) -> Result<Proposal, Box<RunResult>> {
+        let correctable = self.correctable;
+        let parameters: Vec<ModelParameter> =
+            FREE.into_iter().filter(|p| correctable.has(*p)).collect();
+        if parameters.is_empty() && !correctable.row_offsets {
+            return Ok(start.clone());
+        }
+        let free = Free {
+            parameters: &parameters,
+            has_row_offsets: correctable.row_offsets,
+        };
+        self.parameters(start.correction.clone(), free, level)
     }
 
     /// The parameters `found` with a blur beside them, if it helps, and without the negligible ones.
@@ -267,7 +277,7 @@ impl Search<'_, '_, '_> {
             found = found.better(sharp);
             if both.error < BLUR_BESIDE * found.error {
                 let level = (BLUR_LEVEL * both.error).max(self.sigma);
-                found = found.better(self.parameters(both.correction, ALL_FREE, level)?);
+                found = found.better(self.all_parameters(&both, level)?);
             }
         }
         let simpler = self.simplified(found)?;

@@ -12,10 +12,12 @@ mod parameters;
 mod psf_error;
 mod psf_model;
 mod refine;
+mod request;
 mod search;
 mod step;
 
 pub use parameters::ModelParameter;
+pub use request::SelfCalibration;
 
 use super::Observer;
 use super::frame_data::FrameData;
@@ -24,6 +26,7 @@ use super::{Model, Options, Prior, Problem, RunResult};
 use calibrator::Calibrator;
 use decision::{MAX_MISFIT, MIN_GAIN};
 use psf_error::Capture;
+use request::Correctable;
 use rowburst_core::linop::Background;
 use rowburst_core::{Cancel, Result};
 use rowburst_optics::measurement::Measurement;
@@ -33,32 +36,6 @@ use rowburst_solve::admm::Progress;
 use search::{Proposal, Search};
 use std::ops::ControlFlow;
 use tracing::info;
-
-/// When a frame corrects its PSF and its camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum SelfCalibration {
-    /// Never.
-    Off,
-    /// Where the model does not explain the frame.
-    #[default]
-    Auto,
-    /// Always.
-    On,
-}
-
-impl SelfCalibration {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Off, Self::Auto, Self::On];
-
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Off => "off",
-            Self::Auto => "auto",
-            Self::On => "on",
-        }
-    }
-}
 
 /// A correction of PSF and camera that held-out pixels have confirmed.
 #[derive(Debug, Clone, PartialEq)]
@@ -116,6 +93,7 @@ pub(super) struct Frames<'f> {
     pub sigma: f64,
     /// Error of held-out pixels of the model as given, in counts.
     pub held_out_error: f64,
+    correctable: Correctable,
 }
 
 /// A correction that held-out pixels confirm, not applied yet.
@@ -148,7 +126,7 @@ impl Frames<'_> {
             _ => None,
         };
         let anchor = capture.as_ref().map(|capture| &capture.anchor);
-        let anchor = anchor.filter(|anchor| *anchor != self.psfs.central());
+        let anchor = anchor.filter(|anchor| self.correctable.psf && *anchor != self.psfs.central());
         let mut search = Search {
             calibrator: Calibrator::new(
                 self.shutter,
@@ -160,6 +138,7 @@ impl Frames<'_> {
                 prior,
             ),
             sigma: self.sigma,
+            correctable: self.correctable,
             observer,
         };
         let given = Proposal {
@@ -190,7 +169,7 @@ impl Frames<'_> {
 }
 
 /// One correction of PSF and camera from several frames of the same camera, which tell more than one. `None`: the model
-/// explains them ([`SelfCalibration::Auto`]), held-out pixels do not confirm a correction, all frames are dense or too
+/// explains them ([`SelfCalibration::AUTO`]), held-out pixels do not confirm a correction, all frames are dense or too
 /// small to tell, or the observer stopped it.
 ///
 /// # Errors
@@ -211,7 +190,7 @@ pub fn calibrate(
         }
     }
     let is_explained = checks.iter().all(|check| check.is_explained);
-    if checks.is_empty() || is_explained && options.self_calibration != SelfCalibration::On {
+    if checks.is_empty() || is_explained && !options.self_calibration.is_on() {
         return Ok(None);
     }
     let rms = |of: fn(&FrameCheck) -> f64| {
@@ -224,6 +203,7 @@ pub fn calibrate(
         psfs: model.psfs(),
         sigma: rms(|check| check.sigma),
         held_out_error: rms(|check| check.held_out_error),
+        correctable: options.self_calibration.correctable,
         measurements: &checks
             .into_iter()
             .map(|check| check.measurement)
@@ -283,6 +263,7 @@ impl Problem {
             measurements: &[self.measurement.without(&self.excluded)],
             sigma: self.sigma,
             held_out_error: before.held_out_rms,
+            correctable: self.options.self_calibration.correctable,
         };
         frames.calibrate(prior, observer)
     }

@@ -28,7 +28,7 @@ pub enum ModelParameter {
 }
 
 /// Number of parameters.
-const COUNT: usize = ModelParameter::ALL.len();
+pub(super) const COUNT: usize = ModelParameter::ALL.len();
 
 impl ModelParameter {
     /// All of them.

@@ -50,7 +50,7 @@ const TOLERANCE: f64 = 3e-3;
 const MAX_ITERATIONS: usize = 40;
 
 impl Search<'_, '_, '_> {
-    /// Refines the PSF of `start`. Returns `None` where it does not soon reach an error below `limit`; with `only_noise`
+    /// Refines the PSF of `start`. Returns `None` where it may not be refined, or does not soon reach an error below `limit`; with `only_noise`
     /// also where noise of the capture does not explain the misfit.
     pub fn refine(
         &mut self,
@@ -59,6 +59,9 @@ impl Search<'_, '_, '_> {
         limit: f64,
         only_noise: bool,
     ) -> Result<Option<Proposal>, Box<RunResult>> {
+        if !self.correctable.psf {
+            return Ok(None);
+        }
         let anchor = self.calibrator.psfs(&start.correction).central().clone();
         let mut correction = start.correction.clone();
         let mut level = (START_LEVEL * start.error).max(self.sigma);

@@ -5,6 +5,7 @@ use super::super::RunResult;
 use super::super::choose;
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::ModelParameter;
+use super::request::Correctable;
 use super::step::{Free, StepReport, step};
 use tracing::info;
 
@@ -76,6 +77,7 @@ pub(super) struct Search<'p, 'o, 'c> {
     pub calibrator: Calibrator<'p>,
     /// Noise of the sensor, in counts.
     pub sigma: f64,
+    pub correctable: Correctable,
     pub observer: &'o mut Observer<'c>,
 }
 
@@ -184,6 +186,9 @@ impl Search<'_, '_, '_> {
         first_steps: &[f64],
         descent: f64,
     ) -> Result<Proposal, Box<RunResult>> {
+        if !self.correctable.has(ModelParameter::Blur) {
+            return Ok(start.clone());
+        }
         let blur = |c: &Proposal| c.correction.parameters[ModelParameter::Blur];
         for &first in first_steps {
             let mut tried = vec![start.clone()];
