@@ -6,6 +6,7 @@ use super::choose;
 use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
+use super::self_calibration::Finding;
 use super::{Prior, Problem, RunResult, SigmaSource, Tau};
 use rowburst_core::vecmath::norm;
 use rowburst_optics::Shutter;
@@ -24,6 +25,9 @@ const MAX_ERROR_RATIO: f64 = 0.98;
 /// The same where many are left out, or the PSF has been corrected: the error falls by that alone, since they are no longer
 /// held out.
 const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
+/// Held-out error without the pixels that stand out over that with them, above which PSF and camera are corrected first:
+/// foreign pixels are most of the error where there are any; smaller searches for corrections of what they do.
+const FOREIGN_ERROR_RATIO: f64 = 0.8;
 /// Part of the pixels from which they are many.
 const MANY_EXCLUDED: f64 = 0.01;
 
@@ -98,8 +102,9 @@ impl Problem {
     /// check after the corrections.
     ///
     /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. If the model explains the
-    /// frame without them, they are foreign and nothing else is wrong: the shortest search. Otherwise PSF and camera are
-    /// corrected with those left out, and where that helps, all pixels are judged again.
+    /// frame without them, they are foreign and nothing else is wrong: the shortest search. If it explains little more, PSF
+    /// and camera are corrected at once, else after the rounds for foreign pixels. The correction is found without them;
+    /// where it helps, all pixels are judged again.
     fn correct_model(
         &mut self,
         check: HeldOutCheck,
@@ -132,10 +137,20 @@ impl Problem {
             self.has_wrong_model = !is_followed && self.has_foreign_psf(start, prior, observer)?
                 || self.has_other_shutter(start, observer)?;
         }
-        self.exclude(none.clone());
         if self.has_wrong_model {
+            self.exclude(none);
             return Ok(check);
         }
+        if start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms
+            && !self.is_explained(start)
+            && !(is_followed && self.has_foreign_psf(start, prior, observer)?)
+        {
+            let finding = self.find_correction(prior, start, observer)?;
+            if let Some(finding) = finding.filter(is_clear) {
+                return self.judge_corrected(finding, prior, observer);
+            }
+        }
+        self.exclude(none.clone());
         let check = self.exclude_foreign(found, check, prior, observer)?;
         let is_explained = self.is_explained(&check);
         if is_explained && !self.options.self_calibration.is_on() {
@@ -155,17 +170,8 @@ impl Problem {
             return Ok(check);
         }
         let mut pending = self.find_correction(prior, start, observer)?;
-        if let Some(finding) =
-            pending.take_if(|found| found.explains || found.error_ratio() < CLEAR_CORRECTION)
-        {
-            self.exclude(none.clone());
-            self.apply_correction(finding.calibration, none);
-            let check = self.held_out_check(prior, observer)?;
-            if self.is_explained(&check) {
-                return Ok(check);
-            }
-            let found = self.find_foreign(observer)?;
-            return self.exclude_foreign(found, check, prior, observer);
+        if let Some(finding) = pending.take_if(|finding| is_clear(finding)) {
+            return self.judge_corrected(finding, prior, observer);
         }
         self.exclude(excluded.clone());
         match pending {
@@ -175,6 +181,25 @@ impl Problem {
             }
             _ => Ok(check),
         }
+    }
+
+    /// Applies a correction and judges all pixels again with it.
+    fn judge_corrected(
+        &mut self,
+        finding: Finding,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let none = vec![false; self.excluded.len()];
+        self.exclude(none.clone());
+        self.apply_correction(finding.calibration, none);
+        let check = self.held_out_check(prior, observer)?;
+        // Foreign pixels must explain half of the error, which is never below the noise of the sensor.
+        if self.is_explained(&check) || MAX_ERROR_RATIO_OF_MANY * check.held_out_rms < self.sigma {
+            return Ok(check);
+        }
+        let found = self.find_foreign(observer)?;
+        self.exclude_foreign(found, check, prior, observer)
     }
 
     /// Pixels that stand out at a loose fit, if foreign pixels are to be left out.
@@ -282,4 +307,9 @@ impl Problem {
             self.sigma_source != SigmaSource::HeldOut || !matches!(self.options.tau, Tau::Given(_));
         has_use && is_known && is_long && !self.options.is_preview && choose::can_choose(&self.data)
     }
+}
+
+/// Whether a correction explains so much that all pixels are judged again with it.
+fn is_clear(finding: &Finding) -> bool {
+    finding.explains || finding.error_ratio() < CLEAR_CORRECTION
 }
