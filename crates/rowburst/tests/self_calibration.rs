@@ -336,19 +336,52 @@ fn another_shutter_is_named() {
     }
 }
 
-/// A noisy capture of the PSF is refined.
-#[test]
-fn a_noisy_psf_is_refined() {
-    let case = Case::new(1.0);
-    let image = case.psf.image();
-    let electrons = 200.0 / f64::from(image.max());
+/// The PSF from a capture whose brightest pixel has so many electrons.
+fn photographed(psf: &Psf, electrons: f64) -> Psf {
+    let image = psf.image();
+    let electrons = electrons / f64::from(image.max());
     let mut rng = Pcg64::seed_from_u64(1);
     let capture = image.data().iter().map(|&p| {
         let (mean, noise): (f64, f64) = (f64::from(p) * electrons, StandardNormal.sample(&mut rng));
         (mean + noise * mean.sqrt()).max(0.0) as f32
     });
     let capture = Image::new(image.rows(), image.columns(), capture.collect()).unwrap();
-    let psf = Psf::new(capture).unwrap();
+    Psf::new(capture).unwrap()
+}
+
+/// A noisy capture of a PSF that is too large, in a lens that vignettes: PSF and parameters are found together.
+#[test]
+fn parameters_are_found_beside_a_noisy_psf() {
+    let case = Case::new(1.0);
+    let vignetted = Image::from_fn(ROWS, COLUMNS, |y, x| {
+        let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
+        let (y_part, x_part) = (place(y, ROWS), place(x, COLUMNS));
+        case.light.at(y, x) * (1.0 - 0.1 * (y_part * y_part + x_part * x_part))
+    });
+    let noisy = photographed(&case.psf, 1000.0);
+    let psf = photographed(&distorted(&case.psf, 1.01, 0.0), 1000.0);
+    let (_, alone) = case.solve(&case.light, &noisy, SelfCalibration::AUTO);
+    let (_, before) = case.solve(&vignetted, &psf, SelfCalibration::OFF);
+    let (found, after) = case.solve(&vignetted, &psf, SelfCalibration::AUTO);
+    println!("{before:.2} -> {after:.2} dB, with noise alone {alone:.2} dB");
+    assert!(
+        after > alone - 1.0,
+        "{after} dB, with noise alone {alone} dB"
+    );
+    assert!((value_of(&found, ModelParameter::Scale) + 0.0099).abs() < 1e-3);
+    assert!((value_of(&found, ModelParameter::Vignetting) + 0.2).abs() < 0.03);
+    let calibration = found.calibration.expect("a correction");
+    assert!(calibration.psf_refinement.is_some());
+    let others = calibration.parameters.iter().map(|p| p.parameter);
+    let ghosts = others.filter(|p| *p == ModelParameter::Blur);
+    assert_eq!(ghosts.count(), 0, "{:?}", calibration.parameters);
+}
+
+/// A noisy capture of the PSF is refined.
+#[test]
+fn a_noisy_psf_is_refined() {
+    let case = Case::new(1.0);
+    let psf = photographed(&case.psf, 200.0);
     let (_, before) = case.solve(&case.light, &psf, SelfCalibration::OFF);
     let (found, after) = case.solve(&case.light, &psf, SelfCalibration::AUTO);
     println!("{before:.2} -> {after:.2} dB");

@@ -89,6 +89,14 @@ const MIN_JUDGING_GAIN: f64 = 4.0;
 /// The same of the confirming pixels, among which nothing was chosen.
 const MIN_CONFIRMING_GAIN: f64 = 2.0;
 
+impl Correction {
+    /// The parameters that steps find and that are not zero.
+    fn free_parameters(&self) -> Vec<ModelParameter> {
+        let free = FREE.into_iter();
+        free.filter(|p| self.parameters[*p] != 0.0).collect()
+    }
+}
+
 impl Search<'_, '_, '_> {
     /// The correction that predicts held-out pixels best; `light` is the root mean square of the frame.
     pub fn find(
@@ -104,7 +112,7 @@ impl Search<'_, '_, '_> {
         };
         if capture.noise.is_some() {
             let limit = WORTH_REFINING * given.error;
-            if let Some(refined) = self.refine(given, capture, limit, true)?
+            if let Some(refined) = self.refine(given, capture, limit, true, &[])?
                 && refined.error < limit
             {
                 return Ok(refined);
@@ -127,8 +135,11 @@ impl Search<'_, '_, '_> {
             return Ok(found);
         }
         if found.error > EXPLAINED * self.sigma {
+            if let Some(refined) = self.refined_beside(&found, capture)? {
+                return Ok(refined);
+            }
             let limit = REFINED_ALONE * found.error;
-            if let Some(refined) = self.refine(given, capture, limit, false)?
+            if let Some(refined) = self.refine(given, capture, limit, false, &[])?
                 && refined.error < limit
             {
                 // The parameters were ghosts of an error of the PSF itself.
@@ -138,13 +149,34 @@ impl Search<'_, '_, '_> {
         let found = self.completed(given, blurred, found)?;
         if found.error > EXPLAINED * self.sigma && found.error < PARAMETERS_FAIL * given.error {
             let limit = WORTH_REFINING * found.error;
-            if let Some(refined) = self.refine(&found, capture, limit, false)?
+            if let Some(refined) =
+                self.refine(&found, capture, limit, false, &self.free_parameters())?
                 && refined.error < limit
             {
                 return Ok(refined);
             }
         }
         Ok(found)
+    }
+
+    /// The PSF of `found` refined with its parameters, where these leave no more than noise of the capture explains: other
+    /// parameters would be ghosts of it. The negligible ones are left out.
+    fn refined_beside(
+        &mut self,
+        found: &Proposal,
+        capture: &Capture,
+    ) -> Result<Option<Proposal>, Box<RunResult>> {
+        if capture.noise.is_none() {
+            return Ok(None);
+        }
+        let start = Proposal {
+            correction: without_rows(&found.correction.without_negligible()),
+            ..found.clone()
+        };
+        let free = start.correction.free_parameters();
+        let limit = WORTH_REFINING * found.error;
+        let refined = self.refine(&start, capture, limit, true, &free)?;
+        Ok(refined.filter(|refined| refined.error < limit))
     }
 
     /// Compares `found` with the PSF as given, on the judging and on the confirming pixels. `given_error` is the held-out
@@ -245,17 +277,21 @@ impl Search<'_, '_, '_> {
         self.all_parameters(start, level)
     }
 
+    /// The parameters that steps may correct.
+    fn free_parameters(&self) -> Vec<ModelParameter> {
+        let free = FREE.into_iter();
+        free.filter(|p| self.correctable.has(*p)).collect()
+    }
+
     /// All parameters that may be corrected together, from those of `start` and the noise level `level` on.
     fn all_parameters(&mut self, start: &Proposal, level: f64) -> Result<Proposal, Box<RunResult>> {
-        let correctable = self.correctable;
-        let parameters: Vec<ModelParameter> =
-            FREE.into_iter().filter(|p| correctable.has(*p)).collect();
-        if parameters.is_empty() && !correctable.row_offsets {
+        let parameters = self.free_parameters();
+        if parameters.is_empty() && !self.correctable.row_offsets {
             return Ok(start.clone());
         }
         let free = Free {
             parameters: &parameters,
-            has_row_offsets: correctable.row_offsets,
+            has_row_offsets: self.correctable.row_offsets,
         };
         self.parameters(start.correction.clone(), free, level)
     }
@@ -287,10 +323,6 @@ impl Search<'_, '_, '_> {
     /// `found` without its negligible parameters, and without each group of parameters that is not needed to predict
     /// held-out pixels as well. Nearly the same change of a frame may be made by several parameters together.
     fn simplified(&mut self, found: Proposal) -> Result<Proposal, Box<RunResult>> {
-        let without_rows = |correction: &Correction| Correction {
-            row_offsets: vec![0.0; correction.row_offsets.len()],
-            ..correction.clone()
-        };
         let simplest = without_rows(&found.correction.without_negligible());
         let trial = self.found_anew(simplest, found.level)?;
         let mut found = if trial.error <= SIMPLER * found.error {
@@ -346,15 +378,20 @@ impl Search<'_, '_, '_> {
         correction: Correction,
         level: f64,
     ) -> Result<Proposal, Box<RunResult>> {
-        let parameters: Vec<ModelParameter> = FREE
-            .into_iter()
-            .filter(|p| correction.parameters[*p] != 0.0)
-            .collect();
+        let parameters = correction.free_parameters();
         let free = Free {
             parameters: &parameters,
             has_row_offsets: correction.has_row_offsets(),
         };
         self.parameters(correction, free, level)
+    }
+}
+
+/// The same correction without stray light of rows.
+fn without_rows(correction: &Correction) -> Correction {
+    Correction {
+        row_offsets: vec![0.0; correction.row_offsets.len()],
+        ..correction.clone()
     }
 }
 

@@ -8,13 +8,15 @@
 //! ```
 //!
 //! by conjugate gradients, always around the capture `p₀`. Several frames are a sum. Reconstruction and refinement
-//! alternate while the noise level falls to that of the sensor.
+//! alternate while the noise level falls to that of the sensor. Parameters that were found before the PSF are a little
+//! wrong, and change with it: their derivatives are further columns of `B L`.
 
 use super::super::RunResult;
-use super::calibrator::Trial;
+use super::calibrator::{Calibrator, Correction, Trial};
+use super::parameters::ModelParameter;
 use super::psf_error::{Capture, PsfError};
 use super::search::{MIN_FALL, Proposal, Search};
-use super::step::Marginal;
+use super::step::{Free, Jacobian, Marginal};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -38,6 +40,8 @@ const LATER: f64 = 1.02;
 const DOUBTED_ROUND: usize = 2;
 /// Standard deviation of the active voxels over the brightness; smaller than in `step`, since the PSF has more freedom.
 const AMPLITUDE: f64 = 0.2;
+/// Standard deviation of the change of a parameter beside the PSF, over the width of its prior; larger admits ghosts.
+const PARAMETER_WIDTH: f64 = 0.3;
 /// Variance of the misfit over that of sensor and capture up to which the capture's noise explains it.
 const EXPLAINED_BY_NOISE: f64 = 1.4;
 /// Least change of the speckle over its size that is looked for.
@@ -50,19 +54,20 @@ const TOLERANCE: f64 = 3e-3;
 const MAX_ITERATIONS: usize = 40;
 
 impl Search<'_, '_, '_> {
-    /// Refines the PSF of `start`. Returns `None` where it may not be refined, or does not soon reach an error below `limit`; with `only_noise`
-    /// also where noise of the capture does not explain the misfit.
+    /// Refines the PSF of `start`, and changes the parameters `free` a little with it. Returns `None` where it may not be
+    /// refined, or does not soon reach an error below `limit`; with `only_noise` also where noise of the capture does not
+    /// explain the misfit.
     pub fn refine(
         &mut self,
         start: &Proposal,
         capture: &Capture,
         limit: f64,
         only_noise: bool,
+        free: &[ModelParameter],
     ) -> Result<Option<Proposal>, Box<RunResult>> {
         if !self.correctable.psf {
             return Ok(None);
         }
-        let anchor = self.calibrator.psfs(&start.correction).central().clone();
         let mut correction = start.correction.clone();
         let mut level = (START_LEVEL * start.error).max(self.sigma);
         let mut best: Option<Proposal> = None;
@@ -99,9 +104,19 @@ impl Search<'_, '_, '_> {
                 };
                 priors = Some(found);
             }
-            let priors = priors.as_deref().expect("set above");
-            let refined = posterior_mean(&maps, &mut trials, level, &anchor, priors, &mut errors);
-            correction.refined = Some(refined);
+            let refinement = Refinement {
+                start: &start.correction,
+                priors: priors.as_deref().expect("set above"),
+                free,
+                level,
+            };
+            refinement.step(
+                &mut self.calibrator,
+                &mut correction,
+                &maps,
+                &mut trials,
+                &mut errors,
+            );
             level = (LEVEL_RATIO * level)
                 .min(HELD_OUT_RATIO * error)
                 .max(self.sigma);
@@ -155,80 +170,166 @@ fn misfit(maps: &[PsfMap], trials: &[Trial], prior: &PsfError) -> f64 {
     (sum / (PROBES * count.max(1)) as f64).max(f64::MIN_POSITIVE)
 }
 
-/// The PSF that `anchor` and the frames make most likely. `errors` is `z`: a start, and then the solution.
-fn posterior_mean(
-    maps: &[PsfMap],
-    trials: &mut [Trial],
+/// What each step of a refinement is made from.
+struct Refinement<'r> {
+    /// The correction around which parameters change.
+    start: &'r Correction,
+    priors: &'r [PsfError],
+    free: &'r [ModelParameter],
     level: f64,
-    anchor: &Psf,
-    priors: &[PsfError],
-    errors: &mut Vec<f32>,
-) -> Psf {
-    let image = anchor.image();
-    let error_of = |z: &[f32]| -> Vec<f32> {
-        let mut sum = vec![0.0; image.data().len()];
+}
+
+impl Refinement<'_> {
+    /// Sets `correction` to the PSF and the parameters that its capture and the frames make most likely. `errors` is the
+    /// solution of the step before, and then that of this one.
+    fn step(
+        &self,
+        calibrator: &mut Calibrator,
+        correction: &mut Correction,
+        maps: &[PsfMap],
+        trials: &mut [Trial],
+        errors: &mut Vec<f32>,
+    ) {
+        let free = Free {
+            parameters: self.free,
+            has_row_offsets: false,
+        };
+        let jacobians: Vec<Jacobian> = trials
+            .iter()
+            .map(|trial| Jacobian::new(calibrator, correction, trial, free))
+            .collect();
+        let widths = self.free.iter().map(|p| PARAMETER_WIDTH * p.prior_width());
+        let widths: Vec<f64> = widths.collect();
+        let anchor = self.anchor(calibrator, correction);
+        let residuals: Vec<Vec<f32>> = trials
+            .iter()
+            .zip(maps)
+            .map(|(trial, map)| {
+                let light = trial.data.weigh(&map.apply(anchor.image().data()));
+                let measured = trial.data.measurements().iter();
+                measured.zip(&light).map(|(b, a)| b - a).collect()
+            })
+            .collect();
+        let mut system = System {
+            maps,
+            marginals: trials
+                .iter_mut()
+                .map(|trial| Marginal::new(trial, self.level, AMPLITUDE))
+                .collect(),
+            priors: self.priors,
+            jacobians: &jacobians,
+            widths: &widths,
+            variance: self.level * self.level,
+            psf_len: anchor.image().data().len(),
+        };
+        let mut right = system.weighted_adjoint(&residuals);
+        let first = right.len() - widths.len();
+        for ((right, parameter), width) in right[first..].iter_mut().zip(self.free).zip(&widths) {
+            let moved = correction.parameters[*parameter] - self.start.parameters[*parameter];
+            *right -= (moved / width) as f32;
+        }
+        errors.resize(right.len(), 0.0);
+        // The changes of the last step have been made.
+        errors[first..].fill(0.0);
+        let mut product = |z: &[f32]| -> Vec<f32> {
+            let frames = system.apply(z);
+            let mut out = system.weighted_adjoint(&frames);
+            out.iter_mut().zip(z).for_each(|(o, z)| *o += z);
+            out
+        };
+        conjugate_gradient(&mut product, &right, errors);
+        let (error, changes) = system.split(errors);
+        for (parameter, change) in self.free.iter().zip(changes) {
+            correction.parameters[*parameter] += change;
+        }
+        let anchor = self.anchor(calibrator, correction);
+        let image = anchor.image();
+        let pairs = image.data().iter().zip(&error);
+        let values: Vec<f32> = pairs.map(|(p, e)| (p + e).max(0.0)).collect();
+        let refined = Image::new(image.rows(), image.columns(), values);
+        let refined = Psf::new(refined.expect("the size of the anchor"));
+        correction.refined = Some(refined.unwrap_or(anchor));
+    }
+
+    /// The PSF around which errors are sought: that of the start, or with free parameters that of the parameters.
+    fn anchor(&self, calibrator: &mut Calibrator, correction: &Correction) -> Psf {
+        let psfs = if self.free.is_empty() {
+            calibrator.psfs(self.start)
+        } else {
+            calibrator.model_psfs(&correction.parameters)
+        };
+        psfs.central().clone()
+    }
+}
+
+/// The linear system of a refinement: errors `z` of the PSF, and changes of parameters over their widths, in one vector.
+struct System<'s> {
+    maps: &'s [PsfMap],
+    marginals: Vec<Marginal<'s>>,
+    priors: &'s [PsfError],
+    /// Of each frame, the derivative by each parameter.
+    jacobians: &'s [Jacobian],
+    /// Standard deviation of the change of each parameter.
+    widths: &'s [f64],
+    /// Square of the noise level.
+    variance: f64,
+    /// Number of values of the PSF.
+    psf_len: usize,
+}
+
+impl System<'_> {
+    /// `L z` of the errors, and the changes of the parameters.
+    fn split(&self, z: &[f32]) -> (Vec<f32>, Vec<f64>) {
+        let mut error = vec![0.0; self.psf_len];
         let mut rest = z;
-        for prior in priors {
+        for prior in self.priors {
             let (part, other) = rest.split_at(prior.unknowns());
-            let error = prior.apply(part);
-            sum.iter_mut().zip(error).for_each(|(s, e)| *s += e);
+            let of_prior = prior.apply(part);
+            error.iter_mut().zip(of_prior).for_each(|(s, e)| *s += e);
             rest = other;
         }
-        sum
-    };
-    let residuals: Vec<Vec<f32>> = trials
-        .iter()
-        .zip(maps)
-        .map(|(trial, map)| {
-            let light = trial.data.weigh(&map.apply(image.data()));
-            let measured = trial.data.measurements().iter();
-            measured.zip(&light).map(|(b, a)| b - a).collect()
-        })
-        .collect();
-    let mut marginals: Vec<Marginal> = trials
-        .iter_mut()
-        .map(|trial| Marginal::new(trial, level, AMPLITUDE))
-        .collect();
-    let variance = level * level;
-    // Bᵀ K⁻¹ of a weighted residual of a frame.
-    let back = |map: &PsfMap, marginal: &mut Marginal, r: &[f32]| -> Vec<f32> {
-        let solved = marginal.solve(r);
-        let solved: Vec<f32> = solved.iter().map(|v| (v / variance) as f32).collect();
-        map.adjoint(&marginal.trial.data.weigh(&solved))
-    };
-    // Lᵀ of the sum over the frames of `of`.
-    let sum = |marginals: &mut [Marginal],
-               of: &dyn Fn(usize, &PsfMap, &mut Marginal) -> Vec<f32>|
-     -> Vec<f32> {
-        let mut gradient = vec![0.0; image.data().len()];
-        for (i, (map, marginal)) in maps.iter().zip(marginals).enumerate() {
-            let part = of(i, map, marginal);
+        let changes = rest.iter().zip(self.widths);
+        (error, changes.map(|(z, w)| f64::from(*z) * w).collect())
+    }
+
+    /// How they change each weighted frame.
+    fn apply(&self, z: &[f32]) -> Vec<Vec<f32>> {
+        let (error, changes) = self.split(z);
+        let frames = self.maps.iter().zip(&self.marginals).zip(self.jacobians);
+        frames
+            .map(|((map, marginal), jacobian)| {
+                let mut light = marginal.trial.data.weigh(&map.apply(&error));
+                for (column, change) in jacobian.columns().iter().zip(&changes) {
+                    let pairs = light.iter_mut().zip(column);
+                    pairs.for_each(|(l, c)| *l += *change as f32 * c);
+                }
+                light
+            })
+            .collect()
+    }
+
+    /// The adjoint of [`Self::apply`], after `K⁻¹`.
+    fn weighted_adjoint(&mut self, frames: &[Vec<f32>]) -> Vec<f32> {
+        let mut gradient = vec![0.0; self.psf_len];
+        let mut changes = vec![0.0; self.widths.len()];
+        for (i, frame) in frames.iter().enumerate() {
+            let solved = self.marginals[i].solve(frame);
+            let solved: Vec<f32> = solved.iter().map(|v| (v / self.variance) as f32).collect();
+            let part = self.maps[i].adjoint(&self.marginals[i].trial.data.weigh(&solved));
             gradient.iter_mut().zip(part).for_each(|(g, p)| *g += p);
+            let columns = self.jacobians[i].columns().iter();
+            let products = columns.map(|column| dot(column, &solved));
+            changes.iter_mut().zip(products).for_each(|(c, p)| *c += p);
         }
-        priors
+        let mut z: Vec<f32> = self
+            .priors
             .iter()
             .flat_map(|prior| prior.adjoint(&gradient))
-            .collect()
-    };
-    let right = sum(&mut marginals, &|i, map, marginal| {
-        back(map, marginal, &residuals[i])
-    });
-    let mut product = |z: &[f32]| -> Vec<f32> {
-        let error = error_of(z);
-        let mut out = sum(&mut marginals, &|_, map, marginal| {
-            let predicted = marginal.trial.data.weigh(&map.apply(&error));
-            back(map, marginal, &predicted)
-        });
-        out.iter_mut().zip(z).for_each(|(o, z)| *o += z);
-        out
-    };
-    errors.resize(right.len(), 0.0);
-    conjugate_gradient(&mut product, &right, errors);
-    let error = error_of(errors);
-    let pairs = image.data().iter().zip(&error);
-    let values: Vec<f32> = pairs.map(|(p, e)| (p + e).max(0.0)).collect();
-    let refined = Image::new(image.rows(), image.columns(), values);
-    Psf::new(refined.expect("the size of the anchor")).unwrap_or_else(|_| anchor.clone())
+            .collect();
+        let changes = changes.iter().zip(self.widths);
+        z.extend(changes.map(|(c, w)| (c * w) as f32));
+        z
+    }
 }
 
 /// Solves `product(x) = right`, from `x` on.

@@ -162,13 +162,14 @@ pub(super) fn step(
 }
 
 /// `J`, weighted: a column for each free parameter, and those of the offsets of the rows.
-struct Jacobian {
+pub(super) struct Jacobian {
     columns: Vec<Vec<f32>>,
     rows: Option<RowColumns>,
 }
 
 impl Jacobian {
-    fn new(
+    /// `J` of a trial under `correction`.
+    pub fn new(
         calibrator: &mut Calibrator,
         correction: &Correction,
         trial: &Trial,
@@ -190,6 +191,11 @@ impl Jacobian {
                 None
             },
         }
+    }
+
+    /// The column of each free parameter.
+    pub fn columns(&self) -> &[Vec<f32>] {
+        &self.columns
     }
 
     /// Number of rows with an offset of their own.
