@@ -40,8 +40,14 @@ pub struct FrameRow {
     pub iterations: Option<usize>,
     /// Why it stopped.
     pub stop_reason: Option<String>,
-    /// Pixels that were left out.
+    /// Saturated pixels, which were left out.
     pub saturated_pixels: Option<usize>,
+    /// Noise of the sensor and error of the model together, in counts.
+    #[serde(default)]
+    pub effective_sigma: Option<f64>,
+    /// Part of the pixels that are foreign and were left out.
+    #[serde(default)]
+    pub excluded_fraction: Option<f64>,
     /// From reading to the video, on its threads.
     pub seconds: f64,
     /// What is wrong, if anything.
@@ -70,6 +76,8 @@ impl FrameRow {
             iterations: Some(found.iterations),
             stop_reason: Some(found.stop_reason.name().into()),
             saturated_pixels: Some(saturated),
+            effective_sigma: Some(found.effective_sigma),
+            excluded_fraction: Some(found.excluded_fraction()),
             seconds,
             message: if is_good {
                 String::new()
@@ -93,6 +101,8 @@ impl FrameRow {
             iterations: None,
             stop_reason: None,
             saturated_pixels: None,
+            effective_sigma: None,
+            excluded_fraction: None,
             seconds,
             message,
         }
@@ -115,6 +125,8 @@ struct Line<'a> {
     iterations: Option<usize>,
     stop_reason: Option<&'a str>,
     saturated_pixels: Option<usize>,
+    effective_sigma: Option<f64>,
+    excluded_fraction: Option<f64>,
     seconds: String,
     message: &'a str,
 }
@@ -143,6 +155,8 @@ pub(crate) fn csv_of(
             iterations: row.iterations,
             stop_reason: row.stop_reason.as_deref(),
             saturated_pixels: row.saturated_pixels,
+            effective_sigma: row.effective_sigma,
+            excluded_fraction: row.excluded_fraction,
             seconds: format!("{:.3}", row.seconds),
             message: &row.message,
         };

@@ -115,6 +115,27 @@ fn errors_that_are_not_known_are_left_empty() {
     assert!(table.lines().nth(1).unwrap().ends_with(','), "{table}");
 }
 
+/// Without a prior the video would follow what is wrong with the model.
+#[test]
+fn a_wrong_psf_is_not_debiased() {
+    let lab = Lab::empty();
+    lab.experiment(CAMERA);
+    lab.done("simulate experiment.toml --scene moving --digit-px 8 -o sim");
+    let psf: ndarray::Array2<f32> = ndarray_npy::read_npy(lab.path("sim/psf.npy")).unwrap();
+    let (rows, columns) = psf.dim();
+    lab.image("mirrored.npy", rows, columns, |y, x| {
+        psf[[y, columns - 1 - x]]
+    });
+    lab.done(&format!("{RECONSTRUCT} --psf mirrored.npy --debias -o out"));
+    let result = lab.result("out");
+    assert!(result["debias"].is_null(), "{}", result["debias"]);
+    let warnings = result["warnings"].to_string();
+    assert!(
+        warnings.contains("debiasing had no effect: the "),
+        "{warnings}"
+    );
+}
+
 #[test]
 fn bad_regions_and_photodiodes_are_refused() {
     let lab = Lab::new();

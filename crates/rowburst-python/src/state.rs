@@ -97,6 +97,10 @@ pub fn of_completed<'py>(
     let pixels = |of: fn(&Calibration) -> &Vec<f32>| found.calibration.as_ref().map(of).map(floats);
     state.set_item("pixel_gain", pixels(|c| &c.gain))?;
     state.set_item("pixel_offset", pixels(|c| &c.offset))?;
+    let before = found.calibration.as_ref();
+    let before = before.and_then(|calibration| calibration.residual_before.clone());
+    let before = before.map(|image| from_image(py, image)).transpose()?;
+    state.set_item("residual_before", before)?;
     state.set_item(
         "seconds",
         (
@@ -395,6 +399,9 @@ fn to_calibration(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Option<Cal
         offset: to_weights(state, "pixel_offset")?.unwrap_or_default(),
         held_out_before: before,
         held_out_after: after,
+        residual_before: optional_entry(state, "residual_before")?
+            .map(|value| finite_image(&value, "residual_before"))
+            .transpose()?,
     }))
 }
 

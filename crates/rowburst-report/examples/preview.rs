@@ -96,6 +96,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }),
         residual: &residual,
         given_psf: None,
+        residual_before: None,
         excluded: None,
         coverage: None,
         traces: &traces,

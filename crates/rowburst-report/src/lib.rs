@@ -59,6 +59,8 @@ pub struct ReportInput<'a> {
     pub excluded: Option<&'a [u8]>,
     /// 1 at the voxels `[t, y, x]` that the frame observes, else 0; `None`: it observes all.
     pub coverage: Option<&'a [u8]>,
+    /// The residual with PSF and camera as given, where the frame has corrected them.
+    pub residual_before: Option<&'a Image>,
     /// Instant `k[r]` at which row `r` of the frame is read.
     pub instants: &'a [usize],
     /// The time axis of the video: bin duration, and which bins each instant integrates.

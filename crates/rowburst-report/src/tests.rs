@@ -69,6 +69,7 @@ impl Case {
             }),
             residual: &self.residual,
             given_psf: None,
+            residual_before: None,
             excluded: None,
             coverage: None,
             traces: &self.traces,

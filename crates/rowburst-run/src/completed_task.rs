@@ -352,10 +352,7 @@ impl CompletedTask {
         warnings.extend(self.density_warning());
         warnings.extend(self.coverage_warnings());
         warnings.extend(traces.warnings());
-        if let (true, Some(why)) = (
-            traces.debias_was_wanted,
-            &traces.standard_errors.missing_because,
-        ) {
+        if let (true, Some(why)) = (traces.debias_was_wanted, &traces.debias_failure) {
             warnings.push(format!("debiasing had no effect: {why}"));
         }
         warnings
@@ -533,6 +530,7 @@ impl CompletedTask {
             "background.npy",
             CORRECTED_PSF,
             "psf-correction.png",
+            "residual-before.png",
             GUIDE_PICTURE,
         ] {
             folder.remove(name)?;
@@ -654,6 +652,10 @@ impl CompletedTask {
                 origin: *origin,
             }),
             residual: &self.reconstruction.normalised_residual,
+            residual_before: {
+                let calibration = self.reconstruction.calibration.as_ref();
+                calibration.and_then(|found| found.residual_before.as_ref())
+            },
             excluded: Some(&self.reconstruction.excluded),
             coverage: Some(&self.reconstruction.coverage),
             traces: &annotated,

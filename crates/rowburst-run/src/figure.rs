@@ -104,6 +104,7 @@ pub fn figure_of_folder(folder: &Path, options: &FigureOptions) -> Result<Compos
             frame: &frame,
             psf: &psf,
             given_psf: None,
+            residual_before: None,
             video: &video,
             truth: truth.as_ref(),
             direct: direct.as_ref().map(|image| Direct {
@@ -261,6 +262,7 @@ impl CompletedTask {
                 frame: task.measurement.image(),
                 psf: task.psfs.central().image(),
                 given_psf: None,
+                residual_before: None,
                 video: &found.video,
                 truth: task.truth.as_ref(),
                 direct: direct.as_ref().map(|(image, _)| Direct {

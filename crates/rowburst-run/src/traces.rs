@@ -5,7 +5,7 @@
 
 use crate::format::short;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::Reconstruction;
+use rowburst::reconstruct::{Reconstruction, Verdict};
 use rowburst::traces::{
     Alignment, Frequency, Photodiode, Refit, RefitInput, Region, Trace, brightest_regions,
     frequency_of,
@@ -21,6 +21,9 @@ use std::time::Instant;
 
 /// Most spots that are found automatically; larger adds traces of fainter spots.
 const MAX_AUTO_REGIONS: usize = 6;
+/// Misfit of the refit over the noise, above which there is no refitted video; larger lets it follow
+/// an error of the model.
+const MAX_DEBIAS_MISFIT: f64 = 1.3;
 /// Side in pixels of a region that is given by its middle alone; larger averages more pixels.
 const DEFAULT_REGION_SIDE: usize = 3;
 
@@ -116,6 +119,8 @@ pub struct Traces {
     pub debiased: Option<rowburst::traces::DebiasedVideo>,
     /// Whether the refitted video was requested.
     pub debias_was_wanted: bool,
+    /// Why there can be none.
+    pub debias_failure: Option<String>,
     /// The number of bins of each trace that the frame does not observe. They have no standard error.
     unobserved_bins: Vec<usize>,
     /// The values of each trace before the refitted video took the place of the reconstruction; empty without debiasing.
@@ -257,6 +262,9 @@ pub fn find(
         Ok(refit) => (Some(refit), None),
         Err(reason) => (None, Some(reason)),
     };
+    let debias_failure = missing_because.clone().or(refit
+        .as_ref()
+        .and_then(|refit| misfit_of_debiasing(refit, reconstruction.fit.verdict)));
     let mut traces: Vec<Trace> = match &refit {
         Some(refit) => refit.traces(&regions),
         None => {
@@ -280,8 +288,12 @@ pub fn find(
         frequencies: traces.iter().map(frequency).collect(),
         requested,
         photodiodes,
-        debiased: refit.as_ref().filter(|_| debias).map(Refit::video),
+        debiased: refit
+            .as_ref()
+            .filter(|_| debias && debias_failure.is_none())
+            .map(Refit::video),
         debias_was_wanted: debias,
+        debias_failure,
         unobserved_bins,
         before_debias: Vec::new(),
         standard_errors: StandardErrorNumbers {
@@ -294,6 +306,24 @@ pub fn find(
         },
         traces,
     }
+}
+
+/// Why `refit` is no video, where the model does not explain the frame: without the prior it would follow what is wrong
+/// with the model.
+fn misfit_of_debiasing(refit: &Refit, verdict: Verdict) -> Option<String> {
+    let what = if refit.inflation() > MAX_DEBIAS_MISFIT {
+        format!(
+            "the model misses the frame by {:.1} times the noise",
+            refit.inflation()
+        )
+    } else if verdict == Verdict::Bad {
+        "the fit is bad".into()
+    } else {
+        return None;
+    };
+    Some(format!(
+        "{what}, and without a prior the video would follow the error; check the PSF, or let the frame correct it by self-calibration"
+    ))
 }
 
 /// Removes the estimate and its standard error from the bins in which the frame does not observe all of the trace's

@@ -137,7 +137,7 @@ pub(crate) fn all<'a>(
     };
     let moving = input.video.shape().bins > 1;
     let mut truth = truth;
-    (0..10).filter_map(move |figure| match figure {
+    (0..11).filter_map(move |figure| match figure {
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
         1 if moving => space_time::draw(input, &videos),
@@ -150,7 +150,10 @@ pub(crate) fn all<'a>(
             .map(|given| image::psf_correction(input, given)),
         7 => input.direct.map(|direct| image::direct(input, direct)),
         8 => Some(residual::draw(input)),
-        9 => convergence::draw(input.convergence),
+        9 => input
+            .residual_before
+            .map(|before| residual::draw_before(input, before)),
+        10 => convergence::draw(input.convergence),
         _ => None,
     })
 }

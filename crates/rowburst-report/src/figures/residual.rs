@@ -9,6 +9,7 @@ use crate::format::{fixed, number};
 use crate::panel::{PixelScale, bar_bottom, colour_bar, put, scale_bar};
 use crate::pixels::{LONGEST_SIDE, Plane};
 use crate::stats::moments;
+use rowburst::Image;
 
 /// Half the range of the map, and of the histogram.
 const MAP_LIMIT_SIGMAS: f32 = 4.0;
@@ -16,7 +17,29 @@ const HISTOGRAM_LIMIT_SIGMAS: f64 = 5.0;
 
 /// Draws the map and the histogram. Pixels that were left out are marked, and are not in the histogram.
 pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
-    let image = input.residual;
+    drawn(
+        input,
+        input.residual,
+        "residual",
+        "The residual (b − A v)/σ of each pixel, dimensionless, and its histogram against the unit Gaussian (line): \
+         mean {mean}, standard deviation {deviation}, {beyond} % beyond ±4. Structureless noise of width 1 means that the \
+         model explains the frame; structure means that it does not, and a width below 1 means that noise was fitted.",
+    )
+}
+
+/// Draws the same of the model before self-calibration.
+pub(super) fn draw_before(input: &ReportInput, before: &Image) -> CaptionedFigure {
+    drawn(
+        input,
+        before,
+        "residual-before",
+        "The residual (b − A v)/σ with PSF and camera as given, before the frame has corrected them: mean {mean}, standard \
+         deviation {deviation}, {beyond} % beyond ±4. What is structure here and not in the residual after it is what the \
+         correction explains.",
+    )
+}
+
+fn drawn(input: &ReportInput, image: &Image, name: &'static str, caption: &str) -> CaptionedFigure {
     let mut figure = Figure::new(800.0, 0.0);
     let plane = Plane::reduced(image.rows(), image.columns(), image.data(), LONGEST_SIDE);
     let mut pixels = plane.coloured(Map::Signed, -MAP_LIMIT_SIGMAS, MAP_LIMIT_SIGMAS);
@@ -45,21 +68,16 @@ pub(super) fn draw(input: &ReportInput) -> CaptionedFigure {
     figure.set_height((bar_bottom(place) + 22.0).max(10.0 + height + 42.0));
 
     let m = moments(&values);
-    let mut caption = format!(
-        "The residual (b − A v)/σ of each pixel, dimensionless, and its histogram against the \
-         unit Gaussian (line): mean {}, standard deviation {}, {} % beyond ±4. Structureless \
-         noise of width 1 means that the model explains the frame; structure means that it does \
-         not, and a width below 1 means that noise was fitted.",
-        fixed(m.mean),
-        fixed(m.deviation),
-        number(100.0 * m.beyond_four, 2),
-    );
+    let mut caption = caption
+        .replace("{mean}", &fixed(m.mean))
+        .replace("{deviation}", &fixed(m.deviation))
+        .replace("{beyond}", &number(100.0 * m.beyond_four, 2));
     if m.non_finite > 0 {
         caption += &format!(" {} pixels that are not finite are grey.", m.non_finite);
     }
     caption += &excluded_text(input);
     CaptionedFigure {
-        name: "residual",
+        name,
         section: Section::Fit,
         figure,
         caption,

@@ -176,7 +176,7 @@ impl Problem {
         self.exclude(excluded.clone());
         match pending {
             Some(finding) if !is_explained => {
-                self.apply_correction(finding.calibration, excluded);
+                self.apply_correction(finding, excluded);
                 self.held_out_check(prior, observer)
             }
             _ => Ok(check),
@@ -192,7 +192,7 @@ impl Problem {
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let none = vec![false; self.excluded.len()];
         self.exclude(none.clone());
-        self.apply_correction(finding.calibration, none);
+        self.apply_correction(finding, none);
         let check = self.held_out_check(prior, observer)?;
         // Foreign pixels must explain half of the error, which is never below the noise of the sensor.
         if self.is_explained(&check) || MAX_ERROR_RATIO_OF_MANY * check.held_out_rms < self.sigma {

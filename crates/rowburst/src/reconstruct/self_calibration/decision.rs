@@ -236,6 +236,10 @@ impl Search<'_, '_, '_> {
             choose::rms(&[judging(trials), confirming(trials)].concat()) / sensor_sigma
         };
         let held_out_after = held_out(&after);
+        let light_before = match &before[..] {
+            [before] => Some(before.data.predicted(&before.video)),
+            _ => None,
+        };
         Ok(Some(Finding {
             calibration: Calibration {
                 parameters: parameters.collect(),
@@ -250,7 +254,9 @@ impl Search<'_, '_, '_> {
                 offset,
                 held_out_before: held_out(&before),
                 held_out_after,
+                residual_before: None,
             },
+            light_before,
             explains: held_out_after < EXPLAINED,
         }))
     }

@@ -30,7 +30,7 @@ use request::Correctable;
 use rowburst_core::linop::Background;
 use rowburst_core::{Cancel, Result};
 use rowburst_optics::measurement::Measurement;
-use rowburst_optics::{Camera, PatchSet, RollingShutter};
+use rowburst_optics::{Camera, Image, PatchSet, RollingShutter};
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::Progress;
 use search::{Proposal, Search};
@@ -57,6 +57,8 @@ pub struct Calibration {
     pub held_out_before: f64,
     /// The same after.
     pub held_out_after: f64,
+    /// `W(b − A v)/σ` of the frame, `[y, x]`, of the best reconstruction without a correction; `None`: of several frames.
+    pub residual_before: Option<Image>,
 }
 
 impl Calibration {
@@ -99,6 +101,8 @@ pub(super) struct Frames<'f> {
 /// A correction that held-out pixels confirm, not applied yet.
 pub(super) struct Finding {
     pub calibration: Calibration,
+    /// `A v` at all pixels of the best reconstruction without a correction; `None`: there are several frames.
+    pub light_before: Option<Vec<f32>>,
     /// Whether the model then explains the frames.
     pub explains: bool,
 }
@@ -269,7 +273,23 @@ impl Problem {
     }
 
     /// Applies a correction to PSF and frame, with the pixels `excluded` left out.
-    pub(super) fn apply_correction(&mut self, calibration: Calibration, excluded: Vec<bool>) {
+    pub(super) fn apply_correction(&mut self, finding: Finding, excluded: Vec<bool>) {
+        let mut calibration = finding.calibration;
+        let image = self.measurement.image();
+        calibration.residual_before = finding.light_before.map(|light| {
+            let weights = self.measurement.weights();
+            let normalised = image
+                .data()
+                .iter()
+                .zip(light)
+                .enumerate()
+                .map(|(i, (b, a))| {
+                    let weight = weights.map_or(1.0, |w| f64::from(w[i]));
+                    (weight * (f64::from(*b) - f64::from(a)) / self.sigma) as f32
+                });
+            Image::new(image.rows(), image.columns(), normalised.collect())
+                .expect("the size of the frame")
+        });
         self.measurement = calibration.corrected(&self.measurement);
         let model = Model::new(&self.camera, calibration.psfs.clone());
         let model = model.with_cancel(self.data.cancel());
