@@ -29,6 +29,6 @@ pub use memory::{MemoryEffect, PositionedCapture, memory_effect};
 pub use merge::{MergeParams, NamedCapture, PointSourceImage, merge};
 pub use pinhole::{SharpenedCapture, pinhole_inverse, pinhole_transfer, without_pinhole};
 pub use place::{centred_psfs, centroid, patch_set, patches_needed, select_patches, span_px};
-pub use power::{CaptureSpectrum, Plane};
+pub use power::{CaptureSpectrum, PaddedFft};
 pub use reach::{MIN_REACH, Reach, row_reach};
 pub use statistics::{HISTOGRAM_BIN_WIDTH, SpeckleStatistics, statistics};

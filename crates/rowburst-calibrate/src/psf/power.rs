@@ -21,14 +21,14 @@ const TRUSTED: f64 = 0.5;
 
 /// The Fourier transforms of images of one size, on a larger square.
 #[derive(Clone)]
-pub struct Plane {
+pub struct PaddedFft {
     rows: usize,
     columns: usize,
     side: usize,
     fft: Fft2,
 }
 
-impl Plane {
+impl PaddedFft {
     /// The transforms of images of `rows × columns` pixels.
     pub fn new(rows: usize, columns: usize) -> Self {
         let side = smooth_length(rows.max(columns) + BORDER);
@@ -125,22 +125,24 @@ pub struct CaptureSpectrum {
 }
 
 impl CaptureSpectrum {
-    /// The spectrum of `image`, which has the size of `plane`. `noise_per_light` is `g` where it is known; `None`: the power
+    /// The spectrum of `image`, which has the size of `transform`. `noise_per_light` is `g` where it is known; `None`: the power
     /// beyond the cut-off tells it.
-    pub fn new(plane: &Plane, image: &[f32], noise_per_light: Option<f64>) -> Self {
-        let local_mean = plane.smoothed(image, LOCAL_MEAN_PX);
+    pub fn new(transform: &PaddedFft, image: &[f32], noise_per_light: Option<f64>) -> Self {
+        let local_mean = transform.smoothed(image, LOCAL_MEAN_PX);
         let hann = |at: usize, length: usize| {
             let phase = std::f64::consts::PI * (at as f64 + 1.0) / (length as f64 + 1.0);
             phase.sin().powi(2)
         };
-        let window =
-            |i: usize| hann(i / plane.columns, plane.rows) * hann(i % plane.columns, plane.columns);
+        let window = |i: usize| {
+            hann(i / transform.columns, transform.rows)
+                * hann(i % transform.columns, transform.columns)
+        };
         let detail: Vec<f32> = (0..image.len())
             .map(|i| ((f64::from(image[i]) - f64::from(local_mean[i])) * window(i)) as f32)
             .collect();
         let weights: Vec<f64> = (0..image.len()).map(|i| window(i).powi(2)).collect();
         let weight: f64 = weights.iter().sum();
-        let power = radial_power(plane, &detail, weight);
+        let power = radial_power(transform, &detail, weight);
         let weighted = |of: &dyn Fn(f64) -> f64| -> f64 {
             let values = weights.iter().zip(&local_mean);
             values.map(|(w, m)| w * of(f64::from(*m))).sum::<f64>() / weight
@@ -208,13 +210,13 @@ impl CaptureSpectrum {
 }
 
 /// Mean power of `detail`, over `weight`, at each multiple of `1/RESOLUTION` cycles per pixel.
-fn radial_power(plane: &Plane, detail: &[f32], weight: f64) -> Vec<f64> {
-    let mut square = plane.padded(detail, false);
-    plane.fft.forward(&mut square);
+fn radial_power(transform: &PaddedFft, detail: &[f32], weight: f64) -> Vec<f64> {
+    let mut square = transform.padded(detail, false);
+    transform.fft.forward(&mut square);
     let count = (std::f64::consts::FRAC_1_SQRT_2 * RESOLUTION).ceil() as usize + 1;
     let mut power = vec![(0.0, 0usize); count];
     for (i, value) in square.iter().enumerate() {
-        let bin = &mut power[(plane.frequency(i) * RESOLUTION) as usize];
+        let bin = &mut power[(transform.frequency(i) * RESOLUTION) as usize];
         *bin = (bin.0 + f64::from(value.norm_sqr()) / weight, bin.1 + 1);
     }
     let means = power.iter().map(|(sum, n)| sum / (*n).max(1) as f64);

@@ -141,14 +141,16 @@ impl Problem {
             self.exclude(none);
             return Ok(check);
         }
+        let mut tried = None;
         if start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms
             && !self.is_explained(start)
             && !(is_followed && self.has_foreign_psf(start, prior, observer)?)
         {
-            let finding = self.find_correction(prior, start, observer)?;
-            if let Some(finding) = finding.filter(is_clear) {
+            let mut finding = self.find_correction(prior, start, observer)?;
+            if let Some(finding) = finding.take_if(|finding| is_clear(finding)) {
                 return self.judge_corrected(finding, prior, observer);
             }
+            tried = Some(finding);
         }
         self.exclude(none.clone());
         let check = self.exclude_foreign(found, check, prior, observer)?;
@@ -164,12 +166,17 @@ impl Problem {
             }
             _ => &check,
         };
-        if is_followed && self.has_foreign_psf(start, prior, observer)? {
+        // Without foreign pixels it is the same search again.
+        let tried = tried.filter(|_| !excluded.contains(&true));
+        if tried.is_none() && is_followed && self.has_foreign_psf(start, prior, observer)? {
             self.exclude(excluded);
             self.has_wrong_model = true;
             return Ok(check);
         }
-        let mut pending = self.find_correction(prior, start, observer)?;
+        let mut pending = match tried {
+            Some(finding) => finding,
+            None => self.find_correction(prior, start, observer)?,
+        };
         if let Some(finding) = pending.take_if(|finding| is_clear(finding)) {
             return self.judge_corrected(finding, prior, observer);
         }

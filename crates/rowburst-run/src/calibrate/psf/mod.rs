@@ -18,7 +18,6 @@ use rowburst::calibrate::psf::{
 use rowburst::error::Subject;
 use rowburst::{Error, ErrorKind, Image, Parameter, PatchSet, Psf, PsfCapture, Result};
 use rowburst_io::{Experiment, OutputFolder, psf_capture_json, write_npy_image, write_patch_set};
-
 use summary::{remarks, warnings};
 
 /// Standard deviations of noise above which light is light.

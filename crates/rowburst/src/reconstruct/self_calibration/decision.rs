@@ -149,8 +149,8 @@ impl Search<'_, '_, '_> {
         let found = self.completed(given, blurred, found)?;
         if found.error > EXPLAINED * self.sigma && found.error < PARAMETERS_FAIL * given.error {
             let limit = WORTH_REFINING * found.error;
-            if let Some(refined) =
-                self.refine(&found, capture, limit, false, &self.free_parameters())?
+            let free = found.correction.free_parameters();
+            if let Some(refined) = self.refine(&found, capture, limit, false, &free)?
                 && refined.error < limit
             {
                 return Ok(refined);

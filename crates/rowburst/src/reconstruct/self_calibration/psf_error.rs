@@ -11,7 +11,7 @@
 //! (change). Where the blur of a pinhole of transfer function `H` was removed, the noise has that part over `H²`. `κ` is
 //! found from the misfit of a frame. `g` comes from the calibration of the PSF, or is the power beyond the cut-off.
 
-use rowburst_calibrate::psf::{CaptureSpectrum, Plane, pinhole_inverse, pinhole_transfer};
+use rowburst_calibrate::psf::{CaptureSpectrum, PaddedFft, pinhole_inverse, pinhole_transfer};
 use rowburst_optics::{Image, Psf};
 use rustfft::num_complex::Complex32;
 
@@ -25,7 +25,7 @@ const SMOOTHING_PX: f64 = 0.7;
 /// A Gaussian prior of the error of a PSF.
 #[derive(Clone)]
 pub(super) struct PsfError {
-    plane: Plane,
+    transform: PaddedFft,
     /// `D`.
     deviation: Vec<f32>,
     /// `F^½` at each frequency.
@@ -41,8 +41,8 @@ impl PsfError {
     /// `D F^½ z`.
     pub fn apply(&self, z: &[f32]) -> Vec<f32> {
         let mut square: Vec<Complex32> = z.iter().map(|&z| Complex32::new(z, 0.0)).collect();
-        self.plane.filter(&mut square, &self.gain);
-        let mut error = self.plane.cropped(&square, self.plane.scale());
+        self.transform.filter(&mut square, &self.gain);
+        let mut error = self.transform.cropped(&square, self.transform.scale());
         error
             .iter_mut()
             .zip(&self.deviation)
@@ -53,9 +53,9 @@ impl PsfError {
     /// `F^½ D x`, the adjoint.
     pub fn adjoint(&self, x: &[f32]) -> Vec<f32> {
         let scaled: Vec<f32> = x.iter().zip(&self.deviation).map(|(x, d)| x * d).collect();
-        let mut square = self.plane.padded(&scaled, false);
-        self.plane.filter(&mut square, &self.gain);
-        let scale = self.plane.scale();
+        let mut square = self.transform.padded(&scaled, false);
+        self.transform.filter(&mut square, &self.gain);
+        let scale = self.transform.scale();
         square.iter().map(|v| scale * v.re).collect()
     }
 
@@ -80,22 +80,22 @@ impl Capture {
     pub fn new(psf: &Psf) -> Self {
         let (image, known) = (psf.image(), psf.capture());
         let pinhole_px = known.map_or(0.0, |known| known.pinhole_px);
-        let plane = Plane::new(image.rows(), image.columns());
+        let transform = PaddedFft::new(image.rows(), image.columns());
         // Without the blur of a pinhole little noise is left beyond the cut-off.
         let known_noise = known.map(|known| known.noise_per_light);
         let spectrum = CaptureSpectrum::new(
-            &plane,
+            &transform,
             image.data(),
             known_noise.filter(|_| pinhole_px == 0.0),
         );
         let at_each_frequency = |of: &dyn Fn(f64) -> f64| -> Vec<f32> {
-            let frequencies = (0..plane.points()).map(|i| plane.frequency(i));
+            let frequencies = (0..transform.points()).map(|i| transform.frequency(i));
             frequencies.map(|f| of(f) as f32).collect()
         };
         let change = PsfError {
             deviation: spectrum.local_mean.clone(),
             gain: at_each_frequency(&|f| spectrum.speckle(f).sqrt()),
-            plane: plane.clone(),
+            transform: transform.clone(),
         };
         let average = 1.0 / image.data().len() as f64;
         let per_light = known_noise.unwrap_or(spectrum.noise_per_light());
@@ -110,9 +110,9 @@ impl Capture {
         let anchor = if pinhole_px > 0.0 {
             psf.clone()
         } else {
-            in_pass_band(psf, &plane, &spectrum)
+            in_pass_band(psf, &transform, &spectrum)
         };
-        let smooth = plane.smoothed(anchor.image().data(), SMOOTHING_PX);
+        let smooth = transform.smoothed(anchor.image().data(), SMOOTHING_PX);
         let values = smooth.iter().zip(&spectrum.local_mean);
         let deviation = values.map(|(p, m)| {
             let value = f64::from(*p).max(MIN_VALUE * f64::from(*m)).max(0.0);
@@ -124,7 +124,7 @@ impl Capture {
                 let transfer = pinhole_transfer(pinhole_px, f);
                 spectrum.light_part(f, transfer).sqrt() * pinhole_inverse(pinhole_px, f).abs()
             }),
-            plane,
+            transform,
         };
         Self {
             noise: Some(noise),
@@ -135,9 +135,9 @@ impl Capture {
 }
 
 /// The PSF without the noise that lies beyond the optics' cut-off.
-fn in_pass_band(psf: &Psf, plane: &Plane, spectrum: &CaptureSpectrum) -> Psf {
+fn in_pass_band(psf: &Psf, transform: &PaddedFft, spectrum: &CaptureSpectrum) -> Psf {
     let image = psf.image();
-    let mut values = plane.filtered(image.data(), |f| spectrum.light_part(f, 1.0));
+    let mut values = transform.filtered(image.data(), |f| spectrum.light_part(f, 1.0));
     values.iter_mut().for_each(|p| *p = p.max(0.0));
     let image = Image::new(image.rows(), image.columns(), values);
     Psf::new(image.expect("the size of the PSF")).unwrap_or_else(|_| psf.clone())
