@@ -136,11 +136,11 @@ export class Clip {
   }
 
   private paint(index: Uint8Array, { pane, left, width, height, window }: PanePlacement, t: number): void {
-    const { store } = this;
     const { volume, coverage } = pane;
     const [x0, y0, w, hgt] = window;
     const [low, high] = pane.role === "other" ? this.otherLimits : this.limits;
-    const bin = pane.role === "other" ? (store.otherClock?.bin(store.clock.at(t)) ?? t) : t;
+    const bin = pane.binAt(t);
+    const subtracted = pane.subtracted(t);
     const isUnobserved = coverage?.unobservedIn(bin) ?? (() => false);
     for (let y = 0; y < height; y++) {
       const row = Math.min(volume.rows - 1, Math.floor(y0 + (y / height) * hgt));
@@ -150,9 +150,9 @@ export class Clip {
         let shade: number;
         if (isUnobserved(row * volume.columns + column)) {
           shade = FIRST_STRIPE + stripe(row, column);
-        } else if (pane.role === "difference") {
-          const truth = store.truth!.value(bin, row, column);
-          shade = SHADES + numberOf(0.5 + (value - truth) / (high - low));
+        } else if (subtracted) {
+          const less = subtracted[0].value(subtracted[1], row, column);
+          shade = SHADES + numberOf(0.5 + (value - less) / (high - low));
         } else {
           shade = numberOf(shadeOf((value - low) / (high - low || 1), this.scale));
         }

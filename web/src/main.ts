@@ -50,7 +50,7 @@ function build(root: HTMLElement, source: Source): void {
   const empty = () => new Volume(meta.shape, [0, 1], 16);
   const video = source.volume(0, "video", wanted, loaded) ?? empty();
   const truth = source.volume(0, "truth", wanted, loaded);
-  const otherWanted = () => store?.otherBin ?? 0;
+  const otherWanted = () => store?.otherBinAt(wanted()) ?? 0;
   const other = second ? source.volume(1, "video", otherWanted, loaded) : null;
   const coverage = source.volume(0, "coverage", wanted, loaded);
   const otherCoverage = second ? source.volume(1, "coverage", otherWanted, loaded) : null;

@@ -113,6 +113,7 @@ export class PaneGrid {
     const comparison: [Comparison, string][] = [["none", "Nothing"]];
     if (store.other) comparison.push(["other", store.source.results[1].name]);
     if (store.truth) comparison.push(["truth", "Truth"], ["difference", "Truth and difference"]);
+    if (store.video.bins > 1) comparison.push(["change", "Still part and change"]);
     this.toolButtons = TOOLS.map(([name, text, title]) =>
       h(
         "button",
@@ -156,6 +157,7 @@ export class PaneGrid {
     if (comparison === "other") roles.push(["other", store.source.results[1].name]);
     if (comparison === "truth" || comparison === "difference") roles.push(["truth", "Truth"]);
     if (comparison === "difference") roles.push(["difference", "Reconstruction − truth"]);
+    if (comparison === "change") roles.push(["still", "Mean over time"], ["change", "Change from the mean"]);
     this.panes = roles.map(([role, text]) => new Pane(store, role, text));
     this.row.replaceChildren(...this.panes.map((p) => p.element));
     this.row.dataset.count = String(roles.length);

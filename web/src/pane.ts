@@ -8,7 +8,7 @@ import { Bitmap, drawProjection, project, type Projection } from "./picture";
 import type { Store } from "./store";
 import type { Volume } from "./volume";
 
-export type Role = "main" | "truth" | "difference" | "other";
+export type Role = "main" | "truth" | "difference" | "still" | "change" | "other";
 
 /** Lengths that a scale bar may have, in µm. */
 const LENGTHS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000, 100000];
@@ -45,17 +45,38 @@ export class Pane {
   /** The video that is seen here. */
   get volume(): Volume {
     const { video, truth, other } = this.store;
+    if (this.role === "still") return video.still() ?? video;
     return this.role === "truth" ? truth! : this.role === "other" ? other! : video;
+  }
+
+  /** What is subtracted from the video, and its bin, where values around zero are seen; null where the video itself is. */
+  subtracted(bin: number): [Volume, number] | null {
+    const { video, truth } = this.store;
+    if (this.role === "difference") return [truth!, bin];
+    const still = this.role === "change" ? video.still() : null;
+    return still && [still, 0];
+  }
+
+  /** Whether values around zero are seen. */
+  get isSigned(): boolean {
+    return this.role === "difference" || this.role === "change";
+  }
+
+  /** Bin of what is seen here at bin `t` of the first video. */
+  binAt(t: number): number {
+    if (this.role === "still") return this.volume.bins === 1 ? 0 : t;
+    return this.role === "other" ? this.store.otherBinAt(t) : t;
   }
 
   /** What the frame observes of the video; null where that is all. */
   get coverage(): Coverage | null {
     const { coverage, otherCoverage } = this.store;
-    return this.role === "truth" ? null : this.role === "other" ? otherCoverage : coverage;
+    if (this.role === "truth" || this.role === "still") return null;
+    return this.role === "other" ? otherCoverage : coverage;
   }
 
   get bin(): number {
-    return this.role === "other" ? this.store.otherBin : this.store.state.t;
+    return this.binAt(this.store.state.t);
   }
 
   /** Forgets what was computed from the video. */
@@ -72,10 +93,13 @@ export class Pane {
   valueAt(y: number, x: number, t: number): string | null {
     const { store, volume, role } = this;
     const [row, column] = [Math.floor((y * volume.rows) / store.video.rows), Math.floor((x * volume.columns) / store.video.columns)];
-    const bin = role === "other" ? store.otherBin : t;
+    const bin = this.binAt(t);
     if (!volume.loaded[bin]) return null;
     const value = volume.value(bin, row, column);
-    if (role === "difference") return `difference ${number(value - store.truth!.value(t, row, column), 4)}`;
+    if (this.isSigned) {
+      const subtracted = this.subtracted(t);
+      return subtracted && `${role} ${number(value - subtracted[0].value(subtracted[1], row, column), 4)}`;
+    }
     const words = store.valueWords(value, store.source.results[role === "other" ? 1 : 0]);
     return role === "main" ? words : `${this.name} ${words}`;
   }
@@ -86,14 +110,9 @@ export class Pane {
     const { state } = store;
     this.bitmap ??= new Bitmap(volume.rows, volume.columns);
     const [low, high] = this.limits();
-    if (this.role === "difference") {
-      const { video, truth } = store;
-      const { t } = state;
-      const [a, b] = [video.bin(t), truth!.bin(t)];
-      const there = video.loaded[t] && truth!.loaded[t];
-      const value = (i: number) => video.low + a[i] * video.step - (truth!.low + b[i] * truth!.step);
-      this.bitmap.signed(there ? value : () => NaN, (high - low) / 2);
-    } else if (state.layer !== "video" && volume.isWhole) {
+    if (this.isSigned) {
+      this.bitmap.signed(this.difference(state.t), (high - low) / 2);
+    } else if (this.role !== "still" && state.layer !== "video" && volume.isWhole) {
       if (this.projection) {
         drawProjection(this.bitmap, this.projection, state.layer, state.map, low, high, state.scale);
       } else if (!this.projecting) {
@@ -111,9 +130,19 @@ export class Pane {
     return this.bitmap;
   }
 
+  /** The values around zero at bin `t`, by pixel. */
+  private difference(t: number): (pixel: number) => number {
+    const { video } = this.store;
+    const [other, bin] = this.subtracted(t) ?? [video, t];
+    const [a, b] = [video.bin(t), other.bin(bin)];
+    const isThere = video.loaded[t] && other.loaded[bin] && this.subtracted(t);
+    const of = (volume: Volume, n: number) => (n === volume.missing ? NaN : volume.low + n * volume.step);
+    return (i) => (isThere ? of(video, a[i]) - of(other, b[i]) : NaN);
+  }
+
   /** Which pixels of what is shown are not observed. */
   private unobserved(coverage: Coverage): (pixel: number) => boolean {
-    const isOneBin = this.role === "difference" || this.store.state.layer === "video" || !this.volume.isWhole;
+    const isOneBin = this.isSigned || this.store.state.layer === "video" || !this.volume.isWhole;
     return isOneBin ? coverage.unobservedIn(this.bin) : coverage.unobservedThroughout();
   }
 

@@ -30,7 +30,7 @@ export interface Line {
 }
 
 export type Layer = "video" | "time" | "peak";
-export type Comparison = "none" | "truth" | "difference" | "other";
+export type Comparison = "none" | "truth" | "difference" | "change" | "other";
 export type Tool = "trace" | "line" | "move" | "probe";
 export type Repeat = "once" | "loop" | "ping-pong";
 
@@ -138,9 +138,8 @@ export class Store {
     };
   }
 
-  /** Bin of the other result at the time that is shown. */
-  get otherBin(): number {
-    const { t } = this.state;
+  /** Bin of the other result at the time of bin `t`. */
+  otherBinAt(t: number): number {
     if (!this.otherClock) return t;
     const hasTime = this.clock.step_us != null && this.otherClock.step_us != null;
     return hasTime ? this.otherClock.bin(this.clock.at(t)) : Math.min(t, this.otherClock.bins - 1);

@@ -18,6 +18,7 @@ export class Volume {
   readonly missing: number;
   /** Voxels of each number, of the bins that are there. */
   private histogram_: Uint32Array | null = null;
+  private still_: Volume | null = null;
 
   constructor(shape: [number, number, number], range: [number, number], bits: 8 | 16, data?: Uint8Array) {
     [this.bins, this.rows, this.columns] = shape;
@@ -49,6 +50,7 @@ export class Volume {
     this.data.set(numbers, from * this.pixels);
     const bins = numbers.length / this.pixels;
     let replaced = false;
+    this.still_ = null;
     for (let t = from; t < from + bins; t++) {
       if (this.loaded[t]) replaced = true;
       else this.count++;
@@ -88,6 +90,26 @@ export class Volume {
       if (count) out[t] = this.low + (sum / count) * this.step;
     }
     return out;
+  }
+
+  /** The mean over time as a video of one bin; its numbers are those of this video. Null while bins are missing. */
+  still(): Volume | null {
+    if (this.still_ || !this.isWhole) return this.still_;
+    const { rows, columns, pixels } = this;
+    const [sums, counts] = [new Float64Array(pixels), new Uint32Array(pixels)];
+    for (let t = 0; t < this.bins; t++) {
+      const bin = this.bin(t);
+      for (let i = 0; i < pixels; i++) {
+        if (bin[i] === this.missing) continue;
+        sums[i] += bin[i];
+        counts[i]++;
+      }
+    }
+    const still = new Volume([1, rows, columns], [this.low, this.high], 16);
+    const scale = (still.missing - 1) / (this.missing - 1);
+    still.put(0, Uint16Array.from(sums, (sum, i) => (counts[i] ? Math.round((sum / counts[i]) * scale) : still.missing)));
+    this.still_ = still;
+    return still;
   }
 
   /** Voxels of each number. */

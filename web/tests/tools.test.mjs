@@ -105,6 +105,33 @@ test("on a wide screen the pictures are wide, and on a phone nothing is wider th
   await phone.close();
 });
 
+test("mean over time and change from it add up to the video", async () => {
+  const { page, faults } = await empty();
+  await page.select("#beside", "change");
+  await page.waitForFunction(() => document.querySelectorAll("canvas.picture").length === 3);
+  const value = await voxels();
+  let [most, y, x] = [0, 0, 0];
+  for (let i = 0; i < SIDE * SIDE; i++) {
+    const v = value(20, Math.floor(i / SIDE), i % SIDE);
+    if (v > most) [most, y, x] = [v, Math.floor(i / SIDE), i % SIDE];
+  }
+  const mean = Array.from({ length: BINS }, (_, t) => value(t, y, x)).reduce((a, b) => a + b) / BINS;
+  const words = () => page.$eval("#readout", (e) => e.textContent);
+  for (const bin of [0, 20]) {
+    await page.$eval("#scrub", (e, bin) => {
+      e.value = bin;
+      e.dispatchEvent(new Event("input", { bubbles: true }));
+    }, bin);
+    await page.mouse.move(...(await screenOf(page, y, x)));
+    await drawn(page);
+    const [, still, change] = await until(async () => (await words()).match(/Mean over time (-?[\d.e-]+)[^·]*· change (-?[\d.e-]+)/));
+    assert.ok(Math.abs(Number(still) - mean) < 2e-3 * most, `${still}, the mean is ${mean}`);
+    assert.ok(Math.abs(Number(change) - (value(bin, y, x) - mean)) < 2e-3 * most, `bin ${bin}: ${change}`);
+  }
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
 test("all regions that were asked for are shown, with the report's numbers and colours", async () => {
   const folder = join(results, "requested");
   await rm(folder, { recursive: true, force: true });

@@ -428,10 +428,10 @@ pub struct FigureArgs {
     #[arg(long, value_name = "MM")]
     pub width_mm: Option<f64>,
     /// The panels, in this order, in place of those of the layout: frame, psf, direct, residual, time-colour,
-    /// reconstruction (of a single bin), space-time, frames, traces
+    /// reconstruction (of a single bin), space-time, frames, change (the still part and what changes), traces
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub panels: Vec<String>,
-    /// The bins of the panel frames, from 0
+    /// The bins of the panels frames and change, from 0
     #[arg(long, value_name = "BINS", value_delimiter = ',')]
     pub bins: Vec<usize>,
     /// The file: .svg or .pdf (text stays text), or .png (1600 pixels wide where no width on paper is given)

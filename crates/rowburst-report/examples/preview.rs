@@ -97,6 +97,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         residual: &residual,
         given_psf: None,
         residual_before: None,
+        draws_change: false,
+        change_count: None,
         excluded: None,
         coverage: None,
         traces: &traces,

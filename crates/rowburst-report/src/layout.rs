@@ -22,7 +22,7 @@ pub struct FigureOptions {
     pub width_mm: Option<f64>,
     /// Names of the panels, in their order; empty: those of the layout.
     pub panels: Vec<String>,
-    /// Bins of the panel `frames`; empty: some that are spread over the video.
+    /// Bins of the panels `frames` and `change`; empty: some that are spread over the video.
     pub bins: Vec<usize>,
 }
 
@@ -67,8 +67,11 @@ const UNITS_PER_MM: f64 = 12.0 / (7.0 * 25.4 / 72.0);
 const WIDTHS_MM: std::ops::RangeInclusive<f64> = 40.0..=1000.0;
 const DPI: f64 = 600.0;
 
+/// The panel of still part and change, which is drawn where it is asked for.
+const CHANGE: &str = "change";
+
 /// Names of the panels that a result may have.
-const PANELS: [&str; 9] = [
+const PANELS: [&str; 10] = [
     "frame",
     "psf",
     "direct",
@@ -77,6 +80,7 @@ const PANELS: [&str; 9] = [
     "reconstruction",
     "space-time",
     "frames",
+    CHANGE,
     "traces",
 ];
 
@@ -136,13 +140,17 @@ pub fn compose(input: &ReportInput, options: &FigureOptions) -> Result<ComposedF
     check(input)?;
     options.check(input.video.shape().bins)?;
     let bins = Some(options.bins.as_slice()).filter(|bins| !bins.is_empty());
-    let mut drawn: Vec<_> = figures::all(input, bins).collect();
     let names = options.panels.iter().map(String::as_str);
     let names: Vec<&str> = if options.panels.is_empty() {
         options.layout.panels().to_vec()
     } else {
         names.collect()
     };
+    let input = ReportInput {
+        draws_change: names.contains(&CHANGE),
+        ..input.clone()
+    };
+    let mut drawn: Vec<_> = figures::all(&input, bins).collect();
     let width = options.width();
     let mut whole = Figure::new(width, 0.0);
     if let Some(mm) = options.width_mm {

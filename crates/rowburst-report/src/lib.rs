@@ -25,6 +25,7 @@ mod render_text;
 mod sheet;
 mod stats;
 
+use rowburst::design::count::ChangeCount;
 use rowburst::error::Subject;
 use rowburst::traces::{Frequency, Trace};
 use rowburst::{Error, Image, Result, Sensor, TimeGrid, Video};
@@ -65,6 +66,10 @@ pub struct ReportInput<'a> {
     pub instants: &'a [usize],
     /// The time axis of the video: bin duration, and which bins each instant integrates.
     pub time: &'a TimeGrid,
+    /// Whether the still part of the video and the change from it are drawn apart, as of a dense scene.
+    pub draws_change: bool,
+    /// How many numbers of an instant speak about that change, where it is known.
+    pub change_count: Option<ChangeCount>,
     /// The course of the solver, one entry for each recorded iteration; may be empty.
     pub convergence: &'a [Iteration],
     /// The few big numbers, as (name, value with unit).

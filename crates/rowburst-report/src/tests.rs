@@ -2,6 +2,7 @@
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
+use rowburst::design::count::ChangeCount;
 use rowburst::traces::{Frequency, Region, Trace, brightest_regions};
 use rowburst::{Image, Sensor, Shape, TimeGrid, Video};
 
@@ -19,6 +20,7 @@ struct Case {
     sensor: Sensor,
     convergence: Vec<Iteration>,
     traces: Vec<AnnotatedTrace>,
+    draws_change: bool,
 }
 
 impl Case {
@@ -53,6 +55,7 @@ impl Case {
                     psnr_db: None,
                 })
                 .collect(),
+            draws_change: false,
         }
     }
 
@@ -70,6 +73,8 @@ impl Case {
             residual: &self.residual,
             given_psf: None,
             residual_before: None,
+            draws_change: self.draws_change,
+            change_count: None,
             excluded: None,
             coverage: None,
             traces: &self.traces,
@@ -307,9 +312,33 @@ fn odd_shapes_are_drawn() {
         (Shape::new(2, 10, 2000), 10, 2000),
     ] {
         let mut case = Case::new(shape, rows, columns);
+        case.draws_change = true;
         assert!(case.names().len() >= 6, "{shape}");
         case.truth = None;
-        assert!(case.names().len() >= 6, "{shape}");
+        let names = case.names();
+        assert!(names.len() >= 6, "{shape}");
+        assert_eq!(names.iter().any(|n| n == "change.png"), shape.bins > 1);
+    }
+}
+
+#[test]
+fn what_the_frame_tells_of_a_change_stands_below_it() {
+    let mut case = Case::new(Shape::new(4, 8, 8), 8, 8);
+    case.draws_change = true;
+    for (informative, is_believed) in [(7.6, false), (60.0, true)] {
+        let input = ReportInput {
+            change_count: Some(ChangeCount {
+                informative,
+                of: 216,
+            }),
+            ..case.input()
+        };
+        let report = render(&input).unwrap();
+        let picture = report.pictures.iter().find(|p| p.name == "change.png");
+        let caption = &picture.unwrap().caption;
+        let count = format!("{informative:.0} of 216 numbers");
+        assert!(caption.contains(&count), "{caption}");
+        assert_eq!(caption.contains("too few"), !is_believed, "{caption}");
     }
 }
 
@@ -341,6 +370,7 @@ fn values_that_are_not_finite_do_no_harm() {
     case.video.data_mut()[9] = f32::NAN;
     case.video.data_mut()[10] = f32::INFINITY;
     case.convergence[2].change = f64::NAN;
+    case.draws_change = true;
     case.convergence[4].objective = f64::INFINITY;
     case.names();
     case.residual.data_mut().fill(f32::NAN);

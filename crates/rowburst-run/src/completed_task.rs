@@ -15,7 +15,7 @@ use crate::summary::{
 use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
 use crate::view_files::{self, TRUTH, ViewFiles};
-use rowburst::design::count::{ChangeCount, change_rms, count_change};
+use rowburst::design::count::{change_rms, count_change};
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
@@ -278,10 +278,7 @@ impl CompletedTask {
     /// The warning of a dense scene whose change the frame does not tell.
     fn density_warning(&self) -> Option<String> {
         let numbers = self.change_count()?;
-        let count = ChangeCount {
-            informative: numbers.informative,
-            of: numbers.of,
-        };
+        let count = numbers.count();
         let is_told = self.used_guide().is_some() || !count.is_too_few();
         (!is_told).then(|| {
             format!(
@@ -529,6 +526,7 @@ impl CompletedTask {
         for name in [
             "background.npy",
             CORRECTED_PSF,
+            "change.png",
             "psf-correction.png",
             "residual-before.png",
             GUIDE_PICTURE,
@@ -658,6 +656,8 @@ impl CompletedTask {
             },
             excluded: Some(&self.reconstruction.excluded),
             coverage: Some(&self.reconstruction.coverage),
+            draws_change: summary.change_count.is_some(),
+            change_count: summary.change_count.as_ref().map(ChangeNumbers::count),
             traces: &annotated,
             instants: task.camera.instants(),
             time: task.camera.time(),

@@ -105,6 +105,8 @@ pub fn figure_of_folder(folder: &Path, options: &FigureOptions) -> Result<Compos
             psf: &psf,
             given_psf: None,
             residual_before: None,
+            draws_change: false,
+            change_count: None,
             video: &video,
             truth: truth.as_ref(),
             direct: direct.as_ref().map(|image| Direct {
@@ -263,6 +265,8 @@ impl CompletedTask {
                 psf: task.psfs.central().image(),
                 given_psf: None,
                 residual_before: None,
+                draws_change: false,
+                change_count: None,
                 video: &found.video,
                 truth: task.truth.as_ref(),
                 direct: direct.as_ref().map(|(image, _)| Direct {

@@ -7,6 +7,7 @@ use crate::format::{percent, short};
 use crate::guide::GuideNumbers;
 use crate::record::RunRecord;
 use crate::traces::{DebiasNumbers, StandardErrorNumbers, TraceNumbers};
+use rowburst::design::count::ChangeCount;
 use rowburst::reconstruct::{Calibration, Candidate, FitStatistics};
 use rowburst_io::FromMetadata;
 use rowburst_report::Iteration;
@@ -212,6 +213,16 @@ pub struct ChangeNumbers {
     pub of: usize,
     /// Rms of the video less its mean over time, in counts.
     pub change_rms: f64,
+}
+
+impl ChangeNumbers {
+    /// The count alone.
+    pub(crate) fn count(&self) -> ChangeCount {
+        ChangeCount {
+            informative: self.informative,
+            of: self.of,
+        }
+    }
 }
 
 /// A recorded iteration.

@@ -32,7 +32,7 @@ pub(super) fn draw(
 }
 
 /// `count` bins (or all, if fewer) spread evenly over the video.
-fn spread(bins: usize, count: usize) -> Vec<usize> {
+pub(super) fn spread(bins: usize, count: usize) -> Vec<usize> {
     let count = count.min(bins);
     (0..count)
         .map(|i| (2 * i + 1) * bins / (2 * count))
@@ -82,6 +82,68 @@ fn per_line(shape: Shape, most: usize) -> usize {
     .max(1)
 }
 
+/// A line of a sheet: the same quantity in several bins.
+pub(super) struct Line<'l> {
+    /// What it shows.
+    pub name: &'static str,
+    pub map: Map,
+    /// Lower and upper end of the colours.
+    pub range: (f32, f32),
+    /// The picture of a bin.
+    pub picture: &'l dyn Fn(usize) -> Pixels,
+}
+
+/// Draws the `bins` of each of `lines` below each other, from `top` on, in as many groups as they need. Returns where the
+/// sheet ends.
+pub(super) fn sheet(
+    figure: &mut Figure,
+    input: &ReportInput,
+    top: f64,
+    bins: &[usize],
+    lines: &[Line],
+) -> f64 {
+    let shape = input.video.shape();
+    let across = per_line(shape, 6);
+    let (left, gap) = (24.0, 6.0);
+    let cell = (800.0 - left - BAR_ROOM - gap * (across as f64 - 1.0)) / across as f64;
+    let available = Rect::new(0.0, 0.0, cell, 1.6 * cell);
+    let height = fit(available, 2.0, shape.rows, shape.columns).height;
+    // The upright names need some length.
+    let pitch = (height + gap).max(108.0);
+    let group = HEAD + lines.len() as f64 * pitch + 4.0;
+    let groups = bins.chunks(across);
+    let end = top + groups.len() as f64 * group;
+    figure.set_height(end);
+    for (top, bins) in groups
+        .enumerate()
+        .map(|(i, bins)| (top + i as f64 * group, bins))
+    {
+        for (row, line) in lines.iter().enumerate() {
+            let y = top + HEAD + row as f64 * pitch;
+            let mut last = available;
+            for (i, &bin) in bins.iter().enumerate() {
+                let available = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
+                last = put(figure, available, (line.picture)(bin));
+                if row == 0 {
+                    stamp(figure, input, last, bin);
+                }
+            }
+            figure.text_upwards(left - 8.0, y + height / 2.0, "strong", line.name);
+            if row > 0 || lines.len() == 1 {
+                colour_bar(figure, last, line.map, line.range, "counts");
+            }
+        }
+    }
+    end
+}
+
+/// `values` of a picture of the video's size in colours.
+pub(super) fn coloured(input: &ReportInput, values: &[f32], map: Map, range: (f32, f32)) -> Pixels {
+    let shape = input.video.shape();
+    let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
+    plane.coloured(map, range.0, range.1)
+}
+
 /// Truth, reconstruction and difference, one below the other.
 fn compared(
     input: &ReportInput,
@@ -90,50 +152,28 @@ fn compared(
     bins: &[usize],
 ) -> CaptionedFigure {
     let shape = videos.video.shape();
-    let across = per_line(shape, 6);
-    let (left, gap) = (24.0, 6.0);
-    let cell = (800.0 - left - BAR_ROOM - gap * (across as f64 - 1.0)) / across as f64;
-    let available = Rect::new(0.0, 0.0, cell, 1.6 * cell);
-    let height = fit(available, 2.0, shape.rows, shape.columns).height;
-    // The upright names need some length.
-    let pitch = (height + gap).max(108.0);
-    let group = HEAD + 3.0 * pitch + 4.0;
-    let groups = bins.chunks(across);
-    let mut figure = Figure::new(800.0, groups.len() as f64 * group);
     let half = DIFFERENCE * videos.high;
-    let light = (Map::Light, (0.0, videos.high));
-    let signed = (Map::Signed, (-half, half));
-    for (top, bins) in groups.enumerate().map(|(i, bins)| (i as f64 * group, bins)) {
-        for (row, name) in ["truth", "reconstruction", "difference"].iter().enumerate() {
-            let y = top + HEAD + row as f64 * pitch;
-            let (map, range) = if row == 2 { signed } else { light };
-            let mut last = available;
-            for (i, &bin) in bins.iter().enumerate() {
-                let available = Rect::new(left + i as f64 * (cell + gap), y, cell, 1.6 * cell);
-                let coloured = |values: &[f32]| {
-                    let plane = Plane::reduced(shape.rows, shape.columns, values, FRAME_SIDE);
-                    plane.coloured(map, range.0, range.1)
-                };
-                let pixels = match row {
-                    0 => coloured(truth.bin(bin)),
-                    1 => reconstructed(input, videos, bin),
-                    _ => {
-                        let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
-                        let difference: Vec<f32> = pairs.map(|(v, truth)| v - truth).collect();
-                        coloured(&difference)
-                    }
-                };
-                last = put(&mut figure, available, pixels);
-                if row == 0 {
-                    stamp(&mut figure, input, last, bin);
-                }
-            }
-            figure.text_upwards(left - 8.0, y + height / 2.0, "strong", name);
-            if row > 0 {
-                colour_bar(&mut figure, last, map, range, "counts");
-            }
-        }
-    }
+    let (light, signed) = ((0.0, videos.high), (-half, half));
+    let of_truth = |bin: usize| coloured(input, truth.bin(bin), Map::Light, light);
+    let of_video = |bin: usize| reconstructed(input, videos, bin);
+    let of_difference = |bin: usize| {
+        let pairs = videos.video.bin(bin).iter().zip(truth.bin(bin));
+        let difference: Vec<f32> = pairs.map(|(v, truth)| v - truth).collect();
+        coloured(input, &difference, Map::Signed, signed)
+    };
+    let line = |name, map, range, picture| Line {
+        name,
+        map,
+        range,
+        picture,
+    };
+    let lines = [
+        line("truth", Map::Light, light, &of_truth as &dyn Fn(_) -> _),
+        line("reconstruction", Map::Light, light, &of_video),
+        line("difference", Map::Signed, signed, &of_difference),
+    ];
+    let mut figure = Figure::new(800.0, 0.0);
+    sheet(&mut figure, input, 0.0, bins, &lines);
     CaptionedFigure {
         name: "frames",
         section: Section::Video,

@@ -1,5 +1,6 @@
 //! The figures of the report, one a file.
 
+mod change;
 mod convergence;
 mod frames;
 mod image;
@@ -137,23 +138,24 @@ pub(crate) fn all<'a>(
     };
     let moving = input.video.shape().bins > 1;
     let mut truth = truth;
-    (0..11).filter_map(move |figure| match figure {
+    (0..12).filter_map(move |figure| match figure {
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
         1 if moving => space_time::draw(input, &videos),
         2 => moving.then(|| frames::draw(input, &videos, bins)),
-        3 if moving => traces::draw(input, &videos),
-        4 => Some(image::frame(input)),
-        5 => Some(image::psf(input)),
-        6 => input
+        3 => (moving && input.draws_change).then(|| change::draw(input, &videos, bins)),
+        4 if moving => traces::draw(input, &videos),
+        5 => Some(image::frame(input)),
+        6 => Some(image::psf(input)),
+        7 => input
             .given_psf
             .map(|given| image::psf_correction(input, given)),
-        7 => input.direct.map(|direct| image::direct(input, direct)),
-        8 => Some(residual::draw(input)),
-        9 => input
+        8 => input.direct.map(|direct| image::direct(input, direct)),
+        9 => Some(residual::draw(input)),
+        10 => input
             .residual_before
             .map(|before| residual::draw_before(input, before)),
-        10 => convergence::draw(input.convergence),
+        11 => convergence::draw(input.convergence),
         _ => None,
     })
 }

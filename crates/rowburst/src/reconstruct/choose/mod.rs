@@ -2,8 +2,9 @@
 //!
 //! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). A later one replaces the best
 //! before it where its squared error at these pixels is smaller by more than [`MIN_GAIN`] standard errors of the paired
-//! differences; one with a background already where it is not clearly worse. The best is then run on the whole frame. Candidates that are far behind it are stopped early. Where the
-//! scene is dense [`OPEN_CANDIDATES`] take their place.
+//! differences; one with a background where it is smaller at all. Candidates that are far behind the best are stopped early.
+//! The best is then run on the whole frame. Where the first one shows that the scene is dense, [`OPEN_CANDIDATES`] take the
+//! place of the others.
 //!
 //! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
 //! weaker than on average changes `τ` by a factor of 2 and more. So each candidate continues from the end of its
@@ -35,14 +36,14 @@ pub const CANDIDATES: [&str; 3] = [
     "group+support",
 ];
 
-/// Priors of `auto` in place of [`CANDIDATES`] where the support exceeds a third of the voxels: it tells nothing there.
-/// The stiller one comes first: the frame says little of what a dense scene does meanwhile (`docs/design/020`).
-pub const OPEN_CANDIDATES: [&str; 2] = ["tv+8*tdiff", "tv+2*tdiff"];
+/// Priors of `auto` in place of the other [`CANDIDATES`] where the support of the first exceeds a third of the voxels: it
+/// tells nothing there. A stiller one comes first: the frame says little of what a dense scene does meanwhile
+/// (`docs/design/011`).
+pub const OPEN_CANDIDATES: [&str; 3] = ["tv+16*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
 
-/// Priors that `auto` also tries where the support of the best candidate exceeds a third of the voxels: much of the
-/// light is still then (`docs/design/011`).
+/// Priors that `auto` tries after [`OPEN_CANDIDATES`]: much of the light may be still (`docs/design/011`).
 pub const DENSE_CANDIDATES: [&str; 1] = ["tv+2*tdiff+background"];
-/// Part of the voxels in the support above which [`DENSE_CANDIDATES`] are tried; smaller tries them on more scenes.
+/// Part of the voxels in the support above which [`OPEN_CANDIDATES`] are tried; smaller tries them on more scenes.
 pub(super) const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 
 /// Held-out error over the best up to which other `τ` are tried; larger costs time (docs/design/011).
@@ -50,6 +51,9 @@ const MAX_TUNING_ERROR_RATIO: f64 = 1.06;
 
 /// Gain in standard errors that counts; smaller follows chance (docs/design/011).
 const MIN_GAIN: f64 = 1.0;
+/// The same of a prior with a background; smaller takes a scene that moves for a still one, larger the reverse
+/// (docs/design/011).
+const MIN_BACKGROUND_GAIN: f64 = 0.0;
 
 /// Fall of the mean square from `before` to `after`, two errors of each pixel, in standard errors of the paired
 /// differences; NaN where an error is.
@@ -109,7 +113,7 @@ impl Candidate {
     fn min_gain(&self) -> f64 {
         match self.prior.background() {
             Background::None => MIN_GAIN,
-            Background::Static | Background::PerBin => -MIN_GAIN,
+            Background::Static | Background::PerBin => MIN_BACKGROUND_GAIN,
         }
     }
 
@@ -277,6 +281,11 @@ impl Trials {
         }
     }
 
+    /// Whether the support of the best candidate tells nothing.
+    fn is_dense(&self) -> bool {
+        self.choice.best().support_fraction > DENSE_SUPPORT
+    }
+
     /// The largest error at which other `τ` are tried.
     fn max_tuning_error(&self) -> f64 {
         let errors = self.choice.candidates.iter().map(|c| c.error);
@@ -307,31 +316,40 @@ pub(super) fn choose_prior(
         best_errors: Vec::new(),
         best: None,
     };
-    let names: &[&str] = if is_dense {
+    let parse = |name: &&str| name.parse::<Prior>().expect("a candidate is a prior");
+    let parse_all = |names: &[&str]| -> Vec<Prior> { names.iter().map(parse).collect() };
+    let mut priors = parse_all(if is_dense {
         &OPEN_CANDIDATES
     } else {
         &CANDIDATES
+    });
+    let new_trial = |data: &mut FrameData, prior: Prior| {
+        data.reset(prior.background(), Some(held_out.clone()));
+        Trial::new(data, prior, rule, sigma, settings)
     };
-    let parse = |name: &&str| name.parse::<Prior>().expect("a candidate is a prior");
-    let mut priors: Vec<Prior> = names.iter().map(parse).collect();
-    if let Some(run) = checked
-        && let Some(rank) = priors.iter().position(|prior| *prior == run.prior)
-    {
-        let trial = Trial::after(run, sigma);
-        trials.run((rank, trial), priors.len(), data, observer)?;
+    let position = |run: &HeldOutRun| priors.iter().position(|prior| *prior == run.prior);
+    let first = match checked.and_then(|run| Some((position(&run)?, run))) {
+        Some((rank, run)) => (rank, Trial::after(run, sigma)),
+        None => (0, new_trial(data, priors[0])),
+    };
+    let tried = priors[first.0];
+    trials.run(first, priors.len(), data, observer)?;
+    if !is_dense && trials.is_dense() {
+        priors = parse_all(&OPEN_CANDIDATES);
+        priors.push(tried);
+        trials.ranks[0] = priors.len() - 1;
     }
-    let mut rank = 0;
-    while rank < priors.len() {
-        let prior = priors[rank];
+    for (rank, &prior) in priors.iter().enumerate() {
         if !trials.ranks.contains(&rank) {
-            data.reset(prior.background(), Some(held_out.clone()));
-            let trial = Trial::new(data, prior, rule, sigma, settings);
+            let trial = new_trial(data, prior);
             trials.run((rank, trial), priors.len(), data, observer)?;
         }
-        rank += 1;
-        let is_dense = trials.choice.best().support_fraction > DENSE_SUPPORT;
-        if rank == priors.len() && is_dense && rank == names.len() {
-            priors.extend(DENSE_CANDIDATES.iter().map(parse));
+    }
+    if trials.is_dense() {
+        let count = priors.len() + DENSE_CANDIDATES.len();
+        for prior in parse_all(&DENSE_CANDIDATES) {
+            let trial = new_trial(data, prior);
+            trials.run((trials.ranks.len(), trial), count, data, observer)?;
         }
     }
     Ok((trials.choice, trials.best))
@@ -378,8 +396,8 @@ mod tests {
             "{}",
             choice.reason()
         );
-        // A background is taken where it is not clearly worse.
-        for (gain, is_taken) in [(-0.8, true), (-1.2, false)] {
+        // A background is taken where it is better at all.
+        for (gain, is_taken) in [(0.4, true), (-0.4, false)] {
             let mut dense = choice.clone();
             let background = candidate("tv+2*tdiff+background", 1.07, Some(gain));
             dense.candidates.push(background);
