@@ -9,17 +9,18 @@ use crate::ReportInput;
 use crate::colour::Map;
 use crate::figure::{Anchor, Figure, Rect};
 use crate::panel::{bar_bottom, colour_bar, put};
+use crate::stats::display_high;
 
 /// Bins of which the change is drawn, where none are chosen.
 const BINS: usize = 6;
 
 /// A video as the sum of its mean over time and the change from it.
-struct Parts<'v> {
+struct StillAndChange<'v> {
     video: &'v Video,
     still: Vec<f32>,
 }
 
-impl<'v> Parts<'v> {
+impl<'v> StillAndChange<'v> {
     fn of(video: &'v Video) -> Self {
         let shape = video.shape();
         let mut sums = vec![0.0f64; shape.pixels()];
@@ -39,16 +40,16 @@ impl<'v> Parts<'v> {
         pairs.map(|(v, still)| v - still).collect()
     }
 
-    /// The largest change of the `bins`.
-    fn largest_change(&self, bins: &[usize]) -> f32 {
+    /// White point of the change in the `bins`.
+    fn high(&self, bins: &[usize]) -> f32 {
         let changes = bins.iter().flat_map(|&bin| self.change(bin));
-        let finite = changes.filter(|change| change.is_finite());
-        finite.fold(0.0, |most, change| most.max(change.abs()))
+        let sizes: Vec<f32> = changes.map(f32::abs).collect();
+        display_high(&sizes)
     }
 }
 
-/// Draws the still part, and below it the change in the `chosen` bins, else in some that are spread over the video; those of
-/// the truth beside and above them.
+/// Draws the still part, and below it the change in the `chosen` bins, else in some that are spread over the video. Those of
+/// the truth stand beside and above them.
 pub(super) fn draw(
     input: &ReportInput,
     videos: &Videos,
@@ -56,8 +57,8 @@ pub(super) fn draw(
 ) -> CaptionedFigure {
     let shape = videos.video.shape();
     let bins = chosen.map_or_else(|| spread(shape.bins, BINS), <[_]>::to_vec);
-    let found = Parts::of(videos.video);
-    let truth = videos.truth.map(Parts::of);
+    let found = StillAndChange::of(videos.video);
+    let truth = videos.truth.map(StillAndChange::of);
     let mut figure = Figure::new(800.0, 0.0);
     let light = (0.0, videos.high);
     let panels = [
@@ -82,8 +83,7 @@ pub(super) fn draw(
         );
     }
     colour_bar(&mut figure, last, Map::Light, light, "counts");
-    let largest = truth.as_ref().unwrap_or(&found).largest_change(&bins);
-    let half = largest.max(f32::MIN_POSITIVE);
+    let half = truth.as_ref().unwrap_or(&found).high(&bins);
     let signed = (-half, half);
     let of_video = |bin: usize| coloured(input, &found.change(bin), Map::Signed, signed);
     let of_truth = |bin: usize| {
@@ -98,7 +98,7 @@ pub(super) fn draw(
     };
     let mut lines = vec![line("change", &of_video as &dyn Fn(_) -> _)];
     if truth.is_some() {
-        lines.insert(0, line("its truth", &of_truth));
+        lines.insert(0, line("true change", &of_truth));
     }
     let top = bar_bottom(last) + 14.0;
     sheet(&mut figure, input, top, &bins, &lines);
@@ -142,10 +142,10 @@ mod tests {
         for (bin, values) in [[1.0, 2.0], [4.0, 2.0], [1.0, 2.0]].iter().enumerate() {
             video.bin_mut(bin).copy_from_slice(values);
         }
-        let parts = Parts::of(&video);
+        let parts = StillAndChange::of(&video);
         assert_eq!(parts.still, [2.0, 2.0]);
         assert_eq!(parts.change(0), [-1.0, 0.0]);
-        assert_eq!(parts.largest_change(&[0, 2]), 1.0);
-        assert_eq!(parts.largest_change(&[1]), 2.0);
+        assert_eq!(parts.high(&[0, 2]), 1.0);
+        assert_eq!(parts.high(&[0, 1]), 1.0);
     }
 }
