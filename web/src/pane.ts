@@ -275,7 +275,7 @@ export class Pane {
   /** The time that is shown, at the lower left. */
   drawTime(ctx: CanvasRenderingContext2D, height: number): void {
     const { clock, state } = this.store;
-    if (state.layer !== "video") return;
+    if (state.layer !== "video" || this.role === "still") return;
     ctx.textAlign = "left";
     outlined(ctx, clock.label(state.t), 10, height - 10);
   }

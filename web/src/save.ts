@@ -70,7 +70,7 @@ export class Save {
       ctx.translate(x, 0);
       pane.drawPixels(ctx, width, height);
       if (state.overlays) pane.drawOverlays(ctx, width, height);
-      if (state.stamp && !pane.isSigned && pane.role !== "still") pane.drawTime(ctx, height);
+      if (state.stamp && !pane.isSigned) pane.drawTime(ctx, height);
       ctx.restore();
       x += width + GAP;
     });

@@ -133,7 +133,8 @@ test("a saved clip has the hatching among its 256 colours", () => {
   const volume = new page.Volume([3, 2, 2], [0, 1], 8, new Uint8Array(12).fill(254));
   const state = { low: 0, high: 1, map: "magma", scale: { kind: "linear", gamma: 1 }, first: 0, last: 2, stamp: false };
   const store = { state, otherLimits: [0, 1], clock: { bins: 3 } };
-  const clipOf = (mask) => new page.Clip(store, [{ volume, role: "main", coverage: mask, window: () => [0, 0, 2, 2] }]);
+  const pane = { volume, role: "main", window: () => [0, 0, 2, 2], binAt: (t) => t, subtracted: () => null };
+  const clipOf = (mask) => new page.Clip(store, [{ ...pane, coverage: mask }]);
   const hatched = clipOf(coverage());
   assert.equal(hatched.palette.length, 256);
   assert.deepEqual(hatched.palette.slice(242, 244), page.STRIPES);
