@@ -108,9 +108,14 @@ pub(super) fn draw(
         figure,
         caption: format!(
             "The still part, which is the mean over time, and below it the change from it in {} of {} bins, on a scale of \
-             its own. {}{}",
+             its own{}. {}{}",
             bins.len(),
             shape.bins,
+            if truth.is_some() {
+                "; those of the truth are beside and above them"
+            } else {
+                ""
+            },
             light_text(input),
             input.change_count.map_or(String::new(), count_text)
         ),

@@ -65,8 +65,8 @@ const WRONG_MODEL_ITERATIONS: usize = 80;
 /// Options of a reconstruction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Options {
-    /// The prior; `None`: the candidate that predicts held-out pixels best ([`CANDIDATES`] and
-    /// [`DENSE_CANDIDATES`]).
+    /// The prior; `None`: the candidate that predicts held-out pixels best ([`CANDIDATES`], in dense scenes
+    /// [`OPEN_CANDIDATES`] and [`DENSE_CANDIDATES`]).
     pub prior: Option<Prior>,
     /// The rule for `τ`.
     pub tau: Tau,
