@@ -48,11 +48,12 @@ class RollingShutterOperator(LinearOperator):
         return self._lazy.get(lambda: _rowburst._Operator(self.camera, self._psf))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lazy"}
+        # What SciPy keeps besides, from 1.18 on a module, cannot all be pickled.
+        return {"camera": self.camera, "_psf": self._psf, "dtype": self.dtype, "shape": self.shape}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lazy = Lazy()
+        self.camera, self._psf, self._lazy = state["camera"], state["_psf"], Lazy()
+        super().__init__(state["dtype"], state["shape"])  # type: ignore[call-arg]
 
     @property
     def video_shape(self) -> tuple[int, int, int]:
