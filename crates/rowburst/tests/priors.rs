@@ -7,7 +7,8 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{Options, Problem};
+use rowburst::reconstruct::{DENSE_CANDIDATES, OPEN_CANDIDATES, Options, Problem};
+use rowburst::simulate::scene::DenseScene;
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
 use std::ops::ControlFlow;
@@ -197,6 +198,30 @@ fn a_background_is_separated() {
     beats_tv(still, "tv+0.5*tdiff+0.3*l1+background", 6.0, 24.0);
     let flickering = |shape| before_a_background(shape, 0.6);
     beats_tv(flickering, "tv+0.5*tdiff+l1+lowrank-background", 1.0, 15.0);
+}
+
+/// The check of the model explains a wheel before its support is known; a support tells nothing there.
+#[test]
+fn auto_compares_still_priors_in_a_dense_scene() {
+    let case = Case::new(|shape| scene::dense(DenseScene::Wheel, shape, 1).unwrap());
+    let options = Options::default();
+    let problem = Problem::new(&case.measurement, &case.camera, &case.psf, options).unwrap();
+    let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+    let choice = found.choice.unwrap();
+    let tried: Vec<String> = choice
+        .candidates
+        .iter()
+        .map(|c| c.prior.to_string())
+        .collect();
+    let dense = OPEN_CANDIDATES.iter().chain(&DENSE_CANDIDATES);
+    for prior in dense {
+        assert!(
+            tried.iter().any(|t| t == prior),
+            "{prior} is not in {tried:?}"
+        );
+    }
+    assert!(!tried.iter().any(|t| t == "group+support"), "{tried:?}");
+    assert!(!found.prior.support, "{}", found.prior);
 }
 
 #[test]

@@ -93,15 +93,15 @@ pub(super) struct Line<'l> {
     pub picture: &'l dyn Fn(usize) -> Pixels,
 }
 
-/// Draws the `bins` of each of `lines` below each other, from `top` on, in as many groups as they need. Returns where the
-/// sheet ends.
+/// Draws the `bins` of each of `lines` below each other, from `top` on, in as many groups as they need. The figure ends
+/// there.
 pub(super) fn sheet(
     figure: &mut Figure,
     input: &ReportInput,
     top: f64,
     bins: &[usize],
     lines: &[Line],
-) -> f64 {
+) {
     let shape = input.video.shape();
     let across = per_line(shape, 6);
     let (left, gap) = (24.0, 6.0);
@@ -112,8 +112,7 @@ pub(super) fn sheet(
     let pitch = (height + gap).max(108.0);
     let group = HEAD + lines.len() as f64 * pitch + 4.0;
     let groups = bins.chunks(across);
-    let end = top + groups.len() as f64 * group;
-    figure.set_height(end);
+    figure.set_height(top + groups.len() as f64 * group);
     for (top, bins) in groups
         .enumerate()
         .map(|(i, bins)| (top + i as f64 * group, bins))
@@ -134,7 +133,6 @@ pub(super) fn sheet(
             }
         }
     }
-    end
 }
 
 /// `values` of a picture of the video's size in colours.
