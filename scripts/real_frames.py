@@ -310,17 +310,20 @@ def planted_problem(bench, scene, exposure, fault, seed, psf_factor=1):
     return SimpleNamespace(camera=made.camera, frame=faulty, psf=psf, truth=made.truth, planted=abs(faulty - frame) > sigma, sigma=sigma)
 
 
-def stand_in(bench, exposure, seed):
-    """A problem like a published lensless capture: dense scene, caustic PSF from a picture, 8 bits, caption."""
+def stand_in(bench, exposure, seed, change_psf=None, change_light=None):
+    """A problem like a published lensless capture: dense scene, caustic PSF from a picture, 8 bits, caption. The changes, each
+    of (array, rng), are faults of the PSF that is given and of the light."""
     rows, columns = STAND_IN_SHAPE
     psf = caustic(rows, columns, seed)
     cam = camera(rows, columns, "dual-outside-in", exposure)
     made = bench.simulate(cam, dense(bins_of(rows, exposure), rows, columns, seed), seed, psf)
-    poor = cropped(psf, rows, columns)
-    unit = 255 / made.light.max()
+    rng = np.random.default_rng([seed, 4])
+    poor = cropped(change_psf(psf, rng) if change_psf else psf, rows, columns)
+    light = change_light(made.light, rng) if change_light else made.light
+    unit = 255 / light.max()
     # The truth in units of the light that the cropped PSF has.
     share = poor.sum() * psf.max() / 255 / psf.sum()
-    frame, rng = np.round(made.light * unit), np.random.default_rng([seed, 3])
+    frame, rng = np.round(light * unit), np.random.default_rng([seed, 3])
     faulty = lone_pixels(np.round(caption(frame, rng, 0.03, 1)), rng, 0.0005, 1)
     return SimpleNamespace(camera=cam, frame=faulty, psf=poor, truth=made.truth * unit * share, planted=faulty != frame)
 

@@ -5,11 +5,15 @@
     python3 scripts/self_calibration.py -o docs/self-calibration-table.md
     python3 scripts/self_calibration.py --quick
     python3 scripts/self_calibration.py --match "digits, scale"
+    python3 scripts/self_calibration.py --stand-in --seeds 2
 
 Each row is a frame of 108x108 pixels, simulated without noise and without the fault. The fault is planted here, by
 other code than that of the correction: the PSF is resampled by cubic splines in space, its blur is a disc, its noise is
 in electrons. Then the program reconstructs with --self-calibrate off and with the default. PSNR is after the best
 common factor on the video, since a fault may change the light as a whole.
+
+With --stand-in the frame is that of scripts/real_frames.py in place of a capture, once as it is and once with all faults of
+PSF and camera at half their size; the prior is auto.
 
 Finished runs are kept in --cache (a folder for each build of the program). Needs numpy, scipy and Pillow: what is
 missing is installed by pip into a virtual environment. Progress goes to standard error.
@@ -29,7 +33,7 @@ if __name__ == "__main__":
     with_packages(CACHE, __file__, ["numpy", "scipy", "PIL"])
 
 import numpy as np
-from real_frames import Bench, digest, photographed, simulated, with_noise
+from real_frames import Bench, digest, photographed, simulated, stand_in, with_noise
 from scipy.ndimage import affine_transform
 from scipy.signal import fftconvolve
 
@@ -146,6 +150,7 @@ class VideoBench(Bench):
 
     def judged(self, made, *more):
         """`result.json` of a run by default, with the PSNR after the best factor."""
+        prior = [] if "--prior" in more else ["--prior", PRIOR]
         folder = self.cache / "runs" / digest(made.camera, made.frame, made.psf, more)
         kept = folder / "judged.json"
         if kept.exists():
@@ -155,7 +160,7 @@ class VideoBench(Bench):
         for name in ("frame", "psf"):
             np.save(folder / f"{name}.npy", getattr(made, name).astype(np.float32))
         files = [word for name in ("frame", "psf") for word in (f"--{name}", folder / f"{name}.npy")]
-        words = ["reconstruct", folder / "experiment.toml", *files, "--prior", PRIOR, *more, "--json", "-o", folder / "out"]
+        words = ["reconstruct", folder / "experiment.toml", *files, *prior, *more, "--json", "-o", folder / "out"]
         result = json.loads(self.run(*words))
         result["scaled_psnr_db"] = scaled_psnr(np.load(folder / "out/video.npy"), made.truth)
         shutil.rmtree(folder / "out")
@@ -200,6 +205,30 @@ def table_rows(bench, scenes, faults, seeds, exposure):
             yield [scene, fault, f"{np.mean(before):.1f}", f"{np.mean(after):.1f}", f"{np.mean(seconds):.1f}", words[0]]
 
 
+def half_of_all(psf, rng):
+    """All faults of a PSF at half their size in the table."""
+    psf = distorted(psf, scale=0.005, rotation_deg=0.15, anisotropy=0.0025, shear=0.0025)
+    psf = mixed(through_pinhole(psf, 0.25), 0.025)
+    return photographed(psf, 4 * 2000, rng) + 0.01 * psf.max()
+
+
+def half_of_all_light(light, rng):
+    return banded(with_stray_light(vignetted(light, 0.1), 0.025, 1), 0.005, rng)
+
+
+def stand_in_rows(bench, seeds):
+    for exposure in (3, 6):
+        for seed in range(1, seeds + 1):
+            right = bench.judged(stand_in(bench, exposure, seed), "--prior", "auto")
+            made = stand_in(bench, exposure, seed, half_of_all, half_of_all_light)
+            runs = [bench.judged(made, "--prior", "auto", "--self-calibrate", how) for how in ("off", "auto", "on")]
+            decibels = [run["scaled_psnr_db"] for run in [right, *runs]]
+            times = [run["seconds"] + run["setup_seconds"] for run in [right, *runs]]
+            cells = [f"{d:.1f} dB, {t:.0f} s" for d, t in zip(decibels, times)]
+            say(f"stand-in, {exposure} rows, seed {seed}: {'; '.join(cells)}")
+            yield [str(exposure), str(seed), *cells, found(runs[-1])]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path, default=ROOT / "target/release/rowburst")
@@ -210,6 +239,7 @@ def main():
     parser.add_argument("--scenes", default=",".join(SCENES))
     parser.add_argument("--match", default="", help="only faults that hold this text, and nothing wrong")
     parser.add_argument("--quick", action="store_true", help="three faults of the digits")
+    parser.add_argument("--stand-in", action="store_true", help="frames in place of a capture, with all faults at half size")
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     faults = [f for f in FAULTS if f == "nothing" or args.match in f]
@@ -217,6 +247,10 @@ def main():
     if args.quick:
         faults, scenes = ["nothing", "scale 1 %", "vignetting 20 %"], ["digits"]
     bench = VideoBench(args.program, args.cache, args.timeout)
+    if args.stand_in:
+        head = ["exposure in rows", "seed", "right PSF and camera", "faults, off", "auto", "on", "found with on"]
+        print(table(head, stand_in_rows(bench, args.seeds)))
+        return
     head = ["scene", "fault", "dB before", "dB after", "time", "found (first seed)"]
     lines = table(head, table_rows(bench, scenes, faults, args.seeds, args.exposure))
     text = "\n".join([

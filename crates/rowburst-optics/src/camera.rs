@@ -237,6 +237,18 @@ impl Camera {
         })
     }
 
+    /// The camera as it sees a scene at rest: its video has one bin, and its frame is that of a video which shows that
+    /// bin throughout. It has the parameters of this camera.
+    #[must_use]
+    pub fn at_rest(&self) -> Self {
+        Self {
+            params: self.params.clone(),
+            instants: vec![0; self.instants.len()],
+            time: self.time.at_rest(),
+            subset: self.subset.clone(),
+        }
+    }
+
     /// The same camera, whose bin 0 starts at `start_us`: of a plane, by the zero of time of the whole sensor.
     #[must_use]
     pub fn starting_at(self, start_us: f64) -> Self {

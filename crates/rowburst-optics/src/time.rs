@@ -80,6 +80,19 @@ impl TimeGrid {
         }
     }
 
+    /// The grid of a scene at rest: one bin for the whole time, which all rows integrate alike, for their exposure.
+    pub(crate) fn at_rest(&self) -> Self {
+        Self {
+            bins: 1,
+            bin_duration_us: self.end_us() - self.start_us,
+            start_us: self.start_us,
+            instants: vec![InstantWeights {
+                first_bin: 0,
+                weights: vec![self.instants[0].weights.iter().sum()],
+            }],
+        }
+    }
+
     /// The grid of `bins` and of the instants `kept`, which integrate only these bins.
     pub(crate) fn subset(&self, bins: std::ops::Range<usize>, kept: Vec<usize>) -> Self {
         let moved = |i: usize| InstantWeights {

@@ -16,6 +16,7 @@ use crate::task::Task;
 use crate::traces::{self, DebiasNumbers, TraceRequest, Traces};
 use crate::view_files::{self, TRUTH, ViewFiles};
 use rowburst::design::count::{change_rms, count_change};
+use rowburst::linop::Background;
 use rowburst::metrics::{psnr_db, ssim};
 use rowburst::reconstruct::{Reconstruction, SigmaSource, Tau, Verdict};
 use rowburst::simulate::direct_frame;
@@ -257,11 +258,26 @@ impl CompletedTask {
         self.guide.as_ref().filter(|guide| guide.numbers.used)
     }
 
+    /// Whether the video is one picture in all bins.
+    fn is_at_rest(&self) -> bool {
+        self.reconstruction.prior.background() == Background::Alone && self.used_guide().is_none()
+    }
+
+    /// The note that the program has taken the scene for one at rest.
+    fn rest_note(&self) -> Option<String> {
+        let is_chosen = self.reconstruction.choice.is_some() && self.is_at_rest();
+        is_chosen.then(|| {
+            "taken for a scene at rest: one picture predicts held-out pixels as well as a video, and is in all bins; \
+             the prior tv+16*tdiff allows for change"
+                .into()
+        })
+    }
+
     /// How many numbers of an instant speak about the change of a dense scene.
     fn change_count(&self) -> Option<ChangeNumbers> {
         let reconstruction = &self.reconstruction;
         let video = &reconstruction.video;
-        let is_dense = reconstruction.support_fraction >= DENSE_FRACTION;
+        let is_dense = reconstruction.support_fraction >= DENSE_FRACTION && !self.is_at_rest();
         if !is_dense || video.shape().bins == 1 || self.is_stopped() {
             return None;
         }
@@ -346,6 +362,7 @@ impl CompletedTask {
         if let Some(guide) = self.guide.as_ref().filter(|guide| !guide.numbers.used) {
             warnings.push(format!("the guide was {}", guide.numbers.reason));
         }
+        warnings.extend(self.rest_note());
         warnings.extend(self.density_warning());
         warnings.extend(self.coverage_warnings());
         warnings.extend(traces.warnings());

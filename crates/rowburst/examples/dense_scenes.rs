@@ -1,17 +1,20 @@
-//! Dense scenes with honest and false guides: the numbers of `docs/dense-scenes.md`, one line for each case.
+//! Dense scenes without a guide, and with honest and false ones: the numbers of `docs/dense-scenes.md`, one line for each
+//! case.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rowburst::camera::CameraParams;
 use rowburst::guide::{Guide, GuideExposure, GuideModel, fit};
 use rowburst::metrics::psnr_db;
-use rowburst::noise::Noise;
-use rowburst::simulate::scene::{DenseScene, dense};
+use rowburst::noise::{Noise, SimulatedFrame};
+use rowburst::reconstruct::{Options, Problem, Reconstruction};
+use rowburst::simulate::scene::{DenseScene, dense, digits};
 use rowburst::simulate::{SpeckleOptics, speckle_psf};
 use rowburst::{
-    Camera, Cancel, Image, LinearOperator, Measurement, RollingShutter, Sensor, Shape, Shutter,
-    Video,
+    Camera, Cancel, Image, LinearOperator, Measurement, Psf, RollingShutter, Sensor, Shape,
+    Shutter, Video,
 };
+use std::ops::ControlFlow;
 use std::time::Instant;
 
 const N: usize = 108;
@@ -28,14 +31,17 @@ fn main() {
     let kinds = args.next().unwrap_or_else(|| "honest".into());
     let kinds: Vec<&str> = kinds.split(',').collect();
     println!(
-        "scene\trows\tseed\tguide\tused\tmodel\torder\tpsnr_db\tmean_db\theld_out\twithout\tcorrelation\tshift_y\tshift_x\tturn_deg\tmagnification\tseconds\ttrials"
+        "scene\trows\tseed\tguide\tused\tmodel\torder\tpsnr_db\tmean_db\theld_out\twithout\tcorrelation\tshift_y\tshift_x\tturn_deg\tmagnification\tseconds\tof_sparse\ttrials"
     );
     for name in scenes.split(',') {
         let scene = DenseScene::ALL.into_iter().find(|s| s.name() == name);
         let scene = scene.expect("a dense scene");
         for &exposure in &rows {
             for &seed in &seeds {
-                Case::new(scene, exposure, seed as u64).print(&kinds);
+                let case = Case::new(scene, exposure, seed as u64);
+                let needs_sparse = kinds.contains(&"none");
+                let sparse = needs_sparse.then(|| case.sparse_seconds());
+                case.print(&kinds, sparse);
             }
         }
     }
@@ -53,6 +59,7 @@ struct Case {
     exposure: usize,
     seed: u64,
     camera: Camera,
+    psf: Psf,
     operator: RollingShutter,
     /// The scene with a margin.
     wide: Video,
@@ -93,11 +100,7 @@ impl Case {
         let truth = crop(&wide);
         let psf = speckle_psf(&SpeckleOptics::demo(), 2 * N - 1, 2 * N - 1, 70 + seed).unwrap();
         let operator = RollingShutter::new(&camera, &psf);
-        let mut light = vec![0.0; N * N];
-        operator.apply(truth.data(), &mut light);
-        let image = Image::new(N, N, light).unwrap();
-        let noise = Noise::Gaussian { snr: 256.0 };
-        let recorded = noise.apply(&image, camera.sensor(), seed).unwrap();
+        let recorded = record(&camera, &operator, &truth, seed);
         let truth_data = truth
             .data()
             .iter()
@@ -110,9 +113,26 @@ impl Case {
             exposure,
             seed,
             camera,
+            psf,
             operator,
             wide,
         }
+    }
+
+    /// The video by the program's own choice, and how long it took.
+    fn reconstructed(&self, measurement: &Measurement) -> (Reconstruction, f64) {
+        let start = Instant::now();
+        let problem = Problem::new(measurement, &self.camera, &self.psf, Options::default());
+        let found = problem.unwrap().solve(&mut |_| ControlFlow::Continue(()));
+        (found.unwrap(), start.elapsed().as_secs_f64())
+    }
+
+    /// Seconds for a sparse scene of the same camera: a digit of 12 px in each bin.
+    fn sparse_seconds(&self) -> f64 {
+        let scene = digits(self.truth.shape(), 12, self.seed).unwrap();
+        let recorded = record(&self.camera, &self.operator, &scene, self.seed);
+        self.reconstructed(&Measurement::new(recorded.frame).unwrap())
+            .1
     }
 
     /// The picture of the second camera: the bin `t` of the scene, shifted by 5 px, turned by `degrees` and magnified.
@@ -218,8 +238,12 @@ impl Case {
         }]
     }
 
-    fn print(&self, kinds: &[&str]) {
+    fn print(&self, kinds: &[&str], sparse_seconds: Option<f64>) {
         for kind in kinds {
+            if let ("none", Some(sparse_seconds)) = (*kind, sparse_seconds) {
+                self.print_without_guide(sparse_seconds);
+                continue;
+            }
             let guides = self.guide(kind);
             let start = Instant::now();
             let model = std::env::var("MODEL").unwrap_or_default();
@@ -250,7 +274,7 @@ impl Case {
                 .collect();
             let half = 0.5 * N as f64;
             println!(
-                "{}\t{}\t{}\t{kind}\t{}\t{}\t{}\t{:.2}\t{:.2}\t{:.3}\t{:.3}\t{:.3}\t{:.2}\t{:.2}\t{:.2}\t{:.3}\t{seconds:.1}\t{}",
+                "{}\t{}\t{}\t{kind}\t{}\t{}\t{}\t{:.2}\t{:.2}\t{:.3}\t{:.3}\t{:.3}\t{:.2}\t{:.2}\t{:.2}\t{:.3}\t{seconds:.1}\t\t{}",
                 self.scene.name(),
                 self.exposure,
                 self.seed,
@@ -270,6 +294,33 @@ impl Case {
             );
         }
     }
+}
+
+impl Case {
+    fn print_without_guide(&self, sparse_seconds: f64) {
+        let (found, seconds) = self.reconstructed(&self.measurement);
+        let choice = found.choice.as_ref().map(|choice| choice.best());
+        println!(
+            "{}\t{}\t{}\tnone\tfalse\t{}\t0\t{:.2}\t{:.2}\t{:.3}\t\t\t\t\t\t\t{seconds:.1}\t{:.1}\t",
+            self.scene.name(),
+            self.exposure,
+            self.seed,
+            found.prior,
+            psnr_db(found.video.data(), self.truth.data()),
+            psnr_db(&still_mean(&self.truth), self.truth.data()),
+            choice.map_or(f64::NAN, |best| best.error),
+            seconds / sparse_seconds
+        );
+    }
+}
+
+/// The frame of `scene` at SNR 256.
+fn record(camera: &Camera, operator: &RollingShutter, scene: &Video, seed: u64) -> SimulatedFrame {
+    let mut light = vec![0.0; N * N];
+    operator.apply(scene.data(), &mut light);
+    let image = Image::new(N, N, light).unwrap();
+    let noise = Noise::Gaussian { snr: 256.0 };
+    noise.apply(&image, camera.sensor(), seed).unwrap()
 }
 
 /// The mean of the truth over time, in every bin.

@@ -7,7 +7,7 @@ use rowburst::linop::LinearOperator;
 use rowburst::measurement::Measurement;
 use rowburst::metrics::psnr_db;
 use rowburst::noise::Noise;
-use rowburst::reconstruct::{DENSE_CANDIDATES, OPEN_CANDIDATES, Options, Problem};
+use rowburst::reconstruct::{DENSE_CANDIDATES, OPEN_CANDIDATES, Options, Problem, Tau};
 use rowburst::simulate::scene::DenseScene;
 use rowburst::simulate::{SpeckleOptics, scene, speckle_psf};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shape, Shutter, Video};
@@ -222,6 +222,54 @@ fn auto_compares_still_priors_in_a_dense_scene() {
     }
     assert!(!tried.iter().any(|t| t == "group+support"), "{tried:?}");
     assert!(!found.prior.support, "{}", found.prior);
+}
+
+/// Of a scene at rest one picture predicts as well as any video, and is the better one; the discrepancy principle alone
+/// would smooth it too little.
+#[test]
+fn auto_takes_a_scene_at_rest_for_one_picture() {
+    let case = Case::new(|shape| scene::dense(DenseScene::Still, shape, 1).unwrap());
+    let problem = |prior: Option<&str>| {
+        let options = Options {
+            prior: prior.map(|prior| prior.parse().unwrap()),
+            ..Options::default()
+        };
+        Problem::new(&case.measurement, &case.camera, &case.psf, options).unwrap()
+    };
+    let solved = |problem: Problem| problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+    let psnr = |video: &Video| psnr_db(video.data(), case.truth.data());
+    let found = solved(problem(None));
+    assert_eq!(found.prior.to_string(), "background");
+    let (video, shape) = (&found.video, case.truth.shape());
+    assert_eq!(video.shape(), shape);
+    assert!((1..shape.bins).all(|t| video.bin(t) == video.bin(0)));
+    assert_eq!(found.background.as_ref(), Some(video));
+    let [at_rest, named, stiff] = [
+        psnr(video),
+        psnr(&solved(problem(Some("background"))).video),
+        psnr(&solved(problem(Some("tv+16*tdiff"))).video),
+    ];
+    println!("{at_rest:.2} dB, by name {named:.2} dB, tv+16*tdiff {stiff:.2} dB");
+    assert!(at_rest > stiff + 1.0 && (named - at_rest).abs() < 0.5);
+}
+
+/// The first noise levels of a picture without dark areas are far above what its video leaves, and tell nothing.
+#[test]
+fn a_noise_level_by_held_out_pixels_is_that_of_a_dense_scene() {
+    for scene in [DenseScene::Still, DenseScene::Wheel] {
+        let case = Case::new(|shape| scene::dense(scene, shape, 1).unwrap());
+        let options = Options {
+            prior: Some("tv+8*tdiff".parse().unwrap()),
+            tau: Tau::HeldOut,
+            ..Options::default()
+        };
+        let problem = Problem::new(&case.measurement, &case.camera, &case.psf, options).unwrap();
+        let expected = problem.sigma();
+        let found = problem.solve(&mut |_| ControlFlow::Continue(())).unwrap();
+        let ratio = found.sigma / expected;
+        println!("{ratio:.2} times σ");
+        assert!((0.5..2.0).contains(&ratio), "{ratio}");
+    }
 }
 
 #[test]

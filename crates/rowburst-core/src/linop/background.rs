@@ -5,7 +5,7 @@ use crate::Shape;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// The kind of the second component `l` of a video `s + E l`.
+/// The kind of the second component `l` of a video `s + E l`, which may be all of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Background {
     /// No second component.
@@ -15,6 +15,8 @@ pub enum Background {
     Static,
     /// A video `[t, y, x]`; `E` is the identity.
     PerBin,
+    /// One picture `[y, x]`, which `E` shows in all bins, without a first component: a scene at rest.
+    Alone,
 }
 
 impl Background {
@@ -22,8 +24,16 @@ impl Background {
     pub fn len(self, shape: Shape) -> usize {
         match self {
             Self::None => 0,
-            Self::Static => shape.pixels(),
+            Self::Static | Self::Alone => shape.pixels(),
             Self::PerBin => shape.voxels(),
+        }
+    }
+
+    /// Length of `s` for videos of `shape`.
+    pub fn first_len(self, shape: Shape) -> usize {
+        match self {
+            Self::Alone => 0,
+            Self::None | Self::Static | Self::PerBin => shape.voxels(),
         }
     }
 
@@ -32,7 +42,7 @@ impl Background {
     /// # Panics
     /// If a length does not match.
     pub fn sum(self, shape: Shape, stacked: &[f32]) -> Cow<'_, [f32]> {
-        let (first, background) = stacked.split_at(shape.voxels());
+        let (first, background) = stacked.split_at(self.first_len(shape));
         assert_eq!(
             background.len(),
             self.len(shape),
@@ -40,6 +50,9 @@ impl Background {
         );
         if background.is_empty() {
             return Cow::Borrowed(first);
+        }
+        if self == Self::Alone {
+            return Cow::Owned(background.repeat(shape.bins));
         }
         let mut sum = first.to_vec();
         sum.par_chunks_mut(shape.pixels())
@@ -80,7 +93,7 @@ impl<O: LinearOperator> WithBackground<O> {
 
 impl<O: LinearOperator> LinearOperator for WithBackground<O> {
     fn domain_len(&self) -> usize {
-        self.shape.voxels() + self.background.len(self.shape)
+        self.background.first_len(self.shape) + self.background.len(self.shape)
     }
 
     fn range_len(&self) -> usize {
@@ -92,10 +105,15 @@ impl<O: LinearOperator> LinearOperator for WithBackground<O> {
     }
 
     fn adjoint(&self, y: &[f32], x: &mut [f32]) {
-        let (first, background) = x.split_at_mut(self.shape.voxels());
+        let (first, background) = x.split_at_mut(self.background.first_len(self.shape));
+        if self.background == Background::Alone {
+            let mut video = vec![0.0; self.shape.voxels()];
+            self.operator.adjoint(y, &mut video);
+            return sum_of_bins(&video, background);
+        }
         self.operator.adjoint(y, first);
         match self.background {
-            Background::None => {}
+            Background::None | Background::Alone => {}
             Background::Static => sum_of_bins(first, background),
             Background::PerBin => background.copy_from_slice(first),
         }
@@ -123,7 +141,12 @@ mod tests {
     #[test]
     fn keeps_the_laws() {
         for shape in [Shape::new(3, 4, 5), Shape::new(1, 2, 7)] {
-            for background in [Background::None, Background::Static, Background::PerBin] {
+            for background in [
+                Background::None,
+                Background::Static,
+                Background::PerBin,
+                Background::Alone,
+            ] {
                 let differences = Differences::new(shape, vec![Axis::Rows, Axis::Columns]);
                 laws::check(&WithBackground::new(differences, shape, background), 5);
             }
@@ -136,5 +159,7 @@ mod tests {
         let stacked = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0, 30.0];
         let sum = Background::Static.sum(shape, &stacked);
         assert_eq!(sum[..], [11.0, 22.0, 33.0, 14.0, 25.0, 36.0]);
+        let alone = Background::Alone.sum(shape, &stacked[6..]);
+        assert_eq!(alone[..], [10.0, 20.0, 30.0, 10.0, 20.0, 30.0]);
     }
 }

@@ -295,6 +295,28 @@ fn a_subset_of_the_readout_equals_the_whole() {
     }
 }
 
+/// One bin of a scene at rest has the light of a video that shows it throughout.
+#[test]
+fn a_scene_at_rest_is_seen_as_its_video() {
+    for (camera, set) in cases() {
+        let shape = camera.video_shape();
+        let picture: Vec<f32> = (0..shape.pixels()).map(|i| (i % 7) as f32).collect();
+        let seen = |camera: &Camera, video: &[f32]| {
+            let mut frame = vec![f32::NAN; camera.rows() * camera.columns()];
+            RollingShutter::new(camera, &set).apply(video, &mut frame);
+            frame
+        };
+        let expected = seen(&camera, &picture.repeat(shape.bins));
+        let at_rest = camera.at_rest();
+        assert_eq!(at_rest.video_shape().bins, 1);
+        assert_eq!(at_rest.time().end_us(), camera.time().end_us());
+        for (a, b) in seen(&at_rest, &picture).iter().zip(&expected) {
+            assert!((a - b).abs() < 1e-4 * (1.0 + b.abs()), "{a} {b}");
+        }
+        laws::check(&RollingShutter::new(&at_rest, &set), 4);
+    }
+}
+
 #[test]
 fn subsets_that_split_an_exposure_are_refused() {
     let camera = |exposure_us| {

@@ -41,20 +41,19 @@ pub const L1: TermSpec = TermSpec {
 /// The term `background`: `tv` of a static background, which has the same picture in every bin.
 pub const BACKGROUND: TermSpec = TermSpec {
     name: "background",
-    favours: "a scene in front of a static background",
+    favours: "a scene in front of a static background; alone, a scene at rest",
     couples_bins: true,
     excludes: None,
     unit: one_voxel,
     form: TermForm::Background {
         kind: Background::Static,
-        prox: |shape| {
+        prox: |shape, weight| {
             let picture = Shape::new(1, shape.rows, shape.columns);
             let weights = VariationWeights {
-                space: 1.0,
+                space: weight * (shape.bins as f64).sqrt(),
                 ..VariationWeights::NONE
             };
             Box::new(Variation::new(picture, weights))
         },
-        scale: |shape| (shape.bins as f64).sqrt(),
     },
 };

@@ -43,11 +43,11 @@ pub const LOWRANK_BACKGROUND: TermSpec = TermSpec {
     unit: one_voxel,
     form: TermForm::Background {
         kind: Background::PerBin,
-        prox: |shape| {
+        prox: |shape, weight| {
+            let weight = weight * (shape.pixels().max(shape.bins) as f64).sqrt();
             let term = Box::new(LowRank::new(shape));
-            Box::new(Composite::new(shape, VariationWeights::NONE, 0.0).with(1.0, term))
+            Box::new(Composite::new(shape, VariationWeights::NONE, 0.0).with(weight, term))
         },
-        scale: |shape| (shape.pixels().max(shape.bins) as f64).sqrt(),
     },
 };
 

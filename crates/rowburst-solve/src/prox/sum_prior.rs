@@ -1,10 +1,10 @@
 //! The prior of a video that is a sum of two components, each with its own prior.
 //!
 //! ```text
-//! R(v) = min { R_1(s) + w R_2(l) : s + E l = v,  s, l ≥ 0 }
+//! R(v) = min { R_1(s) + R_2(l) : s + E l = v,  s, l ≥ 0 }
 //! ```
 //!
-//! This is the infimal convolution of `R_1` and `w R_2`. The component `s` moves before a background `l`. The
+//! This is the infimal convolution of `R_1` and `R_2`. The component `s` moves before a background `l`. The
 //! background is static (`E` shows one picture in all bins) or has low rank (`E` is the identity; `L + S`: Candès,
 //! Li, Ma & Wright 2011; Otazo, Candès & Sodickson 2015). The unknown is the vector `[s, l]` of
 //! [`rowburst_core::linop::WithBackground`]; the prox acts on each component by itself.
@@ -14,22 +14,20 @@
 use super::Prox;
 use rowburst_core::Support;
 
-/// `R_1(s) + w R_2(l)` over vectors `[s, l]`.
+/// `R_1(s) + R_2(l)` over vectors `[s, l]`.
 pub struct SumPrior {
     first: Box<dyn Prox>,
     second: Box<dyn Prox>,
-    weight: f64,
     /// Length of `s`.
     length: usize,
 }
 
 impl SumPrior {
-    /// `first(s) + weight · second(l)` for an `s` of `length` elements.
-    pub fn new(length: usize, first: Box<dyn Prox>, second: Box<dyn Prox>, weight: f64) -> Self {
+    /// `first(s) + second(l)` for an `s` of `length` elements.
+    pub fn new(length: usize, first: Box<dyn Prox>, second: Box<dyn Prox>) -> Self {
         Self {
             first,
             second,
-            weight,
             length,
         }
     }
@@ -40,12 +38,12 @@ impl Prox for SumPrior {
         let (q_first, q_second) = q.split_at(self.length);
         let (z_first, z_second) = z.split_at_mut(self.length);
         self.first.prox(q_first, scale, z_first);
-        self.second.prox(q_second, self.weight * scale, z_second);
+        self.second.prox(q_second, scale, z_second);
     }
 
     fn value(&self, z: &[f32]) -> f64 {
         let (first, second) = z.split_at(self.length);
-        self.first.value(first) + self.weight * self.second.value(second)
+        self.first.value(first) + self.second.value(second)
     }
 
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64 {
@@ -74,15 +72,16 @@ mod tests {
     /// ℓ1 with weights 1 and 3: each component is shrunk by its own weight.
     #[test]
     fn each_component_has_its_prior() {
-        let l1 = |shape| -> Box<dyn Prox> {
+        let l1 = |shape, weight| -> Box<dyn Prox> {
             let weights = VariationWeights {
                 space: 0.0,
                 time: 0.0,
-                l1: 1.0,
+                l1: weight,
             };
             Box::new(Variation::new(shape, weights))
         };
-        let mut prox = SumPrior::new(4, l1(Shape::new(2, 1, 2)), l1(Shape::new(1, 1, 2)), 3.0);
+        let first = l1(Shape::new(2, 1, 2), 1.0);
+        let mut prox = SumPrior::new(4, first, l1(Shape::new(1, 1, 2), 3.0));
         let mut z = [f32::NAN; 6];
         prox.prox(&[1.0, 0.05, -1.0, 2.0, 1.0, 0.2], 0.1, &mut z);
         for (z, expected) in z.iter().zip([0.9, 0.0, 0.0, 1.9, 0.7, 0.0]) {

@@ -65,10 +65,8 @@ pub enum TermForm {
     Background {
         /// The kind of background.
         kind: Background,
-        /// Its prox.
-        prox: fn(Shape) -> Box<dyn Prox>,
-        /// Factor on its weight.
-        scale: fn(Shape) -> f64,
+        /// Its prox with a weight.
+        prox: fn(Shape, f64) -> Box<dyn Prox>,
     },
 }
 

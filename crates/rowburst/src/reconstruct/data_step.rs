@@ -35,7 +35,7 @@ impl DataStep {
 
     /// Number of voxels of a video.
     pub fn len(&self) -> usize {
-        self.data.shape().voxels()
+        self.data.video_shape().voxels()
     }
 
     /// Always `false`: a video has voxels.

@@ -82,8 +82,8 @@ pub(super) fn find(
     least_level: f64,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
 ) -> Result<Foreign, Box<RunResult>> {
-    let shape = data.shape();
     data.reset(PRIOR.background(), None);
+    let shape = data.shape();
     let measured = data.measurements().to_vec();
     let (is_usable, columns) = (data.usable(), data.shutter().frame_shape().1);
     let factors = row_factors(&measured, columns, &is_usable);

@@ -27,7 +27,7 @@ impl Problem {
     /// # Panics
     /// If the video has another shape than the camera's.
     pub fn judge(mut self, video: Video, degrees_of_freedom: f64) -> Result<Reconstruction> {
-        assert_eq!(video.shape(), self.data.shape(), "shape of the video");
+        assert_eq!(video.shape(), self.data.video_shape(), "shape of the video");
         if self.data.background() != Background::None {
             self.data.reset(Background::None, None);
         }

@@ -59,7 +59,7 @@ impl HeldOutRun {
         until: usize,
         observer: &mut Observer,
     ) -> Result<bool, Box<RunResult>> {
-        let (prior, shape) = (self.prior, data.shape());
+        let (prior, shape) = (self.prior, data.video_shape());
         let residual_rms = &mut self.residual_rms;
         let reason = self
             .admm

@@ -46,7 +46,7 @@ use rowburst_optics::measurement::Measurement;
 use rowburst_optics::{Camera, Image, PatchSet, Shutter, Video};
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, Solution, TauRule, Tuning};
 use rowburst_solve::prox::Prox;
-use rowburst_solve::{Certificate, DataTerm, ProblemKind, StopReason};
+use rowburst_solve::{Certificate, DataTerm, StopReason};
 use sigma::Bands;
 use std::ops::ControlFlow;
 use tracing::info;
@@ -54,7 +54,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 15;
+pub const ALGORITHM_REVISION: u32 = 16;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -450,7 +450,7 @@ impl Problem {
             )
             .with_kind(ErrorKind::Overflow));
         }
-        let shape = self.data.shape();
+        let shape = self.data.video_shape();
         let measurement_count = self.data.measurement_count() as f64;
         let residual_rms =
             rowburst_core::vecmath::norm(&solution.residual) / measurement_count.sqrt();
@@ -517,13 +517,13 @@ impl Problem {
 
     /// The background of a stacked video; `None` for a prior without one.
     fn background_of(&self, prior: Prior, stacked: &[f32]) -> Result<Option<Video>> {
-        let shape = self.data.shape();
+        let shape = self.data.video_shape();
         let background = prior.background();
         if background == Background::None {
             return Ok(None);
         }
         let mut alone = stacked.to_vec();
-        alone[..shape.voxels()].fill(0.0);
+        alone[..background.first_len(shape)].fill(0.0);
         Video::new(shape, background.sum(shape, &alone).into_owned()).map(Some)
     }
 
@@ -588,7 +588,7 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<Option<(Choice, Option<BestTrial>)>, Box<RunResult>> {
         // The candidates differ only in their terms over time.
-        if self.data.shape().bins == 1 || !choose::can_choose(&self.data) {
+        if self.data.video_shape().bins == 1 || !choose::can_choose(&self.data) {
             return Ok(None);
         }
         let checked = match self.checked_run.take() {
@@ -648,12 +648,14 @@ impl Problem {
         if best_trial.is_some() {
             self.last_check = None;
         }
-        let (prior, tau_factor) = choice
-            .as_ref()
-            .map_or((default_prior, self.tau_factor), |c| {
-                (c.best().prior, c.best().tau_factor)
-            });
-        let shape = self.data.shape();
+        let (prior, tau_factor) = match &choice {
+            Some(choice) => (choice.best().prior, choice.best().tau_factor),
+            None => {
+                let found = self.tau_factor_at_rest(default_prior, rule, observer)?;
+                (default_prior, self.tau_factor * found)
+            }
+        };
+        let shape = self.data.video_shape();
         let mut params = prior.admm_params(shape, rule, self.options.solver_settings());
         if self.has_wrong_model {
             params.max_iterations = params.max_iterations.min(WRONG_MODEL_ITERATIONS);
@@ -698,6 +700,22 @@ impl Problem {
         Ok(self.better_result(result, choice, best_trial))
     }
 
+    /// The factor on `τ` for a video that is one picture, which the discrepancy principle smooths too little; 1 for others.
+    fn tau_factor_at_rest(
+        &mut self,
+        prior: Prior,
+        rule: TauRule,
+        observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
+    ) -> std::result::Result<f64, Box<RunResult>> {
+        let is_open = rule.is_discrepancy() && self.tau_factor == 1.0 && !self.options.is_preview;
+        let has_use = choose::is_at_rest(&prior, &self.data) && choose::can_choose(&self.data);
+        if !is_open || !has_use || self.has_wrong_model {
+            return Ok(1.0);
+        }
+        let settings = self.options.solver_settings().of_a_trial();
+        choose::tau_factor(&mut self.data, prior, rule, self.sigma, settings, observer)
+    }
+
     /// The beginning of the final run. Where the model explains the frame, it is one without held-out pixels: that of the check,
     /// or for another prior one like it, so that a prior gives the same video chosen or given.
     fn begin_run(
@@ -708,8 +726,7 @@ impl Problem {
     ) -> std::result::Result<(Admm, Box<dyn Prox>), Box<RunResult>> {
         let checked = self.checked_run.take();
         // Where rows share bins a trial takes other constants than a final run.
-        let can_go_on = self.data.capabilities().hints.kind != ProblemKind::Coupled;
-        if self.passed_check && params.tau.is_discrepancy() && can_go_on {
+        if self.passed_check && params.tau.is_discrepancy() && !self.data.is_coupled() {
             let begun = match checked {
                 Some(checked) if checked.prior == prior => checked,
                 _ => self.held_out_run(0.0, prior, observer)?.1,

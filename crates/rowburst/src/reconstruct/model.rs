@@ -85,6 +85,11 @@ impl Model {
         }
     }
 
+    /// The model of a scene at rest, see [`Camera::at_rest`].
+    pub(super) fn at_rest(&self) -> Self {
+        Self::new(&self.camera.at_rest(), self.psfs.clone()).with_cancel(&self.cancel)
+    }
+
     /// What stops its runs.
     pub fn cancel(&self) -> &Cancel {
         &self.cancel

@@ -134,8 +134,10 @@ impl Problem {
         }
         let start = without.as_ref().unwrap_or(&check);
         if !self.is_explained(start) {
+            // Of a global shutter others were looked for at once.
+            let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
             self.has_wrong_model = !is_followed && self.has_foreign_psf(start, prior, observer)?
-                || self.has_other_shutter(start, observer)?;
+                || !is_known && self.has_other_shutter(start, observer)?;
         }
         if self.has_wrong_model {
             self.exclude(none);

@@ -17,7 +17,7 @@
 //!
 //! `T` is the number of bins, and `N` is the larger of pixels and bins, as in Candès et al. (2011). With a
 //! background the video is the sum of foreground and background, and all other terms act on the foreground
-//! ([`rowburst_solve::prox::SumPrior`]).
+//! ([`rowburst_solve::prox::SumPrior`]). `background` alone is a scene at rest: one picture in all bins.
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 
@@ -116,24 +116,29 @@ impl Prior {
     /// The proximal operator of the convex terms, for videos of `shape`. Where the prior has a background, its
     /// argument is the foreground followed by the background.
     pub fn prox(&self, shape: Shape) -> Box<dyn Prox> {
-        let foreground = self.foreground_prox(shape);
         let background = self.terms().find_map(|(term, weight)| match term.form {
-            TermForm::Background { prox, scale, .. } => Some((prox(shape), weight * scale(shape))),
+            TermForm::Background { prox, .. } => Some(prox(shape, weight)),
             _ => None,
         });
         match background {
-            None => foreground,
-            Some((prox, weight)) => {
-                Box::new(SumPrior::new(shape.voxels(), foreground, prox, weight))
+            None => self.foreground_prox(shape),
+            Some(background) if self.background() == Background::Alone => background,
+            Some(background) => {
+                let foreground = self.foreground_prox(shape);
+                Box::new(SumPrior::new(shape.voxels(), foreground, background))
             }
         }
     }
 
     /// The kind of background.
     pub fn background(&self) -> Background {
-        self.terms()
-            .find_map(|(term, _)| term.background())
-            .unwrap_or(Background::None)
+        let mut kinds = self.terms().filter_map(|(term, _)| term.background());
+        match kinds.next() {
+            Some(Background::Static) if self.terms_of_foreground().next().is_none() => {
+                Background::Alone
+            }
+            kind => kind.unwrap_or(Background::None),
+        }
     }
 
     /// The prox of the foreground alone.
@@ -300,10 +305,14 @@ impl std::str::FromStr for Prior {
                 return refuse(text, rule);
             }
         }
-        if prior.terms_of_foreground().next().is_none() {
+        if prior.background() == Background::Alone {
+            if prior.support {
+                return refuse(text, "support restricts a foreground, and here is none");
+            }
+        } else if prior.terms_of_foreground().next().is_none() {
             return refuse(
                 text,
-                "a background must be combined with a convex term for the foreground",
+                "a background of low rank must be combined with a convex term for the foreground",
             );
         }
         Ok(prior)
@@ -381,6 +390,8 @@ mod tests {
             "tv+0.2*lowrank",
             "tv+0.5*tdiff+background+support",
             "l1+0.5*lowrank-background",
+            "background",
+            "2*background",
         ] {
             assert_eq!(name.parse::<Prior>().unwrap().to_string(), name);
         }
@@ -409,13 +420,10 @@ mod tests {
                 "tv+background+lowrank-background",
                 "a static background has low rank",
             ),
-            (
-                "background",
-                "a background must be combined with a convex term",
-            ),
+            ("background+support", "support restricts a foreground"),
             (
                 "lowrank-background+support",
-                "a background must be combined with a convex term",
+                "a background of low rank must be combined with a convex term",
             ),
             ("auto+dct", "not a term"),
             ("auto", "not a term"),

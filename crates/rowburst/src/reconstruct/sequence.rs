@@ -120,8 +120,9 @@ impl Sequence {
                 return Ok(Start::Stopped(Box::new(stopped)));
             }
         };
-        let (shape, prior) = (problem.data.shape(), problem.prior());
+        let prior = problem.prior();
         problem.data.reset(prior.background(), None);
+        let shape = problem.data.shape();
         let params = prior.admm_params(shape, rule, self.options.solver_settings());
         Ok(Start::Ready(Box::new(FrameRun {
             run: Admm::new(&problem.data, shape, params),
@@ -144,7 +145,7 @@ impl FrameRun {
         residual_history: &mut Vec<f64>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> StopReason {
-        let shape = self.problem.data.shape();
+        let shape = self.problem.data.video_shape();
         let background = self.problem.prior().background();
         let (data, max_iterations) = (&mut self.problem.data, self.run.max_iterations());
         self.run

@@ -135,7 +135,7 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<(bool, HeldOutCheck), Box<RunResult>> {
         // Its video may have another shape: an observer sees none of it, and it is no result.
-        let dark = vec![0.0; self.data.shape().voxels()];
+        let dark = vec![0.0; self.data.video_shape().voxels()];
         let mut observe = |progress: &Progress| {
             observer(&Progress {
                 video: &dark,

@@ -14,6 +14,7 @@ use super::{Observer, rms};
 use rowburst_core::vecmath::norm;
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
 use rowburst_solve::{DataTerm, StopReason};
+use tracing::debug;
 
 /// Noise level at which the path begins, over the rms of the frame; larger takes more steps.
 const MAX_SIGMA_RATIO: f64 = 0.25;
@@ -88,11 +89,11 @@ pub(in crate::reconstruct) fn noise_level(
     settings: SolverSettings,
     observer: &mut Observer,
 ) -> Result<f64, Box<RunResult>> {
-    let shape = data.shape();
     let full_prior = prior;
     let prior = prior.without_support();
     let held_out = data.held_out();
     data.reset(prior.background(), Some(held_out.clone()));
+    let shape = data.shape();
     let rms_of_frame = norm(data.measurements()) / (data.measurement_count() as f64).sqrt();
     let mut sigma = MAX_SIGMA_RATIO * rms_of_frame;
     let rule = |sigma| TauRule::Discrepancy { sigma };
@@ -103,25 +104,35 @@ pub(in crate::reconstruct) fn noise_level(
     };
     let mut prox = data.prox(&prior);
     let mut run = Admm::new(data, shape, params);
+    let video_shape = data.video_shape();
     let mut path = NoiseLevelPath::new(held_out.pixels().len());
+    // What the video of a level leaves of the pixels that it is made from.
+    let mut residual_rms = f64::INFINITY;
     while sigma >= MIN_SIGMA_RATIO * rms_of_frame {
         let until = run.iterations() + path.iterations();
         let reason = run.run(data, &mut *prox, until, &mut |progress| {
+            residual_rms = progress.residual_rms;
             let progress = Progress {
                 label: "estimating the noise level",
                 ..*progress
             };
-            observe_sum(prior.background(), shape, &progress, observer)
+            observe_sum(prior.background(), video_shape, &progress, observer)
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.into_solution(data, &*prox, reason);
             return Err(Box::new(RunResult::new(prior, solution)));
         }
-        path.push(sigma, rms(&data.held_out_residuals(run.video())));
+        let error = rms(&data.held_out_residuals(run.video()));
+        debug!(
+            "noise level {sigma:.4e}: held-out error {error:.4e}, τ {:.4e}",
+            run.tau()
+        );
+        path.push(sigma, error);
         if path.has_risen() {
             break;
         }
-        sigma *= SIGMA_STEP;
+        // A video that fits better than asked for, as that of an even scene, tells nothing of the levels between.
+        sigma = SIGMA_STEP * sigma.min(residual_rms);
         run.set_tau_rule(rule(sigma), data);
     }
     drop((run, prox));

@@ -15,7 +15,7 @@ mod level;
 mod trial;
 
 pub(super) use level::noise_level;
-pub(super) use trial::{TOLERANCE, is_settled};
+pub(super) use trial::{TOLERANCE, is_at_rest, is_settled};
 
 use super::SolverSettings;
 use super::frame_data::FrameData;
@@ -39,7 +39,8 @@ pub const CANDIDATES: [&str; 3] = [
 /// Priors of `auto` in place of the other [`CANDIDATES`] where the support of the first exceeds a third of the voxels: it
 /// tells nothing there. A stiller one comes first: the frame says little of what a dense scene does meanwhile
 /// (`docs/design/011`).
-pub const OPEN_CANDIDATES: [&str; 3] = ["tv+16*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
+/// The first one holds that the scene is at rest. It is tried alone for a video of one bin.
+pub const OPEN_CANDIDATES: [&str; 4] = ["background", "tv+16*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
 
 /// Priors that `auto` tries after [`OPEN_CANDIDATES`]: much of the light may be still (`docs/design/011`).
 pub const DENSE_CANDIDATES: [&str; 1] = ["tv+2*tdiff+background"];
@@ -108,12 +109,12 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// The gain from which it replaces the best one before it. A background assumes least of a dense scene: that most of it
-    /// is still.
-    fn min_gain(&self) -> f64 {
-        match self.prior.background() {
-            Background::None => MIN_GAIN,
-            Background::Static | Background::PerBin => MIN_BACKGROUND_GAIN,
+    /// The gain from which it replaces the best one before it, `best`. A background before other light assumes least of a
+    /// dense scene: that most of it is still. A scene at rest is simpler than that.
+    fn min_gain(&self, best: &Self) -> f64 {
+        match (self.prior.background(), best.prior.background()) {
+            (Background::None | Background::Alone, _) | (_, Background::Alone) => MIN_GAIN,
+            (Background::Static | Background::PerBin, _) => MIN_BACKGROUND_GAIN,
         }
     }
 
@@ -136,7 +137,8 @@ impl Choice {
     pub fn best(&self) -> Candidate {
         let better = |best: Candidate, next: &Candidate| {
             // A candidate whose error is NaN is never the best.
-            if next.gain.is_none_or(|gain| gain > next.min_gain()) || best.error.is_nan() {
+            let is_better = |gain| gain > next.min_gain(&best);
+            if next.gain.is_none_or(is_better) || best.error.is_nan() {
                 *next
             } else {
                 best
@@ -268,7 +270,8 @@ impl Trials {
         for next in 1..candidates.len() {
             let gained = gain(&self.residuals[best], &self.residuals[next]);
             candidates[next].gain = Some(gained);
-            if gained > candidates[next].min_gain() || candidates[best].error.is_nan() {
+            let min_gain = candidates[next].min_gain(&candidates[best]);
+            if gained > min_gain || candidates[best].error.is_nan() {
                 best = next;
             }
         }
@@ -291,6 +294,22 @@ impl Trials {
         let errors = self.choice.candidates.iter().map(|c| c.error);
         MAX_TUNING_ERROR_RATIO * errors.fold(f64::INFINITY, f64::min)
     }
+}
+
+/// The factor on the `τ` of the discrepancy principle that predicts held-out pixels best with `prior`, by a trial without
+/// these pixels. The error is the result so far where the observer stopped it.
+pub(super) fn tau_factor(
+    data: &mut FrameData,
+    prior: Prior,
+    rule: TauRule,
+    sigma: f64,
+    settings: SolverSettings,
+    observer: &mut Observer,
+) -> Result<f64, Box<RunResult>> {
+    data.reset(prior.background(), Some(data.held_out()));
+    let trial = Trial::new(data, prior, rule, sigma, settings);
+    let found = trial.run(data, &[], f64::INFINITY, observer)?;
+    Ok(found.candidate.tau_factor)
 }
 
 /// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. `checked` is a run of one of

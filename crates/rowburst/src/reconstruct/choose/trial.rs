@@ -5,9 +5,11 @@ use super::super::frame_data::FrameData;
 use super::super::held_out_run::HeldOutRun;
 use super::super::{Prior, RunResult, observe_sum};
 use super::{Candidate, MIN_GAIN, Observer, gain, rms};
+use rowburst_core::linop::Background;
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
 use rowburst_solve::prox::Prox;
+use tracing::debug;
 
 /// [`AdmmParams::tolerance`] of a trial; larger is faster and compares less exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
@@ -31,6 +33,8 @@ const SETTLED_CHANGE: f64 = 0.01;
 const TAU_STEP: f64 = 2.0;
 /// Largest factor on the `τ` of the discrepancy principle, up and down; larger tries more values.
 const MAX_TAU_FACTOR: f64 = 8.0;
+/// The same for a scene at rest.
+const MAX_TAU_FACTOR_AT_REST: f64 = 64.0;
 /// Iterations for each tried `τ`; fewer compare videos that have not settled.
 const TUNING_ITERATIONS: usize = 30;
 
@@ -70,6 +74,12 @@ pub(in crate::reconstruct) fn is_settled(errors: &[f64]) -> bool {
         [.., before, _, last] => *last > (1.0 - SETTLED_CHANGE) * before,
         _ => false,
     }
+}
+
+/// Whether the video of `prior` is one picture, all of it.
+pub(in crate::reconstruct) fn is_at_rest(prior: &Prior, data: &FrameData) -> bool {
+    let is_one_bin = data.video_shape().bins == 1 || prior.background() == Background::Alone;
+    is_one_bin && !prior.support
 }
 
 impl Trial {
@@ -160,9 +170,15 @@ impl Trial {
             residuals,
             support_fraction: self.run.support_fraction(),
         };
-        let is_tunable = self.params.tau.is_discrepancy();
-        if is_tunable && !stopped_early && rms(&found.residuals) <= max_error {
-            found = match self.tune(data, found, observer) {
+        let is_tunable = self.params.tau.is_discrepancy() && !stopped_early;
+        let is_at_rest = is_at_rest(&self.prior, data);
+        if is_tunable && (is_at_rest || rms(&found.residuals) <= max_error) {
+            let tuned = if is_at_rest {
+                self.smooth(data, found, observer)
+            } else {
+                self.tune(data, found, observer)
+            };
+            found = match tuned {
                 Ok(found) => found,
                 Err(reason) => return Err(self.into_result(data, reason)),
             };
@@ -180,6 +196,54 @@ impl Trial {
             errors,
             residuals: found.residuals,
             run_result: self.into_result(data, StopReason::IterationLimit),
+        })
+    }
+
+    /// Continues with twice `τ`, then of that, until the held-out error does not fall. Returns the last factor, unless it
+    /// predicts worse than the one before by a standard error: the `τ` of the discrepancy principle is too small for a
+    /// scene at rest, whose edges count as many more degrees of freedom than the frame has of it (docs/design/011). The
+    /// residuals are those of the lowest error.
+    fn smooth(
+        &mut self,
+        data: &mut FrameData,
+        mut lowest: TauTrial,
+        observer: &mut Observer,
+    ) -> Result<TauTrial, StopReason> {
+        let tau = self.run.tau();
+        while lowest.tau_factor < MAX_TAU_FACTOR_AT_REST {
+            let next = self.try_factor(TAU_STEP * lowest.tau_factor, tau, data, observer)?;
+            let gain = gain(&lowest.residuals, &next.residuals);
+            if gain.is_nan() || gain <= 0.0 {
+                if gain > -MIN_GAIN {
+                    lowest.tau_factor = next.tau_factor;
+                }
+                break;
+            }
+            lowest = next;
+        }
+        Ok(lowest)
+    }
+
+    /// Continues with `factor` times `tau`.
+    fn try_factor(
+        &mut self,
+        factor: f64,
+        tau: f64,
+        data: &mut FrameData,
+        observer: &mut Observer,
+    ) -> Result<TauTrial, StopReason> {
+        self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
+        let until = self.run.iterations() + TUNING_ITERATIONS;
+        let (residuals, _) = self.run_until(data, until, observer)?;
+        debug!(
+            "{} with τ multiplied by {factor}: held-out error {:.4} σ",
+            self.prior,
+            rms(&residuals)
+        );
+        Ok(TauTrial {
+            tau_factor: factor,
+            residuals,
+            support_fraction: self.run.support_fraction(),
         })
     }
 
@@ -201,18 +265,12 @@ impl Trial {
         for &direction in directions {
             let mut factor = direction;
             while (1.0 / MAX_TAU_FACTOR..=MAX_TAU_FACTOR).contains(&factor) {
-                self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
-                let until = self.run.iterations() + TUNING_ITERATIONS;
-                let (residuals, _) = self.run_until(data, until, observer)?;
-                let gain = gain(&best.residuals, &residuals);
+                let next = self.try_factor(factor, tau, data, observer)?;
+                let gain = gain(&best.residuals, &next.residuals);
                 if gain.is_nan() || gain <= MIN_GAIN {
                     break;
                 }
-                best = TauTrial {
-                    tau_factor: factor,
-                    residuals,
-                    support_fraction: self.run.support_fraction(),
-                };
+                best = next;
                 factor *= direction;
             }
             if best.tau_factor != 1.0 {
@@ -231,7 +289,7 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<(Vec<f64>, bool), StopReason> {
         let until = until.min(self.params.max_iterations);
-        let (background, shape) = (self.prior.background(), data.shape());
+        let (background, shape) = (self.prior.background(), data.video_shape());
         let (label, runs_left) = (&*self.label, self.runs_left);
         let reason = self.run.run(data, &mut *self.prox, until, &mut |progress| {
             let progress = Progress {

@@ -33,7 +33,7 @@ impl DataTerm for FrameData {
     }
 
     fn residual_rms_of_bins(&self, residual: &[f32]) -> Vec<f64> {
-        let operator = self.shutter();
+        let operator = self.system.shutter();
         let mut sums = vec![(0.0, 0usize); self.shape().bins];
         for (instant, run) in operator.time().instants().iter().enumerate() {
             let indices = operator.indices_of(instant);
@@ -66,7 +66,7 @@ impl DataTerm for FrameData {
         match (self.background(), support) {
             (Background::None, Some(support)) => {
                 let weighted = self.system.operator().weigh(y);
-                self.shutter().adjoint_on(&weighted, support, video);
+                self.system.shutter().adjoint_on(&weighted, support, video);
             }
             (_, None) => self.operator().adjoint(y, video),
             (_, Some(support)) => {
@@ -87,7 +87,7 @@ impl DataTerm for FrameData {
     }
 
     fn capabilities(&self) -> Capabilities<'_> {
-        let is_fused = self.background() == Background::None;
+        let is_fused = matches!(self.background(), Background::None | Background::Alone);
         Capabilities {
             hints: self.x_step.hints(&self.system),
             fused_adjoint: is_fused.then_some(self),
@@ -105,7 +105,8 @@ impl FusedAdjoint for FrameData {
         write: WritePart,
     ) {
         let weighted = self.system.operator().weigh(y);
-        self.shutter()
+        self.system
+            .shutter()
             .adjoint_each(&weighted, support, target, write);
     }
 }

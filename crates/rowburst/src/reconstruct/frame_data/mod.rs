@@ -75,7 +75,7 @@ impl FrameData {
     }
 
     fn set_coverage(&mut self) {
-        let coverage = self.coverage();
+        let coverage = self.coverage_by(self.system.shutter());
         let shape = self.shape();
         self.covered = coverage
             .contains(&0)
@@ -98,13 +98,25 @@ impl FrameData {
     }
 
     pub fn psfs(&self) -> &rowburst_optics::PatchSet {
-        self.system.model().psfs()
+        self.system.camera_model().psfs()
     }
 
+    /// The operator of the camera.
     pub fn shutter(&self) -> &RollingShutter {
-        self.system.shutter()
+        self.system.camera_model().shutter()
     }
 
+    /// Whether rows share bins.
+    pub fn is_coupled(&self) -> bool {
+        !self.shutter().time().is_disjoint()
+    }
+
+    /// The shape of the video.
+    pub fn video_shape(&self) -> Shape {
+        self.shutter().video_shape()
+    }
+
+    /// The shape of what is solved for: that of the video, or one bin for a scene at rest.
     pub fn shape(&self) -> Shape {
         self.system.shape()
     }
@@ -125,11 +137,15 @@ impl FrameData {
         if is_unchanged && is_fresh {
             return;
         }
+        let shape_before = self.shape();
         self.held_out = held_out;
         self.weights.clone_from(&self.initial_weights);
         self.system.set_background(background);
         self.apply_weights();
-        if self.x_step.is_renewed_by_rebuild(background) {
+        if self.shape() != shape_before {
+            self.set_coverage();
+            self.renew_x_step();
+        } else if self.x_step.is_renewed_by_rebuild(background) {
             self.x_step.rebuild(&self.system);
         } else {
             self.renew_x_step();
@@ -170,12 +186,16 @@ impl FrameData {
     /// The voxels that the frame observes: their sensitivity, the sum of `Aᵀ1` over the usable pixels, is at least
     /// [`MIN_SENSITIVITY`] of the largest one.
     pub fn coverage(&self) -> Vec<u8> {
+        self.coverage_by(self.shutter())
+    }
+
+    fn coverage_by(&self, shutter: &RollingShutter) -> Vec<u8> {
         let is_usable = |i: usize| self.initial_weights.as_ref().is_none_or(|w| w[i] > 0.0);
         let usable: Vec<f32> = (0..self.frame.len())
             .map(|i| f32::from(u8::from(is_usable(i))))
             .collect();
-        let mut sensitivity = vec![0.0; self.shape().voxels()];
-        self.shutter().adjoint(&usable, &mut sensitivity);
+        let mut sensitivity = vec![0.0; shutter.video_shape().voxels()];
+        shutter.adjoint(&usable, &mut sensitivity);
         let largest = sensitivity.iter().copied().fold(0.0, f32::max);
         let is_covered = |s: &f32| f64::from(*s) >= MIN_SENSITIVITY * f64::from(largest);
         sensitivity
@@ -187,7 +207,7 @@ impl FrameData {
     /// The proximal operator of `prior`, for videos that are zero in voxels that the frame does not observe: a prior
     /// would fill them with light of their neighbours.
     pub fn prox(&self, prior: &Prior) -> Box<dyn Prox> {
-        let prox = prior.prox(self.shape());
+        let prox = prior.prox(self.video_shape());
         match &self.covered {
             Some(covered) => Box::new(Restricted::new(prox, covered.clone())),
             None => prox,
@@ -208,10 +228,15 @@ impl FrameData {
     }
 
     /// `A v`, the light of foreground and background at all pixels.
-    pub fn predicted(&self, video: &[f32]) -> Vec<f32> {
+    pub fn predicted(&self, stacked: &[f32]) -> Vec<f32> {
         let mut light = vec![0.0; self.frame.len()];
-        self.shutter()
-            .apply(&self.background().sum(self.shape(), video), &mut light);
+        match self.background() {
+            Background::Alone => self.system.shutter().apply(stacked, &mut light),
+            background => {
+                let video = background.sum(self.video_shape(), stacked);
+                self.shutter().apply(&video, &mut light);
+            }
+        }
         light
     }
 
@@ -244,7 +269,7 @@ impl FrameData {
     pub fn sum(&self, stacked: Vec<f32>) -> Vec<f32> {
         match self.background() {
             Background::None => stacked,
-            background => background.sum(self.shape(), &stacked).into_owned(),
+            background => background.sum(self.video_shape(), &stacked).into_owned(),
         }
     }
 

@@ -181,13 +181,18 @@ fn solves_with_the_operator_that_is_seen() {
     ];
     for (shutter, exposure) in cases {
         let mut data = data_with_exposure(shutter.clone(), exposure);
-        let shape = data.shape();
-        for background in [Background::None, Background::Static, Background::PerBin] {
-            if shape.bins == 1 && background != Background::None {
+        for background in [
+            Background::None,
+            Background::Static,
+            Background::Alone,
+            Background::PerBin,
+        ] {
+            if data.video_shape().bins == 1 && background != Background::None {
                 continue;
             }
             let state = format!("{} {exposure} {background:?}", shutter.name());
             data.reset(background, None);
+            let shape = data.shape();
             check(&mut data, &state);
             let held_out = data.held_out();
             data.reset(background, Some(held_out.clone()));
@@ -204,6 +209,27 @@ fn solves_with_the_operator_that_is_seen() {
                 assert_eq!(is_direct, exposure > 1.0, "{state}");
             }
         }
+    }
+}
+
+/// A picture alone has the light of the video that shows it in every bin, and what is solved for after it is as new.
+#[test]
+fn a_scene_at_rest_is_a_video_of_one_picture() {
+    for exposure in [1.0, 2.5] {
+        let mut data = data_with_exposure(Shutter::DualInsideOut, exposure);
+        let shape = data.video_shape();
+        let picture: Vec<f32> = (0..shape.pixels()).map(|i| (i % 13) as f32).collect();
+        let expected = data.predicted(&picture.repeat(shape.bins));
+        data.reset(Background::Alone, None);
+        assert_eq!(data.shape(), Shape::new(1, shape.rows, shape.columns));
+        let light = data.predicted(&picture);
+        let wrong: Vec<f32> = light.iter().zip(&expected).map(|(a, b)| a - b).collect();
+        assert!(norm(&wrong) < 1e-5 * norm(&expected), "{exposure}");
+        assert_eq!(data.coverage().len(), shape.voxels());
+        assert_eq!(data.sum(picture.clone()), picture.repeat(shape.bins));
+        data.reset(Background::None, None);
+        assert_eq!(data.shape(), shape);
+        check(&mut data, "after a scene at rest");
     }
 }
 

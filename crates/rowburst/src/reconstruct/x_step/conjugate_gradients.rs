@@ -117,7 +117,8 @@ impl XStep for ConjugateGradients {
 
 /// The exact step on the support, where it takes less time than conjugate gradients.
 fn active_system(system: &System) -> Option<ActiveSystem> {
-    if system.background() != Background::None || system.shutter().convolves_planes() {
+    let is_stacked = !matches!(system.background(), Background::None | Background::Alone);
+    if is_stacked {
         return None;
     }
     ActiveSystem::new(system.operator(), system.support()?)

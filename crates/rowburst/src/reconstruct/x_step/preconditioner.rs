@@ -84,7 +84,8 @@ pub struct PlanePreconditioner {
 
 impl Preconditioner for PlanePreconditioner {
     fn max_iterations(&self, _is_restricted: bool, _is_early: bool) -> usize {
-        100
+        // Fewer cost quality, more cost time (docs/design/004).
+        40
     }
 
     fn apply(&mut self, r: &[f32], rho: f64, out: &mut [f32]) {

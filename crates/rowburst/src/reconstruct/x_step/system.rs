@@ -13,6 +13,8 @@ use std::sync::Arc;
 
 /// `B = W A P` of a frame; a source of the diagonal blocks of `B Bᵀ`.
 pub struct System {
+    camera_model: Model,
+    /// The camera's model, or that of a scene at rest.
     model: Model,
     /// `W A` on the foreground, and on the stacked foreground and background.
     operator: Arc<WeightedOperator<Arc<RollingShutter>>>,
@@ -33,6 +35,7 @@ impl System {
         let background = Background::None;
         let operator = Arc::new(WeightedOperator::new(Arc::clone(shutter), weights));
         Self {
+            camera_model: model.clone(),
             model: model.clone(),
             with_background: WithBackground::new(
                 Arc::clone(&operator),
@@ -47,14 +50,23 @@ impl System {
         }
     }
 
+    /// The model of the camera.
+    pub fn camera_model(&self) -> &Model {
+        &self.camera_model
+    }
+
+    /// The model of the videos that are solved for: of one bin for a scene at rest ([`Background::Alone`]), else the
+    /// camera's.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
+    /// Its operator.
     pub fn shutter(&self) -> &Arc<RollingShutter> {
         self.model.shutter()
     }
 
+    /// Its shape.
     pub fn shape(&self) -> Shape {
         self.shutter().video_shape()
     }
@@ -67,8 +79,8 @@ impl System {
     /// `W A` on the stacked foreground and background.
     pub fn stacked_operator(&self) -> &dyn LinearOperator {
         match self.background {
-            Background::None => &*self.operator,
-            _ => &self.with_background,
+            Background::None | Background::Alone => &*self.operator,
+            Background::Static | Background::PerBin => &self.with_background,
         }
     }
 
@@ -108,6 +120,17 @@ impl System {
     /// Sets the background and all voxels active. [`Self::set_weights`] is to follow.
     pub fn set_background(&mut self, background: Background) {
         self.support = None;
+        let (was_at_rest, is_at_rest) = (
+            self.background == Background::Alone,
+            background == Background::Alone,
+        );
+        if was_at_rest != is_at_rest {
+            self.model = if is_at_rest {
+                self.camera_model.at_rest()
+            } else {
+                self.camera_model.clone()
+            };
+        }
         self.background = background;
         if background == Background::Static && self.whole_field_operator.is_none() {
             self.whole_field_operator = whole_field_operator(&self.model);
