@@ -8,7 +8,7 @@ use crate::calibration::RecordingCalibration;
 use crate::inputs::BatchInputs;
 use crate::measurement::{is_of_correction, read_measurement};
 use rowburst::error::LibraryNames;
-use rowburst::reconstruct::{Options, Prior, Problem, SelfCalibration};
+use rowburst::reconstruct::{Choice, Options, Prior, Problem, SelfCalibration};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::norm;
 use rowburst::{Cancel, Error, ErrorKind, Parameter, Result};
@@ -197,13 +197,26 @@ impl ChosenPrior {
                         .into(),
             }),
             Ok(Some(choice)) => Some(Self {
-                prior: choice.best().prior.to_string(),
-                tau_factor: choice.best().tau_factor,
+                prior: choice.best_for_others().prior.to_string(),
+                tau_factor: choice.best_for_others().tau_factor,
                 frame: Some(frame),
-                reason: choice.reason(),
+                reason: reason(&choice),
             }),
         })
     }
+}
+
+/// The reason for the choice, and what it means for other frames.
+fn reason(choice: &Choice) -> String {
+    let others = choice.best_for_others();
+    let mut reason = choice.reason();
+    if others != choice.best() {
+        reason += &format!(
+            "; that frame is at rest, and others may not be: {} for all",
+            others.name()
+        );
+    }
+    reason
 }
 
 #[cfg(test)]

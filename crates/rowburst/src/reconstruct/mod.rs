@@ -708,9 +708,12 @@ impl Problem {
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<f64, Box<RunResult>> {
         let is_open = rule.is_discrepancy() && self.tau_factor == 1.0 && !self.options.is_preview;
-        let has_use = choose::is_at_rest(&prior, &self.data) && choose::can_choose(&self.data);
+        let has_use = choose::is_one_picture(&prior, &self.data) && choose::can_choose(&self.data);
         if !is_open || !has_use || self.has_wrong_model {
             return Ok(1.0);
+        }
+        if let Some(run) = self.checked_run.take() {
+            self.last_check = Some(Box::new(run.into_result(&self.data)));
         }
         let settings = self.options.solver_settings().of_a_trial();
         choose::tau_factor(&mut self.data, prior, rule, self.sigma, settings, observer)

@@ -1,10 +1,10 @@
 //! Estimate of an unknown noise level by held-out pixels.
 //!
-//! The noise level `σ` of the discrepancy principle falls by `√2` from step to step, with a warm start
-//! from the step before, until the held-out error rises because the video follows the noise. The highest
-//! `σ` whose error is within a standard error of the lowest one is selected (the one-standard-error rule;
-//! Breiman et al. 1984). The path is run without the support, so that each problem is convex. At the end the
-//! selected `σ` and its neighbours are tried with the whole prior, and the best one is the result.
+//! The noise level `σ` of the discrepancy principle falls by `√2` from step to step, or to `√½` of what the video leaves
+//! where that is less, with a warm start from the step before, until the held-out error rises because the video follows
+//! the noise. The highest `σ` whose error is within a standard error of the lowest one is selected (the
+//! one-standard-error rule; Breiman et al. 1984). The path is run without the support, so that each problem is convex. At
+//! the end the selected `σ` and its neighbours are tried with the whole prior, and the best one is the result.
 
 use super::super::SolverSettings;
 use super::super::frame_data::FrameData;

@@ -2,7 +2,7 @@
 //!
 //! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). A later one replaces the best
 //! before it where its squared error at these pixels is smaller by more than [`MIN_GAIN`] standard errors of the paired
-//! differences; one with a background where it is smaller at all. Candidates that are far behind the best are stopped early.
+//! differences; one with foreground and background where it is smaller at all. Candidates that are far behind the best are stopped early.
 //! The best is then run on the whole frame. Where the first one shows that the scene is dense, [`OPEN_CANDIDATES`] take the
 //! place of the others.
 //!
@@ -15,7 +15,7 @@ mod level;
 mod trial;
 
 pub(super) use level::noise_level;
-pub(super) use trial::{TOLERANCE, is_at_rest, is_settled};
+pub(super) use trial::{TOLERANCE, is_one_picture, is_settled};
 
 use super::SolverSettings;
 use super::frame_data::FrameData;
@@ -39,7 +39,7 @@ pub const CANDIDATES: [&str; 3] = [
 /// Priors of `auto` in place of the other [`CANDIDATES`] where the support of the first exceeds a third of the voxels: it
 /// tells nothing there. A stiller one comes first: the frame says little of what a dense scene does meanwhile
 /// (`docs/design/011`).
-/// The first one holds that the scene is at rest. It is tried alone for a video of one bin.
+/// The first one holds that the scene is at rest.
 pub const OPEN_CANDIDATES: [&str; 4] = ["background", "tv+16*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
 
 /// Priors that `auto` tries after [`OPEN_CANDIDATES`]: much of the light may be still (`docs/design/011`).
@@ -146,6 +146,20 @@ impl Choice {
         };
         let (first, rest) = self.candidates.split_first().expect("there are candidates");
         rest.iter().fold(*first, better)
+    }
+
+    /// The best candidate for other frames of the recording, which may move: not a scene at rest.
+    ///
+    /// # Panics
+    /// If there are no candidates.
+    pub fn best_for_others(&self) -> Candidate {
+        let is_at_rest = |c: &Candidate| c.prior.background() == Background::Alone;
+        let others = self.candidates.iter().filter(|c| !is_at_rest(c));
+        let nearest = others.min_by(|a, b| a.error.total_cmp(&b.error));
+        match nearest {
+            Some(nearest) if is_at_rest(&self.best()) => *nearest,
+            _ => self.best(),
+        }
     }
 
     /// The reason for the choice, as a sentence without a full stop.
@@ -307,7 +321,7 @@ pub(super) fn tau_factor(
     observer: &mut Observer,
 ) -> Result<f64, Box<RunResult>> {
     data.reset(prior.background(), Some(data.held_out()));
-    let trial = Trial::new(data, prior, rule, sigma, settings);
+    let trial = Trial::new(data, prior, rule, sigma, settings).numbered(1, 1);
     let found = trial.run(data, &[], f64::INFINITY, observer)?;
     Ok(found.candidate.tau_factor)
 }
@@ -422,6 +436,13 @@ mod tests {
             dense.candidates.push(background);
             assert_eq!(dense.best() == background, is_taken);
         }
+        // One picture for a scene at rest is none for other frames.
+        let mut at_rest = choice.clone();
+        at_rest.candidates[0] = candidate("background", 1.05, None);
+        at_rest.candidates[2].gain = Some(0.1);
+        assert_eq!(at_rest.best(), at_rest.candidates[0]);
+        assert_eq!(at_rest.best_for_others(), at_rest.candidates[2]);
+        assert_eq!(choice.best_for_others(), choice.best());
         // A run that overflowed is never the best.
         choice
             .candidates

@@ -33,7 +33,7 @@ const SETTLED_CHANGE: f64 = 0.01;
 const TAU_STEP: f64 = 2.0;
 /// Largest factor on the `τ` of the discrepancy principle, up and down; larger tries more values.
 const MAX_TAU_FACTOR: f64 = 8.0;
-/// The same for a scene at rest.
+/// Largest factor for a video that is one picture; larger tries more values (docs/design/011).
 const MAX_TAU_FACTOR_AT_REST: f64 = 64.0;
 /// Iterations for each tried `τ`; fewer compare videos that have not settled.
 const TUNING_ITERATIONS: usize = 30;
@@ -77,7 +77,7 @@ pub(in crate::reconstruct) fn is_settled(errors: &[f64]) -> bool {
 }
 
 /// Whether the video of `prior` is one picture, all of it.
-pub(in crate::reconstruct) fn is_at_rest(prior: &Prior, data: &FrameData) -> bool {
+pub(in crate::reconstruct) fn is_one_picture(prior: &Prior, data: &FrameData) -> bool {
     let is_one_bin = data.video_shape().bins == 1 || prior.background() == Background::Alone;
     is_one_bin && !prior.support
 }
@@ -171,9 +171,11 @@ impl Trial {
             support_fraction: self.run.support_fraction(),
         };
         let is_tunable = self.params.tau.is_discrepancy() && !stopped_early;
-        let is_at_rest = is_at_rest(&self.prior, data);
-        if is_tunable && (is_at_rest || rms(&found.residuals) <= max_error) {
-            let tuned = if is_at_rest {
+        let is_one_picture = is_one_picture(&self.prior, data);
+        // A limit of 0 is for trials that keep their `τ`.
+        let is_close = rms(&found.residuals) <= max_error || is_one_picture && max_error > 0.0;
+        if is_tunable && is_close {
+            let tuned = if is_one_picture {
                 self.smooth(data, found, observer)
             } else {
                 self.tune(data, found, observer)
@@ -210,7 +212,8 @@ impl Trial {
         observer: &mut Observer,
     ) -> Result<TauTrial, StopReason> {
         let tau = self.run.tau();
-        while lowest.tau_factor < MAX_TAU_FACTOR_AT_REST {
+        let last = self.params.max_iterations.saturating_sub(TUNING_ITERATIONS);
+        while lowest.tau_factor < MAX_TAU_FACTOR_AT_REST && self.run.iterations() <= last {
             let next = self.try_factor(TAU_STEP * lowest.tau_factor, tau, data, observer)?;
             let gain = gain(&lowest.residuals, &next.residuals);
             if gain.is_nan() || gain <= 0.0 {

@@ -186,7 +186,14 @@ impl FrameData {
     /// The voxels that the frame observes: their sensitivity, the sum of `Aᵀ1` over the usable pixels, is at least
     /// [`MIN_SENSITIVITY`] of the largest one.
     pub fn coverage(&self) -> Vec<u8> {
-        self.coverage_by(self.shutter())
+        match self.background() {
+            // Each bin shows what any row has seen.
+            Background::Alone => {
+                let of_picture = self.coverage_by(self.system.shutter());
+                of_picture.repeat(self.video_shape().bins)
+            }
+            _ => self.coverage_by(self.shutter()),
+        }
     }
 
     fn coverage_by(&self, shutter: &RollingShutter) -> Vec<u8> {

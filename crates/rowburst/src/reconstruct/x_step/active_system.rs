@@ -20,6 +20,9 @@ use std::sync::Arc;
 /// (docs/design/025).
 const MAX_COST: f64 = 4e4;
 
+/// Most elements of `B` where an instant reads whole planes, whose columns hold all pixels; more need more memory and time.
+const MAX_PLANE_ELEMENTS: usize = 1 << 25;
+
 /// `BᵀB` with its factor.
 pub struct ActiveSystem {
     operator: Arc<WeightedOperator<Arc<RollingShutter>>>,
@@ -56,6 +59,10 @@ impl ActiveSystem {
             pixels: bins.collect::<Option<_>>()?,
         };
         if columns.cost() > MAX_COST * shape.voxels() as f64 {
+            return None;
+        }
+        let active: usize = columns.pixels.iter().map(|pixels| pixels.len()).sum();
+        if shutter.convolves_planes() && active * operator.range_len() > MAX_PLANE_ELEMENTS {
             return None;
         }
         let bins = columns.pixels.iter().enumerate();

@@ -61,12 +61,12 @@ impl System {
         &self.model
     }
 
-    /// Its operator.
+    /// The operator of [`Self::model`].
     pub fn shutter(&self) -> &Arc<RollingShutter> {
         self.model.shutter()
     }
 
-    /// Its shape.
+    /// The shape of the videos of [`Self::model`].
     pub fn shape(&self) -> Shape {
         self.shutter().video_shape()
     }
