@@ -2,14 +2,15 @@
 //!
 //! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). A later one replaces the best
 //! before it where its squared error at these pixels is smaller by more than [`MIN_GAIN`] standard errors of the paired
-//! differences; one with foreground and background where it is smaller at all. Candidates that are far behind the best are stopped early.
-//! The best is then run on the whole frame. Where the first one shows that the scene is dense, [`OPEN_CANDIDATES`] take the
-//! place of the others.
+//! differences; one with foreground and background replaces a foreground where it is smaller at all. Candidates that are
+//! far behind the best are stopped early. The best is then run on the whole frame. Where the first one shows that the scene
+//! is dense, [`OPEN_CANDIDATES`] take the place of the others.
 //!
 //! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
 //! weaker than on average changes `τ` by a factor of 2 and more. So each candidate continues from the end of its
 //! run with half or twice its `τ`, as long as that predicts the held-out pixels better; the factor goes with
-//! the prior into the run on the whole frame (docs/design/011).
+//! the prior into the run on the whole frame (docs/design/011). Of a video that is one picture τ is doubled alone, up to
+//! where the error does not fall, with a named prior, too.
 
 mod level;
 mod trial;
@@ -38,8 +39,7 @@ pub const CANDIDATES: [&str; 3] = [
 
 /// Priors of `auto` in place of the other [`CANDIDATES`] where the support of the first exceeds a third of the voxels: it
 /// tells nothing there. A stiller one comes first: the frame says little of what a dense scene does meanwhile
-/// (`docs/design/011`).
-/// The first one holds that the scene is at rest.
+/// (`docs/design/011`). The first one holds that the scene is at rest.
 pub const OPEN_CANDIDATES: [&str; 4] = ["background", "tv+16*tdiff", "tv+8*tdiff", "tv+2*tdiff"];
 
 /// Priors that `auto` tries after [`OPEN_CANDIDATES`]: much of the light may be still (`docs/design/011`).
