@@ -206,7 +206,7 @@ pub struct SimulateArgs {
     /// The camera, as an experiment file
     pub experiment: PathBuf,
     /// digits, leds, moving, two-moving (they may cross), one of the dense scenes still, bench, beam,
-    /// wheel and cells, or a video file (.npy, multi-page .tif) that is fitted to the field
+    /// wheel, cells and spots, or a video file (.npy, multi-page .tif) that is fitted to the field
     #[arg(long)]
     pub scene: String,
     /// Add a static, textured background whose brightest pixel is this many times as bright as the
@@ -283,7 +283,7 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "IMAGE", conflicts_with_all = ["part_bins", "bins"])]
     pub guide: Option<PathBuf>,
     /// What the scene does with the light of the guide: auto, motion, gain (places change their
-    /// brightness) or still
+    /// brightness), still, or places (a trace for each lit place of the guide, with standard errors)
     #[arg(long, value_name = "MODEL", conflicts_with_all = ["part_bins", "bins"])]
     pub guide_model: Option<String>,
     #[arg(long, allow_hyphen_values = true, help = prior_help())]

@@ -992,7 +992,7 @@ fn options() {
             [
                 "--scene",
                 "\"letters\"",
-                "still, bench, beam, wheel, cells or a video",
+                "still, bench, beam, wheel, cells, spots or a video",
                 "Check the name",
             ],
         ),

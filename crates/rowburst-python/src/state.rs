@@ -265,7 +265,8 @@ fn of_guide(
         |g: &GuideOutcome| serde_json::to_string(&g.numbers).expect("plain numbers and text");
     state.set_item("guide", guide.map(numbers))?;
     let picture = guide.map(|g| from_image(py, g.registered.clone()));
-    state.set_item("guide_picture", picture.transpose()?)
+    state.set_item("guide_picture", picture.transpose()?)?;
+    state.set_item("guide_places", guide.map(|g| g.labels.clone()))
 }
 
 fn to_guide(state: &Bound<'_, PyDict>) -> PyResult<Option<GuideOutcome>> {
@@ -276,10 +277,12 @@ fn to_guide(state: &Bound<'_, PyDict>) -> PyResult<Option<GuideOutcome>> {
     });
     let picture = optional_entry(state, "guide_picture")?;
     let picture = picture.map(|value| finite_image(&value, "guide_picture"));
+    let labels: Option<Vec<i64>> = entry(state, "guide_places")?.extract()?;
     let parts = numbers.transpose()?.zip(picture.transpose()?);
     Ok(parts.map(|(numbers, registered)| GuideOutcome {
         numbers,
         registered,
+        labels: labels.unwrap_or_default(),
     }))
 }
 

@@ -230,6 +230,7 @@ fn guide_sentences(result: &Value) -> String {
     let change = match guide["model"].as_str().unwrap_or_default() {
         "motion" => "a smooth displacement field with a few temporal modes",
         "gain" => "a gain field with a few temporal modes",
+        "places" => "a trace of brightness for each place that it shows",
         _ => "a constant gain and offset",
     };
     format!(

@@ -3,7 +3,9 @@
 use crate::artifacts::{Output, json_of};
 use crate::format::percent;
 use crate::formats::{VideoFormat, is_written, write_formats};
-use crate::guide::{GUIDE_PICTURE, GuideOutcome, write_picture};
+use crate::guide::{
+    GUIDE_PICTURE, GuideOutcome, PLACES_LABELS, PLACES_TRACES, write_picture, write_places,
+};
 use crate::movie::{MovieStyle, encode_movie};
 use crate::numbers::{headline, settings};
 use crate::player::{MakePlayer, PlayerPage, player_of};
@@ -86,6 +88,18 @@ const GUIDE_FILE: (&str, &str) = (
     GUIDE_PICTURE,
     "the guide as seen from the field, left, and the mean of the video over time: they must show the same places",
 );
+
+/// The further files of a run with the places of a guide.
+const PLACES_FILES: [(&str, &str); 2] = [
+    (
+        PLACES_TRACES,
+        "the trace of each place of the guide with its standard error, in counts",
+    ),
+    (
+        PLACES_LABELS,
+        "the place of each pixel of the field, from 1, int64 [y, x]; 0: none",
+    ),
+];
 
 /// A task with its reconstruction.
 pub struct CompletedTask {
@@ -258,6 +272,12 @@ impl CompletedTask {
         self.guide.as_ref().filter(|guide| guide.numbers.used)
     }
 
+    /// Whether there are traces of the places of a guide.
+    fn has_places(&self) -> bool {
+        let guide = self.guide.as_ref();
+        guide.is_some_and(|guide| guide.numbers.known_places.is_some())
+    }
+
     /// Whether the video is one picture in all bins.
     fn is_at_rest(&self) -> bool {
         self.reconstruction.prior.background() == Background::Alone && self.used_guide().is_none()
@@ -362,6 +382,8 @@ impl CompletedTask {
         if let Some(guide) = self.guide.as_ref().filter(|guide| !guide.numbers.used) {
             warnings.push(format!("the guide was {}", guide.numbers.reason));
         }
+        let guide = self.guide.as_ref();
+        warnings.extend(guide.into_iter().flat_map(|g| g.numbers.places_warnings()));
         warnings.extend(self.rest_note());
         warnings.extend(self.density_warning());
         warnings.extend(self.coverage_warnings());
@@ -461,6 +483,7 @@ impl CompletedTask {
                 )
                 .chain(self.given_psfs.as_ref().map(|_| &CORRECTED_PSF_FILE))
                 .chain(self.guide.as_ref().map(|_| &GUIDE_FILE))
+                .chain(PLACES_FILES.iter().filter(|_| self.has_places()))
                 .map(|&(name, what)| (name.into(), what.into()))
                 .collect(),
         };
@@ -547,12 +570,15 @@ impl CompletedTask {
             "psf-correction.png",
             "residual-before.png",
             GUIDE_PICTURE,
+            PLACES_TRACES,
+            PLACES_LABELS,
         ] {
             folder.remove(name)?;
         }
         let found = &self.reconstruction;
         if let Some(guide) = &self.guide {
             write_picture(folder, &guide.registered, &found.video)?;
+            write_places(folder, guide, self.task.camera.time())?;
         }
         if let Some(calibration) = &found.calibration {
             write_corrected_psf(folder, &calibration.psfs)?;

@@ -3,10 +3,10 @@
 use crate::format::short;
 use crate::inputs::read_capture;
 use crate::options::parse_guide_model;
-use rowburst::guide::{Guide, GuideExposure, GuideFit, GuideModel, fit};
+use rowburst::guide::{Guide, GuideExposure, GuideFit, GuideModel, Places, fit};
 use rowburst::reconstruct::Problem;
-use rowburst::{Camera, Cancel, Image, Result};
-use rowburst_io::{Experiment, GuideFile, OutputFolder, write_png16};
+use rowburst::{Camera, Cancel, Image, Result, TimeGrid};
+use rowburst_io::{Experiment, GuideFile, OutputFolder, write_csv, write_npy_i64, write_png16};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -88,6 +88,8 @@ pub struct GuideOutcome {
     pub numbers: GuideNumbers,
     /// The guide seen from the field, with greatest value 1.
     pub registered: Image,
+    /// The place of each pixel of the field, `[y, x]`, from 1; 0: none. Empty for other models than places.
+    pub labels: Vec<i64>,
 }
 
 /// What a guide gave; a key of `result.json`.
@@ -98,7 +100,7 @@ pub struct GuideNumbers {
     pub used: bool,
     /// Why it was used or dropped.
     pub reason: String,
-    /// The model of the video: motion, gain or still.
+    /// The model of the video: motion, gain, still or places.
     pub model: String,
     /// Counts of the video per unit of the guide.
     pub gain: f64,
@@ -118,6 +120,70 @@ pub struct GuideNumbers {
     pub held_out_without: f64,
     /// The models that were tried.
     pub trials: Vec<GuideTrialNumbers>,
+    /// The traces of the places; null for other models.
+    pub known_places: Option<PlacesNumbers>,
+}
+
+/// The traces of the places of a guide.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct PlacesNumbers {
+    /// `χ²` of the fit per degree of freedom.
+    pub chi_squared: f64,
+    /// Factor on all standard errors because of it; 1 unless the misfit is significant.
+    pub inflation: f64,
+    /// Number of places whose mean standard error is above half of their mean light: they are not told apart.
+    pub uncertain: usize,
+    /// The places, from label 1 on.
+    pub traces: Vec<PlaceNumbers>,
+}
+
+/// The trace of a place.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct PlaceNumbers {
+    /// Its number in `places.npy`.
+    pub label: usize,
+    /// Centre of its light on the field, in pixels.
+    pub y: f64,
+    /// The same.
+    pub x: f64,
+    /// Number of its pixels.
+    pub pixels: usize,
+    /// Mean light of its pixels above the rest in each bin, in counts.
+    pub value: Vec<f64>,
+    /// Standard error of `value`.
+    pub standard_error: Vec<f64>,
+}
+
+/// Mean standard error over mean light above which a trace is uncertain.
+const UNCERTAIN: f64 = 0.5;
+/// Factor on standard errors above which the places of the guide are doubted.
+const MAX_INFLATION: f64 = 1.5;
+
+impl PlacesNumbers {
+    fn new(places: &Places) -> Self {
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let traces = places.traces.iter();
+        let is_uncertain =
+            |t: &&rowburst::guide::PlaceTrace| mean(&t.standard_error) > UNCERTAIN * mean(&t.value);
+        Self {
+            chi_squared: places.chi_squared,
+            inflation: places.inflation,
+            uncertain: traces.clone().filter(is_uncertain).count(),
+            traces: traces
+                .enumerate()
+                .map(|(i, trace)| PlaceNumbers {
+                    label: i + 1,
+                    y: trace.centre.0,
+                    x: trace.centre.1,
+                    pixels: trace.pixels,
+                    value: trace.value.clone(),
+                    standard_error: trace.standard_error.clone(),
+                })
+                .collect(),
+        }
+    }
 }
 
 /// The map from the field to a guide.
@@ -179,8 +245,14 @@ impl GuideOutcome {
                 held_out: found.best().held_out,
                 held_out_without: found.held_out_without,
                 trials: trials.collect(),
+                known_places: found.known_places.as_ref().map(PlacesNumbers::new),
             },
             registered: found.registered.clone(),
+            labels: found
+                .known_places
+                .as_ref()
+                .map(|places| places.labels.iter().map(|l| i64::from(*l)).collect())
+                .unwrap_or_default(),
         }
     }
 }
@@ -191,7 +263,7 @@ impl GuideNumbers {
         let affine = &self.affine;
         let (y, x) = affine.shift_px;
         let pair = |name: &str, value: String| (name.to_string(), value);
-        vec![
+        let mut lines = vec![
             pair("guide", self.reason.clone()),
             pair("model of the video", self.model.clone()),
             pair(
@@ -210,7 +282,40 @@ impl GuideNumbers {
                     affine.rotation_deg, affine.magnification
                 ),
             ),
-        ]
+        ];
+        lines.extend(self.known_places.as_ref().map(|places| {
+            let value = format!(
+                "{}; {} of them uncertain, standard errors grown by {:.2} (places.csv)",
+                places.traces.len(),
+                places.uncertain,
+                places.inflation
+            );
+            pair("places", value)
+        }));
+        lines
+    }
+
+    /// What the traces of places cannot tell.
+    pub(crate) fn places_warnings(&self) -> Vec<String> {
+        let Some(places) = self.known_places.as_ref().filter(|_| self.used) else {
+            return Vec::new();
+        };
+        let mut warnings = Vec::new();
+        if places.uncertain > 0 {
+            warnings.push(format!(
+                "{} of {} places have standard errors above half of their light: they are too many, too small or too dim",
+                places.uncertain,
+                places.traces.len()
+            ));
+        }
+        if places.inflation > MAX_INFLATION {
+            warnings.push(format!(
+                "the places of the guide explain the frame to {:.2} σ only: a place is missing or has moved, or the guide is blurred; the standard errors of their traces were inflated by {:.1}",
+                places.chi_squared.sqrt(),
+                places.inflation
+            ));
+        }
+        warnings
     }
 }
 
@@ -241,6 +346,39 @@ pub(crate) fn write_picture(
         write_png16(w, shape.rows, columns, &pixels)
     })
 }
+
+/// Writes the places of a guide: their traces, a line for each bin, and the place of each pixel.
+pub(crate) fn write_places(
+    folder: &OutputFolder,
+    guide: &GuideOutcome,
+    time: &TimeGrid,
+) -> Result<()> {
+    let Some(places) = &guide.numbers.known_places else {
+        return Ok(());
+    };
+    let mut heading = vec!["time_us".to_string()];
+    for place in &places.traces {
+        let label = place.label;
+        heading.extend([
+            format!("place{label}"),
+            format!("place{label}_standard_error"),
+        ]);
+    }
+    let row = |t: usize| -> Vec<f64> {
+        let traces = places.traces.iter();
+        let pairs = traces.flat_map(|place| [place.value[t], place.standard_error[t]]);
+        std::iter::once(time.middle_us(t)).chain(pairs).collect()
+    };
+    folder.write(PLACES_TRACES, |w| {
+        write_csv(w, &heading, (0..time.bins()).map(row))
+    })?;
+    let shape = [guide.registered.rows(), guide.registered.columns()];
+    folder.write(PLACES_LABELS, |w| write_npy_i64(w, &shape, &guide.labels))
+}
+
+/// The traces of places, and the place of each pixel, in a folder of results.
+pub(crate) const PLACES_TRACES: &str = "places.csv";
+pub(crate) const PLACES_LABELS: &str = "places.npy";
 
 /// The picture of a guide in a folder of results.
 pub(crate) const GUIDE_PICTURE: &str = "guide.png";

@@ -63,7 +63,10 @@ pub use event::{Chunk, Event, IterationMetrics, Observer};
 pub use figure::figure_of_folder;
 pub use format::short;
 pub use formats::VideoFormat;
-pub use guide::{AffineNumbers, GuideNumbers, GuideOutcome, GuideTask, GuideTrialNumbers};
+pub use guide::{
+    AffineNumbers, GuideNumbers, GuideOutcome, GuideTask, GuideTrialNumbers, PlaceNumbers,
+    PlacesNumbers,
+};
 pub use log::{LogLevel, LogMessage, is_logging, set_log, set_log_level};
 pub use memory::{available_memory_bytes, check_bytes, check_memory};
 pub use movie::MovieStyle;

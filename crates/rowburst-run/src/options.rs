@@ -109,7 +109,7 @@ pub fn parse_self_calibration(text: Option<&str>) -> Result<SelfCalibration> {
     text.map_or(Ok(SelfCalibration::default()), str::parse)
 }
 
-/// Parses the model of a guide: `auto`, `motion`, `gain` or `still`; `None` is `auto`.
+/// Parses the model of a guide: `auto`, `motion`, `gain`, `still` or `places`; `None` is `auto`.
 ///
 /// # Errors
 /// Another text.
@@ -122,7 +122,7 @@ pub fn parse_guide_model(text: Option<&str>) -> Result<GuideModel> {
         Error::input(
             Parameter::GuideModel,
             format!("\"{text}\""),
-            "the model is auto, motion, gain or still",
+            "the model is auto, motion, gain, still or places",
             "Leave it out: the program chooses it.",
         )
     })

@@ -47,7 +47,7 @@ pub enum Scene<'a> {
 
 impl Scene<'_> {
     /// The names of scenes.
-    pub const NAMES: [&'static str; 9] = [
+    pub const NAMES: [&'static str; 10] = [
         "digits",
         "leds",
         "moving",
@@ -57,6 +57,7 @@ impl Scene<'_> {
         "beam",
         "wheel",
         "cells",
+        "spots",
     ];
 }
 
@@ -348,7 +349,7 @@ fn scene_of(simulation: &Simulation, camera: &Camera) -> Result<RenderedScene> {
             return Err(Error::input(
                 Parameter::Scene,
                 format!("\"{name}\""),
-                "a scene is digits, leds, moving, two-moving, still, bench, beam, wheel, cells or a video file",
+                "a scene is digits, leds, moving, two-moving, still, bench, beam, wheel, cells, spots or a video file",
                 "Check the name, or give a .npy or multi-page .tif file.",
             )
             .with_kind(ErrorKind::Unknown));

@@ -32,16 +32,19 @@ pub enum DenseScene {
     Wheel,
     /// Cells stay in place and flicker; a fifth of the pixels is lit.
     Cells,
+    /// Discs that do not touch flicker and are never dark; a tenth of the pixels is lit.
+    Spots,
 }
 
 impl DenseScene {
     /// All of them.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Still,
         Self::Bench,
         Self::Beam,
         Self::Wheel,
         Self::Cells,
+        Self::Spots,
     ];
 
     /// Its name on the command line.
@@ -52,6 +55,7 @@ impl DenseScene {
             Self::Beam => "beam",
             Self::Wheel => "wheel",
             Self::Cells => "cells",
+            Self::Spots => "spots",
         }
     }
 }
@@ -76,6 +80,7 @@ pub fn dense(scene: DenseScene, shape: Shape, seed: u64) -> Result<Video> {
         DenseScene::Beam => painter.beam(),
         DenseScene::Wheel => painter.wheel(),
         DenseScene::Cells => painter.cells(),
+        DenseScene::Spots => painter.spots(),
     })
 }
 
@@ -268,6 +273,40 @@ impl Painter {
         video
     }
 
+    fn spots(&mut self) -> Video {
+        let (rows, columns) = (self.shape.rows as f64, self.shape.columns as f64);
+        let radius = 3.0 * self.unit;
+        let margin = radius + 2.0 * self.unit;
+        let count = (0.1 * rows * columns / (PI * radius * radius)) as usize;
+        let mut centres: Vec<(f64, f64)> = Vec::new();
+        while centres.len() < count {
+            let cy = self.rng.random_range(margin..rows - margin);
+            let cx = self.rng.random_range(margin..columns - margin);
+            let is_apart =
+                |(y, x): &(f64, f64)| (y - cy).hypot(x - cx) > 2.0 * radius + 3.0 * self.unit;
+            if centres.iter().all(is_apart) {
+                centres.push((cy, cx));
+            }
+        }
+        let levels: Vec<Vec<f64>> = (0..count)
+            .map(|_| {
+                let brightness = self.rng.random_range(0.5..0.95);
+                let flicker = self.flicker();
+                let level = flicker.iter().map(|f| brightness * (0.3 + 0.7 * f));
+                level.collect()
+            })
+            .collect();
+        self.video(|t, y, x| {
+            let distances = centres
+                .iter()
+                .map(|(cy, cx)| (y as f64 - cy).hypot(x as f64 - cx));
+            let light = distances.zip(&levels);
+            0.02 + light
+                .map(|(d, level)| level[t] * soft(d - radius))
+                .sum::<f64>()
+        })
+    }
+
     /// A smooth line over the bins with values from 0 to 1.
     fn flicker(&mut self) -> Vec<f64> {
         let bins = self.shape.bins;
@@ -314,6 +353,15 @@ mod tests {
             assert_eq!(video, dense(scene, shape, 3).unwrap());
             assert_ne!(video, dense(scene, shape, 4).unwrap());
         }
+    }
+
+    /// They are never dark, so that a picture at any time shows them all.
+    #[test]
+    fn a_tenth_of_the_pixels_is_in_a_spot_and_never_dark() {
+        let video = dense(DenseScene::Spots, Shape::new(10, 108, 108), 1).unwrap();
+        let least = |i: usize| (0..10).map(|t| video.bin(t)[i]).fold(1.0, f32::min);
+        let lit = (0..108 * 108).filter(|&i| least(i) > 0.08).count();
+        assert!((1000..1300).contains(&lit), "{lit}");
     }
 
     #[test]

@@ -12,6 +12,10 @@ const RICHER_MARGIN: f64 = 0.995;
 const MAX_RATIO: f64 = 1.18;
 /// The same for a gain field, which the coarse video without a guide beats where cells flicker fast.
 const MAX_GAIN_RATIO: f64 = 2.0;
+/// The same for places, whose traces explain every change of brightness; above so many σ the second.
+const MAX_PLACES_RATIO: f64 = 1.0;
+const MAX_BAD_PLACES_RATIO: f64 = 0.5;
+const BAD_PLACES: f64 = 4.0;
 /// Correlation with the coarse picture of the scene below which the guide is dropped; pictures of other scenes reach 0.2.
 const MIN_CORRELATION: f64 = 0.4;
 /// Part of a guide's pixels at its greatest value above which it is overexposed.
@@ -39,7 +43,7 @@ pub(super) fn choose(trials: &[GuideTrial]) -> usize {
     };
     let still = best_of(GuideModel::Still);
     let motion = best_of(GuideModel::Motion);
-    let gain = best_of(GuideModel::Gain);
+    let gain = best_of(GuideModel::Gain).or(best_of(GuideModel::Places));
     let error = |i: usize| trials[i].held_out;
     let change = match (motion, gain) {
         (Some(m), Some(g)) if error(m) > MOTION_MARGIN * error(g) => Some(g),
@@ -85,7 +89,8 @@ impl Evidence<'_> {
                 "it is overexposed, {percent:.0} % of its pixels have its greatest value"
             ));
         }
-        if self.correlation < MIN_CORRELATION {
+        // The coarse video shows little of a scene of few lit places, which their fit tells from others itself.
+        if self.correlation < MIN_CORRELATION && chosen.model != GuideModel::Places {
             return Some(format!(
                 "it does not resemble what the frame alone shows (correlation {:.2}, at least {MIN_CORRELATION} is needed)",
                 self.correlation
@@ -97,8 +102,16 @@ impl Evidence<'_> {
         let ratio = chosen.held_out / self.held_out_without;
         let limit = match chosen.model {
             GuideModel::Gain => MAX_GAIN_RATIO,
+            GuideModel::Places if chosen.held_out > BAD_PLACES => MAX_BAD_PLACES_RATIO,
+            GuideModel::Places => MAX_PLACES_RATIO,
             _ => MAX_RATIO,
         };
+        if ratio > limit && chosen.model == GuideModel::Places {
+            return Some(format!(
+                "its lit places explain held-out pixels to {:.1} σ only: a place is missing, was dark, or has moved",
+                chosen.held_out
+            ));
+        }
         if ratio > limit {
             return Some(format!(
                 "it predicts held-out pixels {ratio:.2} times as badly as no guide"

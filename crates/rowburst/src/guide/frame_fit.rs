@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 use rowburst_core::{Cancel, LinearOperator, Shape};
-use rowburst_optics::{Measurement, RollingShutter};
+use rowburst_optics::{InstantWeights, Measurement, RollingShutter};
 
 /// Part of the pixels of every row that is held out; larger decides better and leaves less for the fit.
 const HELD_OUT_FRACTION: f64 = 0.1;
@@ -96,6 +96,21 @@ impl<'a> FrameFit<'a> {
         let one = self.apply(&vec![1.0; self.operator.domain_len()]);
         let product = rowburst_core::vecmath::dot(&one, &self.target());
         product / rowburst_core::vecmath::norm_squared(&one).max(f64::MIN_POSITIVE)
+    }
+
+    /// Number of fitted pixels.
+    pub fn fitted_count(&self) -> usize {
+        self.fitted.iter().filter(|w| **w > 0.0).count()
+    }
+
+    /// The bins of each instant with their weights.
+    pub fn instants(&self) -> &[InstantWeights] {
+        self.operator.time().instants()
+    }
+
+    /// Indices of the pixels that are read at an instant.
+    pub fn pixels_of(&self, instant: usize) -> Vec<usize> {
+        self.operator.indices_of(instant)
     }
 
     /// Columns of the frame.

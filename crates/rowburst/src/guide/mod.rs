@@ -8,9 +8,10 @@
 //! motion      v(x, t) = a G(x + d(x) + Σ_k τ_k(t) θ_k(x)) + c
 //! gain field  v(x, t) = G(x + d(x)) Σ_k τ_k(t) φ_k(x)
 //! still       v(x, t) = a G(x + d(x)) + c
+//! places      v(x, t) = Σ_k s_k(t) G_k(x + d(x))
 //! ```
 //!
-//! with cosines `τ_k` in time, and `θ_k`, `φ_k` on B-spline grids. The affine map `d` is found by registration on a coarse
+//! with cosines `τ_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the k-th place. The affine map `d` is found by registration on a coarse
 //! video without a guide, then from the frame. A tenth of the pixels of every row judges: [`fit`] drops a guide that
 //! predicts them worse than no guide (docs/design/028).
 
@@ -19,17 +20,21 @@ mod basis;
 mod decision;
 mod frame_fit;
 mod gain_field;
+mod known_places;
 mod least_squares;
 mod motion;
 mod picture;
+mod shapes;
 mod without_guide;
 
 pub use affine::Affine;
+pub use known_places::{PlaceTrace, Places};
 
 use affine::{Field, register};
 use decision::Evidence;
 use frame_fit::FrameFit;
 use gain_field::{GainField, GainModel};
+use known_places::PlacesModel;
 use motion::{KeyFrame, Motion, MotionModel};
 use rowburst_core::{Cancel, Error, ErrorKind, Parameter, Result};
 use rowburst_optics::{Camera, Image, Measurement, RollingShutter, Video};
@@ -67,11 +72,19 @@ pub enum GuideModel {
     Gain,
     /// Nothing changes.
     Still,
+    /// Each place that the guide shows has a trace of its own. Only by name.
+    Places,
 }
 
 impl GuideModel {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Auto, Self::Motion, Self::Gain, Self::Still];
+    pub const ALL: [Self; 5] = [
+        Self::Auto,
+        Self::Motion,
+        Self::Gain,
+        Self::Still,
+        Self::Places,
+    ];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -80,6 +93,7 @@ impl GuideModel {
             Self::Motion => "motion",
             Self::Gain => "gain",
             Self::Still => "still",
+            Self::Places => "places",
         }
     }
 }
@@ -106,7 +120,7 @@ pub struct GuideFit {
     pub video: Video,
     /// Counts of the video per unit of the guide.
     pub gain: f64,
-    /// Counts of the video where the guide is zero; 0 for a gain field.
+    /// Counts of the video where the guide is zero; 0 for a gain field and for places.
     pub offset: f64,
     /// Blur of the guide that fits the frame best, in pixels of the field.
     pub blur_px: f64,
@@ -120,6 +134,8 @@ pub struct GuideFit {
     pub displacement_px: Option<f64>,
     /// Number of parameters of the model.
     pub degrees_of_freedom: f64,
+    /// The traces of the places of [`GuideModel::Places`].
+    pub known_places: Option<Places>,
     /// The models that were tried.
     pub trials: Vec<GuideTrial>,
     /// Rms error of the held-out pixels over σ of the coarse video without a guide.
@@ -153,8 +169,8 @@ const GUIDE_BLURS_PX: [f64; 5] = [0.0, 0.5, 1.0, 1.5, 2.0];
 /// weight 1 in counts. Several guides are key frames with times, and their model is motion.
 ///
 /// # Errors
-/// No guide, several guides without times or with one time, a guide without light or with values that are not finite, or
-/// `cancel`.
+/// No guide, several guides without times or with one time, a guide without light or with values that are not finite, no
+/// place or too many of [`GuideModel::Places`], or `cancel`.
 pub fn fit(
     camera: &Camera,
     operator: &RollingShutter,
@@ -217,6 +233,7 @@ enum Fitted {
     Motion { order: usize, motion: Motion },
     Gain(GainField),
     Still,
+    Places { affine: Affine, width: f64 },
 }
 
 /// A model with its video and errors.
@@ -238,6 +255,9 @@ impl Search<'_> {
         self.frame.cancel().check()?;
         if wants(GuideModel::Gain) && self.key_frames.len() == 1 {
             candidates.push(self.gain_field());
+        }
+        if model == GuideModel::Places {
+            candidates.push(self.known_places()?);
         }
         self.frame.cancel().check()?;
         let trials: Vec<GuideTrial> = candidates.iter().map(|c| c.trial).collect();
@@ -263,6 +283,7 @@ impl Search<'_> {
             Fitted::Motion { order, .. } => (GuideModel::Motion, Some(*order)),
             Fitted::Gain(_) => (GuideModel::Gain, None),
             Fitted::Still => (GuideModel::Still, None),
+            Fitted::Places { .. } => (GuideModel::Places, None),
         };
         info!(
             "guide: {} {order:?}: fitted {fitted_error:.3} σ, held-out {held_out:.3} σ",
@@ -289,6 +310,19 @@ impl Search<'_> {
         let found = model.fit();
         let video = model.video(&found);
         self.candidate(Fitted::Gain(found), &video)
+    }
+
+    /// Traces of the places of the guide, under the map of a gain field.
+    fn known_places(&self) -> Result<Candidate> {
+        let guide = &self.key_frames[0].image;
+        let affine = GainModel::new(self.frame, guide, self.start).fit().affine;
+        self.frame.cancel().check()?;
+        let model = PlacesModel::registered(self.frame, guide, &affine)?;
+        let fitted = Fitted::Places {
+            affine: model.affine,
+            width: model.width(),
+        };
+        Ok(self.candidate(fitted, &model.video()))
     }
 
     /// Motions with more and more cosines, each from the one before.
@@ -338,7 +372,7 @@ impl Search<'_> {
     ) -> Result<GuideFit> {
         let shape = self.frame.shape();
         let whole = self.frame.with_all_pixels();
-        let mut displacement_px = None;
+        let (mut displacement_px, mut known_places) = (None, None);
         let (video, affine, gain, offset, blur_px, parameters) = match candidate.fitted {
             Fitted::Motion { order, mut motion } => {
                 let model = self.motion_model(&whole, order);
@@ -347,7 +381,7 @@ impl Search<'_> {
                 displacement_px = Some(model.rms_displacement_px(&motion));
                 let (video, gain, offset) = model.blurred_video(&motion, blur);
                 let affine = model.affine(&motion);
-                (video, affine, gain, offset, blur, model.parameters())
+                (video, affine, gain, offset, blur, model.parameters() as f64)
             }
             Fitted::Gain(mut found) => {
                 let model = GainModel::new(&whole, &self.key_frames[0].image, self.start);
@@ -359,13 +393,27 @@ impl Search<'_> {
                     found.gain,
                     0.0,
                     0.0,
-                    model.parameters(),
+                    model.parameters() as f64,
                 )
             }
             Fitted::Still => {
                 let guide = &self.key_frames[0].image;
                 let (gain, offset, video) = gain_field::still(&whole, guide, &self.start);
-                (video, self.start, gain, offset, 0.0, 8)
+                (video, self.start, gain, offset, 0.0, 8.0)
+            }
+            Fitted::Places { affine, width } => {
+                let model = PlacesModel::new(&whole, &self.key_frames[0].image, affine)?;
+                let model = model.with_width(width);
+                let (found, parameters) = model.traces();
+                known_places = Some(found);
+                (
+                    model.video(),
+                    affine,
+                    model.gain,
+                    0.0,
+                    0.0,
+                    parameters + 6.0,
+                )
             }
         };
         let field = Field {
@@ -382,7 +430,8 @@ impl Search<'_> {
             registered: field.warp(&self.key_frames[0].image, &affine),
             correlation: self.correlation,
             displacement_px,
-            degrees_of_freedom: parameters as f64,
+            degrees_of_freedom: parameters,
+            known_places,
             trials,
             held_out_without: self.held_out_without,
             used,
@@ -506,7 +555,7 @@ fn check_key_frames(guides: &[Guide], model: GuideModel) -> Result<()> {
             "Give time_us and exposure_us of every picture, or one picture.",
         ));
     }
-    if matches!(model, GuideModel::Gain | GuideModel::Still) {
+    if !matches!(model, GuideModel::Auto | GuideModel::Motion) {
         return Err(Error::input(
             Parameter::Guide,
             format!("{} pictures for the model {}", guides.len(), model.name()),

@@ -17,6 +17,9 @@ use tracing::info;
 const EXPLAINED_SIGMA: f64 = 0.72;
 /// Effective noise level over the light of the frame at most; near 1 no video explains the frame as well as noise does.
 const MAX_EFFECTIVE_SIGMA: f64 = 0.5;
+/// Effective noise level by the check of a refined PSF over that by its search, above which the check has not settled;
+/// smaller follows the error of the model.
+const UNSETTLED: f64 = 2.0;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
@@ -92,9 +95,13 @@ impl Problem {
         if self.is_explained(check) {
             (EXPLAINED_SIGMA * left).max(self.sigma)
         } else {
-            check
-                .effective_sigma(self.sigma)
-                .max(EFFECTIVE_SIGMA * left)
+            let checked = check.effective_sigma(self.sigma);
+            let found = (EFFECTIVE_SIGMA * left).max(self.sigma);
+            if refined.is_some() && checked > UNSETTLED * found {
+                found
+            } else {
+                checked.max(found)
+            }
         }
     }
 

@@ -10,7 +10,7 @@ use rowburst_core::Cancel;
 use rowburst_core::linop::LinearOperator;
 use rowburst_optics::forward::psf_map::PsfMap;
 use rowburst_optics::measurement::Measurement;
-use rowburst_optics::{Camera, PatchSet, Psf, RollingShutter};
+use rowburst_optics::{Camera, PatchSet, Psf, RollingShutter, Shutter};
 use rowburst_solve::admm::{Progress, TauRule};
 use tracing::debug;
 
@@ -179,6 +179,11 @@ impl<'p> Calibrator<'p> {
 
     fn image(&self) -> &rowburst_optics::Image {
         self.frames[0].measurement.image()
+    }
+
+    /// Whether all rows see the scene at the same time: the video is one picture.
+    pub fn is_one_picture(&self) -> bool {
+        *self.camera.shutter() == Shutter::Global
     }
 
     /// Mean of the frames, in counts.

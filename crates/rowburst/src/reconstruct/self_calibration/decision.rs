@@ -66,6 +66,9 @@ const ROWS_ARE_THERE: f64 = 1.5;
 const WORTH_REFINING: f64 = 0.97;
 /// The same over that with parameters, below which these were ghosts of an error of the PSF itself.
 const REFINED_ALONE: f64 = 0.8;
+/// Error of the judging pixels with a PSF refined at once over that before, below which no parameters are sought where all
+/// rows see one picture; larger bends the PSF in place of a turn.
+const REFINED_FIRST: f64 = 0.3;
 /// Error of the judging pixels after the parameters over that before, above which their PSF is not refined.
 const PARAMETERS_FAIL: f64 = 0.95;
 /// Error of held-out pixels after over that before, above which a correction is not worth it: a real capture has a small
@@ -120,6 +123,15 @@ impl Search<'_, '_, '_> {
         }
         if self.is_hopeless(given, light)? {
             return Ok(given.clone());
+        }
+        if self.calibrator.is_one_picture() {
+            // Steps in the parameters take longest here.
+            let limit = (REFINED_FIRST * given.error).max(EXPLAINED * self.sigma);
+            if let Some(refined) = self.refine(given, capture, given.error, false, &[])?
+                && refined.error < limit
+            {
+                return Ok(refined);
+            }
         }
         let blurred = self.blur(given, &BLUR_STEPS[..1], BLUR_ALONE)?;
         if blurred.error < EXPLAINED * self.sigma {

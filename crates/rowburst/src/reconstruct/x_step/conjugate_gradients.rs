@@ -15,6 +15,9 @@ const EXACT_TOLERANCE: f64 = 0.01;
 /// Most calls of conjugate gradients for that.
 const MAX_EXACT_CALLS: usize = 10;
 
+/// The same of whole planes, to a residual of [`TOLERANCE`]; more cost time and gain nothing (docs/design/026).
+const MAX_PLANE_CALLS: usize = 3;
+
 /// Early x-steps of exposures longer than a row, see [`ConjugateGradient::early_calls`]; more cost quality, fewer time
 /// (docs/design/025).
 const EARLY_CALLS: usize = 40;
@@ -63,11 +66,13 @@ impl XStep for ConjugateGradients {
         self.solver.forget();
         self.solver.early_calls = 0;
         let operator = system.stacked_operator();
-        for _ in 0..MAX_EXACT_CALLS {
-            if self
-                .solver
-                .solve(operator, r, rho, EXACT_TOLERANCE, y, gram_y)
-            {
+        let (tolerance, max_calls) = if system.shutter().convolves_planes() {
+            (TOLERANCE, MAX_PLANE_CALLS)
+        } else {
+            (EXACT_TOLERANCE, MAX_EXACT_CALLS)
+        };
+        for _ in 0..max_calls {
+            if self.solver.solve(operator, r, rho, tolerance, y, gram_y) {
                 break;
             }
         }
