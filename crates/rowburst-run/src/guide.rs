@@ -3,7 +3,7 @@
 use crate::format::short;
 use crate::inputs::read_capture;
 use crate::options::parse_guide_model;
-use rowburst::guide::{Guide, GuideExposure, GuideFit, GuideModel, Places, fit};
+use rowburst::guide::{Guide, GuideExposure, GuideFit, GuideModel, KnownPlaces, fit};
 use rowburst::reconstruct::Problem;
 use rowburst::{Camera, Cancel, Image, Result, TimeGrid};
 use rowburst_io::{Experiment, GuideFile, OutputFolder, write_csv, write_npy_i64, write_png16};
@@ -120,7 +120,7 @@ pub struct GuideNumbers {
     pub held_out_without: f64,
     /// The models that were tried.
     pub trials: Vec<GuideTrialNumbers>,
-    /// The traces of the places; null for other models.
+    /// The traces of the places; null for other models, and where the guide was dropped.
     pub known_places: Option<PlacesNumbers>,
 }
 
@@ -144,9 +144,9 @@ pub struct PlacesNumbers {
 pub struct PlaceNumbers {
     /// Its number in `places.npy`.
     pub label: usize,
-    /// Centre of its light on the field, in pixels.
+    /// Row of the centre of its light on the field, in pixels.
     pub y: f64,
-    /// The same.
+    /// Column of the centre.
     pub x: f64,
     /// Number of its pixels.
     pub pixels: usize,
@@ -162,7 +162,7 @@ const UNCERTAIN: f64 = 0.5;
 const MAX_INFLATION: f64 = 1.5;
 
 impl PlacesNumbers {
-    fn new(places: &Places) -> Self {
+    fn new(places: &KnownPlaces) -> Self {
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
         let traces = places.traces.iter();
         let is_uncertain =
@@ -220,6 +220,8 @@ impl GuideOutcome {
         let shape = found.video.shape();
         let half_side = 0.5 * shape.rows.max(shape.columns) as f64;
         let affine = &found.affine;
+        // Traces of a guide that does not belong to the frame are none.
+        let known_places = found.known_places.as_ref().filter(|_| found.used);
         let trials = found.trials.iter().map(|trial| GuideTrialNumbers {
             model: trial.model.name().into(),
             order: trial.order,
@@ -245,12 +247,10 @@ impl GuideOutcome {
                 held_out: found.best().held_out,
                 held_out_without: found.held_out_without,
                 trials: trials.collect(),
-                known_places: found.known_places.as_ref().map(PlacesNumbers::new),
+                known_places: known_places.map(PlacesNumbers::new),
             },
             registered: found.registered.clone(),
-            labels: found
-                .known_places
-                .as_ref()
+            labels: known_places
                 .map(|places| places.labels.iter().map(|l| i64::from(*l)).collect())
                 .unwrap_or_default(),
         }

@@ -224,6 +224,57 @@ impl<T: Scalar> BandFactor<T> {
     }
 }
 
+impl<T: Scalar> BandFactor<T> {
+    /// The diagonal of `(K + ρI)⁻¹`, by the blocks of the inverse within the band alone (Takahashi, Fagan & Chin, 8th PICA
+    /// Conf., 1973): with the factor `L`, `Z L = L⁻ᵀ` from the last block column on.
+    pub fn inverse_diagonal(&self) -> Vec<T> {
+        let mut diagonal = vec![T::zero(); self.starts[self.panels.len()]];
+        // Block columns of the inverse, from the diagonal block on.
+        let mut inverse: Vec<Mat<T>> = vec![Mat::zeros(0, 0); self.panels.len()];
+        for t in (0..self.panels.len()).rev() {
+            let (start, size) = (self.starts[t], self.starts[t + 1] - self.starts[t]);
+            let (lower, below) = self.panels[t].split_at_row(size);
+            let mut column = Mat::<T>::zeros(self.panels[t].nrows(), size);
+            let (mut top, mut rest) = column.as_mut().split_at_row_mut(size);
+            (0..size).for_each(|j| top[(j, j)] = T::one());
+            solve_upper_triangular_in_place(lower.transpose(), top.rb_mut(), Par::Seq);
+            if below.nrows() > 0 {
+                let known = self.known_inverse(&inverse, t + 1, below.nrows());
+                let (known, minus) = (known.as_ref(), -T::one());
+                matmul(rest.rb_mut(), Accum::Replace, known, below, minus, Par::Seq);
+                let transposed = rest.rb_mut().transpose_mut();
+                solve_upper_triangular_in_place(lower.transpose(), transposed, Par::Seq);
+                let above = rest.rb().transpose();
+                matmul(top.rb_mut(), Accum::Add, above, below, minus, Par::Seq);
+            }
+            let transposed = top.rb_mut().transpose_mut();
+            solve_upper_triangular_in_place(lower.transpose(), transposed, Par::Seq);
+            (0..size).for_each(|j| diagonal[start + j] = top[(j, j)]);
+            inverse[t] = column;
+        }
+        diagonal
+    }
+
+    /// The inverse at `count` rows and columns from block `first` on, which are in its band.
+    fn known_inverse(&self, inverse: &[Mat<T>], first: usize, count: usize) -> Mat<T> {
+        let origin = self.starts[first];
+        let mut known = Mat::<T>::zeros(count, count);
+        for (k, column) in inverse.iter().enumerate().skip(first) {
+            let from = self.starts[k] - origin;
+            if from >= count {
+                break;
+            }
+            for j in 0..column.ncols() {
+                for i in j..count - from {
+                    known[(from + i, from + j)] = column[(i, j)];
+                    known[(from + j, from + i)] = column[(i, j)];
+                }
+            }
+        }
+        known
+    }
+}
+
 fn starts_of(sizes: &[usize]) -> Arc<[usize]> {
     let mut starts = vec![0];
     for size in sizes {
@@ -277,6 +328,10 @@ mod tests {
             let pivots = whole.llt(Side::Lower).unwrap();
             let logarithm: f64 = (0..n).map(|i| 2.0 * pivots.L()[(i, i)].ln()).sum();
             assert!((factor.log_determinant() - logarithm).abs() < 1e-10);
+            let inverse = pivots.solve(Mat::<f64>::identity(n, n));
+            for (i, value) in factor.inverse_diagonal().iter().enumerate() {
+                assert!((value - inverse[(i, i)]).abs() < 1e-12, "{i}: {value}");
+            }
         }
         // Lᵀ K L of the blocks is that of the dense matrices.
         let roots = sizes.map(|size| Mat::from_fn(size, size, |i, j| root(i + 2 * j, size)));

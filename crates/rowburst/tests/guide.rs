@@ -208,16 +208,26 @@ fn known_places_have_traces_with_honest_errors() {
         }
         let coverage = covered as f64 / (count * shape.bins) as f64;
         let relative = (error / power).sqrt();
-        println!(
-            "{count} {exposure_us} {coverage:.3} {relative:.4} {} {}",
-            places.inflation, places.chi_squared
-        );
         assert!(
             (0.90..=0.985).contains(&coverage),
             "{count} places: {coverage}"
         );
         assert!(relative < 0.2, "{count} places: {relative}");
     }
+}
+
+/// A frame without the light of the guide drops it, whatever its sign.
+#[test]
+fn places_of_a_frame_without_light_are_dropped() {
+    let mut case = Case::exposed(10.0, 3, |camera| flickering_discs(camera, 12, 3).0);
+    let guide = Guide {
+        image: case.picture(5, (0, 0)),
+        exposure: None,
+    };
+    let dark = Image::from_fn(N, N, |y, x| -case.measurement.image().at(y, x));
+    case.measurement = Measurement::new(dark).unwrap();
+    let found = case.fit_with(guide, GuideModel::Places).unwrap();
+    assert!(!found.used, "{}", found.reason);
 }
 
 #[test]

@@ -114,13 +114,15 @@ impl StandIn {
         .unwrap();
         let whole = caustic(&mut rng);
         let video = scene(camera.video_shape().bins, &mut rng);
-        let operator = RollingShutter::new(&camera, &Psf::new(whole.clone()).unwrap());
+        let operator = RollingShutter::new(&camera, Psf::new(whole.clone()).unwrap());
         let mut light = vec![0.0; operator.range_len()];
         operator.apply(video.data(), &mut light);
         let unit = 255.0 / light.iter().copied().fold(0.0, f32::max);
-        let frame = Image::from_fn(ROWS, COLUMNS, |y, x| match is_planted(y, x) {
-            true => 255.0,
-            false => (unit * light[y * COLUMNS + x]).round().max(0.0),
+        let frame = Image::from_fn(ROWS, COLUMNS, |y, x| {
+            if is_planted(y, x) {
+                return 255.0;
+            }
+            (unit * light[y * COLUMNS + x]).round().max(0.0)
         });
         // The middle of the PSF in 255 steps; what is cut off is missing from its sum.
         let step = whole.max() / 255.0;

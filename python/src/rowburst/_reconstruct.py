@@ -656,7 +656,8 @@ def reconstruct(
         For each picture the middle of its exposure, from the start of the frame's first exposure, and its length, in µs.
         By default the one picture was taken at an unknown time within the frame; several pictures need times.
     guide_model : str, optional
-        What the scene does with the light of the guide: ``"auto"`` (the default), ``"motion"``, ``"gain"`` or ``"still"``.
+        What the scene does with the light of the guide: ``"auto"`` (the default), ``"motion"``, ``"gain"``, ``"still"``, or
+        ``"places"``: each lit place of the guide has a trace, in ``result.numbers["guide"]["known_places"]["traces"]``.
 
     Returns
     -------

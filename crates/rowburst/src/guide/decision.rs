@@ -16,6 +16,8 @@ const MAX_GAIN_RATIO: f64 = 2.0;
 const MAX_PLACES_RATIO: f64 = 1.0;
 const MAX_BAD_PLACES_RATIO: f64 = 0.5;
 const BAD_PLACES: f64 = 4.0;
+/// Held-out error over σ up to which places explain the frame, whatever is left without them.
+const GOOD_PLACES: f64 = 1.15;
 /// Correlation with the coarse picture of the scene below which the guide is dropped; pictures of other scenes reach 0.2.
 const MIN_CORRELATION: f64 = 0.4;
 /// Part of a guide's pixels at its greatest value above which it is overexposed.
@@ -106,11 +108,13 @@ impl Evidence<'_> {
             GuideModel::Places => MAX_PLACES_RATIO,
             _ => MAX_RATIO,
         };
-        if ratio > limit && chosen.model == GuideModel::Places {
-            return Some(format!(
-                "its lit places explain held-out pixels to {:.1} σ only: a place is missing, was dark, or has moved",
-                chosen.held_out
-            ));
+        if chosen.model == GuideModel::Places {
+            return (ratio > limit && chosen.held_out > GOOD_PLACES).then(|| {
+                format!(
+                    "its lit places explain held-out pixels to {:.2} σ, and {:.2} σ is left without it: a place is missing, was dark, or has moved",
+                    chosen.held_out, self.held_out_without
+                )
+            });
         }
         if ratio > limit {
             return Some(format!(
@@ -159,6 +163,23 @@ mod tests {
             trial(GuideModel::Motion, Some(2), 1.02),
         ];
         assert_eq!(choose(&at_rest), 0);
+    }
+
+    #[test]
+    fn places_that_do_not_explain_the_frame_are_dropped() {
+        let used = |held_out, held_out_without| {
+            let trials = [trial(GuideModel::Places, None, held_out)];
+            let evidence = Evidence {
+                trials: &trials,
+                held_out_without,
+                correlation: 0.1,
+                saturated: 0.0,
+                deviation: 0.2,
+            };
+            evidence.verdict(&trials[0]).0
+        };
+        assert!(used(1.05, 4.5) && used(1.1, 0.9) && used(3.1, 4.5));
+        assert!(!used(30.0, 4.5) && !used(78.0, 132.0) && !used(1.5, 1.4));
     }
 
     #[test]

@@ -98,6 +98,11 @@ impl<'a> FrameFit<'a> {
         product / rowburst_core::vecmath::norm_squared(&one).max(f64::MIN_POSITIVE)
     }
 
+    /// Number of pixels of the frame.
+    pub fn pixels(&self) -> usize {
+        self.counts.len()
+    }
+
     /// Number of fitted pixels.
     pub fn fitted_count(&self) -> usize {
         self.fitted.iter().filter(|w| **w > 0.0).count()

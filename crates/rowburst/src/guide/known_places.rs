@@ -26,11 +26,15 @@ use rowburst_solve::block_band::{BandFactor, BlockBand};
 /// Most places over the numbers that an instant reads; more have standard errors as large as their light
 /// (docs/design/028).
 const MAX_PLACES: f64 = 0.5;
-/// Standard deviation of a trace about the mean gain, over that gain, during the registration, and its factor in the search
-/// for the most likely one.
+/// Standard deviation of a trace about the mean gain, over that gain, during the registration; its factor in the search for
+/// the most likely one, and the least one: smaller makes too short intervals where noise hides all changes.
 const FIRST_WIDTH: f64 = 4.0;
 const WIDTH_STEP: f64 = 0.7;
-const MIN_WIDTH: f64 = 0.02;
+const MIN_WIDTH: f64 = 0.4;
+/// Least gain over that of a guide whose light is the frame's; a frame of noise has none.
+const MIN_GAIN: f64 = 1e-3;
+/// Most values of the light of all places; more need over a gigabyte.
+const MAX_VALUES: usize = 1 << 28;
 /// Most corrections of the map, their greatest part in pixels, and the fall of the squared residual above which one was the
 /// last.
 const CORRECTIONS: usize = 8;
@@ -43,12 +47,10 @@ const SIGNIFICANT: f64 = 3.0;
 /// Growth of the variance of a trace with `χ² − 1`; smaller makes too short intervals where the guide is blurred
 /// (docs/design/028).
 const MISFIT_WEIGHT: f64 = 5.0;
-/// Columns of a parallel task; fixed, so that the bits do not depend on the number of threads.
-const PART: usize = 32;
 
 /// The places of a guide with their traces.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Places {
+pub struct KnownPlaces {
     /// The place of each pixel of the field, `[y, x]`, from 1; 0: none.
     pub labels: Vec<u32>,
     /// The trace of each place, from label 1 on.
@@ -117,7 +119,7 @@ impl<'a> PlacesModel<'a> {
                 break;
             }
         }
-        let width = best.likely_width();
+        let width = best.likely_width()?;
         Ok(best.with_width(width))
     }
 
@@ -141,11 +143,15 @@ impl<'a> PlacesModel<'a> {
             .unzip();
         let shapes = Shapes::new(&Image::new(field.rows, field.columns, guide)?);
         let numbers = frame.fitted_count() as f64 / frame.instants().len() as f64;
-        check_count(shapes.count, numbers)?;
+        let most = (MAX_PLACES * numbers) as usize;
+        check_count(shapes.count, most.min(MAX_VALUES / frame.pixels()))?;
         let even = frame.apply(&shapes.sum().repeat(shape.bins));
-        let gain = dot(&even, &frame.target()) / norm_squared(&even).max(f64::MIN_POSITIVE);
-        let gain = gain.max(f64::MIN_POSITIVE);
-        let light = light_of(frame, &shapes);
+        let target = frame.target();
+        let power = norm_squared(&even).max(f64::from(f32::MIN_POSITIVE));
+        let least = MIN_GAIN * (norm_squared(&target) / power).sqrt();
+        let gain = (dot(&even, &target) / power).max(least);
+        let gain = gain.max(f64::from(f32::MIN_POSITIVE));
+        let light = light_of(frame, &shapes)?;
         let normal = normal(frame, &light);
         let rho = 1.0;
         let model = Self {
@@ -185,8 +191,9 @@ impl<'a> PlacesModel<'a> {
         1.0 / (self.rho.sqrt() * self.gain)
     }
 
-    /// The width of the prior that makes the frame most likely (Rasmussen & Williams, eq. 5.8).
-    fn likely_width(&self) -> f64 {
+    /// The width of the prior that makes the frame most likely (Rasmussen & Williams, eq. 5.8), whatever its noise: an
+    /// estimate of `σ` that is a little too large takes changes of brightness for noise.
+    fn likely_width(&self) -> Result<f64> {
         let bins = self.frame.shape().bins;
         let even = self.frame.apply(&self.shapes.sum().repeat(bins));
         let gain = self.gain as f32;
@@ -194,24 +201,27 @@ impl<'a> PlacesModel<'a> {
         let pairs = target.iter().zip(&even);
         let change: Vec<f32> = pairs.map(|(b, a)| b - gain * a).collect();
         let projected = adjoint(self.frame, &self.light, &change);
+        let (power, count) = (norm_squared(&change), self.frame.fitted_count() as f64);
         let unlikelihood = |width: f64| {
             let rho = (width * self.gain).powi(-2);
             let factor = self.normal.factor(rho);
             let mut solved = projected.clone();
             factor.solve(&mut solved);
             let explained: f64 = solved.iter().zip(&projected).map(|(a, b)| a * b).sum();
-            factor.log_determinant() - solved.len() as f64 * rho.ln() - explained
+            let left = (power - explained).max(f64::MIN_POSITIVE);
+            factor.log_determinant() - solved.len() as f64 * rho.ln() + count * left.ln()
         };
         let mut best = (FIRST_WIDTH, unlikelihood(FIRST_WIDTH));
         while best.0 > MIN_WIDTH {
-            let width = WIDTH_STEP * best.0;
+            self.frame.cancel().check()?;
+            let width = (WIDTH_STEP * best.0).max(MIN_WIDTH);
             let value = unlikelihood(width);
             if value >= best.1 {
                 break;
             }
             best = (width, value);
         }
-        best.0
+        Ok(best.0)
     }
 
     /// A Gauss–Newton step in the map, with the traces free: `(Jᵀ J − Jᵀ L N⁻¹ Lᵀ J) δ = Jᵀ r` with `N = Lᵀ L + ρI`. `None`: the
@@ -263,8 +273,13 @@ impl<'a> PlacesModel<'a> {
     }
 
     /// The traces in counts with their standard errors, and the degrees of freedom that they have taken.
-    pub fn traces(&self) -> (Places, f64) {
-        let errors = self.standard_errors();
+    pub fn traces(&self) -> (KnownPlaces, f64) {
+        let errors: Vec<f64> = self
+            .factor
+            .inverse_diagonal()
+            .iter()
+            .map(|v| v.max(0.0).sqrt())
+            .collect();
         let left: f64 = errors.iter().map(|e| self.rho * e * e).sum();
         let parameters = self.values.len() as f64 - left;
         let freedom = (self.frame.fitted_count() as f64 - parameters).max(1.0);
@@ -273,29 +288,13 @@ impl<'a> PlacesModel<'a> {
         let excess = if is_chance { 0.0 } else { chi_squared - 1.0 };
         let inflation = (1.0 + MISFIT_WEIGHT * excess).sqrt();
         let traces = (1..=self.shapes.count).map(|k| self.trace(k, &errors, inflation));
-        let places = Places {
+        let places = KnownPlaces {
             traces: traces.collect(),
             labels: self.shapes.labels.clone(),
             chi_squared,
             inflation,
         };
         (places, parameters)
-    }
-
-    /// The roots of the diagonal of `N⁻¹`.
-    fn standard_errors(&self) -> Vec<f64> {
-        let mut standard_errors = vec![0.0; self.values.len()];
-        let parts = standard_errors.par_chunks_mut(PART).enumerate();
-        parts.for_each(|(part, errors)| {
-            let first = part * PART;
-            let mut columns = Mat::<f64>::zeros(self.values.len(), errors.len());
-            (0..errors.len()).for_each(|i| columns[(first + i, i)] = 1.0);
-            self.factor.solve_columns(columns.as_mut());
-            for (i, error) in errors.iter_mut().enumerate() {
-                *error = columns[(first + i, i)].max(0.0).sqrt();
-            }
-        });
-        standard_errors
     }
 
     fn trace(&self, k: usize, errors: &[f64], inflation: f64) -> PlaceTrace {
@@ -344,8 +343,9 @@ impl<'a> PlacesModel<'a> {
 }
 
 /// `L_k` for one row time, from `k = 0` on.
-fn light_of(frame: &FrameFit, shapes: &Shapes) -> Vec<Vec<f32>> {
+fn light_of(frame: &FrameFit, shapes: &Shapes) -> Result<Vec<Vec<f32>>> {
     let one = |k: usize| {
+        frame.cancel().check()?;
         let pixels = shapes.above.iter().zip(&shapes.owners);
         let place: Vec<f32> = match k {
             0 => shapes.rest.clone(),
@@ -360,7 +360,7 @@ fn light_of(frame: &FrameFit, shapes: &Shapes) -> Vec<Vec<f32>> {
                 light[at] /= total as f32;
             }
         }
-        light
+        Ok(light)
     };
     (0..=shapes.count).map(one).collect()
 }
@@ -415,20 +415,29 @@ fn adjoint(frame: &FrameFit, light: &[Vec<f32>], values: &[f32]) -> Vec<f64> {
     out
 }
 
-/// Refuses a number of places that an instant cannot tell apart.
-fn check_count(count: usize, numbers: f64) -> Result<()> {
-    let most = (MAX_PLACES * numbers) as usize;
-    if (1..=most).contains(&count) {
-        return Ok(());
+/// Refuses no place, and a number of places that an instant cannot tell apart or that memory does not hold.
+fn check_count(count: usize, most: usize) -> Result<()> {
+    let fault = |rule: String, remedy: &'static str| {
+        Err(Error::input(
+            Parameter::Guide,
+            format!("{count} places in the guide"),
+            rule,
+            remedy,
+        ))
+    };
+    if count == 0 {
+        return fault(
+            "a place is lit: four or more pixels that touch and are brighter than others".into(),
+            "Give a guide with bright places on a darker ground and without hot pixels, or another model.",
+        );
     }
-    Err(Error::input(
-        Parameter::Guide,
-        format!("{count} places in the guide"),
-        format!(
-            "there are from 1 to {most} places, half of the {numbers:.0} numbers of an instant"
-        ),
-        "Give a guide with fewer lit places, or another model: its lit pixels that touch each other are one place.",
-    ))
+    if count > most {
+        return fault(
+            format!("there are at most {most} places, half of the numbers of an instant"),
+            "Give a guide with fewer lit places, or another model; lit pixels that touch are one place.",
+        );
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -436,10 +445,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn too_many_places_are_refused() {
-        assert!(check_count(108, 216.0).is_ok());
-        let error = check_count(109, 216.0).unwrap_err().to_string();
-        assert!(error.contains("from 1 to 108"), "{error}");
-        assert!(check_count(0, 216.0).is_err());
+    fn no_place_and_too_many_are_refused() {
+        assert!(check_count(108, 108).is_ok());
+        let error = check_count(109, 108).unwrap_err().to_string();
+        assert!(error.contains("at most 108"), "{error}");
+        let error = check_count(0, 108).unwrap_err().to_string();
+        assert!(error.contains("hot pixels"), "{error}");
     }
 }

@@ -11,9 +11,9 @@
 //! places      v(x, t) = Σ_k s_k(t) G_k(x + d(x))
 //! ```
 //!
-//! with cosines `τ_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the k-th place. The affine map `d` is found by registration on a coarse
-//! video without a guide, then from the frame. A tenth of the pixels of every row judges: [`fit`] drops a guide that
-//! predicts them worse than no guide (docs/design/028).
+//! with cosines `τ_k` in time, `θ_k`, `φ_k` on B-spline grids, and `G_k` the guide on the k-th place. The affine map `d` is
+//! found by registration on a coarse video without a guide, then from the frame. A tenth of the pixels of every row judges:
+//! [`fit`] drops a guide that predicts them worse than no guide (docs/design/028).
 
 mod affine;
 mod basis;
@@ -28,7 +28,7 @@ mod shapes;
 mod without_guide;
 
 pub use affine::Affine;
-pub use known_places::{PlaceTrace, Places};
+pub use known_places::{KnownPlaces, PlaceTrace};
 
 use affine::{Field, register};
 use decision::Evidence;
@@ -72,7 +72,7 @@ pub enum GuideModel {
     Gain,
     /// Nothing changes.
     Still,
-    /// Each place that the guide shows has a trace of its own. Only by name.
+    /// Each place that the guide shows has a trace of its own. [`Self::Auto`] does not try it.
     Places,
 }
 
@@ -135,7 +135,7 @@ pub struct GuideFit {
     /// Number of parameters of the model.
     pub degrees_of_freedom: f64,
     /// The traces of the places of [`GuideModel::Places`].
-    pub known_places: Option<Places>,
+    pub known_places: Option<KnownPlaces>,
     /// The models that were tried.
     pub trials: Vec<GuideTrial>,
     /// Rms error of the held-out pixels over σ of the coarse video without a guide.

@@ -6,6 +6,8 @@ use rowburst_optics::Image;
 const MIN_PIXELS: usize = 4;
 /// Pixels around a place whose light above the rest is its own: a soft edge; larger gives places light that is not theirs.
 const EDGE_PX: usize = 2;
+/// Part of the pixels that the brightest one that counts for the threshold exceeds; smaller lets a hot pixel hide places.
+const BRIGHTEST: f64 = 0.995;
 /// Standard deviation of the smoothing of the rest, in pixels; smaller leaves noise of the guide in it, larger its structure
 /// out.
 const REST_BLUR_PX: f64 = 1.5;
@@ -14,7 +16,7 @@ const REST_BLUR_PX: f64 = 1.5;
 pub(super) struct Shapes {
     /// The place of each lit pixel, from 1; 0: none.
     pub labels: Vec<u32>,
-    /// The same with the edges around each place.
+    /// The same with the soft edges around each place.
     pub owners: Vec<u32>,
     /// Number of places.
     pub count: usize,
@@ -49,7 +51,7 @@ impl Shapes {
     }
 }
 
-/// The labels with the pixels around each place, which go to the nearest one.
+/// The labels with the pixels around each place, which go to the nearest one; of two as near to the later one.
 fn with_edges(labels: &[u32], columns: usize) -> Vec<u32> {
     let mut owners = labels.to_vec();
     for _ in 0..EDGE_PX {
@@ -123,22 +125,24 @@ fn places_of(picture: &[f32], columns: usize) -> (Vec<u32>, usize) {
 }
 
 /// The value that parts light from dark with the greatest variance between the two (Otsu, IEEE Trans. Syst. Man Cybern. 9,
-/// 62, 1979).
+/// 62, 1979). It is that of the roots of the values, so that dim places count beside bright ones.
 fn otsu_threshold(values: &[f32]) -> f32 {
-    let mut sorted: Vec<f64> = values.iter().map(|v| f64::from(*v)).collect();
+    let mut sorted: Vec<f64> = values.iter().map(|v| f64::from(*v).sqrt()).collect();
     sorted.sort_by(f64::total_cmp);
+    let brightest = sorted[(BRIGHTEST * (sorted.len() - 1) as f64) as usize];
+    sorted.iter_mut().for_each(|v| *v = v.min(brightest));
     let (count, total) = (sorted.len() as f64, sorted.iter().sum::<f64>());
     let (mut below, mut best) = (0.0, (0.0, f64::INFINITY));
     for (i, pair) in sorted.windows(2).enumerate() {
         below += pair[0];
         let dark = (i + 1) as f64;
-        let between =
-            dark * (count - dark) * (below / dark - (total - below) / (count - dark)).powi(2);
+        let bright = count - dark;
+        let between = dark * bright * (below / dark - (total - below) / bright).powi(2);
         if between > best.0 {
             best = (between, 0.5 * (pair[0] + pair[1]));
         }
     }
-    best.1 as f32
+    best.1.powi(2) as f32
 }
 
 #[cfg(test)]
