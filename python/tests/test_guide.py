@@ -91,3 +91,18 @@ def test_calls_that_take_no_pictures_say_so(dense, tmp_path):
     np.save(tmp_path / "frames.npy", frame[None])
     with pytest.raises(rb.InputError, match=r"\[\[guide\]\].*rb.reconstruct"):
         rb._rowburst._Batch(dense / "experiment.toml", tmp_path / "frames.npy", tmp_path / "d.zarr")
+
+
+def test_known_places_have_traces():
+    """Their numbers and labels are kept by a pickle, and are the file's."""
+    camera = rb.Camera(rows=72, columns=72, shutter="dual-inside-out", row_time_us=10, exposure_us=10)
+    made = rb.simulate(camera, "spots", seed=1)
+    found = rb.reconstruct(made.frame, camera, made.psf, guide=made.truth.mean(axis=0), guide_model="places")
+    guide = found.numbers["guide"]
+    assert guide["used"] is True and guide["model"] == "places"
+    traces = guide["known_places"]["traces"]
+    assert len(traces) > 30
+    place = traces[0]
+    assert len(place["value"]) == len(place["standard_error"]) == found.video.shape[0]
+    restored = pickle.loads(pickle.dumps(found))
+    assert restored.numbers["guide"] == guide
