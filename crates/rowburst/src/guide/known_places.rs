@@ -1,7 +1,8 @@
 //! Known places: `v(x, t) = Σ_k s_k(t) G_k(x)`, one trace of brightness for each place that the guide shows.
 //!
-//! `G_k` is the light of the registered guide above its surroundings at place `k`, and `G_0` the smooth rest. With `L_k = W A G_k/σ`, the light of
-//! a place that is lit evenly, and the weights `w` of the bins of an exposure, the frame is linear in the traces,
+//! `G_k` is the light of the registered guide above its surroundings at place `k`, and `G_0` the smooth rest. With
+//! `L_k = W A G_k/σ`, the light of a place that is lit evenly, and the weights `w` of the bins of an exposure, the frame is
+//! linear in the traces,
 //!
 //! ```text
 //! W b/σ = Σ_t w_t Σ_k s_k(t) L_k + noise
@@ -109,7 +110,10 @@ impl<'a> PlacesModel<'a> {
                 break;
             };
             frame.cancel().check()?;
-            let next = Self::new(frame, guide, affine)?;
+            // A step too far may lose the places.
+            let Ok(next) = Self::new(frame, guide, affine) else {
+                break;
+            };
             let fall = norm_squared(&next.residual) / norm_squared(&best.residual);
             if fall >= 1.0 {
                 break;
@@ -301,7 +305,7 @@ impl<'a> PlacesModel<'a> {
         let (labels, above) = (&self.shapes.labels, &self.shapes.above);
         let (mut count, mut light, mut y, mut x) = (0, 0.0, 0.0, 0.0);
         for i in (0..labels.len()).filter(|&i| labels[i] as usize == k) {
-            let value = f64::from(above[i]);
+            let value = f64::from(above[i].max(f32::MIN_POSITIVE));
             count += 1;
             light += value;
             y += value * (i / self.field.columns) as f64;
