@@ -25,6 +25,7 @@ if __name__ == "__main__":
 import subprocess
 
 import numpy as np
+from real_frames import scaled
 from scipy.ndimage import gaussian_filter, shift
 from scipy.signal import fftconvolve
 
@@ -41,6 +42,8 @@ CASES = [
     ("10 % lit, guide with 5 % noise", 41, {"noise": 0.05}),
     ("10 % lit, guide blurred by 1 px", 41, {"blur": 1.0}),
     ("10 % lit, PSF noise 2000 e", 41, {"electrons": 2000}),
+    ("10 % lit, PSF 0.3 % too large", 41, {"scale": 1.003}),
+    ("10 % lit, PSF 1 % too large", 41, {"scale": 1.01}),
     ("10 % lit, guide of one bin", 41, {"bin": 20}),
     ("10 % lit, SNR 32", 41, {"snr": 32}),
     ("10 % lit, SNR 8", 41, {"snr": 8}),
@@ -87,7 +90,7 @@ def recorded(video, psf, rows):
     return frame
 
 
-def case(program, folder, count, seed, rows=1, moved=(0, 0), noise=0.01, blur=0.0, electrons=None, bin=None, snr=256):
+def case(program, folder, count, seed, rows=1, moved=(0, 0), noise=0.01, blur=0.0, electrons=None, scale=1.0, bin=None, snr=256):
     """Runs the program on a case. Returns covered, error, χ² and seconds."""
     rng = np.random.default_rng(seed)
     video = flickering(rng, count, BINS + rows - 1)
@@ -99,6 +102,7 @@ def case(program, folder, count, seed, rows=1, moved=(0, 0), noise=0.01, blur=0.
     guide += rng.normal(0, noise * guide.max(), guide.shape)
     if electrons:
         psf = rng.poisson(psf * electrons / psf.max()).astype(float)
+    psf = scaled(psf, scale)
     for name, image in [("frame", frame), ("psf", psf), ("guide", 200 * guide)]:
         np.save(folder / f"{name}.npy", image.astype(np.float32))
     experiment = folder / "experiment.toml"

@@ -6,8 +6,8 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use rayon::prelude::*;
 use rowburst_core::linop::Scalar;
-use rowburst_optics::RollingShutter;
 use rowburst_optics::forward::gram::columns_of;
+use rowburst_optics::{InstantWeights, RollingShutter};
 use rowburst_solve::block_band::BlockBand;
 use std::ops::Range;
 
@@ -27,6 +27,18 @@ pub struct ActiveColumns<'a> {
     pub pixels: Vec<Vec<usize>>,
 }
 
+/// The last bin that has one of `instants` in common with each of `count` bins from `first_bin` on, counted from that one.
+pub fn last_bins(instants: &[InstantWeights], first_bin: usize, count: usize) -> Vec<usize> {
+    let mut last: Vec<usize> = (0..count).collect();
+    for instant in instants {
+        let first = instant.first_bin - first_bin;
+        let end = first + instant.weights.len() - 1;
+        let seen = &mut last[first..=end];
+        seen.iter_mut().for_each(|last| *last = end.max(*last));
+    }
+    last
+}
+
 /// The columns of an instant.
 struct InstantColumns<T> {
     /// Columns of `W S_i`, one for each pixel that is active in a bin of the instant.
@@ -43,15 +55,8 @@ impl ActiveColumns<'_> {
 
     /// The last bin that has an instant in common with each bin.
     pub fn last_bins(&self) -> Vec<usize> {
-        let mut last: Vec<usize> = (0..self.pixels.len()).collect();
-        for instant in &self.operator.time().instants()[self.instants.clone()] {
-            let first = instant.first_bin - self.first_bin;
-            let end = first + instant.weights.len() - 1;
-            for last in &mut last[first..=end] {
-                *last = end.max(*last);
-            }
-        }
-        last
+        let instants = &self.operator.time().instants()[self.instants.clone()];
+        last_bins(instants, self.first_bin, self.pixels.len())
     }
 
     /// Multiplications of a factor of `BᵀB + ρI`.

@@ -17,6 +17,7 @@ use super::affine::{Affine, Field};
 use super::frame_fit::FrameFit;
 use super::picture;
 use super::shapes::Shapes;
+use crate::active_gram::last_bins;
 use faer::Mat;
 use rayon::prelude::*;
 use rowburst_core::vecmath::{dot, norm_squared, solve_normal};
@@ -88,10 +89,11 @@ pub(super) struct PlacesModel<'a> {
     light: Vec<Vec<f32>>,
     /// Gain of the guide that traces vary about.
     pub gain: f64,
-    /// `Lᵀ L` over the bins, and `1/a²` of the prior.
+    /// `Lᵀ L` over the bins.
     normal: BlockBand<f64>,
-    factor: BandFactor<f64>,
+    /// `1/a²` of the prior, and the factor of `Lᵀ L + ρI`.
     rho: f64,
+    factor: BandFactor<f64>,
     /// The most likely `s_k(t)`, bin by bin, with `k = 0` first.
     values: Vec<f64>,
     /// `W(b − A v)/σ` of them.
@@ -104,14 +106,14 @@ impl<'a> PlacesModel<'a> {
     /// # Errors
     /// No place, or too many for the numbers of an instant.
     pub fn registered(frame: &'a FrameFit<'a>, guide: &Image, start: &Affine) -> Result<Self> {
-        let mut best = Self::new(frame, guide, *start)?;
+        let mut best = Self::new(frame, guide, *start, FIRST_WIDTH)?;
         for _ in 0..CORRECTIONS {
             let Some(affine) = best.corrected_map(start) else {
                 break;
             };
             frame.cancel().check()?;
             // A step too far may lose the places.
-            let Ok(next) = Self::new(frame, guide, affine) else {
+            let Ok(next) = Self::new(frame, guide, affine, FIRST_WIDTH) else {
                 break;
             };
             let fall = norm_squared(&next.residual) / norm_squared(&best.residual);
@@ -127,11 +129,12 @@ impl<'a> PlacesModel<'a> {
         Ok(best.with_width(width))
     }
 
-    /// The traces of the places of `guide`, which `affine` maps the field to, with a wide prior.
+    /// The traces of the places of `guide`, which `affine` maps the field to; `width` is the standard deviation of their
+    /// prior over the mean gain.
     ///
     /// # Errors
     /// As above.
-    pub fn new(frame: &'a FrameFit<'a>, guide: &Image, affine: Affine) -> Result<Self> {
+    pub fn new(frame: &'a FrameFit<'a>, guide: &Image, affine: Affine, width: f64) -> Result<Self> {
         let shape = frame.shape();
         let field = Field {
             rows: shape.rows,
@@ -157,7 +160,7 @@ impl<'a> PlacesModel<'a> {
         let gain = gain.max(f64::from(f32::MIN_POSITIVE));
         let light = light_of(frame, &shapes)?;
         let normal = normal(frame, &light);
-        let rho = 1.0;
+        let rho = prior_weight(width, gain);
         let model = Self {
             factor: normal.factor(rho),
             values: Vec::new(),
@@ -172,13 +175,18 @@ impl<'a> PlacesModel<'a> {
             gain,
             rho,
         };
-        Ok(model.with_width(FIRST_WIDTH))
+        Ok(model.solved())
     }
 
     /// The model with a prior whose standard deviation is `width` times the mean gain.
-    pub fn with_width(mut self, width: f64) -> Self {
-        self.rho = (width * self.gain).powi(-2);
+    fn with_width(mut self, width: f64) -> Self {
+        self.rho = prior_weight(width, self.gain);
         self.normal.refactor(self.rho, &mut self.factor);
+        self.solved()
+    }
+
+    /// The model with its traces and residual.
+    fn solved(mut self) -> Self {
         self.values = adjoint(self.frame, &self.light, &self.frame.target());
         let mean = self.rho * self.gain;
         self.values.iter_mut().for_each(|v| *v += mean);
@@ -207,7 +215,7 @@ impl<'a> PlacesModel<'a> {
         let projected = adjoint(self.frame, &self.light, &change);
         let (power, count) = (norm_squared(&change), self.frame.fitted_count() as f64);
         let unlikelihood = |width: f64| {
-            let rho = (width * self.gain).powi(-2);
+            let rho = prior_weight(width, self.gain);
             let factor = self.normal.factor(rho);
             let mut solved = projected.clone();
             factor.solve(&mut solved);
@@ -346,6 +354,11 @@ impl<'a> PlacesModel<'a> {
     }
 }
 
+/// `1/a²` of a prior whose standard deviation `a` is `width` times the mean gain.
+fn prior_weight(width: f64, gain: f64) -> f64 {
+    (width * gain).powi(-2)
+}
+
 /// `L_k` for one row time, from `k = 0` on.
 fn light_of(frame: &FrameFit, shapes: &Shapes) -> Result<Vec<Vec<f32>>> {
     let one = |k: usize| {
@@ -373,12 +386,6 @@ fn light_of(frame: &FrameFit, shapes: &Shapes) -> Result<Vec<Vec<f32>>> {
 fn normal(frame: &FrameFit, light: &[Vec<f32>]) -> BlockBand<f64> {
     let bins = frame.shape().bins;
     let instants = frame.instants();
-    let mut last: Vec<usize> = (0..bins).collect();
-    for instant in instants {
-        let end = instant.first_bin + instant.weights.len() - 1;
-        let seen = &mut last[instant.first_bin..=end];
-        seen.iter_mut().for_each(|last| *last = end.max(*last));
-    }
     let grams: Vec<Mat<f64>> = (0..instants.len())
         .into_par_iter()
         .map(|i| {
@@ -388,7 +395,7 @@ fn normal(frame: &FrameFit, light: &[Vec<f32>]) -> BlockBand<f64> {
             columns.transpose() * &columns
         })
         .collect();
-    let mut normal = BlockBand::zero(&vec![light.len(); bins], last);
+    let mut normal = BlockBand::zero(&vec![light.len(); bins], last_bins(instants, 0, bins));
     for (InstantWeights { first_bin, weights }, gram) in instants.iter().zip(&grams) {
         for (a, &weight) in weights.iter().enumerate() {
             for (b, &other) in weights[..=a].iter().enumerate() {
@@ -437,7 +444,9 @@ fn check_count(count: usize, most: usize) -> Result<()> {
     }
     if count > most {
         return fault(
-            format!("there are at most {most} places, half of the numbers of an instant"),
+            format!(
+                "there are at most {most} places: half of the numbers of an instant, and what a gigabyte holds"
+            ),
             "Give a guide with fewer lit places, or another model; lit pixels that touch are one place.",
         );
     }

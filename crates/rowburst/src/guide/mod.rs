@@ -402,8 +402,8 @@ impl Search<'_> {
                 (video, self.start, gain, offset, 0.0, 8.0)
             }
             Fitted::Places { affine, width } => {
-                let model = PlacesModel::new(&whole, &self.key_frames[0].image, affine)?;
-                let model = model.with_width(width);
+                let guide = &self.key_frames[0].image;
+                let model = PlacesModel::new(&whole, guide, affine, width)?;
                 let (found, parameters) = model.traces();
                 known_places = Some(found);
                 (

@@ -6,7 +6,7 @@ use rowburst_optics::Image;
 const MIN_PIXELS: usize = 4;
 /// Pixels around a place whose light above the rest is its own: a soft edge; larger gives places light that is not theirs.
 const EDGE_PX: usize = 2;
-/// Part of the pixels that the brightest one that counts for the threshold exceeds; smaller lets a hot pixel hide places.
+/// Brighter pixels than this part of all count as one of that rank for the threshold; larger lets hot pixels hide places.
 const BRIGHTEST: f64 = 0.995;
 /// Standard deviation of the smoothing of the rest, in pixels; smaller leaves noise of the guide in it, larger its structure
 /// out.
