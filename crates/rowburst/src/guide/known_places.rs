@@ -175,18 +175,18 @@ impl<'a> PlacesModel<'a> {
             gain,
             rho,
         };
-        Ok(model.solved())
+        Ok(model.with_traces())
     }
 
     /// The model with a prior whose standard deviation is `width` times the mean gain.
     fn with_width(mut self, width: f64) -> Self {
         self.rho = prior_weight(width, self.gain);
         self.normal.refactor(self.rho, &mut self.factor);
-        self.solved()
+        self.with_traces()
     }
 
     /// The model with its traces and residual.
-    fn solved(mut self) -> Self {
+    fn with_traces(mut self) -> Self {
         self.values = adjoint(self.frame, &self.light, &self.frame.target());
         let mean = self.rho * self.gain;
         self.values.iter_mut().for_each(|v| *v += mean);
