@@ -10,6 +10,8 @@ use super::foreign;
 use super::frame_data::FrameData;
 use super::held_out_run::HeldOutRun;
 use super::{Prior, Problem, RunResult};
+use rowburst_core::vecmath::norm;
+use rowburst_solve::DataTerm;
 use rowburst_solve::admm::TauRule;
 use tracing::info;
 
@@ -95,6 +97,12 @@ impl Problem {
             && choose::is_settled(errors)
     }
 
+    /// Whether the video explains less than none: more iterations do not save it.
+    fn is_lost(&self, check: &HeldOutCheck) -> bool {
+        let light = norm(self.data.measurements());
+        check.residual_rms > light / (self.data.measurement_count() as f64).sqrt()
+    }
+
     /// Runs `prior` on the pixels that are not held out, at most until the model explains the frame.
     pub(super) fn held_out_check(
         &mut self,
@@ -132,7 +140,8 @@ impl Problem {
             let is_dense = is_wide && was_wide && until >= FIRST_DENSE_ITERATION;
             was_wide = is_wide;
             let is_done = check.held_out_rms < error || self.is_explained(&check);
-            if has_converged || is_dense || until >= CHECK_ITERATIONS || is_done {
+            let is_over = has_converged || is_dense || until >= CHECK_ITERATIONS;
+            if is_over || is_done || self.is_lost(&check) {
                 self.is_dense |= is_dense;
                 info!(
                     "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",

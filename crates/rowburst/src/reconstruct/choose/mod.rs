@@ -363,7 +363,11 @@ pub(super) fn choose_prior(
     let position = |run: &HeldOutRun| priors.iter().position(|prior| *prior == run.prior);
     let first = match checked.and_then(|run| Some((position(&run)?, run))) {
         Some((rank, run)) => (rank, Trial::after(run, sigma)),
-        None => (0, new_trial(data, priors[0])),
+        None => {
+            // What is hopeless ends early only where something was tried before.
+            let rank = if is_dense { priors.len() - 1 } else { 0 };
+            (rank, new_trial(data, priors[rank]))
+        }
     };
     let tried = priors[first.0];
     trials.run(first, priors.len(), data, observer)?;
