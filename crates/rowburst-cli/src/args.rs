@@ -313,7 +313,7 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "FIRST..END")]
     pub bins: Option<String>,
     /// Reconstruct in chunks of N bins, each written before the next starts: for videos that do not fit
-    /// in memory. The prior has no term over time [default prior: tv+support]; 0: as many bins as fit
+    /// in memory. No term of the prior is over all bins [default prior: tv+support]; 0: as many bins as fit
     /// in 3 GiB. The same command resumes an interrupted run
     #[arg(long, value_name = "N", conflicts_with_all = ["truth", "direct", "debias", "region", "photodiode", "time_budget_s", "sweep"])]
     pub part_bins: Option<usize>,

@@ -194,24 +194,37 @@ impl Camera {
                 "."
             ],
         )?;
-        let mut kept = Vec::new();
-        for (i, run) in self.time.instants().iter().enumerate() {
-            let sees = run.first_bin..run.first_bin + run.weights.len();
-            if bins.start <= sees.start && sees.end <= bins.end {
-                kept.push(i);
-            } else {
-                require(
-                    sees.end <= bins.start || bins.end <= sees.start,
-                    Parameter::Bins,
-                    format!("{}..{}", bins.start, bins.end),
-                    format!(
-                        "no row is exposed both inside and outside the range, as some are to bins {}..{}",
-                        sees.start, sees.end
-                    ),
-                    "Ranges and chunks need exposures of at most one row time; with bins_per_row above 1 they begin at a row.",
-                )?;
-            }
+        for run in self.time.instants() {
+            let sees = run.bins();
+            let is_inside = bins.start <= sees.start && sees.end <= bins.end;
+            require(
+                is_inside || sees.end <= bins.start || bins.end <= sees.start,
+                Parameter::Bins,
+                format!("{}..{}", bins.start, bins.end),
+                format!(
+                    "no row is exposed both inside and outside the range, as some are to bins {}..{}",
+                    sees.start, sees.end
+                ),
+                "Ranges need exposures of at most one row time; with bins_per_row above 1 they begin at a row.",
+            )?;
         }
+        self.within(bins)
+    }
+
+    /// The camera that reads only the rows that are exposed to `bins` and to no other bins. With exposures longer than a
+    /// row time fewer of its rows see the first and last of these bins than those between.
+    ///
+    /// # Errors
+    /// If no row is exposed to them alone.
+    ///
+    /// # Panics
+    /// If `bins` is out of range.
+    pub fn within(&self, bins: Range<usize>) -> Result<Self> {
+        let instants = self.time.instants().iter().enumerate();
+        let kept: Vec<usize> = instants
+            .filter(|(_, run)| bins.start <= run.bins().start && run.bins().end <= bins.end)
+            .map(|(i, _)| i)
+            .collect();
         let first_instant = kept.first().copied().unwrap_or(0);
         let reads = |row: &usize| kept.contains(&self.instants[*row]);
         let kept_rows: Vec<usize> = (0..self.rows()).filter(reads).collect();

@@ -26,6 +26,13 @@ pub struct InstantWeights {
     pub weights: Vec<f64>,
 }
 
+impl InstantWeights {
+    /// The bins that it integrates.
+    pub fn bins(&self) -> std::ops::Range<usize> {
+        self.first_bin..self.first_bin + self.weights.len()
+    }
+}
+
 impl TimeGrid {
     /// A single bin of `duration_us` microseconds, which every row integrates with weight 1 (`global` shutter).
     pub fn single(duration_us: f64) -> Self {

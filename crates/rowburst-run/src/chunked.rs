@@ -1,12 +1,13 @@
 //! Reconstruction of a video too large for memory, in chunks of bins that are written one by one.
 //!
-//! Until all chunks are complete the output folder holds `video.npy.part` and `parts.json`. A run that was
-//! stopped or killed is resumed from these files.
+//! Until all chunks are complete the output folder holds `video.npy.part` and `parts.json`, and `borders.npy.part` where
+//! chunks fade into one another. A run that was stopped or killed is resumed from these files.
 //!
 //! A chunk keeps all pixels that are not marked as bad: it has too few to tell foreign ones. Neither its foreign pixels
 //! nor its coverage are written.
 
 use crate::artifacts::{Artifacts, Output, Summary};
+use crate::borders::{BORDERS_FILE, Borders};
 use crate::chunked_summary::{ChunkNumbers, ChunkedSummary};
 use crate::event::{Chunk, Event, IterationMetrics, Observer};
 use crate::format::short;
@@ -17,7 +18,7 @@ use crate::schema::RESULT_SCHEMA_VERSION;
 use crate::summary::{MetadataNumbers, peak_memory_bytes};
 use crate::task::Task;
 use rowburst::error::Subject;
-use rowburst::reconstruct::{ALGORITHM_REVISION, Chunked, Options, Reconstruction, Tau, Verdict};
+use rowburst::reconstruct::{ALGORITHM_REVISION, Chunked, Options, SolvedChunk, Tau, Verdict};
 use rowburst::solve::StopReason;
 use rowburst::vecmath::instruction_set;
 use rowburst::{Error, ErrorKind, Image, Parameter, Result, Shape, TimeGrid, Video, phrase};
@@ -55,10 +56,16 @@ impl ChunkedTask {
         let bins_per_chunk = Some(bins_per_chunk).filter(|n| *n > 0);
         let chunked = Chunked::new(task.camera, task.psfs, task.measurement, task.options)?
             .with_cancel(&task.cancel);
-        if let Some(first) = chunked.ranges(bins_per_chunk).first() {
-            let what = format!("a chunk of {} bins", first.len());
+        let ranges = chunked.ranges(bins_per_chunk);
+        let largest = ranges.iter().max_by_key(|bins| chunked.chunk_bytes(bins));
+        if let Some(bins) = largest {
+            let solved = chunked.solved_bins(bins).len();
+            let what = format!(
+                "a chunk of {} bins (with its neighbours {solved})",
+                bins.len()
+            );
             let remedy = phrase!["Make ", Parameter::PartBins, " smaller."];
-            let needed = Some(chunked.chunk_bytes(first));
+            let needed = Some(chunked.chunk_bytes(bins));
             check_bytes(Parameter::PartBins, &what, needed, remedy)?;
         }
         Ok(Self {
@@ -126,7 +133,7 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     let run_start = Instant::now();
     let shape = chunked.camera().video_shape();
     let ranges = chunked.ranges(task.bins_per_chunk);
-    for name in ["video.npy.part", "video.npy", STATE_FILE] {
+    for name in ["video.npy.part", "video.npy", BORDERS_FILE, STATE_FILE] {
         folder.list(name)?;
     }
     let job = job_hash(task, &ranges);
@@ -137,12 +144,14 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     } else {
         ChunkedVideoFile::open(&path, shape)?
     };
-    if !file.is_resumed() {
+    let mut borders = Borders::open(folder, shape, chunked.faded_bins())?;
+    if !file.is_resumed() || !state.is_complete && !borders.are_resumed() {
         state = ResumeState::new(job);
     }
     // The file of an earlier run does not describe the new files.
     folder.remove("result.json")?;
-    for range in ranges {
+    let last = ranges.len() - 1;
+    for (index, range) in ranges.into_iter().enumerate() {
         if state.parts.iter().any(|p| p.first_bin == range.start) {
             continue;
         }
@@ -151,8 +160,8 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
             bins: range.clone(),
             video_bins: shape.bins,
         };
-        let reconstruction = solve_chunk(chunked, &chunk, run_start, observer)?;
-        let Some(reconstruction) = reconstruction else {
+        let solved = solve_chunk(chunked, &chunk, run_start, observer)?;
+        let Some(solved) = solved else {
             let done: usize = state.parts.iter().map(|p| p.end_bin - p.first_bin).sum();
             return Err(Error::work(
                 Subject::named("reconstruction"),
@@ -161,7 +170,11 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
             )
             .with_kind(ErrorKind::Cancelled));
         };
-        file.write(range.start, reconstruction.video.data())?;
+        borders.write_chunk(&mut file, index, range.start, &solved)?;
+        if index < last {
+            borders.keep(index, &solved)?;
+        }
+        let reconstruction = solved.reconstruction;
         info!("wrote bins {range:?} of {}", shape.bins);
         state.parts.push(ChunkNumbers {
             first_bin: range.start,
@@ -178,7 +191,9 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
         state.parts.sort_by_key(|p| p.first_bin);
         state.write(folder)?;
     }
+    drop(borders);
     let summary = write_result(task, output, file, state)?;
+    folder.remove(BORDERS_FILE)?;
     folder.remove(STATE_FILE)?;
     Ok(Artifacts::new(output, summary, Vec::new()))
 }
@@ -229,7 +244,7 @@ fn solve_chunk(
     chunk: &Chunk,
     run_start: Instant,
     observer: Observer,
-) -> Result<Option<Reconstruction>> {
+) -> Result<Option<SolvedChunk>> {
     let solved = chunked.solve(chunk.bins.clone(), &mut |progress| {
         observer(Event::Iteration {
             progress,
@@ -243,7 +258,7 @@ fn solve_chunk(
     });
     match solved {
         Err(_) if chunked.cancel().is_cancelled() => Ok(None),
-        Ok(solved) if solved.stop_reason == StopReason::Interrupted => Ok(None),
+        Ok(solved) if solved.reconstruction.stop_reason == StopReason::Interrupted => Ok(None),
         solved => solved.map(Some),
     }
 }
@@ -441,7 +456,16 @@ fn report_sheet<'a>(
         ]
     });
     let pair = |name: &str, value: String| (name.to_string(), value);
-    let bins_per_chunk = summary.parts.first().map_or(0, |p| p.end_bin - p.first_bin);
+    let first = summary
+        .parts
+        .first()
+        .map_or(0..0, |p| p.first_bin..p.end_bin);
+    let bins_per_chunk = first.len();
+    let neighbours = if task.chunked.solved_bins(&first).len() > bins_per_chunk {
+        ", together with bins next to it"
+    } else {
+        ", independently"
+    };
     Sheet {
         title: output.title,
         summary: format!(
@@ -455,7 +479,7 @@ fn report_sheet<'a>(
         verdict: None,
         warnings: summary.warnings.clone(),
         notes: vec![format!(
-            "Each chunk of {bins_per_chunk} bins is reconstructed independently, from the rows that measure it. The prior has no term over time."
+            "Each chunk of {bins_per_chunk} bins is reconstructed from the rows that measure it{neighbours}."
         )],
         headline: vec![
             pair("Fit", summary.fit.into()),

@@ -15,6 +15,7 @@
 //! may stop it.
 
 mod artifacts;
+mod borders;
 pub mod calibrate;
 mod check;
 mod chunked;

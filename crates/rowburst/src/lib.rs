@@ -131,7 +131,7 @@ pub mod solve {
 /// The terms of priors and their proximal operators.
 pub mod prox {
     #[doc(inline)]
-    pub use rowburst_solve::prox::{Prox, TERMS, TermSpec, Variation, VariationWeights};
+    pub use rowburst_solve::prox::{Coupling, Prox, TERMS, TermSpec, Variation, VariationWeights};
 }
 
 /// Reconstructs the video `v[t, y, x]` of one corrected frame (Eqs. 4 and 5 in the head of the crate).

@@ -36,8 +36,7 @@ def reconstruct_chunked(
 ) -> SavedResult:
     """The video of a frame in chunks of bins, each written to a folder before the next one starts.
 
-    The numbers are those of ``rowburst reconstruct --part-bins``. The prior has no term over time, and each exposure is a
-    row time or shorter. Called again after Ctrl-C or a crash, it goes on where it was.
+    The numbers are those of ``rowburst reconstruct --part-bins``. No term of the prior is over all bins. Called again after Ctrl-C or a crash, it goes on where it was.
 
     Parameters
     ----------
@@ -62,7 +61,7 @@ def reconstruct_chunked(
     Raises
     ------
     InputError
-        An argument breaks a rule, such as a prior with a term over time.
+        An argument breaks a rule, such as a prior with a term over all bins.
     WorkError
         The work failed, a chunk does not fit into memory, or ``progress`` ended it; the chunks that are done are kept.
 

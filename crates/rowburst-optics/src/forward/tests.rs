@@ -317,21 +317,58 @@ fn a_scene_at_rest_is_seen_as_its_video() {
     }
 }
 
+fn top_down(exposure_us: f64, bins_per_row: usize) -> Camera {
+    Camera::new(CameraParams {
+        rows: 10,
+        columns: 9,
+        shutter: Shutter::TopDown,
+        row_time_us: 1.0,
+        exposure_us,
+        bins_per_row,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .unwrap()
+}
+
+/// The rows that are exposed to some bins alone see a video of these bins as the whole camera does.
+#[test]
+fn rows_within_bins_see_their_video() {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(9);
+    let psf = random_psf(11, 13, &mut rng);
+    for (exposure_us, bins_per_row, bins, rows) in [
+        (2.5, 1, 3..9, 3..7),
+        (2.5, 1, 0..12, 0..10),
+        (1.7, 2, 4..12, 2..5),
+        (1.0, 1, 4..7, 4..7),
+    ] {
+        let camera = top_down(exposure_us, bins_per_row);
+        let part = camera.within(bins.clone()).unwrap();
+        assert_eq!(
+            part.sensor_rows().collect::<Vec<_>>(),
+            rows.clone().collect::<Vec<_>>()
+        );
+        let shape = camera.video_shape();
+        let of_bins = bins.start * shape.pixels()..bins.end * shape.pixels();
+        let mut video = vec![0.0; shape.voxels()];
+        video[of_bins.clone()].fill_with(|| rng.random_range(0.0..1.0));
+        let seen = |camera: &Camera, video: &[f32]| {
+            let mut frame = vec![0.0; camera.rows() * camera.columns()];
+            RollingShutter::new(camera, &psf).apply(video, &mut frame);
+            frame
+        };
+        let whole = &seen(&camera, &video)[rows.start * 9..rows.end * 9];
+        for (a, b) in seen(&part, &video[of_bins]).iter().zip(whole) {
+            assert!((a - b).abs() < 1e-5 * (1.0 + b.abs()), "{a} {b}");
+        }
+    }
+    let message = top_down(2.5, 1).within(3..5).unwrap_err().to_string();
+    assert!(message.contains("at least one row"), "{message}");
+}
+
 #[test]
 fn subsets_that_split_an_exposure_are_refused() {
-    let camera = |exposure_us| {
-        Camera::new(CameraParams {
-            rows: 10,
-            columns: 9,
-            shutter: Shutter::TopDown,
-            row_time_us: 1.0,
-            exposure_us,
-            bins_per_row: 1,
-            field: None,
-            sensor: Sensor::default(),
-        })
-        .unwrap()
-    };
+    let camera = |exposure_us| top_down(exposure_us, 1);
     assert!(camera(1.0).subset(0..3).is_ok());
     for (exposure, bins, word) in [
         (2.5, 0..3, "exposed"),

@@ -20,7 +20,7 @@
 //! It takes at least 2 and at most 4 steps (docs/design/012).
 
 use super::dual::DualTerm;
-use super::term::{TermForm, TermSpec};
+use super::term::{Coupling, TermForm, TermSpec};
 use super::{Prox, Variation, VariationWeights};
 use rayon::prelude::*;
 use rowburst_core::vecmath::{distance_squared, simd};
@@ -30,7 +30,7 @@ use rowburst_core::{Shape, Support};
 pub const GROUP: TermSpec = TermSpec {
     name: "group",
     favours: "few active pixels, each with any trace",
-    couples_bins: true,
+    coupling: Coupling::All,
     excludes: None,
     unit: |shape| 2.0 * (shape.bins as f64).sqrt(),
     form: TermForm::Traces,

@@ -8,12 +8,12 @@
 //! `|p| ≤ s w`.
 
 use super::dual::{self, DualTerm};
-use super::term::TermSpec;
+use super::term::{Coupling, TermSpec};
 use rowburst_core::Shape;
 
 /// The term `tcurve`.
 pub const TCURVE: TermSpec = TermSpec {
-    couples_bins: true,
+    coupling: Coupling::Neighbours,
     ..TermSpec::dual("tcurve", "light that rises and falls evenly", |shape| {
         Box::new(Curvature::new(shape))
     })

@@ -1,6 +1,6 @@
 //! The terms that [`Variation`] computes, and a static background.
 
-use super::term::{TermForm, TermSpec, one_voxel};
+use super::term::{Coupling, TermForm, TermSpec, one_voxel};
 use super::variation::{Variation, VariationWeights};
 use rowburst_core::Shape;
 use rowburst_core::linop::Background;
@@ -8,7 +8,7 @@ use rowburst_core::linop::Background;
 const FUSED: TermSpec = TermSpec {
     name: "",
     favours: "",
-    couples_bins: false,
+    coupling: Coupling::None,
     excludes: None,
     unit: one_voxel,
     form: TermForm::Fused(|weights| &mut weights.space),
@@ -25,7 +25,7 @@ pub const TV: TermSpec = TermSpec {
 pub const TDIFF: TermSpec = TermSpec {
     name: "tdiff",
     favours: "light that is switched on and off",
-    couples_bins: true,
+    coupling: Coupling::Neighbours,
     form: TermForm::Fused(|weights| &mut weights.time),
     ..FUSED
 };
@@ -42,7 +42,7 @@ pub const L1: TermSpec = TermSpec {
 pub const BACKGROUND: TermSpec = TermSpec {
     name: "background",
     favours: "a scene in front of a static background; alone, a scene at rest",
-    couples_bins: true,
+    coupling: Coupling::All,
     excludes: None,
     unit: one_voxel,
     form: TermForm::Background {

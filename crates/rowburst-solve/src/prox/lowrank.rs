@@ -12,7 +12,7 @@
 //! `P Pᵀ` (bins × bins), in f64: its eigenvalues span twice the decades of the singular values.
 
 use super::dual::{self, DualTerm};
-use super::term::{TermForm, TermSpec, one_voxel};
+use super::term::{Coupling, TermForm, TermSpec, one_voxel};
 use super::{Composite, VariationWeights};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
@@ -22,7 +22,7 @@ use rowburst_core::linop::Background;
 
 /// The term `lowrank`.
 pub const LOWRANK: TermSpec = TermSpec {
-    couples_bins: true,
+    coupling: Coupling::All,
     // Three times the singular value of a shape on a hundredth of `P` pixels of the field, active half of the time at
     // brightness 1: √(T·P/200).
     unit: |shape| 3.0 * (shape.bins as f64 * shape.pixels() as f64 / 200.0).sqrt(),
@@ -35,7 +35,7 @@ pub const LOWRANK: TermSpec = TermSpec {
 pub const LOWRANK_BACKGROUND: TermSpec = TermSpec {
     name: "lowrank-background",
     favours: "a background that blinks as a whole",
-    couples_bins: true,
+    coupling: Coupling::All,
     excludes: Some((
         "background",
         "a static background has low rank: use either background or lowrank-background",

@@ -25,7 +25,7 @@ pub use sparse::Sparse;
 pub use sum_prior::SumPrior;
 #[doc(hidden)]
 pub use term::TermForm;
-pub use term::TermSpec;
+pub use term::{Coupling, TermSpec};
 pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 

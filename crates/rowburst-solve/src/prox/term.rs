@@ -13,8 +13,8 @@ pub struct TermSpec {
     pub name: &'static str,
     /// What it favours, in a few words.
     pub favours: &'static str,
-    /// Whether it couples bins.
-    pub couples_bins: bool,
+    /// Which bins it couples.
+    pub coupling: Coupling,
     /// Another term that cannot be combined with it, and why.
     pub excludes: Option<(&'static str, &'static str)>,
     /// Size of what it acts on in videos of a shape, in units of the brightness of a voxel; larger shrinks the term
@@ -35,7 +35,7 @@ impl TermSpec {
         Self {
             name,
             favours,
-            couples_bins: false,
+            coupling: Coupling::None,
             excludes: None,
             unit: one_voxel,
             form: TermForm::Dual(build),
@@ -49,6 +49,17 @@ impl TermSpec {
             _ => None,
         }
     }
+}
+
+/// Which bins of a video a term couples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coupling {
+    /// None: each bin has a sum of its own.
+    None,
+    /// Each with those next to it.
+    Neighbours,
+    /// All of them.
+    All,
 }
 
 /// How a term is computed.

@@ -11,7 +11,7 @@
 //! the axes, and is cheaper for light that is switched on and off.
 
 use super::dual::{self, DualTerm};
-use super::term::TermSpec;
+use super::term::{Coupling, TermSpec};
 use rayon::prelude::*;
 use rowburst_core::Shape;
 use rowburst_core::vecmath::simd;
@@ -19,7 +19,7 @@ use std::ops::Range;
 
 /// The term `tv3d`.
 pub const TV3D: TermSpec = TermSpec {
-    couples_bins: true,
+    coupling: Coupling::Neighbours,
     ..TermSpec::dual("tv3d", "moving shapes", |shape| {
         Box::new(Variation3d::new(shape, Isotropy::Isotropic))
     })
@@ -27,7 +27,7 @@ pub const TV3D: TermSpec = TermSpec {
 
 /// The term `tv3d-aniso`.
 pub const TV3D_ANISO: TermSpec = TermSpec {
-    couples_bins: true,
+    coupling: Coupling::Neighbours,
     excludes: Some((
         "tv3d",
         "tv3d and tv3d-aniso are two forms of one term: use one of them",

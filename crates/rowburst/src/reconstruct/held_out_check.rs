@@ -98,7 +98,7 @@ impl Problem {
     }
 
     /// Whether the video explains less than none: more iterations do not save it.
-    fn is_lost(&self, check: &HeldOutCheck) -> bool {
+    fn explains_nothing(&self, check: &HeldOutCheck) -> bool {
         let light = norm(self.data.measurements());
         check.residual_rms > light / (self.data.measurement_count() as f64).sqrt()
     }
@@ -141,7 +141,7 @@ impl Problem {
             was_wide = is_wide;
             let is_done = check.held_out_rms < error || self.is_explained(&check);
             let is_over = has_converged || is_dense || until >= CHECK_ITERATIONS;
-            if is_over || is_done || self.is_lost(&check) {
+            if is_over || is_done || self.explains_nothing(&check) {
                 self.is_dense |= is_dense;
                 info!(
                     "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",

@@ -26,7 +26,7 @@ mod x_step;
 
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
-pub use chunked::Chunked;
+pub use chunked::{Chunked, SolvedChunk};
 pub use data_step::DataStep;
 pub use fit::{Fit, FitStatistics, TrimmedChiSquared, Verdict};
 pub use model::Model;

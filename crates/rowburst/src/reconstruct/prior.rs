@@ -27,7 +27,7 @@ use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_solve::admm::{AdmmParams, TauRule};
 use rowburst_solve::prox::{
-    Composite, Prox, SumPrior, TERMS, TermForm, TermSpec, Variation, VariationWeights,
+    Composite, Coupling, Prox, SumPrior, TERMS, TermForm, TermSpec, Variation, VariationWeights,
 };
 
 /// A prior: the weights of its convex terms, and whether the video is restricted to a support.
@@ -212,19 +212,19 @@ impl Prior {
         }
     }
 
-    /// Checks that no term couples bins, so that bins can be reconstructed separately.
+    /// Checks that no term couples all bins, so that a chunk of them can be reconstructed by itself.
     ///
     /// # Errors
-    /// A term over time.
-    pub fn check_separable_in_time(&self) -> Result<()> {
-        match self.temporal_term() {
+    /// A term over all bins.
+    pub fn check_chunks(&self) -> Result<()> {
+        match self.term_coupling(Coupling::All) {
             None => Ok(()),
             Some(name) => Err(Error::input(
                 Parameter::Prior,
                 format!("\"{name}\" for a video that is reconstructed in chunks"),
-                format!("{name} couples bins, which would be in different chunks"),
+                format!("{name} couples all bins, which would be in different chunks"),
                 phrase![
-                    "Use terms of space alone, such as tv+support, l1, wavelet, or fewer bins (",
+                    "Use terms of space and of neighbouring bins, such as tv+support, tv+0.5*tdiff+support, wavelet, or fewer bins (",
                     Parameter::Bins,
                     ") in one chunk."
                 ],
@@ -233,10 +233,21 @@ impl Prior {
         }
     }
 
+    /// Whether a term couples neighbouring bins.
+    pub(super) fn couples_neighbours(&self) -> bool {
+        self.term_coupling(Coupling::Neighbours).is_some()
+    }
+
+    /// The name of a term that couples these bins.
+    fn term_coupling(&self, coupling: Coupling) -> Option<&'static str> {
+        let mut terms = self.terms().filter(|(term, _)| term.coupling == coupling);
+        terms.next().map(|(term, _)| term.name)
+    }
+
     /// The name of a term that couples bins.
     fn temporal_term(&self) -> Option<&'static str> {
-        let mut names = self.terms().filter(|(term, _)| term.couples_bins);
-        names.next().map(|(term, _)| term.name)
+        self.term_coupling(Coupling::Neighbours)
+            .or(self.term_coupling(Coupling::All))
     }
 }
 
