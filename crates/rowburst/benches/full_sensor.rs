@@ -100,7 +100,7 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
     for range in chunks.ranges(None) {
         let begun = Instant::now();
         let mut stamps = Vec::new();
-        let found = chunks
+        let chunk = chunks
             .solve(range.clone(), &mut |progress| {
                 stamps.push((begun.elapsed().as_secs_f64(), progress.support_fraction));
                 ControlFlow::Continue(())
@@ -110,10 +110,11 @@ fn run(side: usize, bins: usize, digits: usize) -> Cost {
         let now = Instant::now();
         let pixels = side * side;
         for (i, bin) in range.clone().enumerate() {
-            let own = &found.video.data()[i * pixels..(i + 1) * pixels];
+            let own = &chunk.video()[i * pixels..(i + 1) * pixels];
             decibels.push(psnr_db(own, scene_of(bin, side, digits).data()));
         }
         comparing += now.elapsed().as_secs_f64();
+        let found = &chunk.reconstruction;
         let unrestricted = stamps.iter().take_while(|s| s.1 == 1.0).count();
         println!(
             "- bins {range:?}: {taken:.1} s, {} iterations ({unrestricted} of them on all voxels, until {:.1} s), residual/σ {:.3}, support {:.2e}, τ {:.3e}, {}",
