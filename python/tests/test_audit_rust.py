@@ -228,7 +228,7 @@ def test_words_are_those_of_python(camera, psf, capture, result, tmp_path):
     chunked = lambda camera, **options: rb.reconstruct_chunked(capture.frame, tmp_path / "chunks", camera, psf, prior="tv", **options)
     error = refused(lambda: chunked(camera, bins=(5, 3)), "bins=(FIRST, END)")
     assert "FIRST..END" not in str(error) and error.parameter == "bins"
-    error = refused(lambda: chunked(camera.replace(exposure_us=25.0)), "Call `rb.reconstruct`")
+    error = refused(lambda: chunked(camera.replace(shutter="global")), "Call `rb.reconstruct`")
     assert "bins_per_chunk" not in error.remedy
     error = refused(lambda: rb.simulate(camera, "digits", psf, digit_px=0), "digit_px: found 0")
     assert str(error).count("digit_px") == 1

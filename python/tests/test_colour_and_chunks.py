@@ -127,8 +127,8 @@ def test_chunks_are_those_of_the_command_line_and_go_on(files, camera, tmp_path)
     if PROGRAM:
         command(files, "experiment.toml", "--prior", "tv", "--max-iterations", 20, "--part-bins", 4, "-o", tmp_path / "out")
         np.testing.assert_array_equal(np.load(tmp_path / "out" / "video.npy"), saved.video)
-    with pytest.raises(rb.InputError, match="tdiff couples bins"):
-        rb.reconstruct_chunked(frame, tmp_path / "no", camera, psf, prior="tdiff")
+    with pytest.raises(rb.InputError, match="group couples all bins"):
+        rb.reconstruct_chunked(frame, tmp_path / "no", camera, psf, prior="group")
     pytest.importorskip("matplotlib").use("Agg")
     saved.plot()
     saved.montage(3)

@@ -144,7 +144,7 @@ impl Names for Arguments {
             (Parameter::FramePeriodUs, ErrorKind::Missing) => {
                 Some("Give frame_period_us=.".to_string())
             }
-            (Parameter::ExposureUs, ErrorKind::Unsupported) => Some(
+            (Parameter::PartBins, ErrorKind::Unsupported) => Some(
                 "Call `rb.reconstruct`; if memory is short, make field smaller or bin the frame."
                     .to_string(),
             ),
