@@ -139,6 +139,14 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     let job = job_hash(task, &ranges);
     let mut state = ResumeState::take_up(folder, job)?;
     let path = folder.path().join("video.npy");
+    let is_there = |name: &str| folder.path().join(name).exists();
+    let has_borders = chunked.faded_bins() == 0 || is_there(BORDERS_FILE);
+    let has_video = is_there("video.npy.part");
+    if !(has_video && has_borders || state.is_complete && (has_video || is_there("video.npy"))) {
+        // Before files without its chunks take their place.
+        folder.remove(STATE_FILE)?;
+        state = ResumeState::new(job);
+    }
     let mut file = if state.is_complete {
         ChunkedVideoFile::reopen(&path, shape)?
     } else {
@@ -146,6 +154,7 @@ pub fn run_chunked(task: &ChunkedTask, output: &Output, observer: Observer) -> R
     };
     let mut borders = Borders::open(folder, shape, chunked.faded_bins())?;
     if !file.is_resumed() || !state.is_complete && !borders.are_resumed() {
+        folder.remove(STATE_FILE)?;
         state = ResumeState::new(job);
     }
     // The file of an earlier run does not describe the new files.

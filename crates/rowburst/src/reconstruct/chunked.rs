@@ -192,7 +192,10 @@ impl Chunked {
         };
         let bins_per_chunk = bins_per_chunk.unwrap_or(per_row * fitting_multiple);
         let least = 2 * self.faded_bins();
-        let bins_per_chunk = bins_per_chunk.next_multiple_of(per_row).max(least);
+        let bins_per_chunk = bins_per_chunk
+            .min(bins)
+            .next_multiple_of(per_row)
+            .max(least);
         // Bins that are too few for a chunk belong to the one before.
         let last_start = bins.saturating_sub(least.max(1));
         let starts: Vec<usize> = (0..=last_start).step_by(bins_per_chunk).collect();

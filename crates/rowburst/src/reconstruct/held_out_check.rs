@@ -129,7 +129,7 @@ impl Problem {
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, settings);
         let mut until = FIRST_CHECK_ITERATION;
         let mut errors = Vec::new();
-        let mut was_wide = false;
+        let (mut was_wide, mut explained_nothing) = (false, false);
         loop {
             let has_converged = run.run(&mut self.data, until, observer)?;
             let check = HeldOutCheck::of(&run, &self.data);
@@ -141,7 +141,11 @@ impl Problem {
             was_wide = is_wide;
             let is_done = check.held_out_rms < error || self.is_explained(&check);
             let is_over = has_converged || is_dense || until >= CHECK_ITERATIONS;
-            if is_over || is_done || self.explains_nothing(&check) {
+            // Once alone, a bin may just have been opened.
+            let explains_nothing = self.explains_nothing(&check);
+            let is_hopeless = explains_nothing && explained_nothing;
+            explained_nothing = explains_nothing;
+            if is_over || is_done || is_hopeless {
                 self.is_dense |= is_dense;
                 info!(
                     "check of the model, prior {prior}: residual {:.3} σ, held-out error {:.3} σ, {:.1} % of the voxels active",
