@@ -177,8 +177,8 @@ impl Chunked {
     }
 
     /// The bins of each chunk, in order. A chunk has `bins_per_chunk` bins, rounded up to whole rows, and two exposures at
-    /// least where these share bins; `None`: as many as 3 GiB hold, but no fewer than it is solved with on one side. The
-    /// ranges depend on camera, prior and `bins_per_chunk` alone.
+    /// least where these share bins; `None`: as many as 3 GiB hold, but about as many as it is solved with on one side at
+    /// least. The last one has the rest. The ranges depend on camera, prior and `bins_per_chunk` alone.
     pub fn ranges(&self, bins_per_chunk: Option<usize>) -> Vec<Range<usize>> {
         let bins = self.camera.time().bins();
         let per_row = self.camera.params().bins_per_row;

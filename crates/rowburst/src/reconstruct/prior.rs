@@ -224,9 +224,9 @@ impl Prior {
                 format!("\"{name}\" for a video that is reconstructed in chunks"),
                 format!("{name} couples all bins, which would be in different chunks"),
                 phrase![
-                    "Use terms of space and of neighbouring bins, such as tv+support, tv+0.5*tdiff+support, wavelet, or fewer bins (",
-                    Parameter::Bins,
-                    ") in one chunk."
+                    "Use terms of space and of neighbouring bins, such as tv+support, tv+0.5*tdiff+support, wavelet, or leave ",
+                    Parameter::PartBins,
+                    " out."
                 ],
             )
             .with_kind(ErrorKind::Unsupported)),

@@ -364,7 +364,7 @@ pub(super) fn choose_prior(
     let first = match checked.and_then(|run| Some((position(&run)?, run))) {
         Some((rank, run)) => (rank, Trial::after(run, sigma)),
         None => {
-            // What is hopeless ends early only where something was tried before.
+            // A candidate ends early only after another. In dense scenes the last one, which assumes least, sets the pace.
             let rank = if is_dense { priors.len() - 1 } else { 0 };
             (rank, new_trial(data, priors[rank]))
         }
