@@ -15,6 +15,7 @@ use super::held_out_run::HeldOutRun;
 use super::sigma::Bands;
 use super::{Prior, Problem, RunResult, SigmaSource, noise_of};
 use rowburst_solve::DataTerm;
+use tracing::debug;
 
 /// Noise level of a round over that of the one before; smaller absorbs foreign pixels that are not found yet.
 const LEVEL_RATIO: f64 = 0.5;
@@ -26,6 +27,9 @@ const MAX_LAST_ROUNDS: usize = 4;
 const READMISSION_LEVEL: f64 = 4.0;
 /// Factor on the limit of a residual below which a pixel comes back between rounds; larger takes faint foreign pixels back.
 const EARLY_READMISSION: f64 = 0.4;
+/// Fall of the held-out error in a round at the noise of the sensor, in parts of it, below which the next round is not worth
+/// its time; larger misses faint foreign pixels.
+const MIN_FALL: f64 = 0.03;
 /// Factors on that limit at the end, one after the other: where many pixels are excluded, the video predicts them poorly.
 const READMISSIONS: [f64; 3] = [4.0, 1.0, 1.0];
 /// Part of the pixels that come back below which another check is not worth its time.
@@ -33,10 +37,12 @@ const FEW_PIXELS: f64 = 1e-4;
 /// Held-out error over that before above which a readmission is undone.
 const READMISSION_ERROR_RATIO: f64 = 1.02;
 impl Problem {
-    /// Leaves the pixels `found` out, and others that prove to be foreign; takes those back that the video predicts.
+    /// Leaves the pixels `found` out, and others that prove to be foreign; takes those back that the video predicts, if
+    /// it predicts held-out ones better than with all pixels (`with_all`).
     pub(super) fn check_without(
         &mut self,
         found: Foreign,
+        with_all: f64,
         broken: &[bool],
         prior: Prior,
         observer: &mut Observer,
@@ -44,10 +50,13 @@ impl Problem {
         let (mut level, mut excluded) = (found.level, found.pixels);
         let few = negligible_count(&excluded);
         let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
-        for factor in READMISSIONS {
+        let predicts_better = self.is_explained(&check) || check.held_out_rms < with_all;
+        let mut undone = None;
+        for factor in READMISSIONS.into_iter().filter(|_| predicts_better) {
             let before = self.excluded.clone();
             excluded = self.without_predicted(&check, factor, broken);
-            if count(&before) - count(&excluded) <= few {
+            let is_same = undone == Some(factor);
+            if is_same || count(&before) - count(&excluded) <= few {
                 continue;
             }
             let was_explained = self.is_explained(&check);
@@ -57,6 +66,7 @@ impl Problem {
                 check = next;
             } else {
                 self.exclude(before);
+                undone = Some(factor);
             }
         }
         if !self.is_explained(&check) {
@@ -79,6 +89,7 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let mut rounds = 0;
+        let mut last_error = f64::INFINITY;
         loop {
             self.exclude(excluded);
             if *level < LAST_LEVEL_RATIO * self.sigma {
@@ -100,10 +111,22 @@ impl Problem {
                 } else {
                     0
                 };
-            if is_last_level && (is_complete || rounds >= MAX_LAST_ROUNDS)
+            debug!(
+                "without {} pixels at a noise level of {:.2} σ: residual {:.3} σ, held-out error {:.3} σ, {} stand out",
+                count(&self.excluded),
+                *level / self.sigma,
+                check.residual_rms / self.sigma,
+                check.held_out_rms / self.sigma,
+                count(&new)
+            );
+            let falls = check.held_out_rms < (1.0 - MIN_FALL) * last_error;
+            if is_last_level && (is_complete || !falls || rounds >= MAX_LAST_ROUNDS)
                 || !is_last_level && !is_reached
             {
                 return Ok(check);
+            }
+            if is_last_level {
+                last_error = check.held_out_rms;
             }
             excluded = self.excluded.clone();
             if !is_last_level {

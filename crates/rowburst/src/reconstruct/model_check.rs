@@ -31,6 +31,9 @@ const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
 /// Held-out error without the pixels that stand out over that with them, above which PSF and camera are corrected first:
 /// foreign pixels are most of the error where there are any; smaller searches for corrections of what they do.
 const FOREIGN_ERROR_RATIO: f64 = 0.8;
+/// Noise level of all pixels over that without the foreign ones, above which foreign pixels have raised it; larger takes
+/// them for noise.
+const MAX_SIGMA_RATIO: f64 = 1.2;
 /// Part of the pixels from which they are many.
 const MANY_EXCLUDED: f64 = 0.01;
 
@@ -207,11 +210,16 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let none = vec![false; self.excluded.len()];
+        let sensor_sigma = self.sigma;
         self.exclude(none.clone());
         self.apply_correction(finding, none);
         let check = self.held_out_check(prior, observer)?;
+        // Many foreign pixels raise the noise level that is estimated from the frame.
+        let is_noise_known = self.sigma < MAX_SIGMA_RATIO * sensor_sigma;
         // Foreign pixels must explain half of the error, which is never below the noise of the sensor.
-        if self.is_explained(&check) || MAX_ERROR_RATIO_OF_MANY * check.held_out_rms < self.sigma {
+        if is_noise_known && self.is_explained(&check)
+            || MAX_ERROR_RATIO_OF_MANY * check.held_out_rms < sensor_sigma
+        {
             return Ok(check);
         }
         let found = self.find_foreign(observer)?;
@@ -275,7 +283,8 @@ impl Problem {
             return Ok(check);
         }
         let lines = BrokenLines::new(&self.measurement, self.camera.instants());
-        let without = self.check_without(found, &lines.is_broken, prior, observer)?;
+        let with_all = check.held_out_rms;
+        let without = self.check_without(found, with_all, &lines.is_broken, prior, observer)?;
         let excluded_fraction = count(&self.excluded) as f64 / self.excluded.len() as f64;
         // What a corrected PSF leaves is largest at bright pixels, which are not foreign.
         let is_doubtful = self.calibration.is_some();
