@@ -95,6 +95,39 @@ def banded(light, part, rng):
     return light + part * light.mean() * rng.standard_normal((len(light), 1))
 
 
+def lower_half_brighter(light, part):
+    brighter = light.copy()
+    brighter[len(light) // 2 :] *= 1 + part
+    return brighter
+
+
+# ---------------------------------------------------------------- faults of the timing
+
+
+def retimed(made, exposure, longer=0.0, late=0.0):
+    """The frame of a dual inside-out sensor whose rows are exposed `longer` row times longer than `exposure`, and whose lower
+    half is read `late` row times late."""
+    bins, rows, columns = made.truth.shape
+    side = [sum(sides) for sides in zip(made.psf.shape, made.truth.shape[1:])]
+    scene = np.fft.rfft2(made.truth.astype(float), side)
+    optics = np.fft.rfft2(made.psf.astype(float) / made.psf.sum(dtype=float), side)
+    top, left = (s // 2 for s in made.psf.shape)
+    lead = int(np.ceil(exposure)) - 1
+    light = np.empty((rows, columns))
+    for row in range(rows):
+        is_lower = row >= rows // 2
+        end = (row - rows // 2 if is_lower else rows // 2 - 1 - row) + 1 + lead + late * is_lower
+        seen = np.minimum(np.arange(1, bins + 1), end) - np.maximum(np.arange(bins), end - exposure - longer)
+        image = np.fft.irfft2(np.tensordot(np.maximum(seen, 0), scene, 1) * optics, side)
+        light[row] = image[row + top, left : left + columns]
+    return light
+
+
+TIMING_FAULTS = {
+    "lower half 0.05 rows late": {"late": 0.05},
+    "lower half 0.25 rows late": {"late": 0.25},
+    "exposure 0.3 rows longer": {"longer": 0.3},
+}
 # Changes of PSF and light, each of (array, rng).
 FAULTS = {
     "nothing": (None, None),
@@ -119,6 +152,8 @@ FAULTS = {
     "rotation 0.6°": (lambda p, r: distorted(p, rotation_deg=0.6), None),
     "pinhole blur 1 px": (lambda p, r: through_pinhole(p, 1), None),
     "vignetting 40 %": (None, lambda b, r: vignetted(b, 0.4)),
+    "lower half 3 % brighter": (None, lambda b, r: lower_half_brighter(b, 0.03)),
+    **{fault: (None, None) for fault in TIMING_FAULTS},
 }
 
 
@@ -127,7 +162,8 @@ def problem(bench, scene, fault, seed, exposure=1):
     made = simulated(bench, scene, exposure, seed)
     change_psf, change_light = FAULTS[fault]
     rng = np.random.default_rng([seed, 4])
-    light = change_light(made.light, rng) if change_light else made.light
+    light = retimed(made, exposure, **TIMING_FAULTS[fault]) if fault in TIMING_FAULTS else made.light
+    light = change_light(light, rng) if change_light else light
     _, sigma = with_noise(made.light, None, np.random.default_rng([seed, 2]))
     frame = light + np.random.default_rng([seed, 2]).normal(0, sigma, light.shape)
     psf = change_psf(made.psf, rng) if change_psf else made.psf
@@ -243,6 +279,9 @@ def main():
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     faults = [f for f in FAULTS if f == "nothing" or args.match in f]
+    if args.exposure <= 1:
+        # A longer exposure of a single bin is a brighter scene.
+        faults = [f for f in faults if "longer" not in TIMING_FAULTS.get(f, {})]
     scenes = args.scenes.split(",")
     if args.quick:
         faults, scenes = ["nothing", "scale 1 %", "vignetting 20 %"], ["digits"]

@@ -130,6 +130,22 @@ def test_a_frame_corrects_its_psf(wrong_psf):
     assert same.numbers == after.numbers and same.corrected_psf == after.corrected_psf
 
 
+def test_a_frame_corrects_its_timing(wrong_psf):
+    """Pickled results know it, too: their traces are those of the corrected camera."""
+    camera, _, scene, psf, _ = wrong_psf
+    next_bins = np.concatenate([scene[1:], scene[-1:]])
+    light, next_light = (rb.simulate(camera, video, psf, snr=float("inf")).frame for video in (scene, next_bins))
+    half = len(light) // 2
+    light[half:] = 0.8 * light[half:] + 0.2 * next_light[half:]
+    frame = light + np.random.default_rng(3).normal(0, np.sqrt(np.mean(light**2)) / 256, light.shape)
+    result = rb.reconstruct(frame.astype(np.float32), camera, psf, prior="tv+0.5*tdiff+support")
+    assert abs(result.self_calibration["half_delay_rows"]["value"] - 0.2) < 0.02
+    same = pickle.loads(pickle.dumps(result))
+    assert same.numbers == result.numbers
+    for one, other in zip(same.traces([(15, 12)]), result.traces([(15, 12)])):
+        np.testing.assert_array_equal(one.standard_error, other.standard_error)
+
+
 def test_a_right_psf_is_used_as_given(wrong_psf):
     camera, frame, _, psf, _ = wrong_psf
     result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support", self_calibrate="on")

@@ -7,7 +7,7 @@ use crate::inputs::BatchInputs;
 use crate::measurement::read_measurement;
 use rowburst::error::Subject;
 use rowburst::measurement::Measurement;
-use rowburst::reconstruct::{Calibration, Model, calibrate};
+use rowburst::reconstruct::{Calibration, Model, ModelParameter, calibrate};
 use rowburst::solve::StopReason;
 use rowburst::{Cancel, Error, Image, Psf, Result};
 use rowburst_io::{read_image, write_npy_image};
@@ -57,9 +57,15 @@ impl RecordingCalibration {
         }
         let image = |name: &str| -> Result<Image> { Ok(read_image(&folder.join(name))?.image) };
         let psf = Psf::new(image(PSF)?)?;
+        let found = &file.self_calibration;
+        let value = |parameter: ModelParameter| {
+            let value = found.as_ref()?.get(parameter.name())?.get("value")?;
+            value.as_f64()
+        };
+        let timing = ModelParameter::timing(|parameter| value(parameter).unwrap_or(0.0));
         Ok(Some(Self {
             file,
-            model: Model::new(inputs.model.camera(), &psf).with_cached_gram(),
+            model: Model::new(&inputs.model.camera().retimed(timing), &psf).with_cached_gram(),
             pixels: Some((image(GAIN)?, image(OFFSET)?)),
         }))
     }

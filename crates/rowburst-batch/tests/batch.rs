@@ -289,8 +289,8 @@ impl Frames for StoredRecording {
     }
 }
 
-/// A recording behind a vignetting lens corrects it by several frames together, once; whoever takes the job up again
-/// takes what was found, to the bit.
+/// A recording behind a vignetting lens, by a camera whose lower half is late, corrects both by several frames together,
+/// once; whoever takes the job up again takes what was found, to the bit.
 #[test]
 fn a_recording_corrects_its_camera() {
     let (rows, columns) = (64, 60);
@@ -313,8 +313,19 @@ fn a_recording_corrects_its_camera() {
     let operator = RollingShutter::new(&camera, &psf);
     let truth = |seed| scene::moving_digit(camera.video_shape(), 10, 1, seed).unwrap();
     let frame = |seed| {
-        let mut light = vec![0.0; operator.range_len()];
-        operator.apply(truth(seed).data(), &mut light);
+        let (mut light, mut next) = (
+            vec![0.0; operator.range_len()],
+            vec![0.0; operator.range_len()],
+        );
+        let truth = truth(seed);
+        operator.apply(truth.data(), &mut light);
+        let bins = (1..truth.shape().bins).chain([truth.shape().bins - 1]);
+        let next_bins: Vec<f32> = bins.flat_map(|t| truth.bin(t).to_vec()).collect();
+        operator.apply(&next_bins, &mut next);
+        let lower = rows / 2 * columns..;
+        for (light, next) in light[lower.clone()].iter_mut().zip(&next[lower]) {
+            *light = 0.8 * *light + 0.2 * next;
+        }
         let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
         let vignetted = Image::from_fn(rows, columns, |y, x| {
             let distance = place(y, rows).powi(2) + place(x, columns).powi(2);
@@ -369,6 +380,8 @@ fn a_recording_corrects_its_camera() {
     assert_eq!(frames, [0, 1, 2]);
     let vignetting = calibration["vignetting"]["value"].as_f64().unwrap();
     assert!((vignetting + 0.2).abs() < 0.02, "{vignetting}");
+    let delay = calibration["half_delay_rows"]["value"].as_f64().unwrap();
+    assert!((delay - 0.2).abs() < 0.02, "{delay}");
     let again = open(SelfCalibration::AUTO, &out);
     assert_eq!(videos(&again, &[1])[0], found[1]);
     assert_eq!(again.self_calibration(), batch.self_calibration());

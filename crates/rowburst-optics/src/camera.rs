@@ -15,6 +15,8 @@ pub struct Camera {
     time: TimeGrid,
     /// The part of the readout that [`Camera::subset`] keeps; `None`: the whole readout.
     subset: Option<Subset>,
+    /// What [`Camera::retimed`] changed.
+    timing: TimingChange,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -67,6 +69,15 @@ pub struct Sensor {
     pub read_noise_electrons: Option<f64>,
     /// Counts at which a pixel is full.
     pub full_well_counts: Option<f64>,
+}
+
+/// By what the timing of a camera differs from its parameters, in row times.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct TimingChange {
+    /// By how much the exposure of each row is longer. It ends when it did.
+    pub exposure_rows: f64,
+    /// By how much the lower half of a dual shutter is later than the upper half, above -1 and below 1.
+    pub half_delay_rows: f64,
 }
 
 impl Default for Sensor {
@@ -170,6 +181,7 @@ impl Camera {
             instants,
             time,
             subset: None,
+            timing: TimingChange::default(),
         })
     }
 
@@ -247,6 +259,7 @@ impl Camera {
                 rows: kept_rows.iter().map(|&row| sensor_rows[row]).collect(),
                 first_bin: self.first_bin() + bins.start,
             }),
+            timing: self.timing,
         })
     }
 
@@ -259,6 +272,56 @@ impl Camera {
             instants: vec![0; self.instants.len()],
             time: self.time.at_rest(),
             subset: self.subset.clone(),
+            timing: self.timing,
+        }
+    }
+
+    /// The camera with another timing and the same bins. Rows are read when they were, but those of the lower half of a dual
+    /// shutter by [`TimingChange::half_delay_rows`] later. Light before the first bin is taken to be that of the first, and
+    /// light after the last that of the last. A global shutter has no rows to be timed, and is as before.
+    ///
+    /// # Panics
+    /// If it has another timing already, if the change of an exposure leaves nothing of it, or if a delay is a row time or more.
+    #[must_use]
+    pub fn retimed(&self, change: TimingChange) -> Self {
+        if *self.shutter() == Shutter::Global || change == self.timing {
+            return self.clone();
+        }
+        assert_eq!(self.timing, TimingChange::default(), "retimed already");
+        let exposure_rows = self.params.exposure_us / self.params.row_time_us;
+        assert!(
+            exposure_rows + change.exposure_rows > 0.0 && change.half_delay_rows.abs() < 1.0,
+            "{change:?}"
+        );
+        let delay = if self.shutter().is_dual() {
+            change.half_delay_rows
+        } else {
+            0.0
+        };
+        let half = self.params.rows / 2;
+        let delay_of = |sensor_row: usize| if sensor_row < half { 0.0 } else { delay };
+        // In the order of their times, each instant of a half that is delayed by itself.
+        let timed = self.instants.iter().zip(self.sensor_rows());
+        let timed: Vec<(usize, f64)> = timed
+            .map(|(&instant, row)| (instant, delay_of(row)))
+            .collect();
+        let mut distinct = timed.clone();
+        distinct.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        distinct.dedup();
+        let moved: Vec<_> = distinct
+            .iter()
+            .map(|&(instant, delay)| (instant, [delay - change.exposure_rows, delay]))
+            .collect();
+        let place = |row| distinct.iter().position(|of| of == row);
+        let width = 1.0 / self.params.bins_per_row as f64;
+        Self {
+            instants: timed
+                .iter()
+                .map(|row| place(row).expect("all are there"))
+                .collect(),
+            time: self.time.retimed(width, &moved),
+            timing: change,
+            ..self.clone()
         }
     }
 

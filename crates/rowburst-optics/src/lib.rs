@@ -14,7 +14,7 @@ pub mod shutter;
 mod time;
 pub mod video;
 
-pub use camera::{Camera, CameraParams, Sensor};
+pub use camera::{Camera, CameraParams, Sensor, TimingChange};
 pub use forward::RollingShutter;
 pub use image::Image;
 pub use measurement::{Corrections, Measurement, RawFrame};

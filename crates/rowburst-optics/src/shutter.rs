@@ -55,6 +55,11 @@ impl Shutter {
         }
     }
 
+    /// Whether two halves of the sensor are read at the same time.
+    pub fn is_dual(&self) -> bool {
+        matches!(self, Self::DualInsideOut | Self::DualOutsideIn)
+    }
+
     /// The instant `k[r]` of every row.
     ///
     /// # Errors

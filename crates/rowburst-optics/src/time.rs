@@ -114,6 +114,45 @@ impl TimeGrid {
         }
     }
 
+    /// The same bins, `width` row times long, seen by other instants: for each of `of` the instant of this grid, and by how
+    /// many row times its exposure starts later and ends later. Light before the first bin is taken to be that of the
+    /// first, and light after the last that of the last.
+    pub(crate) fn retimed(&self, width: f64, of: &[(usize, [f64; 2])]) -> Self {
+        let moved = |&(instant, [start_later, end_later]): &(usize, [f64; 2])| {
+            let run = &self.instants[instant];
+            let read_at = run.bins().end as f64 * width;
+            let exposure: f64 = run.weights.iter().sum();
+            let (start, end) = (read_at - exposure + start_later, read_at + end_later);
+            let weight = |bin: usize| {
+                let (from, to) = (bin as f64 * width, (bin + 1) as f64 * width);
+                let inside = (to.min(end) - from.max(start)).max(0.0);
+                let before = if bin == 0 {
+                    (end.min(0.0) - start.min(0.0)).max(0.0)
+                } else {
+                    0.0
+                };
+                let last = self.bins as f64 * width;
+                let after = if bin + 1 == self.bins {
+                    (end.max(last) - start.max(last)).max(0.0)
+                } else {
+                    0.0
+                };
+                inside + before + after
+            };
+            let seen = |bin: &usize| weight(*bin) > 1e-9;
+            let first = (0..self.bins).find(seen).unwrap_or(0);
+            let last = (first..self.bins).rev().find(seen).unwrap_or(first);
+            InstantWeights {
+                first_bin: first,
+                weights: (first..=last).map(weight).collect(),
+            }
+        };
+        Self {
+            instants: of.iter().map(moved).collect(),
+            ..self.clone()
+        }
+    }
+
     /// Number of bins of the video.
     #[inline]
     pub fn bins(&self) -> usize {
@@ -228,6 +267,25 @@ mod tests {
             }
         }
         assert_eq!(TimeGrid::single(500.0).middle_us(0), 250.0);
+    }
+
+    /// A longer exposure starts earlier and ends when it did; its light before the first bin counts to the first.
+    #[test]
+    fn retimed_instants_keep_the_bins() {
+        let grid = TimeGrid::rolling(4, 9.6, 2.0, 2);
+        let all = |moved: [f64; 2]| [0, 1, 2, 3].map(|i| (i, moved));
+        assert_eq!(grid.retimed(0.5, &all([0.0, 0.0])), grid);
+        let longer = grid.retimed(0.5, &all([-0.25, 0.0]));
+        let (first, second) = (&longer.instants()[0], &longer.instants()[1]);
+        assert_eq!(
+            (longer.bins(), first.bins(), second.bins()),
+            (10, 0..4, 1..6)
+        );
+        assert_eq!(first.weights, [0.75, 0.5, 0.5, 0.5]);
+        assert_eq!(second.weights, [0.25, 0.5, 0.5, 0.5, 0.5]);
+        let later = grid.retimed(0.5, &all([0.25, 0.25]));
+        assert_eq!(later.instants()[0].weights, [0.25, 0.5, 0.5, 0.5, 0.25]);
+        assert_eq!(later.instants()[3].weights, [0.25, 0.5, 0.5, 0.75]);
     }
 
     #[test]

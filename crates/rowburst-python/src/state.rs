@@ -238,11 +238,15 @@ pub fn to_completed(state: &Bound<'_, PyDict>) -> PyResult<CompletedTask> {
         change,
         psnr_db,
     };
-    let task = to_task(state)?;
+    let mut task = to_task(state)?;
+    let reconstruction = to_reconstruction(state, &task)?;
+    if let Some(calibration) = &reconstruction.calibration {
+        task.camera = calibration.corrected_camera(&task.camera);
+    }
     let given = optional_entry(state, "given_psf")?;
     let given = given.map(|psf| -> PyResult<_> { Ok(psf.cast::<PyPsf>()?.get().psfs.clone()) });
     Ok(CompletedTask {
-        reconstruction: to_reconstruction(state, &task)?,
+        reconstruction,
         guide: to_guide(state)?,
         task,
         given_psfs: given.transpose()?,

@@ -83,6 +83,7 @@ fn solve_since(
     // What follows, such as traces and report, is made with the corrected PSF and frame.
     let given_psfs = reconstruction.calibration.as_ref().map(|calibration| {
         task.measurement = calibration.corrected(&task.measurement);
+        task.camera = calibration.corrected_camera(&task.camera);
         std::mem::replace(&mut task.psfs, calibration.psfs.clone())
     });
     Ok(CompletedTask {

@@ -108,7 +108,8 @@ pub use rowburst_optics::RawFrame;
 #[doc(inline)]
 pub use rowburst_optics::{
     Camera, CameraParams, Corrections, Image, InstantWeights, Measurement, PatchSet, Psf,
-    PsfCapture, RollingShutter, Sensor, Shutter, TimeGrid, Video, bayer, camera, measurement,
+    PsfCapture, RollingShutter, Sensor, Shutter, TimeGrid, TimingChange, Video, bayer, camera,
+    measurement,
 };
 #[doc(inline)]
 pub use rowburst_simulate::{self as simulate, metrics, noise};

@@ -27,26 +27,38 @@ struct Case {
     light: Image,
 }
 
+/// A camera with an exposure of so many rows.
+fn camera_of(exposure: f64) -> Camera {
+    Camera::new(CameraParams {
+        rows: ROWS,
+        columns: COLUMNS,
+        shutter: Shutter::DualInsideOut,
+        row_time_us: 10.0,
+        exposure_us: 10.0 * exposure,
+        bins_per_row: 1,
+        field: None,
+        sensor: Sensor::default(),
+    })
+    .unwrap()
+}
+
 impl Case {
     /// A moving digit, exposed for so many rows.
     fn new(exposure: f64) -> Self {
-        let camera = Camera::new(CameraParams {
-            rows: ROWS,
-            columns: COLUMNS,
-            shutter: Shutter::DualInsideOut,
-            row_time_us: 10.0,
-            exposure_us: 10.0 * exposure,
-            bins_per_row: 1,
-            field: None,
-            sensor: Sensor::default(),
-        })
-        .unwrap();
+        let shape = camera_of(exposure).video_shape();
+        Self::with_truth(
+            camera_of(exposure),
+            scene::moving_digit(shape, 10, 1, 3).unwrap(),
+        )
+    }
+
+    /// A scene before `camera`.
+    fn with_truth(camera: Camera, truth: Video) -> Self {
         let optics = SpeckleOptics {
             diffuser_fwhm_deg: 0.6,
             ..SpeckleOptics::demo()
         };
         let psf = speckle_psf(&optics, 2 * ROWS - 1, 2 * COLUMNS - 1, 5).unwrap();
-        let truth = scene::moving_digit(camera.video_shape(), 10, 1, 3).unwrap();
         let operator = RollingShutter::new(&camera, &psf);
         let mut light = vec![0.0; operator.range_len()];
         operator.apply(truth.data(), &mut light);
@@ -257,6 +269,70 @@ fn parameters_are_found() {
                 found.fit.reason
             );
         }
+    }
+}
+
+/// A lower half that is read later than the upper one, and another gain of it, at exposures of a row and longer; an
+/// exposure that is longer than given.
+#[test]
+fn the_timing_is_found() {
+    let on_both = |case: &Case, of: &dyn Fn(&Video) -> Image, lower: &dyn Fn(f32, f32) -> f32| {
+        let shape = case.truth.shape();
+        let bins = (1..shape.bins).chain([shape.bins - 1]);
+        let later = bins.flat_map(|t| case.truth.bin(t).to_vec()).collect();
+        let later = of(&Video::new(shape, later).unwrap());
+        Image::from_fn(ROWS, COLUMNS, |y, x| {
+            let (light, of_next_bin) = (case.light.at(y, x), later.at(y, x));
+            if y < ROWS / 2 {
+                light
+            } else {
+                lower(light, of_next_bin)
+            }
+        })
+    };
+    let delayed = |now: f32, next: f32| 0.8 * now + 0.2 * next;
+    let brighter = |now: f32, _: f32| 1.04 * now;
+    let camera = camera_of(2.5);
+    let digits = scene::digits(camera.video_shape(), 8, 3).unwrap();
+    let (row, rows) = (Case::new(1.0), Case::with_truth(camera, digits));
+    // With 3 rows of exposure in place of 2.5 the video has as many bins.
+    let light_of = |exposure: f64, video: &Video| -> Image {
+        Case::with_truth(camera_of(exposure), video.clone()).light
+    };
+    let (short, long) = (&rows.light, light_of(3.0, &rows.truth));
+    let longer = Image::from_fn(ROWS, COLUMNS, |y, x| {
+        0.6 * short.at(y, x) + 0.4 * long.at(y, x)
+    });
+    let of_row = |video: &Video| light_of(1.0, video);
+    let faults = [
+        (
+            &row,
+            on_both(&row, &of_row, &delayed),
+            ModelParameter::HalfDelay,
+            0.2,
+        ),
+        (
+            &row,
+            on_both(&row, &of_row, &brighter),
+            ModelParameter::HalfGain,
+            0.04,
+        ),
+        (&rows, longer, ModelParameter::Exposure, 0.2),
+    ];
+    for (case, light, parameter, expected) in faults {
+        let name = format!("{} of {expected}", parameter.name());
+        let (_, perfect) = case.solve(&case.light, &case.psf, SelfCalibration::OFF);
+        let (_, before) = case.solve(&light, &case.psf, SelfCalibration::OFF);
+        let (found, after) = case.solve(&light, &case.psf, SelfCalibration::AUTO);
+        println!("{name}: {before:.2} -> {after:.2} dB, perfect {perfect:.2}");
+        assert!(found.calibration.is_some(), "{name}: nothing was corrected");
+        let value = value_of(&found, parameter);
+        assert!(
+            (value - expected).abs() < 0.05 * expected,
+            "{name}: {value}"
+        );
+        assert!(after > before + 1.0, "{name}: {before} -> {after} dB");
+        assert_eq!(found.video.shape(), case.camera.video_shape());
     }
 }
 

@@ -633,9 +633,10 @@ def reconstruct(
         The seed of the simulation that made the frame; only reported.
     self_calibrate : str
         ``"auto"``: where PSF and camera do not explain the frame, the frame corrects them (size, angle, blur and noise of the
-        PSF; vignetting, stray light), if held-out pixels confirm it: see :attr:`Result.corrected_psf`. ``"off"``: never;
-        ``"on"``: corrections are looked for in every frame. A list such as ``"scale,rotation_deg"`` or ``"on,scale"`` names
-        what may be corrected, by the keys of :attr:`Result.self_calibration`.
+        PSF; vignetting, stray light, and timing of the camera), if held-out pixels confirm it: see
+        :attr:`Result.corrected_psf`. ``"off"``: never; ``"on"``: corrections are looked for in every frame. A list such as
+        ``"scale,rotation_deg"`` or ``"on,scale"`` names what may be corrected, by the keys of
+        :attr:`Result.self_calibration`.
     keep_all_pixels : bool
         Whether every pixel is used that is not bad. By default foreign pixels, such as hot pixels, dust or a printed
         caption, are looked for where the video does not explain the frame, and are left out: see :attr:`Result.excluded`.

@@ -3,7 +3,7 @@
 use super::gram::add_gram_block;
 use super::gram::tests::{brute_force as gram_by_calls, row_by_row};
 use crate::camera::CameraParams;
-use crate::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter};
+use crate::{Camera, Image, PatchSet, Psf, RollingShutter, Sensor, Shutter, TimingChange};
 use faer::Mat;
 use rand::{RngExt, SeedableRng};
 use rowburst_core::Support;
@@ -26,7 +26,7 @@ fn cases() -> Vec<(Camera, PatchSet)> {
         (Shutter::Global, (9, 8), Some((12, 12)), 1.0, scattered),
         (Shutter::Global, (24, 26), Some((30, 29)), 1.0, grid),
     ];
-    cases
+    let mut cases: Vec<(Camera, PatchSet)> = cases
         .into_iter()
         .map(|(shutter, (rows, columns), field, exposure_us, offsets)| {
             let camera = Camera::new(CameraParams {
@@ -43,7 +43,16 @@ fn cases() -> Vec<(Camera, PatchSet)> {
             let set = PatchSet::new(psfs.collect(), offsets.to_vec()).unwrap();
             (camera.unwrap(), set)
         })
-        .collect()
+        .collect();
+    for (exposure_rows, half_delay_rows) in [(0.0, 0.3), (0.5, -0.2)] {
+        let (camera, set) = &cases[0];
+        let change = TimingChange {
+            exposure_rows,
+            half_delay_rows,
+        };
+        cases.push((camera.retimed(change), set.clone()));
+    }
+    cases
 }
 
 /// Every light path, one by one, in float64.

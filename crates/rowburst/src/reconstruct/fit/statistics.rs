@@ -247,7 +247,9 @@ fn tests_timing(camera: &Camera) -> bool {
 
 /// See [`FitStatistics::mirrored`].
 fn mirrored(camera: &Camera, video: &Video) -> Option<f64> {
-    let one_row_each = camera.instants().len() == camera.time().instants().len();
+    // Halves of which one is later have instants of their own.
+    let one_row_each =
+        !camera.shutter().is_dual() && camera.instants().len() == camera.time().instants().len();
     let bins = video.shape().bins;
     if !one_row_each || bins < MIN_MIRRORED_BINS {
         return None;

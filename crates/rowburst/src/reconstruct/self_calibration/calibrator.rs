@@ -95,6 +95,8 @@ pub(super) struct Calibrator<'p> {
     prior: Prior,
     /// Mean of the frames, in counts.
     mean: f64,
+    /// For each row -0.5 in the upper half of the sensor, 0.5 in the lower.
+    halves: Vec<f64>,
 }
 
 /// A reconstruction of a frame under one model, without the pixels that judge and that confirm.
@@ -131,9 +133,14 @@ impl<'p> Calibrator<'p> {
             }
         }
         let frames = measurements.iter();
+        let middle = camera.params().rows / 2;
         Self {
             camera,
             cancel,
+            halves: camera
+                .sensor_rows()
+                .map(|row| if row < middle { -0.5 } else { 0.5 })
+                .collect(),
             mean: sum / count.max(1) as f64,
             frames: frames
                 .map(|measurement| Frame::new(shutter, measurement.clone()))
@@ -232,13 +239,14 @@ impl<'p> Calibrator<'p> {
     pub fn pixels(&self, correction: &Correction) -> (Vec<f32>, Vec<f32>) {
         let pixels = self.image().data().len();
         let (mut gain, mut offset) = (vec![1.0; pixels], vec![0.0; pixels]);
-        for parameter in ModelParameter::ALL.into_iter().filter(|p| !p.is_of_psf()) {
+        let of_pixels = |p: &ModelParameter| !p.is_of_psf() && !p.is_of_timing();
+        for parameter in ModelParameter::ALL.into_iter().filter(of_pixels) {
             let value = correction.parameters[parameter];
             if value == 0.0 {
                 continue;
             }
             let (target, scale) = match parameter {
-                ModelParameter::Vignetting => (&mut gain, value),
+                ModelParameter::Vignetting | ModelParameter::HalfGain => (&mut gain, value),
                 _ => (&mut offset, value * self.mean),
             };
             for (at, target) in target.iter_mut().enumerate() {
@@ -268,13 +276,20 @@ impl<'p> Calibrator<'p> {
             ModelParameter::SlopeX => x,
             ModelParameter::SlopeY => y,
             ModelParameter::Vignetting => (x * x + y * y) / 2.0,
+            ModelParameter::HalfGain => self.halves[at / image.columns()],
             _ => 1.0,
         }
     }
 
+    /// Whether the frames can tell `parameter`.
+    pub fn can_tell(&self, parameter: ModelParameter) -> bool {
+        parameter.applies_to(self.camera)
+    }
+
     /// Operator and fitted pixels of a frame under `correction`.
     fn data(&mut self, frame: usize, correction: &Correction) -> FrameData {
-        let model = Model::new(self.camera, self.psfs(correction)).with_cancel(self.cancel);
+        let camera = self.camera.retimed(correction.parameters.timing());
+        let model = Model::new(&camera, self.psfs(correction)).with_cancel(self.cancel);
         let (gain, offset) = self.pixels(correction);
         FrameData::new(&model, &self.frames[frame].fitted.adjusted(&gain, &offset))
     }
@@ -333,15 +348,22 @@ impl<'p> Calibrator<'p> {
 
     /// The weighted residual of a trial's video under `correction`.
     pub fn residual(&mut self, correction: &Correction, trial: &Trial) -> Vec<f32> {
-        let shutter = RollingShutter::new(self.camera, self.psfs(correction));
-        let mut light = vec![0.0; shutter.range_len()];
-        shutter.apply(&trial.video, &mut light);
+        let psfs = self.psfs(correction);
+        let light = self.light(&correction.parameters, psfs, trial);
         let (gain, offset) = self.pixels(correction);
         let measured = self.frames[trial.frame].measurement.image().data();
         let residual: Vec<f32> = (0..light.len())
             .map(|i| (measured[i] - offset[i]) / gain[i] - light[i])
             .collect();
         trial.data.weigh(&residual)
+    }
+
+    /// `A v` of a trial's video with `psfs` and the timing of `parameters`.
+    fn light(&self, parameters: &Parameters, psfs: PatchSet, trial: &Trial) -> Vec<f32> {
+        let shutter = RollingShutter::new(&self.camera.retimed(parameters.timing()), psfs);
+        let mut light = vec![0.0; shutter.range_len()];
+        shutter.apply(&trial.video, &mut light);
+        light
     }
 
     /// The map from a PSF to the frame of the trial's video; `None` where the PSF changes over the field.
@@ -362,35 +384,41 @@ impl<'p> Calibrator<'p> {
         map: Option<&PsfMap>,
         light: &[f32],
     ) -> Vec<f32> {
-        if parameter.is_of_psf() {
+        if parameter.is_of_psf() || parameter.is_of_timing() {
             let step = parameter.step();
-            let mut at = |sign: f64| {
+            let changed = |sign: f64| {
                 let mut parameters = correction.parameters;
                 parameters[parameter] += sign * step;
-                self.model_psfs(&parameters)
+                parameters
             };
-            let (more, less) = (at(1.0), at(-1.0));
             let quotient = |more: &[f32], less: &[f32]| -> Vec<f32> {
                 let pairs = more.iter().zip(less);
                 pairs
                     .map(|(m, l)| ((f64::from(*m) - f64::from(*l)) / (2.0 * step)) as f32)
                     .collect()
             };
-            if let Some(map) = map {
-                let values = |psfs: &PatchSet| psfs.central().image().data().to_vec();
-                return map.apply(&quotient(&values(&more), &values(&less)));
+            if let Some(map) = map.filter(|_| parameter.is_of_psf()) {
+                let mut values = |sign| {
+                    let psfs = self.model_psfs(&changed(sign));
+                    psfs.central().image().data().to_vec()
+                };
+                return map.apply(&quotient(&values(1.0), &values(-1.0)));
             }
-            let frame = |psfs: PatchSet| {
-                let mut light = vec![0.0; light.len()];
-                RollingShutter::new(self.camera, psfs).apply(&trial.video, &mut light);
-                light
+            let mut frame = |sign| {
+                let parameters = changed(sign);
+                let psfs = if parameter.is_of_timing() {
+                    self.psfs(correction)
+                } else {
+                    self.model_psfs(&parameters)
+                };
+                self.light(&parameters, psfs, trial)
             };
-            return quotient(&frame(more), &frame(less));
+            return quotient(&frame(1.0), &frame(-1.0));
         }
         let (gain, _) = self.pixels(correction);
         let of = |at: usize| {
             let scale = match parameter {
-                ModelParameter::Vignetting => f64::from(light[at]),
+                ModelParameter::Vignetting | ModelParameter::HalfGain => f64::from(light[at]),
                 _ => self.mean,
             };
             (scale * self.pattern(parameter, at) / f64::from(gain[at])) as f32

@@ -13,9 +13,10 @@ use super::search::{
 };
 use super::step::{Free, step};
 use super::{Calibration, Finding, FoundParameter};
+use rowburst_optics::TimingChange;
 
 /// The parameters that steps find together.
-const FREE: [ModelParameter; 9] = [
+const FREE: [ModelParameter; 12] = [
     ModelParameter::Scale,
     ModelParameter::Rotation,
     ModelParameter::Anisotropy,
@@ -25,9 +26,12 @@ const FREE: [ModelParameter; 9] = [
     ModelParameter::SlopeX,
     ModelParameter::SlopeY,
     ModelParameter::Vignetting,
+    ModelParameter::HalfGain,
+    ModelParameter::Exposure,
+    ModelParameter::HalfDelay,
 ];
 /// Parameters that make nearly the same change of a frame as others do together.
-const GROUPS: [&[ModelParameter]; 4] = [
+const GROUPS: [&[ModelParameter]; 7] = [
     &[ModelParameter::Blur],
     &[
         ModelParameter::Floor,
@@ -36,6 +40,9 @@ const GROUPS: [&[ModelParameter]; 4] = [
         ModelParameter::SlopeY,
     ],
     &[ModelParameter::Vignetting],
+    &[ModelParameter::HalfGain],
+    &[ModelParameter::Exposure],
+    &[ModelParameter::HalfDelay],
     &[
         ModelParameter::Scale,
         ModelParameter::Rotation,
@@ -62,6 +69,9 @@ const BLUR_LEVEL: f64 = 0.6;
 const SIMPLER: f64 = 1.01;
 /// The same from which rows have stray light of their own.
 const ROWS_ARE_THERE: f64 = 1.5;
+/// Error of the judging pixels with another timing over that with the timing as given, below which it is kept; larger finds
+/// ghosts of other faults.
+const WORTH_TIMING: f64 = 0.98;
 /// Error of the judging pixels with a refined PSF over that before, below which the refinement is kept.
 const WORTH_REFINING: f64 = 0.97;
 /// The same over that with parameters, below which these were ghosts of an error of the PSF itself.
@@ -292,13 +302,29 @@ impl Search<'_, '_, '_> {
         light: f64,
     ) -> Result<Proposal, Box<RunResult>> {
         let level = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
-        self.all_parameters(start, level)
+        let found = self.all_parameters(start, level)?;
+        if found.correction.parameters.timing() == TimingChange::default() {
+            return Ok(found);
+        }
+        let parameters = self.free_parameters().into_iter();
+        let parameters: Vec<_> = parameters.filter(|p| !p.is_of_timing()).collect();
+        let free = Free {
+            parameters: &parameters,
+            has_row_offsets: self.correctable.row_offsets,
+        };
+        let as_timed = self.parameters(start.correction.clone(), free, level)?;
+        Ok(if found.error < WORTH_TIMING * as_timed.error {
+            found
+        } else {
+            as_timed
+        })
     }
 
     /// The parameters that steps may correct.
     fn free_parameters(&self) -> Vec<ModelParameter> {
         let free = FREE.into_iter();
-        free.filter(|p| self.correctable.has(*p)).collect()
+        free.filter(|p| self.correctable.has(*p) && self.calibrator.can_tell(*p))
+            .collect()
     }
 
     /// All parameters that may be corrected together, from those of `start` and the noise level `level` on.

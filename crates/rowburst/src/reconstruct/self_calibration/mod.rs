@@ -70,6 +70,16 @@ impl Calibration {
     pub fn corrected(&self, measurement: &Measurement) -> Measurement {
         measurement.adjusted(&self.gain, &self.offset)
     }
+
+    /// The camera with the timing that was found.
+    #[must_use]
+    pub fn corrected_camera(&self, camera: &Camera) -> Camera {
+        let value = |parameter| {
+            let found = self.parameters.iter().find(|p| p.parameter == parameter);
+            found.map_or(0.0, |p| p.value)
+        };
+        camera.retimed(ModelParameter::timing(value))
+    }
 }
 
 /// A parameter that the frame has told.
@@ -291,6 +301,7 @@ impl Problem {
                 .expect("the size of the frame")
         });
         self.measurement = calibration.corrected(&self.measurement);
+        self.camera = calibration.corrected_camera(&self.camera);
         let model = Model::new(&self.camera, calibration.psfs.clone());
         let model = model.with_cancel(self.data.cancel());
         self.data = FrameData::new(&model, &self.measurement);

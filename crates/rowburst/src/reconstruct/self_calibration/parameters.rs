@@ -1,5 +1,7 @@
 //! The parameters of PSF and camera that a frame can tell.
 
+use rowburst_optics::{Camera, TimingChange};
+use std::fmt;
 use std::ops::{Index, IndexMut};
 
 /// A parameter of the PSF or of the camera that self-calibration finds.
@@ -25,14 +27,22 @@ pub enum ModelParameter {
     SlopeY,
     /// Gain at the corners of the frame over that at its centre, less 1; it changes with the square of the distance.
     Vignetting,
+    /// Gain of the lower half of a dual shutter over that of the upper half, less 1.
+    HalfGain,
+    /// By how many row times the exposure of each row is longer than given, where that is longer than a row.
+    Exposure,
+    /// By how many row times the lower half of a dual shutter is read later than the upper half.
+    HalfDelay,
 }
 
+/// Largest change of the timing in row times; the exposures that it changes are longer than a row.
+const MAX_TIMING_CHANGE: f64 = 0.9;
 /// Number of parameters.
 pub(super) const COUNT: usize = ModelParameter::ALL.len();
 
 impl ModelParameter {
     /// All of them.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 13] = [
         Self::Scale,
         Self::Rotation,
         Self::Anisotropy,
@@ -43,11 +53,22 @@ impl ModelParameter {
         Self::SlopeX,
         Self::SlopeY,
         Self::Vignetting,
+        Self::HalfGain,
+        Self::Exposure,
+        Self::HalfDelay,
     ];
 
     /// Its name in `result.json`, with the unit.
     pub fn name(self) -> &'static str {
         self.properties().0
+    }
+
+    /// The change of a camera's timing by parameters with these values.
+    pub fn timing(value: impl Fn(Self) -> f64) -> TimingChange {
+        TimingChange {
+            exposure_rows: value(Self::Exposure),
+            half_delay_rows: value(Self::HalfDelay),
+        }
     }
 
     /// Standard deviation of its prior: larger values are not plausible.
@@ -77,10 +98,27 @@ impl ModelParameter {
             Self::SlopeX => ("stray_light_slope_x", 0.02, 0.01, 0.004),
             Self::SlopeY => ("stray_light_slope_y", 0.02, 0.01, 0.004),
             Self::Vignetting => ("vignetting", 0.2, 0.01, 0.02),
+            Self::HalfGain => ("half_gain", 0.05, 0.01, 2e-3),
+            Self::Exposure => ("exposure_rows", 0.3, 0.02, 0.02),
+            Self::HalfDelay => ("half_delay_rows", 0.2, 0.02, 0.04),
         }
     }
 
-    /// Whether it changes the PSF, and not the pixels.
+    /// Whether it changes when rows see the scene.
+    pub(super) fn is_of_timing(self) -> bool {
+        matches!(self, Self::Exposure | Self::HalfDelay)
+    }
+
+    /// Whether the frames of `camera` can tell it.
+    pub(super) fn applies_to(self, camera: &Camera) -> bool {
+        match self {
+            Self::HalfGain | Self::HalfDelay => camera.shutter().is_dual(),
+            Self::Exposure => !camera.time().is_disjoint(),
+            _ => true,
+        }
+    }
+
+    /// Whether it changes the PSF.
     pub(super) fn is_of_psf(self) -> bool {
         matches!(
             self,
@@ -99,12 +137,40 @@ impl ModelParameter {
 pub(super) struct Parameters([f64; COUNT]);
 
 impl Parameters {
+    /// What they change of the camera's timing.
+    pub(super) fn timing(&self) -> TimingChange {
+        ModelParameter::timing(|parameter| self[parameter])
+    }
+
+    /// Sets changes of the timing that are negligible to zero: the halves of a dual shutter share bins where one is later, and
+    /// reconstructions then take many times as long. Limits larger ones to less than a row time.
+    pub(super) fn restrict_timing(&mut self) {
+        let of_timing = |p: &ModelParameter| p.is_of_timing();
+        for parameter in ModelParameter::ALL.into_iter().filter(of_timing) {
+            let value = self[parameter];
+            self[parameter] = if value.abs() <= parameter.negligible() {
+                0.0
+            } else {
+                value.clamp(-MAX_TIMING_CHANGE, MAX_TIMING_CHANGE)
+            };
+        }
+    }
+
     /// Whether the PSF is not on the pixels of its capture.
     pub(super) fn moves_psf(&self) -> bool {
         use ModelParameter::{Anisotropy, Blur, Rotation, Scale, Shear};
         [Scale, Rotation, Anisotropy, Shear, Blur]
             .iter()
             .any(|p| self[*p] != 0.0)
+    }
+}
+
+impl fmt::Display for Parameters {
+    /// Those that are not zero.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let found = ModelParameter::ALL.into_iter();
+        let mut found = found.filter(|p| self[*p] != 0.0);
+        found.try_for_each(|p| write!(f, "{} {:.5} ", p.name(), self[p]))
     }
 }
 

@@ -23,11 +23,14 @@ use rowburst_core::Support;
 use rowburst_optics::RollingShutter;
 use rowburst_solve::DataTerm;
 use rowburst_solve::admm::brightness;
+use tracing::debug;
 
 /// Threshold of an active voxel over the brightness; larger leaves voxels out whose light then counts as an error.
 const THRESHOLD: f64 = 0.05;
 /// Standard deviation `a` over the brightness; smaller trusts a wrong video.
 const AMPLITUDE: f64 = 0.3;
+/// Largest `σ²/a²` that is solved for: above it, as where the video is dark, `σ² K⁻¹` is one.
+const MAX_RHO: f64 = 1e12;
 /// Largest step over the width of a parameter's prior; larger leaves the range where the model is linear.
 const MAX_STEP: f64 = 1.5;
 /// Standard deviation of the stray light of a row, over the mean of the frame.
@@ -76,6 +79,9 @@ impl<'t> Marginal<'t> {
 
     /// `σ² K⁻¹ z` for a weighted `z`.
     pub fn solve(&mut self, z: &[f32]) -> Vec<f64> {
+        if self.rho > MAX_RHO {
+            return z.iter().map(|&z| f64::from(z)).collect();
+        }
         let mut y = self.trial.data.solve_alone(z, self.rho);
         y.iter_mut().for_each(|y| *y *= self.rho);
         y
@@ -158,6 +164,8 @@ pub(super) fn step(
         }
         report.remaining_sigma = remaining_sigma(&mut parts, &unexplained);
     }
+    correction.parameters.restrict_timing();
+    debug!("self-calibration: {}", correction.parameters);
     report
 }
 
