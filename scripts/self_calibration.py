@@ -117,8 +117,12 @@ def retimed(made, exposure, longer=0.0, late=0.0):
     for row in range(rows):
         is_lower = row >= rows // 2
         end = (row - rows // 2 if is_lower else rows // 2 - 1 - row) + 1 + lead + late * is_lower
-        seen = np.minimum(np.arange(1, bins + 1), end) - np.maximum(np.arange(bins), end - exposure - longer)
-        image = np.fft.irfft2(np.tensordot(np.maximum(seen, 0), scene, 1) * optics, side)
+        start = end - exposure - longer
+        seen = np.maximum(np.minimum(np.arange(1, bins + 1), end) - np.maximum(np.arange(bins), start), 0)
+        # Before the first bin the scene is as in this one, after the last as in that.
+        seen[0] += max(0, -start)
+        seen[-1] += max(0, end - bins)
+        image = np.fft.irfft2(np.tensordot(seen, scene, 1) * optics, side)
         light[row] = image[row + top, left : left + columns]
     return light
 

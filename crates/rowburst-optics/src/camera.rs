@@ -16,7 +16,14 @@ pub struct Camera {
     /// The part of the readout that [`Camera::subset`] keeps; `None`: the whole readout.
     subset: Option<Subset>,
     /// What [`Camera::retimed`] changed.
-    timing: TimingChange,
+    retiming: Option<Retiming>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Retiming {
+    change: TimingChange,
+    /// Of each frame row, before the change.
+    instants: Vec<usize>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -76,7 +83,7 @@ pub struct Sensor {
 pub struct TimingChange {
     /// By how much the exposure of each row is longer. It ends when it did.
     pub exposure_rows: f64,
-    /// By how much the lower half of a dual shutter is later than the upper half, above -1 and below 1.
+    /// By how much the lower half of a dual shutter is later than the upper half.
     pub half_delay_rows: f64,
 }
 
@@ -181,7 +188,7 @@ impl Camera {
             instants,
             time,
             subset: None,
-            timing: TimingChange::default(),
+            retiming: None,
         })
     }
 
@@ -259,7 +266,13 @@ impl Camera {
                 rows: kept_rows.iter().map(|&row| sensor_rows[row]).collect(),
                 first_bin: self.first_bin() + bins.start,
             }),
-            timing: self.timing,
+            retiming: self.retiming.as_ref().map(|retiming| Retiming {
+                change: retiming.change,
+                instants: kept_rows
+                    .iter()
+                    .map(|&row| retiming.instants[row])
+                    .collect(),
+            }),
         })
     }
 
@@ -272,7 +285,7 @@ impl Camera {
             instants: vec![0; self.instants.len()],
             time: self.time.at_rest(),
             subset: self.subset.clone(),
-            timing: self.timing,
+            retiming: None,
         }
     }
 
@@ -281,16 +294,16 @@ impl Camera {
     /// light after the last that of the last. A global shutter has no rows to be timed, and is as before.
     ///
     /// # Panics
-    /// If it has another timing already, if the change of an exposure leaves nothing of it, or if a delay is a row time or more.
+    /// If it has another timing already, or if the change leaves nothing of the exposure.
     #[must_use]
     pub fn retimed(&self, change: TimingChange) -> Self {
-        if *self.shutter() == Shutter::Global || change == self.timing {
+        let before = self.retiming.as_ref().map(|retiming| retiming.change);
+        if *self.shutter() == Shutter::Global || change == before.unwrap_or_default() {
             return self.clone();
         }
-        assert_eq!(self.timing, TimingChange::default(), "retimed already");
-        let exposure_rows = self.params.exposure_us / self.params.row_time_us;
+        assert_eq!(before, None, "retimed already");
         assert!(
-            exposure_rows + change.exposure_rows > 0.0 && change.half_delay_rows.abs() < 1.0,
+            self.exposure_rows() + change.exposure_rows > 0.0,
             "{change:?}"
         );
         let delay = if self.shutter().is_dual() {
@@ -306,7 +319,8 @@ impl Camera {
             .map(|(&instant, row)| (instant, delay_of(row)))
             .collect();
         let mut distinct = timed.clone();
-        distinct.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let time = |&(instant, delay): &(usize, f64)| instant as f64 + delay;
+        distinct.sort_by(|a, b| time(a).total_cmp(&time(b)).then(a.0.cmp(&b.0)));
         distinct.dedup();
         let moved: Vec<_> = distinct
             .iter()
@@ -320,7 +334,10 @@ impl Camera {
                 .map(|row| place(row).expect("all are there"))
                 .collect(),
             time: self.time.retimed(width, &moved),
-            timing: change,
+            retiming: Some(Retiming {
+                change,
+                instants: self.instants.clone(),
+            }),
             ..self.clone()
         }
     }
@@ -375,6 +392,17 @@ impl Camera {
     /// The instant `k[r]` at which each frame row is read.
     pub fn instants(&self) -> &[usize] {
         &self.instants
+    }
+
+    /// The same without [`Self::retimed`]: the order in which the rows are read.
+    pub fn readout_instants(&self) -> &[usize] {
+        let retiming = self.retiming.as_ref();
+        retiming.map_or(&self.instants, |retiming| &retiming.instants)
+    }
+
+    /// Exposure of each row in row times, as given.
+    pub fn exposure_rows(&self) -> f64 {
+        self.params.exposure_us / self.params.row_time_us
     }
 
     /// The time axis of the video.
@@ -504,5 +532,48 @@ fn require(
         Ok(())
     } else {
         Err(Error::input(key, found, rule, remedy))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Halves of which one is later have instants of their own; the order of the readout and the bins stay.
+    #[test]
+    fn a_retimed_camera_keeps_its_readout() {
+        let camera = Camera::new(CameraParams {
+            rows: 5,
+            columns: 4,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 10.0,
+            exposure_us: 10.0,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        assert_eq!(camera.instants(), [1, 0, 0, 1, 2]);
+        for (half_delay_rows, instants) in [
+            (0.25, [2, 0, 1, 3, 4]),
+            (-0.25, [3, 1, 0, 2, 4]),
+            (1.25, [1, 0, 2, 3, 4]),
+        ] {
+            let retimed = camera.retimed(TimingChange {
+                exposure_rows: 0.0,
+                half_delay_rows,
+            });
+            assert_eq!(retimed.instants(), instants, "{half_delay_rows}");
+            assert_eq!(retimed.readout_instants(), camera.instants());
+            assert_eq!(retimed.video_shape(), camera.video_shape());
+            for (row, instant) in instants.iter().enumerate() {
+                let weights = &retimed.time().instants()[*instant].weights;
+                assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            }
+            let part = retimed.within(1..3).unwrap();
+            let rows: Vec<usize> = part.sensor_rows().collect();
+            let readout: Vec<usize> = rows.iter().map(|&row| camera.instants()[row]).collect();
+            assert_eq!(part.readout_instants(), readout);
+        }
     }
 }

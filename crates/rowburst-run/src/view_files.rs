@@ -136,7 +136,7 @@ pub(crate) fn describe(files: &ViewFiles, truth: Option<&str>) -> Value {
         "ranges": ranges,
         "truth": truth,
         "shutter": {
-            "instants": camera.instants(),
+            "instants": camera.readout_instants(),
             "is_global": *camera.shutter() == Shutter::Global,
             "row_time_us": camera.params().row_time_us,
             "exposure_us": camera.params().exposure_us,

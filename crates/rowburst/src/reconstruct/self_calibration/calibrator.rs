@@ -281,6 +281,11 @@ impl<'p> Calibrator<'p> {
         }
     }
 
+    /// The camera as given.
+    pub fn camera(&self) -> &'p Camera {
+        self.camera
+    }
+
     /// Whether the frames can tell `parameter`.
     pub fn can_tell(&self, parameter: ModelParameter) -> bool {
         parameter.applies_to(self.camera)

@@ -302,22 +302,7 @@ impl Search<'_, '_, '_> {
         light: f64,
     ) -> Result<Proposal, Box<RunResult>> {
         let level = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
-        let found = self.all_parameters(start, level)?;
-        if found.correction.parameters.timing() == TimingChange::default() {
-            return Ok(found);
-        }
-        let parameters = self.free_parameters().into_iter();
-        let parameters: Vec<_> = parameters.filter(|p| !p.is_of_timing()).collect();
-        let free = Free {
-            parameters: &parameters,
-            has_row_offsets: self.correctable.row_offsets,
-        };
-        let as_timed = self.parameters(start.correction.clone(), free, level)?;
-        Ok(if found.error < WORTH_TIMING * as_timed.error {
-            found
-        } else {
-            as_timed
-        })
+        self.all_parameters(start, level)
     }
 
     /// The parameters that steps may correct.
@@ -329,12 +314,34 @@ impl Search<'_, '_, '_> {
 
     /// All parameters that may be corrected together, from those of `start` and the noise level `level` on.
     fn all_parameters(&mut self, start: &Proposal, level: f64) -> Result<Proposal, Box<RunResult>> {
-        let parameters = self.free_parameters();
+        let all = self.free_parameters();
+        let found = self.some_parameters(start, level, &all)?;
+        if found.correction.parameters.timing() == TimingChange::default() {
+            return Ok(found);
+        }
+        let mut start = start.clone();
+        start.correction.parameters.drop_timing();
+        let others: Vec<_> = all.into_iter().filter(|p| !p.is_of_timing()).collect();
+        let as_timed = self.some_parameters(&start, level, &others)?;
+        Ok(if found.error < WORTH_TIMING * as_timed.error {
+            found
+        } else {
+            as_timed
+        })
+    }
+
+    /// The same of `parameters` and the stray light of rows.
+    fn some_parameters(
+        &mut self,
+        start: &Proposal,
+        level: f64,
+        parameters: &[ModelParameter],
+    ) -> Result<Proposal, Box<RunResult>> {
         if parameters.is_empty() && !self.correctable.row_offsets {
             return Ok(start.clone());
         }
         let free = Free {
-            parameters: &parameters,
+            parameters,
             has_row_offsets: self.correctable.row_offsets,
         };
         self.parameters(start.correction.clone(), free, level)

@@ -48,7 +48,7 @@ pub struct Calibration {
     pub psf_refinement: Option<f64>,
     /// The corrected PSFs.
     pub psfs: PatchSet,
-    /// Gain of each pixel, `[y, x]`, 1 at the centre: what vignetting leaves of the light.
+    /// Gain of each pixel, `[y, x]`, by vignetting and by the gains of the halves.
     pub gain: Vec<f32>,
     /// Stray light of each pixel, `[y, x]`, in counts.
     pub offset: Vec<f32>,

@@ -27,7 +27,7 @@ pub enum ModelParameter {
     SlopeY,
     /// Gain at the corners of the frame over that at its centre, less 1; it changes with the square of the distance.
     Vignetting,
-    /// Gain of the lower half of a dual shutter over that of the upper half, less 1.
+    /// Gain of the lower half of a dual shutter less that of the upper half, over their mean.
     HalfGain,
     /// By how many row times the exposure of each row is longer than given, where that is longer than a row.
     Exposure,
@@ -35,8 +35,10 @@ pub enum ModelParameter {
     HalfDelay,
 }
 
-/// Largest change of the timing in row times; the exposures that it changes are longer than a row.
-const MAX_TIMING_CHANGE: f64 = 0.9;
+/// Largest change of the exposure over it.
+const MAX_EXPOSURE_CHANGE: f64 = 0.5;
+/// Largest delay of a half, in row times.
+const MAX_DELAY: f64 = 2.0;
 /// Number of parameters.
 pub(super) const COUNT: usize = ModelParameter::ALL.len();
 
@@ -143,17 +145,32 @@ impl Parameters {
     }
 
     /// Sets changes of the timing that are negligible to zero: the halves of a dual shutter share bins where one is later, and
-    /// reconstructions then take many times as long. Limits larger ones to less than a row time.
-    pub(super) fn restrict_timing(&mut self) {
-        let of_timing = |p: &ModelParameter| p.is_of_timing();
-        for parameter in ModelParameter::ALL.into_iter().filter(of_timing) {
-            let value = self[parameter];
-            self[parameter] = if value.abs() <= parameter.negligible() {
-                0.0
-            } else {
-                value.clamp(-MAX_TIMING_CHANGE, MAX_TIMING_CHANGE)
-            };
+    /// reconstructions then take many times as long.
+    pub(super) fn drop_negligible_timing(&mut self) {
+        for parameter in ModelParameter::ALL {
+            if parameter.is_of_timing() && self[parameter].abs() <= parameter.negligible() {
+                self[parameter] = 0.0;
+            }
         }
+    }
+
+    /// Sets all changes of the timing to zero.
+    pub(super) fn drop_timing(&mut self) {
+        for parameter in ModelParameter::ALL {
+            if parameter.is_of_timing() {
+                self[parameter] = 0.0;
+            }
+        }
+    }
+
+    /// Changes `parameter` of `camera`; changes of the timing stay plausible.
+    pub(super) fn add(&mut self, parameter: ModelParameter, change: f64, camera: &Camera) {
+        let most = match parameter {
+            ModelParameter::Exposure => MAX_EXPOSURE_CHANGE * camera.exposure_rows(),
+            ModelParameter::HalfDelay => MAX_DELAY,
+            _ => f64::INFINITY,
+        };
+        self[parameter] = (self[parameter] + change).clamp(-most, most);
     }
 
     /// Whether the PSF is not on the pixels of its capture.

@@ -240,8 +240,11 @@ impl Refinement<'_> {
         conjugate_gradient(&mut product, &right, errors);
         let (error, changes) = system.split(errors);
         for (parameter, change) in self.free.iter().zip(changes) {
-            correction.parameters[*parameter] += change;
+            correction
+                .parameters
+                .add(*parameter, change, calibrator.camera());
         }
+        correction.parameters.drop_negligible_timing();
         let anchor = self.anchor(calibrator, correction);
         let image = anchor.image();
         let pairs = image.data().iter().zip(&error);

@@ -152,7 +152,10 @@ pub(super) fn step(
                 .map(|i| change[(i, 0)].abs() / (MAX_STEP * widths[i]))
                 .fold(1.0, f64::max);
             for (i, &parameter) in free.parameters.iter().enumerate() {
-                correction.parameters[parameter] += change[(i, 0)] / largest;
+                let change = change[(i, 0)] / largest;
+                correction
+                    .parameters
+                    .add(parameter, change, calibrator.camera());
             }
             for row in 0..row_count {
                 correction.row_offsets[row] += change[(count + row, 0)] / largest;
@@ -164,7 +167,7 @@ pub(super) fn step(
         }
         report.remaining_sigma = remaining_sigma(&mut parts, &unexplained);
     }
-    correction.parameters.restrict_timing();
+    correction.parameters.drop_negligible_timing();
     debug!("self-calibration: {}", correction.parameters);
     report
 }
