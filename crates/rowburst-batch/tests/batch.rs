@@ -289,6 +289,30 @@ impl Frames for StoredRecording {
     }
 }
 
+/// The frame of a video behind a lens that vignettes by 20 %, by a camera whose lower half is 0.2 row times late.
+fn late_and_vignetted(operator: &RollingShutter, truth: &Video) -> Image {
+    let (rows, columns) = operator.frame_shape();
+    let (mut light, mut next) = (
+        vec![0.0; operator.range_len()],
+        vec![0.0; operator.range_len()],
+    );
+    operator.apply(truth.data(), &mut light);
+    let bins = (1..truth.shape().bins).chain([truth.shape().bins - 1]);
+    let next_bins: Vec<f32> = bins.flat_map(|t| truth.bin(t).to_vec()).collect();
+    operator.apply(&next_bins, &mut next);
+    let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
+    Image::from_fn(rows, columns, |y, x| {
+        let (now, next) = (light[y * columns + x], next[y * columns + x]);
+        let seen = if y < rows / 2 {
+            now
+        } else {
+            0.8 * now + 0.2 * next
+        };
+        let distance = place(y, rows).powi(2) + place(x, columns).powi(2);
+        seen.max(0.0) * (1.0 - 0.1 * distance)
+    })
+}
+
 /// A recording behind a vignetting lens, by a camera whose lower half is late, corrects both by several frames together,
 /// once; whoever takes the job up again takes what was found, to the bit.
 #[test]
@@ -313,24 +337,7 @@ fn a_recording_corrects_its_camera() {
     let operator = RollingShutter::new(&camera, &psf);
     let truth = |seed| scene::moving_digit(camera.video_shape(), 10, 1, seed).unwrap();
     let frame = |seed| {
-        let (mut light, mut next) = (
-            vec![0.0; operator.range_len()],
-            vec![0.0; operator.range_len()],
-        );
-        let truth = truth(seed);
-        operator.apply(truth.data(), &mut light);
-        let bins = (1..truth.shape().bins).chain([truth.shape().bins - 1]);
-        let next_bins: Vec<f32> = bins.flat_map(|t| truth.bin(t).to_vec()).collect();
-        operator.apply(&next_bins, &mut next);
-        let lower = rows / 2 * columns..;
-        for (light, next) in light[lower.clone()].iter_mut().zip(&next[lower]) {
-            *light = 0.8 * *light + 0.2 * next;
-        }
-        let place = |at: usize, length: usize| 2.0 * at as f32 / (length - 1) as f32 - 1.0;
-        let vignetted = Image::from_fn(rows, columns, |y, x| {
-            let distance = place(y, rows).powi(2) + place(x, columns).powi(2);
-            light[y * columns + x].max(0.0) * (1.0 - 0.1 * distance)
-        });
+        let vignetted = late_and_vignetted(&operator, &truth(seed));
         let noise = Noise::Gaussian { snr: 256.0 };
         noise
             .apply(&vignetted, camera.sensor(), seed)

@@ -566,8 +566,8 @@ mod tests {
             assert_eq!(retimed.instants(), instants, "{half_delay_rows}");
             assert_eq!(retimed.readout_instants(), camera.instants());
             assert_eq!(retimed.video_shape(), camera.video_shape());
-            for (row, instant) in instants.iter().enumerate() {
-                let weights = &retimed.time().instants()[*instant].weights;
+            for instant in instants {
+                let weights = &retimed.time().instants()[instant].weights;
                 assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
             }
             let part = retimed.within(1..3).unwrap();
