@@ -272,24 +272,25 @@ fn parameters_are_found() {
     }
 }
 
-/// A lower half that is read later than the upper one, and another gain of it, at exposures of a row and longer; an
-/// exposure that is longer than given.
+/// A lower half that is read later than the upper one, and another gain of it, at an exposure of a row; an exposure of
+/// several rows that is longer than given.
 #[test]
 fn the_timing_is_found() {
-    let on_both = |case: &Case, of: &dyn Fn(&Video) -> Image, lower: &dyn Fn(f32, f32) -> f32| {
-        let shape = case.truth.shape();
-        let bins = (1..shape.bins).chain([shape.bins - 1]);
-        let later = bins.flat_map(|t| case.truth.bin(t).to_vec()).collect();
-        let later = of(&Video::new(shape, later).unwrap());
-        Image::from_fn(ROWS, COLUMNS, |y, x| {
-            let (light, of_next_bin) = (case.light.at(y, x), later.at(y, x));
-            if y < ROWS / 2 {
-                light
-            } else {
-                lower(light, of_next_bin)
-            }
-        })
-    };
+    let in_lower_half =
+        |case: &Case, of: &dyn Fn(&Video) -> Image, lower: &dyn Fn(f32, f32) -> f32| {
+            let shape = case.truth.shape();
+            let bins = (1..shape.bins).chain([shape.bins - 1]);
+            let later = bins.flat_map(|t| case.truth.bin(t).to_vec()).collect();
+            let later = of(&Video::new(shape, later).unwrap());
+            Image::from_fn(ROWS, COLUMNS, |y, x| {
+                let (light, of_next_bin) = (case.light.at(y, x), later.at(y, x));
+                if y < ROWS / 2 {
+                    light
+                } else {
+                    lower(light, of_next_bin)
+                }
+            })
+        };
     let delayed = |now: f32, next: f32| 0.8 * now + 0.2 * next;
     let brighter = |now: f32, _: f32| 1.04 * now;
     let camera = camera_of(2.5);
@@ -307,13 +308,13 @@ fn the_timing_is_found() {
     let faults = [
         (
             &row,
-            on_both(&row, &of_row, &delayed),
+            in_lower_half(&row, &of_row, &delayed),
             ModelParameter::HalfDelay,
             0.2,
         ),
         (
             &row,
-            on_both(&row, &of_row, &brighter),
+            in_lower_half(&row, &of_row, &brighter),
             ModelParameter::HalfGain,
             0.04,
         ),
