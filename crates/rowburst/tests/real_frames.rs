@@ -35,8 +35,13 @@ fn camera(shutter: Shutter, field: Option<(usize, usize)>) -> Camera {
 }
 
 fn psf(camera: &Camera, seed: u64) -> Psf {
+    psf_of(0.6, camera, seed)
+}
+
+/// The PSF of a diffuser that scatters by `diffuser_fwhm_deg` degrees.
+fn psf_of(diffuser_fwhm_deg: f64, camera: &Camera, seed: u64) -> Psf {
     let optics = SpeckleOptics {
-        diffuser_fwhm_deg: 0.6,
+        diffuser_fwhm_deg,
         ..SpeckleOptics::demo()
     };
     let (rows, columns) = camera.field();
@@ -297,6 +302,34 @@ fn a_wrong_psf_has_an_effective_noise_level() {
         "{}",
         wrong.psnr(&at_sigma)
     );
+}
+
+/// A diffuser that scatters too little leaves light that no observed voxel explains. It belongs to the scene.
+#[test]
+fn the_light_of_a_scene_that_is_observed_in_part_is_kept() {
+    let as_given = Options {
+        self_calibration: SelfCalibration::OFF,
+        ..Options::default()
+    };
+    let all = Options {
+        keep_all_pixels: true,
+        ..as_given
+    };
+    for seed in 1..=8 {
+        let mut case = Case::new();
+        case.psf = psf_of(0.1, &case.camera, seed);
+        case.frame = recorded(&case.camera, &case.psf, &case.truth);
+        let found = case.solve(&case.frame, as_given.clone());
+        let psnr_db = case.psnr(&found);
+        let with_all_db = case.psnr(&case.solve(&case.frame, all.clone()));
+        let excluded = found.excluded_fraction();
+        assert!(found.coverage_fraction() < 1.0, "PSF {seed}");
+        assert!(excluded < 0.01, "PSF {seed}: {excluded} left out");
+        assert!(
+            psnr_db > with_all_db - 0.1,
+            "PSF {seed}: {psnr_db} dB, {with_all_db} dB with all pixels"
+        );
+    }
 }
 
 /// Voxels whose light reaches no pixel are marked and dark: of a field larger than the light of the PSF.

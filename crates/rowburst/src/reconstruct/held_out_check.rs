@@ -40,6 +40,8 @@ pub(super) struct HeldOutCheck {
     /// `A v` of its video, at all pixels.
     pub light: Vec<f32>,
     pub residual_rms: f64,
+    /// Indices of the held-out pixels.
+    held_out_pixels: Vec<usize>,
     /// Weighted residuals of the held-out pixels.
     pub held_out: Vec<f64>,
     pub held_out_rms: f64,
@@ -61,6 +63,7 @@ impl HeldOutCheck {
             held_out_scale: foreign::robust_scale(
                 &mut held_out.iter().map(|r| r.abs()).collect::<Vec<_>>(),
             ),
+            held_out_pixels: data.held_out_pixels().to_vec(),
             held_out,
             support_fraction: run.admm.support_fraction(),
         }
@@ -69,6 +72,13 @@ impl HeldOutCheck {
     /// How far the held-out error of few pixels may lie above its mean by chance, in parts of it.
     fn allowed_deviation(&self) -> f64 {
         DEVIATIONS / (2.0 * self.held_out.len().max(1) as f64).sqrt()
+    }
+
+    /// The held-out error at the pixels that are not `excluded`.
+    pub fn held_out_rms_without(&self, excluded: &[bool]) -> f64 {
+        let pairs = self.held_out_pixels.iter().zip(&self.held_out);
+        let kept = pairs.filter(|(pixel, _)| !excluded[**pixel]);
+        rms(&kept.map(|(_, residual)| *residual).collect::<Vec<_>>())
     }
 
     /// The noise level that serves the reconstruction best where the model does not explain the frame, at least

@@ -23,19 +23,22 @@ const UNSETTLED: f64 = 2.0;
 /// Held-out error after a correction of the model over that before, below which all pixels are judged again with it;
 /// larger corrects the model for what foreign pixels do.
 const CLEAR_CORRECTION: f64 = 0.7;
-/// Held-out error over that with all pixels above which foreign pixels are not believed to be foreign.
+/// Held-out error over that with all pixels, at the same pixels, above which foreign pixels are not believed to be foreign.
 const MAX_ERROR_RATIO: f64 = 0.98;
-/// The same where many are left out, or the PSF has been corrected: the error falls by that alone, since they are no longer
-/// held out.
-const MAX_ERROR_RATIO_OF_MANY: f64 = 0.5;
+/// The same where the PSF has been corrected or many pixels are left out; larger leaves pixels out where PSF or camera are
+/// wrong.
+const DOUBTFUL_ERROR_RATIO: f64 = 0.5;
+/// Part of the pixels from which they are many.
+const MANY_EXCLUDED: f64 = 0.01;
+/// The same ratio times the part of the pixels that are left out, at most: the more there are, the more of the error
+/// they have to be. Larger leaves the light of a scene out that the frame observes in part.
+const MAX_RATIO_TIMES_EXCLUDED: f64 = 0.02;
 /// Held-out error without the pixels that stand out over that with them, above which PSF and camera are corrected first:
 /// foreign pixels are most of the error where there are any; smaller searches for corrections of what they do.
 const FOREIGN_ERROR_RATIO: f64 = 0.8;
 /// Noise level of all pixels over that without the foreign ones, above which foreign pixels have raised it; larger takes
 /// them for noise.
 const MAX_SIGMA_RATIO: f64 = 1.2;
-/// Part of the pixels from which they are many.
-const MANY_EXCLUDED: f64 = 0.01;
 
 impl Problem {
     /// Checks the model on held-out pixels. Where it does not explain the frame, leaves foreign pixels out and sets the
@@ -218,7 +221,7 @@ impl Problem {
         let is_noise_known = self.sigma < MAX_SIGMA_RATIO * sensor_sigma;
         // Foreign pixels must explain half of the error, which is never below the noise of the sensor.
         if is_noise_known && self.is_explained(&check)
-            || MAX_ERROR_RATIO_OF_MANY * check.held_out_rms < sensor_sigma
+            || DOUBTFUL_ERROR_RATIO * check.held_out_rms < sensor_sigma
         {
             return Ok(check);
         }
@@ -286,21 +289,22 @@ impl Problem {
         let with_all = check.held_out_rms;
         let without = self.check_without(found, with_all, &lines.is_broken, prior, observer)?;
         let excluded_fraction = count(&self.excluded) as f64 / self.excluded.len() as f64;
-        // What a corrected PSF leaves is largest at bright pixels, which are not foreign.
-        let is_doubtful = self.calibration.is_some();
-        let max_ratio = if is_doubtful || excluded_fraction >= MANY_EXCLUDED {
-            MAX_ERROR_RATIO_OF_MANY
-        } else {
-            MAX_ERROR_RATIO
-        };
+        let ratio = without.held_out_rms / check.held_out_rms_without(&self.excluded);
         info!(
-            "without {:.2} % of the pixels, which stand out: held-out error {:.3} σ",
+            "without {:.2} % of the pixels, which stand out: held-out error {:.3} σ, {ratio:.3} times that of these pixels before",
             100.0 * excluded_fraction,
             without.held_out_rms / self.sigma
         );
-        if self.is_explained(&without) && !is_doubtful
-            || without.held_out_rms < max_ratio * check.held_out_rms
-        {
+        // What a corrected PSF leaves is largest at bright pixels, which are not foreign.
+        let is_corrected = self.calibration.is_some();
+        let are_many = excluded_fraction >= MANY_EXCLUDED;
+        let max_ratio = if is_corrected || are_many {
+            DOUBTFUL_ERROR_RATIO.min(MAX_RATIO_TIMES_EXCLUDED / excluded_fraction)
+        } else {
+            MAX_ERROR_RATIO
+        };
+        let is_sure = self.is_explained(&without) && !is_corrected && !are_many;
+        if is_sure || ratio < max_ratio {
             if self.sigma_source == SigmaSource::HeldOut {
                 // Foreign pixels have disturbed the noise level.
                 self.resolve_tau_rule(observer)?;

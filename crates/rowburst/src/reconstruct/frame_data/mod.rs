@@ -280,13 +280,18 @@ impl FrameData {
         }
     }
 
+    /// Indices of the pixels that are held out now, in ascending order.
+    pub fn held_out_pixels(&self) -> &[usize] {
+        self.held_out.as_ref().map_or(&[], HeldOut::pixels)
+    }
+
     /// `W(b − A v)` at the held-out pixels, with the weights that they would have.
     pub fn held_out_residuals(&self, video: &[f32]) -> Vec<f64> {
-        let Some(held_out) = &self.held_out else {
+        if self.held_out.is_none() {
             return Vec::new();
-        };
+        }
         let light = self.predicted(video);
-        let pixels = held_out.pixels().iter();
+        let pixels = self.held_out_pixels().iter();
         pixels
             .map(|&i| {
                 let weight = self.weights.as_ref().map_or(1.0, |w| f64::from(w[i]));
