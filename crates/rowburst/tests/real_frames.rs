@@ -319,9 +319,9 @@ fn the_light_of_a_scene_that_is_observed_in_part_is_kept() {
         let mut case = Case::new();
         case.psf = psf_of(0.1, &case.camera, seed);
         case.frame = recorded(&case.camera, &case.psf, &case.truth);
-        let found = case.solve(&case.frame, as_given.clone());
+        let found = case.solve(&case.frame, as_given);
         let psnr_db = case.psnr(&found);
-        let with_all_db = case.psnr(&case.solve(&case.frame, all.clone()));
+        let with_all_db = case.psnr(&case.solve(&case.frame, all));
         let excluded = found.excluded_fraction();
         assert!(found.coverage_fraction() < 1.0, "PSF {seed}");
         assert!(excluded < 0.01, "PSF {seed}: {excluded} left out");
