@@ -35,6 +35,8 @@ pub(super) struct SupportEstimator {
 enum BinState {
     /// Its threshold was lowered so many times; from [`KindTuning::unrestricted_level`] on all of its voxels are active.
     Widened(usize),
+    /// Its light was still spread at the first restriction: its threshold is lowered once, up to the next update.
+    Spread,
     /// All of its voxels are active for a while.
     Unrestricted {
         /// Updates, with the last one, for which they are.
@@ -52,7 +54,7 @@ impl BinState {
             Self::Unrestricted { updates_left } if updates_left > 1 => Self::Unrestricted {
                 updates_left: updates_left - 1,
             },
-            Self::Unrestricted { .. } => Self::INITIAL,
+            Self::Unrestricted { .. } | Self::Spread => Self::INITIAL,
             Self::Widened(_) => self,
         }
     }
@@ -64,6 +66,7 @@ impl BinState {
                 updates_left: updates.get(),
             },
             (Self::Widened(times), None) => Self::Widened(times + 1),
+            (Self::Spread, None) => Self::Widened(1),
             (Self::Unrestricted { .. }, None) => self,
         }
     }
@@ -79,6 +82,7 @@ impl BinState {
             Self::Widened(times) if is_restricted(times) => {
                 tuning.widening_factor.powi(times as i32)
             }
+            Self::Spread => tuning.widening_factor,
             _ => 0.0,
         }
     }
@@ -175,7 +179,8 @@ impl SupportEstimator {
     ///
     /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, to zero
     /// at once where a new factor is costly, and the voxels with the largest correlation are added. Of bins that were
-    /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`.
+    /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`. The first
+    /// update also lowers it, up to the next update, for bins that would lose much of their light.
     pub fn update(
         &mut self,
         video: &[f32],
@@ -186,6 +191,9 @@ impl SupportEstimator {
         self.widen(underfit_bins);
         let tuning = self.tuning;
         let threshold = tuning.support_threshold * brightness;
+        if self.support.is_none() {
+            self.find_spread_bins(video, threshold);
+        }
         let kind_tuning = self.kind_tuning;
         let ratios = self
             .bins
@@ -219,6 +227,22 @@ impl SupportEstimator {
         );
         self.support = Some(support.clone());
         support
+    }
+
+    /// Finds the bins that have more than [`KindTuning::max_cut_light`] of their light at or below `threshold`: it is still
+    /// spread, as where few pixels of a bin are usable.
+    fn find_spread_bins(&mut self, video: &[f32], threshold: f64) {
+        let bins = video.chunks_exact(self.shape.pixels());
+        for (state, bin) in self.bins.iter_mut().zip(bins) {
+            let light = |is_counted: &dyn Fn(f64) -> bool| -> f64 {
+                let values = bin.iter().map(|v| f64::from(*v));
+                values.filter(|v| is_counted(*v)).sum()
+            };
+            let cut = light(&|v| v <= threshold);
+            if cut > self.kind_tuning.max_cut_light * light(&|_| true) {
+                *state = BinState::Spread;
+            }
+        }
     }
 
     /// Widens the `underfit_bins`, and lets the time of temporarily unrestricted bins pass.
@@ -274,6 +298,27 @@ mod tests {
         }
         assert_eq!(estimator.support().unwrap().pixels_of(1), None);
         assert!(estimator.underfit_bins(vec![1.0, 3.9], 1.0).is_empty());
+    }
+
+    #[test]
+    fn a_bin_whose_light_is_still_spread_loses_it_later() {
+        let shape = Shape::new(2, 9, 9);
+        let mut video = vec![0.0f32; shape.voxels()];
+        // A quarter of the light of the second bin is below the threshold, which is 0.12.
+        (video[40], video[81 + 40], video[81 + 10]) = (1.0, 0.3, 0.1);
+        for (kind, is_kept) in [(ProblemKind::Small, true), (ProblemKind::Coupled, false)] {
+            let hints = DataHints {
+                kind,
+                ..DataHints::default()
+            };
+            let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
+            let support = estimator.update(&video, 1.0, None);
+            assert_eq!(support.mask()[81 + 10] == 1, is_kept, "{kind:?}");
+            assert_eq!(support.pixels_of(0).unwrap().len(), 9);
+            // The light that has not gathered by the next update is haze.
+            let support = estimator.update(&video, 1.0, None);
+            assert_eq!(support.mask()[81 + 10], 0, "{kind:?}");
+        }
     }
 
     #[test]

@@ -167,6 +167,10 @@ constants! {
         /// Brightness over that of the video above which a voxel of a widened bin stays active; smaller gives added voxels
         /// more time to show light. From 1 on it makes no difference (docs/design/025).
         kept_threshold: f64,
+        /// Part of a bin's light that the first restriction may cut off; the threshold of a bin that would lose more is
+        /// lowered up to the next update. Larger loses light that is still spread, smaller keeps haze. From 1 on it makes
+        /// no difference (docs/design/007).
+        max_cut_light: f64,
     }
     groups {}
 }
@@ -282,6 +286,7 @@ const SMALL: KindTuning = KindTuning {
     widening_factor: 0.125,
     unrestricted_level: NonZeroUsize::new(5),
     kept_threshold: 1.0,
+    max_cut_light: 0.2,
 };
 
 impl Default for Tuning {
@@ -340,6 +345,7 @@ impl Tuning {
             widening_factor: 0.5,
             unrestricted_level: None,
             kept_threshold: 0.005,
+            max_cut_light: 1.0,
             ..SMALL
         },
     };
