@@ -306,14 +306,14 @@ mod tests {
         let mut video = vec![0.0f32; shape.voxels()];
         // A quarter of the light of the second bin is below the threshold, which is 0.12.
         (video[40], video[81 + 40], video[81 + 10]) = (1.0, 0.3, 0.1);
-        for (kind, is_kept) in [(ProblemKind::Small, true), (ProblemKind::Coupled, false)] {
+        for (kind, stays) in [(ProblemKind::Small, true), (ProblemKind::Coupled, false)] {
             let hints = DataHints {
                 kind,
                 ..DataHints::default()
             };
             let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
             let support = estimator.update(&video, 1.0, None);
-            assert_eq!(support.mask()[81 + 10] == 1, is_kept, "{kind:?}");
+            assert_eq!(support.mask()[81 + 10] == 1, stays, "{kind:?}");
             assert_eq!(support.pixels_of(0).unwrap().len(), 9);
             // The light that has not gathered by the next update is haze.
             let support = estimator.update(&video, 1.0, None);
