@@ -140,7 +140,8 @@ impl SupportEstimator {
         self.is_unrestricted.contains(&true)
     }
 
-    /// Whether few voxels became inactive in the last update, and no bin was widened or is temporarily unrestricted.
+    /// Whether few voxels became inactive in the last update, no bin was widened, and none is spread or temporarily
+    /// unrestricted.
     pub fn is_stable(&self) -> bool {
         self.is_stable
     }
@@ -179,8 +180,8 @@ impl SupportEstimator {
     ///
     /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, to zero
     /// at once where a new factor is costly, and the voxels with the largest correlation are added. Of bins that were
-    /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`. The first
-    /// update also lowers it, up to the next update, for bins that would lose much of their light.
+    /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`. At the
+    /// first update the threshold is lowered, too, in bins that would lose much of their light, up to the next update.
     pub fn update(
         &mut self,
         video: &[f32],
