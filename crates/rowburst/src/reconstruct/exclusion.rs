@@ -21,14 +21,14 @@ use tracing::debug;
 const LEVEL_RATIO: f64 = 0.5;
 /// Noise level over `σ` below which it is the last one: the estimate of `σ` differs a little from round to round.
 const LAST_LEVEL_RATIO: f64 = 1.1;
-/// Most rounds at the noise of the sensor; more find few further pixels.
-const MAX_LAST_ROUNDS: usize = 4;
+/// Most rounds at a noise level that the video does not reach, and at that of the sensor; more find few further pixels.
+const MAX_ROUNDS: usize = 4;
 /// Noise level over `σ` from which pixels come back between rounds; larger takes faint foreign pixels back.
 const READMISSION_LEVEL: f64 = 4.0;
 /// Factor on the limit of a residual below which a pixel comes back between rounds; larger takes faint foreign pixels back.
 const EARLY_READMISSION: f64 = 0.4;
-/// Fall of the held-out error in a round at the noise of the sensor, in parts of it, below which the next round is not worth
-/// its time; larger misses faint foreign pixels.
+/// Fall of the held-out error in another round at the same level, in parts of it, below which the next one is not worth its
+/// time; larger misses faint foreign pixels.
 const MIN_FALL: f64 = 0.03;
 /// Factors on that limit at the end, one after the other: where many pixels are excluded, the video predicts them poorly.
 const READMISSIONS: [f64; 3] = [4.0, 1.0, 1.0];
@@ -88,6 +88,7 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
+        // At the same level, one after the other.
         let mut rounds = 0;
         let mut last_error = f64::INFINITY;
         loop {
@@ -97,12 +98,10 @@ impl Problem {
             }
             let check = self.robust_check(*level, prior, observer)?;
             let is_last_level = *level <= self.sigma;
-            rounds += usize::from(is_last_level);
             if is_last_level && self.is_explained(&check) {
                 return Ok(check);
             }
-            let is_reached = check.residual_rms <= MAX_RESIDUAL * *level;
-            let new = self.foreign(&check, 1.0);
+            let (new, unsettled_rows) = self.judge_pixels(&check, 1.0);
             let added = new.iter().zip(&self.excluded).filter(|(n, e)| **n && !**e);
             // In a dense scene each round finds a few others.
             let is_complete = added.count()
@@ -119,24 +118,26 @@ impl Problem {
                 check.held_out_rms / self.sigma,
                 count(&new)
             );
-            let falls = check.held_out_rms < (1.0 - MIN_FALL) * last_error;
-            if is_last_level && (is_complete || !falls || rounds >= MAX_LAST_ROUNDS)
-                || !is_last_level && !is_reached
-            {
-                return Ok(check);
-            }
-            if is_last_level {
-                last_error = check.held_out_rms;
-            }
             excluded = self.excluded.clone();
-            if !is_last_level {
+            if !is_last_level && check.residual_rms <= MAX_RESIDUAL * *level {
+                (rounds, last_error) = (0, f64::INFINITY);
                 *level = (LEVEL_RATIO * *level).max(self.sigma);
                 if *level < READMISSION_LEVEL * self.sigma {
                     excluded = self.without_predicted(&check, EARLY_READMISSION, broken);
                 }
+            } else {
+                rounds += 1;
+                let falls = check.held_out_rms < (1.0 - MIN_FALL) * last_error;
+                // A wrong PSF keeps the video from the level at all instants alike.
+                let can_settle = is_last_level || unsettled_rows.contains(&true);
+                if is_complete || !falls || !can_settle || rounds >= MAX_ROUNDS {
+                    return Ok(check);
+                }
+                last_error = check.held_out_rms;
+                add(&mut excluded, &unsettled_rows);
             }
-            let found = excluded.iter_mut().zip(new.iter().zip(&self.excluded));
-            found.for_each(|(excluded, (new, old))| *excluded |= *new && !old);
+            let found = new.iter().zip(&self.excluded).map(|(n, e)| *n && !e);
+            add(&mut excluded, &found.collect::<Vec<_>>());
         }
     }
 
@@ -151,6 +152,11 @@ impl Problem {
 
     /// The foreign pixels by the video of `check`; the limit of excluded ones is multiplied by `factor`.
     pub(super) fn foreign(&self, check: &HeldOutCheck, factor: f64) -> Vec<bool> {
+        self.judge_pixels(check, factor).0
+    }
+
+    /// The same, and those of [`Residual::unsettled_rows`].
+    fn judge_pixels(&self, check: &HeldOutCheck, factor: f64) -> (Vec<bool>, Vec<bool>) {
         let weights = self.measurement.weights();
         let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
         let weigh = |values: &[f32]| -> Vec<f32> {
@@ -162,20 +168,23 @@ impl Problem {
         };
         let is_usable: Vec<bool> = (0..self.excluded.len()).map(|i| weight(i) > 0.0).collect();
         let measured = weigh(self.measurement.image().data());
+        let instants = self.camera.instants();
         let pixels = Pixels {
             measured: &measured,
             is_usable: &is_usable,
-            instants: self.camera.instants(),
+            instants,
         };
         let scales = Scales::Settled {
             excluded_scale: check.held_out_scale,
             factor,
         };
-        Residual::new(pixels, &weigh(&check.light), &self.excluded, scales).is_foreign
+        let residual = Residual::new(pixels, &weigh(&check.light), &self.excluded, scales);
+        let unsettled_rows = residual.unsettled_rows(instants, &self.excluded);
+        (residual.is_foreign, unsettled_rows)
     }
 
-    /// As [`Problem::held_out_check`], at the noise level `level` and with the influence of large residuals bounded: foreign pixels that are not
-    /// found yet disturb their whole instant otherwise. Ends once the video reaches the level.
+    /// As [`Problem::held_out_check`], at the noise level `level` and with the influence of large residuals bounded: foreign
+    /// pixels that are not found yet disturb their whole instant otherwise. Ends once the video reaches the level.
     fn robust_check(
         &mut self,
         level: f64,
@@ -208,7 +217,8 @@ impl Problem {
                 instants: self.camera.instants(),
             };
             let fitted = run.admm.fitted();
-            let robust = Residual::new(pixels, fitted, &none, Scales::Fitting { level });
+            let scales = Scales::Fitting { level };
+            let robust = Residual::new(pixels, fitted, &none, scales);
             self.data.set_measurements(robust.bounded());
             until += CHECK_STEP;
         }
@@ -226,6 +236,11 @@ impl Problem {
             self.effective_sigma = sigma;
         }
     }
+}
+
+/// Adds the pixels of `others` to `mask`.
+fn add(mask: &mut [bool], others: &[bool]) {
+    mask.iter_mut().zip(others).for_each(|(m, o)| *m |= o);
 }
 
 /// Number of pixels that are not worth another check.

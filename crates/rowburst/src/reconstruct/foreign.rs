@@ -187,21 +187,35 @@ fn keep_bright_instants(is_foreign: &mut [bool], pixels: Pixels) {
 /// Adds the neighbours of foreign pixels that are not alone: the edges of printed letters are faint.
 fn with_edges(is_foreign: &[bool], columns: usize) -> Vec<bool> {
     let rows = is_foreign.len() / columns;
-    let neighbours = |i: usize| {
-        let (y, x) = (i / columns, i % columns);
-        let near_rows = y.saturating_sub(1)..(y + 2).min(rows);
-        near_rows.flat_map(move |y| {
-            (x.saturating_sub(1)..(x + 2).min(columns)).map(move |x| y * columns + x)
-        })
-    };
     let mut grown = is_foreign.to_vec();
-    for i in (0..is_foreign.len()).filter(|&i| is_foreign[i]) {
-        let others = neighbours(i).filter(|&n| n != i && is_foreign[n]).count();
-        if others >= MIN_FOREIGN_NEIGHBOURS {
-            neighbours(i).for_each(|n| grown[n] = true);
-        }
+    for i in (0..is_foreign.len()).filter(|&i| is_grouped(is_foreign, columns, i)) {
+        neighbours(i, rows, columns).for_each(|n| grown[n] = true);
     }
     grown
+}
+
+/// Whether the foreign pixels are mostly not alone.
+fn are_grouped(is_foreign: &[bool], columns: usize) -> bool {
+    let foreign = (0..is_foreign.len()).filter(|&i| is_foreign[i]);
+    let (grouped, alone): (Vec<usize>, Vec<usize>) =
+        foreign.partition(|&i| is_grouped(is_foreign, columns, i));
+    grouped.len() > alone.len()
+}
+
+/// Whether pixel `i` is foreign and not alone.
+fn is_grouped(is_foreign: &[bool], columns: usize, i: usize) -> bool {
+    let near = neighbours(i, is_foreign.len() / columns, columns);
+    is_foreign[i] && near.filter(|n| is_foreign[*n]).count() >= MIN_FOREIGN_NEIGHBOURS
+}
+
+/// The up to eight neighbours of pixel `i`.
+fn neighbours(i: usize, rows: usize, columns: usize) -> impl Iterator<Item = usize> {
+    let (y, x) = (i / columns, i % columns);
+    let near_rows = y.saturating_sub(1)..(y + 2).min(rows);
+    let near = near_rows.flat_map(move |y| {
+        (x.saturating_sub(1)..(x + 2).min(columns)).map(move |x| y * columns + x)
+    });
+    near.filter(move |n| *n != i)
 }
 
 /// How much brighter than the typical light each row is as a whole, at least 1: in a flash whole rows are bright. A bright
@@ -235,6 +249,8 @@ pub(super) struct Residual<'a> {
     scale: Vec<f64>,
     /// The scale of all pixels together.
     typical_scale: f64,
+    /// The scale of each instant.
+    of_instants: Vec<f64>,
     /// Whether each pixel is foreign: its residual is far above its scale.
     pub is_foreign: Vec<bool>,
 }
@@ -305,7 +321,37 @@ impl<'a> Residual<'a> {
             residual,
             scale,
             typical_scale,
+            of_instants,
         }
+    }
+
+    /// Of each instant whose video has not settled, the pixels of the row with the most foreign and `excluded` ones: its other
+    /// rows may tell what the scene was like. None where most foreign pixels are alone: a caption has more pixels than are
+    /// found, and where lone ones are found, it is something else that has not settled.
+    pub fn unsettled_rows(&self, instants: &[usize], excluded: &[bool]) -> Vec<bool> {
+        let columns = excluded.len() / instants.len();
+        let foreign = self.is_foreign.iter().zip(excluded);
+        let is_foreign: Vec<bool> = foreign.map(|(foreign, e)| *foreign || *e).collect();
+        let mut is_in_row = vec![false; excluded.len()];
+        if !are_grouped(&is_foreign, columns) {
+            return is_in_row;
+        }
+        let pixels_of = |row: usize| row * columns..(row + 1) * columns;
+        let count = |row: usize| pixels_of(row).filter(|&i| is_foreign[i]).count();
+        for (instant, scale) in self.of_instants.iter().enumerate() {
+            if *scale <= UNSETTLED_RATIO * self.typical_scale {
+                continue;
+            }
+            let rows = (0..instants.len()).filter(|&row| instants[row] == instant);
+            let mut counts: Vec<(usize, usize)> = rows.map(|row| (count(row), row)).collect();
+            counts.sort_unstable();
+            if let [.., (second, _), (most, row)] = counts[..]
+                && most > second
+            {
+                is_in_row[pixels_of(row)].fill(true);
+            }
+        }
+        is_in_row
     }
 
     /// The measurements with the influence of large residuals bounded (Hampel 1974), and foreign ones replaced by what
@@ -516,6 +562,48 @@ mod tests {
         assert_eq!(bounded[3 * COLUMNS + 11], 0.0);
         assert_eq!(bounded[0], measured[0]);
         assert!(bounded.iter().zip(&measured).all(|(b, m)| b <= m));
+    }
+
+    #[test]
+    fn the_most_covered_row_of_an_unsettled_instant_is_doubtful() {
+        // Rows 1 and 2 see instant 0, whose residuals are ten times those of the others.
+        let (rows, instants) = (6, [2, 0, 0, 1, 1, 2]);
+        let measured: Vec<f32> = (0..rows * COLUMNS)
+            .map(|i| {
+                speckle(i)
+                    * if (1..3).contains(&(i / COLUMNS)) {
+                        10.0
+                    } else {
+                        1.0
+                    }
+            })
+            .collect();
+        let pixels = Pixels {
+            measured: &measured,
+            is_usable: &vec![true; rows * COLUMNS],
+            instants: &instants,
+        };
+        let scales = Scales::Settled {
+            excluded_scale: 0.0,
+            factor: 1.0,
+        };
+        let doubtful_rows = |is_excluded: &dyn Fn(usize) -> bool| -> Vec<usize> {
+            let excluded: Vec<bool> = (0..rows * COLUMNS).map(is_excluded).collect();
+            let residual = Residual::new(pixels, &vec![0.0; rows * COLUMNS], &excluded, scales);
+            let found = residual.unsettled_rows(&instants, &excluded);
+            let is_left_out =
+                |row: &usize| found[row * COLUMNS..(row + 1) * COLUMNS].iter().all(|f| *f);
+            (0..rows).filter(is_left_out).collect()
+        };
+        // Letters in row 2 and, where all has settled, in row 4.
+        assert_eq!(
+            doubtful_rows(&|i| matches!(i / COLUMNS, 2 | 4) && i % COLUMNS < 6),
+            [2]
+        );
+        // As many in both rows of the instant: none is more doubtful.
+        assert!(doubtful_rows(&|i| matches!(i / COLUMNS, 1 | 2) && i % COLUMNS < 6).is_empty());
+        // Lone pixels in row 2.
+        assert!(doubtful_rows(&|i| i / COLUMNS == 2 && i % 6 == 0).is_empty());
     }
 
     #[test]

@@ -115,9 +115,9 @@ impl Problem {
     /// check after the corrections.
     ///
     /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. If the model explains the
-    /// frame without them, they are foreign and nothing else is wrong: the shortest search. If it explains little more, PSF
-    /// and camera are corrected at once, else after the rounds for foreign pixels. The correction is found without them;
-    /// where it helps, all pixels are judged again.
+    /// frame without them, they are foreign and nothing else is wrong: the shortest search. If it explains little more, and
+    /// they have not raised the noise level, PSF and camera are corrected at once, else after the rounds for foreign
+    /// pixels. The correction is found without them; where it helps, all pixels are judged again.
     fn correct_model(
         &mut self,
         check: HeldOutCheck,
@@ -133,7 +133,7 @@ impl Problem {
             return self.exclude_foreign(found, check, prior, observer);
         }
         let none = vec![false; self.excluded.len()];
-        let (standing_out, is_followed) = (found.pixels.clone(), found.is_followed);
+        let (standing_out, sigma_with_all) = (found.pixels.clone(), self.sigma);
         let mut without = None;
         if standing_out.contains(&true) {
             self.exclude(standing_out.clone());
@@ -146,6 +146,11 @@ impl Problem {
             return self.exclude_foreign(found, check, prior, observer);
         }
         let start = without.as_ref().unwrap_or(&check);
+        // No error of PSF and camera raises the noise beyond the cut-off of the optics.
+        let have_raised_sigma = sigma_with_all > MAX_SIGMA_RATIO * self.sigma;
+        let is_followed = found.is_followed || have_raised_sigma;
+        let is_model_first =
+            !have_raised_sigma && start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms;
         if !self.is_explained(start) {
             // Of a global shutter others were looked for at once.
             let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
@@ -157,7 +162,7 @@ impl Problem {
             return Ok(check);
         }
         let mut tried = None;
-        if start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms
+        if is_model_first
             && !self.is_explained(start)
             && !(is_followed && self.has_foreign_psf(start, prior, observer)?)
         {

@@ -21,6 +21,9 @@ use tracing::info;
 const MAX_ERROR_RATIO: f64 = 0.88;
 /// The same, below which the other images need not be tried; larger may miss that the PSF is not the frame's.
 const CLEAR_ERROR_RATIO: f64 = 0.7;
+/// The same for the scale of most held-out residuals, below which the PSF is the frame's; larger keeps PSFs of other frames.
+/// Foreign pixels raise the error, and hardly this scale.
+const CLEAR_SCALE_RATIO: f64 = 0.25;
 /// Correlation with its image above which a PSF cannot be told from it.
 const MAX_SYMMETRY: f64 = 0.5;
 /// Held-out error with a rolling shutter over that with a global one, which has a single bin, below which the frame is of a
@@ -67,12 +70,15 @@ impl Problem {
             let camera = self.camera.clone();
             let (_, with_image) = self.check_with(camera, psfs, limit, prior, observer)?;
             let ratio = check.held_out_rms / with_image.held_out_rms;
-            info!("held-out error over that with an image of the PSF: {ratio:.3}");
+            let scale_ratio = check.held_out_scale / with_image.held_out_scale;
+            info!(
+                "held-out error over that with an image of the PSF: {ratio:.3}, of most pixels {scale_ratio:.3}"
+            );
+            if ratio < CLEAR_ERROR_RATIO || scale_ratio < CLEAR_SCALE_RATIO {
+                return Ok(false);
+            }
             if ratio > MAX_ERROR_RATIO {
                 return Ok(true);
-            }
-            if ratio < CLEAR_ERROR_RATIO {
-                return Ok(false);
             }
         }
         Ok(false)
