@@ -79,7 +79,8 @@ impl Problem {
 
     /// Checks the model without the pixels `excluded`, at the noise level `level` and then at smaller ones down to that
     /// of the sensor, as long as the video reaches them. Leaves further pixels out that prove to be foreign. A fit to
-    /// the noise of the sensor at once would absorb them.
+    /// the noise of the sensor at once would absorb them. Where only some instants keep the video from a level, the check is
+    /// repeated without their most doubtful rows, see [`Residual::unsettled_rows`].
     fn exclude_from_level(
         &mut self,
         level: &mut f64,
