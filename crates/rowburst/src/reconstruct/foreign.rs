@@ -568,15 +568,9 @@ mod tests {
     fn the_most_covered_row_of_an_unsettled_instant_is_doubtful() {
         // Rows 1 and 2 see instant 0, whose residuals are ten times those of the others.
         let (rows, instants) = (6, [2, 0, 0, 1, 1, 2]);
+        let factor = |row: usize| if instants[row] == 0 { 10.0 } else { 1.0 };
         let measured: Vec<f32> = (0..rows * COLUMNS)
-            .map(|i| {
-                speckle(i)
-                    * if (1..3).contains(&(i / COLUMNS)) {
-                        10.0
-                    } else {
-                        1.0
-                    }
-            })
+            .map(|i| speckle(i) * factor(i / COLUMNS))
             .collect();
         let pixels = Pixels {
             measured: &measured,
