@@ -39,6 +39,9 @@ const FOREIGN_ERROR_RATIO: f64 = 0.8;
 /// Noise level of all pixels over that without the foreign ones, above which foreign pixels have raised it; larger takes
 /// them for noise.
 const MAX_SIGMA_RATIO: f64 = 1.2;
+/// Standard deviation of most held-out residuals over the held-out error, below which the error is that of few pixels, which
+/// are foreign; larger looks for them where PSF or camera are wrong.
+const FEW_PIXELS_SCALE: f64 = 0.33;
 
 impl Problem {
     /// Checks the model on held-out pixels. Where it does not explain the frame, leaves foreign pixels out and sets the
@@ -149,8 +152,10 @@ impl Problem {
         // No error of PSF and camera raises the noise beyond the cut-off of the optics.
         let have_raised_sigma = sigma_with_all > MAX_SIGMA_RATIO * self.sigma;
         let is_followed = found.is_followed || have_raised_sigma;
-        let is_model_first =
-            !have_raised_sigma && start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms;
+        let is_of_few = start.held_out_scale < FEW_PIXELS_SCALE * start.held_out_rms;
+        let is_model_first = !have_raised_sigma
+            && !is_of_few
+            && start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms;
         if !self.is_explained(start) {
             // Of a global shutter others were looked for at once.
             let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
