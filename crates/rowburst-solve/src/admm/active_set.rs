@@ -1,9 +1,10 @@
 //! The controller that restricts the video to its support, the set of active voxels (docs/design/007).
 
 use super::AdmmParams;
-use super::brightness::brightness;
+use super::brightness::bounded_brightness;
 use super::phase::Schedule;
 use super::support_estimator::{SupportEstimator, Underfit};
+use super::tuning::Tuning;
 use super::variables::Variables;
 use crate::DataTerm;
 use crate::prox::Prox;
@@ -21,7 +22,7 @@ pub(super) struct ActiveSet {
     estimator: SupportEstimator,
     /// See [`AdmmParams::support`].
     is_used: bool,
-    interval: usize,
+    tuning: Tuning,
 }
 
 /// What an update of the active set did.
@@ -42,7 +43,7 @@ impl ActiveSet {
             shape,
             estimator: SupportEstimator::new(shape, data.capabilities().hints, &params.tuning),
             is_used: params.support,
-            interval: params.tuning.support_interval,
+            tuning: params.tuning,
         }
     }
 
@@ -73,7 +74,9 @@ impl ActiveSet {
 
     /// Whether an update is due in this iteration.
     pub fn is_due(&self, schedule: &Schedule) -> bool {
-        self.is_used && !schedule.is_warming_up() && schedule.is_multiple_of(self.interval)
+        self.is_used
+            && !schedule.is_warming_up()
+            && schedule.is_multiple_of(self.tuning.support_interval)
     }
 
     /// Lets the support change again.
@@ -114,7 +117,7 @@ impl ActiveSet {
             bins: &underfit_bins,
             correlation: &variables.scratch[..self.shape.voxels()],
         });
-        let bright = brightness(foreground);
+        let bright = bounded_brightness(foreground, self.shape.pixels(), &self.tuning);
         let support = self.estimator.update(foreground, bright, underfit);
         prior.restrict(&support);
         self.restrict(variables, data, &support);

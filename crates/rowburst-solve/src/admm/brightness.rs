@@ -1,5 +1,6 @@
 //! The brightness of a video, the unit of the solver's thresholds.
 
+use super::tuning::Tuning;
 use rayon::prelude::*;
 use rowburst_core::vecmath::simd;
 
@@ -18,9 +19,38 @@ pub fn brightness(video: &[f32]) -> f64 {
             )
         })
         .collect();
-    let (second, fourth) = parts
+    let sums = parts
         .iter()
         .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
+    mean_of(sums)
+}
+
+/// The same, but at most [`Tuning::max_brightness_ratio`] times that of the dimmest bins that hold [`Tuning::dim_part`] of
+/// `Σ v²`: in the unit of a flash alone, the other instants are faint. Each bin has so many `pixels`.
+pub(super) fn bounded_brightness(video: &[f32], pixels: usize, tuning: &Tuning) -> f64 {
+    let mut bins: Vec<(f64, f64)> = video
+        .par_chunks(pixels)
+        .map(|bin| {
+            let sums = simd(
+                #[inline(always)]
+                || powers(bin),
+            );
+            (mean_of(sums), sums.0)
+        })
+        .collect();
+    bins.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let dim = tuning.dim_part * bins.iter().map(|(_, second)| second).sum::<f64>();
+    let mut sum = 0.0;
+    let brightest_dim = bins.iter().find(|(_, second)| {
+        sum += second;
+        sum > dim
+    });
+    let dim_brightness = brightest_dim.map_or(0.0, |(bright, _)| *bright);
+    brightness(video).min(tuning.max_brightness_ratio * dim_brightness)
+}
+
+/// `√(Σ v⁴ / Σ v²)` of `Σ v²` and `Σ v⁴`; 0 where both are 0.
+fn mean_of((second, fourth): (f64, f64)) -> f64 {
     if second > 0.0 {
         (fourth / second).sqrt()
     } else {
@@ -56,5 +86,17 @@ mod tests {
         video[..100].fill(2.0);
         assert!((brightness(&video) - 2.0).abs() < 1e-4);
         assert_eq!(brightness(&[-1.0, 0.0]), 0.0);
+    }
+
+    #[test]
+    fn a_flash_does_not_hide_dimmer_bins() {
+        let bounded = |video: &[f32]| bounded_brightness(video, 2, &Tuning::STANDARD);
+        // Three bins of equal light, a dark one, and one of haze that holds nearly nothing.
+        let mut video = [1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.01, 0.01];
+        assert_eq!(bounded(&video), brightness(&video));
+        video[6] = 10.0;
+        assert!(brightness(&video) > 9.0);
+        assert_eq!(bounded(&video), 2.0);
+        assert_eq!(bounded(&[0.0; 10]), 0.0);
     }
 }

@@ -4,7 +4,7 @@
 //! settled, and acts between runs by [`Controllers::set_tau_rule`].
 
 use super::active_set::{ActiveSet, Restriction};
-use super::brightness::brightness;
+use super::brightness::{bounded_brightness, brightness};
 use super::continuation::Continuation;
 use super::discrepancy::Discrepancy;
 use super::noise_weights::NoiseWeights;
@@ -27,6 +27,8 @@ pub(super) struct Controllers {
     continuation: Continuation,
     noise_weights: NoiseWeights,
     decline: DeclineDetector,
+    /// See [`super::tuning::KindTuning::brightness_bounded_from`].
+    brightness_bounded_from: usize,
     tuning: Tuning,
 }
 
@@ -43,6 +45,7 @@ impl Controllers {
             continuation: Continuation::new(params.threshold, tuning, kind),
             noise_weights: NoiseWeights::new(tuning),
             decline: DeclineDetector::new(shape.bins, tuning),
+            brightness_bounded_from: tuning.for_kind(kind).brightness_bounded_from,
             tuning: *tuning,
         };
         controllers.set_tau_rule(params.tau, data);
@@ -179,7 +182,12 @@ impl Controllers {
     }
 
     fn set_threshold(&mut self, variables: &Variables) {
-        let bright = brightness(self.foreground(variables));
+        let foreground = self.foreground(variables);
+        let bright = if self.schedule.step() < self.brightness_bounded_from {
+            brightness(foreground)
+        } else {
+            bounded_brightness(foreground, self.shape.pixels(), &self.tuning)
+        };
         self.penalty
             .set_beta_or_keep(self.continuation.beta(bright, &self.schedule));
     }

@@ -1,5 +1,6 @@
 //! Estimates the support: the set of active voxels (docs/design/007).
 
+use super::brightness::brightness;
 use super::tuning::{KindTuning, Tuning};
 use crate::DataHints;
 use rayon::prelude::*;
@@ -178,7 +179,8 @@ impl SupportEstimator {
 
     /// Sets the support to the bright voxels of `video` and their neighbours, and returns it.
     ///
-    /// The threshold is [`Tuning::support_threshold`] of `brightness`. In the bins of `underfit` it is lowered, to zero
+    /// The threshold is [`Tuning::support_threshold`] of `brightness`, or of a dimmer bin's own, see
+    /// [`KindTuning::min_bin_brightness`]. In the bins of `underfit` it is lowered, to zero
     /// at once where a new factor is costly, and the voxels with the largest correlation are added. Of bins that were
     /// widened, active voxels stay active while they are above [`KindTuning::kept_threshold`] of `brightness`. At the
     /// first update the threshold is lowered, too, in bins that would lose much of their light, up to the next update.
@@ -196,11 +198,16 @@ impl SupportEstimator {
             self.find_spread_bins(video, threshold);
         }
         let kind_tuning = self.kind_tuning;
-        let ratios = self
+        let bins = self
             .bins
             .iter()
-            .map(|bin| bin.threshold_ratio(&kind_tuning));
-        let thresholds: Vec<f64> = ratios.map(|ratio| threshold * ratio).collect();
+            .zip(video.chunks_exact(self.shape.pixels()));
+        let thresholds: Vec<f64> = bins
+            .map(|(state, bin)| {
+                let ratio = state.threshold_ratio(&kind_tuning);
+                threshold * ratio * bin_brightness_ratio(bin, brightness, &kind_tuning)
+            })
+            .collect();
         let mut support = Support::above(video, self.shape, &thresholds);
         if let Some(before) = &self.support {
             let widened = (0..self.shape.bins).filter(|&t| self.bins[t] != BinState::INITIAL);
@@ -255,6 +262,15 @@ impl SupportEstimator {
             self.bins[t] = self.bins[t].widened(self.kind_tuning.unrestricted_updates);
         }
     }
+}
+
+/// Brightness of the voxels of a bin over that of the video, from [`KindTuning::min_bin_brightness`] to 1.
+fn bin_brightness_ratio(bin: &[f32], of_video: f64, tuning: &KindTuning) -> f64 {
+    if tuning.min_bin_brightness >= 1.0 {
+        return 1.0;
+    }
+    let ratio = brightness(bin) / of_video;
+    ratio.max(tuning.min_bin_brightness).min(1.0)
 }
 
 #[cfg(test)]
@@ -346,6 +362,25 @@ mod tests {
             estimator.update(&video, 1.0, second_bin(&lacking));
         }
         assert!(estimator.support().unwrap().pixels_of(1).is_some());
+    }
+
+    #[test]
+    fn faint_light_stays_in_dim_bins_of_coupled_rows() {
+        let shape = Shape::new(2, 9, 9);
+        let mut video = vec![0.0f32; shape.voxels()];
+        // The threshold is 0.12; in the second bin, which is dimmer, 0.12 · 0.2.
+        (video[40], video[81 + 40], video[81 + 10]) = (1.0, 0.2, 0.05);
+        for (kind, stays) in [(ProblemKind::Small, false), (ProblemKind::Coupled, true)] {
+            let hints = DataHints {
+                kind,
+                ..DataHints::default()
+            };
+            let mut tuning = Tuning::STANDARD;
+            tuning.small.max_cut_light = 1.0;
+            let mut estimator = SupportEstimator::new(shape, hints, &tuning);
+            let support = estimator.update(&video, 1.0, None);
+            assert_eq!(support.mask()[81 + 10] == 1, stays, "{kind:?}");
+        }
     }
 
     #[test]

@@ -171,6 +171,13 @@ constants! {
         /// lowered up to the next update. Larger loses light that is still spread, smaller keeps haze. From 1 on it makes
         /// no difference (docs/design/007).
         max_cut_light: f64,
+        /// Step from which [`Tuning::max_brightness_ratio`] holds; smaller takes bins for dim that have not gathered their
+        /// light (docs/design/007).
+        brightness_bounded_from: usize,
+        /// Brightness of a bin over that of the video, by which its threshold of the support is lowered, at least; smaller
+        /// keeps haze in dark bins, larger drops faint light beside bright bins. From 1 on it makes no difference
+        /// (docs/design/007).
+        min_bin_brightness: f64,
     }
     groups {}
 }
@@ -233,6 +240,12 @@ constants! {
         /// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze
         /// (docs/design/007).
         support_threshold: f64,
+        /// Part of `Σ v²` that the dim bins hold, which bound the brightness; larger takes more bins for dim, smaller takes
+        /// haze for a bin (docs/design/007).
+        dim_part: f64,
+        /// Brightness over that of the brightest dim bin, at most; larger loses dim bins beside a flash, smaller keeps haze
+        /// (docs/design/007).
+        max_brightness_ratio: f64,
         /// Residual of a bin over the expected one above which it may be underfit; smaller reacts to noise
         /// (docs/design/007).
         underfit_ratio: f64,
@@ -287,6 +300,8 @@ const SMALL: KindTuning = KindTuning {
     unrestricted_level: NonZeroUsize::new(5),
     kept_threshold: 1.0,
     max_cut_light: 0.2,
+    brightness_bounded_from: 20,
+    min_bin_brightness: 1.0,
 };
 
 impl Default for Tuning {
@@ -316,6 +331,8 @@ impl Tuning {
         max_relative_rho: 1e7,
         support_interval: 10,
         support_threshold: 0.12,
+        dim_part: 0.02,
+        max_brightness_ratio: 2.0,
         underfit_ratio: 1.3,
         stall_ratio: 0.85,
         stable_ratio: 0.9,
@@ -346,6 +363,8 @@ impl Tuning {
             unrestricted_level: None,
             kept_threshold: 0.005,
             max_cut_light: 1.0,
+            brightness_bounded_from: 1,
+            min_bin_brightness: 0.1,
             ..SMALL
         },
     };
@@ -460,6 +479,11 @@ impl Tuning {
                 self.support_threshold <= 1.0,
                 "support_threshold is at most 1",
             ),
+            (self.dim_part < 1.0, "dim_part is below 1"),
+            (
+                self.max_brightness_ratio >= 1.0,
+                "max_brightness_ratio is at least 1",
+            ),
             (
                 self.brightness_bound >= 1.0,
                 "brightness_bound is at least 1",
@@ -553,6 +577,8 @@ mod tests {
             ("decline", 1.0),
             ("small.widening_factor", 2.0),
             ("support_threshold", 1.5),
+            ("dim_part", 1.0),
+            ("max_brightness_ratio", 0.5),
             ("brightness_bound", 0.5),
             ("small.min_rho_ratio", 2.0),
             ("wide.deadband_lower", 1.1),

@@ -193,7 +193,10 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         self.effective_sigma = level;
-        let (rule, settings) = (self.tau_rule(), self.options.solver_settings().of_a_trial());
+        let (rule, settings) = (
+            self.tau_rule(),
+            self.options.solver_settings().of_a_search(),
+        );
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, settings);
         let (measured, is_usable) = (self.data.measurements().to_vec(), self.data.usable());
         let none = vec![false; measured.len()];

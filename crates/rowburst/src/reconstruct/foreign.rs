@@ -110,7 +110,7 @@ pub(super) fn find(
     let params = AdmmParams {
         // Each level is another problem, so no certificate stops a run.
         tolerance: 0.0,
-        ..PRIOR.admm_params(shape, rule(level), SolverSettings::default().of_a_trial())
+        ..PRIOR.admm_params(shape, rule(level), SolverSettings::default().of_a_search())
     };
     let mut prox = data.prox(&PRIOR);
     let mut run = Admm::new(data, shape, params);

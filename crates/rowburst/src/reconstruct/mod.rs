@@ -54,7 +54,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 22;
+pub const ALGORITHM_REVISION: u32 = 23;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -100,6 +100,14 @@ impl SolverSettings {
     pub fn of_a_trial(mut self) -> Self {
         self.tuning.coupled = self.tuning.small;
         self
+    }
+
+    /// For trials that look for foreign pixels or errors of the model: what these do looks like light in dim bins, which the
+    /// bright ones keep faint (docs/design/007).
+    pub fn of_a_search(self) -> Self {
+        let mut settings = self.of_a_trial();
+        settings.tuning.max_brightness_ratio = f64::MAX;
+        settings
     }
 }
 

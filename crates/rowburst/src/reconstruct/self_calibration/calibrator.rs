@@ -311,7 +311,7 @@ impl<'p> Calibrator<'p> {
     ) -> Result<Trial, Box<RunResult>> {
         let mut data = self.data(frame, correction);
         let rule = TauRule::Discrepancy { sigma };
-        let settings = SolverSettings::default().of_a_trial();
+        let settings = SolverSettings::default().of_a_search();
         let mut run = HeldOutRun::without_reset(&data, self.prior, rule, settings);
         let mut labelled = |progress: &Progress| {
             observer(&Progress {
