@@ -248,6 +248,52 @@ fn a_dead_row_costs_flashing_leds_little() {
     assert!(without > with - 1.0, "{without} dB, {with} with the row");
 }
 
+/// A flash does not hide LEDs that are dimmer: exposures of one row and of three, 48 and 35 dB where thresholds follow the
+/// brightness of the flash.
+#[test]
+fn a_flash_does_not_hide_dim_leds() {
+    for (exposure_us, times_as_bright, min_psnr_db) in [(10.0, 5.0, 51.0), (30.0, 8.0, 39.0)] {
+        let params = CameraParams {
+            exposure_us,
+            ..camera(Shutter::DualInsideOut, None).params().clone()
+        };
+        let camera = Camera::new(params).unwrap();
+        let psf = psf(&camera, 5);
+        let shape = camera.video_shape();
+        let (leds, _) = scene::leds(shape, 10.0, 6.5, 5).unwrap();
+        let mut truth = leds.data().to_vec();
+        let brightest = truth.iter().copied().fold(0.0, f32::max);
+        let flash = 12;
+        truth[flash * shape.pixels() + 40 * shape.columns + 20] = times_as_bright * brightest;
+        let truth = Video::new(shape, truth).unwrap();
+        let frame = recorded(&camera, &psf, &truth);
+        let case = Case {
+            camera,
+            psf,
+            truth,
+            frame,
+        };
+        let found = case.solve(&case.frame, Options::default());
+        let at_other_instants = |video: &Video| -> Vec<f32> {
+            let bins = video.data().chunks_exact(shape.pixels()).enumerate();
+            let others = bins.filter(|(t, _)| *t != flash);
+            others.flat_map(|(_, bin)| bin.to_vec()).collect()
+        };
+        let psnr = psnr_db(
+            &at_other_instants(&found.video),
+            &at_other_instants(&case.truth),
+        );
+        assert!(psnr > min_psnr_db, "{exposure_us} µs: {psnr} dB");
+        let fit = &found.fit;
+        assert_eq!(
+            fit.verdict,
+            Verdict::Good,
+            "{exposure_us} µs: {}",
+            fit.reason
+        );
+    }
+}
+
 /// Hot pixels are found where gain and read noise are known, too: a pixel's weight follows from its own counts, so that of a
 /// hot one is small.
 #[test]

@@ -118,9 +118,9 @@ impl Problem {
     /// check after the corrections.
     ///
     /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. If the model explains the
-    /// frame without them, they are foreign and nothing else is wrong: the shortest search. If it explains little more, and
-    /// they have not raised the noise level, PSF and camera are corrected at once, else after the rounds for foreign
-    /// pixels. The correction is found without them; where it helps, all pixels are judged again.
+    /// frame without them, they are foreign and nothing else is wrong: the shortest search. If it explains little more, its
+    /// error is that of most pixels, and they have not raised the noise level, PSF and camera are corrected at once, else
+    /// after the rounds for foreign pixels. The correction is found without them; where it helps, all pixels are judged again.
     fn correct_model(
         &mut self,
         check: HeldOutCheck,
@@ -152,10 +152,7 @@ impl Problem {
         // No error of PSF and camera raises the noise beyond the cut-off of the optics.
         let have_raised_sigma = sigma_with_all > MAX_SIGMA_RATIO * self.sigma;
         let is_followed = found.is_followed || have_raised_sigma;
-        let is_of_few = start.held_out_scale < FEW_PIXELS_SCALE * start.held_out_rms;
-        let is_model_first = !have_raised_sigma
-            && !is_of_few
-            && start.held_out_rms > FOREIGN_ERROR_RATIO * check.held_out_rms;
+        let is_model_first = !have_raised_sigma && is_of_model(start, &check);
         if !self.is_explained(start) {
             // Of a global shutter others were looked for at once.
             let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
@@ -351,4 +348,11 @@ impl Problem {
 /// Whether a correction explains so much that all pixels are judged again with it.
 fn is_clear(finding: &Finding) -> bool {
     finding.explains || finding.error_ratio() < CLEAR_CORRECTION
+}
+
+/// Whether the error without the pixels that stand out is that of PSF or camera: it is nearly as large as with them, and that
+/// of most pixels.
+fn is_of_model(without: &HeldOutCheck, with_them: &HeldOutCheck) -> bool {
+    without.held_out_rms > FOREIGN_ERROR_RATIO * with_them.held_out_rms
+        && without.held_out_scale > FEW_PIXELS_SCALE * without.held_out_rms
 }
