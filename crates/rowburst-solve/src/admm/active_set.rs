@@ -1,7 +1,7 @@
 //! The controller that restricts the video to its support, the set of active voxels (docs/design/007).
 
 use super::AdmmParams;
-use super::brightness::bounded_brightness;
+use super::brightness::capped_brightness;
 use super::phase::Schedule;
 use super::support_estimator::{SupportEstimator, Underfit};
 use super::tuning::Tuning;
@@ -117,7 +117,7 @@ impl ActiveSet {
             bins: &underfit_bins,
             correlation: &variables.scratch[..self.shape.voxels()],
         });
-        let bright = bounded_brightness(foreground, self.shape.pixels(), &self.tuning);
+        let bright = capped_brightness(foreground, self.shape.pixels(), &self.tuning);
         let support = self.estimator.update(foreground, bright, underfit);
         prior.restrict(&support);
         self.restrict(variables, data, &support);

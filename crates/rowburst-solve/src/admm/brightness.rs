@@ -22,12 +22,13 @@ pub fn brightness(video: &[f32]) -> f64 {
     let sums = parts
         .iter()
         .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
-    mean_of(sums)
+    brightness_of(sums)
 }
 
-/// The same, but at most [`Tuning::max_brightness_ratio`] times that of the dimmest bins that hold [`Tuning::dim_part`] of
-/// `Σ v²`: in the unit of a flash alone, the other instants are faint. Each bin has so many `pixels`.
-pub(super) fn bounded_brightness(video: &[f32], pixels: usize, tuning: &Tuning) -> f64 {
+/// The same, but at most [`Tuning::max_brightness_ratio`] times that of the dim bins, which would be faint beside a flash. The
+/// bins are taken from the dimmest on until they hold more than [`Tuning::dim_part`] of `Σ v²`, and the last of these counts.
+/// `pixels` is the number of pixels of a bin.
+pub(super) fn capped_brightness(video: &[f32], pixels: usize, tuning: &Tuning) -> f64 {
     let mut bins: Vec<(f64, f64)> = video
         .par_chunks(pixels)
         .map(|bin| {
@@ -35,22 +36,22 @@ pub(super) fn bounded_brightness(video: &[f32], pixels: usize, tuning: &Tuning) 
                 #[inline(always)]
                 || powers(bin),
             );
-            (mean_of(sums), sums.0)
+            (brightness_of(sums), sums.0)
         })
         .collect();
     bins.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let dim = tuning.dim_part * bins.iter().map(|(_, second)| second).sum::<f64>();
+    let dim_light = tuning.dim_part * bins.iter().map(|(_, second)| second).sum::<f64>();
     let mut sum = 0.0;
-    let brightest_dim = bins.iter().find(|(_, second)| {
+    let last_dim = bins.iter().find(|(_, second)| {
         sum += second;
-        sum > dim
+        sum > dim_light
     });
-    let dim_brightness = brightest_dim.map_or(0.0, |(bright, _)| *bright);
+    let dim_brightness = last_dim.map_or(0.0, |(bright, _)| *bright);
     brightness(video).min(tuning.max_brightness_ratio * dim_brightness)
 }
 
 /// `√(Σ v⁴ / Σ v²)` of `Σ v²` and `Σ v⁴`; 0 where both are 0.
-fn mean_of((second, fourth): (f64, f64)) -> f64 {
+fn brightness_of((second, fourth): (f64, f64)) -> f64 {
     if second > 0.0 {
         (fourth / second).sqrt()
     } else {
@@ -90,13 +91,16 @@ mod tests {
 
     #[test]
     fn a_flash_does_not_hide_dimmer_bins() {
-        let bounded = |video: &[f32]| bounded_brightness(video, 2, &Tuning::STANDARD);
+        let capped = |video: &[f32]| capped_brightness(video, 2, &Tuning::STANDARD);
         // Three bins of equal light, a dark one, and one of haze that holds nearly nothing.
         let mut video = [1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.01, 0.01];
-        assert_eq!(bounded(&video), brightness(&video));
+        assert_eq!(capped(&video), brightness(&video));
         video[6] = 10.0;
         assert!(brightness(&video) > 9.0);
-        assert_eq!(bounded(&video), 2.0);
-        assert_eq!(bounded(&[0.0; 10]), 0.0);
+        assert_eq!(capped(&video), 2.0);
+        // A flash that holds nearly all of the light leaves no dim bins.
+        video[6] = 20.0;
+        assert_eq!(capped(&video), brightness(&video));
+        assert_eq!(capped(&[0.0; 10]), 0.0);
     }
 }

@@ -4,7 +4,7 @@
 //! settled, and acts between runs by [`Controllers::set_tau_rule`].
 
 use super::active_set::{ActiveSet, Restriction};
-use super::brightness::{bounded_brightness, brightness};
+use super::brightness::{brightness, capped_brightness};
 use super::continuation::Continuation;
 use super::discrepancy::Discrepancy;
 use super::noise_weights::NoiseWeights;
@@ -27,8 +27,8 @@ pub(super) struct Controllers {
     continuation: Continuation,
     noise_weights: NoiseWeights,
     decline: DeclineDetector,
-    /// See [`super::tuning::KindTuning::brightness_bounded_from`].
-    brightness_bounded_from: usize,
+    /// See [`super::tuning::KindTuning::brightness_capped_from`].
+    brightness_capped_from: usize,
     tuning: Tuning,
 }
 
@@ -45,7 +45,7 @@ impl Controllers {
             continuation: Continuation::new(params.threshold, tuning, kind),
             noise_weights: NoiseWeights::new(tuning),
             decline: DeclineDetector::new(shape.bins, tuning),
-            brightness_bounded_from: tuning.for_kind(kind).brightness_bounded_from,
+            brightness_capped_from: tuning.for_kind(kind).brightness_capped_from,
             tuning: *tuning,
         };
         controllers.set_tau_rule(params.tau, data);
@@ -183,10 +183,10 @@ impl Controllers {
 
     fn set_threshold(&mut self, variables: &Variables) {
         let foreground = self.foreground(variables);
-        let bright = if self.schedule.step() < self.brightness_bounded_from {
+        let bright = if self.schedule.step() < self.brightness_capped_from {
             brightness(foreground)
         } else {
-            bounded_brightness(foreground, self.shape.pixels(), &self.tuning)
+            capped_brightness(foreground, self.shape.pixels(), &self.tuning)
         };
         self.penalty
             .set_beta_or_keep(self.continuation.beta(bright, &self.schedule));
@@ -326,6 +326,26 @@ mod tests {
 
         fn subtract_dual(&self, _: &mut [f32]) {
             unreachable!("no dual is asked for")
+        }
+    }
+
+    #[test]
+    fn a_flash_counts_in_full_in_the_warm_up_alone() {
+        let shape = Shape::new(3, 3, 9);
+        let data = RecordingData(Calls::default());
+        let params = AdmmParams::new(TauRule::Discrepancy { sigma: 1.0 });
+        let mut controllers = Controllers::new(&data, shape, &params);
+        let mut variables = Variables::new(&data, shape.columns);
+        (variables.z[13], variables.z[40], variables.z[67]) = (1.0, 8.0, 1.0);
+        let flash = brightness(&variables.z);
+        assert!(flash > 7.0);
+        for (step, bright) in [(19, flash), (20, 2.0)] {
+            while controllers.schedule.step() < step {
+                controllers.schedule.finish_iteration();
+            }
+            controllers.set_threshold(&variables);
+            let beta = controllers.continuation.beta(bright, &controllers.schedule);
+            assert_eq!(Some(controllers.penalty.beta()), beta, "step {step}");
         }
     }
 

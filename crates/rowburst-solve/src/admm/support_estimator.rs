@@ -264,7 +264,7 @@ impl SupportEstimator {
     }
 }
 
-/// Brightness of the voxels of a bin over that of the video, from [`KindTuning::min_bin_brightness`] to 1.
+/// Brightness of a bin over `of_video`, the capped one of the video, from [`KindTuning::min_bin_brightness`] to 1.
 fn bin_brightness_ratio(bin: &[f32], of_video: f64, tuning: &KindTuning) -> f64 {
     if tuning.min_bin_brightness >= 1.0 {
         return 1.0;
@@ -328,7 +328,9 @@ mod tests {
                 kind,
                 ..DataHints::default()
             };
-            let mut estimator = SupportEstimator::new(shape, hints, &Tuning::STANDARD);
+            let mut tuning = Tuning::STANDARD;
+            tuning.coupled.min_bin_brightness = 1.0;
+            let mut estimator = SupportEstimator::new(shape, hints, &tuning);
             let support = estimator.update(&video, 1.0, None);
             assert_eq!(support.mask()[81 + 10] == 1, stays, "{kind:?}");
             assert_eq!(support.pixels_of(0).unwrap().len(), 9);
@@ -366,10 +368,11 @@ mod tests {
 
     #[test]
     fn faint_light_stays_in_dim_bins_of_coupled_rows() {
-        let shape = Shape::new(2, 9, 9);
+        let shape = Shape::new(3, 9, 9);
         let mut video = vec![0.0f32; shape.voxels()];
-        // The threshold is 0.12; in the second bin, which is dimmer, 0.12 · 0.2.
+        // The threshold is 0.12; in the second bin, which is dimmer, 0.024, and in a third, dark one 0.012.
         (video[40], video[81 + 40], video[81 + 10]) = (1.0, 0.2, 0.05);
+        (video[162 + 40], video[162 + 16]) = (0.015, 0.01);
         for (kind, stays) in [(ProblemKind::Small, false), (ProblemKind::Coupled, true)] {
             let hints = DataHints {
                 kind,
@@ -380,6 +383,8 @@ mod tests {
             let mut estimator = SupportEstimator::new(shape, hints, &tuning);
             let support = estimator.update(&video, 1.0, None);
             assert_eq!(support.mask()[81 + 10] == 1, stays, "{kind:?}");
+            assert_eq!(support.mask()[162 + 40] == 1, stays, "{kind:?}");
+            assert_eq!(support.mask()[162 + 16], 0, "{kind:?}");
         }
     }
 

@@ -171,12 +171,12 @@ constants! {
         /// lowered up to the next update. Larger loses light that is still spread, smaller keeps haze. From 1 on it makes
         /// no difference (docs/design/007).
         max_cut_light: f64,
-        /// Step from which [`Tuning::max_brightness_ratio`] holds; smaller takes bins for dim that have not gathered their
-        /// light (docs/design/007).
-        brightness_bounded_from: usize,
-        /// Brightness of a bin over that of the video, by which its threshold of the support is lowered, at least; smaller
-        /// keeps haze in dark bins, larger drops faint light beside bright bins. From 1 on it makes no difference
-        /// (docs/design/007).
+        /// Step from which [`Tuning::max_brightness_ratio`] holds for `β`; the support begins later, and has it always.
+        /// Smaller takes bins for dim that have not gathered their light (docs/design/007).
+        brightness_capped_from: usize,
+        /// Smallest factor on a bin's threshold of the support, which is lowered by the bin's brightness over that of the
+        /// video. Smaller keeps haze in dark bins, larger drops faint light beside bright bins; from 1 on nothing is
+        /// lowered (docs/design/007).
         min_bin_brightness: f64,
     }
     groups {}
@@ -240,11 +240,11 @@ constants! {
         /// Threshold of the support over the brightness; larger drops faint light, smaller keeps haze
         /// (docs/design/007).
         support_threshold: f64,
-        /// Part of `Σ v²` that the dim bins hold, which bound the brightness; larger takes more bins for dim, smaller takes
-        /// haze for a bin (docs/design/007).
+        /// Part of `Σ v²` that the dim bins hold, whose brightness limits that of the video; larger takes more bins for dim,
+        /// smaller takes haze for a bin (docs/design/007).
         dim_part: f64,
-        /// Brightness over that of the brightest dim bin, at most; larger loses dim bins beside a flash, smaller keeps haze
-        /// (docs/design/007).
+        /// Brightness of the video over that of the brightest dim bin, at most; larger loses dim bins beside a flash, smaller
+        /// keeps haze (docs/design/007).
         max_brightness_ratio: f64,
         /// Residual of a bin over the expected one above which it may be underfit; smaller reacts to noise
         /// (docs/design/007).
@@ -300,7 +300,7 @@ const SMALL: KindTuning = KindTuning {
     unrestricted_level: NonZeroUsize::new(5),
     kept_threshold: 1.0,
     max_cut_light: 0.2,
-    brightness_bounded_from: 20,
+    brightness_capped_from: 20,
     min_bin_brightness: 1.0,
 };
 
@@ -363,7 +363,7 @@ impl Tuning {
             unrestricted_level: None,
             kept_threshold: 0.005,
             max_cut_light: 1.0,
-            brightness_bounded_from: 1,
+            brightness_capped_from: 1,
             min_bin_brightness: 0.1,
             ..SMALL
         },

@@ -81,7 +81,8 @@ pub struct Options {
     pub keep_all_pixels: bool,
     /// Takes the frame and `σ` as they are: no search for foreign pixels and no effective `σ`, which take time.
     pub is_preview: bool,
-    /// The constants of the solver; unstable. The search for foreign pixels and self-calibration have the standard ones.
+    /// The constants of the solver; unstable. The search for foreign pixels and self-calibration have the standard ones, with the
+    /// brightness not capped.
     pub tuning: Tuning,
 }
 
@@ -96,14 +97,14 @@ pub(crate) struct SolverSettings {
 
 impl SolverSettings {
     /// For runs that judge a model, a prior or pixels: these are judged at fixed iterations, for which the patience of
-    /// [`Tuning::coupled`] is too long (docs/design/025).
+    /// [`Tuning::coupled`] is too long; its thresholds of dim bins go with it (docs/design/025).
     pub fn of_a_trial(mut self) -> Self {
         self.tuning.coupled = self.tuning.small;
         self
     }
 
-    /// For trials that look for foreign pixels or errors of the model: what these do looks like light in dim bins, which the
-    /// bright ones keep faint (docs/design/007).
+    /// For trials that look for foreign pixels or errors of the model. Both look like faint light in dim bins; a threshold by
+    /// the brightest bins keeps it out (docs/design/007).
     pub fn of_a_search(self) -> Self {
         let mut settings = self.of_a_trial();
         settings.tuning.max_brightness_ratio = f64::MAX;

@@ -152,7 +152,7 @@ impl Problem {
         // No error of PSF and camera raises the noise beyond the cut-off of the optics.
         let have_raised_sigma = sigma_with_all > MAX_SIGMA_RATIO * self.sigma;
         let is_followed = found.is_followed || have_raised_sigma;
-        let is_model_first = !have_raised_sigma && is_of_model(start, &check);
+        let is_model_first = !have_raised_sigma && is_of_model(start, check.held_out_rms);
         if !self.is_explained(start) {
             // Of a global shutter others were looked for at once.
             let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
@@ -350,9 +350,9 @@ fn is_clear(finding: &Finding) -> bool {
     finding.explains || finding.error_ratio() < CLEAR_CORRECTION
 }
 
-/// Whether the error without the pixels that stand out is that of PSF or camera: it is nearly as large as with them, and that
-/// of most pixels.
-fn is_of_model(without: &HeldOutCheck, with_them: &HeldOutCheck) -> bool {
-    without.held_out_rms > FOREIGN_ERROR_RATIO * with_them.held_out_rms
+/// Whether the error without the pixels that stand out is that of PSF or camera: it is nearly as large as that with them, `rms`,
+/// and that of most pixels.
+fn is_of_model(without: &HeldOutCheck, rms: f64) -> bool {
+    without.held_out_rms > FOREIGN_ERROR_RATIO * rms
         && without.held_out_scale > FEW_PIXELS_SCALE * without.held_out_rms
 }
