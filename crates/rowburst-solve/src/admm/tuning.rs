@@ -331,7 +331,7 @@ impl Tuning {
         max_relative_rho: 1e7,
         support_interval: 10,
         support_threshold: 0.12,
-        dim_part: 0.02,
+        dim_part: 0.1,
         max_brightness_ratio: 2.0,
         underfit_ratio: 1.3,
         stall_ratio: 0.85,
