@@ -16,8 +16,8 @@
 //! first to its last iteration is told in `docs/design/027`.
 //!
 //! **Threshold.** `β` is a fixed part of the video's brightness, so no constant of the solver has a unit. At first it
-//! is larger: large steps find the shapes, small ones the details (`docs/design/006`). The
-//! brightness is at most twice that of the dimmest bins that hold 10 % of `Σ v²`, which would be faint beside a flash
+//! is larger: large steps find the shapes, small ones the details (`docs/design/006`). The brightness is
+//! at most twice that of the dimmest bins that hold 10 % of `Σ v²`, which would be faint beside a flash
 //! (`docs/design/007`).
 //!
 //! **τ by discrepancy.** With the noise `σ` known, the problem is `min R(v)` subject to `‖b − A v‖² ≤ σ²(m − df)` for
