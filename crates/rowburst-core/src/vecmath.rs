@@ -180,6 +180,15 @@ pub fn add_conjugate_products<T: Lanes>(
     arch().dispatch(Products::<T, true>(sum, a, b));
 }
 
+/// `len` zeros in memory that is in place. The pages of `vec![0.0; len]` come at their first use: one that is read before it is
+/// written comes twice, and all threads wait for the second time.
+pub fn zeros<T: Copy + Default + Send + Sync>(len: usize) -> Vec<T> {
+    let mut values = vec![T::default(); len];
+    let parts = values.par_chunks_mut(CHUNK);
+    parts.for_each(|part| part.fill(T::default()));
+    values
+}
+
 /// `Σ aᵢ bᵢ`.
 ///
 /// # Panics

@@ -3,7 +3,7 @@
 use crate::prox::Prox;
 use crate::{DataTerm, write_adjoint};
 use rowburst_core::linop::WRITE_PART_LEN;
-use rowburst_core::vecmath::{distance_squared, norm_squared, simd};
+use rowburst_core::vecmath::{distance_squared, norm_squared, simd, zeros};
 use rowburst_core::{Cancel, Support};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -38,13 +38,13 @@ impl Variables {
     pub fn new(data: &dyn DataTerm, columns: usize) -> Self {
         let (n, m) = (data.operator().domain_len(), data.operator().range_len());
         Self {
-            z: vec![0.0; n],
-            q: vec![0.0; n],
+            z: zeros(n),
+            q: zeros(n),
             az: vec![0.0; m],
             aq: vec![0.0; m],
             y: vec![0.0; m],
             x_residual_norm: None,
-            scratch: vec![0.0; n],
+            scratch: zeros(n),
             slot: columns.min(WRITE_PART_LEN),
         }
     }

@@ -20,28 +20,35 @@ const JITTER: f64 = 1e-6;
 
 /// `√(u/B) B` of every pixel of a bin, so that `K = a² s sᵀ ∘ k`.
 pub(super) fn scales(bin: &[f32], columns: usize, brightness: f64) -> Vec<f64> {
-    let rows = bin.len() / columns;
-    let weights: Vec<f64> = (-2i32..=2)
-        .map(|d| (-0.5 * f64::from(d * d) / (BLUR_PX * BLUR_PX)).exp())
-        .collect();
-    let total: f64 = weights.iter().sum();
-    let blur = |input: &[f64], step: usize, along: &dyn Fn(usize) -> (usize, usize)| {
-        let mut out = vec![0.0; input.len()];
-        for (i, out) in out.iter_mut().enumerate() {
-            let (at, side) = along(i);
-            for (k, weight) in weights.iter().enumerate() {
-                if (2..side + 2).contains(&(at + k)) {
-                    *out += weight / total * input[i + k * step - 2 * step];
-                }
-            }
-        }
-        out
-    };
     let power: Vec<f64> = bin.iter().map(|&v| f64::from(v.max(0.0)).powi(2)).collect();
-    let power = blur(&power, 1, &|i| (i % columns, columns));
-    let power = blur(&power, columns, &|i| (i / columns, rows));
+    let mut along_rows = vec![0.0; bin.len()];
+    let rows = power.chunks(columns).zip(along_rows.chunks_mut(columns));
+    for (row, blurred) in rows.filter(|(row, _)| row.iter().any(|p| *p > 0.0)) {
+        add_blurred(row, 1, blurred);
+    }
+    let mut blurred = vec![0.0; bin.len()];
+    add_blurred(&along_rows, columns, &mut blurred);
     let scale = |p: &f64| brightness * (p.sqrt() / brightness + VARIANCE_FLOOR).sqrt();
-    power.iter().map(scale).collect()
+    blurred.iter().map(scale).collect()
+}
+
+/// Adds `input`, blurred along one axis whose neighbours lie `step` elements apart, to `out`. Beyond its ends `input` is dark.
+fn add_blurred(input: &[f64], step: usize, out: &mut [f64]) {
+    let weights: [f64; 5] = std::array::from_fn(|k| {
+        let distance = k as f64 - 2.0;
+        (-0.5 * distance * distance / (BLUR_PX * BLUR_PX)).exp()
+    });
+    let total: f64 = weights.iter().sum();
+    for (k, weight) in weights.iter().enumerate() {
+        // Element `i` gets that of element `i + (k − 2) step`.
+        let (skipped_in, skipped_out) =
+            (k.saturating_sub(2) * step, 2usize.saturating_sub(k) * step);
+        let weight = weight / total;
+        let inputs = input.iter().skip(skipped_in);
+        for (out, input) in out.iter_mut().skip(skipped_out).zip(inputs) {
+            *out += weight * input;
+        }
+    }
 }
 
 /// `K/a²` of `voxels` (bin, row, column, scale); voxels of different bins have nothing to do

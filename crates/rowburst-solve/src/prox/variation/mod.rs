@@ -21,7 +21,7 @@ use super::Prox;
 use super::rows::Rows;
 use bin::{Bin, Dual, DualOrZeros, Duals, Space, StepFactor, Time, add_row, unit};
 use rayon::prelude::*;
-use rowburst_core::vecmath::simd;
+use rowburst_core::vecmath::{simd, zeros};
 use rowburst_core::{Shape, Support};
 use std::mem::take;
 use std::ops::Range;
@@ -91,9 +91,9 @@ impl Variation {
             shape,
             weights,
             steps_per_call: STEPS_PER_SWEEP,
-            dual_y: vec![0; space],
-            dual_x: vec![0; space],
-            dual_t: vec![0; time],
+            dual_y: zeros(space),
+            dual_x: zeros(space),
+            dual_t: zeros(time),
             scale: 0.0,
             support: None,
             rows: Rows::all(shape),

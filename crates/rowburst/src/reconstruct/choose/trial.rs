@@ -14,12 +14,16 @@ use tracing::debug;
 /// [`AdmmParams::tolerance`] of a trial; larger is faster and compares less exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
 
-/// Held-out error over that of the best candidate, after as many iterations, that stops a candidate early in
-/// its run; smaller may stop the best (docs/design/011).
+/// Held-out error over that of the best candidate at [`FIRST_COMPARISON`] that stops a candidate; smaller may stop the best
+/// (docs/design/011).
+const FIRST_ERROR_RATIO: f64 = 20.0;
+/// The same from [`FIRST_CHECK`] on, each error over that of the best after as many iterations.
 const EARLY_ERROR_RATIO: f64 = 6.0;
 /// The same from [`LATE_FROM`] on.
 const LATE_ERROR_RATIO: f64 = 1.5;
 /// Iteration at which a candidate is first compared; smaller may stop the best.
+const FIRST_COMPARISON: usize = 60;
+/// Iteration of the first check, from which on errors tell whether a candidate has settled.
 const FIRST_CHECK: usize = 80;
 /// First iteration at which [`LATE_ERROR_RATIO`] applies; smaller may stop the best.
 const LATE_FROM: usize = 200;
@@ -37,6 +41,10 @@ const MAX_TAU_FACTOR: f64 = 8.0;
 const MAX_TAU_FACTOR_AT_REST: f64 = 64.0;
 /// Iterations for each tried `τ`; fewer compare videos that have not settled.
 const TUNING_ITERATIONS: usize = 30;
+/// Iterations between two looks at a tried `τ`; larger ends one that is worse later.
+const TUNING_STEP: usize = 10;
+/// Loss in standard errors at which a tried `τ` is given up; smaller follows chance.
+const CLEAR_LOSS: f64 = 3.0;
 
 /// A factor on `τ`, with the held-out residuals and the fraction of voxels in the support at this factor.
 struct TauTrial {
@@ -73,6 +81,15 @@ pub(in crate::reconstruct) fn is_settled(errors: &[f64]) -> bool {
     match errors {
         [.., before, _, last] => *last > (1.0 - SETTLED_CHANGE) * before,
         _ => false,
+    }
+}
+
+/// Held-out error over that of the best candidate above which a candidate is stopped after so many iterations.
+fn max_error_ratio(iterations: usize) -> f64 {
+    match iterations {
+        ..FIRST_CHECK => FIRST_ERROR_RATIO,
+        FIRST_CHECK..LATE_FROM => EARLY_ERROR_RATIO,
+        LATE_FROM.. => LATE_ERROR_RATIO,
     }
 }
 
@@ -147,19 +164,17 @@ impl Trial {
         let mut errors = Vec::new();
         let (residuals, stopped_early) = loop {
             // The run pauses for each check, since an observer has no access to the held-out pixels.
-            let until = (self.run.iterations() + CHECK_INTERVAL).max(FIRST_CHECK);
+            let until = (self.run.iterations() + CHECK_INTERVAL).max(FIRST_COMPARISON);
             let (residuals, ended) = match self.run_until(data, until, observer) {
                 Ok(check) => check,
                 Err(reason) => return Err(self.into_result(data, reason)),
             };
             let best_error = best_errors.get(errors.len()).or(best_errors.last());
-            let limit = if self.run.iterations() < LATE_FROM {
-                EARLY_ERROR_RATIO
-            } else {
-                LATE_ERROR_RATIO
-            };
+            let limit = max_error_ratio(self.run.iterations());
             let error = rms(&residuals);
-            errors.push(error);
+            if ended || self.run.iterations() >= FIRST_CHECK {
+                errors.push(error);
+            }
             let ended = ended || (!self.prior.support && is_settled(&errors));
             if ended || best_error.is_some_and(|best_error| error > limit * best_error) {
                 break (residuals, !ended);
@@ -214,7 +229,8 @@ impl Trial {
         let tau = self.run.tau();
         let last = self.params.max_iterations.saturating_sub(TUNING_ITERATIONS);
         while lowest.tau_factor < MAX_TAU_FACTOR_AT_REST && self.run.iterations() <= last {
-            let next = self.try_factor(TAU_STEP * lowest.tau_factor, tau, data, observer)?;
+            let factor = TAU_STEP * lowest.tau_factor;
+            let next = self.try_factor(factor, tau, &lowest.residuals, data, observer)?;
             let gain = gain(&lowest.residuals, &next.residuals);
             if gain.is_nan() || gain <= 0.0 {
                 if gain > -MIN_GAIN {
@@ -227,17 +243,24 @@ impl Trial {
         Ok(lowest)
     }
 
-    /// Continues with `factor` times `tau`.
+    /// Continues with `factor` times `tau`, until it is clearly worse than with the residuals `before`.
     fn try_factor(
         &mut self,
         factor: f64,
         tau: f64,
+        before: &[f64],
         data: &mut FrameData,
         observer: &mut Observer,
     ) -> Result<TauTrial, StopReason> {
         self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
-        let until = self.run.iterations() + TUNING_ITERATIONS;
-        let (residuals, _) = self.run_until(data, until, observer)?;
+        let last = self.run.iterations() + TUNING_ITERATIONS;
+        let residuals = loop {
+            let until = self.run.iterations() + TUNING_STEP;
+            let (residuals, ended) = self.run_until(data, until, observer)?;
+            if ended || until >= last || gain(before, &residuals) < -CLEAR_LOSS {
+                break residuals;
+            }
+        };
         debug!(
             "{} with τ multiplied by {factor}: held-out error {:.4} σ",
             self.prior,
@@ -268,7 +291,7 @@ impl Trial {
         for &direction in directions {
             let mut factor = direction;
             while (1.0 / MAX_TAU_FACTOR..=MAX_TAU_FACTOR).contains(&factor) {
-                let next = self.try_factor(factor, tau, data, observer)?;
+                let next = self.try_factor(factor, tau, &best.residuals, data, observer)?;
                 let gain = gain(&best.residuals, &next.residuals);
                 if gain.is_nan() || gain <= MIN_GAIN {
                     break;
