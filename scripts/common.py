@@ -2,6 +2,7 @@
 
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -51,7 +52,7 @@ def command_line(script):
             words = words if "=" in word else words[1:]
         else:
             kept.append(word)
-    return " ".join([f"python3 scripts/{script}", *kept])
+    return shlex.join(["python3", f"scripts/{script}", *kept])
 
 
 def commit():
