@@ -7,7 +7,7 @@
 
 use super::Observer;
 use super::choose;
-use super::foreign::{BrokenLines, Foreign, Pixels, Residual, Scales};
+use super::foreign::{Foreign, Pixels, Residual, Scales};
 use super::held_out_check::{
     CHECK_ITERATIONS, CHECK_STEP, FIRST_CHECK_ITERATION, HeldOutCheck, MAX_RESIDUAL,
 };
@@ -43,24 +43,24 @@ impl Problem {
         &mut self,
         found: Foreign,
         with_all: f64,
-        lines: &BrokenLines,
+        broken: &[bool],
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         let (mut level, mut excluded) = (found.level, found.pixels);
         let few = negligible_count(&excluded);
-        let mut check = self.exclude_from_level(&mut level, excluded, lines, prior, observer)?;
+        let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
         let predicts_better = self.is_explained(&check) || check.held_out_rms < with_all;
         let mut undone = None;
         for factor in READMISSIONS.into_iter().filter(|_| predicts_better) {
             let before = self.excluded.clone();
-            excluded = self.without_predicted(&check, factor, &lines.is_broken);
+            excluded = self.without_predicted(&check, factor, broken);
             let is_same = undone == Some(factor);
             if is_same || count(&before) - count(&excluded) <= few {
                 continue;
             }
             let was_explained = self.is_explained(&check);
-            let next = self.exclude_from_level(&mut level, excluded, lines, prior, observer)?;
+            let next = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
             let is_better = next.held_out_rms <= READMISSION_ERROR_RATIO * check.held_out_rms;
             if self.is_explained(&next) || (!was_explained && is_better) {
                 check = next;
@@ -85,7 +85,7 @@ impl Problem {
         &mut self,
         level: &mut f64,
         mut excluded: Vec<bool>,
-        lines: &BrokenLines,
+        broken: &[bool],
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
@@ -102,8 +102,7 @@ impl Problem {
             if is_last_level && self.is_explained(&check) {
                 return Ok(check);
             }
-            let (mut new, unsettled_rows) = self.judge_pixels(&check, 1.0);
-            lines.apply(&mut new);
+            let (new, unsettled_rows) = self.judge_pixels(&check, 1.0);
             let added = new.iter().zip(&self.excluded).filter(|(n, e)| **n && !**e);
             // In a dense scene each round finds a few others.
             let is_complete = added.count()
@@ -125,7 +124,7 @@ impl Problem {
                 (rounds, last_error) = (0, f64::INFINITY);
                 *level = (LEVEL_RATIO * *level).max(self.sigma);
                 if *level < READMISSION_LEVEL * self.sigma {
-                    excluded = self.without_predicted(&check, EARLY_READMISSION, &lines.is_broken);
+                    excluded = self.without_predicted(&check, EARLY_READMISSION, broken);
                 }
             } else {
                 rounds += 1;

@@ -468,7 +468,7 @@ impl BrokenLines {
     }
 
     /// Adds the broken lines to the foreign pixels, and takes those of rows with a broken partner away.
-    pub fn apply(&self, is_foreign: &mut [bool]) {
+    fn apply(&self, is_foreign: &mut [bool]) {
         for (i, foreign) in is_foreign.iter_mut().enumerate() {
             *foreign = self.is_broken[i] || *foreign && !self.has_broken_partner[i];
         }

@@ -294,7 +294,7 @@ impl Problem {
         }
         let lines = BrokenLines::new(&self.measurement, self.camera.instants());
         let with_all = check.held_out_rms;
-        let without = self.check_without(found, with_all, &lines, prior, observer)?;
+        let without = self.check_without(found, with_all, &lines.is_broken, prior, observer)?;
         let excluded_fraction = count(&self.excluded) as f64 / self.excluded.len() as f64;
         let ratio = without.held_out_rms / check.held_out_rms_without(&self.excluded);
         info!(

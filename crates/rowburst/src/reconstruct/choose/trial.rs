@@ -23,7 +23,7 @@ const EARLY_ERROR_RATIO: f64 = 6.0;
 const LATE_ERROR_RATIO: f64 = 1.5;
 /// Iteration at which a candidate is first compared; smaller may stop the best.
 const FIRST_COMPARISON: usize = 60;
-/// Iteration of the first check, from which on errors tell whether a candidate has settled.
+/// Iteration of the first check, from which on errors tell whether a candidate has settled; smaller judges what has not.
 const FIRST_CHECK: usize = 80;
 /// First iteration at which [`LATE_ERROR_RATIO`] applies; smaller may stop the best.
 const LATE_FROM: usize = 200;
