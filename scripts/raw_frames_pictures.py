@@ -161,11 +161,13 @@ def unobserved(made):
 
 
 def smooth(made):
-    """A reflection, which the video absorbs."""
+    """A reflection: with PSF and camera as given the video absorbs it."""
     frame = reflection(made.frame.astype(float), np.random.default_rng(SEED))
-    result = made.reconstruct(frame)
-    return [("raw frame", grey(frame)), ("left out: yellow", left_out(frame, result)),
-            ("video by default", heat(result["video"], made.truth)), ("true video", heat(made.truth, made.truth))]
+    given, result = made.reconstruct(frame, "--self-calibrate", "off"), made.reconstruct(frame)
+    stray_light = np.load(made.folder / "result/stray-light.npy")
+    return [("raw frame", grey(frame)), ("stray light that was found", grey(stray_light)),
+            ("video without self-calibration", heat(given["video"], made.truth)),
+            ("video by default", heat(result["video"], made.truth))]
 
 
 PICTURES = {

@@ -188,6 +188,15 @@ impl Measurement {
         }
     }
 
+    /// The measurement without `light`, `[y, x]` in counts; its noise stays.
+    ///
+    /// # Panics
+    /// If the length is not that of the frame.
+    #[must_use]
+    pub fn without_light(&self, light: &[f32]) -> Self {
+        self.adjusted(&vec![1.0; light.len()], light)
+    }
+
     /// The measurement with these stored values, without a noise model. It serves to look at a completed
     /// reconstruction; a new one needs [`correct`].
     ///

@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict, PyType};
 use rowburst::solve::admm::Progress;
-use rowburst::{Error, Parameter, Shape, Video};
+use rowburst::{Error, Image, Parameter, Shape, Video};
 use rowburst_io::{ForeignFiles, OutputFolder};
 use rowburst_report::{ComposedFigure, Layout};
 use rowburst_run::{
@@ -314,6 +314,21 @@ impl PyReconstruction {
     #[getter]
     fn excluded_fraction(&self, py: Python<'_>) -> f64 {
         self.state(py).completed.reconstruction.excluded_fraction()
+    }
+
+    #[getter]
+    fn stray_light<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
+        let state = self.state(py);
+        let light = state.completed.reconstruction.stray_light.as_ref();
+        let array = |light: &Image| {
+            PyArray1::from_slice(py, light.data()).reshape([light.rows(), light.columns()])
+        };
+        light.map(array).transpose()
+    }
+
+    #[getter]
+    fn stray_light_fraction(&self, py: Python<'_>) -> f64 {
+        self.state(py).completed.stray_light_fraction()
     }
 
     /// The PSF as the frame has corrected it; `None`: it was used as given.

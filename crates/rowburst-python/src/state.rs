@@ -72,6 +72,9 @@ pub fn of_completed<'py>(
     state.set_item("effective_sigma", found.effective_sigma)?;
     state.set_item("foreign", PyArray1::from_slice(py, &found.excluded))?;
     state.set_item("coverage", PyArray1::from_slice(py, &found.coverage))?;
+    let stray_light = found.stray_light.clone();
+    let stray_light = stray_light.map(|image| from_image(py, image)).transpose()?;
+    state.set_item("stray_light", stray_light)?;
     state.set_item("sigma_source", found.sigma_source.name())?;
     state.set_item("iterations", found.iterations)?;
     state.set_item("stop_reason", found.stop_reason.name())?;
@@ -371,6 +374,9 @@ fn to_reconstruction(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Reconst
         coverage: to_mask(state, "coverage")?,
         sigma_source: named(&sources, SigmaSource::name, &text("sigma_source")?)?,
         calibration: to_calibration(state, task)?,
+        stray_light: optional_entry(state, "stray_light")?
+            .map(|value| finite_image(&value, "stray_light"))
+            .transpose()?,
         iterations: entry(state, "iterations")?.extract()?,
         stop_reason: named(&reasons, StopReason::name, &text("stop_reason")?)?,
         support_fraction: number("support_fraction")?,

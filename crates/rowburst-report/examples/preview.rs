@@ -96,6 +96,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }),
         residual: &residual,
         given_psf: None,
+        stray_light: None,
         residual_before: None,
         draws_change: false,
         change_count: None,

@@ -60,6 +60,8 @@ pub struct ReportInput<'a> {
     pub excluded: Option<&'a [u8]>,
     /// 1 at the voxels `[t, y, x]` that the frame observes, else 0; `None`: it observes all.
     pub coverage: Option<&'a [u8]>,
+    /// Smooth stray light that was taken away from the frame, of its size, in counts; `None`: none was found.
+    pub stray_light: Option<&'a Image>,
     /// The residual with PSF and camera as given, where the frame has corrected them.
     pub residual_before: Option<&'a Image>,
     /// Instant `k[r]` at which row `r` of the frame is read.

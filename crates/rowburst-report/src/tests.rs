@@ -72,6 +72,7 @@ impl Case {
             }),
             residual: &self.residual,
             given_psf: None,
+            stray_light: None,
             residual_before: None,
             draws_change: self.draws_change,
             change_count: None,

@@ -77,6 +77,13 @@ const CORRECTED_PSF_FILE: (&str, &str) = (
     "the PSF as the frame has corrected it, float32 [y, x]: the PSF for the next frames",
 );
 
+/// The further file of a frame with smooth stray light.
+const STRAY_LIGHT: &str = "stray-light.npy";
+const STRAY_LIGHT_FILE: (&str, &str) = (
+    STRAY_LIGHT,
+    "smooth stray light that was taken away from the frame, in counts, float32 [y, x]",
+);
+
 /// The further file of a prior with a background.
 const BACKGROUND_FILE: (&str, &str) = (
     "background.npy",
@@ -238,6 +245,7 @@ impl CompletedTask {
                 .as_ref()
                 .map(CalibrationNumbers::new),
             excluded_fraction: reconstruction.excluded_fraction(),
+            stray_light_fraction: self.stray_light_fraction(),
             coverage_fraction: reconstruction.coverage_fraction(),
             threads: rayon::current_num_threads(),
             simd: instruction_set(),
@@ -260,6 +268,17 @@ impl CompletedTask {
             warnings: self.warnings(traces),
             run: None,
         }
+    }
+
+    /// Part of the light of the frame that is smooth stray light.
+    pub fn stray_light_fraction(&self) -> f64 {
+        let Some(stray) = &self.reconstruction.stray_light else {
+            return 0.0;
+        };
+        let sum = |image: &Image| image.data().iter().map(|v| f64::from(*v)).sum::<f64>();
+        let stray = sum(stray);
+        // The measurement has been corrected.
+        stray / (stray + sum(self.task.measurement.image()))
     }
 
     /// Whether the user stopped the run, and waits.
@@ -407,6 +426,12 @@ impl CompletedTask {
                 percent(excluded_fraction)
             ));
         }
+        if reconstruction.stray_light.is_some() {
+            warnings.push(format!(
+                "smooth stray light ({} of the light) belongs to no video and was taken away from the frame; see the report",
+                percent(self.stray_light_fraction())
+            ));
+        }
         let unobserved_fraction = 1.0 - reconstruction.coverage_fraction();
         if unobserved_fraction >= MIN_WARNED_FRACTION {
             warnings.push(format!(
@@ -469,6 +494,7 @@ impl CompletedTask {
             });
             of_video.is_none_or(|format| is_written(output.formats, format, video.shape().voxels()))
         };
+        let stray_light = self.reconstruction.stray_light.as_ref();
         let report_meta = ReportMeta {
             title: output.title,
             reproduce: output.reproduce,
@@ -482,6 +508,7 @@ impl CompletedTask {
                         .map(|_| &BACKGROUND_FILE),
                 )
                 .chain(self.given_psfs.as_ref().map(|_| &CORRECTED_PSF_FILE))
+                .chain(stray_light.map(|_| &STRAY_LIGHT_FILE))
                 .chain(self.guide.as_ref().map(|_| &GUIDE_FILE))
                 .chain(PLACES_FILES.iter().filter(|_| self.has_places()))
                 .map(|&(name, what)| (name.into(), what.into()))
@@ -569,6 +596,8 @@ impl CompletedTask {
             "change.png",
             "psf-correction.png",
             "residual-before.png",
+            STRAY_LIGHT,
+            "stray-light.png",
             GUIDE_PICTURE,
             PLACES_TRACES,
             PLACES_LABELS,
@@ -582,6 +611,9 @@ impl CompletedTask {
         }
         if let Some(calibration) = &found.calibration {
             write_corrected_psf(folder, &calibration.psfs)?;
+        }
+        if let Some(stray_light) = &found.stray_light {
+            folder.write(STRAY_LIGHT, |w| write_npy_image(w, stray_light))?;
         }
         if let Some(background) = &found.background {
             folder.write("background.npy", |w| write_npy_video(w, background))?;
@@ -693,6 +725,7 @@ impl CompletedTask {
                 origin: *origin,
             }),
             residual: &self.reconstruction.normalised_residual,
+            stray_light: self.reconstruction.stray_light.as_ref(),
             residual_before: {
                 let calibration = self.reconstruction.calibration.as_ref();
                 calibration.and_then(|found| found.residual_before.as_ref())

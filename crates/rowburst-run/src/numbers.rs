@@ -171,7 +171,7 @@ fn coverage_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<(Strin
     } else {
         "not looked for".into()
     };
-    vec![
+    let mut lines = vec![
         pair(
             "bad and saturated pixels",
             format!("{} and {}", summary.bad_pixels, summary.saturated_pixels),
@@ -181,7 +181,12 @@ fn coverage_settings(task: &Task, summary: &ReconstructionSummary) -> Vec<(Strin
             "voxels that the frame observes",
             percent(summary.coverage_fraction),
         ),
-    ]
+    ];
+    if summary.stray_light_fraction > 0.0 {
+        let part = format!("{} of the light", percent(summary.stray_light_fraction));
+        lines.push(pair("smooth stray light taken away", part));
+    }
+    lines
 }
 
 /// What the frame has corrected of its PSF and camera.

@@ -81,8 +81,8 @@ fn solve_since(
     let start_offset_s = clock.start_offset_s(process_start);
     let convergence = clock.convergence;
     // What follows, such as traces and report, is made with the corrected PSF and frame.
+    task.measurement = reconstruction.corrected(&task.measurement);
     let given_psfs = reconstruction.calibration.as_ref().map(|calibration| {
-        task.measurement = calibration.corrected(&task.measurement);
         task.camera = calibration.corrected_camera(&task.camera);
         std::mem::replace(&mut task.psfs, calibration.psfs.clone())
     });

@@ -64,6 +64,8 @@ pub struct ReconstructionSummary {
     pub self_calibration: Option<CalibrationNumbers>,
     /// Part of the pixels that are foreign and were left out.
     pub excluded_fraction: f64,
+    /// Part of the light of the frame that is smooth stray light and was taken away.
+    pub stray_light_fraction: f64,
     /// Part of the voxels that the frame observes.
     pub coverage_fraction: f64,
     pub threads: usize,

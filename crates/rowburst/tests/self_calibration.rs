@@ -1,5 +1,8 @@
 //! A frame corrects its PSF and its camera.
 
+mod common;
+
+use common::distorted;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -115,48 +118,6 @@ impl Case {
         assert_eq!(found.video.shape(), self.camera.video_shape());
         (found, iterations)
     }
-}
-
-/// The value of the image at `(y, x)` by a windowed sinc, which self-calibration does not use.
-fn interpolated(image: &Image, y: f64, x: f64) -> f64 {
-    const HALF: isize = 6;
-    let sinc = |t: f64| {
-        let angle = std::f64::consts::PI * t;
-        if angle == 0.0 {
-            1.0
-        } else {
-            angle.sin() / angle
-        }
-    };
-    let kernel = |t: f64| sinc(t) * sinc(t / HALF as f64);
-    let mut sum = 0.0;
-    for row in y.floor() as isize - HALF + 1..=y.floor() as isize + HALF {
-        for column in x.floor() as isize - HALF + 1..=x.floor() as isize + HALF {
-            let row_inside = (0..image.rows() as isize).contains(&row);
-            if row_inside && (0..image.columns() as isize).contains(&column) {
-                let value = f64::from(image.at(row as usize, column as usize));
-                sum += value * kernel(y - row as f64) * kernel(x - column as f64);
-            }
-        }
-    }
-    sum
-}
-
-/// The PSF from a capture that is `scale` times as large and turned by `degrees`.
-fn distorted(psf: &Psf, scale: f64, degrees: f64) -> Psf {
-    let image = psf.image();
-    let (sin, cos) = degrees.to_radians().sin_cos();
-    let (centre_y, centre_x) = ((image.rows() / 2) as f64, (image.columns() / 2) as f64);
-    let at = |y: usize, x: usize| {
-        let (dy, dx) = ((y as f64 - centre_y) / scale, (x as f64 - centre_x) / scale);
-        let value = interpolated(
-            image,
-            cos * dy - sin * dx + centre_y,
-            sin * dy + cos * dx + centre_x,
-        );
-        value.max(0.0) as f32
-    };
-    Psf::new(Image::from_fn(image.rows(), image.columns(), at)).unwrap()
 }
 
 fn value_of(found: &Reconstruction, parameter: ModelParameter) -> f64 {

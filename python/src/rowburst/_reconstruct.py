@@ -193,6 +193,17 @@ class Result(VideoResult):
         return self._native.excluded_fraction
 
     @property
+    def stray_light(self) -> NDArray[np.float32] | None:
+        """Smooth stray light ``[y, x]`` that was taken away from the frame, such as a reflection, in counts; None: none was
+        found."""
+        return self._native.stray_light
+
+    @property
+    def stray_light_fraction(self) -> float:
+        """Part of the light of the frame that is stray light."""
+        return self._native.stray_light_fraction
+
+    @property
     def self_calibration(self) -> dict[str, Any] | None:
         """What the frame has corrected of its PSF and camera, as in ``result.json``; None: they were used as given."""
         found: dict[str, Any] | None = self.numbers["self_calibration"]

@@ -9,6 +9,7 @@ mod cosine;
 mod differences;
 pub mod laws;
 mod norm;
+mod subspace;
 mod wavelet;
 mod weighted;
 
@@ -17,6 +18,7 @@ pub use bins::{Band, BinTransform, OverBins};
 pub use cosine::{Cosine, CosineLines};
 pub use differences::{Axis, Differences};
 pub use norm::operator_norm;
+pub use subspace::{Subspace, WithoutSubspace};
 pub use wavelet::Wavelet;
 pub use weighted::WeightedOperator;
 

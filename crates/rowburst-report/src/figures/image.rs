@@ -40,6 +40,26 @@ pub(super) fn frame(input: &ReportInput) -> CaptionedFigure {
     }
 }
 
+/// The stray light that was taken away from the frame.
+pub(super) fn stray_light(input: &ReportInput, light: &Image) -> CaptionedFigure {
+    let size = format!("{} × {}", light.rows(), light.columns());
+    CaptionedFigure {
+        name: "stray-light",
+        section: Section::Measurement,
+        figure: picture(
+            light,
+            None,
+            Map::Light,
+            "stray light (counts)",
+            PixelScale::of_sensor(input.sensor),
+        ),
+        caption: "Smooth stray light in counts, such as a reflection, that no video explains. It was taken away from the \
+                  captured frame, which is shown without it. Where its places are not those of a reflection, do not believe it."
+            .into(),
+        alt: format!("Image of the stray light, {size} pixels."),
+    }
+}
+
 /// The point spread function.
 pub(super) fn psf(input: &ReportInput) -> CaptionedFigure {
     let image = input.psf;

@@ -138,7 +138,7 @@ pub(crate) fn all<'a>(
     };
     let moving = input.video.shape().bins > 1;
     let mut truth = truth;
-    (0..12).filter_map(move |figure| match figure {
+    (0..13).filter_map(move |figure| match figure {
         0 if moving => Some(time_colour::draw(input, &videos, truth.take())),
         0 => Some(image::still(input, &videos)),
         1 if moving => space_time::draw(input, &videos),
@@ -146,16 +146,19 @@ pub(crate) fn all<'a>(
         3 => (moving && input.draws_change).then(|| change::draw(input, &videos, bins)),
         4 if moving => traces::draw(input, &videos),
         5 => Some(image::frame(input)),
-        6 => Some(image::psf(input)),
-        7 => input
+        6 => input
+            .stray_light
+            .map(|light| image::stray_light(input, light)),
+        7 => Some(image::psf(input)),
+        8 => input
             .given_psf
             .map(|given| image::psf_correction(input, given)),
-        8 => input.direct.map(|direct| image::direct(input, direct)),
-        9 => Some(residual::draw(input)),
-        10 => input
+        9 => input.direct.map(|direct| image::direct(input, direct)),
+        10 => Some(residual::draw(input)),
+        11 => input
             .residual_before
             .map(|before| residual::draw_before(input, before)),
-        11 => convergence::draw(input.convergence),
+        12 => convergence::draw(input.convergence),
         _ => None,
     })
 }

@@ -71,6 +71,8 @@ pub(super) struct Foreign {
     pub level: f64,
     /// Whether the video followed the noise level to the end: foreign pixels may be all that is wrong.
     pub is_followed: bool,
+    /// What the loosest fit leaves, weighted, `[y, x]`; empty: none was made.
+    pub loose_residual: Vec<f32>,
 }
 
 /// Finds the bright foreign pixels of the frame in `data`, down to the noise level `least_level`, with the faint pixels
@@ -117,6 +119,7 @@ pub(super) fn find(
     // The last level that the video could follow: the scale of its residual and the foreign pixels.
     let mut best = (f64::INFINITY, lines.is_broken.clone());
     let mut is_first = true;
+    let mut loose_residual = None;
     let is_followed = loop {
         if !is_first {
             run.set_tau_rule(rule(level), data);
@@ -139,6 +142,7 @@ pub(super) fn find(
             }
             robust = judge(run.fitted(), &robust.is_foreign, level);
         }
+        loose_residual.get_or_insert_with(|| difference(&measured, run.fitted()));
         let has_diverged = robust.typical_scale > best.0.max(level);
         let is_unsettled =
             robust.typical_scale > REACHED_RATIO * level && level < FINE_LEVEL * light;
@@ -153,17 +157,26 @@ pub(super) fn find(
     };
     data.set_measurements(measured.clone());
     let (level, found) = best;
-    let count = found.iter().filter(|foreign| **foreign).count();
-    let pixels = if count as f64 > MAX_EXCLUDED * measured.len() as f64 {
-        vec![false; measured.len()]
-    } else {
-        with_edges(&found, columns)
-    };
     Ok(Foreign {
-        pixels,
+        pixels: plausible(&found, columns),
         level,
         is_followed,
+        loose_residual: loose_residual.unwrap_or_default(),
     })
+}
+
+/// The foreign pixels with their edges; none where they are too many to be foreign.
+fn plausible(found: &[bool], columns: usize) -> Vec<bool> {
+    let count = found.iter().filter(|foreign| **foreign).count();
+    if count as f64 > MAX_EXCLUDED * found.len() as f64 {
+        vec![false; found.len()]
+    } else {
+        with_edges(found, columns)
+    }
+}
+
+fn difference(minuend: &[f32], subtrahend: &[f32]) -> Vec<f32> {
+    minuend.iter().zip(subtrahend).map(|(m, s)| m - s).collect()
 }
 
 /// Takes the pixels of instants back of which most are foreign: a loose fit has not reached the light of a flash.

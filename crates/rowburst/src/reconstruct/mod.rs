@@ -21,6 +21,7 @@ mod prior;
 mod self_calibration;
 mod sequence;
 mod sigma;
+mod stray_light;
 mod wrong_model;
 mod x_step;
 
@@ -49,12 +50,13 @@ use rowburst_solve::prox::Prox;
 use rowburst_solve::{Certificate, DataTerm, StopReason};
 use sigma::Bands;
 use std::ops::ControlFlow;
+use stray_light::StrayLight;
 use tracing::info;
 
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 24;
+pub const ALGORITHM_REVISION: u32 = 25;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -209,6 +211,8 @@ pub struct Problem {
     other_shutter: Option<Shutter>,
     sigma_source: SigmaSource,
     calibration: Option<Calibration>,
+    /// Smooth stray light, which was taken away from `measurement`.
+    stray_light: Option<StrayLight>,
     tau_factor: f64,
     camera: Camera,
     bands: Bands,
@@ -263,6 +267,9 @@ pub struct Reconstruction {
     pub sigma_source: SigmaSource,
     /// The correction of PSF and camera that the video is made with; `None`: as given.
     pub calibration: Option<Calibration>,
+    /// Smooth stray light that was taken away from the frame before the correction of the camera, `[y, x]`, in counts; `None`:
+    /// none was found.
+    pub stray_light: Option<Image>,
     /// Number of iterations.
     pub iterations: usize,
     /// Why the solver stopped.
@@ -282,6 +289,23 @@ impl Reconstruction {
     /// Part of the voxels that the frame observes.
     pub fn coverage_fraction(&self) -> f64 {
         ones(&self.coverage)
+    }
+
+    /// The frame that the video explains: `measurement` without the stray light, and as an ideal camera would have measured
+    /// it. The foreign pixels keep their weights.
+    ///
+    /// # Panics
+    /// If the frame has another size.
+    #[must_use]
+    pub fn corrected(&self, measurement: &Measurement) -> Measurement {
+        let corrected = match &self.stray_light {
+            Some(light) => measurement.without_light(light.data()),
+            None => measurement.clone(),
+        };
+        match &self.calibration {
+            Some(calibration) => calibration.corrected(&corrected),
+            None => corrected,
+        }
     }
 }
 
@@ -360,6 +384,7 @@ impl Problem {
             other_shutter: None,
             sigma_source,
             calibration: None,
+            stray_light: None,
             tau_factor: 1.0,
             passed_check: false,
             checked_run: None,
@@ -463,18 +488,16 @@ impl Problem {
         let measurement_count = self.data.measurement_count() as f64;
         let residual_rms =
             rowburst_core::vecmath::norm(&solution.residual) / measurement_count.sqrt();
-        let normalised_residual: Vec<f32> = solution
-            .residual
-            .iter()
-            .map(|r| (f64::from(*r) / self.sigma) as f32)
-            .collect();
-        let columns = self.camera.columns();
+        let residual = solution.residual.iter();
         let normalised_residual = Image::new(
-            normalised_residual.len() / columns,
-            columns,
-            normalised_residual,
+            self.camera.rows(),
+            self.camera.columns(),
+            residual
+                .map(|r| (f64::from(*r) / self.sigma) as f32)
+                .collect(),
         )?;
         let background = self.background_of(prior, &solution.video)?;
+        let stray_light = self.stray_light.as_ref().map(StrayLight::image);
         let coverage = self.data.coverage();
         let excluded: Vec<u8> = self.excluded.iter().map(|&e| u8::from(e)).collect();
         let video = Video::new(shape, self.data.sum(solution.video))?;
@@ -517,6 +540,7 @@ impl Problem {
             coverage,
             sigma_source: self.sigma_source,
             calibration: self.calibration.clone(),
+            stray_light,
             iterations: solution.iterations,
             stop_reason: solution.stop_reason,
             support_fraction: solution.support_fraction,

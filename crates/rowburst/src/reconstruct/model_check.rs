@@ -7,11 +7,11 @@ use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
 use super::self_calibration::Finding;
-use super::{Prior, Problem, RunResult, SigmaSource, Tau};
+use super::{Prior, Problem, RunResult, SigmaSource, Tau, stray_light};
 use rowburst_core::vecmath::norm;
 use rowburst_optics::Shutter;
 use rowburst_solve::DataTerm;
-use tracing::info;
+use tracing::{debug, info};
 
 /// Effective noise level over what a refined PSF leaves, where the check calls the frame explained; larger smooths more.
 const EXPLAINED_SIGMA: f64 = 0.72;
@@ -39,9 +39,21 @@ const FOREIGN_ERROR_RATIO: f64 = 0.8;
 /// Noise level of all pixels over that without the foreign ones, above which foreign pixels have raised it; larger takes
 /// them for noise.
 const MAX_SIGMA_RATIO: f64 = 1.2;
+/// Smooth part of what a loose fit leaves from which there may be bright stray light; smaller looks for it where foreign
+/// pixels or a wrong PSF are all that is wrong.
+const MIN_SMOOTH_PART: f64 = 0.3;
+/// Held-out error over `σ` without stray light up to which nothing else is wrong; larger leaves PSF and camera uncorrected.
+const NEARLY_EXPLAINED: f64 = 2.0;
 /// Standard deviation of most held-out residuals over the held-out error, below which the error is that of few pixels, which
 /// are foreign; larger looks for them where PSF or camera are wrong.
 const FEW_PIXELS_SCALE: f64 = 0.33;
+
+/// What is wrong with a frame whose pixels are not.
+enum Cause {
+    StrayLight,
+    /// PSF or camera: a correction, if there is one.
+    Model(Option<Box<Finding>>),
+}
 
 impl Problem {
     /// Checks the model on held-out pixels. Where it does not explain the frame, leaves foreign pixels out and sets the
@@ -114,13 +126,14 @@ impl Problem {
         }
     }
 
-    /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, PSF or camera. Returns the
-    /// check after the corrections.
+    /// Looks for what is wrong where `check` does not explain the frame: foreign pixels, stray light, PSF or camera. Returns
+    /// the check after the corrections.
     ///
     /// Pixels stand out of a loose fit where they are foreign and where PSF or camera are wrong. If the model explains the
     /// frame without them, they are foreign and nothing else is wrong: the shortest search. If it explains little more, its
     /// error is that of most pixels, and they have not raised the noise level, PSF and camera are corrected at once, else
     /// after the rounds for foreign pixels. The correction is found without them; where it helps, all pixels are judged again.
+    /// Smooth stray light is looked for after PSF and camera, but before all else where it is bright.
     fn correct_model(
         &mut self,
         check: HeldOutCheck,
@@ -132,34 +145,30 @@ impl Problem {
             return Ok(check);
         }
         let found = self.find_foreign(observer)?;
+        if self.take_bright_stray_light(&found, &check, prior, observer)? {
+            return self.judge_again(prior, observer);
+        }
         if !self.calibrates() {
-            return self.exclude_foreign(found, check, prior, observer);
+            return self.exclude_foreign_and_stray_light(found, check, prior, observer);
         }
         let none = vec![false; self.excluded.len()];
         let (standing_out, sigma_with_all) = (found.pixels.clone(), self.sigma);
-        let mut without = None;
-        if standing_out.contains(&true) {
-            self.exclude(standing_out.clone());
-            without = Some(self.held_out_check(prior, observer)?);
-        }
+        let without = self.check_without_standing_out(&standing_out, prior, observer)?;
         if !self.calibrates() {
             // Foreign pixels have hidden that the scene is dense.
             self.opens(&mut prior);
             self.exclude(none);
-            return self.exclude_foreign(found, check, prior, observer);
+            return self.exclude_foreign_and_stray_light(found, check, prior, observer);
         }
         let start = without.as_ref().unwrap_or(&check);
         // No error of PSF and camera raises the noise beyond the cut-off of the optics.
         let have_raised_sigma = sigma_with_all > MAX_SIGMA_RATIO * self.sigma;
         let is_followed = found.is_followed || have_raised_sigma;
         let is_model_first = !have_raised_sigma && is_of_model(start, check.held_out_rms);
-        if !self.is_explained(start) {
-            // Of a global shutter others were looked for at once.
-            let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
-            self.has_wrong_model = !is_followed && self.has_foreign_psf(start, prior, observer)?
-                || !is_known && self.has_other_shutter(start, observer)?;
-        }
-        if self.has_wrong_model {
+        // Of a global shutter others were looked for at once.
+        let is_known = *self.camera.shutter() == Shutter::Global && without.is_none();
+        if self.is_of_another_camera(start, is_followed, is_known, prior, observer)? {
+            self.has_wrong_model = true;
             self.exclude(none);
             return Ok(check);
         }
@@ -168,9 +177,12 @@ impl Problem {
             && !self.is_explained(start)
             && !(is_followed && self.has_foreign_psf(start, prior, observer)?)
         {
-            let mut finding = self.find_correction(prior, start, observer)?;
+            let mut finding = match self.find_cause(prior, start, observer)? {
+                Cause::StrayLight => return self.judge_again(prior, observer),
+                Cause::Model(finding) => finding,
+            };
             if let Some(finding) = finding.take_if(|finding| is_clear(finding)) {
-                return self.judge_corrected(finding, prior, observer);
+                return self.judge_corrected(*finding, prior, observer);
             }
             tried = Some(finding);
         }
@@ -195,21 +207,123 @@ impl Problem {
             self.has_wrong_model = true;
             return Ok(check);
         }
-        let mut pending = match tried {
-            Some(finding) => finding,
-            None => self.find_correction(prior, start, observer)?,
+        let cause = match tried {
+            Some(finding) => Cause::Model(finding),
+            None => self.find_cause(prior, start, observer)?,
+        };
+        let Cause::Model(mut pending) = cause else {
+            return self.judge_again(prior, observer);
         };
         if let Some(finding) = pending.take_if(|finding| is_clear(finding)) {
-            return self.judge_corrected(finding, prior, observer);
+            return self.judge_corrected(*finding, prior, observer);
         }
         self.exclude(excluded.clone());
-        match pending {
-            Some(finding) if !is_explained => {
-                self.apply_correction(finding, excluded);
-                self.held_out_check(prior, observer)
-            }
-            _ => Ok(check),
+        let Some(finding) = pending.filter(|_| !is_explained) else {
+            return Ok(check);
+        };
+        self.apply_correction(*finding, excluded);
+        self.held_out_check(prior, observer)
+    }
+
+    /// A correction of PSF and camera, which comes first since it has fewer unknowns; smooth stray light, which is then taken
+    /// away, where the correction does not explain the frame.
+    fn find_cause(
+        &mut self,
+        prior: Prior,
+        start: &HeldOutCheck,
+        observer: &mut Observer,
+    ) -> Result<Cause, Box<RunResult>> {
+        let finding = self.find_correction(prior, start, observer)?;
+        let explains = finding.as_ref().is_some_and(|finding| finding.explains);
+        if !explains && self.take_stray_light(start, false, prior, observer)? {
+            return Ok(Cause::StrayLight);
         }
+        Ok(Cause::Model(finding.map(Box::new)))
+    }
+
+    /// Whether a frame that `check` does not explain belongs to another PSF, unless foreign pixels may explain that, or to
+    /// another shutter, unless that `is_known`.
+    fn is_of_another_camera(
+        &mut self,
+        check: &HeldOutCheck,
+        may_have_foreign: bool,
+        is_known: bool,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        Ok(!self.is_explained(check)
+            && (!may_have_foreign && self.has_foreign_psf(check, prior, observer)?
+                || !is_known && self.has_other_shutter(check, observer)?))
+    }
+
+    /// The check without the pixels `standing_out`, which are left out then; `None`: there are none.
+    fn check_without_standing_out(
+        &mut self,
+        standing_out: &[bool],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Option<HeldOutCheck>, Box<RunResult>> {
+        if !standing_out.contains(&true) {
+            return Ok(None);
+        }
+        self.exclude(standing_out.to_vec());
+        self.held_out_check(prior, observer).map(Some)
+    }
+
+    /// [`Self::exclude_foreign`], and takes smooth stray light away where that does not explain the frame.
+    fn exclude_foreign_and_stray_light(
+        &mut self,
+        found: Foreign,
+        check: HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let check = self.exclude_foreign(found, check, prior, observer)?;
+        if self.take_stray_light(&check, false, prior, observer)? {
+            return self.judge_again(prior, observer);
+        }
+        Ok(check)
+    }
+
+    /// Judges all pixels again, and corrects what is left, after smooth stray light has been taken away.
+    fn judge_again(
+        &mut self,
+        mut prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        self.exclude(vec![false; self.excluded.len()]);
+        let check = self.held_out_check(prior, observer)?;
+        if !self.options.self_calibration.is_on() {
+            if self.is_explained(&check) {
+                return Ok(check);
+            }
+            // The stray light may have hidden that the scene is dense.
+            self.opens(&mut prior);
+            if check.held_out_rms < NEARLY_EXPLAINED * self.sigma {
+                // What is left of the stray light is no error of PSF and camera.
+                let found = self.find_foreign(observer)?;
+                return self.exclude_foreign(found, check, prior, observer);
+            }
+        }
+        let check = self.correct_model(check, prior, observer)?;
+        self.correct_stray_light(check, prior, observer)
+    }
+
+    /// Takes smooth stray light away where it may be much of what a loose fit leaves, since it hides foreign pixels.
+    fn take_bright_stray_light(
+        &mut self,
+        found: &Foreign,
+        check: &HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        let shape = self.data.shutter().frame_shape();
+        let part = stray_light::smooth_part_of(&found.loose_residual, shape);
+        debug!("smooth part of what a loose fit leaves: {part:.3}");
+        if part < MIN_SMOOTH_PART {
+            return Ok(false);
+        }
+        self.take_stray_light(check, true, prior, observer)
     }
 
     /// Applies a correction and judges all pixels again with it.
@@ -233,7 +347,7 @@ impl Problem {
             return Ok(check);
         }
         let found = self.find_foreign(observer)?;
-        self.exclude_foreign(found, check, prior, observer)
+        self.exclude_foreign_and_stray_light(found, check, prior, observer)
     }
 
     /// Pixels that stand out at a loose fit, if foreign pixels are to be left out.
@@ -246,6 +360,7 @@ impl Problem {
                 pixels: vec![false; self.excluded.len()],
                 level: self.sigma,
                 is_followed: true,
+                loose_residual: Vec::new(),
             });
         }
         // Foreign pixels may have raised an estimate from the frame.

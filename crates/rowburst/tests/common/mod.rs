@@ -3,7 +3,7 @@
 
 use ndarray_npy::ReadNpyExt;
 use rowburst::camera::CameraParams;
-use rowburst::{Camera, Sensor, Shutter};
+use rowburst::{Camera, Image, Psf, Sensor, Shutter};
 use std::path::{Path, PathBuf};
 
 /// Folders of the oracle's cases.
@@ -65,4 +65,46 @@ pub fn camera_of(case: &Path) -> Camera {
         sensor: Sensor::default(),
     })
     .unwrap()
+}
+
+/// The value of the image at `(y, x)` by a windowed sinc, which self-calibration does not use.
+fn interpolated(image: &Image, y: f64, x: f64) -> f64 {
+    const HALF: isize = 6;
+    let sinc = |t: f64| {
+        let angle = std::f64::consts::PI * t;
+        if angle == 0.0 {
+            1.0
+        } else {
+            angle.sin() / angle
+        }
+    };
+    let kernel = |t: f64| sinc(t) * sinc(t / HALF as f64);
+    let mut sum = 0.0;
+    for row in y.floor() as isize - HALF + 1..=y.floor() as isize + HALF {
+        for column in x.floor() as isize - HALF + 1..=x.floor() as isize + HALF {
+            let row_inside = (0..image.rows() as isize).contains(&row);
+            if row_inside && (0..image.columns() as isize).contains(&column) {
+                let value = f64::from(image.at(row as usize, column as usize));
+                sum += value * kernel(y - row as f64) * kernel(x - column as f64);
+            }
+        }
+    }
+    sum
+}
+
+/// The PSF from a capture that is `scale` times as large and turned by `degrees`.
+pub fn distorted(psf: &Psf, scale: f64, degrees: f64) -> Psf {
+    let image = psf.image();
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let (centre_y, centre_x) = ((image.rows() / 2) as f64, (image.columns() / 2) as f64);
+    let at = |y: usize, x: usize| {
+        let (dy, dx) = ((y as f64 - centre_y) / scale, (x as f64 - centre_x) / scale);
+        let value = interpolated(
+            image,
+            cos * dy - sin * dx + centre_y,
+            sin * dy + cos * dx + centre_x,
+        );
+        value.max(0.0) as f32
+    };
+    Psf::new(Image::from_fn(image.rows(), image.columns(), at)).unwrap()
 }

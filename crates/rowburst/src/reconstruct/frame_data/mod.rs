@@ -4,6 +4,9 @@
 //! keeps both in step with the frame: its counts, weights and held-out pixels.
 
 mod data_term;
+mod with_stray_light;
+
+pub(super) use with_stray_light::{Fitted, WithStrayLight};
 
 use super::held_out::HeldOut;
 use super::model::Model;

@@ -1,5 +1,6 @@
 use super::*;
 use crate::reconstruct::x_step::Method;
+use faer::Mat;
 use rowburst_core::vecmath::norm;
 use rowburst_optics::camera::CameraParams;
 use rowburst_optics::measurement::{Corrections, correct};
@@ -259,4 +260,45 @@ fn weights_are_updated_from_the_light() {
         data.held_out_residuals(&vec![2.0; n]).len(),
         held_out.pixels().len()
     );
+}
+
+#[test]
+fn stray_light_is_fitted_beside_the_video() {
+    let patterns = Mat::from_fn(12 * 20, 3, |i, j| {
+        ((i / 20 + j * (i % 20)) as f64 / 8.0).cos()
+    });
+    for shutter in [Shutter::DualInsideOut, Shutter::TopDown] {
+        for exposure in [1.0, 3.0] {
+            let mut data = data_with_exposure(shutter.clone(), exposure);
+            let mut video = vec![0.0; data.operator().domain_len()];
+            video[25] = 3.0;
+            let (m, scale) = (data.operator().range_len(), data.scale());
+            let light = data.predicted(&video);
+            let mut data = WithStrayLight::new(&mut data, &patterns);
+            rowburst_core::linop::laws::check(data.operator(), 5);
+            let mut r: Vec<f32> = (0..m)
+                .map(|i| ((i * 37 % 101) as f32 - 50.0) / 50.0)
+                .collect();
+            // The part that the solver sees.
+            let mut seen = vec![0.0; m];
+            data.operator().adjoint(&r, &mut video);
+            data.operator().apply(&video, &mut seen);
+            r.copy_from_slice(&seen);
+            let rho = 0.05 * scale;
+            let (mut y, mut gram_y) = (vec![0.0; m], vec![0.0; m]);
+            assert!((0..60).any(|_| data.solve_gram(&r, rho, &mut y, &mut gram_y)));
+            data.operator().adjoint(&y, &mut video);
+            data.operator().apply(&video, &mut seen);
+            let wrong: Vec<f32> = (0..m).map(|i| seen[i] + rho as f32 * y[i] - r[i]).collect();
+            assert!(norm(&wrong) < 0.11 * rho * norm(&y));
+            // The rest of the frame beside a video holds no stray light any more.
+            video.fill(0.0);
+            video[25] = 3.0;
+            let fitted = data.fitted(&video);
+            let frame = (0..m).map(|i| light[i] + fitted.stray_light[i] + fitted.rest[i]);
+            let expected = (0..12 * 20).map(|i| (5 + (3 * (i / 20) + 5 * (i % 20)) % 11) as f32);
+            assert!(frame.zip(expected).all(|(f, e)| (f - e).abs() < 1e-3));
+            assert!(norm(&fitted.stray_light) > 1.0);
+        }
+    }
 }

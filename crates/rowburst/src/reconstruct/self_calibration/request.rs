@@ -7,6 +7,8 @@ use std::str::FromStr;
 
 /// Stray light of rows in a list of what may be corrected, as in `result.json`.
 const ROW_OFFSETS: &str = "row_offsets_counts";
+/// Smooth stray light in such a list.
+const SMOOTH_STRAY_LIGHT: &str = "smooth_stray_light";
 /// The PSF's own pixels in such a list.
 const PSF_REFINEMENT: &str = "psf_refinement";
 
@@ -40,6 +42,8 @@ pub(super) struct Correctable {
     parameters: [bool; COUNT],
     /// Stray light of each row.
     pub row_offsets: bool,
+    /// Smooth stray light.
+    pub smooth_stray_light: bool,
     /// The PSF's own pixels.
     pub psf: bool,
 }
@@ -48,11 +52,13 @@ impl Correctable {
     const ALL: Self = Self {
         parameters: [true; COUNT],
         row_offsets: true,
+        smooth_stray_light: true,
         psf: true,
     };
     const NOTHING: Self = Self {
         parameters: [false; COUNT],
         row_offsets: false,
+        smooth_stray_light: false,
         psf: false,
     };
 
@@ -66,6 +72,7 @@ impl Correctable {
         match (name, parameter) {
             (_, Some(parameter)) => self.parameters[parameter as usize] = true,
             (ROW_OFFSETS, _) => self.row_offsets = true,
+            (SMOOTH_STRAY_LIGHT, _) => self.smooth_stray_light = true,
             (PSF_REFINEMENT, _) => self.psf = true,
             _ => return false,
         }
@@ -76,6 +83,7 @@ impl Correctable {
         let parameters = ModelParameter::ALL.into_iter().filter(|p| self.has(*p));
         let mut names: Vec<&str> = parameters.map(ModelParameter::name).collect();
         names.extend(self.row_offsets.then_some(ROW_OFFSETS));
+        names.extend(self.smooth_stray_light.then_some(SMOOTH_STRAY_LIGHT));
         names.extend(self.psf.then_some(PSF_REFINEMENT));
         names
     }
@@ -119,6 +127,11 @@ impl SelfCalibration {
     /// Whether nothing is corrected.
     pub fn is_off(self) -> bool {
         self.when == When::Off
+    }
+
+    /// Whether smooth stray light is looked for where the model does not explain the frame.
+    pub(in crate::reconstruct) fn finds_stray_light(self) -> bool {
+        !self.is_off() && self.correctable.smooth_stray_light
     }
 
     /// Whether corrections are looked for where the model explains the frame, too.

@@ -130,7 +130,7 @@ fn active_system(system: &System) -> Option<ActiveSystem> {
 }
 
 /// The mean field along the rows, or of whole planes where the operator convolves these.
-fn preconditioner(system: &System) -> Box<dyn Preconditioner> {
+pub fn preconditioner(system: &System) -> Box<dyn Preconditioner> {
     let shutter = system.shutter();
     if shutter.convolves_planes() {
         return Box::new(PlanePreconditioner {

@@ -16,7 +16,7 @@ mod preconditioner;
 mod static_background;
 mod system;
 
-pub(super) use conjugate_gradients::ConjugateGradients;
+pub(super) use conjugate_gradients::{ConjugateGradients, preconditioner};
 pub(super) use exact_blocks::{ExactBlocks, Precision};
 pub(super) use static_background::StaticBackground;
 pub(super) use system::System;

@@ -1,0 +1,521 @@
+//! Smooth stray light: a reflection, or a lamp that shines past the diffuser.
+//!
+//! It is a part of the frame that belongs to no scene, and a video absorbs it as far as it can. So both are fitted at once,
+//! as in [`WithStrayLight`]: first with smooth stray light everywhere, which shows where there is any, then with splines at
+//! these places alone, since light that varies from row to row only may also be that of a scene that changes. The stray
+//! light is taken away from the frame if the video then predicts held-out pixels better (docs/design/020).
+
+use super::frame_data::{Fitted, WithStrayLight};
+use super::held_out_check::HeldOutCheck;
+use super::{Observer, Prior, Problem, RunResult, choose, foreign, observe_sum};
+use faer::linalg::solvers::SolveLstsq;
+use faer::{Col, Mat};
+use rowburst_core::linop::Background;
+use rowburst_core::vecmath::norm_squared;
+use rowburst_optics::Image;
+use rowburst_solve::StopReason;
+use rowburst_solve::admm::{Admm, Progress, TauRule};
+use std::f64::consts::PI;
+use tracing::{debug, info};
+
+/// Cosines along each side of the frame of which the first fit makes the stray light; more take scenes for stray light.
+const COSINES: usize = 12;
+/// Distances of the splines along the shorter side of the frame; more follow sharper reflections and leave less of the scene.
+const SPLINES: f64 = 15.0;
+/// Iterations of a fit; in more a video of few places gives its light to the stray light.
+const ITERATIONS: usize = 40;
+/// Iterations of the last fit where that does not explain the frame; fewer leave stray light beside a few bright places.
+const REFIT_ITERATIONS: usize = 80;
+/// Most fits with splines; more find few further places.
+const MAX_FITS: usize = 4;
+/// Stray light over its scale from which there is any; smaller takes the errors of a fit for stray light.
+const MIN_LIGHT: f64 = 4.0;
+/// Stray light over the brightest from which there is any; smaller takes light of dense scenes for it.
+const MIN_PART: f64 = 0.1;
+/// What a fit leaves over the brightest stray light from which more places have some; larger leaves its edges.
+const MIN_PART_LEFT: f64 = 0.02;
+/// Brightest stray light over the held-out error from which it may be the cause of it; smaller looks for it where the PSF is
+/// wrong.
+const MIN_BRIGHTEST: f64 = 3.0;
+/// Part of the frame up to which there is stray light; in more it cannot be told from the scene.
+const MAX_PLACES: f64 = 0.5;
+/// Held-out error without the stray light over that before, up to which it is believed; larger believes in what foreign
+/// pixels and a wrong PSF leave.
+const MAX_ERROR_RATIO: f64 = 0.75;
+/// The same of a dense scene, whose error is mostly that of the video.
+const MAX_DENSE_ERROR_RATIO: f64 = 0.95;
+/// Most corrections of the stray light by what a check leaves of it.
+const MAX_CORRECTIONS: usize = 8;
+/// Held-out error after such a correction over the least before, above which it was in vain; larger corrects longer.
+const MIN_CORRECTION: f64 = 0.98;
+/// Corrections in vain, one after the other, after which no more are made: the error falls unevenly.
+const MAX_IN_VAIN: usize = 2;
+/// Most elements of a fit's patterns, 256 MiB; frames with more pixels are too large for the search.
+const MAX_ELEMENTS: usize = 1 << 25;
+
+impl Problem {
+    /// Looks for smooth stray light, where `before` is the check of a model that does not explain the frame. Takes it away
+    /// from the frame and returns whether it is believed.
+    pub(super) fn take_stray_light(
+        &mut self,
+        before: &HeldOutCheck,
+        is_bright: bool,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        let least = if is_bright {
+            0.0
+        } else {
+            MIN_BRIGHTEST * before.held_out_rms
+        };
+        if !self.options.self_calibration.finds_stray_light()
+            || self.stray_light.is_some()
+            || self.is_explained(before)
+            || !Frame::of(self).is_small()
+        {
+            return Ok(false);
+        }
+        let prior = match prior.background() {
+            Background::None => prior,
+            _ => Prior::STANDARD,
+        };
+        let Some(found) = self.find_stray_light(least, prior, observer)? else {
+            return Ok(false);
+        };
+        let (with_it, was_dense) = (self.measurement.clone(), self.is_dense);
+        let is_dense = before.support_fraction > choose::DENSE_SUPPORT;
+        let max_ratio = if is_dense {
+            MAX_DENSE_ERROR_RATIO
+        } else {
+            MAX_ERROR_RATIO
+        };
+        self.subtract(&found.light);
+        self.stray_light = Some(found);
+        let mut after = self.held_out_check(prior, observer)?;
+        if after.held_out_rms < max_ratio * before.held_out_rms {
+            after = self.refit_stray_light(after, prior, observer)?;
+            after = self.correct_stray_light(after, prior, observer)?;
+        }
+        let ratio = after.held_out_rms / before.held_out_rms;
+        info!(
+            "without smooth stray light: held-out error {:.3} σ, {ratio:.3} times that before",
+            after.held_out_rms / self.sigma
+        );
+        let is_believed = ratio < max_ratio;
+        if !is_believed {
+            self.stray_light = None;
+            (self.measurement, self.is_dense) = (with_it, was_dense);
+            self.exclude(self.excluded.clone());
+        }
+        Ok(is_believed)
+    }
+
+    /// Takes `light` away from the frame.
+    fn subtract(&mut self, light: &[f32]) {
+        self.measurement = self.measurement.without_light(light);
+        self.exclude(self.excluded.clone());
+    }
+
+    /// The stray light; `None`: there is none.
+    fn find_stray_light(
+        &mut self,
+        least_brightest: f64,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Option<StrayLight>, Box<RunResult>> {
+        let frame = Frame::of(self);
+        let cosines = frame.cosines();
+        let everywhere = self.fit_stray_light(&cosines, ITERATIONS, prior, observer)?;
+        let map = frame.without_row_levels(&everywhere.stray_light);
+        let mut is_lit = lit_places(&map, MIN_PART * largest(&map));
+        if largest(&map) < least_brightest {
+            return Ok(None);
+        }
+        let mut found: Option<StrayLight> = None;
+        for _ in 0..MAX_FITS {
+            let knots = frame.knots(&is_lit);
+            let places = is_lit.iter().filter(|lit| **lit).count() as f64;
+            debug!("stray light at {places} pixels, {} splines", knots.len());
+            if found.as_ref().is_some_and(|found| found.knots == knots) {
+                break;
+            }
+            let elements = is_lit.len() * knots.len();
+            if knots.is_empty()
+                || places > MAX_PLACES * is_lit.len() as f64
+                || elements > MAX_ELEMENTS
+            {
+                return Ok(None);
+            }
+            let fitted =
+                self.fit_stray_light(&frame.splines(&knots), ITERATIONS, prior, observer)?;
+            let brightest = largest(&fitted.stray_light);
+            let left = frame.without_row_levels(&smooth_part(&cosines, &fitted.rest));
+            is_lit = lit_places(&left, MIN_PART_LEFT * brightest);
+            let lit = fitted.stray_light.iter().zip(&mut is_lit);
+            lit.for_each(|(light, is_lit)| *is_lit |= f64::from(*light) > MIN_PART * brightest);
+            let light = fitted.stray_light;
+            found = Some(StrayLight {
+                frame,
+                light,
+                knots,
+            });
+        }
+        Ok(found)
+    }
+
+    /// Fits a video and stray light of `patterns`, `[pixel, pattern]`, to the frame. The held-out pixels belong to it: they are
+    /// many more than the patterns, and without weights of their own the solver is faster.
+    fn fit_stray_light(
+        &mut self,
+        patterns: &Mat<f64>,
+        iterations: usize,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Fitted, Box<RunResult>> {
+        self.data.reset(prior.background(), None);
+        let shape = self.data.shape();
+        let rule = TauRule::Discrepancy { sigma: self.sigma };
+        let params = prior.admm_params(shape, rule, self.options.solver_settings().of_a_search());
+        let mut prox = self.data.prox(&prior);
+        let mut data = WithStrayLight::new(&mut self.data, patterns);
+        let mut run = Admm::new(&data, shape, params);
+        let reason = run.run(&mut data, &mut *prox, iterations, &mut |progress| {
+            let progress = Progress {
+                label: "looking for stray light",
+                max_iterations: iterations,
+                ..*progress
+            };
+            observe_sum(prior.background(), shape, &progress, observer)
+        });
+        if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
+            let solution = run.into_solution(&data, &*prox, reason);
+            return Err(Box::new(RunResult::new(prior, solution)));
+        }
+        Ok(data.fitted(run.video()))
+    }
+
+    /// Where `check` does not explain the frame, fits what is left of the stray light in more iterations: a few bright places
+    /// settle slowly. Returns the check that holds then.
+    fn refit_stray_light(
+        &mut self,
+        check: HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let Some(found) = self.stray_light.as_ref() else {
+            return Ok(check);
+        };
+        if self.is_explained(&check) {
+            return Ok(check);
+        }
+        let patterns = found.patterns();
+        let more = self.fit_stray_light(&patterns, REFIT_ITERATIONS, prior, observer)?;
+        let before = self.measurement.clone();
+        self.subtract(&more.stray_light);
+        let refitted = self.held_out_check(prior, observer)?;
+        debug!(
+            "stray light fitted again: held-out error {:.3} σ",
+            refitted.held_out_rms / self.sigma
+        );
+        if refitted.held_out_rms < check.held_out_rms {
+            self.add_stray_light(&more.stray_light);
+            return Ok(refitted);
+        }
+        self.measurement = before;
+        self.exclude(self.excluded.clone());
+        Ok(check)
+    }
+
+    /// Adds to the stray light what the video of `check` leaves of it, as long as the held-out error falls: a fit has
+    /// not settled, and the model may have been corrected since. Returns the check that holds then.
+    pub(super) fn correct_stray_light(
+        &mut self,
+        mut check: HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let Some(found) = self.stray_light.as_ref() else {
+            return Ok(check);
+        };
+        let patterns = found.patterns();
+        let factors = patterns.qr();
+        // The frame of `check`, and what was taken away since.
+        let mut best = (self.measurement.clone(), vec![0.0; patterns.nrows()]);
+        let (mut light, mut taken) = (check.light.clone(), best.1.clone());
+        let mut in_vain = 0;
+        for _ in 0..MAX_CORRECTIONS {
+            if self.is_explained(&check) || in_vain >= MAX_IN_VAIN {
+                break;
+            }
+            let measured = self.measurement.image().data();
+            let weights = self.measurement.weights();
+            let left = |i: usize| {
+                let is_usable = !self.excluded[i] && weights.is_none_or(|w| w[i] > 0.0);
+                f64::from(u8::from(is_usable)) * f64::from(measured[i] - light[i])
+            };
+            let strengths = factors.solve_lstsq(Col::from_fn(measured.len(), left));
+            let more: Vec<f32> = (&patterns * strengths).iter().map(|m| *m as f32).collect();
+            self.subtract(&more);
+            taken.iter_mut().zip(&more).for_each(|(t, m)| *t += m);
+            let next = self.held_out_check(prior, observer)?;
+            debug!(
+                "stray light corrected: held-out error {:.3} σ",
+                next.held_out_rms / self.sigma
+            );
+            light.clone_from(&next.light);
+            let falls = next.held_out_rms < MIN_CORRECTION * check.held_out_rms;
+            in_vain = if falls { 0 } else { in_vain + 1 };
+            if next.held_out_rms < check.held_out_rms || self.is_explained(&next) {
+                best = (self.measurement.clone(), taken.clone());
+                check = next;
+            }
+        }
+        self.measurement = best.0;
+        self.exclude(self.excluded.clone());
+        self.add_stray_light(&best.1);
+        Ok(check)
+    }
+
+    /// Adds light of the corrected frame to the stray light of the frame as given.
+    fn add_stray_light(&mut self, more: &[f32]) {
+        let gain = self.calibration.as_ref().map(|c| c.gain.as_slice());
+        let light = self.stray_light.iter_mut().flat_map(|s| &mut s.light);
+        for (i, (light, more)) in light.zip(more).enumerate() {
+            *light += gain.map_or(1.0, |g| g[i]) * more;
+        }
+    }
+}
+
+/// Smooth stray light of a frame.
+pub(super) struct StrayLight {
+    frame: Frame,
+    /// In counts, `[y, x]`.
+    light: Vec<f32>,
+    /// The splines of which it is made.
+    knots: Vec<Knot>,
+}
+
+impl StrayLight {
+    /// In counts, `[y, x]`.
+    pub fn image(&self) -> Image {
+        let Frame { rows, columns } = self.frame;
+        Image::new(rows, columns, self.light.clone()).expect("the size of the frame")
+    }
+
+    /// Its patterns, `[pixel, spline]`.
+    fn patterns(&self) -> Mat<f64> {
+        self.frame.splines(&self.knots)
+    }
+}
+
+/// Part of the power of `residual`, `[y, x]`, that may be smooth stray light.
+pub(super) fn smooth_part_of(residual: &[f32], shape: (usize, usize)) -> f64 {
+    let (rows, columns) = shape;
+    let frame = Frame { rows, columns };
+    if residual.is_empty() || !frame.is_small() {
+        return 0.0;
+    }
+    let smooth = frame.without_row_levels(&smooth_part(&frame.cosines(), residual));
+    norm_squared(&smooth) / norm_squared(residual).max(f64::MIN_POSITIVE)
+}
+
+/// Row and column of a spline.
+type Knot = (i32, i32);
+
+/// The pixels of a frame.
+#[derive(Clone, Copy)]
+struct Frame {
+    rows: usize,
+    columns: usize,
+}
+
+impl Frame {
+    fn of(problem: &Problem) -> Self {
+        let (rows, columns) = problem.data.shutter().frame_shape();
+        Self { rows, columns }
+    }
+
+    /// Whether the patterns of a fit have room.
+    fn is_small(self) -> bool {
+        self.rows * self.columns * COSINES * COSINES <= MAX_ELEMENTS
+    }
+
+    /// The lowest cosines over the frame, `[pixel, cosine]`.
+    fn cosines(self) -> Mat<f64> {
+        let wave = |frequency: usize, at: usize, length: usize| {
+            (PI * frequency as f64 * (at as f64 + 0.5) / length as f64).cos()
+        };
+        self.products(COSINES * COSINES, |j| {
+            (
+                move |y, rows| wave(j / COSINES, y, rows),
+                move |x, columns| wave(j % COSINES, x, columns),
+            )
+        })
+    }
+
+    /// Cubic B-splines at `knots`, `[pixel, spline]`.
+    fn splines(self, knots: &[Knot]) -> Mat<f64> {
+        let spacing = self.spacing();
+        let at = move |knot: i32, at: usize| cubic_b_spline(at as f64 / spacing - f64::from(knot));
+        self.products(knots.len(), |j| {
+            let (row, column) = knots[j];
+            (move |y, _| at(row, y), move |x, _| at(column, x))
+        })
+    }
+
+    /// `count` patterns, each a product of a function of the row and one of the column.
+    fn products<Y: Fn(usize, usize) -> f64, X: Fn(usize, usize) -> f64>(
+        self,
+        count: usize,
+        functions: impl Fn(usize) -> (Y, X),
+    ) -> Mat<f64> {
+        let mut patterns = Mat::zeros(self.rows * self.columns, count);
+        for (j, mut pattern) in patterns.col_iter_mut().enumerate() {
+            let (of_row, of_column) = functions(j);
+            let line: Vec<f64> = (0..self.columns)
+                .map(|x| of_column(x, self.columns))
+                .collect();
+            for y in 0..self.rows {
+                let factor = of_row(y, self.rows);
+                for (x, value) in line.iter().enumerate() {
+                    pattern[y * self.columns + x] = factor * value;
+                }
+            }
+        }
+        patterns
+    }
+
+    /// Pixels between two splines.
+    fn spacing(self) -> f64 {
+        (self.rows.min(self.columns) as f64 / SPLINES).max(1.0)
+    }
+
+    /// The splines whose centre is less than a spacing from a place that is lit.
+    fn knots(self, is_lit: &[bool]) -> Vec<Knot> {
+        let spacing = self.spacing();
+        let last = |length: usize| (length as f64 / spacing).ceil() as i32 + 1;
+        let near = |knot: i32, length: usize| {
+            // A spline beyond the edge is one of the edge.
+            let centre = (f64::from(knot) * spacing).clamp(0.0, length as f64 - 1.0);
+            let from = (centre - spacing).floor() as i64 + 1;
+            let to = (centre + spacing).ceil() as i64;
+            from.max(0) as usize..to.min(length as i64) as usize
+        };
+        let all =
+            (-1..=last(self.rows)).flat_map(|a| (-1..=last(self.columns)).map(move |b| (a, b)));
+        let is_near_light = |(a, b): &Knot| {
+            near(*a, self.rows).any(|y| {
+                let line = &is_lit[y * self.columns..][..self.columns];
+                line[near(*b, self.columns)].contains(&true)
+            })
+        };
+        all.filter(is_near_light).collect()
+    }
+
+    /// `light` without the median of each row: what all of a row has may also be light of the scene at its instant.
+    fn without_row_levels(self, light: &[f32]) -> Vec<f32> {
+        let mut result = light.to_vec();
+        for row in result.chunks_exact_mut(self.columns) {
+            let mut sorted = row.to_vec();
+            let middle = self.columns / 2;
+            let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
+            row.iter_mut().for_each(|light| *light -= median);
+        }
+        result
+    }
+}
+
+/// The central B-spline of degree three.
+fn cubic_b_spline(x: f64) -> f64 {
+    let x = x.abs();
+    if x < 1.0 {
+        2.0 / 3.0 - x * x + x * x * x / 2.0
+    } else {
+        (2.0 - x).max(0.0).powi(3) / 6.0
+    }
+}
+
+/// The part of `values` in the span of `cosines`, which are orthogonal.
+fn smooth_part(cosines: &Mat<f64>, values: &[f32]) -> Vec<f32> {
+    let values = Col::from_fn(values.len(), |i| f64::from(values[i]));
+    let mut strengths = cosines.transpose() * values;
+    for (strength, cosine) in strengths.iter_mut().zip(cosines.col_iter()) {
+        *strength /= cosine.squared_norm_l2();
+    }
+    (cosines * strengths).iter().map(|v| *v as f32).collect()
+}
+
+/// The places with more than `least` light that stand out of the others.
+fn lit_places(light: &[f32], least: f64) -> Vec<bool> {
+    let mut sizes: Vec<f64> = light.iter().map(|l| f64::from(l.abs())).collect();
+    let limit = (MIN_LIGHT * foreign::robust_scale(&mut sizes)).max(least);
+    light.iter().map(|l| f64::from(*l) > limit).collect()
+}
+
+fn largest(light: &[f32]) -> f64 {
+    f64::from(light.iter().copied().fold(0.0, f32::max))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: Frame = Frame {
+        rows: 45,
+        columns: 60,
+    };
+
+    fn close(found: &[f32], expected: &[f32]) {
+        let pairs = found.iter().zip(expected);
+        let worst = pairs.map(|(f, e)| (f - e).abs()).fold(0.0, f32::max);
+        assert!(worst < 1e-4, "{worst}");
+    }
+
+    #[test]
+    fn splines_add_up_to_even_light() {
+        let everywhere = vec![true; FRAME.rows * FRAME.columns];
+        let splines = FRAME.splines(&FRAME.knots(&everywhere));
+        let sum = &splines * Col::<f64>::ones(splines.ncols());
+        assert!(sum.iter().all(|s| (s - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn splines_follow_a_reflection() {
+        let spot: Vec<f32> = (0..FRAME.rows * FRAME.columns)
+            .map(|i| {
+                let (y, x) = (i / FRAME.columns, i % FRAME.columns);
+                let square = (y as f32 - 20.0).powi(2) + (x as f32 - 25.0).powi(2);
+                (-square / 50.0).exp()
+            })
+            .collect();
+        let knots = FRAME.knots(&lit_places(&spot, MIN_PART_LEFT));
+        assert!(knots.len() < FRAME.knots(&vec![true; spot.len()]).len());
+        let splines = FRAME.splines(&knots);
+        let values = Col::from_fn(spot.len(), |i| f64::from(spot[i]));
+        let fitted = &splines * splines.qr().solve_lstsq(values);
+        let errors = fitted.iter().zip(&spot).map(|(f, s)| *f as f32 - s);
+        let worst = errors.map(f32::abs).fold(0.0, f32::max);
+        assert!(worst < 0.01, "{worst}");
+    }
+
+    #[test]
+    fn the_smooth_part_is_that_of_the_lowest_cosines() {
+        let wave = |f: f64, at: usize, n: usize| (PI * f * (at as f64 + 0.5) / n as f64).cos();
+        let light = |f: f64, g: f64| -> Vec<f32> {
+            let at = |i: usize| {
+                let (y, x) = (i / FRAME.columns, i % FRAME.columns);
+                (wave(f, y, FRAME.rows) * wave(g, x, FRAME.columns)) as f32
+            };
+            (0..FRAME.rows * FRAME.columns).map(at).collect()
+        };
+        let cosines = FRAME.cosines();
+        let (low, high) = (light(3.0, 11.0), light(12.0, 2.0));
+        let sum: Vec<f32> = low.iter().zip(&high).map(|(l, h)| l + h).collect();
+        close(&smooth_part(&cosines, &sum), &low);
+        let shape = (FRAME.rows, FRAME.columns);
+        assert!((smooth_part_of(&sum, shape) - 0.5).abs() < 0.01);
+        // What all of a row has may be light of the scene.
+        assert!(smooth_part_of(&light(3.0, 0.0), shape) < 1e-6);
+        assert_eq!(smooth_part_of(&[], shape), 0.0);
+    }
+}
