@@ -40,15 +40,22 @@ def test_constants_of_the_solver_can_be_set(capture, camera, psf):
 
 
 @pytest.fixture(scope="module")
-def hot():
-    """A capture with 1 % hot pixels: camera, PSF, frame and the mask of the hot pixels."""
+def moving():
+    """A capture of a moving square: camera, PSF and frame."""
     camera = rb.Camera(rows=64, columns=64, shutter="dual-inside-out", row_time_us=9.6, exposure_us=9.6)
     rng = np.random.default_rng(5)
     psf = rb.Psf(rng.exponential(size=(127, 127)).astype(np.float32))
     scene = np.zeros(camera.video_shape, np.float32)
     for t in range(len(scene)):
         scene[t, 10 + t : 14 + t, 8 + t : 12 + t] = 1
-    frame = rb.simulate(camera, scene, psf, snr=256, seed=2).frame.copy()
+    return camera, psf, rb.simulate(camera, scene, psf, snr=256, seed=2).frame
+
+
+@pytest.fixture(scope="module")
+def hot(moving):
+    """The same with 1 % hot pixels: camera, PSF, frame and the mask of the hot pixels."""
+    camera, psf, frame = moving
+    frame, rng = frame.copy(), np.random.default_rng(6)
     is_hot = np.zeros(frame.shape, bool)
     is_hot.flat[rng.choice(frame.size, frame.size // 100, replace=False)] = True
     frame[is_hot] += frame.max()
@@ -70,6 +77,26 @@ def test_hot_pixels_are_found(hot):
     assert numbers["effective_sigma"] == result.effective_sigma
     assert any(f"{found.sum()} foreign pixels" in warning for warning in numbers["warnings"])
     assert "Yellow: " in result.report()
+
+
+def test_a_reflection_is_taken_away(moving, tmp_path):
+    camera, psf, clean = moving
+    y, x = np.ogrid[:64, :64]
+    spot = 0.5 * clean.max() * np.exp(-((y - 24.0) ** 2 + (x - 36.0) ** 2) / 72)
+    result = rb.reconstruct((clean + spot).astype(np.float32), camera, psf, prior="tv+0.5*tdiff+support")
+    found = result.stray_light
+    assert found.shape == camera.frame_shape and found.dtype == np.float32
+    assert np.sqrt(np.mean((found - spot) ** 2)) < 0.05 * spot.max()
+    assert np.isclose(result.stray_light_fraction, spot.sum() / (clean + spot).sum(), rtol=0.1)
+    assert result.numbers["stray_light_fraction"] == result.stray_light_fraction
+    assert any("smooth stray light" in warning for warning in result.numbers["warnings"])
+    assert "Smooth stray light" in result.report()
+    result.save(tmp_path)
+    np.testing.assert_array_equal(rb.load(tmp_path).stray_light, found)
+    copy = pickle.loads(pickle.dumps(result))
+    np.testing.assert_array_equal(copy.stray_light, found)
+    kept = rb.reconstruct(clean, camera, psf, prior="tv+0.5*tdiff+support", self_calibrate="off")
+    assert kept.stray_light is None and kept.stray_light_fraction == 0
 
 
 def test_all_pixels_are_kept_on_request(hot):

@@ -64,6 +64,11 @@ class SavedResult(VideoResult):
         return self._optional("excluded.npy")
 
     @property
+    def stray_light(self) -> NDArray[np.float32] | None:
+        """Smooth stray light ``[y, x]`` that was taken away from the frame, in counts; None: none was found."""
+        return self._optional("stray-light.npy")
+
+    @property
     def coverage(self) -> NDArray[np.uint8] | None:
         """1 at the voxels ``[t, y, x]`` that the frame observes; None where the result has no such file."""
         return self._optional("coverage.npy")

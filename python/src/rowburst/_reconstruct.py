@@ -645,9 +645,9 @@ def reconstruct(
     self_calibrate : str
         ``"auto"``: where PSF and camera do not explain the frame, the frame corrects them (size, angle, blur and noise of the
         PSF; vignetting, stray light, and timing of the camera), if held-out pixels confirm it: see
-        :attr:`Result.corrected_psf`. ``"off"``: never; ``"on"``: corrections are looked for in every frame. A list such as
-        ``"scale,rotation_deg"`` or ``"on,scale"`` names what may be corrected, by the keys of
-        :attr:`Result.self_calibration`.
+        :attr:`Result.corrected_psf` and :attr:`Result.stray_light`. ``"off"``: never; ``"on"``: corrections are looked for
+        in every frame. A list such as ``"scale,rotation_deg"`` or ``"on,scale"`` names what may be corrected, by the keys of
+        :attr:`Result.self_calibration`, and ``"smooth_stray_light"``.
     keep_all_pixels : bool
         Whether every pixel is used that is not bad. By default foreign pixels, such as hot pixels, dust or a printed
         caption, are looked for where the video does not explain the frame, and are left out: see :attr:`Result.excluded`.

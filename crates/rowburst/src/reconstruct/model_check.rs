@@ -292,13 +292,19 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         self.exclude(vec![false; self.excluded.len()]);
-        let check = self.held_out_check(prior, observer)?;
+        if self.sigma_source == SigmaSource::HeldOut {
+            // The stray light has disturbed the noise level.
+            self.resolve_tau_rule(observer)?;
+        }
+        let mut check = self.held_out_check(prior, observer)?;
         if !self.options.self_calibration.is_on() {
             if self.is_explained(&check) {
                 return Ok(check);
             }
             // The stray light may have hidden that the scene is dense.
-            self.opens(&mut prior);
+            if self.opens(&mut prior) {
+                check = self.held_out_check(prior, observer)?;
+            }
             if check.held_out_rms < NEARLY_EXPLAINED * self.sigma {
                 // What is left of the stray light is no error of PSF and camera.
                 let found = self.find_foreign(observer)?;
@@ -306,6 +312,9 @@ impl Problem {
             }
         }
         let check = self.correct_model(check, prior, observer)?;
+        if self.has_wrong_model {
+            return Ok(check);
+        }
         self.correct_stray_light(check, prior, observer)
     }
 
@@ -317,6 +326,9 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<bool, Box<RunResult>> {
+        if !self.looks_for_stray_light() {
+            return Ok(false);
+        }
         let shape = self.data.shutter().frame_shape();
         let part = stray_light::smooth_part_of(&found.loose_residual, shape);
         debug!("smooth part of what a loose fit leaves: {part:.3}");

@@ -5,7 +5,7 @@
 //! these places alone, since light that varies from row to row only may also be that of a scene that changes. The stray
 //! light is taken away from the frame if the video then predicts held-out pixels better (docs/design/020).
 
-use super::frame_data::{Fitted, WithStrayLight};
+use super::frame_data::{StrayLightFit, WithStrayLight};
 use super::held_out_check::HeldOutCheck;
 use super::{Observer, Prior, Problem, RunResult, choose, foreign, observe_sum};
 use faer::linalg::solvers::SolveLstsq;
@@ -13,6 +13,7 @@ use faer::{Col, Mat};
 use rowburst_core::linop::Background;
 use rowburst_core::vecmath::norm_squared;
 use rowburst_optics::Image;
+use rowburst_optics::measurement::Measurement;
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::{Admm, Progress, TauRule};
 use std::f64::consts::PI;
@@ -20,26 +21,28 @@ use tracing::{debug, info};
 
 /// Cosines along each side of the frame of which the first fit makes the stray light; more take scenes for stray light.
 const COSINES: usize = 12;
-/// Distances of the splines along the shorter side of the frame; more follow sharper reflections and leave less of the scene.
+/// Splines along the shorter side of the frame; more follow sharper reflections and leave less of the scene.
 const SPLINES: f64 = 15.0;
+/// Fewest pixels between two splines; fewer follow single pixels.
+const MIN_SPACING: f64 = 4.0;
 /// Iterations of a fit; in more a video of few places gives its light to the stray light.
 const ITERATIONS: usize = 40;
 /// Iterations of the last fit where that does not explain the frame; fewer leave stray light beside a few bright places.
 const REFIT_ITERATIONS: usize = 80;
 /// Most fits with splines; more find few further places.
 const MAX_FITS: usize = 4;
-/// Stray light over its scale from which there is any; smaller takes the errors of a fit for stray light.
+/// Brightness over the scale of all pixels above which a pixel has stray light; smaller takes errors of the fit for it.
 const MIN_LIGHT: f64 = 4.0;
-/// Stray light over the brightest from which there is any; smaller takes light of dense scenes for it.
+/// Brightness over that of the brightest pixel above which a pixel has stray light; smaller takes light of dense scenes for it.
 const MIN_PART: f64 = 0.1;
-/// What a fit leaves over the brightest stray light from which more places have some; larger leaves its edges.
+/// The same of what a fit with splines leaves, where splines are added; larger leaves the edges of a reflection.
 const MIN_PART_LEFT: f64 = 0.02;
-/// Brightest stray light over the held-out error from which it may be the cause of it; smaller looks for it where the PSF is
-/// wrong.
+/// Brightness of the brightest pixel over the held-out error above which stray light may cause that error; smaller searches
+/// where the PSF is wrong.
 const MIN_BRIGHTEST: f64 = 3.0;
-/// Part of the frame up to which there is stray light; in more it cannot be told from the scene.
-const MAX_PLACES: f64 = 0.5;
-/// Held-out error without the stray light over that before, up to which it is believed; larger believes in what foreign
+/// Part of the frame that stray light covers at most; more of it cannot be told from the scene.
+const MAX_AREA: f64 = 0.5;
+/// Held-out error without the stray light over that before, below which it is believed; larger believes in what foreign
 /// pixels and a wrong PSF leave.
 const MAX_ERROR_RATIO: f64 = 0.75;
 /// The same of a dense scene, whose error is mostly that of the video.
@@ -52,11 +55,58 @@ const MIN_CORRECTION: f64 = 0.98;
 const MAX_IN_VAIN: usize = 2;
 /// Most elements of a fit's patterns, 256 MiB; frames with more pixels are too large for the search.
 const MAX_ELEMENTS: usize = 1 << 25;
+/// Shortest side of a frame for the search, in pixels; in smaller ones the patterns are as many as the details of the scene.
+const MIN_SIDE: usize = 24;
+/// Fewest pixels with weight for each spline; fewer are fitted whatever they show.
+const MIN_PIXELS: usize = 4;
+/// Power of a spline at pixels with weight over its whole power, below which it is left out: no pixel tells its strength.
+const MIN_OBSERVED: f64 = 1e-5;
 
 impl Problem {
     /// Looks for smooth stray light, where `before` is the check of a model that does not explain the frame. Takes it away
-    /// from the frame and returns whether it is believed.
+    /// from the frame and returns whether it is believed. `is_bright`: a loose fit has shown that there may be much of it.
+    ///
+    /// The error is the last check of a run that the observer stopped; the frame is then as it was.
     pub(super) fn take_stray_light(
+        &mut self,
+        before: &HeldOutCheck,
+        is_bright: bool,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<bool, Box<RunResult>> {
+        if !self.looks_for_stray_light() || self.is_explained(before) {
+            return Ok(false);
+        }
+        let (measurement, was_dense) = (self.measurement.clone(), self.is_dense);
+        let last_check = self.last_check.take();
+        let tried = self.try_stray_light(before, is_bright, prior, observer);
+        if matches!(tried, Ok(true)) {
+            return tried;
+        }
+        self.stray_light = None;
+        self.is_dense = was_dense;
+        self.set_measurement(measurement);
+        match (tried, last_check) {
+            (Err(stopped), Some(mut check)) => {
+                // The residual of a fit lacks the stray light, so it is no measure of a result.
+                check.solution.stop_reason = stopped.solution.stop_reason;
+                Err(check)
+            }
+            (tried, last_check) => {
+                self.last_check = last_check;
+                tried
+            }
+        }
+    }
+
+    /// Whether smooth stray light may be looked for: once, in frames for which the patterns have room.
+    pub(super) fn looks_for_stray_light(&self) -> bool {
+        self.options.self_calibration.finds_stray_light()
+            && self.stray_light.is_none()
+            && Frame::of(self).is_suitable()
+    }
+
+    fn try_stray_light(
         &mut self,
         before: &HeldOutCheck,
         is_bright: bool,
@@ -68,29 +118,20 @@ impl Problem {
         } else {
             MIN_BRIGHTEST * before.held_out_rms
         };
-        if !self.options.self_calibration.finds_stray_light()
-            || self.stray_light.is_some()
-            || self.is_explained(before)
-            || !Frame::of(self).is_small()
-        {
-            return Ok(false);
-        }
-        let prior = match prior.background() {
-            Background::None => prior,
-            _ => Prior::STANDARD,
-        };
-        let Some(found) = self.find_stray_light(least, prior, observer)? else {
+        let Some(mut found) = self.find_stray_light(least, prior, observer)? else {
             return Ok(false);
         };
-        let (with_it, was_dense) = (self.measurement.clone(), self.is_dense);
-        let is_dense = before.support_fraction > choose::DENSE_SUPPORT;
-        let max_ratio = if is_dense {
+        let may_be_dense = is_bright && before.support_fraction > choose::DENSE_SUPPORT;
+        let max_ratio = if self.is_dense || may_be_dense {
             MAX_DENSE_ERROR_RATIO
         } else {
             MAX_ERROR_RATIO
         };
-        self.subtract(&found.light);
+        let light = std::mem::take(&mut found.light);
+        found.light.resize(light.len(), 0.0);
         self.stray_light = Some(found);
+        self.subtract(&light);
+        self.add_stray_light(&light);
         let mut after = self.held_out_check(prior, observer)?;
         if after.held_out_rms < max_ratio * before.held_out_rms {
             after = self.refit_stray_light(after, prior, observer)?;
@@ -101,19 +142,28 @@ impl Problem {
             "without smooth stray light: held-out error {:.3} σ, {ratio:.3} times that before",
             after.held_out_rms / self.sigma
         );
-        let is_believed = ratio < max_ratio;
-        if !is_believed {
-            self.stray_light = None;
-            (self.measurement, self.is_dense) = (with_it, was_dense);
-            self.exclude(self.excluded.clone());
-        }
-        Ok(is_believed)
+        Ok(ratio < max_ratio)
     }
 
     /// Takes `light` away from the frame.
     fn subtract(&mut self, light: &[f32]) {
-        self.measurement = self.measurement.without_light(light);
+        self.set_measurement(self.measurement.without_light(light));
+    }
+
+    /// Replaces the frame by one with other counts and the same weights.
+    fn set_measurement(&mut self, measurement: Measurement) {
+        self.measurement = measurement;
+        let kept = self.measurement.without(&self.excluded);
+        self.data.set_noise(kept.noise().cloned());
         self.exclude(self.excluded.clone());
+    }
+
+    /// Whether each pixel has a weight and is not left out.
+    fn is_usable(&self) -> Vec<bool> {
+        let weights = self.measurement.weights();
+        let has_weight = |i: usize| weights.is_none_or(|w| w[i] > 0.0);
+        let pixels = self.excluded.iter().enumerate();
+        pixels.map(|(i, e)| !e && has_weight(i)).collect()
     }
 
     /// The stray light; `None`: there is none.
@@ -124,39 +174,46 @@ impl Problem {
         observer: &mut Observer,
     ) -> Result<Option<StrayLight>, Box<RunResult>> {
         let frame = Frame::of(self);
+        let is_usable = self.is_usable();
+        let usable_count = is_usable.iter().filter(|usable| **usable).count();
         let cosines = frame.cosines();
         let everywhere = self.fit_stray_light(&cosines, ITERATIONS, prior, observer)?;
-        let map = frame.without_row_levels(&everywhere.stray_light);
-        let mut is_lit = lit_places(&map, MIN_PART * largest(&map));
+        let mut map = frame.without_row_levels(&everywhere.stray_light);
+        darken(&mut map, &is_usable);
+        let mut has_light = bright_pixels(&map, MIN_PART * largest(&map));
         if largest(&map) < least_brightest {
             return Ok(None);
         }
         let mut found: Option<StrayLight> = None;
         for _ in 0..MAX_FITS {
-            let knots = frame.knots(&is_lit);
-            let places = is_lit.iter().filter(|lit| **lit).count() as f64;
-            debug!("stray light at {places} pixels, {} splines", knots.len());
+            let knots = frame.knots(&has_light, &is_usable);
+            let area = has_light.iter().filter(|has| **has).count();
+            debug!("stray light at {area} pixels, {} splines", knots.len());
             if found.as_ref().is_some_and(|found| found.knots == knots) {
                 break;
             }
-            let elements = is_lit.len() * knots.len();
             if knots.is_empty()
-                || places > MAX_PLACES * is_lit.len() as f64
-                || elements > MAX_ELEMENTS
+                || area as f64 > MAX_AREA * has_light.len() as f64
+                || MIN_PIXELS * knots.len() > usable_count
+                || has_light.len() * knots.len() > MAX_ELEMENTS
             {
                 return Ok(None);
             }
-            let fitted =
-                self.fit_stray_light(&frame.splines(&knots), ITERATIONS, prior, observer)?;
-            let brightest = largest(&fitted.stray_light);
-            let left = frame.without_row_levels(&smooth_part(&cosines, &fitted.rest));
-            is_lit = lit_places(&left, MIN_PART_LEFT * brightest);
-            let lit = fitted.stray_light.iter().zip(&mut is_lit);
-            lit.for_each(|(light, is_lit)| *is_lit |= f64::from(*light) > MIN_PART * brightest);
-            let light = fitted.stray_light;
+            let fit = self.fit_stray_light(&frame.splines(&knots), ITERATIONS, prior, observer)?;
+            if fit.stray_light.iter().any(|light| !light.is_finite()) {
+                return Ok(None);
+            }
+            let mut seen = fit.stray_light.clone();
+            darken(&mut seen, &is_usable);
+            let brightest = largest(&seen);
+            let left = frame.without_row_levels(&smooth_part(&cosines, &fit.rest));
+            has_light = bright_pixels(&left, MIN_PART_LEFT * brightest);
+            for (light, has_light) in seen.iter().zip(&mut has_light) {
+                *has_light |= f64::from(*light) > MIN_PART * brightest;
+            }
             found = Some(StrayLight {
                 frame,
-                light,
+                light: fit.stray_light,
                 knots,
             });
         }
@@ -171,7 +228,11 @@ impl Problem {
         iterations: usize,
         prior: Prior,
         observer: &mut Observer,
-    ) -> Result<Fitted, Box<RunResult>> {
+    ) -> Result<StrayLightFit, Box<RunResult>> {
+        let prior = match prior.background() {
+            Background::None => prior,
+            _ => Prior::STANDARD,
+        };
         self.data.reset(prior.background(), None);
         let shape = self.data.shape();
         let rule = TauRule::Discrepancy { sigma: self.sigma };
@@ -191,7 +252,7 @@ impl Problem {
             let solution = run.into_solution(&data, &*prox, reason);
             return Err(Box::new(RunResult::new(prior, solution)));
         }
-        Ok(data.fitted(run.video()))
+        Ok(data.fit(run.video()))
     }
 
     /// Where `check` does not explain the frame, fits what is left of the stray light in more iterations: a few bright places
@@ -221,8 +282,7 @@ impl Problem {
             self.add_stray_light(&more.stray_light);
             return Ok(refitted);
         }
-        self.measurement = before;
-        self.exclude(self.excluded.clone());
+        self.set_measurement(before);
         Ok(check)
     }
 
@@ -238,7 +298,12 @@ impl Problem {
             return Ok(check);
         };
         let patterns = found.patterns();
-        let factors = patterns.qr();
+        let is_usable = self.is_usable();
+        let part = |i: usize| f64::from(u8::from(is_usable[i]));
+        let factors = Mat::from_fn(patterns.nrows(), patterns.ncols(), |i, j| {
+            part(i) * patterns[(i, j)]
+        })
+        .qr();
         // The frame of `check`, and what was taken away since.
         let mut best = (self.measurement.clone(), vec![0.0; patterns.nrows()]);
         let (mut light, mut taken) = (check.light.clone(), best.1.clone());
@@ -248,16 +313,19 @@ impl Problem {
                 break;
             }
             let measured = self.measurement.image().data();
-            let weights = self.measurement.weights();
-            let left = |i: usize| {
-                let is_usable = !self.excluded[i] && weights.is_none_or(|w| w[i] > 0.0);
-                f64::from(u8::from(is_usable)) * f64::from(measured[i] - light[i])
-            };
+            let left = |i: usize| part(i) * f64::from(measured[i] - light[i]);
             let strengths = factors.solve_lstsq(Col::from_fn(measured.len(), left));
             let more: Vec<f32> = (&patterns * strengths).iter().map(|m| *m as f32).collect();
             self.subtract(&more);
             taken.iter_mut().zip(&more).for_each(|(t, m)| *t += m);
-            let next = self.held_out_check(prior, observer)?;
+            let next = match self.held_out_check(prior, observer) {
+                Ok(next) => next,
+                Err(stopped) => {
+                    self.set_measurement(best.0);
+                    self.add_stray_light(&best.1);
+                    return Err(stopped);
+                }
+            };
             debug!(
                 "stray light corrected: held-out error {:.3} σ",
                 next.held_out_rms / self.sigma
@@ -270,8 +338,7 @@ impl Problem {
                 check = next;
             }
         }
-        self.measurement = best.0;
-        self.exclude(self.excluded.clone());
+        self.set_measurement(best.0);
         self.add_stray_light(&best.1);
         Ok(check)
     }
@@ -312,7 +379,7 @@ impl StrayLight {
 pub(super) fn smooth_part_of(residual: &[f32], shape: (usize, usize)) -> f64 {
     let (rows, columns) = shape;
     let frame = Frame { rows, columns };
-    if residual.is_empty() || !frame.is_small() {
+    if residual.is_empty() || !frame.is_suitable() {
         return 0.0;
     }
     let smooth = frame.without_row_levels(&smooth_part(&frame.cosines(), residual));
@@ -335,9 +402,10 @@ impl Frame {
         Self { rows, columns }
     }
 
-    /// Whether the patterns of a fit have room.
-    fn is_small(self) -> bool {
-        self.rows * self.columns * COSINES * COSINES <= MAX_ELEMENTS
+    /// Whether the frame is large enough for the search and its patterns have room.
+    fn is_suitable(self) -> bool {
+        self.rows.min(self.columns) >= MIN_SIDE
+            && self.rows * self.columns * COSINES * COSINES <= MAX_ELEMENTS
     }
 
     /// The lowest cosines over the frame, `[pixel, cosine]`.
@@ -387,11 +455,11 @@ impl Frame {
 
     /// Pixels between two splines.
     fn spacing(self) -> f64 {
-        (self.rows.min(self.columns) as f64 / SPLINES).max(1.0)
+        (self.rows.min(self.columns) as f64 / SPLINES).max(MIN_SPACING)
     }
 
-    /// The splines whose centre is less than a spacing from a place that is lit.
-    fn knots(self, is_lit: &[bool]) -> Vec<Knot> {
+    /// The splines with a centre less than a spacing from a pixel with light, and with enough of their power at usable pixels.
+    fn knots(self, has_light: &[bool], is_usable: &[bool]) -> Vec<Knot> {
         let spacing = self.spacing();
         let last = |length: usize| (length as f64 / spacing).ceil() as i32 + 1;
         let near = |knot: i32, length: usize| {
@@ -405,11 +473,22 @@ impl Frame {
             (-1..=last(self.rows)).flat_map(|a| (-1..=last(self.columns)).map(move |b| (a, b)));
         let is_near_light = |(a, b): &Knot| {
             near(*a, self.rows).any(|y| {
-                let line = &is_lit[y * self.columns..][..self.columns];
+                let line = &has_light[y * self.columns..][..self.columns];
                 line[near(*b, self.columns)].contains(&true)
             })
         };
-        all.filter(is_near_light).collect()
+        let near_light: Vec<Knot> = all.filter(is_near_light).collect();
+        let splines = self.splines(&near_light);
+        let whole = (151.0 / 315.0 * spacing).powi(2);
+        let observed = |j: usize| {
+            let pairs = splines.col(j).iter().zip(is_usable);
+            pairs
+                .filter(|(_, usable)| **usable)
+                .map(|(b, _)| b * b)
+                .sum::<f64>()
+        };
+        let kept = (0..near_light.len()).filter(|&j| observed(j) > MIN_OBSERVED * whole);
+        kept.map(|j| near_light[j]).collect()
     }
 
     /// `light` without the median of each row: what all of a row has may also be light of the scene at its instant.
@@ -445,11 +524,19 @@ fn smooth_part(cosines: &Mat<f64>, values: &[f32]) -> Vec<f32> {
     (cosines * strengths).iter().map(|v| *v as f32).collect()
 }
 
-/// The places with more than `least` light that stand out of the others.
-fn lit_places(light: &[f32], least: f64) -> Vec<bool> {
+/// The pixels with more than `least` light that are brighter than the scale of all allows.
+fn bright_pixels(light: &[f32], least: f64) -> Vec<bool> {
     let mut sizes: Vec<f64> = light.iter().map(|l| f64::from(l.abs())).collect();
     let limit = (MIN_LIGHT * foreign::robust_scale(&mut sizes)).max(least);
     light.iter().map(|l| f64::from(*l) > limit).collect()
+}
+
+/// Sets `light` to 0 at pixels that are not usable.
+fn darken(light: &mut [f32], is_usable: &[bool]) {
+    let pixels = light.iter_mut().zip(is_usable);
+    pixels
+        .filter(|(_, usable)| !**usable)
+        .for_each(|(light, _)| *light = 0.0);
 }
 
 fn largest(light: &[f32]) -> f64 {
@@ -474,7 +561,7 @@ mod tests {
     #[test]
     fn splines_add_up_to_even_light() {
         let everywhere = vec![true; FRAME.rows * FRAME.columns];
-        let splines = FRAME.splines(&FRAME.knots(&everywhere));
+        let splines = FRAME.splines(&FRAME.knots(&everywhere, &everywhere));
         let sum = &splines * Col::<f64>::ones(splines.ncols());
         assert!(sum.iter().all(|s| (s - 1.0).abs() < 1e-12));
     }
@@ -488,8 +575,9 @@ mod tests {
                 (-square / 50.0).exp()
             })
             .collect();
-        let knots = FRAME.knots(&lit_places(&spot, MIN_PART_LEFT));
-        assert!(knots.len() < FRAME.knots(&vec![true; spot.len()]).len());
+        let all = vec![true; spot.len()];
+        let knots = FRAME.knots(&bright_pixels(&spot, MIN_PART_LEFT), &all);
+        assert!(knots.len() < FRAME.knots(&all, &all).len());
         let splines = FRAME.splines(&knots);
         let values = Col::from_fn(spot.len(), |i| f64::from(spot[i]));
         let fitted = &splines * splines.qr().solve_lstsq(values);
@@ -517,5 +605,22 @@ mod tests {
         // What all of a row has may be light of the scene.
         assert!(smooth_part_of(&light(3.0, 0.0), shape) < 1e-6);
         assert_eq!(smooth_part_of(&[], shape), 0.0);
+    }
+
+    /// A spline without a pixel with weight has no strength that a fit could find.
+    #[test]
+    fn splines_of_pixels_without_weight_are_left_out() {
+        for (rows, columns) in [(100, 134), (84, 90), (45, 60)] {
+            let frame = Frame { rows, columns };
+            let all = vec![true; rows * columns];
+            let is_usable: Vec<bool> = (0..all.len()).map(|i| i % columns < columns / 2).collect();
+            for usable in [&all, &is_usable] {
+                let splines = frame.splines(&frame.knots(&all, usable));
+                for spline in splines.col_iter() {
+                    let values = spline.iter().zip(usable);
+                    assert!(values.filter(|(_, u)| **u).any(|(b, _)| *b > 1e-4));
+                }
+            }
+        }
     }
 }

@@ -6,7 +6,7 @@
 mod data_term;
 mod with_stray_light;
 
-pub(super) use with_stray_light::{Fitted, WithStrayLight};
+pub(super) use with_stray_light::{StrayLightFit, WithStrayLight};
 
 use super::held_out::HeldOut;
 use super::model::Model;
@@ -184,6 +184,11 @@ impl FrameData {
         self.set_coverage();
         self.apply_weights();
         self.x_step.rebuild(&self.system);
+    }
+
+    /// Replaces the law of the noise, from which [`rowburst_solve::DataTerm::update_weights`] takes the weights.
+    pub fn set_noise(&mut self, noise: Option<NoiseModel>) {
+        self.noise = noise;
     }
 
     /// The voxels that the frame observes: their sensitivity, the sum of `Aᵀ1` over the usable pixels, is at least

@@ -294,7 +294,7 @@ fn stray_light_is_fitted_beside_the_video() {
             // The rest of the frame beside a video holds no stray light any more.
             video.fill(0.0);
             video[25] = 3.0;
-            let fitted = data.fitted(&video);
+            let fitted = data.fit(&video);
             let frame = (0..m).map(|i| light[i] + fitted.stray_light[i] + fitted.rest[i]);
             let expected = (0..12 * 20).map(|i| (5 + (3 * (i / 20) + 5 * (i % 20)) % 11) as f32);
             assert!(frame.zip(expected).all(|(f, e)| (f - e).abs() < 1e-3));

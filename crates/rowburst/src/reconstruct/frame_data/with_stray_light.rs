@@ -25,7 +25,7 @@ use std::sync::Arc;
 const EARLY_CALLS: usize = 40;
 
 /// What a fit tells, in counts at each pixel.
-pub(in crate::reconstruct) struct Fitted {
+pub(in crate::reconstruct) struct StrayLightFit {
     pub stray_light: Vec<f32>,
     /// What stray light and video leave of the frame; 0 at pixels with weight 0.
     pub rest: Vec<f32>,
@@ -79,7 +79,7 @@ impl<'d> WithStrayLight<'d> {
     }
 
     /// The stray light beside `video`, and what both leave of the frame.
-    pub fn fitted(&self, video: &[f32]) -> Fitted {
+    pub fn fit(&self, video: &[f32]) -> StrayLightFit {
         let light = self.data.predicted(video);
         let frame = self.data.frame.iter().zip(&light);
         let mut rest: Vec<f32> = frame.map(|(b, a)| b - a).collect();
@@ -91,7 +91,7 @@ impl<'d> WithStrayLight<'d> {
         {
             *rest = if is_usable { *rest - stray } else { 0.0 };
         }
-        Fitted { stray_light, rest }
+        StrayLightFit { stray_light, rest }
     }
 }
 
