@@ -44,7 +44,7 @@ const MIN_BRIGHTEST: f64 = 3.0;
 const MAX_AREA: f64 = 0.5;
 /// Held-out error without the stray light over that before, below which it is believed; larger believes in what foreign
 /// pixels and a wrong PSF leave.
-const MAX_ERROR_RATIO: f64 = 0.75;
+const MAX_ERROR_RATIO: f64 = 0.5;
 /// The same of a dense scene, whose error is mostly that of the video.
 const MAX_DENSE_ERROR_RATIO: f64 = 0.95;
 /// Most corrections of the stray light by what a check leaves of it.
