@@ -79,26 +79,6 @@ def test_hot_pixels_are_found(hot):
     assert "Yellow: " in result.report()
 
 
-def test_a_reflection_is_taken_away(moving, tmp_path):
-    camera, psf, clean = moving
-    y, x = np.ogrid[:64, :64]
-    spot = 0.5 * clean.max() * np.exp(-((y - 24.0) ** 2 + (x - 36.0) ** 2) / 72)
-    result = rb.reconstruct((clean + spot).astype(np.float32), camera, psf, prior="tv+0.5*tdiff+support")
-    found = result.stray_light
-    assert found.shape == camera.frame_shape and found.dtype == np.float32
-    assert np.sqrt(np.mean((found - spot) ** 2)) < 0.05 * spot.max()
-    assert np.isclose(result.stray_light_fraction, spot.sum() / (clean + spot).sum(), rtol=0.1)
-    assert result.numbers["stray_light_fraction"] == result.stray_light_fraction
-    assert any("smooth stray light" in warning for warning in result.numbers["warnings"])
-    assert "Smooth stray light" in result.report()
-    result.save(tmp_path)
-    np.testing.assert_array_equal(rb.load(tmp_path).stray_light, found)
-    copy = pickle.loads(pickle.dumps(result))
-    np.testing.assert_array_equal(copy.stray_light, found)
-    kept = rb.reconstruct(clean, camera, psf, prior="tv+0.5*tdiff+support", self_calibrate="off")
-    assert kept.stray_light is None and kept.stray_light_fraction == 0
-
-
 def test_all_pixels_are_kept_on_request(hot):
     camera, psf, frame, _ = hot
     result = rb.reconstruct(frame, camera, psf, prior="tv+0.5*tdiff+support", keep_all_pixels=True)
@@ -155,6 +135,26 @@ def test_a_frame_corrects_its_psf(wrong_psf):
     assert again.numbers["psnr_db"] > after.numbers["psnr_db"] - 0.5
     same = pickle.loads(pickle.dumps(after))
     assert same.numbers == after.numbers and same.corrected_psf == after.corrected_psf
+
+
+def test_a_reflection_is_taken_away(wrong_psf, tmp_path):
+    camera, clean, _, psf, _ = wrong_psf
+    y, x = np.ogrid[:64, :64]
+    spot = 0.5 * clean.max() * np.exp(-((y - 24.0) ** 2 + (x - 36.0) ** 2) / 72)
+    result = rb.reconstruct((clean + spot).astype(np.float32), camera, psf, prior="tv+0.5*tdiff+support")
+    found = result.stray_light
+    assert found.shape == camera.frame_shape and found.dtype == np.float32
+    assert np.sqrt(np.mean((found - spot) ** 2)) < 0.05 * spot.max()
+    assert np.isclose(result.stray_light_fraction, spot.sum() / (clean + spot).sum(), rtol=0.1)
+    assert result.numbers["stray_light_fraction"] == result.stray_light_fraction
+    assert any("smooth stray light" in warning for warning in result.numbers["warnings"])
+    assert "Smooth stray light" in result.report()
+    result.save(tmp_path)
+    np.testing.assert_array_equal(rb.load(tmp_path).stray_light, found)
+    copy = pickle.loads(pickle.dumps(result))
+    np.testing.assert_array_equal(copy.stray_light, found)
+    kept = rb.reconstruct(clean, camera, psf, prior="tv+0.5*tdiff+support", self_calibrate="off")
+    assert kept.stray_light is None and kept.stray_light_fraction == 0
 
 
 def test_a_frame_corrects_its_timing(wrong_psf):

@@ -41,7 +41,7 @@ const FOREIGN_ERROR_RATIO: f64 = 0.8;
 const MAX_SIGMA_RATIO: f64 = 1.2;
 /// Smooth part of what a loose fit leaves from which there may be bright stray light; smaller looks for it where foreign
 /// pixels or a wrong PSF are all that is wrong.
-const MIN_SMOOTH_PART: f64 = 0.35;
+const MIN_SMOOTH_PART: f64 = 0.2;
 /// Held-out error over `σ` without stray light up to which nothing else is wrong; larger leaves PSF and camera uncorrected.
 const NEARLY_EXPLAINED: f64 = 2.0;
 /// Standard deviation of most held-out residuals over the held-out error, below which the error is that of few pixels, which

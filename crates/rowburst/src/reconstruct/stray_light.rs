@@ -35,16 +35,21 @@ const MAX_FITS: usize = 4;
 const MIN_LIGHT: f64 = 4.0;
 /// Brightness over that of the brightest pixel above which a pixel has stray light; smaller takes light of dense scenes for it.
 const MIN_PART: f64 = 0.1;
+/// The same where no pixel exceeds the scale, which wide stray light raises; smaller takes errors of the fit for it.
+const MIN_PART_OF_WIDE: f64 = 0.5;
 /// The same of what a fit with splines leaves, where splines are added; larger leaves the edges of a reflection.
 const MIN_PART_LEFT: f64 = 0.02;
 /// Brightness of the brightest pixel over the held-out error above which stray light may cause that error; smaller searches
 /// where the PSF is wrong.
 const MIN_BRIGHTEST: f64 = 3.0;
-/// Part of the frame that stray light covers at most; more of it cannot be told from the scene.
-const MAX_AREA: f64 = 0.5;
-/// Held-out error without the stray light over that before, below which it is believed; larger believes in what foreign
-/// pixels and a wrong PSF leave.
-const MAX_ERROR_RATIO: f64 = 0.5;
+/// Part of the stray light that is below 0 at most, in absolute values: light adds to the frame, and what foreign pixels and
+/// a wrong PSF leave has both signs. Larger takes that for stray light.
+const MAX_NEGATIVE_PART: f64 = 0.15;
+/// Held-out error without the stray light over that before, below which it is believed; larger believes in what explains
+/// little.
+const MAX_ERROR_RATIO: f64 = 0.75;
+/// The same before PSF and camera have been corrected; larger takes a wrong gain for stray light.
+const MAX_EARLY_ERROR_RATIO: f64 = 0.4;
 /// The same of a dense scene, whose error is mostly that of the video.
 const MAX_DENSE_ERROR_RATIO: f64 = 0.95;
 /// Most corrections of the stray light by what a check leaves of it.
@@ -124,6 +129,8 @@ impl Problem {
         let may_be_dense = is_bright && before.support_fraction > choose::DENSE_SUPPORT;
         let max_ratio = if self.is_dense || may_be_dense {
             MAX_DENSE_ERROR_RATIO
+        } else if is_bright {
+            MAX_EARLY_ERROR_RATIO
         } else {
             MAX_ERROR_RATIO
         };
@@ -138,11 +145,18 @@ impl Problem {
             after = self.correct_stray_light(after, prior, observer)?;
         }
         let ratio = after.held_out_rms / before.held_out_rms;
+        let mut light = self
+            .stray_light
+            .as_ref()
+            .map_or_else(Vec::new, |found| found.light.clone());
+        darken(&mut light, &self.is_usable());
+        let negative = negative_part(&light);
         info!(
-            "without smooth stray light: held-out error {:.3} σ, {ratio:.3} times that before",
+            "without smooth stray light, {:.1} % of it below 0: held-out error {:.3} σ, {ratio:.3} times that before",
+            100.0 * negative,
             after.held_out_rms / self.sigma
         );
-        Ok(ratio < max_ratio)
+        Ok(ratio < max_ratio && negative <= MAX_NEGATIVE_PART)
     }
 
     /// Takes `light` away from the frame.
@@ -180,10 +194,11 @@ impl Problem {
         let everywhere = self.fit_stray_light(&cosines, ITERATIONS, prior, observer)?;
         let mut map = frame.without_row_levels(&everywhere.stray_light);
         darken(&mut map, &is_usable);
-        let mut has_light = bright_pixels(&map, MIN_PART * largest(&map));
-        if largest(&map) < least_brightest {
+        let brightest = largest(&map);
+        if brightest < least_brightest {
             return Ok(None);
         }
+        let mut has_light = brightest_places(&map);
         let mut found: Option<StrayLight> = None;
         for _ in 0..MAX_FITS {
             let knots = frame.knots(&has_light, &is_usable);
@@ -193,7 +208,6 @@ impl Problem {
                 break;
             }
             if knots.is_empty()
-                || area as f64 > MAX_AREA * has_light.len() as f64
                 || MIN_PIXELS * knots.len() > usable_count
                 || has_light.len() * knots.len() > MAX_ELEMENTS
             {
@@ -205,6 +219,10 @@ impl Problem {
             }
             let mut seen = fit.stray_light.clone();
             darken(&mut seen, &is_usable);
+            // The first places may be errors of the fit beside the stray light.
+            if found.is_some() && negative_part(&seen) > MAX_NEGATIVE_PART {
+                return Ok(None);
+            }
             let brightest = largest(&seen);
             let left = frame.without_row_levels(&smooth_part(&cosines, &fit.rest));
             has_light = bright_pixels(&left, MIN_PART_LEFT * brightest);
@@ -524,10 +542,26 @@ fn smooth_part(cosines: &Mat<f64>, values: &[f32]) -> Vec<f32> {
     (cosines * strengths).iter().map(|v| *v as f32).collect()
 }
 
+/// Where the fit with stray light everywhere shows some.
+fn brightest_places(map: &[f32]) -> Vec<bool> {
+    let bright = bright_pixels(map, MIN_PART * largest(map));
+    if bright.contains(&true) {
+        bright
+    } else {
+        brighter(map, MIN_PART_OF_WIDE * largest(map))
+    }
+}
+
 /// The pixels with more than `least` light that are brighter than the scale of all allows.
 fn bright_pixels(light: &[f32], least: f64) -> Vec<bool> {
     let mut sizes: Vec<f64> = light.iter().map(|l| f64::from(l.abs())).collect();
-    let limit = (MIN_LIGHT * foreign::robust_scale(&mut sizes)).max(least);
+    brighter(
+        light,
+        (MIN_LIGHT * foreign::robust_scale(&mut sizes)).max(least),
+    )
+}
+
+fn brighter(light: &[f32], limit: f64) -> Vec<bool> {
     light.iter().map(|l| f64::from(*l) > limit).collect()
 }
 
@@ -537,6 +571,13 @@ fn darken(light: &mut [f32], is_usable: &[bool]) {
     pixels
         .filter(|(_, usable)| !**usable)
         .for_each(|(light, _)| *light = 0.0);
+}
+
+/// The part of `light` below 0, in absolute values.
+fn negative_part(light: &[f32]) -> f64 {
+    let sum = |of: fn(f32) -> f32| light.iter().map(|l| f64::from(of(*l))).sum::<f64>();
+    let (negative, all) = (sum(|l| (-l).max(0.0)), sum(f32::abs));
+    negative / all.max(f64::MIN_POSITIVE)
 }
 
 fn largest(light: &[f32]) -> f64 {
@@ -605,6 +646,25 @@ mod tests {
         // What all of a row has may be light of the scene.
         assert!(smooth_part_of(&light(3.0, 0.0), shape) < 1e-6);
         assert_eq!(smooth_part_of(&[], shape), 0.0);
+    }
+
+    #[test]
+    fn places_of_narrow_and_of_wide_light_are_found() {
+        let spot = |width: f32| -> Vec<f32> {
+            let square = |i: usize| ((i as f32 - 50.0) / width).powi(2);
+            (0..100).map(|i| (-square(i) / 2.0).exp()).collect()
+        };
+        let count = |map: &[f32]| brightest_places(map).iter().filter(|b| **b).count();
+        assert_eq!(count(&spot(4.0)), 17);
+        assert_eq!(count(&spot(30.0)), 71);
+        assert_eq!(count(&[0.0; 100]), 0);
+    }
+
+    #[test]
+    fn light_below_zero_has_a_part() {
+        assert_eq!(negative_part(&[1.0, -1.0, 2.0]), 0.25);
+        assert_eq!(negative_part(&[0.0, 3.0]), 0.0);
+        assert_eq!(negative_part(&[]), 0.0);
     }
 
     /// A spline without a pixel with weight has no strength that a fit could find.
