@@ -50,6 +50,7 @@ pub trait BinTransform: Send + Sync {
 /// `K` of every bin: from the video `[t, y, x]` to the coefficients `[t, k]`.
 ///
 /// Adjoint: `Kᵀ` of every bin. Cost: `bins` times that of the transform, in parallel.
+#[derive(Clone)]
 pub struct OverBins<T> {
     shape: Shape,
     transform: T,

@@ -13,6 +13,7 @@ use std::sync::Arc;
 /// (Ahmed, Natarajan & Rao 1974). It is the Fourier transform of the bin mirrored at
 /// its edges (half-sample symmetric boundary), so an edge of the field is no jump.
 /// Coefficients are stored `[l, k]`. Adjoint: the inverse, DCT-III. Cost: `O(N log N)`.
+#[derive(Clone)]
 pub struct Cosine {
     rows: usize,
     columns: usize,

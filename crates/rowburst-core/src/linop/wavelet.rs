@@ -22,6 +22,7 @@ const MAX_LEVELS: usize = 3;
 /// (cycle spinning, Coifman & Donoho 1995), which makes no grid visible.
 ///
 /// Adjoint: the same filters the other way. Cost: 24 multiply–adds a pixel and level.
+#[derive(Clone)]
 pub struct Wavelet {
     rows: usize,
     columns: usize,

@@ -17,6 +17,7 @@ use rowburst_core::{Shape, Support};
 /// zero. Without a restriction most iterations go into haze that moves slowly out of inactive voxels. The restriction
 /// must not cut off light that the video does not show yet, so it begins after the warm-up, and bins that cannot
 /// explain their measurements are widened or unrestricted.
+#[derive(Clone)]
 pub(super) struct ActiveSet {
     shape: Shape,
     estimator: SupportEstimator,

@@ -10,6 +10,7 @@ use crate::ProblemKind;
 /// threshold moves light in few iterations, but finds only large shapes: the part begins at a multiple of its end and
 /// falls linearly. `β` follows the brightness until the run settles, since the certificate needs a constant `β`. A wait
 /// does not lower the part further.
+#[derive(Clone)]
 pub(super) struct Continuation {
     /// `β` at its end over the brightness, see [`super::AdmmParams::threshold`].
     relative_threshold: f64,

@@ -18,6 +18,7 @@ use crate::prox::Prox;
 use rowburst_core::Shape;
 
 /// The controllers of a run.
+#[derive(Clone)]
 pub(super) struct Controllers {
     shape: Shape,
     pub schedule: Schedule,
@@ -245,6 +246,7 @@ mod tests {
     /// `A = I` for a frame of [`VOXELS`] pixels that counts as [`MEASUREMENTS`] measurements.
     struct RecordingData(Calls);
 
+    #[derive(Clone)]
     struct RecordingPrior(Calls);
 
     const VOXELS: usize = 81;

@@ -12,6 +12,7 @@ use super::tuning::Tuning;
 /// are counted from its end on. The first count is still of the video of the warm-up, since the bound is updated before
 /// the first restriction. They take at most [`Tuning::max_freedom`] of the measurements: this limits the first count, and
 /// keeps a fit that follows the noise from lowering its own bound.
+#[derive(Clone)]
 pub(super) struct Discrepancy {
     bound: f64,
     max_freedom: f64,

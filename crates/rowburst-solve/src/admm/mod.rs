@@ -195,6 +195,7 @@ pub fn solve(
 }
 
 /// A run of the solver that can be stopped, take another rule for `τ`, and continue.
+#[derive(Clone)]
 pub struct Admm {
     /// See [`Tuning::relaxation`].
     relaxation: f64,

@@ -8,6 +8,7 @@ use super::tuning::Tuning;
 /// Shot noise depends on the light, which the video knows better than the single counts. New weights cost new Gram
 /// blocks, so they are rare, and rarer once the video changes little. They begin with the first restriction: the light
 /// of a video that is still taking shape is no better than the counts.
+#[derive(Clone)]
 pub(super) struct NoiseWeights {
     interval: usize,
     frequent_until: usize,

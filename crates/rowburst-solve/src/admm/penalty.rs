@@ -12,6 +12,7 @@ use crate::DataTerm;
 /// `ρ` costs new factors of the x-step. Small corrections are therefore skipped, and larger ones while the residual
 /// still falls by itself. Bounds keep `ρ` where the x-step is numerically stable, and on a support, where the problem
 /// is not convex, near its value before.
+#[derive(Clone)]
 pub(super) struct Penalty {
     rule: TauRule,
     rho: f64,

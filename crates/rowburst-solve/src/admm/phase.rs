@@ -25,6 +25,7 @@ pub(super) enum Phase {
 }
 
 /// The position of a run in its phases.
+#[derive(Clone)]
 pub(super) struct Schedule {
     phase: Phase,
     /// Steps done, see [`Phase`].
@@ -123,6 +124,7 @@ impl Schedule {
 }
 
 /// Watches the brightness of each bin until it falls. A bin without light counts as fallen, already at the first look.
+#[derive(Clone)]
 pub(super) struct DeclineDetector {
     /// Relative fall that counts.
     decline: f64,

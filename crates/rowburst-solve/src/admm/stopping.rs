@@ -16,6 +16,7 @@ use rowburst_core::vecmath::{distance_squared, dot, norm_squared};
 /// bound of the minimum, from the variables that the iteration has anyway, is close to the objective. A bound costs
 /// about as much as an iteration, and holds for one problem only: it is computed every few iterations, where `β` is
 /// constant, the controllers left `ρ` unchanged and the support is stable.
+#[derive(Clone)]
 pub(super) struct Stopping {
     /// See [`AdmmParams::tolerance`].
     tolerance: f64,

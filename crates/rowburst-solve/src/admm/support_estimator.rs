@@ -12,6 +12,7 @@ use std::num::NonZeroUsize;
 /// A bin is unrestricted if all of its voxels are active. It is underfit if its support cannot explain its
 /// measurements: the root mean square of its residual is too large and no longer falls. A bin is crowded if its x-step
 /// takes all voxels though some are inactive, see [`Self::x_step_support`].
+#[derive(Clone)]
 pub(super) struct SupportEstimator {
     shape: Shape,
     tuning: Tuning,

@@ -14,6 +14,7 @@ const DIVERGED_RESIDUAL: f64 = 2.0;
 ///
 /// `q = x̂ + u` is stored in place of the scaled dual `u` and of `x`. Before a dual step it is the point of the z-step;
 /// after it `u = q − z`, since the dual step is `u ← u + x̂ − z`.
+#[derive(Clone)]
 pub(super) struct Variables {
     /// `z`, the video.
     pub z: Vec<f32>,

@@ -49,6 +49,7 @@ const MAX_STEPS: usize = 4;
 const STEP: f64 = 1.9;
 
 /// A sum of a [`Variation`], a group norm over time and other terms.
+#[derive(Clone)]
 pub struct Composite {
     shape: Shape,
     variation: Variation,
@@ -64,6 +65,7 @@ pub struct Composite {
     steps_taken: usize,
 }
 
+#[derive(Clone)]
 struct WeightedTerm {
     weight: f64,
     term: Box<dyn DualTerm>,

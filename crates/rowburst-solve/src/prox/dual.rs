@@ -1,10 +1,12 @@
 //! Terms `w ‖K v‖` of a prior that are solved in their dual.
 
+use dyn_clone::DynClone;
+
 /// One term `w ‖K v‖` of a [`Composite`](super::Composite) prior, with its dual variable `p`.
 ///
 /// By duality `s w ‖K v‖ = max ⟨p, K v⟩` over the ball `‖p‖_* ≤ s w` of the dual norm, with `s` the scale of the
 /// prox. So a term needs only `Kᵀ p` and a projected gradient step of `p`.
-pub trait DualTerm: Send {
+pub trait DualTerm: DynClone + Send {
     /// An upper bound of `‖K‖²`.
     fn norm_squared(&self) -> f64;
 
@@ -24,6 +26,8 @@ pub trait DualTerm: Send {
     /// count as zero.
     fn degrees_of_freedom(&self, z: &[f32], tolerance: f32) -> f64;
 }
+
+dyn_clone::clone_trait_object!(DualTerm);
 
 /// `p *= factor`, in parallel.
 pub(super) fn scale(p: &mut [f32], factor: f32) {

@@ -20,6 +20,7 @@ pub const TCURVE: TermSpec = TermSpec {
 };
 
 /// The second differences of a video over its bins.
+#[derive(Clone)]
 pub struct Curvature {
     pixels: usize,
     dual: Vec<f32>,

@@ -55,6 +55,7 @@ pub const LOWRANK_BACKGROUND: TermSpec = TermSpec {
 const CHUNK: usize = 512;
 
 /// The nuclear norm of a video as a matrix of bins × pixels.
+#[derive(Clone)]
 pub struct LowRank {
     shape: Shape,
     dual: Vec<f32>,

@@ -29,6 +29,7 @@ pub use term::{Coupling, TermSpec};
 pub use variation::{Variation, VariationWeights};
 pub use variation3d::{Isotropy, Variation3d};
 
+use dyn_clone::DynClone;
 use rowburst_core::Support;
 
 /// The convex terms, in the order in which a prior is written.
@@ -48,8 +49,9 @@ pub const TERMS: &[TermSpec] = &[
 
 /// A convex prior `R(v)` that includes the constraint `v ≥ 0`.
 ///
-/// An iterative prox may keep its inner state between calls, so that each call is a warm start from the last one.
-pub trait Prox: Send {
+/// An iterative prox may keep its inner state between calls, so that each call is a warm start from the last one. A clone
+/// has the same state, so a copy of a run goes on as the run does.
+pub trait Prox: DynClone + Send {
     /// `z = argmin_{z≥0} ½‖z − q‖² + scale·R(z)`; overwrites `z`.
     ///
     /// # Panics
@@ -72,6 +74,8 @@ pub trait Prox: Send {
     /// that `v` exceeds the dual point there. Negative elements of the result may be set to zero.
     fn subtract_dual(&self, v: &mut [f32]);
 }
+
+dyn_clone::clone_trait_object!(Prox);
 
 #[cfg(test)]
 mod tests;

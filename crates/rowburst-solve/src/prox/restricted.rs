@@ -4,6 +4,7 @@ use super::Prox;
 use rowburst_core::Support;
 
 /// A prior with the constraint that videos are zero outside a set of voxels, whatever support a solver chooses.
+#[derive(Clone)]
 pub struct Restricted {
     prior: Box<dyn Prox>,
     allowed: Support,

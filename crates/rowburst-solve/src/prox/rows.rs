@@ -7,6 +7,7 @@ use rowburst_core::{Shape, Support};
 use std::ops::Range;
 
 /// Runs of neighbouring rows in each bin.
+#[derive(Clone)]
 pub(super) struct Rows {
     /// Rows with an active voxel.
     active: Vec<Vec<Range<usize>>>,

@@ -37,6 +37,7 @@ pub const WAVELET: TermSpec = TermSpec {
 };
 
 /// The weighted ℓ1 norm of the coefficients of every bin.
+#[derive(Clone)]
 pub struct Sparse<T> {
     transform: OverBins<T>,
     bands: Vec<Band>,
@@ -90,7 +91,7 @@ fn weighted_l1(bands: &[Band], coefficients: &[f32]) -> f64 {
         .sum()
 }
 
-impl<T: BinTransform> DualTerm for Sparse<T> {
+impl<T: BinTransform + Clone> DualTerm for Sparse<T> {
     fn norm_squared(&self) -> f64 {
         1.0
     }

@@ -15,6 +15,7 @@ use super::Prox;
 use rowburst_core::Support;
 
 /// `R_1(s) + R_2(l)` over vectors `[s, l]`.
+#[derive(Clone)]
 pub struct SumPrior {
     first: Box<dyn Prox>,
     second: Box<dyn Prox>,

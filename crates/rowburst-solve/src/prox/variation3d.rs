@@ -47,6 +47,7 @@ pub enum Isotropy {
 }
 
 /// Total variation of a video over its three axes.
+#[derive(Clone)]
 pub struct Variation3d {
     shape: Shape,
     isotropy: Isotropy,

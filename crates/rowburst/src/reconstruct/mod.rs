@@ -40,7 +40,7 @@ pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use frame_data::FrameData;
-use held_out_run::HeldOutRun;
+use held_out_run::{Beginning, HeldOutRun};
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;
@@ -56,7 +56,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 25;
+pub const ALGORITHM_REVISION: u32 = 26;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -670,7 +670,7 @@ impl Problem {
         self.resolve_tau_rule(&mut before_trials)?;
         self.check_model(default_prior, &mut before_trials)?;
         let rule = self.tau_rule();
-        let (choice, best_trial) = match self.options.prior {
+        let (choice, mut best_trial) = match self.options.prior {
             Some(_) => (None, None),
             None if self.has_wrong_model => (None, None),
             None => match self.compare_priors(rule, observer)? {
@@ -694,7 +694,8 @@ impl Problem {
             params.max_iterations = params.max_iterations.min(WRONG_MODEL_ITERATIONS);
         }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
-        let (mut run, mut prox) = match self.begin_run(prior, params, observer) {
+        let beginning = best_trial.as_mut().and_then(BestTrial::take_beginning);
+        let (mut run, mut prox) = match self.begin_run(prior, params, beginning, observer) {
             Ok(begun) => begun,
             Err(stopped) => return Ok(self.better_result(*stopped, choice, best_trial)),
         };
@@ -753,16 +754,22 @@ impl Problem {
     }
 
     /// The beginning of the final run. Where the model explains the frame, it is one without held-out pixels: that of the check,
-    /// or for another prior one like it, so that a prior gives the same video chosen or given.
+    /// or for another prior one like it, so that a prior gives the same video chosen or given. `beginning` is that of a trial
+    /// of `prior`, which is one like it.
     fn begin_run(
         &mut self,
         prior: Prior,
         params: AdmmParams,
+        beginning: Option<Beginning>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<(Admm, Box<dyn Prox>), Box<RunResult>> {
+        let beginning = beginning.filter(|beginning| self.is_explained(&beginning.check));
         let checked = self.checked_run.take();
         // Where rows share bins a trial takes other constants than a final run.
         if self.passed_check && params.tau.is_discrepancy() && !self.data.is_coupled() {
+            if let Some(beginning) = beginning {
+                return Ok(beginning.with_all_pixels(&mut self.data));
+            }
             let begun = match checked {
                 Some(checked) if checked.prior == prior => checked,
                 _ => self.held_out_run(0.0, prior, observer)?.1,

@@ -58,6 +58,7 @@ impl VariationWeights {
 }
 
 /// The prior `R` over videos of one shape; see the [module](self).
+#[derive(Clone)]
 pub struct Variation {
     shape: Shape,
     weights: VariationWeights,

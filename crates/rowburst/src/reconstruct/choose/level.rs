@@ -8,6 +8,7 @@
 
 use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
+use super::super::held_out_run::HeldOutRun;
 use super::super::{Prior, RunResult, observe_sum};
 use super::trial::Trial;
 use super::{Observer, rms};
@@ -139,9 +140,8 @@ pub(in crate::reconstruct) fn noise_level(
     let level = path.selected().unwrap_or(sigma);
     let mut level_errors: Vec<(f64, f64)> = Vec::new();
     for sigma in [level / SIGMA_STEP, level, level * SIGMA_STEP] {
-        data.reset(full_prior.background(), Some(held_out.clone()));
-        let trial = Trial::new(data, full_prior, rule(sigma), 1.0, settings);
-        let trial_result = trial.run(data, &[], 0.0, observer)?;
+        let run = HeldOutRun::new(data, full_prior, rule(sigma), settings);
+        let trial_result = Trial::new(run, 1.0).run(data, &[], 0.0, observer)?;
         level_errors.push((sigma, trial_result.candidate.error));
     }
     let best = level_errors.iter().min_by(|a, b| a.1.total_cmp(&b.1));

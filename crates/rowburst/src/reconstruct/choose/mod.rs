@@ -20,14 +20,14 @@ pub(super) use trial::{TOLERANCE, is_one_picture, is_settled};
 
 use super::SolverSettings;
 use super::frame_data::FrameData;
-use super::held_out_run::HeldOutRun;
+use super::held_out_run::{Beginning, HeldOutRun};
 use super::{Observer, Prior, RunResult};
 use rowburst_core::linop::Background;
 use rowburst_core::vecmath::norm;
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::{Solution, TauRule};
 use tracing::info;
-use trial::{Trial, TrialResult};
+use trial::{ErrorAt, Trial, TrialResult};
 
 /// Priors of `auto`; an earlier one is kept where later ones are no better. More candidates cost a run each
 /// (`docs/design/011`).
@@ -208,12 +208,18 @@ pub(super) fn can_choose(data: &FrameData) -> bool {
 pub(super) struct BestTrial {
     prior: Prior,
     solution: Solution,
+    beginning: Option<Beginning>,
 }
 
 impl BestTrial {
     /// Norm of `W(b − A v)`, 0 at held-out pixels.
     pub fn misfit(&self) -> f64 {
         norm(&self.solution.residual)
+    }
+
+    /// A copy of the trial's beginning, the first time, if one was kept.
+    pub fn take_beginning(&mut self) -> Option<Beginning> {
+        self.beginning.take()
     }
 
     /// The trial as the result of a run that was stopped for `reason`.
@@ -230,8 +236,8 @@ struct Trials {
     ranks: Vec<usize>,
     /// The held-out residuals of each candidate.
     residuals: Vec<Vec<f64>>,
-    /// The held-out errors of the best candidate at each check.
-    best_errors: Vec<f64>,
+    /// The held-out errors of the best candidate at each comparison.
+    best_errors: Vec<ErrorAt>,
     best: Option<BestTrial>,
 }
 
@@ -294,7 +300,11 @@ impl Trials {
             let prior = found.candidate.prior;
             let solution = found.run_result.solution;
             self.best_errors = found.errors;
-            self.best = Some(BestTrial { prior, solution });
+            self.best = Some(BestTrial {
+                prior,
+                solution,
+                beginning: found.beginning,
+            });
         }
     }
 
@@ -320,8 +330,8 @@ pub(super) fn tau_factor(
     settings: SolverSettings,
     observer: &mut Observer,
 ) -> Result<f64, Box<RunResult>> {
-    data.reset(prior.background(), Some(data.held_out()));
-    let trial = Trial::new(data, prior, rule, sigma, settings).numbered(1, 1);
+    let run = HeldOutRun::new(data, prior, rule, settings);
+    let trial = Trial::new(run, sigma).numbered(1, 1);
     let found = trial.run(data, &[], f64::INFINITY, observer)?;
     Ok(found.candidate.tau_factor)
 }
@@ -356,13 +366,18 @@ pub(super) fn choose_prior(
     } else {
         &CANDIDATES
     });
+    // Where rows share bins a final run has other constants than a trial.
+    let keeps_beginning = checked.is_some() && !data.is_coupled();
     let new_trial = |data: &mut FrameData, prior: Prior| {
-        data.reset(prior.background(), Some(held_out.clone()));
-        Trial::new(data, prior, rule, sigma, settings)
+        let run = HeldOutRun::new(data, prior, rule, settings);
+        Trial::new(run, sigma).keeping_beginning(keeps_beginning)
     };
     let position = |run: &HeldOutRun| priors.iter().position(|prior| *prior == run.prior);
     let first = match checked.and_then(|run| Some((position(&run)?, run))) {
-        Some((rank, run)) => (rank, Trial::after(run, sigma)),
+        Some((rank, run)) => {
+            let trial = Trial::new(run, sigma).keeping_beginning(keeps_beginning);
+            (rank, trial)
+        }
         None => {
             // A candidate ends early only after another. In dense scenes the last one, which assumes least, sets the pace.
             let rank = if is_dense { priors.len() - 1 } else { 0 };

@@ -1,32 +1,24 @@
 //! The trial of a candidate: a run on the pixels that are not held out.
 
-use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
-use super::super::held_out_run::HeldOutRun;
-use super::super::{Prior, RunResult, observe_sum};
+use super::super::held_out_check::FIRST_CHECK_ITERATION;
+use super::super::held_out_run::{Beginning, HeldOutRun};
+use super::super::{Prior, RunResult};
 use super::{Candidate, MIN_GAIN, Observer, gain, rms};
 use rowburst_core::linop::Background;
-use rowburst_solve::StopReason;
-use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
-use rowburst_solve::prox::Prox;
+use rowburst_solve::admm::{Progress, TauRule};
 use tracing::debug;
 
-/// [`AdmmParams::tolerance`] of a trial; larger is faster and compares less exact videos.
+/// [`AdmmParams::tolerance`](rowburst_solve::admm::AdmmParams::tolerance) of a trial; larger is faster and compares less exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
 
-/// Held-out error over that of the best candidate at [`FIRST_COMPARISON`] that stops a candidate; smaller may stop the best
-/// (docs/design/011).
-const FIRST_ERROR_RATIO: f64 = 20.0;
-/// The same from [`FIRST_CHECK`] on, each error over that of the best after as many iterations.
-const EARLY_ERROR_RATIO: f64 = 6.0;
-/// The same from [`LATE_FROM`] on.
-const LATE_ERROR_RATIO: f64 = 1.5;
-/// Iteration at which a candidate is first compared; smaller may stop the best.
-const FIRST_COMPARISON: usize = 60;
-/// Iteration of the first check, from which on errors tell whether a candidate has settled; smaller judges what has not.
+/// Held-out error over that of the best candidate after as many iterations that stops a candidate, from an iteration on;
+/// smaller may stop the best (docs/design/011).
+const MAX_ERROR_RATIOS: [(usize, f64); 4] = [(0, 20.0), (80, 6.0), (100, 3.0), (200, 1.5)];
+/// Iteration at which a candidate is compared the second time, after [`FIRST_CHECK_ITERATION`]; smaller may stop the best.
+const SECOND_COMPARISON: usize = 60;
+/// Iteration from which on errors tell whether a candidate has settled; smaller judges what has not.
 const FIRST_CHECK: usize = 80;
-/// First iteration at which [`LATE_ERROR_RATIO`] applies; smaller may stop the best.
-const LATE_FROM: usize = 200;
 /// Iterations between two comparisons; larger stops candidates later.
 const CHECK_INTERVAL: usize = 20;
 
@@ -57,20 +49,28 @@ struct TauTrial {
 /// The result of a trial.
 pub(super) struct TrialResult {
     pub candidate: Candidate,
-    /// The held-out error at each check.
-    pub errors: Vec<f64>,
+    /// The held-out error at each comparison.
+    pub errors: Vec<ErrorAt>,
     /// The held-out residuals over `σ` at the end.
     pub residuals: Vec<f64>,
     pub run_result: Box<RunResult>,
+    /// A copy of its beginning, if one was to be kept.
+    pub beginning: Option<Beginning>,
+}
+
+/// The held-out error of a trial after so many iterations.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ErrorAt {
+    iteration: usize,
+    error: f64,
 }
 
 /// The run of a candidate.
 pub(super) struct Trial {
-    prior: Prior,
-    prox: Box<dyn Prox>,
-    run: Admm,
-    params: AdmmParams,
+    run: HeldOutRun,
     sigma: f64,
+    /// Whether a copy of its beginning is kept.
+    keeps_beginning: bool,
     label: String,
     /// See [`Progress::runs_left`].
     runs_left: usize,
@@ -84,13 +84,24 @@ pub(in crate::reconstruct) fn is_settled(errors: &[f64]) -> bool {
     }
 }
 
+/// The errors from [`FIRST_CHECK`] on.
+fn late_errors(errors: &[ErrorAt]) -> Vec<f64> {
+    let late = errors.iter().filter(|at| at.iteration >= FIRST_CHECK);
+    late.map(|at| at.error).collect()
+}
+
+/// The error of another trial after `iteration` iterations, or at its next comparison, or at its end; `None` without one.
+fn error_at(errors: &[ErrorAt], iteration: usize) -> Option<f64> {
+    let next = errors.iter().find(|at| at.iteration >= iteration);
+    next.or(errors.last()).map(|at| at.error)
+}
+
 /// Held-out error over that of the best candidate above which a candidate is stopped after so many iterations.
 fn max_error_ratio(iterations: usize) -> f64 {
-    match iterations {
-        ..FIRST_CHECK => FIRST_ERROR_RATIO,
-        FIRST_CHECK..LATE_FROM => EARLY_ERROR_RATIO,
-        LATE_FROM.. => LATE_ERROR_RATIO,
-    }
+    let begun = MAX_ERROR_RATIOS
+        .iter()
+        .filter(|(from, _)| *from <= iterations);
+    begun.fold(f64::INFINITY, |least, (_, ratio)| least.min(*ratio))
 }
 
 /// Whether the video of `prior` is one picture, all of it.
@@ -100,108 +111,86 @@ pub(in crate::reconstruct) fn is_one_picture(prior: &Prior, data: &FrameData) ->
 }
 
 impl Trial {
-    /// A run from a zero video. `data` holds out its pixels already; held-out errors are divided by `sigma`.
-    pub fn new(
-        data: &FrameData,
-        prior: Prior,
-        rule: TauRule,
-        sigma: f64,
-        settings: SolverSettings,
-    ) -> Self {
-        let params = AdmmParams {
-            tolerance: TOLERANCE,
-            ..prior.admm_params(data.shape(), rule, settings)
-        };
+    /// The trial that begins with `run`, whose held-out errors are divided by `sigma`.
+    pub fn new(mut run: HeldOutRun, sigma: f64) -> Self {
+        run.admm.set_tolerance(TOLERANCE);
         Self {
-            prior,
-            prox: data.prox(&prior),
-            run: Admm::new(data, data.shape(), params),
-            params,
+            label: format!("testing prior {}", run.prior),
+            run,
             sigma,
-            label: format!("testing prior {prior}"),
+            keeps_beginning: false,
             runs_left: 0,
         }
     }
 
-    /// The trial that goes on from a run on the same pixels by the same rule.
-    pub fn after(run: HeldOutRun, sigma: f64) -> Self {
-        let prior = run.prior;
-        let (mut run, prox, params) = run.into_parts();
-        run.set_tolerance(TOLERANCE);
+    /// The same, which keeps a copy of its beginning or not.
+    pub fn keeping_beginning(self, keeps_beginning: bool) -> Self {
         Self {
-            prior,
-            prox,
-            run,
-            params: AdmmParams {
-                tolerance: TOLERANCE,
-                ..params
-            },
-            sigma,
-            label: format!("testing prior {prior}"),
-            runs_left: 0,
+            keeps_beginning,
+            ..self
         }
     }
 
     /// The same, shown as trial `number` of `count` before the final run.
     pub fn numbered(self, number: usize, count: usize) -> Self {
         Self {
-            label: format!("testing prior {number} of {count}, {}", self.prior),
+            label: format!("testing prior {number} of {count}, {}", self.run.prior),
             runs_left: count - number + 1,
             ..self
         }
     }
 
-    /// Runs until the solver stops, or until the held-out error is far above `best_errors`, those of the best
-    /// candidate at each check. Then tries other `τ` where the error is at most `max_error`. The error is the
-    /// result so far of a run that the observer stopped.
+    /// Runs until the solver stops, or until the held-out error is far above `best_errors`, those of the best candidate,
+    /// or settles above `max_error`. Then tries other `τ` where the error is at most `max_error`. The error is the result so
+    /// far of a run that the observer stopped.
     pub fn run(
         mut self,
         data: &mut FrameData,
-        best_errors: &[f64],
+        best_errors: &[ErrorAt],
         max_error: f64,
         observer: &mut Observer,
     ) -> Result<TrialResult, Box<RunResult>> {
         let mut errors = Vec::new();
+        let mut beginning = None;
+        let mut until = self.run.admm.iterations().max(FIRST_CHECK_ITERATION);
         let (residuals, stopped_early) = loop {
             // The run pauses for each check, since an observer has no access to the held-out pixels.
-            let until = (self.run.iterations() + CHECK_INTERVAL).max(FIRST_COMPARISON);
-            let (residuals, ended) = match self.run_until(data, until, observer) {
-                Ok(check) => check,
-                Err(reason) => return Err(self.into_result(data, reason)),
-            };
-            let best_error = best_errors.get(errors.len()).or(best_errors.last());
-            let limit = max_error_ratio(self.run.iterations());
-            let error = rms(&residuals);
-            if ended || self.run.iterations() >= FIRST_CHECK {
-                errors.push(error);
+            let (residuals, ended) = self.run_until(data, until, observer)?;
+            if self.keeps_beginning && errors.is_empty() && !ended {
+                beginning = self.run.beginning(data);
             }
-            let ended = ended || (!self.prior.support && is_settled(&errors));
-            if ended || best_error.is_some_and(|best_error| error > limit * best_error) {
+            let iteration = self.run.admm.iterations();
+            let error = rms(&residuals);
+            errors.push(ErrorAt { iteration, error });
+            let best_error = error_at(best_errors, iteration);
+            let is_settled = is_settled(&late_errors(&errors));
+            let ended = ended || (!self.run.prior.support && is_settled);
+            let is_behind = best_error.is_some_and(|best_error| {
+                error > max_error_ratio(iteration) * best_error || is_settled && error > max_error
+            });
+            if ended || is_behind {
                 break (residuals, !ended);
             }
+            until = (iteration + CHECK_INTERVAL).max(SECOND_COMPARISON);
         };
         let mut found = TauTrial {
             tau_factor: 1.0,
             residuals,
-            support_fraction: self.run.support_fraction(),
+            support_fraction: self.run.admm.support_fraction(),
         };
-        let is_tunable = self.params.tau.is_discrepancy() && !stopped_early;
-        let is_one_picture = is_one_picture(&self.prior, data);
+        let is_tunable = self.run.rule().is_discrepancy() && !stopped_early;
+        let is_one_picture = is_one_picture(&self.run.prior, data);
         // A limit of 0 is for trials that keep their `τ`.
         let is_close = rms(&found.residuals) <= max_error || is_one_picture && max_error > 0.0;
         if is_tunable && is_close {
-            let tuned = if is_one_picture {
-                self.smooth(data, found, observer)
+            found = if is_one_picture {
+                self.smooth(data, found, observer)?
             } else {
-                self.tune(data, found, observer)
-            };
-            found = match tuned {
-                Ok(found) => found,
-                Err(reason) => return Err(self.into_result(data, reason)),
+                self.tune(data, found, observer)?
             };
         }
         let candidate = Candidate {
-            prior: self.prior,
+            prior: self.run.prior,
             tau_factor: found.tau_factor,
             error: rms(&found.residuals),
             support_fraction: found.support_fraction,
@@ -212,7 +201,8 @@ impl Trial {
             candidate,
             errors,
             residuals: found.residuals,
-            run_result: self.into_result(data, StopReason::IterationLimit),
+            run_result: Box::new(self.run.into_result(data)),
+            beginning,
         })
     }
 
@@ -225,10 +215,14 @@ impl Trial {
         data: &mut FrameData,
         mut lowest: TauTrial,
         observer: &mut Observer,
-    ) -> Result<TauTrial, StopReason> {
-        let tau = self.run.tau();
-        let last = self.params.max_iterations.saturating_sub(TUNING_ITERATIONS);
-        while lowest.tau_factor < MAX_TAU_FACTOR_AT_REST && self.run.iterations() <= last {
+    ) -> Result<TauTrial, Box<RunResult>> {
+        let tau = self.run.admm.tau();
+        let last = self
+            .run
+            .admm
+            .max_iterations()
+            .saturating_sub(TUNING_ITERATIONS);
+        while lowest.tau_factor < MAX_TAU_FACTOR_AT_REST && self.run.admm.iterations() <= last {
             let factor = TAU_STEP * lowest.tau_factor;
             let next = self.try_factor(factor, tau, &lowest.residuals, data, observer)?;
             let gain = gain(&lowest.residuals, &next.residuals);
@@ -251,11 +245,12 @@ impl Trial {
         before: &[f64],
         data: &mut FrameData,
         observer: &mut Observer,
-    ) -> Result<TauTrial, StopReason> {
-        self.run.set_tau_rule(TauRule::Fixed(factor * tau), data);
-        let last = self.run.iterations() + TUNING_ITERATIONS;
+    ) -> Result<TauTrial, Box<RunResult>> {
+        let admm = &mut self.run.admm;
+        admm.set_tau_rule(TauRule::Fixed(factor * tau), data);
+        let last = admm.iterations() + TUNING_ITERATIONS;
         let residuals = loop {
-            let until = self.run.iterations() + TUNING_STEP;
+            let until = self.run.admm.iterations() + TUNING_STEP;
             let (residuals, ended) = self.run_until(data, until, observer)?;
             if ended || until >= last || gain(before, &residuals) < -CLEAR_LOSS {
                 break residuals;
@@ -263,13 +258,13 @@ impl Trial {
         };
         debug!(
             "{} with τ multiplied by {factor}: held-out error {:.4} σ",
-            self.prior,
+            self.run.prior,
             rms(&residuals)
         );
         Ok(TauTrial {
             tau_factor: factor,
             residuals,
-            support_fraction: self.run.support_fraction(),
+            support_fraction: self.run.admm.support_fraction(),
         })
     }
 
@@ -281,9 +276,9 @@ impl Trial {
         data: &mut FrameData,
         mut best: TauTrial,
         observer: &mut Observer,
-    ) -> Result<TauTrial, StopReason> {
-        let tau = self.run.tau();
-        let directions: &[f64] = if self.prior.support {
+    ) -> Result<TauTrial, Box<RunResult>> {
+        let tau = self.run.admm.tau();
+        let directions: &[f64] = if self.run.prior.support {
             &[1.0 / TAU_STEP, TAU_STEP]
         } else {
             &[TAU_STEP]
@@ -313,32 +308,19 @@ impl Trial {
         data: &mut FrameData,
         until: usize,
         observer: &mut Observer,
-    ) -> Result<(Vec<f64>, bool), StopReason> {
-        let until = until.min(self.params.max_iterations);
-        let (background, shape) = (self.prior.background(), data.video_shape());
+    ) -> Result<(Vec<f64>, bool), Box<RunResult>> {
+        let until = until.min(self.run.admm.max_iterations());
         let (label, runs_left) = (&*self.label, self.runs_left);
-        let reason = self.run.run(data, &mut *self.prox, until, &mut |progress| {
-            let progress = Progress {
+        let has_converged = self.run.run(data, until, &mut |progress| {
+            observer(&Progress {
                 label,
                 runs_left,
                 ..*progress
-            };
-            observe_sum(background, shape, &progress, observer)
-        });
-        match reason {
-            StopReason::TimeBudget | StopReason::Interrupted => Err(reason),
-            reason => {
-                let residuals = data.held_out_residuals(self.run.video()).into_iter();
-                let residuals = residuals.map(|r| r / self.sigma).collect();
-                let ended = reason == StopReason::Converged || until == self.params.max_iterations;
-                Ok((residuals, ended))
-            }
-        }
-    }
-
-    /// The result so far, stopped for `reason`.
-    fn into_result(self, data: &FrameData, reason: StopReason) -> Box<RunResult> {
-        let solution = self.run.into_solution(data, &*self.prox, reason);
-        Box::new(RunResult::new(self.prior, solution))
+            })
+        })?;
+        let residuals = data.held_out_residuals(self.run.admm.video()).into_iter();
+        let residuals = residuals.map(|r| r / self.sigma).collect();
+        let ended = has_converged || until == self.run.admm.max_iterations();
+        Ok((residuals, ended))
     }
 }

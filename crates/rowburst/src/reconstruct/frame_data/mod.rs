@@ -22,6 +22,13 @@ use rowburst_solve::prox::{Prox, Restricted};
 /// edges of a field dark (docs/design/020).
 const MIN_SENSITIVITY: f64 = 0.01;
 
+/// What a run has made of the weights and of the support.
+#[derive(Clone)]
+pub(super) struct RunState {
+    weights: Option<Vec<f32>>,
+    support: Option<Support>,
+}
+
 /// The data term of a frame.
 pub(super) struct FrameData {
     system: System,
@@ -140,10 +147,35 @@ impl FrameData {
         if is_unchanged && is_fresh {
             return;
         }
+        let start = RunState {
+            weights: self.initial_weights.clone(),
+            support: None,
+        };
+        self.set_run(background, held_out, start);
+    }
+
+    /// Weights and support of the present run.
+    pub fn run_state(&self) -> RunState {
+        RunState {
+            weights: self.weights.clone(),
+            support: self.system.support().cloned(),
+        }
+    }
+
+    /// Continues a run for videos with this background from `state` with all pixels: with those that were held out, too.
+    pub fn resume_with_all_pixels(&mut self, background: Background, state: RunState) {
+        self.x_step.reset();
+        self.set_run(background, None, state);
+    }
+
+    fn set_run(&mut self, background: Background, held_out: Option<HeldOut>, state: RunState) {
         let shape_before = self.shape();
         self.held_out = held_out;
-        self.weights.clone_from(&self.initial_weights);
+        self.weights = state.weights;
         self.system.set_background(background);
+        if let Some(support) = &state.support {
+            self.system.set_support(support);
+        }
         self.apply_weights();
         if self.shape() != shape_before {
             self.set_coverage();
