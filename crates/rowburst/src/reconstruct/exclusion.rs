@@ -6,10 +6,9 @@
 //! at the end (docs/design/020).
 
 use super::Observer;
-use super::choose;
 use super::foreign::{Foreign, Pixels, Residual, Scales};
 use super::held_out_check::{
-    CHECK_ITERATIONS, CHECK_STEP, FIRST_CHECK_ITERATION, HeldOutCheck, MAX_RESIDUAL,
+    CHECK_ITERATIONS, CHECK_STEP, DENSE_SUPPORT, FIRST_CHECK_ITERATION, HeldOutCheck, MAX_RESIDUAL,
 };
 use super::held_out_run::HeldOutRun;
 use super::sigma::Bands;
@@ -212,7 +211,7 @@ impl Problem {
                 && check.residual_rms <= MAX_RESIDUAL * level;
             let is_explained = || level <= self.sigma && self.is_explained(&check);
             if has_converged || until >= CHECK_ITERATIONS || is_reached || is_explained() {
-                self.is_dense |= prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+                self.is_dense |= prior.support && check.support_fraction > DENSE_SUPPORT;
                 return Ok(check);
             }
             let pixels = Pixels {

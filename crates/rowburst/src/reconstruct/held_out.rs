@@ -12,6 +12,9 @@ use rowburst_optics::RollingShutter;
 /// Fraction of the pixels held out; larger decides better and leaves less for the fit (docs/design/011).
 const HELD_OUT_FRACTION: f64 = 0.05;
 
+/// Relative fall of the held-out error over two checks below which it has settled; smaller takes longer.
+const SETTLED_CHANGE: f64 = 0.01;
+
 /// Fixed seed of the draw, so that results are reproducible.
 const SEED: u64 = 0x0526_d017;
 
@@ -44,6 +47,20 @@ impl HeldOut {
     /// Indices of the pixels in the frame, in ascending order.
     pub fn pixels(&self) -> &[usize] {
         &self.pixels
+    }
+}
+
+/// Root mean square of the held-out residuals.
+pub(super) fn rms(values: &[f64]) -> f64 {
+    let squares: f64 = values.iter().map(|v| v * v).sum();
+    (squares / values.len().max(1) as f64).sqrt()
+}
+
+/// Whether the held-out error no longer falls: `errors` are those of the checks so far.
+pub(super) fn is_settled(errors: &[f64]) -> bool {
+    match errors {
+        [.., before, _, last] => *last > (1.0 - SETTLED_CHANGE) * before,
+        _ => false,
     }
 }
 

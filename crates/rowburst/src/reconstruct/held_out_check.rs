@@ -5,9 +5,9 @@
 //! foreign pixels are looked for (docs/design/020).
 
 use super::Observer;
-use super::choose::{self, rms};
 use super::foreign;
 use super::frame_data::FrameData;
+use super::held_out::{is_settled, rms};
 use super::held_out_run::HeldOutRun;
 use super::{Prior, Problem, RunResult};
 use rowburst_core::vecmath::norm;
@@ -24,6 +24,8 @@ pub(super) const CHECK_STEP: usize = 10;
 /// Iteration from which a support of many voxels tells that the scene is dense; smaller takes the first support for
 /// the last.
 const FIRST_DENSE_ITERATION: usize = 50;
+/// Part of the voxels in the support above which a scene is dense; smaller tries the priors of dense scenes on more.
+pub(super) const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 /// Residual over `σ` above which the model does not explain the frame.
 pub(super) const MAX_RESIDUAL: f64 = 1.06;
 /// Held-out error over `σ` above which the model does not explain the frame; smaller doubts good models.
@@ -104,7 +106,7 @@ impl Problem {
     pub(super) fn is_stationary(&self, check: &HeldOutCheck, errors: &[f64]) -> bool {
         self.is_dense
             && check.residual_rms <= MAX_RESIDUAL * self.effective_sigma
-            && choose::is_settled(errors)
+            && is_settled(errors)
     }
 
     /// Whether the video explains less than none: more iterations do not save it.
@@ -146,7 +148,7 @@ impl Problem {
             errors.push(check.held_out_rms);
             let has_converged = has_converged || self.is_stationary(&check, &errors);
             // Once alone, bins that fitted badly may just have been opened.
-            let is_wide = prior.support && check.support_fraction > choose::DENSE_SUPPORT;
+            let is_wide = prior.support && check.support_fraction > DENSE_SUPPORT;
             let is_dense = is_wide && was_wide && until >= FIRST_DENSE_ITERATION;
             was_wide = is_wide;
             let is_done = check.held_out_rms < error || self.is_explained(&check);

@@ -2,14 +2,10 @@
 
 use super::SolverSettings;
 use super::frame_data::{FrameData, RunState};
-use super::held_out_check::HeldOutCheck;
 use super::{Observer, Prior, RunResult, observe_sum};
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::{Admm, AdmmParams, TauRule};
 use rowburst_solve::prox::Prox;
-
-/// Voxels of a video above which no run is copied; larger takes more memory and saves the repetition of a check.
-const MAX_COPIED_VOXELS: usize = 1 << 22;
 
 /// A run on the pixels that are not held out.
 #[derive(Clone)]
@@ -80,34 +76,17 @@ impl HeldOutRun {
     }
 }
 
-/// A copy of a run after so many iterations as a check of the model takes at least. The run itself goes on without the
-/// held-out pixels.
-pub(super) struct Beginning {
-    run: HeldOutRun,
-    state: RunState,
-    /// How well it explains the frame.
-    pub check: HeldOutCheck,
-}
-
-impl Beginning {
-    /// Goes on with all pixels.
-    pub fn with_all_pixels(self, data: &mut FrameData) -> (Admm, Box<dyn Prox>) {
-        let Self { mut run, state, .. } = self;
-        data.resume_with_all_pixels(run.prior.background(), state);
-        run.admm.set_tolerance(run.params.tolerance);
-        run.admm.reweight(data);
-        (run.admm, run.prox)
-    }
-}
-
 impl HeldOutRun {
-    /// A copy that can go on with all pixels; `None` where the video is so large that it costs much memory.
-    pub fn beginning(&self, data: &FrameData) -> Option<Beginning> {
-        (data.shape().voxels() <= MAX_COPIED_VOXELS).then(|| Beginning {
-            run: self.clone(),
-            state: data.run_state(),
-            check: HeldOutCheck::of(self, data),
-        })
+    /// Goes on with all pixels from `state`, where another run has used `data` since.
+    pub fn resume_with_all_pixels(
+        mut self,
+        state: RunState,
+        data: &mut FrameData,
+    ) -> (Admm, Box<dyn Prox>) {
+        data.resume_with_all_pixels(self.prior.background(), state);
+        self.admm.set_tolerance(self.params.tolerance);
+        self.admm.reweight(data);
+        (self.admm, self.prox)
     }
 
     /// Goes on with all pixels: with those that are held out, too.

@@ -4,6 +4,7 @@
 //! consecutive frames of one scene, and [`Chunked`] for videos that do not fit into memory. [`Model`]
 //! holds `A`, [`Prior`] is `R`, and [`Fit`] says whether the result explains the frame.
 
+mod beginning;
 mod choose;
 mod chunked;
 mod data_step;
@@ -25,6 +26,7 @@ mod stray_light;
 mod wrong_model;
 mod x_step;
 
+use beginning::Beginning;
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
 pub use chunked::{Chunked, SolvedChunk};
@@ -40,7 +42,7 @@ pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
 
 use frame_data::FrameData;
-use held_out_run::{Beginning, HeldOutRun};
+use held_out_run::HeldOutRun;
 use rowburst_core::linop::Background;
 use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
 use rowburst_optics::measurement::Measurement;

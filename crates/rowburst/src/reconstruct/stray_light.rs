@@ -6,8 +6,8 @@
 //! light is taken away from the frame if the video then predicts held-out pixels better (docs/design/020).
 
 use super::frame_data::{StrayLightFit, WithStrayLight};
-use super::held_out_check::HeldOutCheck;
-use super::{Observer, Prior, Problem, RunResult, choose, foreign, observe_sum};
+use super::held_out_check::{DENSE_SUPPORT, HeldOutCheck};
+use super::{Observer, Prior, Problem, RunResult, foreign, observe_sum};
 use faer::linalg::solvers::SolveLstsq;
 use faer::{Col, Mat};
 use rowburst_core::linop::Background;
@@ -126,7 +126,7 @@ impl Problem {
         let Some(mut found) = self.find_stray_light(least, prior, observer)? else {
             return Ok(false);
         };
-        let may_be_dense = is_bright && before.support_fraction > choose::DENSE_SUPPORT;
+        let may_be_dense = is_bright && before.support_fraction > DENSE_SUPPORT;
         let max_ratio = if self.is_dense || may_be_dense {
             MAX_DENSE_ERROR_RATIO
         } else if is_bright {

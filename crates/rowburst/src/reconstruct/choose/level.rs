@@ -8,10 +8,11 @@
 
 use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
+use super::super::held_out::rms;
 use super::super::held_out_run::HeldOutRun;
 use super::super::{Prior, RunResult, observe_sum};
+use super::Observer;
 use super::trial::Trial;
-use super::{Observer, rms};
 use rowburst_core::vecmath::norm;
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, TauRule};
 use rowburst_solve::{DataTerm, StopReason};

@@ -16,11 +16,13 @@ mod level;
 mod trial;
 
 pub(super) use level::noise_level;
-pub(super) use trial::{TOLERANCE, is_one_picture, is_settled};
+pub(super) use trial::{TOLERANCE, is_one_picture};
 
 use super::SolverSettings;
+use super::beginning::Beginning;
 use super::frame_data::FrameData;
-use super::held_out_run::{Beginning, HeldOutRun};
+use super::held_out_check::DENSE_SUPPORT;
+use super::held_out_run::HeldOutRun;
 use super::{Observer, Prior, RunResult};
 use rowburst_core::linop::Background;
 use rowburst_core::vecmath::norm;
@@ -44,8 +46,6 @@ pub const OPEN_CANDIDATES: [&str; 4] = ["background", "tv+16*tdiff", "tv+8*tdiff
 
 /// Priors that `auto` tries after [`OPEN_CANDIDATES`]: much of the light may be still (`docs/design/011`).
 pub const DENSE_CANDIDATES: [&str; 1] = ["tv+2*tdiff+background"];
-/// Part of the voxels in the support above which [`OPEN_CANDIDATES`] are tried; smaller tries them on more scenes.
-pub(super) const DENSE_SUPPORT: f64 = 1.0 / 3.0;
 
 /// Held-out error over the best up to which other `τ` are tried; larger costs time (docs/design/011).
 const MAX_TUNING_ERROR_RATIO: f64 = 1.06;
@@ -405,11 +405,6 @@ pub(super) fn choose_prior(
         }
     }
     Ok((trials.choice, trials.best))
-}
-
-pub(super) fn rms(values: &[f64]) -> f64 {
-    let squares: f64 = values.iter().map(|v| v * v).sum();
-    (squares / values.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! The trial of a candidate: a run on the pixels that are not held out.
 
+use super::super::beginning::Beginning;
 use super::super::frame_data::FrameData;
+use super::super::held_out::{is_settled, rms};
 use super::super::held_out_check::FIRST_CHECK_ITERATION;
-use super::super::held_out_run::{Beginning, HeldOutRun};
+use super::super::held_out_run::HeldOutRun;
 use super::super::{Prior, RunResult};
-use super::{Candidate, MIN_GAIN, Observer, gain, rms};
+use super::{Candidate, MIN_GAIN, Observer, gain};
 use rowburst_core::linop::Background;
 use rowburst_solve::admm::{Progress, TauRule};
 use tracing::debug;
@@ -21,9 +23,6 @@ const SECOND_COMPARISON: usize = 60;
 const FIRST_CHECK: usize = 80;
 /// Iterations between two comparisons; larger stops candidates later.
 const CHECK_INTERVAL: usize = 20;
-
-/// Relative fall of the held-out error over two checks below which it has settled; smaller takes longer.
-const SETTLED_CHANGE: f64 = 0.01;
 
 /// Factor from one tried `τ` to the next; smaller is finer and takes more runs (docs/design/011).
 const TAU_STEP: f64 = 2.0;
@@ -74,14 +73,6 @@ pub(super) struct Trial {
     label: String,
     /// See [`Progress::runs_left`].
     runs_left: usize,
-}
-
-/// Whether the held-out error no longer falls.
-pub(in crate::reconstruct) fn is_settled(errors: &[f64]) -> bool {
-    match errors {
-        [.., before, _, last] => *last > (1.0 - SETTLED_CHANGE) * before,
-        _ => false,
-    }
 }
 
 /// The errors from [`FIRST_CHECK`] on.
@@ -157,7 +148,7 @@ impl Trial {
             // The run pauses for each check, since an observer has no access to the held-out pixels.
             let (residuals, ended) = self.run_until(data, until, observer)?;
             if self.keeps_beginning && errors.is_empty() && !ended {
-                beginning = self.run.beginning(data);
+                beginning = Beginning::of(&self.run, data);
             }
             let iteration = self.run.admm.iterations();
             let error = rms(&residuals);

@@ -2,6 +2,7 @@
 
 use super::super::RunResult;
 use super::super::choose;
+use super::super::held_out;
 use super::super::held_out_check::EFFECTIVE_SIGMA;
 use super::calibrator::{Correction, Trial};
 use super::parameters::ModelParameter;
@@ -214,7 +215,8 @@ impl Search<'_, '_, '_> {
         let before = self.run(&given, level, JUDGED_ITERATIONS)?;
         let mut after = self.run(&found.correction, found.level, JUDGED_ITERATIONS)?;
         let (judged_before, judged_after) = (judging(&before), judging(&after));
-        let (error_before, error_after) = (choose::rms(&judged_before), choose::rms(&judged_after));
+        let (error_before, error_after) =
+            (held_out::rms(&judged_before), held_out::rms(&judged_after));
         let is_plausible =
             error_after < PLAUSIBLE * self.sigma || error_after < LARGE_GAIN * error_before;
         if !is_plausible
@@ -255,7 +257,7 @@ impl Search<'_, '_, '_> {
         let (gain, offset) = calibrator.pixels(correction);
         let sensor_sigma = self.sigma;
         let held_out = |trials: &[Trial]| {
-            choose::rms(&[judging(trials), confirming(trials)].concat()) / sensor_sigma
+            held_out::rms(&[judging(trials), confirming(trials)].concat()) / sensor_sigma
         };
         let held_out_after = held_out(&after);
         let light_before = match &before[..] {
@@ -449,6 +451,6 @@ fn without_rows(correction: &Correction) -> Correction {
 /// Whether the residuals of the same pixels fall clearly from `before` to `after`: their squares by so many standard
 /// errors.
 fn is_clear_gain(before: &[f64], after: &[f64], standard_errors: f64) -> bool {
-    choose::rms(after) < MIN_GAIN * choose::rms(before)
+    held_out::rms(after) < MIN_GAIN * held_out::rms(before)
         && choose::gain(before, after) > standard_errors
 }

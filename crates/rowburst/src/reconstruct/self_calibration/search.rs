@@ -2,7 +2,7 @@
 
 use super::super::Observer;
 use super::super::RunResult;
-use super::super::choose;
+use super::super::held_out;
 use super::calibrator::{Calibrator, Correction, Trial};
 use super::parameters::ModelParameter;
 use super::request::Correctable;
@@ -58,7 +58,7 @@ impl Proposal {
         Self {
             correction: correction.clone(),
             level,
-            error: choose::rms(&judging(trials)),
+            error: held_out::rms(&judging(trials)),
         }
     }
 
@@ -144,7 +144,7 @@ impl Search<'_, '_, '_> {
                     None => proposal,
                 });
             }
-            let residual_rms = choose::rms(&residuals(&trials));
+            let residual_rms = held_out::rms(&residuals(&trials));
             let calibrator = &mut self.calibrator;
             let report = step(calibrator, &mut correction, &mut trials, level, free);
             let is_found = is_found(&proposal.correction, &correction, free, &report)
@@ -168,7 +168,7 @@ impl Search<'_, '_, '_> {
     fn moves_few_rows(&self, before: &Correction, after: &Correction) -> bool {
         let pairs = before.row_offsets.iter().zip(&after.row_offsets);
         let changes: Vec<f64> = pairs.map(|(b, a)| a - b).collect();
-        choose::rms(&changes) < SMALL_ROW_CHANGE * self.calibrator.mean()
+        held_out::rms(&changes) < SMALL_ROW_CHANGE * self.calibrator.mean()
     }
 
     fn is_last_level(&self, level: f64) -> bool {
