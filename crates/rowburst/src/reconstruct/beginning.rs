@@ -12,7 +12,7 @@ const MAX_COPIED_VOXELS: usize = 1 << 22;
 /// A copy of a run after as many iterations as a check of the model takes at least. The run itself goes on without the
 /// held-out pixels.
 pub(super) struct Beginning {
-    run: HeldOutRun,
+    pub run: HeldOutRun,
     state: RunState,
     /// How well it explains the frame.
     pub check: HeldOutCheck,

@@ -756,8 +756,8 @@ impl Problem {
     }
 
     /// The beginning of the final run. Where the model explains the frame, it is one without held-out pixels: that of the check,
-    /// or for another prior one like it, so that a prior gives the same video chosen or given. `beginning` is that of a trial
-    /// of `prior`, which is one like it.
+    /// or for another prior one like it, so that a prior gives the same video chosen or given. `beginning` is a
+    /// copy of such a run, from the trial of `prior`.
     fn begin_run(
         &mut self,
         prior: Prior,
@@ -765,7 +765,7 @@ impl Problem {
         beginning: Option<Beginning>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<(Admm, Box<dyn Prox>), Box<RunResult>> {
-        let beginning = beginning.filter(|beginning| self.is_explained(&beginning.check));
+        let beginning = beginning.filter(|b| b.run.prior == prior && self.is_explained(&b.check));
         let checked = self.checked_run.take();
         // Where rows share bins a trial takes other constants than a final run.
         if self.passed_check && params.tau.is_discrepancy() && !self.data.is_coupled() {

@@ -370,7 +370,9 @@ pub(super) fn choose_prior(
     let keeps_beginning = checked.is_some() && !data.is_coupled();
     let new_trial = |data: &mut FrameData, prior: Prior| {
         let run = HeldOutRun::new(data, prior, rule, settings);
-        Trial::new(run, sigma).keeping_beginning(keeps_beginning)
+        // The x-step of a static background starts from its last solution, which a copy lacks.
+        let is_alone = prior.background() == Background::None;
+        Trial::new(run, sigma).keeping_beginning(keeps_beginning && is_alone)
     };
     let position = |run: &HeldOutRun| priors.iter().position(|prior| *prior == run.prior);
     let first = match checked.and_then(|run| Some((position(&run)?, run))) {

@@ -14,8 +14,8 @@ use tracing::debug;
 /// [`AdmmParams::tolerance`](rowburst_solve::admm::AdmmParams::tolerance) of a trial; larger is faster and compares less exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
 
-/// Held-out error over that of the best candidate after as many iterations that stops a candidate, from an iteration on;
-/// smaller may stop the best (docs/design/011).
+/// Limits `(from iteration, ratio)`: a candidate stops where its held-out error exceeds `ratio` times that of the best after
+/// as many iterations; smaller may stop the best (docs/design/011).
 const MAX_ERROR_RATIOS: [(usize, f64); 4] = [(0, 20.0), (80, 6.0), (100, 3.0), (200, 1.5)];
 /// Iteration at which a candidate is compared the second time, after [`FIRST_CHECK_ITERATION`]; smaller may stop the best.
 const SECOND_COMPARISON: usize = 60;
@@ -81,8 +81,12 @@ fn late_errors(errors: &[ErrorAt]) -> Vec<f64> {
     late.map(|at| at.error).collect()
 }
 
-/// The error of another trial after `iteration` iterations, or at its next comparison, or at its end; `None` without one.
+/// The error of another trial after `iteration` iterations, or at its next comparison, or at its end; `None` before its
+/// first one.
 fn error_at(errors: &[ErrorAt], iteration: usize) -> Option<f64> {
+    if errors.first()?.iteration > iteration {
+        return None;
+    }
     let next = errors.iter().find(|at| at.iteration >= iteration);
     next.or(errors.last()).map(|at| at.error)
 }
@@ -114,7 +118,7 @@ impl Trial {
         }
     }
 
-    /// The same, which keeps a copy of its beginning or not.
+    /// Sets whether the trial keeps a copy of its beginning.
     pub fn keeping_beginning(self, keeps_beginning: bool) -> Self {
         Self {
             keeps_beginning,

@@ -22,7 +22,7 @@ use rowburst_solve::prox::{Prox, Restricted};
 /// edges of a field dark (docs/design/020).
 const MIN_SENSITIVITY: f64 = 0.01;
 
-/// What a run has made of the weights and of the support.
+/// Weights and support of a run.
 #[derive(Clone)]
 pub(super) struct RunState {
     weights: Option<Vec<f32>>,
