@@ -8,7 +8,7 @@ use super::Observer;
 use super::foreign;
 use super::frame_data::FrameData;
 use super::held_out::{is_settled, rms};
-use super::held_out_run::HeldOutRun;
+use super::held_out_run::{ErrorAt, HeldOutRun};
 use super::{Prior, Problem, RunResult};
 use rowburst_core::vecmath::norm;
 use rowburst_solve::DataTerm;
@@ -165,6 +165,10 @@ impl Problem {
                     check.held_out_rms / self.sigma,
                     100.0 * check.support_fraction
                 );
+                let iterations = (FIRST_CHECK_ITERATION..).step_by(CHECK_STEP);
+                let errors = iterations.zip(errors);
+                run.errors
+                    .extend(errors.map(|(iteration, error)| ErrorAt { iteration, error }));
                 return Ok((check, run));
             }
             until += CHECK_STEP;

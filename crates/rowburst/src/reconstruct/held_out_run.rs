@@ -15,6 +15,15 @@ pub(super) struct HeldOutRun {
     pub admm: Admm,
     params: AdmmParams,
     pub residual_rms: f64,
+    /// The held-out error at each check of the model.
+    pub errors: Vec<ErrorAt>,
+}
+
+/// The held-out error of a run after so many iterations.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ErrorAt {
+    pub iteration: usize,
+    pub error: f64,
 }
 
 impl HeldOutRun {
@@ -44,6 +53,7 @@ impl HeldOutRun {
             admm: Admm::new(data, data.shape(), params),
             params,
             residual_rms: 0.0,
+            errors: Vec::new(),
         }
     }
 

@@ -22,14 +22,14 @@ use super::SolverSettings;
 use super::beginning::Beginning;
 use super::frame_data::FrameData;
 use super::held_out_check::DENSE_SUPPORT;
-use super::held_out_run::HeldOutRun;
+use super::held_out_run::{ErrorAt, HeldOutRun};
 use super::{Observer, Prior, RunResult};
 use rowburst_core::linop::Background;
 use rowburst_core::vecmath::norm;
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::{Solution, TauRule};
 use tracing::info;
-use trial::{ErrorAt, Trial, TrialResult};
+use trial::{Trial, TrialResult};
 
 /// Priors of `auto`; an earlier one is kept where later ones are no better. More candidates cost a run each
 /// (`docs/design/011`).
@@ -236,7 +236,7 @@ struct Trials {
     ranks: Vec<usize>,
     /// The held-out residuals of each candidate.
     residuals: Vec<Vec<f64>>,
-    /// The held-out errors of the best candidate at each comparison.
+    /// The held-out errors of the best candidate at each check and comparison.
     best_errors: Vec<ErrorAt>,
     best: Option<BestTrial>,
 }

@@ -4,7 +4,7 @@ use super::super::beginning::Beginning;
 use super::super::frame_data::FrameData;
 use super::super::held_out::{is_settled, rms};
 use super::super::held_out_check::FIRST_CHECK_ITERATION;
-use super::super::held_out_run::HeldOutRun;
+use super::super::held_out_run::{ErrorAt, HeldOutRun};
 use super::super::{Prior, RunResult};
 use super::{Candidate, MIN_GAIN, Observer, gain};
 use rowburst_core::linop::Background;
@@ -48,20 +48,13 @@ struct TauTrial {
 /// The result of a trial.
 pub(super) struct TrialResult {
     pub candidate: Candidate,
-    /// The held-out error at each comparison.
+    /// The held-out error at each check and comparison.
     pub errors: Vec<ErrorAt>,
     /// The held-out residuals over `σ` at the end.
     pub residuals: Vec<f64>,
     pub run_result: Box<RunResult>,
     /// A copy of its beginning, if one was to be kept.
     pub beginning: Option<Beginning>,
-}
-
-/// The held-out error of a trial after so many iterations.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ErrorAt {
-    iteration: usize,
-    error: f64,
 }
 
 /// The run of a candidate.
@@ -145,13 +138,17 @@ impl Trial {
         max_error: f64,
         observer: &mut Observer,
     ) -> Result<TrialResult, Box<RunResult>> {
-        let mut errors = Vec::new();
+        let of_check = self.run.errors.iter().map(|at| ErrorAt {
+            error: at.error / self.sigma,
+            ..*at
+        });
+        let mut errors: Vec<ErrorAt> = of_check.collect();
         let mut beginning = None;
         let mut until = self.run.admm.iterations().max(FIRST_CHECK_ITERATION);
         let (residuals, stopped_early) = loop {
             // The run pauses for each check, since an observer has no access to the held-out pixels.
             let (residuals, ended) = self.run_until(data, until, observer)?;
-            if self.keeps_beginning && errors.is_empty() && !ended {
+            if std::mem::take(&mut self.keeps_beginning) && !ended {
                 beginning = Beginning::of(&self.run, data);
             }
             let iteration = self.run.admm.iterations();
