@@ -4,7 +4,7 @@
 //! consecutive frames of one scene, and [`Chunked`] for videos that do not fit into memory. [`Model`]
 //! holds `A`, [`Prior`] is `R`, and [`Fit`] says whether the result explains the frame.
 
-mod beginning;
+mod checkpoint;
 mod choose;
 mod chunked;
 mod data_step;
@@ -26,7 +26,7 @@ mod stray_light;
 mod wrong_model;
 mod x_step;
 
-use beginning::Beginning;
+use checkpoint::Checkpoint;
 use choose::BestTrial;
 pub use choose::{CANDIDATES, Candidate, Choice, DENSE_CANDIDATES, OPEN_CANDIDATES};
 pub use chunked::{Chunked, SolvedChunk};
@@ -696,8 +696,8 @@ impl Problem {
             params.max_iterations = params.max_iterations.min(WRONG_MODEL_ITERATIONS);
         }
         info!("final run: prior {prior}, factor {tau_factor} on τ");
-        let beginning = best_trial.as_mut().and_then(BestTrial::take_beginning);
-        let (mut run, mut prox) = match self.begin_run(prior, params, beginning, observer) {
+        let checkpoint = best_trial.as_mut().and_then(BestTrial::take_checkpoint);
+        let (mut run, mut prox) = match self.begin_run(prior, params, checkpoint, observer) {
             Ok(begun) => begun,
             Err(stopped) => return Ok(self.better_result(*stopped, choice, best_trial)),
         };
@@ -756,21 +756,21 @@ impl Problem {
     }
 
     /// The beginning of the final run. Where the model explains the frame, it is one without held-out pixels: that of the check,
-    /// or for another prior one like it, so that a prior gives the same video chosen or given. `beginning` is a
-    /// copy of such a run, from the trial of `prior`.
+    /// or for another prior one like it, so that a prior gives the same video chosen or given. `checkpoint` is such a
+    /// beginning, of the trial of `prior`.
     fn begin_run(
         &mut self,
         prior: Prior,
         params: AdmmParams,
-        beginning: Option<Beginning>,
+        checkpoint: Option<Checkpoint>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> std::result::Result<(Admm, Box<dyn Prox>), Box<RunResult>> {
-        let beginning = beginning.filter(|b| b.run.prior == prior && self.is_explained(&b.check));
+        let checkpoint = checkpoint.filter(|c| c.run.prior == prior && self.is_explained(&c.check));
         let checked = self.checked_run.take();
         // Where rows share bins a trial takes other constants than a final run.
         if self.passed_check && params.tau.is_discrepancy() && !self.data.is_coupled() {
-            if let Some(beginning) = beginning {
-                return Ok(beginning.with_all_pixels(&mut self.data));
+            if let Some(checkpoint) = checkpoint {
+                return Ok(checkpoint.with_all_pixels(&mut self.data));
             }
             let begun = match checked {
                 Some(checked) if checked.prior == prior => checked,

@@ -3,7 +3,7 @@
 //! **Prior.** Each of [`CANDIDATES`] is run without the held-out pixels (see `HeldOut`). A later one replaces the best
 //! before it where its squared error at these pixels is smaller by more than [`MIN_GAIN`] standard errors of the paired
 //! differences; one with foreground and background replaces a foreground where it is smaller at all. Candidates that are
-//! far behind the best are stopped early. The best is then run on the whole frame. Where the first one shows that the scene
+//! far behind the best, or settle above it, are stopped early. The best is then run on the whole frame. Where the first one shows that the scene
 //! is dense, [`OPEN_CANDIDATES`] take the place of the others.
 //!
 //! **Factor on `τ`.** The discrepancy principle depends on the noise of the frame: noise a little stronger or
@@ -19,7 +19,7 @@ pub(super) use level::noise_level;
 pub(super) use trial::{TOLERANCE, is_one_picture};
 
 use super::SolverSettings;
-use super::beginning::Beginning;
+use super::checkpoint::Checkpoint;
 use super::frame_data::FrameData;
 use super::held_out_check::DENSE_SUPPORT;
 use super::held_out_run::{ErrorAt, HeldOutRun};
@@ -101,7 +101,7 @@ pub struct Candidate {
     pub error: f64,
     /// Fraction of the voxels that are in its support.
     pub support_fraction: f64,
-    /// Whether it was stopped early because it was far behind the best.
+    /// Whether it was stopped early because it was far behind the best or had settled above it.
     pub stopped_early: bool,
     /// How far its squared error lies below that of the best candidate before it, in standard errors of the paired
     /// differences; `None` for the first.
@@ -208,7 +208,7 @@ pub(super) fn can_choose(data: &FrameData) -> bool {
 pub(super) struct BestTrial {
     prior: Prior,
     solution: Solution,
-    beginning: Option<Beginning>,
+    checkpoint: Option<Checkpoint>,
 }
 
 impl BestTrial {
@@ -217,9 +217,9 @@ impl BestTrial {
         norm(&self.solution.residual)
     }
 
-    /// A copy of the trial's beginning, the first time, if one was kept.
-    pub fn take_beginning(&mut self) -> Option<Beginning> {
-        self.beginning.take()
+    /// The trial's checkpoint, the first time, if one was kept.
+    pub fn take_checkpoint(&mut self) -> Option<Checkpoint> {
+        self.checkpoint.take()
     }
 
     /// The trial as the result of a run that was stopped for `reason`.
@@ -303,7 +303,7 @@ impl Trials {
             self.best = Some(BestTrial {
                 prior,
                 solution,
-                beginning: found.beginning,
+                checkpoint: found.checkpoint,
             });
         }
     }
@@ -367,17 +367,17 @@ pub(super) fn choose_prior(
         &CANDIDATES
     });
     // Where rows share bins a final run has other constants than a trial.
-    let keeps_beginning = checked.is_some() && !data.is_coupled();
+    let keeps_checkpoint = checked.is_some() && !data.is_coupled();
     let new_trial = |data: &mut FrameData, prior: Prior| {
         let run = HeldOutRun::new(data, prior, rule, settings);
         // The x-step of a static background starts from its last solution, which a copy lacks.
         let is_alone = prior.background() == Background::None;
-        Trial::new(run, sigma).keeping_beginning(keeps_beginning && is_alone)
+        Trial::new(run, sigma).keeping_checkpoint(keeps_checkpoint && is_alone)
     };
     let position = |run: &HeldOutRun| priors.iter().position(|prior| *prior == run.prior);
     let first = match checked.and_then(|run| Some((position(&run)?, run))) {
         Some((rank, run)) => {
-            let trial = Trial::new(run, sigma).keeping_beginning(keeps_beginning);
+            let trial = Trial::new(run, sigma).keeping_checkpoint(keeps_checkpoint);
             (rank, trial)
         }
         None => {

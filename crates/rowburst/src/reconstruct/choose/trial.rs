@@ -1,6 +1,6 @@
 //! The trial of a candidate: a run on the pixels that are not held out.
 
-use super::super::beginning::Beginning;
+use super::super::checkpoint::Checkpoint;
 use super::super::frame_data::FrameData;
 use super::super::held_out::{is_settled, rms};
 use super::super::held_out_check::FIRST_CHECK_ITERATION;
@@ -11,7 +11,8 @@ use rowburst_core::linop::Background;
 use rowburst_solve::admm::{Progress, TauRule};
 use tracing::debug;
 
-/// [`AdmmParams::tolerance`](rowburst_solve::admm::AdmmParams::tolerance) of a trial; larger is faster and compares less exact videos.
+/// [`AdmmParams::tolerance`](rowburst_solve::admm::AdmmParams::tolerance) of a trial; larger is faster and compares less
+/// exact videos.
 pub(in crate::reconstruct) const TOLERANCE: f64 = 0.01;
 
 /// Limits `(from iteration, ratio)`: a candidate stops where its held-out error exceeds `ratio` times that of the best after
@@ -53,16 +54,16 @@ pub(super) struct TrialResult {
     /// The held-out residuals over `σ` at the end.
     pub residuals: Vec<f64>,
     pub run_result: Box<RunResult>,
-    /// A copy of its beginning, if one was to be kept.
-    pub beginning: Option<Beginning>,
+    /// Its checkpoint, if one was to be kept.
+    pub checkpoint: Option<Checkpoint>,
 }
 
 /// The run of a candidate.
 pub(super) struct Trial {
     run: HeldOutRun,
     sigma: f64,
-    /// Whether a copy of its beginning is kept.
-    keeps_beginning: bool,
+    /// Whether a checkpoint is kept.
+    keeps_checkpoint: bool,
     label: String,
     /// See [`Progress::runs_left`].
     runs_left: usize,
@@ -106,15 +107,15 @@ impl Trial {
             label: format!("testing prior {}", run.prior),
             run,
             sigma,
-            keeps_beginning: false,
+            keeps_checkpoint: false,
             runs_left: 0,
         }
     }
 
-    /// Sets whether the trial keeps a copy of its beginning.
-    pub fn keeping_beginning(self, keeps_beginning: bool) -> Self {
+    /// Sets whether the trial keeps a checkpoint.
+    pub fn keeping_checkpoint(self, keeps_checkpoint: bool) -> Self {
         Self {
-            keeps_beginning,
+            keeps_checkpoint,
             ..self
         }
     }
@@ -138,18 +139,21 @@ impl Trial {
         max_error: f64,
         observer: &mut Observer,
     ) -> Result<TrialResult, Box<RunResult>> {
-        let of_check = self.run.errors.iter().map(|at| ErrorAt {
-            error: at.error / self.sigma,
-            ..*at
-        });
-        let mut errors: Vec<ErrorAt> = of_check.collect();
-        let mut beginning = None;
         let mut until = self.run.admm.iterations().max(FIRST_CHECK_ITERATION);
+        // Those of a check that the trial goes on from.
+        let earlier = self.run.errors.iter().filter(|at| at.iteration < until);
+        let mut errors: Vec<ErrorAt> = earlier
+            .map(|at| ErrorAt {
+                error: at.error / self.sigma,
+                ..*at
+            })
+            .collect();
+        let mut checkpoint = None;
         let (residuals, stopped_early) = loop {
             // The run pauses for each check, since an observer has no access to the held-out pixels.
             let (residuals, ended) = self.run_until(data, until, observer)?;
-            if std::mem::take(&mut self.keeps_beginning) && !ended {
-                beginning = Beginning::of(&self.run, data);
+            if std::mem::take(&mut self.keeps_checkpoint) && !ended {
+                checkpoint = Checkpoint::of(&self.run, data);
             }
             let iteration = self.run.admm.iterations();
             let error = rms(&residuals);
@@ -194,7 +198,7 @@ impl Trial {
             errors,
             residuals: found.residuals,
             run_result: Box::new(self.run.into_result(data)),
-            beginning,
+            checkpoint,
         })
     }
 

@@ -168,6 +168,7 @@ impl FrameData {
         self.set_run(background, None, state);
     }
 
+    /// Begins or continues a run at `state`, without the pixels of `held_out`.
     fn set_run(&mut self, background: Background, held_out: Option<HeldOut>, state: RunState) {
         let shape_before = self.shape();
         self.held_out = held_out;

@@ -1,4 +1,4 @@
-//! The beginning of a trial, from which the final run goes on.
+//! The state of a trial after its first iterations, from which the final run goes on.
 
 use super::frame_data::{FrameData, RunState};
 use super::held_out_check::HeldOutCheck;
@@ -11,14 +11,14 @@ const MAX_COPIED_VOXELS: usize = 1 << 22;
 
 /// A copy of a run after as many iterations as a check of the model takes at least. The run itself goes on without the
 /// held-out pixels.
-pub(super) struct Beginning {
+pub(super) struct Checkpoint {
     pub run: HeldOutRun,
     state: RunState,
     /// How well it explains the frame.
     pub check: HeldOutCheck,
 }
 
-impl Beginning {
+impl Checkpoint {
     /// A copy of `run`; `None` where the video is so large that it costs much memory.
     pub fn of(run: &HeldOutRun, data: &FrameData) -> Option<Self> {
         (data.shape().voxels() <= MAX_COPIED_VOXELS).then(|| Self {
