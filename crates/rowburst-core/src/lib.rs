@@ -4,7 +4,7 @@
 
 mod cancel;
 pub mod error;
-pub mod fft2;
+pub mod fft;
 pub mod linop;
 mod shape;
 pub mod support;

@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 use rowburst_optics::Image;
+use rowburst_core::fft::{FftNumber, smooth_even_length};
 use rustfft::num_complex::Complex32;
-use rustfft::{FftDirection, FftPlanner};
+use rustfft::FftDirection;
 use std::f64::consts::TAU;
 
 /// Spectrum `[y-frequency, x-frequency]` of an image padded with zeros.
@@ -17,8 +18,8 @@ pub(super) struct Spectrum {
 impl Spectrum {
     /// Of `image`, padded to at least `rows × columns`.
     pub fn of(image: &Image, rows: usize, columns: usize) -> Self {
-        let rows = smooth_length(rows.max(image.rows()));
-        let columns = smooth_length(columns.max(image.columns()));
+        let rows = smooth_even_length(rows.max(image.rows()));
+        let columns = smooth_even_length(columns.max(image.columns()));
         let mut data = vec![Complex32::ZERO; rows * columns];
         for y in 0..image.rows() {
             let line = &mut data[y * columns..][..image.columns()];
@@ -184,9 +185,14 @@ impl Correlation {
 }
 
 fn transform(data: &mut [Complex32], rows: usize, columns: usize, direction: FftDirection) {
-    let mut planner = FftPlanner::new();
-    let along_x = planner.plan_fft(columns, direction);
-    let along_y = planner.plan_fft(rows, direction);
+    let plan = |length| {
+        let (forward, inverse) = f32::complex_transforms(length);
+        match direction {
+            FftDirection::Forward => forward,
+            FftDirection::Inverse => inverse,
+        }
+    };
+    let (along_x, along_y) = (plan(columns), plan(rows));
     data.par_chunks_exact_mut(columns)
         .for_each(|line| along_x.process(line));
     let mut turned = vec![Complex32::ZERO; data.len()];
@@ -209,21 +215,6 @@ fn transpose(from: &[Complex32], to: &mut [Complex32], rows: usize, columns: usi
             }
         }
     }
-}
-
-/// The next even length with prime factors 2, 3 and 5 only, for which transforms are fast.
-pub(super) fn smooth_length(at_least: usize) -> usize {
-    let smooth = |mut n: usize| {
-        for prime in [2, 3, 5] {
-            while n.is_multiple_of(prime) {
-                n /= prime;
-            }
-        }
-        n == 1
-    };
-    (at_least.max(2)..)
-        .find(|&n| n.is_multiple_of(2) && smooth(n))
-        .expect("there are such lengths without end")
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! A speckle PSF `p` has a smooth local mean `μ`, and `p/μ` has a power spectrum that ends at the optics' cut-off. Power
 //! beyond it is the noise of the capture, with the variance `g μ`.
 
-use rowburst_core::fft2::{Fft2, smooth_length};
+use rowburst_core::fft::{Fft2, smooth_length};
 use rustfft::num_complex::Complex32;
 
 /// Standard deviation of the Gaussian that gives the local mean, in pixels; larger follows the envelope less.

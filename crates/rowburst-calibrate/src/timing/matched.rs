@@ -7,7 +7,8 @@
 use super::fit::{Basis, Linear, Optimum, dot, linear, minimise, polynomials};
 use super::waveform::{Extension, Waveform};
 use rayon::prelude::*;
-use rustfft::{Fft, FftPlanner, num_complex::Complex64};
+use rowburst_core::fft::FftNumber;
+use rustfft::{Fft, num_complex::Complex64};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -153,20 +154,15 @@ fn smoothness(waveform: &Waveform, tau: f64, instants: usize) -> f64 {
 struct FftCache(Mutex<HashMap<usize, FftPair>>);
 
 /// Forward and inverse.
-type FftPair = [Arc<dyn Fft<f64>>; 2];
+type FftPair = (Arc<dyn Fft<f64>>, Arc<dyn Fft<f64>>);
 
 impl FftCache {
     /// Forward and inverse, of `length`.
     fn of(&self, length: usize) -> FftPair {
         let mut ffts = self.0.lock().expect("no thread panics while planning");
-        let make = || {
-            let mut planner = FftPlanner::new();
-            [
-                planner.plan_fft_forward(length),
-                planner.plan_fft_inverse(length),
-            ]
-        };
-        ffts.entry(length).or_insert_with(make).clone()
+        ffts.entry(length)
+            .or_insert_with(|| f64::complex_transforms(length))
+            .clone()
     }
 }
 
@@ -193,7 +189,7 @@ fn correlate(
     let course: Vec<f64> = (0..moments + longest)
         .map(|i| waveform.mean_over_exposure(begin + i as f64 * tau, exposure))
         .collect();
-    let [forward, inverse] = ffts.of(length);
+    let (forward, inverse) = ffts.of(length);
     let spectrum = |values: &[f64]| {
         let mut padded: Vec<Complex64> = values.iter().map(|&v| Complex64::new(v, 0.0)).collect();
         padded.resize(length, Complex64::default());

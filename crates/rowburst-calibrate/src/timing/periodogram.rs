@@ -1,7 +1,8 @@
 //! Which period the rows show: power against cycles per row.
 
 use super::fit::{add, linear, polynomials};
-use rustfft::{FftPlanner, num_complex::Complex64};
+use rowburst_core::fft::FftNumber;
+use rustfft::num_complex::Complex64;
 
 /// Power of a row signal at frequencies from 0 to half a cycle per instant.
 pub(super) struct Periodogram {
@@ -31,9 +32,8 @@ pub(super) fn periodogram(rows: &[f64], k: &[usize], degree: usize) -> Periodogr
         .collect();
     let length = (OVERSAMPLING * instants).next_power_of_two();
     tapered.resize(length, Complex64::default());
-    FftPlanner::new()
-        .plan_fft_forward(length)
-        .process(&mut tapered);
+    let (forward, _) = f64::complex_transforms(length);
+    forward.process(&mut tapered);
     Periodogram {
         spacing: 1.0 / length as f64,
         power: tapered[..length / 2].iter().map(|v| v.norm_sqr()).collect(),

@@ -37,10 +37,11 @@ pub trait Scalar:
 }
 
 mod number {
+    use crate::fft::FftNumber;
     use crate::vecmath::Lanes;
 
     /// What the transforms and factorisations need of a number; it seals [`super::Scalar`].
-    pub trait Number: realfft::FftNum + faer::traits::RealField + Lanes {}
+    pub trait Number: FftNumber + faer::traits::RealField + Lanes {}
 
     impl Number for f32 {}
     impl Number for f64 {}

@@ -12,14 +12,13 @@
 //! A PSF that changes over the field has no such diagonals. Then the columns of `S_i` are formed in batches and
 //! multiplied (docs/design/002).
 
-use super::geometry::smooth_length;
 use super::{Layer, RollingShutter};
 use crate::Psf;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::mat::AsMatMut;
 use faer::reborrow::ReborrowMut;
 use faer::{Accum, Mat, MatMut, Par};
-use realfft::RealFftPlanner;
+use rowburst_core::fft::{FftNumber, smooth_even_length};
 use rowburst_core::Support;
 use rowburst_core::linop::Scalar;
 use rustfft::num_complex::Complex64;
@@ -151,12 +150,8 @@ impl RollingShutter {
         };
         // The sums Σ_ξ a[ξ] b[x + ξ] are correlations. Their spectra are added over the field rows and inverted once.
         // The lags that are kept reach no further than `width`, so nothing wraps around.
-        let length = smooth_length(width);
-        let mut planner = RealFftPlanner::<f64>::new();
-        let (forward, inverse) = (
-            planner.plan_fft_forward(length),
-            planner.plan_fft_inverse(length),
-        );
+        let length = smooth_even_length(width);
+        let (forward, inverse) = f64::real_transforms(length);
         let spectrum = || vec![Complex64::ZERO; length / 2 + 1];
         let mut sums = vec![spectrum(); rows.len() * rows.len()];
         let (mut short, mut long) = (vec![spectrum(); rows.len()], vec![spectrum(); rows.len()]);

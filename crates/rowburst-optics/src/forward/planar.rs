@@ -1,9 +1,9 @@
 //! Convolution of the whole plane by 2-D FFTs, for instants that read many rows.
 
-use super::geometry::{Geometry, transforms};
+use super::geometry::Geometry;
 use crate::Psf;
 use rayon::prelude::*;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use realfft::{ComplexToReal, RealToComplex};
 use rowburst_core::linop::Scalar;
 use rustfft::Fft;
 use rustfft::num_complex::Complex;
@@ -41,16 +41,16 @@ pub(super) struct Divisor<'a> {
 impl<T: Scalar> Planar<T> {
     pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
         let (width, height) = (geometry.fft_columns(), geometry.fft_rows());
-        let mut real = RealFftPlanner::<T>::new();
-        let (column_forward, column_inverse) = transforms(height);
+        let (row_forward, row_inverse) = T::real_transforms(width);
+        let (column_forward, column_inverse) = T::complex_transforms(height);
         let mut planar = Self {
             geometry: geometry.clone(),
             psf: Vec::new(),
             width,
             height,
             frequencies: width / 2 + 1,
-            row_forward: real.plan_fft_forward(width),
-            row_inverse: real.plan_fft_inverse(width),
+            row_forward,
+            row_inverse,
             column_forward,
             column_inverse,
         };

@@ -10,7 +10,8 @@
 use super::RollingShutter;
 use super::geometry::Geometry;
 use rayon::prelude::*;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use realfft::{ComplexToReal, RealToComplex};
+use rowburst_core::fft::FftNumber;
 use rustfft::num_complex::Complex32;
 use std::sync::Arc;
 
@@ -41,9 +42,7 @@ impl PsfMap {
     pub fn new(shutter: &RollingShutter, psf: (usize, usize), video: &[f32]) -> Self {
         let geometry = shutter.geometry.clone();
         let length = geometry.fft_columns();
-        let mut planner = RealFftPlanner::new();
-        let forward = planner.plan_fft_forward(length);
-        let inverse = planner.plan_fft_inverse(length);
+        let (forward, inverse) = f32::real_transforms(length);
         let instants = (0..shutter.sensor_rows_of.len()).into_par_iter().map(|i| {
             let light = shutter.integrate(video, i);
             let lines: Vec<&[f32]> = light.chunks_exact(geometry.field_columns).collect();

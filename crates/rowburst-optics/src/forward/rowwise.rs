@@ -21,7 +21,7 @@
 //! spectrum of a real line, which `Re F⁻¹` keeps. The bracket is also the spectrum of a real line, so its `i`-fold is
 //! dropped. The spectra of two rows are never separated.
 
-use super::geometry::{Geometry, transforms};
+use super::geometry::Geometry;
 use super::jobs::{AdjointJob, ForwardJob};
 use crate::Psf;
 use rowburst_core::linop::Scalar;
@@ -61,7 +61,7 @@ pub(super) struct Scratch<T> {
 impl<T: Scalar> Rowwise<T> {
     pub fn new(geometry: &Geometry, psf: &Psf) -> Self {
         let length = geometry.fft_columns();
-        let (forward, inverse) = transforms::<T>(length);
+        let (forward, inverse) = T::complex_transforms(length);
         let displacements = geometry.rows + geometry.field_rows - 1;
         let mut spectra = vec![Complex::zero(); displacements * length];
         // The transforms are not normalised, so the kernels contain the factor 1/length.

@@ -8,7 +8,7 @@ use super::require_field_size;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
-use rowburst_core::fft2::{Fft2, smooth_length};
+use rowburst_core::fft::{Fft2, smooth_length};
 use rowburst_core::{Result, Shape};
 use rowburst_optics::{Image, Video};
 use rustfft::num_complex::Complex32;

@@ -8,7 +8,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
-use rowburst_core::fft2::{Fft2, smooth_length};
+use rowburst_core::fft::{Fft2, smooth_length};
 use rowburst_core::{Error, Parameter, Result};
 use rustfft::num_complex::Complex32;
 use std::f64::consts::PI;

@@ -4,7 +4,7 @@
 //! holds only noise. Rows are transformed rather than columns, since each row is one instant. A Hann
 //! window keeps the strong low frequencies from leaking into the noise band.
 
-use realfft::RealFftPlanner;
+use rowburst_core::fft::FftNumber;
 use rowburst_optics::measurement::Measurement;
 use rowburst_optics::{Image, Psf};
 
@@ -157,7 +157,7 @@ impl Bands {
 
     /// Power of each window at each frequency of `band`, with mean 1 for white noise of variance 1.
     fn powers(&self, band: &[usize], value: impl Fn(usize) -> f64) -> Vec<f64> {
-        let fft = RealFftPlanner::<f64>::new().plan_fft_forward(self.length);
+        let (fft, _) = f64::real_transforms(self.length);
         let mut spectrum = fft.make_output_vec();
         let window_power: f64 = self.window.iter().map(|w| w * w).sum();
         let mut powers = Vec::with_capacity(self.starts.len() * band.len());
@@ -206,8 +206,7 @@ fn windows(image: &Image, weights: Option<&[f32]>) -> (usize, Vec<usize>) {
 fn transfer(psf: &Psf, columns: usize) -> Vec<f64> {
     let image = psf.image();
     let width = image.columns();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let fft = planner.plan_fft_forward(width);
+    let (fft, _) = f64::real_transforms(width);
     let mut power = vec![0.0; width / 2 + 1];
     let mut spectrum = fft.make_output_vec();
     let window = |x: usize| {

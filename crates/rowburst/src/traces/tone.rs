@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use rustfft::FftPlanner;
+use rowburst_core::fft::FftNumber;
 use rustfft::num_complex::Complex64;
 
 /// A sine that stands out of a trace.
@@ -40,9 +40,8 @@ pub fn strongest_tone(trace: &[f32], rate_hz: f64) -> Option<Tone> {
     let padded = 8 * n.next_power_of_two();
     let mut spectrum: Vec<Complex64> = centred.iter().map(|&v| Complex64::new(v, 0.0)).collect();
     spectrum.resize(padded, Complex64::ZERO);
-    FftPlanner::new()
-        .plan_fft_forward(padded)
-        .process(&mut spectrum);
+    let (forward, _) = f64::complex_transforms(padded);
+    forward.process(&mut spectrum);
     let half = &spectrum[..padded / 2];
     let peak =
         (1..half.len()).max_by(|&i, &j| half[i].norm_sqr().total_cmp(&half[j].norm_sqr()))?;

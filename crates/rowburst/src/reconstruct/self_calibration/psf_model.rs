@@ -11,7 +11,7 @@
 
 use super::parameters::{ModelParameter, Parameters};
 use rayon::prelude::*;
-use rowburst_core::fft2::{Fft2, smooth_length};
+use rowburst_core::fft::{Fft2, smooth_length};
 use rowburst_optics::{Image, Psf};
 use rustfft::num_complex::Complex32;
 use std::f64::consts::{PI, TAU};

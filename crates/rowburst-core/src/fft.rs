@@ -1,9 +1,61 @@
-//! Two-dimensional Fourier transforms of square arrays.
+//! Fourier transforms: their plans, lengths at which they are fast, and transforms of square arrays.
 
+use crate::vecmath::is_portable;
 use rayon::prelude::*;
+use realfft::{ComplexToReal, FftNum, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
+use rustfft::{Fft, FftPlanner, FftPlannerScalar};
 use std::sync::Arc;
+
+/// A number with Fourier transforms: `f32` or `f64`.
+///
+/// Its plans are made in this module only. The planners are generic in the number, so each crate that calls them
+/// compiles all transforms of `rustfft` again.
+pub trait FftNumber: FftNum {
+    /// The forward and the inverse complex transform of `length` points, without normalisation; scalar code if
+    /// [`is_portable`].
+    fn complex_transforms(length: usize) -> (Arc<dyn Fft<Self>>, Arc<dyn Fft<Self>>);
+
+    /// The transform of `length` real points into `length / 2 + 1` complex ones and its inverse, without normalisation.
+    fn real_transforms(
+        length: usize,
+    ) -> (Arc<dyn RealToComplex<Self>>, Arc<dyn ComplexToReal<Self>>);
+}
+
+macro_rules! impl_fft_number {
+    ($number:ty) => {
+        impl FftNumber for $number {
+            fn complex_transforms(length: usize) -> (Arc<dyn Fft<Self>>, Arc<dyn Fft<Self>>) {
+                if is_portable() {
+                    let mut planner = FftPlannerScalar::new();
+                    (
+                        planner.plan_fft_forward(length),
+                        planner.plan_fft_inverse(length),
+                    )
+                } else {
+                    let mut planner = FftPlanner::new();
+                    (
+                        planner.plan_fft_forward(length),
+                        planner.plan_fft_inverse(length),
+                    )
+                }
+            }
+
+            fn real_transforms(
+                length: usize,
+            ) -> (Arc<dyn RealToComplex<Self>>, Arc<dyn ComplexToReal<Self>>) {
+                let mut planner = RealFftPlanner::new();
+                (
+                    planner.plan_fft_forward(length),
+                    planner.plan_fft_inverse(length),
+                )
+            }
+        }
+    };
+}
+
+impl_fft_number!(f32);
+impl_fft_number!(f64);
 
 /// Forward and inverse transforms of `n × n` points, without normalisation.
 #[derive(Clone)]
@@ -16,11 +68,11 @@ pub struct Fft2 {
 impl Fft2 {
     /// The transforms of arrays of `n × n` points.
     pub fn new(n: usize) -> Self {
-        let mut planner = FftPlanner::new();
+        let (forward, inverse) = f32::complex_transforms(n);
         Self {
             n,
-            forward: planner.plan_fft_forward(n),
-            inverse: planner.plan_fft_inverse(n),
+            forward,
+            inverse,
         }
     }
 
@@ -68,15 +120,22 @@ impl Fft2 {
 
 /// The smallest number of the form 2ᵃ3ᵇ5ᶜ that is at least `least`: these are fast.
 pub fn smooth_length(least: usize) -> usize {
-    let is_smooth = |mut n: usize| {
-        for prime in [2, 3, 5] {
-            while n.is_multiple_of(prime) {
-                n /= prime;
-            }
-        }
-        n == 1
-    };
     (least.max(1)..).find(|&n| is_smooth(n)).unwrap_or(least)
+}
+
+/// The smallest even number of the form 2ᵃ3ᵇ5ᶜ that is at least `least`, for transforms of real numbers.
+pub fn smooth_even_length(least: usize) -> usize {
+    2 * smooth_length(least.div_ceil(2))
+}
+
+/// Whether `n` has no prime factor above 5.
+fn is_smooth(mut n: usize) -> bool {
+    for prime in [2, 3, 5] {
+        while n.is_multiple_of(prime) {
+            n /= prime;
+        }
+    }
+    n == 1
 }
 
 #[cfg(test)]
@@ -114,5 +173,7 @@ mod tests {
     fn lengths_are_smooth() {
         let lengths = [1, 7, 11, 595, 1025].map(smooth_length);
         assert_eq!(lengths, [1, 8, 12, 600, 1080]);
+        let even = [0, 1, 7, 11, 595, 1123].map(smooth_even_length);
+        assert_eq!(even, [2, 2, 8, 12, 600, 1152]);
     }
 }
