@@ -1,10 +1,10 @@
 //! Two-dimensional Fourier transforms of images, and sub-pixel registration by them.
 
 use rayon::prelude::*;
-use rowburst_optics::Image;
 use rowburst_core::fft::{FftNumber, smooth_even_length};
-use rustfft::num_complex::Complex32;
+use rowburst_optics::Image;
 use rustfft::FftDirection;
+use rustfft::num_complex::Complex32;
 use std::f64::consts::TAU;
 
 /// Spectrum `[y-frequency, x-frequency]` of an image padded with zeros.

@@ -18,8 +18,8 @@ use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::mat::AsMatMut;
 use faer::reborrow::ReborrowMut;
 use faer::{Accum, Mat, MatMut, Par};
-use rowburst_core::fft::{FftNumber, smooth_even_length};
 use rowburst_core::Support;
+use rowburst_core::fft::{FftNumber, smooth_even_length};
 use rowburst_core::linop::Scalar;
 use rustfft::num_complex::Complex64;
 

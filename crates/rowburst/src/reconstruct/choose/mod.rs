@@ -275,11 +275,11 @@ impl Trials {
                 ""
             }
         );
-        self.insert(rank, found);
+        self.insert(rank, found, data);
         Ok(())
     }
 
-    fn insert(&mut self, rank: usize, found: TrialResult) {
+    fn insert(&mut self, rank: usize, found: TrialResult, data: &FrameData) {
         let at = self.ranks.partition_point(|before| *before < rank);
         let candidates = &mut self.choice.candidates;
         self.ranks.insert(at, rank);
@@ -298,7 +298,7 @@ impl Trials {
         candidates[0].gain = None;
         if best == at {
             let prior = found.candidate.prior;
-            let solution = found.run_result.solution;
+            let solution = found.run.into_result(data).solution;
             self.best_errors = found.errors;
             self.best = Some(BestTrial {
                 prior,

@@ -53,7 +53,7 @@ pub(super) struct TrialResult {
     pub errors: Vec<ErrorAt>,
     /// The held-out residuals over `σ` at the end.
     pub residuals: Vec<f64>,
-    pub run_result: Box<RunResult>,
+    pub run: HeldOutRun,
     /// Its checkpoint, if one was to be kept.
     pub checkpoint: Option<Checkpoint>,
 }
@@ -197,7 +197,7 @@ impl Trial {
             candidate,
             errors,
             residuals: found.residuals,
-            run_result: Box::new(self.run.into_result(data)),
+            run: self.run,
             checkpoint,
         })
     }

@@ -139,12 +139,12 @@ impl FrameData {
     /// Resets to the initial weights and to all voxels, for videos with this background, without the
     /// pixels of `held_out`. The results do not depend on earlier calls, to the bit.
     pub fn reset(&mut self, background: Background, held_out: Option<HeldOut>) {
-        let is_unchanged = self.system.support().is_none()
-            && self.weights == self.initial_weights
-            && background == self.background()
-            && held_out == self.held_out;
+        let has_same_weights = self.weights == self.initial_weights && held_out == self.held_out;
         let is_fresh = self.x_step.reset();
-        if is_unchanged && is_fresh {
+        if has_same_weights && background == self.background() && is_fresh {
+            if let Some(before) = self.system.remove_support() {
+                self.x_step.restrict(&self.system, Some(&before));
+            }
             return;
         }
         let start = RunState {

@@ -142,6 +142,11 @@ impl System {
         self.support.replace(support.clone())
     }
 
+    /// Sets all voxels active; returns the support before.
+    pub fn remove_support(&mut self) -> Option<Support> {
+        self.support.take()
+    }
+
     /// Whether the support differs from `before` (`None`: all voxels) in the bins of an instant.
     pub fn has_changed_at(&self, instant: usize, before: Option<&Support>) -> bool {
         let run = &self.shutter().time().instants()[instant];
@@ -217,11 +222,15 @@ impl<T: Scalar> BlockSource<T> for &System {
             None => self.add_sum_of_blocks(instant, sum.rb_mut()),
         }
         if let Some(weights) = self.operator.weights() {
-            let indices = shutter.indices_of(instant);
-            for (j, &column) in indices.iter().enumerate() {
-                for (i, &row) in indices.iter().enumerate() {
-                    sum[(i, j)] *= T::from(weights[row]) * T::from(weights[column]);
-                }
+            let weights: Vec<T> = shutter
+                .indices_of(instant)
+                .iter()
+                .map(|&i| T::from(weights[i]))
+                .collect();
+            for (j, column) in sum.col_iter_mut().enumerate() {
+                let upper = column.subrows_mut(0, j + 1).iter_mut();
+                let weighted = upper.zip(&weights);
+                weighted.for_each(|(value, &weight)| *value *= weight * weights[j]);
             }
         }
     }
