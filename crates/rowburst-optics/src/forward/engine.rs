@@ -74,7 +74,7 @@ impl<T: Scalar> Engine<T> {
     /// The adjoint of [`Self::apply_batch`].
     ///
     /// Calls `write(job, start, light)` for pieces of the light of each job: whole field rows from pixel `start` on.
-    /// Each row that has an active pixel in the job's mask is written once; other rows may be left out.
+    /// Each row that has an active pixel in the job's mask is written once, in order; other rows may be left out.
     pub fn adjoint_batch(
         &self,
         jobs: &[AdjointJob<T>],

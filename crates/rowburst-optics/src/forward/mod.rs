@@ -32,7 +32,7 @@ use geometry::Geometry;
 use jobs::{AdjointJob, ForwardJob};
 use planar::{Divisor, Planar};
 use rayon::prelude::*;
-use rowburst_core::linop::{LinearOperator, Scalar, WritePart, write_parts};
+use rowburst_core::linop::{LinearOperator, Scalar, WritePart};
 use rowburst_core::{Shape, Support};
 use std::borrow::Cow;
 
@@ -286,9 +286,12 @@ impl<T: Scalar> RollingShutter<T> {
         if instant.weights == [1.0] {
             return Cow::Borrowed(bin(instant.first_bin));
         }
+        let bins = instant.weights.iter().enumerate();
+        let terms = bins.map(|(k, &weight)| (T::nearest(weight), bin(instant.first_bin + k)));
+        let terms: Vec<_> = terms.collect();
         let mut light = vec![T::zero(); pixels];
-        for (k, &weight) in instant.weights.iter().enumerate() {
-            add_scaled(&mut light, bin(instant.first_bin + k), T::nearest(weight));
+        for (i, block) in light.chunks_mut(BLOCK).enumerate() {
+            write_sum(block, &terms, i * BLOCK);
         }
         Cow::Owned(light)
     }
@@ -343,33 +346,8 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
     fn adjoint(&self, frame: &[T], video: &mut [T]) {
         assert_eq!(video.len(), self.domain_len(), "length of the video");
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
-        if self.has_one_bin_each() {
-            // Each instant writes its own bin, so no buffer is needed.
-            let copy = |_: usize, part: &[T], video: &mut [T]| video.copy_from_slice(part);
-            return self.adjoint_each(frame, None, video, &copy);
-        }
-        let (pixels, instants) = (self.video.pixels(), self.time.instants());
-        let mut lights = vec![T::zero(); instants.len() * pixels];
-        self.for_each_light(
-            frame,
-            |_| None,
-            &mut lights,
-            |_, _, light, target| {
-                target.copy_from_slice(light);
-            },
-        );
-        video
-            .par_chunks_exact_mut(pixels)
-            .enumerate()
-            .for_each(|(j, bin)| {
-                bin.fill(T::zero());
-                for (instant, light) in instants.iter().zip(lights.chunks_exact(pixels)) {
-                    let first = instant.first_bin;
-                    if (first..first + instant.weights.len()).contains(&j) {
-                        add_scaled(bin, light, T::nearest(instant.weights[j - first]));
-                    }
-                }
-            });
+        let copy = |_: usize, part: &[T], video: &mut [T]| video.copy_from_slice(part);
+        self.adjoint_each(frame, None, video, &copy);
     }
 }
 
@@ -378,6 +356,83 @@ impl<T: Scalar> RollingShutter<T> {
     fn has_one_bin_each(&self) -> bool {
         let instants = self.time.instants();
         self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1)
+    }
+
+    /// `Sᵀ frame`: the light of each instant.
+    fn lights(&self, frame: &[T]) -> Vec<Vec<T>> {
+        let instants: Vec<usize> = (0..self.sensor_rows_of.len()).collect();
+        let groups = instants.par_chunks(self.batch_size()).map_init(
+            || self.scratch(),
+            |scratch, group| {
+                let lights = group
+                    .iter()
+                    .map(|_| Vec::with_capacity(self.video.pixels()));
+                let mut lights: Vec<Vec<T>> = lights.collect();
+                let values = self.values_of(frame, group);
+                let jobs = self.adjoint_jobs(group, &values, |_| None);
+                // Pieces follow one another.
+                self.adjoint_batch(&jobs, scratch, |i, _, light| {
+                    lights[i].extend_from_slice(light);
+                });
+                lights
+            },
+        );
+        groups.flatten_iter().collect()
+    }
+
+    /// [`Self::adjoint_each`] where a bin may have light of several instants.
+    fn adjoint_of_shared_bins(
+        &self,
+        frame: &[T],
+        support: Option<&Support>,
+        target: &mut [T],
+        write: WritePart<T>,
+    ) {
+        let lights = self.lights(frame);
+        let pixels = self.video.pixels();
+        let bins = target.par_chunks_exact_mut(pixels).enumerate();
+        bins.for_each(|(j, target)| {
+            let instants = self.time.instants().iter().zip(&lights);
+            let terms = instants.filter_map(|(instant, light)| {
+                let weight = instant.weights.get(j.checked_sub(instant.first_bin)?)?;
+                Some((T::nearest(*weight), light.as_slice()))
+            });
+            let terms: Vec<_> = terms.collect();
+            let mut sum = [T::zero(); BLOCK];
+            for (i, target) in target.chunks_mut(BLOCK).enumerate() {
+                let sum = &mut sum[..target.len()];
+                write_sum(sum, &terms, i * BLOCK);
+                let first = j * pixels + i * BLOCK;
+                if let Some(support) = support {
+                    let active = sum.iter_mut().zip(&support.mask()[first..]);
+                    active.for_each(|(v, active)| *v *= T::from(f32::from(*active)));
+                }
+                write(first, sum, target);
+            }
+        });
+    }
+
+    /// The values of the rows that each of these instants reads.
+    fn values_of(&self, frame: &[T], instants: &[usize]) -> Vec<Vec<T>> {
+        let rows = instants.iter().map(|&i| &self.frame_rows_of[i]);
+        rows.map(|rows| lines_of(frame, rows, self.geometry.columns))
+            .collect()
+    }
+
+    /// The adjoint products of these instants.
+    fn adjoint_jobs<'j, 'm: 'j>(
+        &'j self,
+        instants: &[usize],
+        values: &'j [Vec<T>],
+        mask: impl Fn(usize) -> Option<&'m [u8]>,
+    ) -> Vec<AdjointJob<'j, T>> {
+        let jobs = instants.iter().zip(values);
+        jobs.map(|(&i, values)| AdjointJob {
+            values,
+            rows: &self.sensor_rows_of[i],
+            mask: mask(i),
+        })
+        .collect()
     }
 
     /// Calls `write(instant, start, light, target)` for pieces of `Sᵀ frame`, the light of each instant.
@@ -397,19 +452,9 @@ impl<T: Scalar> RollingShutter<T> {
             || self.scratch(),
             |scratch, (group, target)| {
                 let first = group * size;
-                let instants = first..first + target.len() / pixels;
-                let values: Vec<Vec<T>> = instants
-                    .clone()
-                    .map(|i| lines_of(frame, &self.frame_rows_of[i], self.geometry.columns))
-                    .collect();
-                let jobs: Vec<AdjointJob<T>> = instants
-                    .zip(&values)
-                    .map(|(i, values)| AdjointJob {
-                        values,
-                        rows: &self.sensor_rows_of[i],
-                        mask: mask(i),
-                    })
-                    .collect();
+                let instants: Vec<usize> = (first..first + target.len() / pixels).collect();
+                let values = self.values_of(frame, &instants);
+                let jobs = self.adjoint_jobs(&instants, &values, &mask);
                 self.adjoint_batch(&jobs, scratch, |i, start, light| {
                     let at = i * pixels + start;
                     let target = &mut target[at..at + light.len()];
@@ -435,16 +480,10 @@ impl<T: Scalar> RollingShutter<T> {
     ) {
         assert_eq!(frame.len(), self.range_len(), "length of the frame");
         assert_eq!(target.len(), self.domain_len(), "length of the video");
-        let (pixels, columns) = (self.video.pixels(), self.video.columns);
         if !self.has_one_bin_each() {
-            let mut video = vec![T::zero(); target.len()];
-            self.adjoint(frame, &mut video);
-            if let Some(support) = support {
-                let active = video.par_iter_mut().zip(support.mask());
-                active.for_each(|(v, active)| *v *= T::from(f32::from(*active)));
-            }
-            return write_parts(&video, target, write);
+            return self.adjoint_of_shared_bins(frame, support, target, write);
         }
+        let (pixels, columns) = (self.video.pixels(), self.video.columns);
         let mask_of = |bin: usize| support.map(|s| &s.mask()[bin * pixels..(bin + 1) * pixels]);
         self.for_each_light(frame, mask_of, target, |bin, start, light, target| {
             let weight = T::nearest(self.time.instants()[bin].weights[0]);
@@ -529,6 +568,17 @@ fn plane_power<T: Scalar>(layers: &[Layer<T>]) -> Vec<f32> {
         }
     }
     power
+}
+
+/// Elements of a sum of lights that stay in the nearest cache from one term to the next.
+const BLOCK: usize = 1024;
+
+/// `sum = Σ weight · term`, of each term the elements from `start` on.
+fn write_sum<T: Scalar>(sum: &mut [T], terms: &[(T, &[T])], start: usize) {
+    sum.fill(T::zero());
+    for (weight, term) in terms {
+        add_scaled(sum, &term[start..], *weight);
+    }
 }
 
 /// `sum += weight · term`.
