@@ -155,6 +155,16 @@ fn starts_afresh() {
             assert_eq!(solution(&mut used), expected);
         }
     }
+    // Nor does a support, of few voxels or of so many that its blocks take the place of those of all.
+    let shape = used.shape();
+    for every in [301, 97] {
+        let light: Vec<f32> = (0..shape.voxels()).map(|i| (i % every) as f32).collect();
+        let threshold = every as f64 - 1.5;
+        used.restrict(&Support::above(&light, shape, &vec![threshold; shape.bins]));
+        assert_ne!(solution(&mut used), expected, "every {every}th voxel");
+        used.reset(Background::None, None);
+        assert_eq!(solution(&mut used), expected, "every {every}th voxel");
+    }
     // A static background keeps no solution of an earlier run either.
     let mut first = data(Shutter::DualInsideOut);
     first.reset(Background::Static, None);
