@@ -1,6 +1,8 @@
 //! Preconditioned conjugate gradients for `(A P Aᵀ + ρI) y = r`, with `P` the projection onto the support.
 //!
-//! They are for operators whose `A Aᵀ` has no small blocks: exposures longer than a row, or a global shutter.
+//! They are for operators whose `A Aᵀ` has no small blocks: exposures longer than a row, or a global shutter. They are
+//! flexible: directions follow the formula of Polak and Ribière, so the preconditioner may itself be solved inexactly
+//! (Notay, SIAM J. Sci. Comput. 22, 1444, 2000).
 
 use rowburst_core::Support;
 use rowburst_core::linop::LinearOperator;
@@ -112,33 +114,36 @@ impl ConjugateGradient {
         let mut residual: Vec<f32> = (0..r.len())
             .map(|i| r[i] - gram_y[i] - rho as f32 * y[i])
             .collect();
-        let mut preconditioned = vec![0.0f32; r.len()];
-        self.preconditioner
-            .apply(&residual, rho, &mut preconditioned);
-        let mut direction = preconditioned.clone();
-        let mut product = vec![0.0f32; r.len()];
-        // rᵀ M⁻¹ r with the residual r and the preconditioner M⁻¹.
-        let mut residual_product = dot(&residual, &preconditioned);
         let is_reached = |residual: &[f32], y: &[f32]| norm(residual) <= tolerance * rho * norm(y);
+        let mut preconditioned = vec![0.0f32; r.len()];
+        let mut direction = vec![0.0f32; r.len()];
+        let mut product = vec![0.0f32; r.len()];
+        let mut before = vec![0.0f32; r.len()];
+        // rᵀ M⁻¹ r with the residual r and the preconditioner M⁻¹.
+        let mut residual_product = f64::INFINITY;
         for _ in 0..max_iterations {
-            if is_reached(&residual, y) || residual_product <= 0.0 {
+            if is_reached(&residual, y) {
                 break;
-            }
-            gram(&direction, &mut product);
-            let curvature = dot(&direction, &product) + rho * dot(&direction, &direction);
-            let step = (residual_product / curvature) as f32;
-            for i in 0..r.len() {
-                y[i] += step * direction[i];
-                gram_y[i] += step * product[i];
-                residual[i] -= step * (product[i] + rho as f32 * direction[i]);
             }
             self.preconditioner
                 .apply(&residual, rho, &mut preconditioned);
             let next = dot(&residual, &preconditioned);
-            let beta = (next / residual_product) as f32;
+            if next <= 0.0 {
+                break;
+            }
+            let beta = ((next - dot(&before, &preconditioned)) / residual_product) as f32;
             residual_product = next;
             for (d, s) in direction.iter_mut().zip(&preconditioned) {
                 *d = s + beta * *d;
+            }
+            gram(&direction, &mut product);
+            let curvature = dot(&direction, &product) + rho * dot(&direction, &direction);
+            let step = (residual_product / curvature) as f32;
+            before.copy_from_slice(&residual);
+            for i in 0..r.len() {
+                y[i] += step * direction[i];
+                gram_y[i] += step * product[i];
+                residual[i] -= step * (product[i] + rho as f32 * direction[i]);
             }
         }
         self.y.copy_from_slice(y);
