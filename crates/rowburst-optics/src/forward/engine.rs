@@ -64,7 +64,8 @@ impl<T: Scalar> Engine<T> {
             (Self::Rowwise(engine), Scratch::Rowwise(s)) => engine.apply_batch(jobs, s),
             (Self::Planar(engine), Scratch::Planar { engine: s, .. }) => {
                 for job in jobs {
-                    engine.apply(job.light, job.rows, job.values, s);
+                    let light = job.light.all(engine.field_pixels());
+                    engine.apply(&light, job.rows, job.values, s);
                 }
             }
             _ => unreachable!("scratch comes from the same engine"),

@@ -1,8 +1,53 @@
 //! Products of one instant, which an engine computes in batches.
 
-/// Forward product of one instant: `values[i, x]` becomes sensor row `rows[i]` of the convolved `light` `[y, x]`.
+use rowburst_core::linop::Scalar;
+use rowburst_core::vecmath::simd;
+use std::borrow::Cow;
+use std::ops::Range;
+
+/// The light that an instant integrates: a weighted sum of planes `[y, x]`.
+pub(super) struct Light<'a, T> {
+    pub terms: Vec<(T, &'a [T])>,
+}
+
+impl<'a, T: Scalar> Light<'a, T> {
+    /// The light of one plane.
+    pub fn of(plane: &'a [T]) -> Self {
+        Self {
+            terms: vec![(T::one(), plane)],
+        }
+    }
+
+    /// Its values at some pixels, which are written to `buffer` unless they are those of a plane.
+    pub fn at<'b>(&'b self, pixels: Range<usize>, buffer: &'b mut [T]) -> &'b [T] {
+        if let [(weight, plane)] = self.terms.as_slice()
+            && *weight == T::one()
+        {
+            return &plane[pixels];
+        }
+        let buffer = &mut buffer[..pixels.len()];
+        write_sum(buffer, &self.terms, pixels.start);
+        buffer
+    }
+
+    /// Its values at all of so many pixels.
+    pub fn all(&self, pixels: usize) -> Cow<'_, [T]> {
+        if let [(weight, plane)] = self.terms.as_slice()
+            && *weight == T::one()
+        {
+            return Cow::Borrowed(plane);
+        }
+        let mut light = vec![T::zero(); pixels];
+        for (i, block) in light.chunks_mut(BLOCK).enumerate() {
+            write_sum(block, &self.terms, i * BLOCK);
+        }
+        Cow::Owned(light)
+    }
+}
+
+/// Forward product of one instant: `values[i, x]` becomes sensor row `rows[i]` of the convolved `light`.
 pub(super) struct ForwardJob<'a, T> {
-    pub light: &'a [T],
+    pub light: Light<'a, T>,
     pub rows: &'a [usize],
     pub values: &'a mut [T],
 }
@@ -14,4 +59,48 @@ pub(super) struct AdjointJob<'a, T> {
     pub values: &'a [T],
     pub rows: &'a [usize],
     pub mask: Option<&'a [u8]>,
+}
+
+/// Elements of a sum of lights that stay in the nearest cache from one use to the next.
+pub(super) const BLOCK: usize = 1024;
+
+/// `sum = Σ weight · term`, of each term the elements from `start` on.
+pub(super) fn write_sum<T: Scalar>(sum: &mut [T], terms: &[(T, &[T])], start: usize) {
+    /// Elements that stay in registers from one term to the next.
+    const REGISTERS: usize = 64;
+    simd(
+        #[inline(always)]
+        || {
+            let (parts, rest) = sum.as_chunks_mut::<REGISTERS>();
+            let rest_start = start + parts.len() * REGISTERS;
+            for (i, part) in parts.iter_mut().enumerate() {
+                let start = start + i * REGISTERS;
+                let mut sum = [T::zero(); REGISTERS];
+                for (weight, term) in terms {
+                    for (s, &t) in sum.iter_mut().zip(&term[start..start + REGISTERS]) {
+                        *s += *weight * t;
+                    }
+                }
+                *part = sum;
+            }
+            rest.fill(T::zero());
+            for (weight, term) in terms {
+                for (s, &t) in rest.iter_mut().zip(&term[rest_start..]) {
+                    *s += *weight * t;
+                }
+            }
+        },
+    );
+}
+
+/// `sum += weight · term`.
+pub(super) fn add_scaled<T: Scalar>(sum: &mut [T], term: &[T], weight: T) {
+    simd(
+        #[inline(always)]
+        || {
+            for (s, &t) in sum.iter_mut().zip(term) {
+                *s += weight * t;
+            }
+        },
+    );
 }

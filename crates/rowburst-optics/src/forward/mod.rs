@@ -23,18 +23,18 @@ pub mod mean_field;
 mod planar;
 pub mod psf_map;
 mod rowwise;
+mod shared_bins;
 #[cfg(test)]
 mod tests;
 
 use crate::{Camera, PatchSet, Psf, TimeGrid};
 use engine::Engine;
 use geometry::Geometry;
-use jobs::{AdjointJob, ForwardJob};
+use jobs::{AdjointJob, ForwardJob, Light, add_scaled};
 use planar::{Divisor, Planar};
 use rayon::prelude::*;
 use rowburst_core::linop::{LinearOperator, Scalar, WritePart};
 use rowburst_core::{Shape, Support};
-use std::borrow::Cow;
 
 /// The operator `A`: from a video `[t, y, x]` to a frame `[y, x]`.
 ///
@@ -177,6 +177,14 @@ impl<T: Scalar> RollingShutter<T> {
         Some(out)
     }
 
+    /// Whether instants are processed together.
+    fn is_batched(&self, layer: &Layer<T>) -> bool {
+        /// Cache of a thread in bytes; larger spectra are shared by several instants.
+        const CACHE: usize = 1 << 20;
+        let bytes = layer.engine.shared_spectrum_bytes();
+        bytes > CACHE || (bytes > 0 && !self.has_one_bin_each())
+    }
+
     fn scratch(&self) -> Scratch<T> {
         let several = self.layers.iter().any(|layer| layer.share.is_some());
         Scratch {
@@ -188,14 +196,13 @@ impl<T: Scalar> RollingShutter<T> {
 
     /// Instants that a thread processes together.
     ///
-    /// Where the PSF's spectra exceed the cache, these instants share each part of them that is read from memory.
+    /// Where the PSF's spectra exceed the cache, or instants share bins, these instants share each part of them that is read
+    /// from memory.
     fn batch_size(&self) -> usize {
-        /// Cache of a thread in bytes; larger spectra are shared by several instants.
-        const CACHE: usize = 1 << 20;
         /// Most instants that share the PSF's rows; larger takes more memory for less gain (docs/design/001).
         const MAX_BATCH: usize = 8;
         match self.layers.as_slice() {
-            [layer] if layer.engine.shared_spectrum_bytes() > CACHE => {
+            [layer] if self.is_batched(layer) => {
                 // Every thread gets the same number of groups.
                 let (instants, threads) = (self.sensor_rows_of.len(), rayon::current_num_threads());
                 let rounds = instants.div_ceil(threads * MAX_BATCH);
@@ -220,16 +227,17 @@ impl<T: Scalar> RollingShutter<T> {
         for job in jobs {
             job.values.fill(T::zero());
             scratch.values.resize(job.values.len(), T::zero());
+            let light = job.light.all(self.video.pixels());
             for layer in &self.layers {
                 match &layer.share {
-                    None => scratch.light.copy_from_slice(job.light),
+                    None => scratch.light.copy_from_slice(&light),
                     Some(share) => {
-                        let shares = scratch.light.iter_mut().zip(job.light).zip(share);
+                        let shares = scratch.light.iter_mut().zip(&*light).zip(share);
                         shares.for_each(|((s, &v), &a)| *s = v * T::from(a));
                     }
                 }
                 let layer_job = ForwardJob {
-                    light: &scratch.light,
+                    light: Light::of(&scratch.light),
                     rows: job.rows,
                     values: &mut scratch.values,
                 };
@@ -278,22 +286,15 @@ impl<T: Scalar> RollingShutter<T> {
         }
     }
 
-    /// The light that instant `i` integrates, `Σ_j w_i[j] v_j`; borrowed if that is one bin with weight 1.
-    fn integrate<'v>(&self, video: &'v [T], instant: usize) -> Cow<'v, [T]> {
+    /// The light that an instant integrates, `Σ_j w_i[j] v_j`.
+    fn light<'v>(&self, video: &'v [T], instant: usize) -> Light<'v, T> {
         let instant = &self.time.instants()[instant];
         let pixels = self.video.pixels();
-        let bin = |j: usize| &video[j * pixels..(j + 1) * pixels];
-        if instant.weights == [1.0] {
-            return Cow::Borrowed(bin(instant.first_bin));
+        let bins = video[instant.first_bin * pixels..].chunks_exact(pixels);
+        let terms = instant.weights.iter().zip(bins);
+        Light {
+            terms: terms.map(|(&w, bin)| (T::nearest(w), bin)).collect(),
         }
-        let bins = instant.weights.iter().enumerate();
-        let terms = bins.map(|(k, &weight)| (T::nearest(weight), bin(instant.first_bin + k)));
-        let terms: Vec<_> = terms.collect();
-        let mut light = vec![T::zero(); pixels];
-        for (i, block) in light.chunks_mut(BLOCK).enumerate() {
-            write_sum(block, &terms, i * BLOCK);
-        }
-        Cow::Owned(light)
     }
 }
 
@@ -315,18 +316,14 @@ impl<T: Scalar> LinearOperator<T> for RollingShutter<T> {
             || self.scratch(),
             |scratch, group| {
                 let rows = |instant: &usize| self.sensor_rows_of[*instant].as_slice();
-                let lights: Vec<Cow<[T]>> = group
-                    .iter()
-                    .map(|&instant| self.integrate(video, instant))
-                    .collect();
                 let mut values: Vec<Vec<T>> = group
                     .iter()
                     .map(|instant| vec![T::zero(); rows(instant).len() * columns])
                     .collect();
-                let jobs = group.iter().zip(&lights).zip(&mut values);
+                let jobs = group.iter().zip(&mut values);
                 let mut jobs: Vec<ForwardJob<T>> = jobs
-                    .map(|((instant, light), values)| ForwardJob {
-                        light,
+                    .map(|(instant, values)| ForwardJob {
+                        light: self.light(video, *instant),
                         rows: rows(instant),
                         values,
                     })
@@ -356,60 +353,6 @@ impl<T: Scalar> RollingShutter<T> {
     fn has_one_bin_each(&self) -> bool {
         let instants = self.time.instants();
         self.time.bins() == instants.len() && instants.iter().all(|i| i.weights.len() == 1)
-    }
-
-    /// `Sᵀ frame`: the light of each instant.
-    fn lights(&self, frame: &[T]) -> Vec<Vec<T>> {
-        let instants: Vec<usize> = (0..self.sensor_rows_of.len()).collect();
-        let groups = instants.par_chunks(self.batch_size()).map_init(
-            || self.scratch(),
-            |scratch, group| {
-                let lights = group
-                    .iter()
-                    .map(|_| Vec::with_capacity(self.video.pixels()));
-                let mut lights: Vec<Vec<T>> = lights.collect();
-                let values = self.values_of(frame, group);
-                let jobs = self.adjoint_jobs(group, &values, |_| None);
-                // Pieces follow one another.
-                self.adjoint_batch(&jobs, scratch, |i, _, light| {
-                    lights[i].extend_from_slice(light);
-                });
-                lights
-            },
-        );
-        groups.flatten_iter().collect()
-    }
-
-    /// [`Self::adjoint_each`] where a bin may have light of several instants.
-    fn adjoint_of_shared_bins(
-        &self,
-        frame: &[T],
-        support: Option<&Support>,
-        target: &mut [T],
-        write: WritePart<T>,
-    ) {
-        let lights = self.lights(frame);
-        let pixels = self.video.pixels();
-        let bins = target.par_chunks_exact_mut(pixels).enumerate();
-        bins.for_each(|(j, target)| {
-            let instants = self.time.instants().iter().zip(&lights);
-            let terms = instants.filter_map(|(instant, light)| {
-                let weight = instant.weights.get(j.checked_sub(instant.first_bin)?)?;
-                Some((T::nearest(*weight), light.as_slice()))
-            });
-            let terms: Vec<_> = terms.collect();
-            let mut sum = [T::zero(); BLOCK];
-            for (i, target) in target.chunks_mut(BLOCK).enumerate() {
-                let sum = &mut sum[..target.len()];
-                write_sum(sum, &terms, i * BLOCK);
-                let first = j * pixels + i * BLOCK;
-                if let Some(support) = support {
-                    let active = sum.iter_mut().zip(&support.mask()[first..]);
-                    active.for_each(|(v, active)| *v *= T::from(f32::from(*active)));
-                }
-                write(first, sum, target);
-            }
-        });
     }
 
     /// The values of the rows that each of these instants reads.
@@ -568,27 +511,4 @@ fn plane_power<T: Scalar>(layers: &[Layer<T>]) -> Vec<f32> {
         }
     }
     power
-}
-
-/// Elements of a sum of lights that stay in the nearest cache from one term to the next.
-const BLOCK: usize = 1024;
-
-/// `sum = Σ weight · term`, of each term the elements from `start` on.
-fn write_sum<T: Scalar>(sum: &mut [T], terms: &[(T, &[T])], start: usize) {
-    sum.fill(T::zero());
-    for (weight, term) in terms {
-        add_scaled(sum, &term[start..], *weight);
-    }
-}
-
-/// `sum += weight · term`.
-fn add_scaled<T: Scalar>(sum: &mut [T], term: &[T], weight: T) {
-    rowburst_core::vecmath::simd(
-        #[inline(always)]
-        || {
-            for (s, &t) in sum.iter_mut().zip(term) {
-                *s += weight * t;
-            }
-        },
-    );
 }

@@ -44,7 +44,8 @@ impl PsfMap {
         let length = geometry.fft_columns();
         let (forward, inverse) = f32::real_transforms(length);
         let instants = (0..shutter.sensor_rows_of.len()).into_par_iter().map(|i| {
-            let light = shutter.integrate(video, i);
+            let light = shutter.light(video, i);
+            let light = light.all(shutter.video.pixels());
             let lines: Vec<&[f32]> = light.chunks_exact(geometry.field_columns).collect();
             let active: Vec<usize> = (0..lines.len())
                 .filter(|&y| lines[y].iter().any(|v| *v != 0.0))

@@ -24,6 +24,7 @@
 use super::geometry::Geometry;
 use super::jobs::{AdjointJob, ForwardJob};
 use crate::Psf;
+use rayon::prelude::*;
 use rowburst_core::linop::Scalar;
 use rowburst_core::vecmath::{add_conjugate_products, add_products, simd};
 use rustfft::Fft;
@@ -32,7 +33,7 @@ use rustfft::num_traits::Zero;
 use std::sync::Arc;
 
 /// Row pairs of a field in a batch; larger leaves the nearest cache, smaller passes over the sums more often.
-const PAIRS_PER_BATCH: usize = 4;
+pub(super) const PAIRS_PER_BATCH: usize = 4;
 
 /// The row-wise engine of one PSF.
 pub(super) struct Rowwise<T: Scalar> {
@@ -51,10 +52,15 @@ pub(super) struct Scratch<T> {
     sums: Vec<Complex<T>>,
     /// Field rows of a batch.
     light: Vec<T>,
-    /// The row pairs of a batch, packed, or their spectra.
+    pairs: Pairs<T>,
+}
+
+/// Row pairs of a batch.
+pub(super) struct Pairs<T> {
+    /// First field row of each pair.
+    pub rows: Vec<usize>,
+    /// The pairs, packed, or their spectra.
     lines: Vec<Complex<T>>,
-    /// First field row of each pair in `lines`.
-    pairs: Vec<usize>,
     fft: Vec<Complex<T>>,
 }
 
@@ -97,15 +103,22 @@ impl<T: Scalar> Rowwise<T> {
     }
 
     pub fn scratch(&self) -> Scratch<T> {
+        Scratch {
+            sums: Vec::new(),
+            light: vec![T::zero(); 2 * PAIRS_PER_BATCH * self.geometry.field_columns],
+            pairs: self.pairs(),
+        }
+    }
+
+    /// Buffers for a batch of row pairs.
+    pub fn pairs(&self) -> Pairs<T> {
         let fft = self
             .forward
             .get_inplace_scratch_len()
             .max(self.inverse.get_inplace_scratch_len());
-        Scratch {
-            sums: Vec::new(),
-            light: vec![T::zero(); 2 * PAIRS_PER_BATCH * self.geometry.field_columns],
+        Pairs {
+            rows: Vec::with_capacity(PAIRS_PER_BATCH),
             lines: vec![Complex::zero(); PAIRS_PER_BATCH * self.length],
-            pairs: Vec::with_capacity(PAIRS_PER_BATCH),
             fft: vec![Complex::zero(); fft],
         }
     }
@@ -125,55 +138,55 @@ impl<T: Scalar> Rowwise<T> {
     pub fn apply_batch(&self, jobs: &mut [ForwardJob<T>], scratch: &mut Scratch<T>) {
         let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
         let lines = jobs.iter().map(|job| job.rows.len()).sum::<usize>();
-        scratch.sums.clear();
-        scratch.sums.resize(lines * self.length, Complex::zero());
+        let Scratch { sums, light, pairs } = scratch;
+        sums.clear();
+        sums.resize(lines * self.length, Complex::zero());
         for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_PER_BATCH) {
             let end = self.geometry.field_rows.min(first + 2 * PAIRS_PER_BATCH);
-            let mut offset = 0;
-            // All jobs take these rows in turn, since they need nearly the same kernels.
+            let mut sums = sums.as_mut_slice();
+            // All jobs take these rows in turn, since they need nearly the same kernels and the light of the same bins.
             for job in &*jobs {
-                let light = &job.light[first * field_columns..end * field_columns];
-                self.add_pairs(light, first, job.rows, offset, scratch);
-                offset += job.rows.len() * self.length;
+                let (sums_of_job, rest) = sums.split_at_mut(job.rows.len() * self.length);
+                let light = job
+                    .light
+                    .at(first * field_columns..end * field_columns, light);
+                self.add_pairs(light, first, job.rows, sums_of_job, pairs);
+                sums = rest;
             }
         }
-        self.inverse
-            .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
+        self.inverse.process_with_scratch(sums, &mut pairs.fft);
         let lines = jobs
             .iter_mut()
             .flat_map(|job| job.values.chunks_exact_mut(columns));
-        for (values, sum) in lines.zip(scratch.sums.chunks_exact(self.length)) {
+        for (values, sum) in lines.zip(sums.chunks_exact(self.length)) {
             values.iter_mut().zip(sum).for_each(|(v, s)| *v = s.re);
         }
     }
 
-    /// Adds the contribution of some field rows to the sums of the sensor rows `rows`.
-    ///
-    /// `light` holds the field rows from row `first` on; the sums begin at `offset` in `scratch.sums`.
+    /// Adds the contribution of some field rows, `light` from row `first` on, to the sums of the sensor rows `rows`.
     fn add_pairs(
         &self,
         light: &[T],
         first: usize,
         rows: &[usize],
-        offset: usize,
-        scratch: &mut Scratch<T>,
+        sums: &mut [Complex<T>],
+        pairs: &mut Pairs<T>,
     ) {
         let field_columns = self.geometry.field_columns;
-        scratch.pairs.clear();
+        pairs.rows.clear();
         for (i, row_pair) in light.chunks(2 * field_columns).enumerate() {
             // Most rows of a sparse video are zero.
             if !is_dark(row_pair) {
-                let start = scratch.pairs.len() * self.length;
-                let line = &mut scratch.lines[start..start + self.length];
+                let start = pairs.rows.len() * self.length;
+                let line = &mut pairs.lines[start..start + self.length];
                 pack(row_pair, field_columns, line);
-                scratch.pairs.push(first + 2 * i);
+                pairs.rows.push(first + 2 * i);
             }
         }
-        let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
-        self.forward.process_with_scratch(lines, &mut scratch.fft);
-        let sums = scratch.sums[offset..].chunks_exact_mut(self.length);
-        for (&r, sum) in rows.iter().zip(sums) {
-            for (&y, line) in scratch.pairs.iter().zip(lines.chunks_exact(self.length)) {
+        let lines = &mut pairs.lines[..pairs.rows.len() * self.length];
+        self.forward.process_with_scratch(lines, &mut pairs.fft);
+        for (&r, sum) in rows.iter().zip(sums.chunks_exact_mut(self.length)) {
+            for (&y, line) in pairs.rows.iter().zip(lines.chunks_exact(self.length)) {
                 add_products(sum, line, self.kernel(r, y));
             }
         }
@@ -189,60 +202,87 @@ impl<T: Scalar> Rowwise<T> {
         mut write: impl FnMut(usize, usize, &mut [T]),
     ) {
         let (columns, field_columns) = (self.geometry.columns, self.geometry.field_columns);
+        let Scratch { sums, light, pairs } = scratch;
         let lines = jobs.iter().map(|job| job.rows.len()).sum::<usize>();
-        scratch.sums.resize(lines * self.length, Complex::zero());
+        sums.resize(lines * self.length, Complex::zero());
         let values = jobs.iter().flat_map(|job| job.values.chunks_exact(columns));
-        for (values, line) in values.zip(scratch.sums.chunks_exact_mut(self.length)) {
+        for (values, line) in values.zip(sums.chunks_exact_mut(self.length)) {
             pack(values, columns, line);
         }
-        self.forward
-            .process_with_scratch(&mut scratch.sums, &mut scratch.fft);
+        self.forward.process_with_scratch(sums, &mut pairs.fft);
         for first in (0..self.geometry.field_rows).step_by(2 * PAIRS_PER_BATCH) {
             let end = self.geometry.field_rows.min(first + 2 * PAIRS_PER_BATCH);
-            let mut offset = 0;
+            let mut sums = sums.as_slice();
             for (i, job) in jobs.iter().enumerate() {
-                scratch.pairs.clear();
+                pairs.rows.clear();
                 for y in (first..end).step_by(2) {
                     let pixels = y * field_columns..end.min(y + 2) * field_columns;
                     if job.mask.is_none_or(|mask| mask[pixels].contains(&1)) {
-                        scratch.pairs.push(y);
+                        pairs.rows.push(y);
                     }
                 }
-                self.compute_pairs(job.rows, offset, scratch);
+                let (spectra, rest) = sums.split_at(job.rows.len() * self.length);
+                sums = rest;
+                let start = first * field_columns;
+                let light = &mut light[..end * field_columns - start];
+                self.write_pairs(job.rows, spectra, pairs, first, light);
                 // Neighbouring pairs are written together.
-                let mut written_rows = 0;
-                let pairs = std::mem::take(&mut scratch.pairs);
-                for run in pairs.chunk_by(|a, b| a + 2 == *b) {
-                    let start = run[0] * field_columns;
-                    let stop = end.min(run[run.len() - 1] + 2) * field_columns;
-                    let light = &mut scratch.light[written_rows * field_columns..];
-                    write(i, start, &mut light[..stop - start]);
-                    written_rows += 2 * run.len();
+                for run in pairs.rows.chunk_by(|a, b| a + 2 == *b) {
+                    let stop = end.min(run[run.len() - 1] + 2);
+                    let of_run = run[0] * field_columns..stop * field_columns;
+                    write(
+                        i,
+                        of_run.start,
+                        &mut light[of_run.start - start..of_run.end - start],
+                    );
                 }
-                scratch.pairs = pairs;
-                offset += job.rows.len() * self.length;
             }
         }
     }
 
-    /// Computes the light of the row pairs in `scratch.pairs` from the spectra of the sensor rows `rows`.
-    ///
-    /// The spectra begin at `offset` in `scratch.sums`; the pairs follow one another in `scratch.light`.
-    fn compute_pairs(&self, rows: &[usize], offset: usize, scratch: &mut Scratch<T>) {
+    /// The spectra of sensor rows, one after another.
+    pub fn spectra(&self, values: &[T]) -> Vec<Complex<T>> {
+        let columns = self.geometry.columns;
+        let mut spectra = vec![Complex::zero(); values.len() / columns * self.length];
+        let lines = spectra.par_chunks_exact_mut(self.length);
+        lines.zip(values.par_chunks_exact(columns)).for_each_init(
+            || vec![Complex::zero(); self.forward.get_inplace_scratch_len()],
+            |fft, (line, values)| {
+                pack(values, columns, line);
+                self.forward.process_with_scratch(line, fft);
+            },
+        );
+        spectra
+    }
+
+    /// Points of a spectrum.
+    pub fn length(&self) -> usize {
+        self.length
+    }
+
+    /// Writes the light of the row pairs `pairs.rows` to `light`, which begins with field row `first`, from the `spectra` of
+    /// the sensor rows `rows`.
+    pub fn write_pairs(
+        &self,
+        rows: &[usize],
+        spectra: &[Complex<T>],
+        pairs: &mut Pairs<T>,
+        first: usize,
+        light: &mut [T],
+    ) {
         let field_columns = self.geometry.field_columns;
-        let lines = &mut scratch.lines[..scratch.pairs.len() * self.length];
+        let lines = &mut pairs.lines[..pairs.rows.len() * self.length];
         lines.fill(Complex::zero());
-        let pairs = scratch.pairs.iter();
-        for (&y, line) in pairs.zip(lines.chunks_exact_mut(self.length)) {
-            let spectra = scratch.sums[offset..].chunks_exact(self.length);
-            for (&r, spectrum) in rows.iter().zip(spectra) {
+        for (&y, line) in pairs.rows.iter().zip(lines.chunks_exact_mut(self.length)) {
+            for (&r, spectrum) in rows.iter().zip(spectra.chunks_exact(self.length)) {
                 add_conjugate_products(line, self.kernel(r, y), spectrum);
             }
         }
-        self.inverse.process_with_scratch(lines, &mut scratch.fft);
-        let light = scratch.light.chunks_exact_mut(2 * field_columns);
-        for (line, light) in lines.chunks_exact(self.length).zip(light) {
-            unpack(line, field_columns, light);
+        self.inverse.process_with_scratch(lines, &mut pairs.fft);
+        for (&y, line) in pairs.rows.iter().zip(lines.chunks_exact(self.length)) {
+            let from = (y - first) * field_columns;
+            let end = light.len().min(from + 2 * field_columns);
+            unpack(line, field_columns, &mut light[from..end]);
         }
     }
 }
