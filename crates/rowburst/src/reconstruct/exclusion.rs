@@ -51,13 +51,18 @@ impl Problem {
         let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
         let predicts_better = self.is_explained(&check) || check.held_out_rms < with_all;
         let mut undone = None;
+        // Pixels with which the last rounds at the noise of the sensor began: they would be the same again.
+        let mut last_start = None;
         for factor in READMISSIONS.into_iter().filter(|_| predicts_better) {
             let before = self.excluded.clone();
             excluded = self.without_predicted(&check, factor, broken);
-            let is_same = undone == Some(factor);
+            let is_last_level = level < LAST_LEVEL_RATIO * self.sigma;
+            let start = is_last_level.then(|| excluded.clone());
+            let is_same = undone == Some(factor) || (is_last_level && start == last_start);
             if is_same || count(&before) - count(&excluded) <= few {
                 continue;
             }
+            last_start = start;
             let was_explained = self.is_explained(&check);
             let next = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
             let is_better = next.held_out_rms <= READMISSION_ERROR_RATIO * check.held_out_rms;
