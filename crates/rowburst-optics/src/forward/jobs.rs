@@ -18,11 +18,17 @@ impl<'a, T: Scalar> Light<'a, T> {
         }
     }
 
+    /// The plane that it is, if it is one with weight 1.
+    fn plane(&self) -> Option<&'a [T]> {
+        match self.terms.as_slice() {
+            [(weight, plane)] if *weight == T::one() => Some(plane),
+            _ => None,
+        }
+    }
+
     /// Its values at some pixels, which are written to `buffer` unless they are those of a plane.
     pub fn at<'b>(&'b self, pixels: Range<usize>, buffer: &'b mut [T]) -> &'b [T] {
-        if let [(weight, plane)] = self.terms.as_slice()
-            && *weight == T::one()
-        {
+        if let Some(plane) = self.plane() {
             return &plane[pixels];
         }
         let buffer = &mut buffer[..pixels.len()];
@@ -32,9 +38,7 @@ impl<'a, T: Scalar> Light<'a, T> {
 
     /// Its values at all of so many pixels.
     pub fn all(&self, pixels: usize) -> Cow<'_, [T]> {
-        if let [(weight, plane)] = self.terms.as_slice()
-            && *weight == T::one()
-        {
+        if let Some(plane) = self.plane() {
             return Cow::Borrowed(plane);
         }
         let mut light = vec![T::zero(); pixels];
