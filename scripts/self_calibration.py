@@ -13,7 +13,7 @@ in electrons. Then the program reconstructs with --self-calibrate off and with t
 common factor on the video, since a fault may change the light as a whole.
 
 With --stand-in the frame is that of scripts/real_frames.py in place of a capture, once as it is and once with all faults of
-PSF and camera at half their size; the prior is auto.
+PSF and camera at half their size.
 
 Finished runs are kept in --cache (a folder for each build of the program). Needs numpy, scipy and Pillow: what is
 missing is installed by pip into a virtual environment. Progress goes to standard error.
@@ -38,7 +38,6 @@ from scipy.ndimage import affine_transform
 from scipy.signal import fftconvolve
 
 SCENES = ["digits", "moving", "leds"]
-PRIOR = "tv+0.5*tdiff+support"
 
 
 # ---------------------------------------------------------------- faults of the PSF
@@ -189,8 +188,7 @@ class VideoBench(Bench):
     """A bench that also judges the video itself."""
 
     def judged(self, made, *more):
-        """`result.json` of a run by default, with the PSNR after the best factor."""
-        prior = [] if "--prior" in more else ["--prior", PRIOR]
+        """`result.json` of a run with these options, with the PSNR after the best factor."""
         folder = self.cache / "runs" / digest(made.camera, made.frame, made.psf, more)
         kept = folder / "judged.json"
         if kept.exists():
@@ -200,7 +198,7 @@ class VideoBench(Bench):
         for name in ("frame", "psf"):
             np.save(folder / f"{name}.npy", getattr(made, name).astype(np.float32))
         files = [word for name in ("frame", "psf") for word in (f"--{name}", folder / f"{name}.npy")]
-        words = ["reconstruct", folder / "experiment.toml", *files, *prior, *more, "--json", "-o", folder / "out"]
+        words = ["reconstruct", folder / "experiment.toml", *files, *more, "--json", "-o", folder / "out"]
         result = json.loads(self.run(*words))
         result["scaled_psnr_db"] = scaled_psnr(np.load(folder / "out/video.npy"), made.truth)
         shutil.rmtree(folder / "out")
@@ -227,15 +225,15 @@ def found(result):
     return ", ".join(words)
 
 
-def table_rows(bench, scenes, faults, seeds, exposure):
+def table_rows(bench, scenes, faults, seeds, exposure, prior):
     for scene in scenes:
         perfect = {}
         for fault in faults:
             before, after, seconds, words = [], [], [], []
             for seed in range(1, seeds + 1):
                 made = problem(bench, scene, fault, seed, exposure)
-                off = bench.judged(made, "--self-calibrate", "off")
-                auto = bench.judged(made)
+                off = bench.judged(made, "--prior", prior, "--self-calibrate", "off")
+                auto = bench.judged(made, "--prior", prior)
                 before.append(off["scaled_psnr_db"])
                 after.append(auto["scaled_psnr_db"])
                 perfect.setdefault(seed, auto["seconds"] + auto["setup_seconds"])
@@ -256,12 +254,12 @@ def half_of_all_light(light, rng):
     return banded(with_stray_light(vignetted(light, 0.1), 0.025, 1), 0.005, rng)
 
 
-def stand_in_rows(bench, seeds):
+def stand_in_rows(bench, seeds, prior):
     for exposure in (3, 6):
         for seed in range(1, seeds + 1):
-            right = bench.judged(stand_in(bench, exposure, seed), "--prior", "auto")
+            right = bench.judged(stand_in(bench, exposure, seed), "--prior", prior)
             made = stand_in(bench, exposure, seed, half_of_all, half_of_all_light)
-            runs = [bench.judged(made, "--prior", "auto", "--self-calibrate", how) for how in ("off", "auto", "on")]
+            runs = [bench.judged(made, "--prior", prior, "--self-calibrate", how) for how in ("off", "auto", "on")]
             decibels = [run["scaled_psnr_db"] for run in [right, *runs]]
             times = [run["seconds"] + run["setup_seconds"] for run in [right, *runs]]
             cells = [f"{d:.1f} dB, {t:.0f} s" for d, t in zip(decibels, times)]
@@ -276,6 +274,7 @@ def main():
     parser.add_argument("--timeout", type=float, default=1800, help="seconds for a run")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--exposure", type=float, default=1, help="in rows")
+    parser.add_argument("--prior", default="auto")
     parser.add_argument("--scenes", default=",".join(SCENES))
     parser.add_argument("--match", default="", help="only faults that hold this text, and nothing wrong")
     parser.add_argument("--quick", action="store_true", help="three faults of the digits")
@@ -292,14 +291,14 @@ def main():
     bench = VideoBench(args.program, args.cache, args.timeout)
     if args.stand_in:
         head = ["exposure in rows", "seed", "right PSF and camera", "faults, off", "auto", "on", "found with on"]
-        print(table(head, stand_in_rows(bench, args.seeds)))
+        print(table(head, stand_in_rows(bench, args.seeds, args.prior)))
         return
     head = ["scene", "fault", "dB before", "dB after", "time", "found (first seed)"]
-    lines = table(head, table_rows(bench, scenes, faults, args.seeds, args.exposure))
+    lines = table(head, table_rows(bench, scenes, faults, args.seeds, args.exposure, args.prior))
     text = "\n".join([
         "# Self-calibration: faults of PSF and camera, before and after", "",
         f"`{command_line('self_calibration.py')}` with {bench.version}, commit {commit()}, {machine()}.", "",
-        f"Frames of 108×108 pixels, SNR 256, exposure of {args.exposure:g} rows, prior `{PRIOR}`, {args.seeds} seed(s). PSNR "
+        f"Frames of 108×108 pixels, SNR 256, exposure of {args.exposure:g} rows, prior `{args.prior}`, {args.seeds} seed(s). PSNR "
         "after the best common factor on the video. Time: that of the run over that of the same scene without a fault, both "
         "by default.", "", lines, ""])
     if args.output:

@@ -439,3 +439,17 @@ fn a_noisy_psf_is_refined() {
     };
     assert!(error(&calibration.psfs.psfs()[0]) < 0.8 * error(&psf));
 }
+
+/// A refined PSF fits the video that it was refined with, so the held-out pixels would prefer a τ that is too small.
+#[test]
+fn a_refined_psf_does_not_lower_tau_far() {
+    let case = Case::new(1.0);
+    let psf = photographed(&case.psf, 200.0);
+    let (found, _) = case.solve_automatically(&case.light, &psf);
+    let calibration = found.calibration.expect("a correction");
+    assert!(calibration.psf_refinement.is_some());
+    let choice = found.choice.expect("a choice");
+    for candidate in &choice.candidates {
+        assert!(candidate.tau_factor >= 0.5, "{choice:?}");
+    }
+}

@@ -58,7 +58,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 27;
+pub const ALGORITHM_REVISION: u32 = 28;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -635,13 +635,18 @@ impl Problem {
             None => None,
         };
         let settings = self.options.solver_settings().of_a_trial();
+        let refinement = self.calibration.as_ref().and_then(|c| c.psf_refinement);
+        let conditions = choose::Conditions {
+            is_dense: self.is_dense,
+            has_refined_psf: refinement.is_some(),
+            checked,
+        };
         choose::choose_prior(
             &mut self.data,
             rule,
             self.sigma,
             settings,
-            self.is_dense,
-            checked,
+            conditions,
             observer,
         )
         .map(Some)

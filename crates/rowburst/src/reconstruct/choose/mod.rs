@@ -336,18 +336,32 @@ pub(super) fn tau_factor(
     Ok(found.candidate.tau_factor)
 }
 
-/// Tries the candidates without the held-out pixels; those for dense scenes where `is_dense`. `checked` is a run of one of
-/// them on these pixels, by this rule, which is tried first and goes on. Returns the choice and the best trial. The error
-/// is the result so far where the observer stopped it: the best trial, or the first one.
+/// What is known of a frame before priors are compared.
+pub(super) struct Conditions {
+    /// Whether the scene is dense.
+    pub is_dense: bool,
+    /// Whether the PSF was refined by the frame.
+    pub has_refined_psf: bool,
+    /// A run of one of the candidates on the pixels that are not held out, by the same rule.
+    pub checked: Option<HeldOutRun>,
+}
+
+/// Tries the candidates without the held-out pixels; those for dense scenes where the scene is dense. A checked run of one
+/// goes on, first. Returns the choice and the best trial. The error is the result so far where the observer stopped it: the
+/// best trial, or the first one.
 pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,
     sigma: f64,
     settings: SolverSettings,
-    is_dense: bool,
-    checked: Option<HeldOutRun>,
+    conditions: Conditions,
     observer: &mut Observer,
 ) -> Result<(Choice, Option<BestTrial>), Box<RunResult>> {
+    let Conditions {
+        is_dense,
+        has_refined_psf,
+        checked,
+    } = conditions;
     let held_out = data.held_out();
     let mut trials = Trials {
         choice: Choice {
@@ -368,16 +382,17 @@ pub(super) fn choose_prior(
     });
     // Where rows share bins a final run has other constants than a trial.
     let keeps_checkpoint = checked.is_some() && !data.is_coupled();
+    let trial_of = |run| Trial::new(run, sigma).after_refinement(has_refined_psf);
     let new_trial = |data: &mut FrameData, prior: Prior| {
         let run = HeldOutRun::new(data, prior, rule, settings);
         // The x-step of a static background starts from its last solution, which a copy lacks.
         let is_alone = prior.background() == Background::None;
-        Trial::new(run, sigma).keeping_checkpoint(keeps_checkpoint && is_alone)
+        trial_of(run).keeping_checkpoint(keeps_checkpoint && is_alone)
     };
     let position = |run: &HeldOutRun| priors.iter().position(|prior| *prior == run.prior);
     let first = match checked.and_then(|run| Some((position(&run)?, run))) {
         Some((rank, run)) => {
-            let trial = Trial::new(run, sigma).keeping_checkpoint(keeps_checkpoint);
+            let trial = trial_of(run).keeping_checkpoint(keeps_checkpoint);
             (rank, trial)
         }
         None => {

@@ -29,6 +29,9 @@ const CHECK_INTERVAL: usize = 20;
 const TAU_STEP: f64 = 2.0;
 /// Largest factor on the `τ` of the discrepancy principle, up and down; larger tries more values.
 const MAX_TAU_FACTOR: f64 = 8.0;
+/// Least factor after a refinement of the PSF by the frame; smaller fits the video to errors of the PSF, which the refinement
+/// has fitted to the video (docs/design/011).
+const MIN_TAU_FACTOR_REFINED: f64 = 0.5;
 /// Largest factor for a video that is one picture; larger tries more values (docs/design/011).
 const MAX_TAU_FACTOR_AT_REST: f64 = 64.0;
 /// Iterations for each tried `τ`; fewer compare videos that have not settled.
@@ -62,6 +65,8 @@ pub(super) struct TrialResult {
 pub(super) struct Trial {
     run: HeldOutRun,
     sigma: f64,
+    /// Least factor on the `τ` of the discrepancy principle.
+    min_tau_factor: f64,
     /// Whether a checkpoint is kept.
     keeps_checkpoint: bool,
     label: String,
@@ -107,8 +112,22 @@ impl Trial {
             label: format!("testing prior {}", run.prior),
             run,
             sigma,
+            min_tau_factor: 1.0 / MAX_TAU_FACTOR,
             keeps_checkpoint: false,
             runs_left: 0,
+        }
+    }
+
+    /// Sets whether the PSF was refined by the frame.
+    pub fn after_refinement(self, has_refined_psf: bool) -> Self {
+        let min_tau_factor = if has_refined_psf {
+            MIN_TAU_FACTOR_REFINED
+        } else {
+            1.0 / MAX_TAU_FACTOR
+        };
+        Self {
+            min_tau_factor,
+            ..self
         }
     }
 
@@ -281,7 +300,7 @@ impl Trial {
         };
         for &direction in directions {
             let mut factor = direction;
-            while (1.0 / MAX_TAU_FACTOR..=MAX_TAU_FACTOR).contains(&factor) {
+            while (self.min_tau_factor..=MAX_TAU_FACTOR).contains(&factor) {
                 let next = self.try_factor(factor, tau, &best.residuals, data, observer)?;
                 let gain = gain(&best.residuals, &next.residuals);
                 if gain.is_nan() || gain <= MIN_GAIN {
