@@ -15,6 +15,7 @@ use super::search::{
 use super::step::{Free, step};
 use super::{Calibration, Finding, FoundParameter};
 use rowburst_optics::TimingChange;
+use tracing::debug;
 
 /// The parameters that steps find together.
 const FREE: [ModelParameter; 12] = [
@@ -89,7 +90,7 @@ pub(super) const MIN_GAIN: f64 = 0.9;
 /// belongs to another diffuser.
 pub(super) const MAX_MISFIT: f64 = 0.12;
 /// The same of a loose reconstruction, or after the parameters, above which no more is tried.
-const HOPELESS_MISFIT: f64 = 0.375;
+const HOPELESS_MISFIT: f64 = 0.45;
 /// Error of held-out pixels over the noise of the sensor up to which any clear gain counts.
 const PLAUSIBLE: f64 = 2.5;
 /// Error after a correction over that before, up to which a larger error counts: a wrong PSF is bent a little towards the
@@ -294,6 +295,10 @@ impl Search<'_, '_, '_> {
         let level = (START_LEVEL * light).max(MIN_START_LEVEL * self.sigma);
         let trials = self.run(&given.correction, level, LOOSE_ITERATIONS)?;
         let error = Proposal::new(&given.correction, level, &trials).error;
+        debug!(
+            "self-calibration: held-out error of a loose reconstruction {:.3} of the contrast",
+            error / self.calibrator.contrast()
+        );
         Ok(error > limit)
     }
 
