@@ -346,9 +346,9 @@ pub(super) struct Conditions {
     pub checked: Option<HeldOutRun>,
 }
 
-/// Tries the candidates without the held-out pixels; those for dense scenes where the scene is dense. A checked run of one
-/// goes on, first. Returns the choice and the best trial. The error is the result so far where the observer stopped it: the
-/// best trial, or the first one.
+/// Tries the candidates without the held-out pixels, in a dense scene those for such scenes. A candidate that was checked
+/// comes first, and its run goes on. Returns the choice and the best trial. The error is the result so far where the observer
+/// stopped it: the best trial, or the first one.
 pub(super) fn choose_prior(
     data: &mut FrameData,
     rule: TauRule,

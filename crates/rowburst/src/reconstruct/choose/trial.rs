@@ -118,17 +118,12 @@ impl Trial {
         }
     }
 
-    /// Sets whether the PSF was refined by the frame.
-    pub fn after_refinement(self, has_refined_psf: bool) -> Self {
-        let min_tau_factor = if has_refined_psf {
-            MIN_TAU_FACTOR_REFINED
-        } else {
-            1.0 / MAX_TAU_FACTOR
-        };
-        Self {
-            min_tau_factor,
-            ..self
+    /// The same, which tries few smaller `τ` if the frame has refined its PSF.
+    pub fn after_refinement(mut self, has_refined_psf: bool) -> Self {
+        if has_refined_psf {
+            self.min_tau_factor = MIN_TAU_FACTOR_REFINED;
         }
+        self
     }
 
     /// Sets whether the trial keeps a checkpoint.
