@@ -80,8 +80,8 @@ impl Grabber {
             self.answer();
             match self.source.next(&self.cancel) {
                 Ok(Delivery::End) => {
-                    self.monitor.set("ended", "the source has no more frames");
                     self.keeper.source_ended(&Ended::SourceEnd, &self.monitor);
+                    self.monitor.set("ended", "the source has no more frames");
                     break;
                 }
                 Ok(delivery) => {
@@ -97,9 +97,10 @@ impl Grabber {
                 }
                 Err(error) if error.kind() == ErrorKind::Cancelled => break,
                 Err(error) => {
-                    self.monitor.set("ended", error.to_string());
+                    let told = error.to_string();
                     self.keeper
                         .source_ended(&Ended::Failed(error), &self.monitor);
+                    self.monitor.set("ended", told);
                     break;
                 }
             }
