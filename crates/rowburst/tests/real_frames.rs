@@ -239,7 +239,6 @@ fn a_dark_caption_over_flashing_leds_is_left_out() {
         assert!(kept_ink.count() < 30, "seed {seed}");
         decibels.push(case.psnr(&found));
     }
-    println!("{decibels:?}");
     let mean = decibels.iter().sum::<f64>() / decibels.len() as f64;
     assert!(mean > 48.0, "{decibels:?}");
 }
