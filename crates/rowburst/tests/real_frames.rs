@@ -244,7 +244,7 @@ fn a_dark_caption_over_flashing_leds_is_left_out() {
 }
 
 /// A reflection, half as bright as the frame, and a faint one, are taken away, also with a PSF that is 0.3 % too large; no
-/// pixel is left out for them. With that PSF the loss is 0.5 dB in most frames and up to 4 in some, which differ from
+/// pixel is left out for them. With that PSF the loss is 0.5 to 1.2 dB in most frames and 4 in some, which differ from
 /// processor to processor: what is left of the reflection and the parameters of the camera make up for each other.
 #[test]
 fn smooth_stray_light_is_taken_away() {
