@@ -397,12 +397,13 @@ def faults_section(bench, options):
     scenes, names = (["digits", "dense"], QUICK_FAULTS) if options.quick else (SCENES, FAULTS)
     cases = [(f"{scene}, {exposure_text(exposure)}, {'right PSF' if factor == 1 else 'PSF 0.3 % too large'}, {fault}", scene, exposure, factor, fault)
              for scene in scenes for exposure in exposures for factor in factors for fault in names]
-    head = ["case", "found", "falsely left out", "before, dB", "default, dB", "by hand, dB", "default − by hand", "s, default", "s, before", "fit", "target"]
+    head = ["scene, exposure, PSF, fault", "foreign pixels left out", "others left out", "all kept, dB", "default, dB", "with a mask, dB", "default − mask",
+            "s, default", "s, all kept", "fit", "target met"]
     prior = f"`{options.prior}`" if options.prior else "`tv+0.5*tdiff+support`, for the dense scene `tv+0.5*tdiff`"
     return section(
         "Foreign pixels",
-        f"108×108 pixels, dual-inside-out, SNR {SNR}, prior {prior}. Before: `{KEEP} --self-calibrate off`. By hand: the planted pixels as `bad_pixels`, and `{KEEP}`. "
-        "A pixel is planted where the fault changes it by more than the noise. Target: within 0.3 dB of the mask by hand, within 1 dB for the "
+        f"108×108 pixels, dual-inside-out, SNR {SNR}, prior {prior}. All kept: `{KEEP} --self-calibrate off`. With a mask: the foreign pixels as `--bad-pixels`, and `{KEEP}`. "
+        "A pixel is foreign where the fault changes it by more than the noise. Target: within 0.3 dB of the mask, within 1 dB for the "
         "reflection and the wrong PSF; with nothing foreign, for either PSF, at most 0.1 % of the pixels left out and at most 0.1 dB lost.",
         head, cases, partial(fault_row, bench, options), options)
 
@@ -440,7 +441,7 @@ def noise_row(bench, options, factors, fault):
 def noise_section(bench, options):
     names = ["nothing wrong", "2000 electrons in the PSF's capture", "200 electrons in the PSF's capture", "speckle with correlation 0.95", "PSF 0.3 % too large"]
     factors = NOISE_FACTORS[::2] if options.quick else NOISE_FACTORS
-    head = ["fault of the PSF", "at σ, dB", "default, dB", "best fixed σ, dB", "best factor", "effective σ/σ", "default − best", "fit", "target"]
+    head = ["fault of the PSF", "at σ, dB", "default, dB", "best fixed σ, dB", "best factor", "effective σ/σ", "default − best", "fit", "target met"]
     return section(
         "Noise that the sensor does not have",
         f"Digits of 12 px, exposure of 1 row, SNR {SNR}, prior `{fixed_prior('digits', options)}`; by default, and with `--noise-sigma` at "
@@ -448,8 +449,8 @@ def noise_section(bench, options):
         head, [(name, name) for name in names[: 2 if options.quick else None]], partial(noise_row, bench, options, factors), options)
 
 
-GRID_HEAD = ["case", "found", "falsely left out", "auto, dB", "prior chosen", "effective σ/σ", "best, dB", "best choice", "auto − best", "s, auto",
-             "fit", "target"]
+GRID_HEAD = ["scene, exposure, fault", "foreign pixels left out", "others left out", "auto, dB", "prior chosen", "effective σ/σ", "best, dB", "best choice", "auto − best", "s, auto",
+             "fit", "target met"]
 
 
 def grid_row(bench, choices, sigmas, allowed_db, problem_of, seeds, limit_s=np.inf):
@@ -471,7 +472,7 @@ def priors_section(bench, options):
              for scene in SCENES for exposure in exposures for fault in ("nothing foreign", "bright caption, 5 %")]
     return section(
         "The prior",
-        f"`--prior auto`, and the best by the truth of {', '.join(f'`{c}`' for c in choices)}, with the planted pixels masked by hand. "
+        f"`--prior auto`, and the best by the truth of {', '.join(f'`{c}`' for c in choices)}, with the foreign pixels masked. "
         "Target: within 0.5 dB.",
         GRID_HEAD, cases, partial(grid_row, bench, choices, [None], 0.5), options)
 
@@ -485,7 +486,7 @@ def stand_in_section(bench, options):
         "A stand-in for a real capture",
         f"{rows}×{columns} pixels, dual-outside-in, a dense scene behind a caustic diffuser whose PSF is cropped and has 8 bits; the frame is rounded "
         "to 8 bits and has a caption over 3 % of its pixels and hot pixels. The default, `--prior auto`, and the best by the truth of "
-        f"{', '.join(f'`{c}`' for c in choices)} and σ {', '.join(f'{s:g}' for s in sigmas)}, with the planted pixels masked by hand. "
+        f"{', '.join(f'`{c}`' for c in choices)} and σ {', '.join(f'{s:g}' for s in sigmas)}, with the foreign pixels masked. "
         f"Target: within 1 dB, and at an exposure of 3 rows ({bins_of(rows, 3)} bins) at most 30 s.",
         GRID_HEAD, cases, partial(grid_row, bench, choices, sigmas, 1), options)
 
@@ -496,10 +497,10 @@ PARTS = {"faults": faults_section, "noise": noise_section, "priors": priors_sect
 def document(options, bench, sections):
     seeds = ", ".join(f"{part} {count}" for part, count in options.seed_counts.items())
     return "\n\n".join([
-        "# Real frames",
+        "# Faults of real frames, simulated",
         f"Made by `{command_line('real_frames.py')}` with {bench.version} ({commit()}), {datetime.date.today()}, {machine()}, load average "
         f"{os.getloadavg()[2]:.1f} at the end (over 1: its seconds are those of a busy machine). Do not edit: run the command again.",
-        f"Number of seeds: {seeds}. PSNR with the truth's maximum as peak; where there are several seeds, median and range. Seconds include set-up.",
+        f"Every frame is simulated and then spoilt on purpose, so that the truth is known. Number of seeds: {seeds}. PSNR with the truth's maximum as peak; where there are several seeds, median and range. Seconds include set-up.",
         *sections]) + "\n"
 
 

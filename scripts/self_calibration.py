@@ -158,6 +158,17 @@ FAULTS = {
     "lower half 3 % brighter": (None, lambda b, r: lower_half_brighter(b, 0.03)),
     **{fault: (None, None) for fault in TIMING_FAULTS},
 }
+# What the table needs to be read alone.
+LEGEND = [
+    "The first two columns name the scene and what was made wrong in the PSF or the camera. *off*: PSNR with `--self-calibrate off`; "
+    "*default*: PSNR by default, both after the best common factor on the video. *time*: that of the default over that of the "
+    "same scene without a fault. *found*: the parameters that the frame has corrected, named and signed as in "
+    "[What a frame tells of its own PSF](explanation/self-calibration.md#what-can-be-corrected); `rows` is `row_offsets_counts`.",
+    "",
+    "A parameter that undoes a fault has the opposite sign: a PSF given 1 % too large has the scale -0.0099. A floor is made as a part "
+    "of the PSF's maximum and found as a part of its mean. `PSF noise 2000 e` is the capture of a PSF with 2000 electrons in its "
+    "brightest pixel.",
+]
 
 
 def problem(bench, scene, fault, seed, exposure=1):
@@ -293,14 +304,13 @@ def main():
         head = ["exposure in rows", "seed", "right PSF and camera", "faults, off", "auto", "on", "found with on"]
         print(table(head, stand_in_rows(bench, args.seeds, args.prior)))
         return
-    head = ["scene", "fault", "dB before", "dB after", "time", "found (first seed)"]
+    head = ["scene", "fault", "off, dB", "default, dB", "time", "found (seed 1)"]
     lines = table(head, table_rows(bench, scenes, faults, args.seeds, args.exposure, args.prior))
     text = "\n".join([
         "# Self-calibration: faults of PSF and camera, before and after", "",
         f"`{command_line('self_calibration.py')}` with {bench.version}, commit {commit()}, {machine()}.", "",
-        f"Frames of 108×108 pixels, SNR 256, exposure of {args.exposure:g} rows, prior `{args.prior}`, {args.seeds} seed(s). PSNR "
-        "after the best common factor on the video. Time: that of the run over that of the same scene without a fault, both "
-        "by default.", "", lines, ""])
+        f"Simulated frames of 108×108 pixels, SNR 256, exposure in row times {args.exposure:g}, prior `{args.prior}`, number of seeds {args.seeds}.", "",
+        *LEGEND, "", lines, ""])
     if args.output:
         args.output.write_text(text)
     else:

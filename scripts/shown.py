@@ -455,7 +455,7 @@ def self_calibration_row(program, folder):
     text = of_script("self_calibration", program, folder, "--scenes", "digits", "--match", "scale 1 %")
     row = "digits", "scale 1 %"
     kept, now = cells((DOCS / "self-calibration-table.md").read_text(encoding="utf-8"), *row), cells(text, *row)
-    return [(f"{', '.join(row)}, {key}", number(kept[key]), number(now[key]), 0.5) for key in ("dB before", "dB after")]
+    return [(f"{', '.join(row)}, {key}", number(kept[key]), number(now[key]), 0.5) for key in ("off, dB", "default, dB")]
 
 
 def phase_transition_row(program, folder):
@@ -498,7 +498,7 @@ def prose_drift(scenes):
     """Numbers in the prose of README and tutorial are those of the tables and of the record."""
     row = cells((DOCS / "self-calibration-table.md").read_text(encoding="utf-8"), "digits", "scale 1 %")
     exact = scenes["exact-psf"]["psnr_db"] if "exact-psf" in scenes else 0
-    wanted = [(ROOT / "README.md", f"{row['dB after']} dB instead of {row['dB before']}"),
+    wanted = [(ROOT / "README.md", f"{row['default, dB']} dB instead of {row['off, dB']}"),
               (DOCS / "tutorial.md", f"`--psf lab/psf.npy`, it is {exact:.0f} dB")]
     flat = lambda path: " ".join(path.read_text(encoding="utf-8").split())
     return [f"{path.relative_to(ROOT)} does not say \"{words}\"" for path, words in wanted if words not in flat(path)]
