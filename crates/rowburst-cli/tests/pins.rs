@@ -3,14 +3,16 @@
 //! `pins.json` holds, for each problem, the SHA-256 of `video.npy` on each processor that has been seen, and a sketch:
 //! [`SKETCH`] sums of the voxels with pseudo-random signs, from which the relative error of another video follows to
 //! some 10 %. Vector loops, FFTs and matrix products choose their instructions and block sizes by the processor, so bits
-//! hold on one kind of processor only; on a kind without an entry the sketch is compared instead.
+//! hold on one kind of processor only; on a kind without an entry, or of another `ALGORITHM_REVISION`, the sketch is compared
+//! instead.
 //!
 //! After a change of numerics that is meant, renew the file and say so in the commit and in `CHANGELOG.md`:
-//! `UPDATE_PINS=1 cargo test -p rowburst-cli --test pins`.
+//! `UPDATE_PINS=1 cargo test --workspace --test pins`.
 
 mod common;
 
 use common::Lab;
+use rowburst::reconstruct::ALGORITHM_REVISION;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -61,6 +63,8 @@ const SIMULATED: [(&str, &str, &str, &str); 3] = [
 /// What is known of a video.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Pin {
+    /// The `ALGORITHM_REVISION` that `sha256` is of.
+    revision: u32,
     /// SHA-256 of `video.npy` by kind of processor.
     sha256: BTreeMap<String, String>,
     sketch: Vec<f64>,
@@ -148,9 +152,17 @@ fn check(lab: &Lab, name: &str, arguments: &str, pins: &mut Pins, renew: bool) -
     let sums = sketch(lab.array("result/video.npy").as_slice().unwrap());
     if renew {
         let pin = pins.entry(name.into()).or_default();
-        if pin.sketch.is_empty() || relative_error(&sums, &pin.sketch) > SAME {
+        let is_other = pin
+            .sha256
+            .get(&key)
+            .is_some_and(|pinned| *pinned != digests[0]);
+        if is_other
+            || pin.revision != ALGORITHM_REVISION
+            || relative_error(&sums, &pin.sketch) > SAME
+        {
             // Entries of other processors are of the numbers before.
             *pin = Pin {
+                revision: ALGORITHM_REVISION,
                 sha256: BTreeMap::new(),
                 sketch: sums,
             };
@@ -160,14 +172,15 @@ fn check(lab: &Lab, name: &str, arguments: &str, pins: &mut Pins, renew: bool) -
     }
     let pin = &pins[name];
     let error = relative_error(&sums, &pin.sketch);
-    match pin.sha256.get(&key) {
+    let pinned = pin.sha256.get(&key);
+    match pinned.filter(|_| pin.revision == ALGORITHM_REVISION) {
         Some(pinned) if *pinned == digests[0] => None,
         Some(_) => Some(format!(
             "{name}: other bits than those pinned; relative error {error:.1e}"
         )),
         None => {
             println!(
-                "{name}: no entry for \"{key}\"; compared by relative error, {error:.1e} of {SAME:.0e}"
+                "{name}: no entry of revision {ALGORITHM_REVISION} for \"{key}\"; compared by relative error, {error:.1e} of {SAME:.0e}"
             );
             // `is_nan` counts as a difference.
             (error.partial_cmp(&SAME) != Some(std::cmp::Ordering::Less))
