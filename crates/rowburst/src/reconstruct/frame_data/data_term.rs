@@ -80,7 +80,8 @@ impl DataTerm for FrameData {
         let Some(noise) = &self.noise else {
             return false;
         };
-        self.weights = Some(noise.weights(&self.predicted(video)));
+        let weights = noise.weights(&self.predicted(video));
+        self.weights = Some(super::limited(weights, self.shutter()));
         self.apply_weights();
         self.x_step.rebuild(&self.system);
         true

@@ -22,6 +22,10 @@ use rowburst_solve::prox::{Prox, Restricted};
 /// edges of a field dark (docs/design/020).
 const MIN_SENSITIVITY: f64 = 0.01;
 
+/// Largest weight over the one below which a hundredth of the pixels lie, the brightest; larger takes more iterations of
+/// conjugate gradients, smaller knows less of dark pixels (docs/design/025).
+const MAX_WEIGHT_RATIO: f32 = 8.0;
+
 /// Weights and support of a run.
 #[derive(Clone)]
 pub(super) struct RunState {
@@ -64,7 +68,7 @@ impl FrameData {
     }
 
     fn with_precision(model: &Model, measurement: &Measurement, precision: Precision) -> Self {
-        let weights = measurement.weights().map(<[f32]>::to_vec);
+        let weights = starting_weights(measurement, model.shutter());
         let system = System::new(model, weights.clone());
         let mut data = Self {
             x_step: x_step::choose(&system, precision),
@@ -200,7 +204,7 @@ impl FrameData {
     /// zero.
     pub fn set_frame(&mut self, measurement: &Measurement) {
         self.frame = measurement.image().data().to_vec();
-        let weights = measurement.weights().map(<[f32]>::to_vec);
+        let weights = starting_weights(measurement, self.shutter());
         let usable = |of: &Option<Vec<f32>>| -> Option<Vec<bool>> {
             of.as_ref().map(|w| w.iter().map(|w| *w > 0.0).collect())
         };
@@ -369,6 +373,26 @@ impl FrameData {
             self.measurement_count = weights.iter().filter(|w| **w > 0.0).count();
         }
     }
+}
+
+/// The weights of the counts of a frame.
+fn starting_weights(measurement: &Measurement, shutter: &RollingShutter) -> Option<Vec<f32>> {
+    let weights = measurement.weights()?.to_vec();
+    Some(limited(weights, shutter))
+}
+
+/// Weights of a run. Where rows share bins, those of dark pixels are limited to [`MAX_WEIGHT_RATIO`], but none below 1, that
+/// of the median: no preconditioner of the x-step follows weights that differ far within a row.
+fn limited(mut weights: Vec<f32>, shutter: &RollingShutter) -> Vec<f32> {
+    let mut used: Vec<f32> = weights.iter().copied().filter(|w| *w > 0.0).collect();
+    if shutter.time().is_disjoint() || used.is_empty() {
+        return weights;
+    }
+    let bright = used.len() / 100;
+    let (_, least, _) = used.select_nth_unstable_by(bright, f32::total_cmp);
+    let most = (MAX_WEIGHT_RATIO * *least).max(1.0);
+    weights.iter_mut().for_each(|w| *w = w.min(most));
+    weights
 }
 
 #[cfg(test)]
