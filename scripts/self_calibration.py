@@ -165,8 +165,8 @@ LEGEND = [
     "same scene without a fault. *found*: the parameters that the frame has corrected, named and signed as in "
     "[What a frame tells of its own PSF](explanation/self-calibration.md#what-can-be-corrected); `rows` is `row_offsets_counts`.",
     "",
-    "A parameter that undoes a fault has the opposite sign: a PSF given 1 % too large has the scale -0.0099. A floor is made as a part "
-    "of the PSF's maximum and found as a part of its mean. `PSF noise 2000 e` is the capture of a PSF with 2000 electrons in its "
+    "Shape and blur of the PSF are found as what undoes the fault: a PSF given 1 % too large has the scale -0.0099. A floor and what "
+    "belongs to the camera are found as they are. A floor is made as a part of the PSF's maximum and found as a part of its mean. `PSF noise 2000 e` is the capture of a PSF with 2000 electrons in its "
     "brightest pixel.",
 ]
 
