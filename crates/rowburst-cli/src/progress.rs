@@ -270,6 +270,7 @@ impl Interrupt {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rowburst::solve::admm::VideoOfIteration;
 
     #[test]
     fn the_time_left_is_that_of_all_runs() {
@@ -278,7 +279,7 @@ mod tests {
             runs_left,
             iteration,
             max_iterations: 300,
-            video: &[],
+            video: VideoOfIteration::Solved(&[]),
             residual_rms: 1.0,
             objective: 1.0,
             tau: 1.0,

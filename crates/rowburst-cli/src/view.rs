@@ -83,7 +83,7 @@ impl LivePage {
         };
         self.live.point(progress.label, point);
         if self.live.is_video_requested() && self.last.elapsed() > UPDATE_INTERVAL {
-            self.live.show(progress.video);
+            self.live.show(&progress.video.get());
             self.last = Instant::now();
         }
     }

@@ -86,7 +86,7 @@ impl<'a> RunClock<'a> {
         {
             let compared = Instant::now();
             let truth = self.truth;
-            self.metrics.psnr_db = truth.map(|truth| psnr_db(progress.video, truth.data()));
+            self.metrics.psnr_db = truth.map(|truth| psnr_db(&progress.video.get(), truth.data()));
             self.convergence.push(Iteration {
                 iteration: progress.iteration,
                 seconds,

@@ -154,7 +154,7 @@ fn main() {
         let problem = costs.time_setup(&measurement, &camera, &psf);
         let found = problem
             .solve(&mut |progress| {
-                curve.push(psnr_db(progress.video, truth.data()));
+                curve.push(psnr_db(&progress.video.get(), truth.data()));
                 ControlFlow::Continue(())
             })
             .expect("a video");

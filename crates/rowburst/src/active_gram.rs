@@ -43,8 +43,8 @@ pub fn last_bins(instants: &[InstantWeights], first_bin: usize, count: usize) ->
 struct InstantColumns<T> {
     /// Columns of `W S_i`, one for each pixel that is active in a bin of the instant.
     columns: Mat<T>,
-    /// For each bin of the instant: its index in [`ActiveColumns::pixels`], its weight, and the columns of its pixels.
-    bins: Vec<(usize, f64, Vec<usize>)>,
+    /// For each bin of the instant: its index in [`ActiveColumns::pixels`], and the columns of its pixels with their weights.
+    bins: Vec<(usize, Vec<(usize, f64)>)>,
 }
 
 impl ActiveColumns<'_> {
@@ -69,10 +69,11 @@ impl ActiveColumns<'_> {
         let mut band = BlockBand::zero(&self.sizes(), self.last_bins());
         self.each_instant(|_, InstantColumns::<T> { columns, bins }| {
             let products = gram_of_columns(&columns);
-            for (k, (first, w, right)) in bins.iter().enumerate() {
-                for (second, v, left) in &bins[k..] {
+            for (k, (first, right)) in bins.iter().enumerate() {
+                for (second, left) in &bins[k..] {
                     let block = Mat::from_fn(left.len(), right.len(), |i, j| {
-                        T::nearest(w * v) * products[(left[i], right[j])]
+                        let ((row, v), (column, w)) = (left[i], right[j]);
+                        T::nearest(w * v) * products[(row, column)]
                     });
                     band.add(*second, *first, block.as_ref());
                 }
@@ -89,9 +90,9 @@ impl ActiveColumns<'_> {
         self.each_instant(|indices, InstantColumns::<f64> { columns, bins }| {
             let y = Mat::from_fn(indices.len(), 1, |k, _| y[indices[k]]);
             let correlation: Mat<f64> = columns.transpose() * y;
-            for (bin, weight, columns) in bins {
+            for (bin, columns) in bins {
                 let to = &mut values[starts[bin]..starts[bin + 1]];
-                for (to, column) in to.iter_mut().zip(columns) {
+                for (to, (column, weight)) in to.iter_mut().zip(columns) {
                     *to += weight * correlation[(column, 0)];
                 }
             }
@@ -125,8 +126,12 @@ impl ActiveColumns<'_> {
             }
             let bins = run.weights.iter().enumerate().map(|(k, &weight)| {
                 let pixels = &self.pixels[first + k];
-                let columns = pixels.iter().map(|&pixel| position[pixel]).collect();
-                (first + k, weight, columns)
+                let row_scale = |&pixel: &usize| {
+                    let y = pixel / self.operator.video_shape().columns;
+                    f64::from(self.operator.row_scale(run.first_bin + k, y))
+                };
+                let column = |pixel: &usize| (position[*pixel], weight * row_scale(pixel));
+                (first + k, pixels.iter().map(column).collect())
             });
             let bins = bins.collect();
             use_columns(&indices, InstantColumns { columns, bins });

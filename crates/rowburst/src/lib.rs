@@ -116,7 +116,7 @@ pub use rowburst_simulate::{self as simulate, metrics, noise};
 #[doc(inline)]
 pub use rowburst_solve::{
     Certificate, StopReason,
-    admm::{Progress, Tuning},
+    admm::{Progress, Tuning, VideoOfIteration},
 };
 
 use std::ops::ControlFlow;

@@ -106,7 +106,7 @@ impl Case {
         let voxels = self.camera.video_shape().voxels();
         let found = problem.solve(&mut |progress| {
             // Checks with another shutter have videos of another shape.
-            assert_eq!(progress.video.len(), voxels);
+            assert_eq!(progress.video.get().len(), voxels);
             iterations += 1;
             if iterations == most {
                 ControlFlow::Break(StopReason::Interrupted)

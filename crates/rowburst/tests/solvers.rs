@@ -428,8 +428,8 @@ fn the_gap_bounds_the_distance_to_the_minimum_along_every_solver() {
             let stages = [1, 5, 25, 125, 500];
             solver.solve(&objective, None, limits(500, 0.0), &mut |p| {
                 if stages.contains(&p.iteration) {
-                    let certificate = Certifier::new(&objective).certify(p.video, 300);
-                    let missing = objective.value(p.video) - least;
+                    let certificate = Certifier::new(&objective).certify(&p.video.get(), 300);
+                    let missing = objective.value(&p.video.get()) - least;
                     assert!(certificate.gap() >= missing - 2e-5 * least, "{solver:?}");
                     assert!(certificate.dual <= least * (1.0 + 1e-6), "{solver:?}");
                     excesses.push(certificate.excess());
@@ -454,7 +454,7 @@ fn gpsr_descends_in_every_step() {
     let mut worst: f64 = 0.0;
     let found =
         Solver::Gpsr(Descent::Monotone).solve(&objective, None, limits(400, 0.0), &mut |p| {
-            let now = objective.value(p.video);
+            let now = objective.value(&p.video.get());
             worst = worst.max(now / last - 1.0);
             last = now;
             never_stop(p)

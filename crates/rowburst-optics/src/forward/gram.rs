@@ -1,10 +1,11 @@
 //! The Gram matrix of one instant, `G_i = S_i S_iᵀ`, without operator calls.
 //!
 //! ```text
-//! G[(a,x),(b,x')] = Σ_y Σ_ξ p_a(y, x−ξ) p_b(y, x'−ξ)
+//! G[(a,x),(b,x')] = Σ_y d(y)² Σ_ξ p_a(y, x−ξ) p_b(y, x'−ξ)
 //! ```
 //!
-//! `p_a(y, d)` is the PSF from field row `y` to row `a` of the instant at the column displacement `d`. Moving both
+//! `p_a(y, ·)` is the PSF from field row `y` to row `a` of the instant, and `d(y)` the factor of the row, 1 but for an
+//! equilibrated operator. Moving both
 //! columns `x`, `x'` by one shifts the sum over the field columns `ξ` by one. So a step along a diagonal of a block
 //! adds the products of the PSF column that enters the sum and subtracts those of the column that leaves it: two
 //! matrix products and a running sum (docs/design/003).
@@ -45,29 +46,51 @@ pub fn element_bytes(columns: usize) -> usize {
     }
 }
 
+/// What one or more bins of an instant add to its block.
+#[derive(Clone, Copy)]
+struct BinPart<'a> {
+    /// Sum of the squared weights of the bins.
+    weight: f64,
+    /// Factors of the field rows; `None`: all 1.
+    row_scales: Option<&'a [f32]>,
+}
+
+impl BinPart<'_> {
+    fn of_weight(weight: f64) -> Self {
+        Self {
+            weight,
+            row_scales: None,
+        }
+    }
+
+    fn row_scale(&self, y: usize) -> f32 {
+        self.row_scales.map_or(1.0, |scales| scales[y])
+    }
+}
+
 impl RollingShutter {
-    /// The upper triangle of `sum += weight · S_i S_iᵀ` for instant `i`.
+    /// The upper triangle of `sum += weight · S_i D² S_iᵀ` for instant `i`.
     ///
     /// Column `x` of the instant's `a`-th row has the index `a · columns + x`. The cost is about
     /// `(rows·columns)² · field_rows` multiply–adds, with the number of rows of this instant. They are in f32 from
     /// [`SINGLE_FROM`] sensor columns on.
-    fn add_unrestricted_gram<S: Scalar>(&self, instant: usize, weight: f64, sum: MatMut<S>) {
+    fn add_unrestricted_gram<S: Scalar>(&self, instant: usize, part: BinPart, sum: MatMut<S>) {
         match self.layers.as_slice() {
             [
                 Layer {
                     psf, share: None, ..
                 },
             ] if self.geometry.columns >= SINGLE_FROM => {
-                self.add_gram_by_diagonals::<f32, S>(instant, psf, weight, sum);
+                self.add_gram_by_diagonals::<f32, S>(instant, psf, part, sum);
             }
             [
                 Layer {
                     psf, share: None, ..
                 },
-            ] => self.add_gram_by_diagonals::<f64, S>(instant, psf, weight, sum),
+            ] => self.add_gram_by_diagonals::<f64, S>(instant, psf, part, sum),
             _ => {
                 let pixels: Vec<usize> = (0..self.video.pixels()).collect();
-                self.add_gram_of_pixels(instant, &pixels, weight, sum);
+                self.add_gram_of_pixels(instant, &pixels, part, sum);
             }
         }
     }
@@ -77,7 +100,7 @@ impl RollingShutter {
         &self,
         instant: usize,
         psf: &Psf,
-        weight: f64,
+        part: BinPart,
         mut sum: MatMut<S>,
     ) {
         let g = &self.geometry;
@@ -94,22 +117,23 @@ impl RollingShutter {
                     let values = psf.row_from(g.row_displacement(r, y), dx);
                     let line = strips.col_as_slice_mut(side * g.field_rows + y);
                     let line = line.iter_mut().skip(values.start).zip(values.values);
+                    let factor = factor * part.row_scale(y);
                     line.for_each(|(to, value)| *to = T::from(factor * *value));
                 }
             }
             strips
         };
-        let edges = self.first_columns(psf, rows);
+        let edges = self.first_columns(instant, psf, part);
         let strips: Vec<_> = rows
             .iter()
             .map(|&r| (strips(r, 1.0), strips(r, -1.0)))
             .collect();
         let mut steps = Mat::<T>::zeros(columns, columns);
         for (a, b) in (0..rows.len()).flat_map(|a| (a..rows.len()).map(move |b| (a, b))) {
-            let part = if a == b { UPPER } else { WHOLE };
+            let structure = if a == b { UPPER } else { WHOLE };
             multiply(
                 &mut steps,
-                part,
+                structure,
                 Accum::Replace,
                 &strips[a].0,
                 &strips[b].1,
@@ -130,22 +154,24 @@ impl RollingShutter {
                 let column = sum.rb_mut().col_mut(b * columns + x2);
                 let column = column.subrows_mut(a * columns, end);
                 let pairs = column.iter_mut().zip(&line);
-                pairs.for_each(|(sum, value)| *sum += S::nearest(weight * value));
+                pairs.for_each(|(sum, value)| *sum += S::nearest(part.weight * value));
             }
         }
     }
 
     /// `G[(a,0),(b,x')]`, at index `(a · rows + b) · columns + x'` with the number of rows of the instant.
-    fn first_columns(&self, psf: &Psf, rows: &[usize]) -> Vec<f64> {
+    fn first_columns(&self, instant: usize, psf: &Psf, part: BinPart) -> Vec<f64> {
         let g = &self.geometry;
+        let rows = &self.sensor_rows_of[instant];
         let mut edges = vec![0.0; rows.len() * rows.len() * g.columns];
         // One line per PSF row holds the column displacements of all pairs (x, ξ).
         let first = g.column_displacement(0, g.field_columns - 1);
         let width = g.columns + g.field_columns - 1;
         let line = |r: usize, y: usize| -> Vec<f64> {
             let dy = g.row_displacement(r, y);
+            let scale = f64::from(part.row_scale(y));
             (0..width)
-                .map(|i| f64::from(psf.at_displacement(dy, first + i as isize)))
+                .map(|i| scale * f64::from(psf.at_displacement(dy, first + i as isize)))
                 .collect()
         };
         // The sums Σ_ξ a[ξ] b[x + ξ] are correlations. Their spectra are added over the field rows and inverted once.
@@ -211,18 +237,23 @@ impl RollingShutter {
         }
     }
 
-    /// The upper triangle of `sum += weight · S_i P S_iᵀ`, with `P` the projection onto `pixels`.
+    /// The upper triangle of `sum += weight · S_i D P D S_iᵀ`, with `P` the projection onto `pixels`.
     fn add_gram_of_pixels<T: Scalar>(
         &self,
         instant: usize,
         pixels: &[usize],
-        weight: f64,
+        part: BinPart,
         mut sum: MatMut<T>,
     ) {
-        let weight = T::nearest(weight);
+        let weight = T::nearest(part.weight);
         // In batches, since all columns of a dense bin take the memory of several videos.
         for pixels in pixels.chunks(COLUMNS_PER_BATCH) {
-            let a = columns_of(self, instant, pixels);
+            let mut a = columns_of(self, instant, pixels);
+            if part.row_scales.is_some() {
+                for (&pixel, mut column) in pixels.iter().zip(a.col_iter_mut()) {
+                    column *= faer::Scale(T::from(part.row_scale(pixel / self.video.columns)));
+                }
+            }
             multiply(sum.rb_mut(), UPPER, Accum::Add, &a, &a, weight);
         }
     }
@@ -239,17 +270,22 @@ impl RollingShutter {
             .iter()
             .position(sees)
             .expect("every row is read");
-        let exposure: f64 = self.time.instants()[instant]
-            .weights
-            .iter()
-            .map(|w| w * w)
-            .sum();
+        let run = &self.time.instants()[instant];
+        let exposure: f64 = run.weights.iter().map(|w| w * w).sum();
+        let scale_of = |y: usize| {
+            let of_bin = |(k, weight): (usize, &f64)| {
+                (weight * f64::from(self.row_scale(run.first_bin + k, y))).powi(2)
+            };
+            run.weights.iter().enumerate().map(of_bin).sum::<f64>() / exposure
+        };
         let mut power = 0.0;
-        for pixel in 0..self.video.pixels() {
-            let (y, x) = (pixel / g.field_columns, pixel % g.field_columns);
-            let (dy, dx) = (g.row_displacement(row, y), g.column_displacement(column, x));
-            let shares = self.layers.iter().map(|layer| layer.value(pixel, dy, dx));
-            power += shares.sum::<f64>().powi(2);
+        for y in 0..g.field_rows {
+            let (dy, scale) = (g.row_displacement(row, y), scale_of(y));
+            for x in 0..g.field_columns {
+                let (pixel, dx) = (y * g.field_columns + x, g.column_displacement(column, x));
+                let shares = self.layers.iter().map(|layer| layer.value(pixel, dy, dx));
+                power += scale * shares.sum::<f64>().powi(2);
+            }
         }
         exposure * power
     }
@@ -292,15 +328,19 @@ pub fn add_gram_block<T: Scalar>(
     let bins = &shutter.time.instants()[instant];
     let mut unrestricted_weight = 0.0;
     for (k, weight) in bins.weights.iter().enumerate() {
-        match support.and_then(|s| s.pixels_of(bins.first_bin + k)) {
-            None => unrestricted_weight += weight * weight,
-            Some(pixels) => {
-                shutter.add_gram_of_pixels(instant, &pixels, weight * weight, sum.rb_mut());
-            }
+        let bin = bins.first_bin + k;
+        let part = BinPart {
+            weight: weight * weight,
+            row_scales: shutter.row_scales_of(bin),
+        };
+        match support.and_then(|s| s.pixels_of(bin)) {
+            None if part.row_scales.is_none() => unrestricted_weight += part.weight,
+            None => shutter.add_unrestricted_gram(instant, part, sum.rb_mut()),
+            Some(pixels) => shutter.add_gram_of_pixels(instant, &pixels, part, sum.rb_mut()),
         }
     }
     if unrestricted_weight > 0.0 {
-        shutter.add_unrestricted_gram(instant, unrestricted_weight, sum);
+        shutter.add_unrestricted_gram(instant, BinPart::of_weight(unrestricted_weight), sum);
     }
 }
 
@@ -321,8 +361,14 @@ pub fn active_columns<T: Scalar>(
         active.filter(|active| active.iter().map(Vec::len).sum::<usize>() <= max_columns)?;
     let all: Vec<usize> = active.concat();
     let mut columns = columns_of(shutter, instant, &all);
-    let weights = active.iter().zip(&run.weights);
-    let weights = weights.flat_map(|(active, weight)| std::iter::repeat_n(*weight, active.len()));
+    let bins = active.iter().zip(&run.weights).enumerate();
+    let weights = bins.flat_map(|(k, (active, weight))| {
+        let row_scale = move |pixel: &usize| {
+            shutter.row_scale(run.first_bin + k, pixel / shutter.video.columns)
+        };
+        let scales = active.iter().map(row_scale);
+        scales.map(move |scale| *weight * f64::from(scale))
+    });
     for (mut column, weight) in columns.col_iter_mut().zip(weights) {
         column *= faer::Scale(T::nearest(weight));
     }
@@ -341,8 +387,8 @@ pub fn columns_of<T: Scalar>(shutter: &RollingShutter, instant: usize, pixels: &
         let column = column.as_slice_mut();
         let (y, x) = (pixel / g.field_columns, pixel % g.field_columns);
         let first = g.column_displacement(0, x);
-        for layer in &shutter.layers {
-            let share = layer.share.as_ref().map_or(1.0, |share| share[pixel]);
+        for layer in shutter.layers.iter() {
+            let share: f32 = layer.share.as_ref().map_or(1.0, |share| share[pixel]);
             if share == 0.0 {
                 continue;
             }
@@ -410,8 +456,18 @@ pub(super) mod tests {
         let operator = RollingShutter::new(&camera, &psf);
         let side = operator.indices_of(1).len();
         let (mut single, mut double) = (Mat::zeros(side, side), Mat::zeros(side, side));
-        operator.add_gram_by_diagonals::<f32, f64>(1, &psf, 1.0, single.as_mut());
-        operator.add_gram_by_diagonals::<f64, f64>(1, &psf, 1.0, double.as_mut());
+        operator.add_gram_by_diagonals::<f32, f64>(
+            1,
+            &psf,
+            BinPart::of_weight(1.0),
+            single.as_mut(),
+        );
+        operator.add_gram_by_diagonals::<f64, f64>(
+            1,
+            &psf,
+            BinPart::of_weight(1.0),
+            double.as_mut(),
+        );
         let error = (&single - &double).norm_max() / double[(0, 0)];
         assert!(0.0 < error && error < 0.1 * MIN_RHO_SINGLE, "{error}");
     }

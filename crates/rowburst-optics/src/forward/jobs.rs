@@ -8,6 +8,16 @@ use std::ops::Range;
 /// The light that an instant integrates: a weighted sum of planes `[y, x]`.
 pub(super) struct Light<'a, T> {
     pub terms: Vec<(T, &'a [T])>,
+    /// A factor for each row of each term.
+    pub row_scales: Option<RowScales<'a>>,
+}
+
+/// Factors of the rows of some planes.
+pub(super) struct RowScales<'a> {
+    /// One for each row of a plane.
+    pub of_planes: Vec<&'a [f32]>,
+    /// Pixels of a row.
+    pub columns: usize,
 }
 
 impl<'a, T: Scalar> Light<'a, T> {
@@ -15,24 +25,25 @@ impl<'a, T: Scalar> Light<'a, T> {
     pub fn of(plane: &'a [T]) -> Self {
         Self {
             terms: vec![(T::one(), plane)],
+            row_scales: None,
         }
     }
 
-    /// The plane that it is, if it is one with weight 1.
+    /// The plane that it is, if it is one as it stands.
     fn plane(&self) -> Option<&'a [T]> {
         match self.terms.as_slice() {
-            [(weight, plane)] if *weight == T::one() => Some(plane),
+            [(weight, plane)] if *weight == T::one() && self.row_scales.is_none() => Some(plane),
             _ => None,
         }
     }
 
-    /// Its values at some pixels, which are written to `buffer` unless they are those of a plane.
+    /// Its values at the pixels of some whole rows, which are written to `buffer` unless they are those of a plane.
     pub fn at<'b>(&'b self, pixels: Range<usize>, buffer: &'b mut [T]) -> &'b [T] {
         if let Some(plane) = self.plane() {
             return &plane[pixels];
         }
         let buffer = &mut buffer[..pixels.len()];
-        write_sum(buffer, &self.terms, pixels.start);
+        self.write(buffer, pixels.start);
         buffer
     }
 
@@ -42,10 +53,27 @@ impl<'a, T: Scalar> Light<'a, T> {
             return Cow::Borrowed(plane);
         }
         let mut light = vec![T::zero(); pixels];
-        for (i, block) in light.chunks_mut(BLOCK).enumerate() {
-            write_sum(block, &self.terms, i * BLOCK);
-        }
+        self.write(&mut light, 0);
         Cow::Owned(light)
+    }
+
+    /// Writes its values from pixel `start` on, where a row begins.
+    fn write(&self, values: &mut [T], start: usize) {
+        let Some(RowScales { of_planes, columns }) = &self.row_scales else {
+            for (i, block) in values.chunks_mut(BLOCK).enumerate() {
+                write_sum(block, &self.terms, start + i * BLOCK);
+            }
+            return;
+        };
+        let mut terms = self.terms.clone();
+        for (i, row) in values.chunks_mut(*columns).enumerate() {
+            let first = start + i * columns;
+            let weights = self.terms.iter().zip(of_planes);
+            for ((scaled, _), ((weight, _), scales)) in terms.iter_mut().zip(weights) {
+                *scaled = *weight * T::from(scales[first / columns]);
+            }
+            write_sum(row, &terms, first);
+        }
     }
 }
 

@@ -13,9 +13,11 @@
 //!
 //! All rows of an instant have the same weights, `w[r, j] = w_{k[r]}[j]`, so `A = S·T`. `T` integrates the video over
 //! the exposure of each instant. `S` convolves the light of each instant and keeps the rows that the instant reads
-//! (docs/design/001).
+//! (docs/design/001). A solver may look for `D⁻¹v`, with `D` a factor for each row of each bin
+//! ([`RollingShutter::equilibrated`]).
 
 mod engine;
+mod equilibrated;
 mod geometry;
 pub mod gram;
 mod jobs;
@@ -30,11 +32,12 @@ mod tests;
 use crate::{Camera, PatchSet, Psf, TimeGrid};
 use engine::Engine;
 use geometry::Geometry;
-use jobs::{AdjointJob, ForwardJob, Light, add_scaled};
+use jobs::{AdjointJob, ForwardJob, Light, RowScales, add_scaled};
 use planar::{Divisor, Planar};
 use rayon::prelude::*;
 use rowburst_core::linop::{LinearOperator, Scalar, WritePart};
 use rowburst_core::{Shape, Support};
+use std::sync::Arc;
 
 /// The operator `A`: from a video `[t, y, x]` to a frame `[y, x]`.
 ///
@@ -53,9 +56,11 @@ pub struct RollingShutter<T: Scalar = f32> {
     sensor_rows_of: Vec<Vec<usize>>,
     /// The same rows as row indices of the frame.
     frame_rows_of: Vec<Vec<usize>>,
-    layers: Vec<Layer<T>>,
+    layers: Arc<Vec<Layer<T>>>,
     /// Mean of `|P̂|²` over the field at each frequency of the padded plane; empty with row-wise engines.
     plane_power: Vec<f32>,
+    /// A factor for each row of each bin, if it is [`Self::equilibrated`].
+    row_scales: Option<Vec<f32>>,
 }
 
 /// A PSF with its share of the field's light.
@@ -118,7 +123,8 @@ impl<T: Scalar> RollingShutter<T> {
             frame_row_count: camera.rows(),
             sensor_rows_of,
             frame_rows_of,
-            layers,
+            layers: Arc::new(layers),
+            row_scales: None,
         }
     }
 
@@ -228,7 +234,7 @@ impl<T: Scalar> RollingShutter<T> {
             job.values.fill(T::zero());
             scratch.values.resize(job.values.len(), T::zero());
             let light = job.light.all(self.video.pixels());
-            for layer in &self.layers {
+            for layer in self.layers.iter() {
                 match &layer.share {
                     None => scratch.light.copy_from_slice(&light),
                     Some(share) => {
@@ -269,7 +275,7 @@ impl<T: Scalar> RollingShutter<T> {
         let Scratch { engine, light, .. } = scratch;
         for (i, job) in jobs.iter().enumerate() {
             light.fill(T::zero());
-            for layer in &self.layers {
+            for layer in self.layers.iter() {
                 let one = std::slice::from_ref(job);
                 layer.engine.adjoint_batch(one, engine, |_, start, part| {
                     let sum = &mut light[start..start + part.len()];
@@ -287,13 +293,18 @@ impl<T: Scalar> RollingShutter<T> {
     }
 
     /// The light that an instant integrates, `Σ_j w_i[j] v_j`.
-    fn light<'v>(&self, video: &'v [T], instant: usize) -> Light<'v, T> {
+    fn light<'v>(&'v self, video: &'v [T], instant: usize) -> Light<'v, T> {
         let instant = &self.time.instants()[instant];
+        let seen = instant.first_bin..instant.first_bin + instant.weights.len();
+        let of_planes: Option<Vec<_>> = seen.map(|bin| self.row_scales_of(bin)).collect();
+        let columns = self.video.columns;
+        let row_scales = of_planes.map(|of_planes| RowScales { of_planes, columns });
         let pixels = self.video.pixels();
         let bins = video[instant.first_bin * pixels..].chunks_exact(pixels);
         let terms = instant.weights.iter().zip(bins);
         Light {
             terms: terms.map(|(&w, bin)| (T::nearest(w), bin)).collect(),
+            row_scales,
         }
     }
 }
@@ -431,6 +442,7 @@ impl<T: Scalar> RollingShutter<T> {
         self.for_each_light(frame, mask_of, target, |bin, start, light, target| {
             let weight = T::nearest(self.time.instants()[bin].weights[0]);
             let first = bin * pixels + start;
+            self.scale_part(bin, start, light);
             let Some(mask) = mask_of(bin) else {
                 if weight != T::one() {
                     light.iter_mut().for_each(|v| *v *= weight);

@@ -67,6 +67,7 @@ impl<T: Scalar> RollingShutter<T> {
                     let sum = &mut sum[..target.len()];
                     write_sum(sum, &self.terms(j, lights.chunks_exact(size)), 0);
                     let first = j * pixels + start;
+                    self.scale_part(j, start, sum);
                     project(sum, support, first);
                     write(first, sum, target);
                 }
@@ -140,6 +141,7 @@ impl<T: Scalar> RollingShutter<T> {
                 let sum = &mut sum[..target.len()];
                 write_sum(sum, &terms, i * BLOCK);
                 let first = j * pixels + i * BLOCK;
+                self.scale_part(j, i * BLOCK, sum);
                 project(sum, support, first);
                 write(first, sum, target);
             }

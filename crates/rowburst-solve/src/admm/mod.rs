@@ -69,6 +69,8 @@ use super::{Certificate, DataTerm, StopReason};
 use crate::prox::Prox;
 use controllers::Controllers;
 use rowburst_core::Shape;
+use std::borrow::Cow;
+use std::fmt;
 use std::ops::ControlFlow;
 use stopping::Stopping;
 use variables::Variables;
@@ -140,7 +142,7 @@ pub struct Progress<'a> {
     /// Most iterations.
     pub max_iterations: usize,
     /// The video of this iteration, `[t, y, x]`.
-    pub video: &'a [f32],
+    pub video: VideoOfIteration<'a>,
     /// Root mean square of `b − A v` over the measurements with a weight above zero.
     pub residual_rms: f64,
     /// `½‖b − A v‖² + τ R(v)` at the last iteration that computed it.
@@ -152,6 +154,34 @@ pub struct Progress<'a> {
     pub change: f64,
     /// Part of the voxels that are active, from 0 to 1.
     pub support_fraction: f64,
+}
+
+/// The video of an iteration, which takes time only where it is asked for.
+#[derive(Clone, Copy)]
+pub enum VideoOfIteration<'a> {
+    /// It is what the solver looks for.
+    Solved(&'a [f32]),
+    /// It is computed from that, such as the sum of foreground and background.
+    Computed(&'a dyn Fn() -> Vec<f32>),
+}
+
+impl<'a> VideoOfIteration<'a> {
+    /// The video, `[t, y, x]`.
+    pub fn get(self) -> Cow<'a, [f32]> {
+        match self {
+            Self::Solved(video) => Cow::Borrowed(video),
+            Self::Computed(video) => Cow::Owned(video()),
+        }
+    }
+}
+
+impl fmt::Debug for VideoOfIteration<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Solved(_) => "Solved",
+            Self::Computed(_) => "Computed",
+        })
+    }
 }
 
 /// The result of [`solve`].
@@ -288,7 +318,7 @@ impl Admm {
             runs_left: 0,
             iteration: self.iterations(),
             max_iterations: self.max_iterations.max(until),
-            video: &self.variables.z,
+            video: VideoOfIteration::Solved(&self.variables.z),
             residual_rms: self.variables.residual_rms(data),
             objective: self.objective,
             tau: self.tau(),

@@ -9,7 +9,7 @@
 
 use super::SolverSettings;
 use super::frame_data::FrameData;
-use super::{Prior, RunResult, observe_sum};
+use super::{Prior, RunResult};
 use rowburst_optics::measurement::Measurement;
 use rowburst_solve::DataTerm;
 use rowburst_solve::StopReason;
@@ -116,6 +116,7 @@ pub(super) fn find(
     };
     let mut prox = data.prox(&PRIOR);
     let mut run = Admm::new(data, shape, params);
+    let video_form = data.video_form(PRIOR.background());
     // The last level that the video could follow: the scale of its residual and the foreign pixels.
     let mut best = (f64::INFINITY, lines.is_broken.clone());
     let mut is_first = true;
@@ -134,7 +135,7 @@ pub(super) fn find(
                     label: "looking for foreign pixels",
                     ..*progress
                 };
-                observe_sum(PRIOR.background(), shape, &progress, observer)
+                video_form.observe(&progress, observer)
             });
             if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
                 let solution = run.into_solution(data, &*prox, reason);

@@ -31,7 +31,7 @@ impl Problem {
         if self.data.background() != Background::None {
             self.data.reset(Background::None, None);
         }
-        let predicted = self.data.weigh(&self.data.predicted(video.data()));
+        let predicted = self.data.weigh(&self.data.light(video.data()));
         let pairs = self.data.measurements().iter().zip(&predicted);
         let residual: Vec<f32> = pairs.map(|(b, a)| b - a).collect();
         let primal = 0.5 * rowburst_core::vecmath::norm_squared(&residual);

@@ -2,7 +2,7 @@
 
 use super::SolverSettings;
 use super::frame_data::{FrameData, RunState};
-use super::{Observer, Prior, RunResult, observe_sum};
+use super::{Observer, Prior, RunResult};
 use rowburst_solve::StopReason;
 use rowburst_solve::admm::{Admm, AdmmParams, TauRule};
 use rowburst_solve::prox::Prox;
@@ -70,17 +70,17 @@ impl HeldOutRun {
         until: usize,
         observer: &mut Observer,
     ) -> Result<bool, Box<RunResult>> {
-        let (prior, shape) = (self.prior, data.video_shape());
+        let video_form = data.video_form(self.prior.background());
         let residual_rms = &mut self.residual_rms;
         let reason = self
             .admm
             .run(data, &mut *self.prox, until, &mut |progress| {
                 *residual_rms = progress.residual_rms;
-                observe_sum(prior.background(), shape, progress, observer)
+                video_form.observe(progress, observer)
             });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = self.admm.snapshot(data, &*self.prox, reason);
-            return Err(Box::new(RunResult::new(prior, solution)));
+            return Err(Box::new(RunResult::new(self.prior, solution)));
         }
         Ok(reason == StopReason::Converged)
     }

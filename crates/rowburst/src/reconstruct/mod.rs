@@ -44,7 +44,7 @@ pub use sigma::estimate_sigma;
 use frame_data::FrameData;
 use held_out_run::HeldOutRun;
 use rowburst_core::linop::Background;
-use rowburst_core::{Error, ErrorKind, Parameter, Result, Shape, phrase};
+use rowburst_core::{Error, ErrorKind, Parameter, Result, phrase};
 use rowburst_optics::measurement::Measurement;
 use rowburst_optics::{Camera, Image, PatchSet, Shutter, Video};
 use rowburst_solve::admm::{Admm, AdmmParams, Progress, Solution, TauRule, Tuning};
@@ -58,7 +58,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 29;
+pub const ALGORITHM_REVISION: u32 = 30;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -502,7 +502,7 @@ impl Problem {
         let stray_light = self.stray_light.as_ref().map(StrayLight::image);
         let coverage = self.data.coverage();
         let excluded: Vec<u8> = self.excluded.iter().map(|&e| u8::from(e)).collect();
-        let video = Video::new(shape, self.data.sum(solution.video))?;
+        let video = Video::new(shape, self.data.video(solution.video))?;
         let scaled = self.data.measurements().iter();
         let measured: Vec<f32> = scaled
             .map(|b| (f64::from(*b) / self.sigma) as f32)
@@ -695,8 +695,8 @@ impl Problem {
                 (default_prior, self.tau_factor * found)
             }
         };
-        let shape = self.data.video_shape();
-        let mut params = prior.admm_params(shape, rule, self.options.solver_settings());
+        let settings = self.options.solver_settings();
+        let mut params = prior.admm_params(self.data.video_shape(), rule, settings);
         if self.has_wrong_model {
             params.max_iterations = params.max_iterations.min(WRONG_MODEL_ITERATIONS);
         }
@@ -706,10 +706,10 @@ impl Problem {
             Ok(begun) => begun,
             Err(stopped) => return Ok(self.better_result(*stopped, choice, best_trial)),
         };
+        let video_form = self.data.video_form(prior.background());
+        let mut observe = |progress: &Progress| video_form.observe(progress, observer);
         let mut run_until = |run: &mut Admm, data: &mut FrameData, until| {
-            run.run(data, &mut *prox, until, &mut |progress| {
-                observe_sum(prior.background(), shape, progress, observer)
-            })
+            run.run(data, &mut *prox, until, &mut observe)
         };
         let mut stop_reason = None;
         if tau_factor != 1.0 && rule.is_discrepancy() {
@@ -819,22 +819,6 @@ fn ones(mask: &[u8]) -> f64 {
 
 /// A callback after every iteration, which may stop the run.
 type Observer<'o> = dyn FnMut(&Progress) -> ControlFlow<StopReason> + 'o;
-
-/// Calls `observer` with the sum of foreground and background as the video.
-fn observe_sum(
-    background: Background,
-    shape: Shape,
-    progress: &Progress,
-    observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
-) -> ControlFlow<StopReason> {
-    match background {
-        Background::None => observer(progress),
-        background => observer(&Progress {
-            video: &background.sum(shape, progress.video),
-            ..*progress
-        }),
-    }
-}
 
 /// The result of a run of the solver.
 struct RunResult {

@@ -41,10 +41,15 @@ pub struct Model {
     camera: Camera,
     psfs: PatchSet,
     shutter: Arc<RollingShutter>,
+    /// See [`RollingShutter::equilibrated`].
+    equilibrated: Option<Arc<RollingShutter>>,
+    /// Typical size of a diagonal element of `A Aᵀ`, and of that with the equilibrated operator.
     scale: f64,
-    /// The cached blocks of `A Aᵀ`, one for each instant.
+    equilibrated_scale: f64,
+    /// The cached blocks of `B Bᵀ`, one for each instant; `B` is the equilibrated operator, or `A` where there is none.
     gram: Option<Arc<Vec<Mat<f64>>>>,
-    mean_field: Arc<OnceLock<Arc<MeanField>>>,
+    /// Those of `A Aᵀ` and of that with the equilibrated operator.
+    mean_fields: Arc<[OnceLock<Arc<MeanField>>; 2]>,
     cancel: Cancel,
 }
 
@@ -57,9 +62,14 @@ impl Model {
         let (rows, columns) = shutter.frame_shape();
         // A pixel halfway between the middle and the edge of the sensor stands for a typical one.
         let row = camera.sensor_rows().nth(rows / 4);
-        let scale = shutter
-            .pixel_power(row.expect("a frame has rows"), columns / 4)
-            .max(f64::MIN_POSITIVE);
+        let equilibrated = shutter.equilibrated().map(Arc::new);
+        let row = row.expect("a frame has rows");
+        let scale_of = |operator: &RollingShutter| {
+            let power = operator.pixel_power(row, columns / 4);
+            power.max(f64::MIN_POSITIVE)
+        };
+        let scale = scale_of(&shutter);
+        let equilibrated_scale = equilibrated.as_deref().map_or(scale, scale_of);
         debug!(
             "set up the operator: video of {}, frame of {rows}×{columns}, PSFs: {}",
             shutter.video_shape(),
@@ -69,9 +79,11 @@ impl Model {
             camera: camera.clone(),
             psfs,
             shutter,
+            equilibrated,
             scale,
+            equilibrated_scale,
             gram: None,
-            mean_field: Arc::default(),
+            mean_fields: Arc::default(),
             cancel: Cancel::default(),
         }
     }
@@ -101,13 +113,14 @@ impl Model {
     #[must_use]
     pub fn with_cached_gram(mut self) -> Self {
         if self.gram.is_none() && self.gram_bytes().is_some() {
-            let (_, columns) = self.shutter.frame_shape();
-            let rows = self.shutter.rows_of_instants().par_iter().enumerate();
+            let solved = self.solved_operator();
+            let (_, columns) = solved.frame_shape();
+            let rows = solved.rows_of_instants().par_iter().enumerate();
             let blocks = rows.map(|(instant, rows)| {
                 let size = rows.len() * columns;
                 let mut block = Mat::zeros(size, size);
                 if !self.cancel.is_cancelled() {
-                    add_gram_block(&self.shutter, instant, None, block.as_mut());
+                    add_gram_block(solved, instant, None, block.as_mut());
                 }
                 block
             });
@@ -138,9 +151,19 @@ impl Model {
         &self.shutter
     }
 
-    /// Typical size of a diagonal element of `A Aᵀ`.
-    pub(super) fn scale(&self) -> f64 {
-        self.scale
+    /// The operator of what the solver looks for where the video has no background: `A D`, see
+    /// [`RollingShutter::equilibrated`], or `A`.
+    pub(super) fn solved_operator(&self) -> &Arc<RollingShutter> {
+        self.equilibrated.as_ref().unwrap_or(&self.shutter)
+    }
+
+    /// Typical size of a diagonal element of `B Bᵀ`, with `B` the `operator`: `A` or [`Self::solved_operator`].
+    pub(super) fn scale(&self, operator: &RollingShutter) -> f64 {
+        if operator.is_equilibrated() {
+            self.equilibrated_scale
+        } else {
+            self.scale
+        }
     }
 
     /// Memory of the blocks of `A Aᵀ` in bytes; `None` where they are too large to be built.
@@ -172,14 +195,19 @@ impl Model {
         videos.checked_add(gram).filter(|bytes| *bytes < u64::MAX)
     }
 
-    /// The mean field of `A Aᵀ`; the first call computes it.
-    pub(super) fn mean_field(&self) -> Arc<MeanField> {
-        let mean_field = || Arc::new(MeanField::new(&self.shutter));
-        Arc::clone(self.mean_field.get_or_init(mean_field))
+    /// The mean field of `operator`, `A` or [`Self::solved_operator`]; the first call computes it.
+    pub(super) fn mean_field(&self, operator: &RollingShutter) -> Arc<MeanField> {
+        let mean_field = &self.mean_fields[usize::from(operator.is_equilibrated())];
+        Arc::clone(mean_field.get_or_init(|| Arc::new(MeanField::new(operator))))
     }
 
-    /// The cached block of `A Aᵀ` of an instant.
-    pub(super) fn cached_block(&self, instant: usize) -> Option<&Mat<f64>> {
-        self.gram.as_ref()?.get(instant)
+    /// The cached block of an instant for `operator`, `A` or [`Self::solved_operator`].
+    pub(super) fn cached_block(
+        &self,
+        operator: &Arc<RollingShutter>,
+        instant: usize,
+    ) -> Option<&Mat<f64>> {
+        let is_cached = Arc::ptr_eq(operator, self.solved_operator());
+        self.gram.as_ref().filter(|_| is_cached)?.get(instant)
     }
 }

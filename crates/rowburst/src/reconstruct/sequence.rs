@@ -145,13 +145,13 @@ impl FrameRun {
         residual_history: &mut Vec<f64>,
         observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
     ) -> StopReason {
-        let shape = self.problem.data.video_shape();
         let background = self.problem.prior().background();
+        let video_form = self.problem.data.video_form(background);
         let (data, max_iterations) = (&mut self.problem.data, self.run.max_iterations());
         self.run
             .run(data, &mut *self.prox, max_iterations, &mut |progress| {
                 residual_history.push(progress.residual_rms);
-                super::observe_sum(background, shape, progress, observer)
+                video_form.observe(progress, observer)
             })
     }
 

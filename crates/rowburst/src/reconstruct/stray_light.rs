@@ -7,7 +7,7 @@
 
 use super::frame_data::{StrayLightFit, WithStrayLight};
 use super::held_out_check::{DENSE_SUPPORT, HeldOutCheck};
-use super::{Observer, Prior, Problem, RunResult, foreign, observe_sum};
+use super::{Observer, Prior, Problem, RunResult, foreign};
 use faer::linalg::solvers::SolveLstsq;
 use faer::{Col, Mat};
 use rowburst_core::linop::Background;
@@ -256,6 +256,7 @@ impl Problem {
         let rule = TauRule::Discrepancy { sigma: self.sigma };
         let params = prior.admm_params(shape, rule, self.options.solver_settings().of_a_search());
         let mut prox = self.data.prox(&prior);
+        let video_form = self.data.video_form(prior.background());
         let mut data = WithStrayLight::new(&mut self.data, patterns);
         let mut run = Admm::new(&data, shape, params);
         let reason = run.run(&mut data, &mut *prox, iterations, &mut |progress| {
@@ -264,7 +265,7 @@ impl Problem {
                 max_iterations: iterations,
                 ..*progress
             };
-            observe_sum(prior.background(), shape, &progress, observer)
+            video_form.observe(&progress, observer)
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.into_solution(&data, &*prox, reason);

@@ -13,7 +13,7 @@ use super::{Model, Prior, Problem, RunResult};
 use rowburst_optics::camera::CameraParams;
 use rowburst_optics::{Camera, Image, PatchSet, Psf, Shutter};
 use rowburst_solve::DataTerm;
-use rowburst_solve::admm::Progress;
+use rowburst_solve::admm::{Progress, VideoOfIteration};
 use tracing::info;
 
 /// Held-out error over that with a PSF that is not the frame's, above which the PSF itself is not the frame's; smaller gives
@@ -144,7 +144,7 @@ impl Problem {
         let dark = vec![0.0; self.data.video_shape().voxels()];
         let mut observe = |progress: &Progress| {
             observer(&Progress {
-                video: &dark,
+                video: VideoOfIteration::Solved(&dark),
                 ..*progress
             })
         };

@@ -2,7 +2,7 @@
 
 use super::certifier::residual;
 use super::{Certifier, Objective};
-use rowburst::solve::admm::Progress;
+use rowburst::solve::admm::{Progress, VideoOfIteration};
 use rowburst::solve::{Certificate, StopReason};
 use std::ops::ControlFlow;
 
@@ -96,7 +96,7 @@ impl<'a, 'o> Watch<'a, 'o> {
             runs_left: 0,
             iteration: k,
             max_iterations: self.limits.max_iterations,
-            video: iterate.video,
+            video: VideoOfIteration::Solved(iterate.video),
             residual_rms: self.objective.residual_rms(iterate.light),
             objective: self.certificate.primal,
             tau: self.objective.tau(),

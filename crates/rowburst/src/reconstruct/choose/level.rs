@@ -10,7 +10,7 @@ use super::super::SolverSettings;
 use super::super::frame_data::FrameData;
 use super::super::held_out::rms;
 use super::super::held_out_run::HeldOutRun;
-use super::super::{Prior, RunResult, observe_sum};
+use super::super::{Prior, RunResult};
 use super::Observer;
 use super::trial::Trial;
 use rowburst_core::vecmath::norm;
@@ -106,7 +106,7 @@ pub(in crate::reconstruct) fn noise_level(
     };
     let mut prox = data.prox(&prior);
     let mut run = Admm::new(data, shape, params);
-    let video_shape = data.video_shape();
+    let video_form = data.video_form(prior.background());
     let mut path = NoiseLevelPath::new(held_out.pixels().len());
     // What the video of a level leaves of the pixels that it is made from.
     let mut residual_rms = f64::INFINITY;
@@ -118,7 +118,7 @@ pub(in crate::reconstruct) fn noise_level(
                 label: "estimating the noise level",
                 ..*progress
             };
-            observe_sum(prior.background(), video_shape, &progress, observer)
+            video_form.observe(&progress, observer)
         });
         if matches!(reason, StopReason::TimeBudget | StopReason::Interrupted) {
             let solution = run.into_solution(data, &*prox, reason);

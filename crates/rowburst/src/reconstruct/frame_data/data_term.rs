@@ -20,7 +20,7 @@ impl DataTerm for FrameData {
     }
 
     fn scale(&self) -> f64 {
-        self.system.model().scale()
+        self.system.scale()
     }
 
     fn min_rho(&self) -> f64 {

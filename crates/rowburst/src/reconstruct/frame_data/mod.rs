@@ -8,6 +8,7 @@ mod with_stray_light;
 
 pub(super) use with_stray_light::{StrayLightFit, WithStrayLight};
 
+use super::Observer;
 use super::held_out::HeldOut;
 use super::model::Model;
 use super::prior::Prior;
@@ -16,7 +17,11 @@ use rowburst_core::linop::{Background, LinearOperator};
 use rowburst_core::{Shape, Support};
 use rowburst_optics::RollingShutter;
 use rowburst_optics::measurement::{Measurement, NoiseModel};
+use rowburst_solve::StopReason;
+use rowburst_solve::admm::{Progress, VideoOfIteration};
 use rowburst_solve::prox::{Prox, Restricted};
+use std::ops::ControlFlow;
+use std::sync::Arc;
 
 /// Sensitivity of a voxel over the largest one, below which the frame does not observe it; larger leaves more of the
 /// edges of a field dark (docs/design/020).
@@ -25,6 +30,53 @@ const MIN_SENSITIVITY: f64 = 0.01;
 /// Largest weight over the one below which a hundredth of the pixels lie, the brightest; larger takes more iterations of
 /// conjugate gradients, smaller knows less of dark pixels (docs/design/025).
 const MAX_WEIGHT_RATIO: f32 = 8.0;
+
+/// How a video follows from what is solved for: it is the sum of foreground and background, or without a background `D w`
+/// where the operator is equilibrated.
+#[derive(Clone)]
+pub(super) struct VideoForm {
+    background: Background,
+    shape: Shape,
+    /// `A` or `A D`.
+    operator: Arc<RollingShutter>,
+}
+
+impl VideoForm {
+    /// The video.
+    pub fn video(&self, stacked: Vec<f32>) -> Vec<f32> {
+        if self.is_solved_for() {
+            return stacked;
+        }
+        match self.background {
+            Background::None => {
+                let mut video = stacked;
+                self.operator.scale_rows(&mut video);
+                video
+            }
+            background => background.sum(self.shape, &stacked).into_owned(),
+        }
+    }
+
+    /// Calls `observer` with the video of an iteration.
+    pub fn observe(&self, progress: &Progress, observer: &mut Observer) -> ControlFlow<StopReason> {
+        let VideoOfIteration::Solved(stacked) = progress.video else {
+            return observer(progress);
+        };
+        if self.is_solved_for() {
+            return observer(progress);
+        }
+        let video = || self.video(stacked.to_vec());
+        observer(&Progress {
+            video: VideoOfIteration::Computed(&video),
+            ..*progress
+        })
+    }
+
+    /// Whether the video itself is solved for.
+    fn is_solved_for(&self) -> bool {
+        self.background == Background::None && !self.operator.is_equilibrated()
+    }
+}
 
 /// Weights and support of a run.
 #[derive(Clone)]
@@ -59,17 +111,27 @@ pub(super) struct FrameData {
 
 impl FrameData {
     pub fn new(model: &Model, measurement: &Measurement) -> Self {
-        Self::with_precision(model, measurement, Precision::Adaptive)
+        Self::with_operator(
+            model,
+            model.solved_operator(),
+            measurement,
+            Precision::Adaptive,
+        )
     }
 
-    /// The same with f64 blocks from the start.
+    /// The same with f64 blocks from the start, for videos as they are.
     pub fn with_f64_blocks(model: &Model, measurement: &Measurement) -> Self {
-        Self::with_precision(model, measurement, Precision::Double)
+        Self::with_operator(model, model.shutter(), measurement, Precision::Double)
     }
 
-    fn with_precision(model: &Model, measurement: &Measurement, precision: Precision) -> Self {
+    fn with_operator(
+        model: &Model,
+        operator: &Arc<RollingShutter>,
+        measurement: &Measurement,
+        precision: Precision,
+    ) -> Self {
         let weights = starting_weights(measurement, model.shutter());
-        let system = System::new(model, weights.clone());
+        let system = System::new(model, operator, weights.clone());
         let mut data = Self {
             x_step: x_step::choose(&system, precision),
             system,
@@ -89,7 +151,7 @@ impl FrameData {
     }
 
     fn set_coverage(&mut self) {
-        let coverage = self.coverage_by(self.system.shutter());
+        let coverage = self.coverage_by(self.system.model().shutter());
         let shape = self.shape();
         self.covered = coverage
             .contains(&0)
@@ -279,11 +341,20 @@ impl FrameData {
             .collect()
     }
 
-    /// `A v`, the light of foreground and background at all pixels.
+    /// The light of a video at all pixels, `A v`.
+    pub fn light(&self, video: &[f32]) -> Vec<f32> {
+        let mut light = vec![0.0; self.frame.len()];
+        self.shutter().apply(video, &mut light);
+        light
+    }
+
+    /// The light of what was solved for at all pixels.
     pub fn predicted(&self, stacked: &[f32]) -> Vec<f32> {
         let mut light = vec![0.0; self.frame.len()];
         match self.background() {
-            Background::Alone => self.system.shutter().apply(stacked, &mut light),
+            Background::None | Background::Alone => {
+                self.system.shutter().apply(stacked, &mut light);
+            }
             background => {
                 let video = background.sum(self.video_shape(), stacked);
                 self.shutter().apply(&video, &mut light);
@@ -317,12 +388,18 @@ impl FrameData {
         self.noise.as_ref().map(NoiseModel::sigma)
     }
 
-    /// The video: the sum of foreground and background.
-    pub fn sum(&self, stacked: Vec<f32>) -> Vec<f32> {
-        match self.background() {
-            Background::None => stacked,
-            background => background.sum(self.video_shape(), &stacked).into_owned(),
+    /// How a video follows from what is solved for with `background`.
+    pub fn video_form(&self, background: Background) -> VideoForm {
+        VideoForm {
+            background,
+            shape: self.video_shape(),
+            operator: Arc::clone(self.system.foreground_operator()),
         }
+    }
+
+    /// The video that follows from what was solved for.
+    pub fn video(&self, stacked: Vec<f32>) -> Vec<f32> {
+        self.video_form(self.background()).video(stacked)
     }
 
     /// Indices of the pixels that are held out now, in ascending order.

@@ -237,7 +237,7 @@ fn a_scene_at_rest_is_a_video_of_one_picture() {
         let wrong: Vec<f32> = light.iter().zip(&expected).map(|(a, b)| a - b).collect();
         assert!(norm(&wrong) < 1e-5 * norm(&expected), "{exposure}");
         assert_eq!(data.coverage().len(), shape.voxels());
-        assert_eq!(data.sum(picture.clone()), picture.repeat(shape.bins));
+        assert_eq!(data.video(picture.clone()), picture.repeat(shape.bins));
         data.reset(Background::None, None);
         assert_eq!(data.shape(), shape);
         check(&mut data, "after a scene at rest");

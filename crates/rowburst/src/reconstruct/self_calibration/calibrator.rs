@@ -325,8 +325,8 @@ impl<'p> Calibrator<'p> {
             "self-calibration: frame {frame} at σ {sigma:.4} counts, residual {:.4} counts",
             run.residual_rms()
         );
-        let video = run.admm.video().to_vec();
-        let light = data.predicted(&video);
+        let video = data.video(run.admm.video().to_vec());
+        let light = data.light(&video);
         let (gain, offset) = self.pixels(correction);
         let Frame {
             measurement,

@@ -262,7 +262,7 @@ impl Search<'_, '_, '_> {
         };
         let held_out_after = held_out(&after);
         let light_before = match &before[..] {
-            [before] => Some(before.data.predicted(&before.video)),
+            [before] => Some(before.data.light(&before.video)),
             _ => None,
         };
         Ok(Some(Finding {

@@ -186,7 +186,7 @@ impl Jacobian {
         trial: &Trial,
         free: Free,
     ) -> Self {
-        let light = trial.data.predicted(&trial.video);
+        let light = trial.data.light(&trial.video);
         let map = calibrator.psf_map(trial);
         let mut column = |&parameter: &ModelParameter| {
             let column = calibrator.derivative(correction, parameter, trial, map.as_ref(), &light);

@@ -135,11 +135,11 @@ pub fn preconditioner(system: &System) -> Box<dyn Preconditioner> {
     if shutter.convolves_planes() {
         return Box::new(PlanePreconditioner {
             shutter: Arc::clone(shutter),
-            scale: system.model().scale(),
+            scale: system.scale(),
         });
     }
     Box::new(MeanFieldPreconditioner::new(
-        system.model().mean_field(),
+        system.model().mean_field(shutter),
         shutter,
         system.background(),
         system.support(),

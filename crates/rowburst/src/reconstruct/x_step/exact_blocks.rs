@@ -74,7 +74,7 @@ impl ExactBlocks {
 impl XStep for ExactBlocks {
     fn solve(&mut self, system: &System, equation: Equation) -> bool {
         let Equation { r, rho, y, gram_y } = equation;
-        let min_rho_single = MIN_RHO_SINGLE * system.max_squared_weight() * system.model().scale();
+        let min_rho_single = MIN_RHO_SINGLE * system.max_squared_weight() * system.scale();
         if let AnyBlocks::Single(blocks) = &mut self.blocks
             && rho >= min_rho_single
         {

@@ -101,7 +101,7 @@ pub(super) fn min_rho(system: &System) -> f64 {
         Some(_) => system.shutter().min_rho(),
         None => MIN_RHO,
     };
-    ratio * system.model().scale()
+    ratio * system.scale()
 }
 
 /// Whether `B Bᵀ` is block-diagonal in time with blocks that fit in memory.

@@ -16,6 +16,8 @@ pub struct System {
     camera_model: Model,
     /// The camera's model, or that of a scene at rest.
     model: Model,
+    /// That of videos without a background: `A` or [`Model::solved_operator`].
+    foreground_operator: Arc<RollingShutter>,
     /// `W A` on the foreground, and on the stacked foreground and background.
     operator: Arc<WeightedOperator<Arc<RollingShutter>>>,
     with_background: WithBackground<Arc<WeightedOperator<Arc<RollingShutter>>>>,
@@ -29,14 +31,15 @@ pub struct System {
 }
 
 impl System {
-    /// The system of all voxels without a background. `weights` are those of the frame's pixels; `None`: all 1.
-    pub fn new(model: &Model, weights: Option<Vec<f32>>) -> Self {
-        let shutter = model.shutter();
+    /// The system of all voxels without a background, for `operator`, `A` or [`Model::solved_operator`]. `weights` are those
+    /// of the frame's pixels; `None`: all 1.
+    pub fn new(model: &Model, shutter: &Arc<RollingShutter>, weights: Option<Vec<f32>>) -> Self {
         let background = Background::None;
         let operator = Arc::new(WeightedOperator::new(Arc::clone(shutter), weights));
         Self {
             camera_model: model.clone(),
             model: model.clone(),
+            foreground_operator: Arc::clone(shutter),
             with_background: WithBackground::new(
                 Arc::clone(&operator),
                 shutter.video_shape(),
@@ -61,14 +64,27 @@ impl System {
         &self.model
     }
 
-    /// The operator of [`Self::model`].
+    /// The operator of what is solved for.
     pub fn shutter(&self) -> &Arc<RollingShutter> {
-        self.model.shutter()
+        match self.background {
+            Background::None => &self.foreground_operator,
+            _ => self.model.shutter(),
+        }
+    }
+
+    /// Typical size of a diagonal element of `B Bᵀ` without weights.
+    pub fn scale(&self) -> f64 {
+        self.model.scale(self.shutter())
     }
 
     /// The shape of the videos of [`Self::model`].
     pub fn shape(&self) -> Shape {
         self.shutter().video_shape()
+    }
+
+    /// See the field.
+    pub fn foreground_operator(&self) -> &Arc<RollingShutter> {
+        &self.foreground_operator
     }
 
     /// `W A` on the foreground.
@@ -212,7 +228,11 @@ impl<T: Scalar> BlockSource<T> for &System {
     fn write_block(&self, instant: usize, mut sum: MatMut<T>) {
         let shutter = self.shutter();
         let is_cached = self.is_unrestricted_at(instant) && self.background != Background::PerBin;
-        match self.model.cached_block(instant).filter(|_| is_cached) {
+        match self
+            .model
+            .cached_block(shutter, instant)
+            .filter(|_| is_cached)
+        {
             Some(block) => round(block.as_ref(), sum.rb_mut()),
             None if builds_in_f64(shutter) => {
                 let mut exact = Mat::<f64>::zeros(sum.nrows(), sum.ncols());
