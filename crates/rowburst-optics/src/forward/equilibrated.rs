@@ -10,11 +10,14 @@ use rayon::prelude::*;
 use rowburst_core::linop::Scalar;
 use rowburst_core::vecmath::norm_squared;
 
-/// Sensitivity of a row over the largest one of its bin below which a video is equilibrated; larger changes frames whose
-/// rows are all seen well, smaller leaves light at the wrong place (docs/design/032).
-const WEAK: f64 = 0.3;
-/// Power of the sensitivity; larger changes the prior more, smaller takes more iterations (docs/design/032).
+/// Power of the sensitivity in bins with weak rows; larger changes the prior more, smaller takes more iterations
+/// (docs/design/032).
 const POWER: f64 = 0.8;
+/// Sensitivity of a bin's weakest row over its largest one from which the bin has no factors; larger changes frames whose
+/// rows are all seen well (docs/design/032).
+const EVEN: f64 = 0.4;
+/// The same up to which it has the whole [`POWER`]; smaller leaves light at the wrong place (docs/design/032).
+const WEAK: f64 = 0.2;
 /// Sensitivity of a row over the largest one of its bin from which it is seen at all; smaller asks for light in rows that are not
 /// seen (docs/design/032).
 const SEEN: f64 = 0.01;
@@ -24,23 +27,21 @@ impl<T: Scalar> RollingShutter<T> {
     /// enough, and for operators that convolve whole planes.
     ///
     /// The sensitivity `s` of a row is the root mean square length of the columns of `A` of its voxels, and its factor
-    /// `(s_max/s)^0.8`, with `s_max` the largest one of its bin.
+    /// `(s_max/s)^p`, with `s_max` the largest one of its bin. `p` is 0 in bins whose rows are all seen well, and rises to 0.8 where
+    /// the weakest row has a fifth of the largest sensitivity.
     #[must_use]
     pub fn equilibrated(&self) -> Option<Self> {
         if self.convolves_planes() {
             return None;
         }
-        let mut ratios = self.sensitivity_of_rows();
-        for bin in ratios.chunks_exact_mut(self.video.rows) {
-            let largest = bin.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-            bin.iter_mut().for_each(|s| *s /= largest);
-        }
-        if !ratios.iter().any(|ratio| (SEEN..WEAK).contains(ratio)) {
+        let mut factors = self.sensitivity_of_rows();
+        let bins = factors.chunks_exact_mut(self.video.rows);
+        let is_even = bins.fold(true, |is_even, bin| !equilibrate(bin) && is_even);
+        if is_even {
             return None;
         }
-        let factor = |ratio: &f64| ratio.max(SEEN).powf(-POWER) as f32;
         Some(Self {
-            row_scales: Some(ratios.iter().map(factor).collect()),
+            row_scales: Some(factors.iter().map(|f| *f as f32).collect()),
             video: self.video,
             time: self.time.clone(),
             geometry: self.geometry.clone(),
@@ -141,6 +142,18 @@ impl<T: Scalar> RollingShutter<T> {
             }
         }
     }
+}
+
+/// Replaces the sensitivities of a bin's rows by their factors; returns whether one is not 1.
+fn equilibrate(rows: &mut [f64]) -> bool {
+    let largest = rows.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    rows.iter_mut().for_each(|s| *s /= largest);
+    let seen = rows.iter().copied().filter(|ratio| *ratio >= SEEN);
+    let weakest = seen.fold(1.0, f64::min);
+    let power = POWER * ((EVEN - weakest) / (EVEN - WEAK)).clamp(0.0, 1.0);
+    rows.iter_mut()
+        .for_each(|ratio| *ratio = ratio.max(SEEN).powf(-power));
+    power > 0.0
 }
 
 /// `Σ_x p(y, x)²` of each row of a layer's PSF.
@@ -280,7 +293,7 @@ mod tests {
     fn a_row_that_is_not_seen_gets_no_larger_factor_than_the_dimmest_seen_one() {
         let camera = row_by_row(12, 5, Shutter::TopDown);
         // Light reaches four rows.
-        let operator = RollingShutter::new(&camera, narrow_psf(9, 9, 6.0, 1));
+        let operator = RollingShutter::new(&camera, narrow_psf(9, 9, 3.0, 1));
         let equilibrated = operator.equilibrated().expect("rows are seen weakly");
         let largest = SEEN.powf(-POWER) as f32;
         assert_eq!(equilibrated.row_scale(0, 11), largest);

@@ -17,6 +17,8 @@ use tracing::info;
 
 /// Most iterations of a check; fewer compare a video that has not settled.
 pub(super) const CHECK_ITERATIONS: usize = 100;
+/// The same where some rows of the video are seen weakly (docs/design/032).
+const CHECK_ITERATIONS_OF_WEAK_ROWS: usize = 200;
 /// Iteration at which a check may end early; smaller judges a video that has not taken shape.
 pub(super) const FIRST_CHECK_ITERATION: usize = 30;
 /// Iterations between two such moments; larger ends checks later.
@@ -139,6 +141,11 @@ impl Problem {
         };
         let settings = self.options.solver_settings().of_a_trial();
         let mut run = HeldOutRun::new(&mut self.data, prior, rule, settings);
+        let last = if self.data.has_weakly_seen_rows() {
+            CHECK_ITERATIONS_OF_WEAK_ROWS
+        } else {
+            CHECK_ITERATIONS
+        };
         let mut until = FIRST_CHECK_ITERATION;
         let mut errors = Vec::new();
         let (mut was_wide, mut explained_nothing) = (false, false);
@@ -152,7 +159,7 @@ impl Problem {
             let is_dense = is_wide && was_wide && until >= FIRST_DENSE_ITERATION;
             was_wide = is_wide;
             let is_done = check.held_out_rms < error || self.is_explained(&check);
-            let is_over = has_converged || is_dense || until >= CHECK_ITERATIONS;
+            let is_over = has_converged || is_dense || until >= last;
             // Once alone, a bin may just have been opened.
             let explains_nothing = self.explains_nothing(&check);
             let is_hopeless = explains_nothing && explained_nothing;

@@ -187,6 +187,11 @@ impl FrameData {
         !self.shutter().time().is_disjoint()
     }
 
+    /// Whether the frame sees some rows of some bins weakly, see [`RollingShutter::equilibrated`].
+    pub fn has_weakly_seen_rows(&self) -> bool {
+        self.system.foreground_operator().is_equilibrated()
+    }
+
     /// The shape of the video.
     pub fn video_shape(&self) -> Shape {
         self.shutter().video_shape()
