@@ -366,9 +366,12 @@ fn ctrl_c_ends_a_large_run_within_a_second() {
         "[camera]\nrows = 256\ncolumns = 256\nshutter = \"dual-inside-out\"\nrow_time_us = 9.6\nexposure_us = 9.6\n",
     );
     lab.done("simulate experiment.toml --scene digits -o sim");
+    lab.done("simulate experiment.toml --scene digits --seed 2 -o other");
     let prior = "--prior tv+0.5*tdiff+support";
+    // With the PSF of another diffuser searches follow the check.
+    let searching = "--psf other/psf.npy";
     let short = "--self-calibrate off --keep-all-pixels --max-iterations 30";
-    let moments = [("check of the model", ""), ("iterations, ", short)];
+    let moments = [("check of the model", searching), ("iterations, ", short)];
     for (i, (moment, options)) in moments.into_iter().enumerate() {
         let arguments =
             format!("sim/experiment.toml --frame sim/frame.npy {prior} {options} -o out{i}");

@@ -15,12 +15,12 @@ use rowburst_core::vecmath::norm_squared;
 const POWER: f64 = 0.8;
 /// Sensitivity of a bin's weakest row over its largest one from which the bin has no factors; larger changes frames whose
 /// rows are all seen well (docs/design/032).
-const EVEN: f64 = 0.4;
+const EVEN: f64 = 0.3;
 /// The same up to which it has the whole [`POWER`]; smaller leaves light at the wrong place (docs/design/032).
 const WEAK: f64 = 0.2;
 /// Sensitivity of a row over the largest one of its bin from which it is seen at all; smaller asks for light in rows that are not
 /// seen (docs/design/032).
-const SEEN: f64 = 0.01;
+const SEEN: f64 = 0.05;
 
 impl<T: Scalar> RollingShutter<T> {
     /// `A D`, with `D` a factor of at least 1 for each row of each bin; `None` where the rows of all bins are seen well

@@ -138,6 +138,17 @@ impl Options {
         check_tuning(self.tuning)
     }
 
+    /// The data term of a frame. With a given `τ` the objective is that of the video itself. Where rows share bins and the
+    /// noise follows the light, factors of rows would add degrees of freedom that dark pixels cannot test (docs/design/032).
+    fn frame_data(&self, model: &Model, measurement: &Measurement) -> FrameData {
+        let rows_share_bins = !model.operator().time().is_disjoint();
+        if self.tau.given().is_some() || rows_share_bins && measurement.noise().is_some() {
+            FrameData::unscaled(model, measurement)
+        } else {
+            FrameData::new(model, measurement)
+        }
+    }
+
     fn solver_settings(&self) -> SolverSettings {
         SolverSettings {
             max_iterations: self.max_iterations,
@@ -365,7 +376,7 @@ impl Problem {
             prior.check_bins(camera.video_shape().bins)?;
         }
         model.cancel().check()?;
-        let data = FrameData::new(model, measurement);
+        let data = options.frame_data(model, measurement);
         model.cancel().check()?;
         info!(
             "set up a frame: σ {sigma:.4e} counts {}, {} usable pixels",

@@ -20,7 +20,7 @@
 //! ([`rowburst_solve::prox::SumPrior`]). `background` alone is a scene at rest: one picture in all bins.
 //!
 //! Where some rows of a bin are seen far more weakly than others, `R` acts on `D⁻¹v` in place of `v`, but for priors with a
-//! background ([`RollingShutter::equilibrated`](rowburst_optics::RollingShutter::equilibrated)).
+//! background and a given `τ` ([`RollingShutter::equilibrated`](rowburst_optics::RollingShutter::equilibrated)).
 //!
 //! Neumann: the difference beyond the last row, column or bin is zero.
 

@@ -119,6 +119,11 @@ impl FrameData {
         )
     }
 
+    /// The same for videos as they are, on which a prior of given `τ` acts.
+    pub fn unscaled(model: &Model, measurement: &Measurement) -> Self {
+        Self::with_operator(model, model.shutter(), measurement, Precision::Adaptive)
+    }
+
     /// The same with f64 blocks from the start, for videos as they are.
     pub fn with_f64_blocks(model: &Model, measurement: &Measurement) -> Self {
         Self::with_operator(model, model.shutter(), measurement, Precision::Double)

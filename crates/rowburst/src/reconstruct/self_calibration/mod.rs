@@ -20,7 +20,6 @@ pub use parameters::ModelParameter;
 pub use request::SelfCalibration;
 
 use super::Observer;
-use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Options, Prior, Problem, RunResult};
 use calibrator::Calibrator;
@@ -304,7 +303,7 @@ impl Problem {
         self.camera = calibration.corrected_camera(&self.camera);
         let model = Model::new(&self.camera, calibration.psfs.clone());
         let model = model.with_cancel(self.data.cancel());
-        self.data = FrameData::new(&model, &self.measurement);
+        self.data = self.options.frame_data(&model, &self.measurement);
         self.calibration = Some(calibration);
         self.exclude(excluded);
     }
