@@ -15,9 +15,9 @@ use rowburst_core::vecmath::norm_squared;
 const POWER: f64 = 0.8;
 /// Sensitivity of a bin's weakest row over its largest one from which the bin has no factors; larger changes frames whose
 /// rows are all seen well (docs/design/032).
-const EVEN: f64 = 0.3;
+const UNSCALED_FROM: f64 = 0.3;
 /// The same up to which it has the whole [`POWER`]; smaller leaves light at the wrong place (docs/design/032).
-const WEAK: f64 = 0.2;
+const FULL_POWER_TO: f64 = 0.2;
 /// Sensitivity of a row over the largest one of its bin from which it is seen at all; smaller asks for light in rows that are not
 /// seen (docs/design/032).
 const SEEN: f64 = 0.05;
@@ -150,7 +150,8 @@ fn equilibrate(rows: &mut [f64]) -> bool {
     rows.iter_mut().for_each(|s| *s /= largest);
     let seen = rows.iter().copied().filter(|ratio| *ratio >= SEEN);
     let weakest = seen.fold(1.0, f64::min);
-    let power = POWER * ((EVEN - weakest) / (EVEN - WEAK)).clamp(0.0, 1.0);
+    let power =
+        POWER * ((UNSCALED_FROM - weakest) / (UNSCALED_FROM - FULL_POWER_TO)).clamp(0.0, 1.0);
     rows.iter_mut()
         .for_each(|ratio| *ratio = ratio.max(SEEN).powf(-power));
     power > 0.0
