@@ -16,6 +16,10 @@ const MAX_BLOCK_SIZE: usize = 4096;
 /// Bytes of all blocks above which none are built; larger allows exact steps on larger sensors (docs/design/004).
 const MAX_GRAM_BYTES: usize = 4 << 30;
 
+/// Measurements of an instant from which its rows may have factors; fewer leave the place of light to the prior
+/// (docs/design/032).
+const MIN_PLACING: usize = 64;
+
 /// Copies of the video in f32 that a reconstruction holds at its peak, beside the blocks.
 const VIDEO_COPIES: usize = 8;
 
@@ -62,7 +66,10 @@ impl Model {
         let (rows, columns) = shutter.frame_shape();
         // A pixel halfway between the middle and the edge of the sensor stands for a typical one.
         let row = camera.sensor_rows().nth(rows / 4);
-        let equilibrated = shutter.equilibrated().map(Arc::new);
+        let mut rows_of_instants = shutter.rows_of_instants().iter();
+        let places_light = rows_of_instants.any(|rows| rows.len() * columns >= MIN_PLACING);
+        let equilibrated = places_light.then(|| shutter.equilibrated()).flatten();
+        let equilibrated = equilibrated.map(Arc::new);
         let row = row.expect("a frame has rows");
         let scale_of = |operator: &RollingShutter| {
             let power = operator.pixel_power(row, columns / 4);
