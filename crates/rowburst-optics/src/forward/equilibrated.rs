@@ -36,8 +36,8 @@ impl<T: Scalar> RollingShutter<T> {
         }
         let mut factors = self.sensitivity_of_rows();
         let bins = factors.chunks_exact_mut(self.video.rows);
-        let is_even = bins.fold(true, |is_even, bin| !equilibrate(bin) && is_even);
-        if is_even {
+        bins.for_each(equilibrate);
+        if factors.iter().all(|factor| *factor == 1.0) {
             return None;
         }
         Some(Self {
@@ -144,8 +144,8 @@ impl<T: Scalar> RollingShutter<T> {
     }
 }
 
-/// Replaces the sensitivities of a bin's rows by their factors; returns whether one is not 1.
-fn equilibrate(rows: &mut [f64]) -> bool {
+/// Replaces the sensitivities of a bin's rows by their factors.
+fn equilibrate(rows: &mut [f64]) {
     let largest = rows.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     rows.iter_mut().for_each(|s| *s /= largest);
     let seen = rows.iter().copied().filter(|ratio| *ratio >= SEEN);
@@ -154,7 +154,6 @@ fn equilibrate(rows: &mut [f64]) -> bool {
         POWER * ((UNSCALED_FROM - weakest) / (UNSCALED_FROM - FULL_POWER_TO)).clamp(0.0, 1.0);
     rows.iter_mut()
         .for_each(|ratio| *ratio = ratio.max(SEEN).powf(-power));
-    power > 0.0
 }
 
 /// `Σ_x p(y, x)²` of each row of a layer's PSF.
