@@ -405,7 +405,12 @@ fn print_whole(summary: &ReconstructionSummary, trace_lines: &[String]) {
         print_line(format_args!("prior: {}", summary.prior_choice.reason));
     }
     if let Some(found) = &summary.self_calibration {
-        print_line(format_args!("corrected by the frame: {found}"));
+        let by = if found.held_out_before.is_some() {
+            "by the frame"
+        } else {
+            "PSF"
+        };
+        print_line(format_args!("corrected {by}: {found}"));
     }
     print_line(&summary.certificate);
     if summary.fit == Verdict::Good.name() {

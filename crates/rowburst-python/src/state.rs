@@ -15,8 +15,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rowburst::measurement::Measurement;
 use rowburst::reconstruct::{
-    Calibration, Candidate, Choice, Fit, FitStatistics, FoundParameter, ModelParameter, Options,
-    Prior, Reconstruction, SigmaSource, Tau, TrimmedChiSquared, Verdict,
+    Calibration, Candidate, Choice, Fit, FitStatistics, FoundParameter, HeldOutErrors,
+    ModelParameter, Options, Prior, Reconstruction, SigmaSource, Tau, TrimmedChiSquared, Verdict,
 };
 use rowburst::solve::{Certificate, StopReason};
 use rowburst::{Cancel, Image, Video};
@@ -93,7 +93,9 @@ pub fn of_completed<'py>(
                 parameters,
                 calibration.row_offsets.clone(),
                 calibration.psf_refinement,
-                (calibration.held_out_before, calibration.held_out_after),
+                calibration
+                    .held_out
+                    .map(|errors| (errors.before, errors.after)),
             )
         }),
     )?;
@@ -390,8 +392,13 @@ fn to_reconstruction(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Reconst
 
 /// The correction of PSF and camera, which `task` has been given.
 fn to_calibration(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Option<Calibration>> {
-    type Stored = (Vec<(String, f64, f64)>, Vec<f64>, Option<f64>, (f64, f64));
-    let Some((parameters, row_offsets, psf_refinement, (before, after))) =
+    type Stored = (
+        Vec<(String, f64, f64)>,
+        Vec<f64>,
+        Option<f64>,
+        Option<(f64, f64)>,
+    );
+    let Some((parameters, row_offsets, psf_refinement, held_out)) =
         entry(state, "calibration")?.extract::<Option<Stored>>()?
     else {
         return Ok(None);
@@ -410,8 +417,7 @@ fn to_calibration(state: &Bound<'_, PyDict>, task: &Task) -> PyResult<Option<Cal
         psfs: task.psfs.clone(),
         gain: to_weights(state, "pixel_gain")?.unwrap_or_default(),
         offset: to_weights(state, "pixel_offset")?.unwrap_or_default(),
-        held_out_before: before,
-        held_out_after: after,
+        held_out: held_out.map(|(before, after)| HeldOutErrors { before, after }),
         residual_before: optional_entry(state, "residual_before")?
             .map(|value| finite_image(&value, "residual_before"))
             .transpose()?,

@@ -200,20 +200,14 @@ fn paragraph(result: &Value, entries: &[(&str, &str)]) -> String {
         short(number("residual_over_sigma")),
         words("fit"),
     );
-    if result["self_calibration"].is_object() {
+    let calibration = &result["self_calibration"];
+    let error = |name: &str| calibration[name].as_f64().map(short);
+    if let (Some(before), Some(after)) = (error("held_out_before"), error("held_out_after")) {
         text += &format!(
-            " Point-spread function and camera were corrected by the frame itself; the error at held-out pixels fell from {} σ to {} σ.",
-            short(
-                result["self_calibration"]["held_out_before"]
-                    .as_f64()
-                    .unwrap_or(f64::NAN)
-            ),
-            short(
-                result["self_calibration"]["held_out_after"]
-                    .as_f64()
-                    .unwrap_or(f64::NAN)
-            ),
+            " Point-spread function and camera were corrected by the frame itself; the error at held-out pixels fell from {before} σ to {after} σ."
         );
+    } else if calibration.is_object() {
+        text += " The even light in the dark part of the captured point-spread function was taken away from all of it.";
     }
     text
 }

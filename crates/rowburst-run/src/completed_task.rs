@@ -394,8 +394,13 @@ impl CompletedTask {
         }
         if let Some(found) = &reconstruction.calibration {
             let numbers = CalibrationNumbers::new(found);
+            let what = if found.held_out.is_some() {
+                "the frame has corrected its PSF and camera"
+            } else {
+                "the PSF has even light under it, the black level of its capture, which was taken away"
+            };
             warnings.push(format!(
-                "the frame has corrected its PSF and camera: {numbers}; {CORRECTED_PSF} is the PSF for the next frames"
+                "{what}: {numbers}; {CORRECTED_PSF} is the PSF for the next frames"
             ));
         }
         if let Some(guide) = self.guide.as_ref().filter(|guide| !guide.numbers.used) {

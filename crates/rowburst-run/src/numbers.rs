@@ -194,13 +194,7 @@ fn calibration_settings(summary: &ReconstructionSummary) -> Vec<(String, String)
     let Some(found) = &summary.self_calibration else {
         return vec![pair("self-calibration", "nothing was corrected".into())];
     };
-    let mut lines = vec![pair(
-        "self-calibration",
-        format!(
-            "held-out error {:.2} σ before, {:.2} σ after",
-            found.held_out_before, found.held_out_after
-        ),
-    )];
+    let mut lines = vec![pair("self-calibration", found.evidence())];
     let parameters = found.lines().into_iter();
     lines.extend(parameters.map(|(name, value)| (format!("  {name}"), value)));
     lines

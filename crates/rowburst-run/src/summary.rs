@@ -128,10 +128,10 @@ pub struct CalibrationNumbers {
     pub row_offsets_counts: Option<Vec<f64>>,
     /// Rms change of the PSF's pixels by its refinement over the PSF's rms; null where it was not refined.
     pub psf_refinement: Option<f64>,
-    /// Root mean square of the held-out residuals over σ before.
-    pub held_out_before: f64,
+    /// Root mean square of the held-out residuals over σ before; null where the correction was read from the PSF alone.
+    pub held_out_before: Option<f64>,
     /// The same after.
-    pub held_out_after: f64,
+    pub held_out_after: Option<f64>,
 }
 
 /// A parameter that was found.
@@ -158,8 +158,18 @@ impl CalibrationNumbers {
             parameters: parameters.collect(),
             row_offsets_counts: (!rows.is_empty()).then(|| rows.clone()),
             psf_refinement: calibration.psf_refinement,
-            held_out_before: calibration.held_out_before,
-            held_out_after: calibration.held_out_after,
+            held_out_before: calibration.held_out.map(|errors| errors.before),
+            held_out_after: calibration.held_out.map(|errors| errors.after),
+        }
+    }
+
+    /// The evidence for it.
+    pub fn evidence(&self) -> String {
+        match (self.held_out_before, self.held_out_after) {
+            (Some(before), Some(after)) => {
+                format!("held-out error {before:.2} σ before, {after:.2} σ after")
+            }
+            _ => "read from the dark part of the PSF".into(),
         }
     }
 
@@ -195,13 +205,7 @@ impl fmt::Display for CalibrationNumbers {
             .iter()
             .map(|(name, value)| format!("{name} {value}"))
             .collect();
-        write!(
-            f,
-            "{} (held-out error {:.2} σ before, {:.2} σ after)",
-            found.join(", "),
-            self.held_out_before,
-            self.held_out_after
-        )
+        write!(f, "{} ({})", found.join(", "), self.evidence())
     }
 }
 

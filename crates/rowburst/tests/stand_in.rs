@@ -9,7 +9,7 @@ use rowburst::camera::CameraParams;
 use rowburst::linop::LinearOperator;
 use rowburst::measurement::{self, Corrections, Measurement};
 use rowburst::metrics::psnr_db;
-use rowburst::reconstruct::{Options, Problem, Reconstruction, SelfCalibration};
+use rowburst::reconstruct::{ModelParameter, Options, Problem, Reconstruction, SelfCalibration};
 use rowburst::{Camera, Image, Psf, RollingShutter, Sensor, Shutter, Video};
 use std::ops::ControlFlow;
 
@@ -202,4 +202,71 @@ fn the_default_is_as_good_as_the_best_choice_by_hand() {
             "seed {seed}: {psnr:.2} dB, by hand {best:.2} dB"
         );
     }
+}
+
+/// PSNR after the best factor on the video, in dB: a floor under the PSF makes it darker.
+fn scaled_psnr_db(video: &Video, truth: &Video) -> f64 {
+    let product = |a: &[f32], b: &[f32]| -> f64 {
+        let pairs = a.iter().zip(b);
+        pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    };
+    let factor = product(video.data(), truth.data()) / product(video.data(), video.data());
+    let scaled: Vec<f32> = video.data().iter().map(|v| v * factor as f32).collect();
+    psnr_db(&scaled, truth.data())
+}
+
+/// A dense scene is explained by a PSF with a floor, and by light that flickers from row to row, as well as by the right model.
+#[test]
+fn a_floor_under_the_psf_and_banding_are_taken_away() {
+    let mut case = StandIn::new(1);
+    let solve = |case: &StandIn, self_calibration| {
+        let measurement = Measurement::new(case.frame.clone()).unwrap();
+        let options = Options {
+            self_calibration,
+            ..Options::default()
+        };
+        case.solve(&measurement, options)
+    };
+    let right = case.psnr(&solve(&case, SelfCalibration::AUTO));
+    let step = case.psf.image().max() / 255.0;
+    let (psf, floor) = (case.psf.image(), 25.0 * step);
+    let lifted = Image::from_fn(ROWS, COLUMNS, |y, x| psf.at(y, x) + floor);
+    let mean =
+        lifted.data().iter().map(|v| f64::from(*v)).sum::<f64>() / lifted.data().len() as f64;
+    case.psf = Psf::new(lifted).unwrap();
+    let banding: Vec<f32> = StandardNormal
+        .sample_iter(Pcg64::seed_from_u64(9))
+        .take(ROWS)
+        .collect();
+    case.frame = Image::from_fn(ROWS, COLUMNS, |y, x| {
+        let value = case.frame.at(y, x);
+        if is_planted(y, x) {
+            value
+        } else {
+            (value + banding[y]).round().max(0.0)
+        }
+    });
+    let found = solve(&case, SelfCalibration::AUTO);
+    let calibration = found.calibration.as_ref().expect("a correction");
+    let [floor_found] = calibration.parameters[..] else {
+        panic!("{:?}", calibration.parameters);
+    };
+    assert_eq!(floor_found.parameter, ModelParameter::Floor);
+    assert!((floor_found.value * mean / f64::from(floor) - 1.0).abs() < 0.05);
+    let (mut product, mut powers) = (0.0, (0.0, 0.0));
+    for (found, planted) in calibration.row_offsets.iter().zip(&banding) {
+        let planted = f64::from(*planted);
+        product += found * planted;
+        powers = (powers.0 + found * found, powers.1 + planted * planted);
+    }
+    let correlation = product / (powers.0 * powers.1).sqrt();
+    let off = scaled_psnr_db(&solve(&case, SelfCalibration::OFF).video, &case.truth);
+    let found = scaled_psnr_db(&found.video, &case.truth);
+    println!("right {right:.2}, off {off:.2}, found {found:.2} dB, correlation {correlation:.3}");
+    assert!(correlation > 0.65, "{correlation}");
+    assert!(
+        found > right - 3.0,
+        "{found} dB, {right} dB with the right model"
+    );
+    assert!(found > off + 3.0, "{found} dB, {off} dB without");
 }

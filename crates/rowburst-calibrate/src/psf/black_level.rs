@@ -41,10 +41,35 @@ pub(super) fn estimate_black_level(image: &Image) -> BlackLevel {
     }
 }
 
-/// Mean of the darkest cells, if they hold noise: neighbouring pixels of noise are
+/// The level of the part of `image` without light, in its unit, where that is even: a twentieth of the image or more has it to
+/// within noise. Smooth light falls off towards the edges and is not even. `None`: no part is, or it is too small to tell.
+#[must_use]
+pub fn even_floor(image: &Image) -> Option<f64> {
+    let level = unlit_level(image)?;
+    let side = cell_side(image);
+    let allowed = MAX_DEVIATION * noise_of(image) / side as f64 + MAX_ROUNDING * level;
+    let means = image.binned(side);
+    let even = means.data().iter();
+    let even = even.filter(|mean| (f64::from(**mean) - level).abs() <= allowed);
+    let part = even.count() as f64 / means.data().len() as f64;
+    (part >= MIN_EVEN_PART).then_some(level)
+}
+
+/// Part of the image that has the level of its darkest cells, where that is a floor.
+const MIN_EVEN_PART: f64 = 0.05;
+
+/// Standard errors by which the mean of a cell may differ from that level.
+const MAX_DEVIATION: f64 = 3.0;
+
+/// Side in pixels of the cells that are looked through for an unlit one.
+fn cell_side(image: &Image) -> usize {
+    (image.rows().min(image.columns()) / CELLS).max(4)
+}
+
+/// Mean of the darkest cells, if they are even or hold noise alone: neighbouring pixels of noise are
 /// independent, those of speckle alike.
 fn unlit_level(image: &Image) -> Option<f64> {
-    let side = (image.rows().min(image.columns()) / CELLS).max(4);
+    let side = cell_side(image);
     if image.rows() < 4 * side || image.columns() < 4 * side {
         return None;
     }
@@ -66,14 +91,19 @@ fn unlit_level(image: &Image) -> Option<f64> {
         }
     }
     let pixels = (order.len() * side * (side - 1)) as f64;
-    let noise = shared < MAX_NEIGHBOUR_CORRELATION * variance
+    let is_noise = shared < MAX_NEIGHBOUR_CORRELATION * variance
         && variance / pixels < MAX_CELL_VARIANCE_RATIO * variance_of(image);
-    noise.then_some(level)
+    // Single precision rounds even cells.
+    let is_even = variance / pixels <= (MAX_ROUNDING * level).powi(2);
+    (is_noise || is_even).then_some(level)
 }
 
 /// Correlation of neighbouring pixels above which a cell is lit: grains of two pixels
 /// have 0.5.
 const MAX_NEIGHBOUR_CORRELATION: f64 = 0.25;
+
+/// Standard deviation of a cell against its mean up to which it is even.
+const MAX_ROUNDING: f64 = 1e-5;
 
 /// Variance of an unlit cell against that of the whole image: fine speckle has alike ones.
 const MAX_CELL_VARIANCE_RATIO: f64 = 0.1;

@@ -24,7 +24,7 @@ mod reach;
 mod statistics;
 
 pub use ballistic::{Core, ballistic_core};
-pub use black_level::{BlackLevel, DenoisedLight, noise_of, suppress_noise};
+pub use black_level::{BlackLevel, DenoisedLight, even_floor, noise_of, suppress_noise};
 pub use memory::{MemoryEffect, PositionedCapture, memory_effect};
 pub use merge::{MergeParams, NamedCapture, PointSourceImage, merge};
 pub use pinhole::{SharpenedCapture, pinhole_inverse, pinhole_transfer, without_pinhole};

@@ -36,7 +36,7 @@ pub use model::Model;
 pub use prior::Prior;
 use rowburst_core::error::Subject;
 pub use self_calibration::{
-    Calibration, FoundParameter, ModelParameter, SelfCalibration, calibrate,
+    Calibration, FoundParameter, HeldOutErrors, ModelParameter, SelfCalibration, calibrate,
 };
 pub use sequence::Sequence;
 pub use sigma::estimate_sigma;
@@ -58,7 +58,7 @@ use tracing::info;
 /// Revision of the algorithm. Every change that alters the numbers for the same input raises it by
 /// one, also within a version of the program. An archive of many frames is not continued with another
 /// revision.
-pub const ALGORITHM_REVISION: u32 = 30;
+pub const ALGORITHM_REVISION: u32 = 31;
 
 /// Thirds of the iterations that may find `τ` before its factor applies; larger leaves fewer for the final `τ`.
 const TAU_SEARCH_THIRDS: usize = 2;
@@ -223,6 +223,8 @@ pub struct Problem {
     /// A shutter of another kind that explains the frame, which the camera's does not.
     other_shutter: Option<Shutter>,
     sigma_source: SigmaSource,
+    /// The PSF without the floor that its capture shows, with which all else is found.
+    psf_floor: Option<Calibration>,
     calibration: Option<Calibration>,
     /// Smooth stray light, which was taken away from `measurement`.
     stray_light: Option<StrayLight>,
@@ -396,6 +398,7 @@ impl Problem {
             has_wrong_model: false,
             other_shutter: None,
             sigma_source,
+            psf_floor: None,
             calibration: None,
             stray_light: None,
             tau_factor: 1.0,
@@ -552,7 +555,7 @@ impl Problem {
             excluded,
             coverage,
             sigma_source: self.sigma_source,
-            calibration: self.calibration.clone(),
+            calibration: self.whole_calibration(),
             stray_light,
             iterations: solution.iterations,
             stop_reason: solution.stop_reason,

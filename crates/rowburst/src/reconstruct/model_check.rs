@@ -6,7 +6,8 @@ use super::choose;
 use super::exclusion::count;
 use super::foreign::{self, BrokenLines, Foreign};
 use super::held_out_check::{CHECK_ITERATIONS, EFFECTIVE_SIGMA, HeldOutCheck};
-use super::self_calibration::Finding;
+use super::held_out_run::HeldOutRun;
+use super::self_calibration::{Finding, HeldOutErrors};
 use super::{Prior, Problem, RunResult, SigmaSource, Tau, stray_light};
 use rowburst_core::vecmath::norm;
 use rowburst_optics::Shutter;
@@ -48,6 +49,10 @@ const NEARLY_EXPLAINED: f64 = 2.0;
 /// are foreign; larger looks for them where PSF or camera are wrong.
 const FEW_PIXELS_SCALE: f64 = 0.33;
 
+/// Held-out error less offsets of the rows over that before, above which they are not believed; smaller asks for a gain that the
+/// video of a dense scene, which has absorbed them, does not show.
+const MAX_RISE: f64 = 1.02;
+
 /// What is wrong with a frame whose pixels are not.
 enum Cause {
     StrayLight,
@@ -66,7 +71,7 @@ impl Problem {
         if !self.is_checked() {
             return Ok(());
         }
-        let (mut check, run) = self.held_out_run(0.0, prior, observer)?;
+        let (mut check, run) = self.check_without_psf_floor(prior, observer)?;
         let mut run = Some(run);
         let is_global = *self.camera.shutter() == Shutter::Global;
         if is_global && !self.is_explained(&check) {
@@ -79,6 +84,11 @@ impl Problem {
         }
         if self.is_explained(&check) && !self.options.self_calibration.is_on() {
             info!("the model explains the frame");
+            match self.subtract_row_offsets(&check, prior, observer) {
+                Ok(Some((_, corrected))) => run = Some(corrected),
+                Ok(None) => {}
+                Err(stopped) => return Err(self.stopped_after(run, stopped)),
+            }
             (self.passed_check, self.checked_run) = (true, run);
             return Ok(());
         }
@@ -86,6 +96,15 @@ impl Problem {
             self.last_check = Some(Box::new(run.into_result(&self.data)));
         }
         check = self.correct_model(check, prior, observer)?;
+        self.opens(&mut prior);
+        match self.subtract_row_offsets(&check, prior, observer) {
+            Ok(Some((corrected, run))) => {
+                check = corrected;
+                self.last_check = Some(Box::new(run.into_result(&self.data)));
+            }
+            Ok(None) => {}
+            Err(stopped) => return Err(self.stopped_after(None, stopped)),
+        }
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {
@@ -96,6 +115,96 @@ impl Problem {
             info!("effective σ {:.4e} counts", self.effective_sigma);
         }
         Ok(())
+    }
+
+    /// The result of a run that was stopped while `run` or [`Self::last_check`] is a better one.
+    fn stopped_after(
+        &mut self,
+        run: Option<HeldOutRun>,
+        stopped: Box<RunResult>,
+    ) -> Box<RunResult> {
+        let finished = run.map(|run| Box::new(run.into_result(&self.data)));
+        match finished.or_else(|| self.last_check.take()) {
+            Some(mut result) => {
+                result.solution.stop_reason = stopped.solution.stop_reason;
+                result
+            }
+            None => stopped,
+        }
+    }
+
+    /// The check of the model. Where the PSF shows a floor, that is subtracted, unless only the PSF as given explains the frame.
+    fn check_without_psf_floor(
+        &mut self,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<(HeldOutCheck, HeldOutRun), Box<RunResult>> {
+        let Some(floor) = self.find_psf_floor() else {
+            return self.held_out_run(0.0, prior, observer);
+        };
+        let corrected_data = self.data_with(floor.psfs.clone());
+        let given_data = std::mem::replace(&mut self.data, corrected_data);
+        info!(
+            "the PSF has a floor of {:.3} of its mean",
+            floor.parameters[0].value
+        );
+        let sigma = self.sigma;
+        self.psf_floor = Some(floor);
+        if self.sigma_source == SigmaSource::HeldOut {
+            // The floor has disturbed the noise level.
+            self.resolve_tau_rule(observer)?;
+        }
+        let corrected = self.held_out_run(0.0, prior, observer)?;
+        if self.is_explained(&corrected.0) {
+            return Ok(corrected);
+        }
+        let is_dense = std::mem::take(&mut self.is_dense);
+        let corrected_data = std::mem::replace(&mut self.data, given_data);
+        let corrected_sigma = std::mem::replace(&mut self.sigma, sigma);
+        self.effective_sigma = sigma;
+        let stopped = match self.held_out_run(0.0, prior, observer) {
+            Ok(as_given) if self.is_explained(&as_given.0) => {
+                self.psf_floor = None;
+                return Ok(as_given);
+            }
+            as_given => as_given.err(),
+        };
+        self.data = corrected_data;
+        (self.sigma, self.effective_sigma) = (corrected_sigma, corrected_sigma);
+        self.is_dense = is_dense;
+        match stopped {
+            Some(stopped) => Err(self.stopped_after(Some(corrected.1), stopped)),
+            None => Ok(corrected),
+        }
+    }
+
+    /// Subtracts offsets of the rows from the frame of a dense scene, where held-out pixels confirm them; `before` is the last
+    /// check of the model. Returns the check with them; `None`: there are none.
+    fn subtract_row_offsets(
+        &mut self,
+        before: &HeldOutCheck,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Option<(HeldOutCheck, HeldOutRun)>, Box<RunResult>> {
+        let Some(mut calibration) = self.find_row_offsets(before, observer)? else {
+            return Ok(None);
+        };
+        let given = self.measurement.clone();
+        self.set_measurement(calibration.corrected(&given));
+        let checked = self.held_out_run(0.0, prior, observer);
+        if let Ok((after, _)) = &checked
+            && after.held_out_rms < MAX_RISE * before.held_out_rms
+        {
+            calibration.held_out = Some(HeldOutErrors {
+                before: before.held_out_rms / self.sigma,
+                after: after.held_out_rms / self.sigma,
+            });
+            self.calibration = Some(calibration);
+            return checked.map(Some);
+        }
+        info!("the offsets of the rows are not confirmed");
+        self.set_measurement(given);
+        checked.map(|_| None)
     }
 
     /// Where the scene is dense and no prior is given, sets `prior` to the one that assumes least. Returns whether it did.
@@ -112,7 +221,8 @@ impl Problem {
     fn effective_sigma_after(&self, check: &HeldOutCheck) -> f64 {
         let refined = self.calibration.as_ref();
         let refined = refined.filter(|calibration| calibration.psf_refinement.is_some());
-        let left = refined.map_or(0.0, |calibration| calibration.held_out_after * self.sigma);
+        let left = refined.and_then(|calibration| calibration.held_out);
+        let left = left.map_or(0.0, |errors| errors.after * self.sigma);
         if self.is_explained(check) {
             (EXPLAINED_SIGMA * left).max(self.sigma)
         } else {

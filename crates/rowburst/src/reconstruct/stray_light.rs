@@ -165,7 +165,7 @@ impl Problem {
     }
 
     /// Replaces the frame by one with other counts and the same weights.
-    fn set_measurement(&mut self, measurement: Measurement) {
+    pub(super) fn set_measurement(&mut self, measurement: Measurement) {
         self.measurement = measurement;
         let kept = self.measurement.without(&self.excluded);
         self.data.set_noise(kept.noise().cloned());

@@ -13,7 +13,7 @@ use super::search::{
     BLUR_STEPS, JUDGED_ITERATIONS, LOOSE_ITERATIONS, Proposal, Search, confirming, judging,
 };
 use super::step::{Free, step};
-use super::{Calibration, Finding, FoundParameter};
+use super::{Calibration, Finding, FoundParameter, HeldOutErrors};
 use rowburst_optics::TimingChange;
 use tracing::debug;
 
@@ -260,7 +260,10 @@ impl Search<'_, '_, '_> {
         let held_out = |trials: &[Trial]| {
             held_out::rms(&[judging(trials), confirming(trials)].concat()) / sensor_sigma
         };
-        let held_out_after = held_out(&after);
+        let held_out = HeldOutErrors {
+            before: held_out(&before),
+            after: held_out(&after),
+        };
         let light_before = match &before[..] {
             [before] => Some(before.data.light(&before.video)),
             _ => None,
@@ -277,12 +280,12 @@ impl Search<'_, '_, '_> {
                 psfs,
                 gain,
                 offset,
-                held_out_before: held_out(&before),
-                held_out_after,
+                held_out: Some(held_out),
                 residual_before: None,
             },
             light_before,
-            explains: held_out_after < EXPLAINED,
+            held_out,
+            explains: held_out.after < EXPLAINED,
         }))
     }
 

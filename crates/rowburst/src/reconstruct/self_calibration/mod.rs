@@ -10,9 +10,11 @@ mod calibrator;
 mod decision;
 mod parameters;
 mod psf_error;
+mod psf_floor;
 mod psf_model;
 mod refine;
 mod request;
+mod row_offsets;
 mod search;
 mod step;
 
@@ -20,6 +22,7 @@ pub use parameters::ModelParameter;
 pub use request::SelfCalibration;
 
 use super::Observer;
+use super::frame_data::FrameData;
 use super::held_out_check::HeldOutCheck;
 use super::{Model, Options, Prior, Problem, RunResult};
 use calibrator::Calibrator;
@@ -36,7 +39,7 @@ use search::{Proposal, Search};
 use std::ops::ControlFlow;
 use tracing::info;
 
-/// A correction of PSF and camera that held-out pixels have confirmed.
+/// A correction of PSF and camera, which held-out pixels have confirmed or the PSF itself shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// The parameters that differ from what was given.
@@ -51,12 +54,10 @@ pub struct Calibration {
     pub gain: Vec<f32>,
     /// Stray light of each pixel, `[y, x]`, in counts.
     pub offset: Vec<f32>,
-    /// Root mean square of the residuals of held-out pixels over the noise of the sensor, of the best reconstruction without
-    /// a correction.
-    pub held_out_before: f64,
-    /// The same after.
-    pub held_out_after: f64,
-    /// `W(b − A v)/σ` of the frame, `[y, x]`, of the best reconstruction without a correction; `None`: of several frames.
+    /// Errors of held-out pixels; `None`: the correction was read from the PSF alone.
+    pub held_out: Option<HeldOutErrors>,
+    /// `W(b − A v)/σ` of the frame, `[y, x]`, of the best reconstruction without a correction; `None`: of several frames,
+    /// and where only the PSF's floor or offsets of rows were subtracted.
     pub residual_before: Option<Image>,
 }
 
@@ -81,7 +82,16 @@ impl Calibration {
     }
 }
 
-/// A parameter that the frame has told.
+/// Root mean squares of the residuals of held-out pixels over the noise of the sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeldOutErrors {
+    /// Of the best reconstruction without a correction.
+    pub before: f64,
+    /// Of that with it.
+    pub after: f64,
+}
+
+/// A parameter that the frame, or the PSF itself, has told.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FoundParameter {
     /// Which one.
@@ -112,6 +122,8 @@ pub(super) struct Finding {
     pub calibration: Calibration,
     /// `A v` at all pixels of the best reconstruction without a correction; `None`: there are several frames.
     pub light_before: Option<Vec<f32>>,
+    /// Errors of held-out pixels.
+    pub held_out: HeldOutErrors,
     /// Whether the model then explains the frames.
     pub explains: bool,
 }
@@ -119,7 +131,7 @@ pub(super) struct Finding {
 impl Finding {
     /// Error of held-out pixels after the correction over that before.
     pub fn error_ratio(&self) -> f64 {
-        self.calibration.held_out_after / self.calibration.held_out_before
+        self.held_out.after / self.held_out.before
     }
 }
 
@@ -171,9 +183,9 @@ impl Frames<'_> {
         }
         let finding = search.confirm(&found, given.error, anchor.is_some())?;
         match &finding {
-            Some(Finding { calibration, .. }) => info!(
+            Some(Finding { held_out, .. }) => info!(
                 "self-calibration: confirmed, held-out error {:.3} σ before and {:.3} σ after",
-                calibration.held_out_before, calibration.held_out_after
+                held_out.before, held_out.after
             ),
             None => info!("self-calibration: not confirmed"),
         }
@@ -183,29 +195,43 @@ impl Frames<'_> {
 
 /// One correction of PSF and camera from several frames of the same camera, which tell more than one. `None`: the model
 /// explains them ([`SelfCalibration::AUTO`]), held-out pixels do not confirm a correction, all frames are dense or too
-/// small to tell, or the observer stopped it.
+/// small to tell and the PSF shows no floor, or the observer stopped it.
 ///
 /// # Errors
 /// Those of [`Problem::with_model`].
 pub fn calibrate(
-    model: &Model,
+    given: &Model,
     measurements: &[Measurement],
     options: Options,
     observer: &mut dyn FnMut(&Progress) -> ControlFlow<StopReason>,
 ) -> Result<Option<Calibration>> {
-    let prior = options.prior.unwrap_or(Prior::STANDARD);
-    let mut checks = Vec::new();
-    for measurement in measurements {
-        let mut problem = Problem::with_model(model, measurement, options)?;
-        match problem.check_alone(prior, observer) {
-            Ok(check) => checks.extend(check),
-            Err(_) => return Ok(None),
-        }
-    }
-    let is_explained = checks.iter().all(|check| check.is_explained);
-    if checks.is_empty() || is_explained && !options.self_calibration.is_on() {
+    let asked = options.self_calibration;
+    let mut floor = measurements
+        .first()
+        .and_then(|first| asked.psf_floor(given.psfs(), first.image().data().len()));
+    let without = floor
+        .as_ref()
+        .map(|floor| Model::new(given.camera(), floor.psfs.clone()).with_cancel(given.cancel()));
+    let mut model = without.as_ref().unwrap_or(given);
+    let Some(mut checks) = check_each(model, measurements, options, observer)? else {
+        return Ok(None);
+    };
+    if checks.is_empty() {
         return Ok(None);
     }
+    if floor.is_some() && !are_explained(&checks) {
+        let Some(as_given) = check_each(given, measurements, options, observer)? else {
+            return Ok(None);
+        };
+        if are_explained(&as_given) {
+            (model, checks, floor) = (given, as_given, None);
+        }
+    }
+    checks.retain(|check| !check.is_dense);
+    if checks.is_empty() || are_explained(&checks) && !asked.is_on() {
+        return Ok(floor);
+    }
+    let prior = options.prior.unwrap_or(Prior::STANDARD);
     let rms = |of: fn(&FrameCheck) -> f64| {
         (checks.iter().map(|c| of(c).powi(2)).sum::<f64>() / checks.len() as f64).sqrt()
     };
@@ -216,14 +242,42 @@ pub fn calibrate(
         psfs: model.psfs(),
         sigma: rms(|check| check.sigma),
         held_out_error: rms(|check| check.held_out_error),
-        correctable: options.self_calibration.correctable,
+        correctable: asked.correctable,
         measurements: &checks
             .into_iter()
             .map(|check| check.measurement)
             .collect::<Vec<_>>(),
     };
-    let finding = frames.calibrate(prior, observer);
-    Ok(finding.ok().flatten().map(|finding| finding.calibration))
+    let Ok(finding) = frames.calibrate(prior, observer) else {
+        return Ok(None);
+    };
+    Ok(match (floor, finding) {
+        (Some(floor), Some(finding)) => Some(floor.followed_by(finding.calibration)),
+        (floor, finding) => finding.map(|finding| finding.calibration).or(floor),
+    })
+}
+
+/// The check of each frame that can tell; `None`: the observer stopped one.
+fn check_each(
+    model: &Model,
+    measurements: &[Measurement],
+    options: Options,
+    observer: &mut Observer,
+) -> Result<Option<Vec<FrameCheck>>> {
+    let prior = options.prior.unwrap_or(Prior::STANDARD);
+    let mut checks = Vec::new();
+    for measurement in measurements {
+        let mut problem = Problem::with_model(model, measurement, options)?;
+        match problem.check_alone(prior, observer) {
+            Ok(check) => checks.extend(check),
+            Err(_) => return Ok(None),
+        }
+    }
+    Ok(Some(checks))
+}
+
+fn are_explained(checks: &[FrameCheck]) -> bool {
+    checks.iter().all(|check| check.is_explained)
 }
 
 /// How well the model as given explains a frame.
@@ -233,6 +287,7 @@ struct FrameCheck {
     sigma: f64,
     held_out_error: f64,
     is_explained: bool,
+    is_dense: bool,
 }
 
 impl Problem {
@@ -252,11 +307,12 @@ impl Problem {
             self.exclude(found.pixels);
             check = self.held_out_check(prior, observer)?;
         }
-        Ok((!self.is_dense).then(|| FrameCheck {
+        Ok(Some(FrameCheck {
             measurement: self.measurement.without(&self.excluded),
             sigma: self.sigma,
             held_out_error: check.held_out_rms,
             is_explained: self.is_explained(&check),
+            is_dense: self.is_dense,
         }))
     }
 
@@ -281,6 +337,28 @@ impl Problem {
         frames.calibrate(prior, observer)
     }
 
+    /// The frame with `psfs`.
+    pub(super) fn data_with(&self, psfs: PatchSet) -> FrameData {
+        let model = Model::new(&self.camera, psfs).with_cancel(self.data.cancel());
+        self.options.frame_data(&model, &self.measurement)
+    }
+
+    /// The PSF without the floor that it shows, where a floor may be corrected.
+    pub(super) fn find_psf_floor(&self) -> Option<Calibration> {
+        let pixels = self.measurement.image().data().len();
+        let asked = self.options.self_calibration;
+        asked.psf_floor(self.data.psfs(), pixels)
+    }
+
+    /// All that was corrected of PSF and camera.
+    pub(super) fn whole_calibration(&self) -> Option<Calibration> {
+        match (&self.psf_floor, &self.calibration) {
+            (Some(floor), Some(found)) => Some(floor.followed_by(found.clone())),
+            (Some(only), None) | (None, Some(only)) => Some(only.clone()),
+            (None, None) => None,
+        }
+    }
+
     /// Applies a correction to PSF and frame, with the pixels `excluded` left out.
     pub(super) fn apply_correction(&mut self, finding: Finding, excluded: Vec<bool>) {
         let mut calibration = finding.calibration;
@@ -301,9 +379,7 @@ impl Problem {
         });
         self.measurement = calibration.corrected(&self.measurement);
         self.camera = calibration.corrected_camera(&self.camera);
-        let model = Model::new(&self.camera, calibration.psfs.clone());
-        let model = model.with_cancel(self.data.cancel());
-        self.data = self.options.frame_data(&model, &self.measurement);
+        self.data = self.data_with(calibration.psfs.clone());
         self.calibration = Some(calibration);
         self.exclude(excluded);
     }

@@ -1,7 +1,9 @@
 //! When a frame corrects its PSF and its camera, and what of them.
 
+use super::Calibration;
 use super::parameters::{COUNT, ModelParameter};
 use rowburst_core::{Error, Parameter, Result};
+use rowburst_optics::PatchSet;
 use std::fmt;
 use std::str::FromStr;
 
@@ -132,6 +134,17 @@ impl SelfCalibration {
     /// Whether smooth stray light is looked for where the model does not explain the frame.
     pub(in crate::reconstruct) fn finds_stray_light(self) -> bool {
         !self.is_off() && self.correctable.smooth_stray_light
+    }
+
+    /// The PSF without the floor that it shows, where that may be corrected; for frames of so many pixels.
+    pub(in crate::reconstruct) fn psf_floor(
+        self,
+        psfs: &PatchSet,
+        pixels: usize,
+    ) -> Option<Calibration> {
+        let may_change = !self.is_off() && self.correctable.has(ModelParameter::Floor);
+        let floor = || Calibration::of_psf_floor(psfs, pixels);
+        may_change.then(floor).flatten()
     }
 
     /// Whether corrections are looked for where the model explains the frame, too.
