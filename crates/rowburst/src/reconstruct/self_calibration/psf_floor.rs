@@ -21,7 +21,7 @@ impl Calibration {
         let [psf] = psfs.psfs() else {
             return None;
         };
-        let floor = floor_of(psf).filter(|floor| floor.value > MIN_FLOOR)?;
+        let floor = shown_floor(psf).filter(|floor| floor.value > MIN_FLOOR)?;
         Some(Self {
             psfs: PatchSet::from(&without(psf, floor.value)?),
             parameters: vec![floor],
@@ -68,7 +68,7 @@ fn without(psf: &Psf, floor: f64) -> Option<Psf> {
 }
 
 /// The floor of a PSF over its mean; `None` where no part of it is unlit.
-fn floor_of(psf: &Psf) -> Option<FoundParameter> {
+fn shown_floor(psf: &Psf) -> Option<FoundParameter> {
     let image = psf.image();
     let mean = 1.0 / image.data().len() as f64;
     even_floor(image).map(|level| {
