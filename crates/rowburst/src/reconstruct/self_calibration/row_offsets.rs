@@ -20,7 +20,7 @@ use tracing::info;
 /// The prior of the reconstructions: without a still part they follow banding, or leave what moves.
 const PRIOR: &str = "tv+2*tdiff+background";
 /// Their noise level over that of the sensor; smaller follows banding, larger leaves more of the scene.
-const LEVEL: f64 = 3.5;
+const NOISE_LEVEL: f64 = 3.5;
 /// Their iterations; fewer leave more of the scene.
 const ITERATIONS: usize = 100;
 /// Rows on each side of a row whose mean is that of the scene; more leave more of the scene in the offsets.
@@ -75,7 +75,7 @@ impl Problem {
     fn loose_fit(&self, observer: &mut Observer) -> Result<LooseFit, Box<RunResult>> {
         let prior: Prior = PRIOR.parse().expect("a prior");
         let rule = TauRule::Discrepancy {
-            sigma: LEVEL * self.sigma,
+            sigma: NOISE_LEVEL * self.sigma,
         };
         let settings = self.options.solver_settings().of_a_search();
         // The runs of the problem go on from their own data.
