@@ -84,27 +84,15 @@ impl Problem {
         }
         if self.is_explained(&check) && !self.options.self_calibration.is_on() {
             info!("the model explains the frame");
-            match self.subtract_row_offsets(&check, prior, observer) {
-                Ok(Some((_, corrected))) => run = Some(corrected),
-                Ok(None) => {}
-                Err(stopped) => return Err(self.stopped_after(run, stopped)),
-            }
+            self.subtract_row_offsets(&mut check, &mut run, prior, observer)?;
             (self.passed_check, self.checked_run) = (true, run);
             return Ok(());
         }
-        if let Some(run) = run {
-            self.last_check = Some(Box::new(run.into_result(&self.data)));
-        }
+        self.keep_as_result(run.take());
         check = self.correct_model(check, prior, observer)?;
         self.opens(&mut prior);
-        match self.subtract_row_offsets(&check, prior, observer) {
-            Ok(Some((corrected, run))) => {
-                check = corrected;
-                self.last_check = Some(Box::new(run.into_result(&self.data)));
-            }
-            Ok(None) => {}
-            Err(stopped) => return Err(self.stopped_after(None, stopped)),
-        }
+        self.subtract_row_offsets(&mut check, &mut run, prior, observer)?;
+        self.keep_as_result(run);
         let is_estimated =
             self.options.noise_sigma.is_none() && self.sigma_source != SigmaSource::HeldOut;
         if is_estimated {
@@ -117,14 +105,16 @@ impl Problem {
         Ok(())
     }
 
-    /// The result of a run that was stopped while `run` or [`Self::last_check`] is a better one.
-    fn stopped_after(
-        &mut self,
-        run: Option<HeldOutRun>,
-        stopped: Box<RunResult>,
-    ) -> Box<RunResult> {
-        let finished = run.map(|run| Box::new(run.into_result(&self.data)));
-        match finished.or_else(|| self.last_check.take()) {
+    /// Keeps the result of a check, the last user of `data`, for a run that is stopped before it has a better one.
+    fn keep_as_result(&mut self, check: Option<HeldOutRun>) {
+        if let Some(check) = check {
+            self.last_check = Some(Box::new(check.into_result(&self.data)));
+        }
+    }
+
+    /// The last check as the result of a run that was `stopped` before it was better.
+    fn last_check_or(&mut self, stopped: Box<RunResult>) -> Box<RunResult> {
+        match self.last_check.take() {
             Some(mut result) => {
                 result.solution.stop_reason = stopped.solution.stop_reason;
                 result
@@ -173,38 +163,53 @@ impl Problem {
         (self.sigma, self.effective_sigma) = (corrected_sigma, corrected_sigma);
         self.is_dense = is_dense;
         match stopped {
-            Some(stopped) => Err(self.stopped_after(Some(corrected.1), stopped)),
+            Some(stopped) => {
+                self.keep_as_result(Some(corrected.1));
+                Err(self.last_check_or(stopped))
+            }
             None => Ok(corrected),
         }
     }
 
-    /// Subtracts offsets of the rows from the frame of a dense scene, where held-out pixels confirm them; `before` is the last
-    /// check of the model. Returns the check with them; `None`: there are none.
+    /// Subtracts offsets of the rows from the frame of a dense scene, where held-out pixels confirm them. `check` is the last one
+    /// of the model, and `run` its run if `data` has had no other since: both are then those of the corrected frame. Where
+    /// offsets were tried in vain there is no run.
     fn subtract_row_offsets(
         &mut self,
-        before: &HeldOutCheck,
+        check: &mut HeldOutCheck,
+        run: &mut Option<HeldOutRun>,
         prior: Prior,
         observer: &mut Observer,
-    ) -> Result<Option<(HeldOutCheck, HeldOutRun)>, Box<RunResult>> {
-        let Some(mut calibration) = self.find_row_offsets(before, observer)? else {
-            return Ok(None);
+    ) -> Result<(), Box<RunResult>> {
+        let found = self.find_row_offsets(check, observer);
+        let Ok(Some(mut calibration)) = found else {
+            return found.map(|_| ()).map_err(|stopped| {
+                self.keep_as_result(run.take());
+                self.last_check_or(stopped)
+            });
         };
+        self.keep_as_result(run.take());
         let given = self.measurement.clone();
         self.set_measurement(calibration.corrected(&given));
-        let checked = self.held_out_run(0.0, prior, observer);
-        if let Ok((after, _)) = &checked
-            && after.held_out_rms < MAX_RISE * before.held_out_rms
-        {
-            calibration.held_out = Some(HeldOutErrors {
-                before: before.held_out_rms / self.sigma,
-                after: after.held_out_rms / self.sigma,
-            });
-            self.calibration = Some(calibration);
-            return checked.map(Some);
+        match self.held_out_run(0.0, prior, observer) {
+            Ok((after, corrected)) if after.held_out_rms < MAX_RISE * check.held_out_rms => {
+                calibration.held_out = Some(HeldOutErrors {
+                    before: check.held_out_rms / self.sigma,
+                    after: after.held_out_rms / self.sigma,
+                });
+                self.calibration = Some(calibration);
+                (*check, *run) = (after, Some(corrected));
+                Ok(())
+            }
+            tried => {
+                info!("the offsets of the rows are not confirmed");
+                self.set_measurement(given);
+                match tried {
+                    Ok(_) => Ok(()),
+                    Err(stopped) => Err(self.last_check_or(stopped)),
+                }
+            }
         }
-        info!("the offsets of the rows are not confirmed");
-        self.set_measurement(given);
-        checked.map(|_| None)
     }
 
     /// Where the scene is dense and no prior is given, sets `prior` to the one that assumes least. Returns whether it did.

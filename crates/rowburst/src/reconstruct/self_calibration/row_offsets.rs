@@ -182,7 +182,7 @@ impl Rows {
         }
     }
 
-    /// Whether offsets of the rows explain it, and light of the scene does not.
+    /// Whether the offsets are clear of noise, and are not light of the scene.
     fn are_banded(&self) -> bool {
         let size = held_out::rms(&self.offsets) / self.standard_error.max(f64::MIN_POSITIVE);
         info!(
