@@ -29,12 +29,24 @@ const EARLY_READMISSION: f64 = 0.4;
 /// Fall of the held-out error in another round at the same level, in parts of it, below which the next one is not worth its
 /// time; larger misses faint foreign pixels.
 const MIN_FALL: f64 = 0.03;
-/// Factors on that limit at the end, one after the other: where many pixels are excluded, the video predicts them poorly.
+/// Factors on that limit at the end: where many pixels are excluded, the video predicts them poorly.
 const READMISSIONS: [f64; 3] = [4.0, 1.0, 1.0];
 /// Part of the pixels that come back below which another check is not worth its time.
 const FEW_PIXELS: f64 = 1e-4;
 /// Held-out error over that before above which a readmission is undone.
 const READMISSION_ERROR_RATIO: f64 = 1.02;
+
+/// What the rounds do besides judging single pixels.
+#[derive(Clone, Copy)]
+pub(super) struct Rounds<'a> {
+    /// Whether each pixel is in a broken line: these stay out.
+    pub broken: &'a [bool],
+    /// Whether a row whose instant does not settle is left out as a whole.
+    pub leaves_rows_out: bool,
+    /// Factors on the limit of a residual below which a pixel comes back at the end, one after the other.
+    pub readmissions: &'a [f64],
+}
+
 impl Problem {
     /// Leaves the pixels `found` out, and others that prove to be foreign; takes those back that the video predicts, if
     /// it predicts held-out ones better than with all pixels (`with_all`).
@@ -46,32 +58,17 @@ impl Problem {
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
-        let (mut level, mut excluded) = (found.level, found.pixels);
-        let few = negligible_count(&excluded);
-        let mut check = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
-        let predicts_better = self.is_explained(&check) || check.held_out_rms < with_all;
-        let mut undone = None;
-        // Pixels with which the last rounds at the noise of the sensor began: they would be the same again.
-        let mut last_start = None;
-        for factor in READMISSIONS.into_iter().filter(|_| predicts_better) {
-            let before = self.excluded.clone();
-            excluded = self.without_predicted(&check, factor, broken);
-            let is_last_level = level < LAST_LEVEL_RATIO * self.sigma;
-            let start = is_last_level.then(|| excluded.clone());
-            let is_same = undone == Some(factor) || (is_last_level && start == last_start);
-            if is_same || count(&before) - count(&excluded) <= few {
-                continue;
-            }
-            last_start = start;
-            let was_explained = self.is_explained(&check);
-            let next = self.exclude_from_level(&mut level, excluded, broken, prior, observer)?;
-            let is_better = next.held_out_rms <= READMISSION_ERROR_RATIO * check.held_out_rms;
-            if self.is_explained(&next) || (!was_explained && is_better) {
-                check = next;
-            } else {
-                self.exclude(before);
-                undone = Some(factor);
-            }
+        let rounds = Rounds {
+            broken,
+            leaves_rows_out: true,
+            readmissions: &READMISSIONS,
+        };
+        let mut level = found.level;
+        let mut check =
+            self.exclude_from_level(&mut level, found.pixels, rounds, prior, observer)?;
+        if self.is_explained(&check) || check.held_out_rms < with_all {
+            check = self.readmit(check, &mut level, rounds, prior, observer)?;
+            check = self.retry_covered_rows(check, broken, prior, observer)?;
         }
         if !self.is_explained(&check) {
             // The effective noise level is that of a plain fit to the noise of the sensor.
@@ -81,20 +78,56 @@ impl Problem {
         Ok(check)
     }
 
+    /// Takes those pixels back that the video of `check` predicts, unless the model then explains the frame less well.
+    pub(super) fn readmit(
+        &mut self,
+        mut check: HeldOutCheck,
+        level: &mut f64,
+        rounds: Rounds,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        let few = negligible_count(&self.excluded);
+        let mut undone = None;
+        // Pixels with which the last rounds at the noise of the sensor began: they would be the same again.
+        let mut last_start = None;
+        for &factor in rounds.readmissions {
+            let before = self.excluded.clone();
+            let excluded = self.without_predicted(&check, factor, rounds.broken);
+            let is_last_level = *level < LAST_LEVEL_RATIO * self.sigma;
+            let start = is_last_level.then(|| excluded.clone());
+            let is_same = undone == Some(factor) || (is_last_level && start == last_start);
+            if is_same || count(&before) - count(&excluded) <= few {
+                continue;
+            }
+            last_start = start;
+            let was_explained = self.is_explained(&check);
+            let next = self.exclude_from_level(level, excluded, rounds, prior, observer)?;
+            let is_better = next.held_out_rms <= READMISSION_ERROR_RATIO * check.held_out_rms;
+            if self.is_explained(&next) || (!was_explained && is_better) {
+                check = next;
+            } else {
+                self.exclude(before);
+                undone = Some(factor);
+            }
+        }
+        Ok(check)
+    }
+
     /// Checks the model without the pixels `excluded`, at the noise level `level` and then at smaller ones down to that
     /// of the sensor, as long as the video reaches them. Leaves further pixels out that prove to be foreign. A fit to
     /// the noise of the sensor at once would absorb them. Where only some instants keep the video from a level, the check is
     /// repeated without their most doubtful rows, see [`Residual::unsettled_rows`].
-    fn exclude_from_level(
+    pub(super) fn exclude_from_level(
         &mut self,
         level: &mut f64,
         mut excluded: Vec<bool>,
-        broken: &[bool],
+        rounds: Rounds,
         prior: Prior,
         observer: &mut Observer,
     ) -> Result<HeldOutCheck, Box<RunResult>> {
         // At the same level, one after the other.
-        let mut rounds = 0;
+        let mut repeats = 0;
         let mut last_error = f64::INFINITY;
         loop {
             self.exclude(excluded);
@@ -106,7 +139,10 @@ impl Problem {
             if is_last_level && self.is_explained(&check) {
                 return Ok(check);
             }
-            let (new, unsettled_rows) = self.judge_pixels(&check, 1.0);
+            let (new, mut unsettled_rows) = self.judge_pixels(&check, 1.0);
+            if !rounds.leaves_rows_out {
+                unsettled_rows.fill(false);
+            }
             let added = new.iter().zip(&self.excluded).filter(|(n, e)| **n && !**e);
             // In a dense scene each round finds a few others.
             let is_complete = added.count()
@@ -125,17 +161,17 @@ impl Problem {
             );
             excluded = self.excluded.clone();
             if !is_last_level && check.residual_rms <= MAX_RESIDUAL * *level {
-                (rounds, last_error) = (0, f64::INFINITY);
+                (repeats, last_error) = (0, f64::INFINITY);
                 *level = (LEVEL_RATIO * *level).max(self.sigma);
                 if *level < READMISSION_LEVEL * self.sigma {
-                    excluded = self.without_predicted(&check, EARLY_READMISSION, broken);
+                    excluded = self.without_predicted(&check, EARLY_READMISSION, rounds.broken);
                 }
             } else {
-                rounds += 1;
+                repeats += 1;
                 let falls = check.held_out_rms < (1.0 - MIN_FALL) * last_error;
                 // A wrong PSF keeps the video from the level at all instants alike.
                 let can_settle = is_last_level || unsettled_rows.contains(&true);
-                if is_complete || !falls || !can_settle || rounds >= MAX_ROUNDS {
+                if is_complete || !falls || !can_settle || repeats >= MAX_ROUNDS {
                     return Ok(check);
                 }
                 last_error = check.held_out_rms;
@@ -161,7 +197,7 @@ impl Problem {
     }
 
     /// The same, and those of [`Residual::unsettled_rows`].
-    fn judge_pixels(&self, check: &HeldOutCheck, factor: f64) -> (Vec<bool>, Vec<bool>) {
+    pub(super) fn judge_pixels(&self, check: &HeldOutCheck, factor: f64) -> (Vec<bool>, Vec<bool>) {
         let weights = self.measurement.weights();
         let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
         let weigh = |values: &[f32]| -> Vec<f32> {
@@ -190,7 +226,7 @@ impl Problem {
 
     /// As [`Problem::held_out_check`], at the noise level `level` and with the influence of large residuals bounded: foreign
     /// pixels that are not found yet disturb their whole instant otherwise. Ends once the video reaches the level.
-    fn robust_check(
+    pub(super) fn robust_check(
         &mut self,
         level: f64,
         prior: Prior,
@@ -252,7 +288,7 @@ fn add(mask: &mut [bool], others: &[bool]) {
 }
 
 /// Number of pixels that are not worth another check.
-fn negligible_count(mask: &[bool]) -> usize {
+pub(super) fn negligible_count(mask: &[bool]) -> usize {
     (FEW_PIXELS * mask.len() as f64) as usize
 }
 

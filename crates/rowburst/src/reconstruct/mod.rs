@@ -7,6 +7,7 @@
 mod checkpoint;
 mod choose;
 mod chunked;
+mod covered_rows;
 mod data_step;
 mod exclusion;
 mod fit;

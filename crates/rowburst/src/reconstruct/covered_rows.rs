@@ -1,0 +1,284 @@
+//! Rows that were left out as a whole, since a caption covers a part of them and it is not known which.
+//!
+//! Such a row is left out where its pixels keep the video of its instant from settling, see [`Residual::unsettled_rows`].
+//! The other row of the instant may be too few measurements for a video that predicts any of its pixels, so none comes
+//! back. But printed letters are brighter or darker than most of the scene's light. The search starts with a part of the
+//! row, its brightest pixels and then its darkest, reconstructs, and keeps more and more of those pixels that the video
+//! predicts best, as least trimmed squares do (Rousseeuw and Van Driessen 2006). What the video explains comes back
+//! (docs/design/020).
+//!
+//! [`Residual::unsettled_rows`]: super::foreign::Residual::unsettled_rows
+
+use super::exclusion::{Rounds, count, negligible_count};
+use super::held_out_check::{HeldOutCheck, MAX_RESIDUAL};
+use super::{Observer, Prior, Problem, RunResult};
+use tracing::debug;
+
+/// Part of a row's pixels above which it counts as left out as a whole; smaller tries rows again whose instant is known.
+const COVERED_PART: f64 = 0.8;
+/// Residual of the check over `σ` above which no row is tried: there is something else that the video does not explain.
+const MAX_RESIDUAL_BEFORE: f64 = 5.0;
+/// Parts of a row that are kept, one after the other; finer steps take longer, larger first ones begin with letters.
+const KEPT_PARTS: [f64; 8] = [0.3, 0.3, 0.4, 0.4, 0.5, 0.5, 0.6, 0.7];
+/// Least such part that comes back; a video absorbs fewer pixels whatever they are.
+const MIN_KEPT: f64 = 0.3;
+/// Noise level of these steps over `σ`; larger tells the scene's pixels less well, smaller absorbs those of a caption.
+const SEARCH_LEVEL: f64 = 4.0;
+/// Residual of an instant over that level from which on the video does not explain it.
+const MAX_INSTANT_RESIDUAL: f64 = 3.0;
+/// Residual of an instant over `σ` up to which the video explains the pixels that are kept.
+const EXPLAINED: f64 = 1.6;
+/// Most rounds that keep fewer pixels until it does.
+const TRIM_ROUNDS: usize = 8;
+/// Part of the kept pixels of a row that such a round keeps.
+const TRIMMED: f64 = 0.92;
+/// Factors on the limit of a residual below which further pixels come back at the end.
+const READMISSIONS: [f64; 2] = [1.0, 1.0];
+
+/// Pixels of a covered row that may be the scene's.
+#[derive(Clone, Copy, Debug)]
+enum Guess {
+    Brightest,
+    Darkest,
+}
+
+/// A row that is left out as a whole.
+struct CoveredRow {
+    /// Its pixels, without those that have no weight.
+    pixels: Vec<usize>,
+    /// The pixels of all rows of its instant, without those that have no weight.
+    of_instant: Vec<usize>,
+}
+
+impl CoveredRow {
+    /// Keeps the pixels that come first in `order` and leaves the others out.
+    fn keep(&self, kept: usize, order: &[f64], excluded: &mut [bool]) {
+        let mut pixels = self.pixels.clone();
+        pixels.sort_unstable_by(|&i, &j| order[i].total_cmp(&order[j]).then(i.cmp(&j)));
+        let pixels = pixels.into_iter().enumerate();
+        pixels.for_each(|(at, i)| excluded[i] = at >= kept);
+    }
+
+    fn leave_out(&self, excluded: &mut [bool]) {
+        self.pixels.iter().for_each(|&i| excluded[i] = true);
+    }
+
+    fn part(&self, part: f64) -> usize {
+        (part * self.pixels.len() as f64) as usize
+    }
+
+    fn kept_count(&self, excluded: &[bool]) -> usize {
+        self.pixels.iter().filter(|i| !excluded[**i]).count()
+    }
+
+    /// Root mean square of the residuals `sizes` at the pixels of the instant that are not `excluded`.
+    fn residual_rms(&self, sizes: &[f64], excluded: &[bool]) -> f64 {
+        let kept = self.of_instant.iter().filter(|i| !excluded[**i]);
+        let (count, sum) = kept.fold((0, 0.0), |(n, sum), &i| (n + 1, sum + sizes[i].powi(2)));
+        (sum / f64::from(count.max(1))).sqrt()
+    }
+}
+
+impl Problem {
+    /// Tries the rows again that were left out as a whole. Their pixels stay out unless the model then explains the frame
+    /// with more pixels.
+    pub(super) fn retry_covered_rows(
+        &mut self,
+        mut check: HeldOutCheck,
+        broken: &[bool],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        // Where rows share bins each of the checks takes seconds, and no instant has a row of its own.
+        if self.data.is_coupled() {
+            return Ok(check);
+        }
+        for guess in [Guess::Brightest, Guess::Darkest] {
+            let before = self.excluded.clone();
+            let rows = self.covered_rows(&before, broken);
+            if rows.is_empty() || check.residual_rms > MAX_RESIDUAL_BEFORE * self.sigma {
+                break;
+            }
+            let turned = self.turned(&rows, &check);
+            let rows = self.covered_rows(&turned, broken);
+            self.excluded = turned;
+            let (effective_sigma, is_dense) = (self.effective_sigma, self.is_dense);
+            let mut excluded = self.with_more_pixels(guess, &rows, prior, observer)?;
+            self.trim(&mut excluded, &rows, prior, observer)?;
+            let next = self.settle(excluded, &rows, broken, prior, observer)?;
+            let is_better = next.residual_rms <= MAX_RESIDUAL * self.sigma
+                && count(&self.excluded) + negligible_count(&before) < count(&before);
+            debug!(
+                "{} covered rows from their {guess:?} pixels on: {} pixels left out instead of {}, residual {:.3} σ",
+                rows.len(),
+                count(&self.excluded),
+                count(&before),
+                next.residual_rms / self.sigma
+            );
+            self.is_dense = is_dense;
+            if is_better {
+                check = next;
+            } else {
+                self.exclude(before);
+                self.effective_sigma = effective_sigma;
+            }
+        }
+        Ok(check)
+    }
+
+    /// Rows of which most pixels are left out, without broken lines, where another row of the instant is kept.
+    fn covered_rows(&self, excluded: &[bool], broken: &[bool]) -> Vec<CoveredRow> {
+        let instants = self.camera.instants();
+        let columns = self.excluded.len() / instants.len();
+        let weights = self.measurement.weights();
+        let pixels_of = |row: usize| {
+            let pixels = row * columns..(row + 1) * columns;
+            pixels.filter(|&i| weights.is_none_or(|w| w[i] > 0.0))
+        };
+        let part = |row: usize, mask: &[bool]| {
+            let in_mask = pixels_of(row).filter(|&i| mask[i]).count();
+            in_mask as f64 / pixels_of(row).count().max(1) as f64
+        };
+        let is_covered = |row: usize| part(row, excluded) > COVERED_PART;
+        let of_instant =
+            |row: usize| (0..instants.len()).filter(move |&o| instants[o] == instants[row]);
+        (0..instants.len())
+            .filter(|&row| is_covered(row) && part(row, broken) < COVERED_PART)
+            .filter(|&row| of_instant(row).any(|other| !is_covered(other)))
+            .map(|row| CoveredRow {
+                pixels: pixels_of(row).collect(),
+                of_instant: of_instant(row).flat_map(pixels_of).collect(),
+            })
+            .collect()
+    }
+
+    /// The excluded pixels, where the instant of a row has not settled without it, with the other rows of the instant in
+    /// its place: these may have the caption.
+    fn turned(&self, rows: &[CoveredRow], check: &HeldOutCheck) -> Vec<bool> {
+        let mut excluded = self.excluded.clone();
+        if check.residual_rms <= MAX_RESIDUAL * self.sigma {
+            return excluded;
+        }
+        let (_, unsettled) = self.judge_pixels(check, 1.0);
+        for row in rows.iter().filter(|row| unsettled[row.pixels[0]]) {
+            row.of_instant.iter().for_each(|&i| excluded[i] = true);
+            row.pixels.iter().for_each(|&i| excluded[i] = false);
+        }
+        excluded
+    }
+
+    /// The excluded pixels without those of `rows` that a video explains best which was found from `guess` on.
+    fn with_more_pixels(
+        &mut self,
+        guess: Guess,
+        rows: &[CoveredRow],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Vec<bool>, Box<RunResult>> {
+        let sign = match guess {
+            Guess::Brightest => -1.0,
+            Guess::Darkest => 1.0,
+        };
+        let light = self.measurement.image().data().iter();
+        let mut order: Vec<f64> = light.map(|b| sign * f64::from(*b)).collect();
+        let (mut best, mut excluded) = (self.excluded.clone(), self.excluded.clone());
+        rows.iter().for_each(|row| row.leave_out(&mut best));
+        let mut least = vec![MAX_INSTANT_RESIDUAL * SEARCH_LEVEL * self.sigma; rows.len()];
+        for part in KEPT_PARTS {
+            for row in rows {
+                row.keep(row.part(part), &order, &mut excluded);
+            }
+            order = self.residuals_without(&excluded, SEARCH_LEVEL, prior, observer)?;
+            for (row, least) in rows.iter().zip(&mut least) {
+                let residual = row.residual_rms(&order, &excluded);
+                if part > MIN_KEPT && residual < *least {
+                    *least = residual;
+                    row.pixels.iter().for_each(|&i| best[i] = excluded[i]);
+                }
+            }
+        }
+        Ok(best)
+    }
+
+    /// Adds those pixels of `rows` to `excluded` that keep a video from explaining the others to the noise of the sensor.
+    fn trim(
+        &mut self,
+        excluded: &mut [bool],
+        rows: &[CoveredRow],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<(), Box<RunResult>> {
+        let mut rest: Vec<&CoveredRow> = rows.iter().collect();
+        rest.retain(|row| row.kept_count(excluded) > 0);
+        for _ in 0..TRIM_ROUNDS {
+            if rest.is_empty() {
+                break;
+            }
+            let sizes = self.residuals_without(excluded, 1.0, prior, observer)?;
+            rest.retain(|row| row.residual_rms(&sizes, excluded) > EXPLAINED * self.sigma);
+            for row in &rest {
+                let kept = TRIMMED * row.kept_count(excluded) as f64;
+                row.keep(kept as usize, &sizes, excluded);
+            }
+        }
+        rest.iter().for_each(|row| row.leave_out(excluded));
+        Ok(())
+    }
+
+    /// Checks the model without the pixels `excluded`, judges all pixels again, and leaves those of `rows` out as a whole
+    /// whose instant has not settled.
+    fn settle(
+        &mut self,
+        mut excluded: Vec<bool>,
+        rows: &[CoveredRow],
+        broken: &[bool],
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<HeldOutCheck, Box<RunResult>> {
+        // These stay out.
+        let mut broken = broken.to_vec();
+        loop {
+            let rounds = Rounds {
+                broken: &broken,
+                leaves_rows_out: false,
+                readmissions: &READMISSIONS,
+            };
+            let mut level = self.sigma;
+            let check = self.exclude_from_level(&mut level, excluded, rounds, prior, observer)?;
+            let check = self.readmit(check, &mut level, rounds, prior, observer)?;
+            let (_, unsettled) = self.judge_pixels(&check, 1.0);
+            excluded = self.excluded.clone();
+            let has_failed = |row: &&CoveredRow| {
+                let kept = row.kept_count(&excluded);
+                kept > 0 && (unsettled[row.pixels[0]] || kept < row.part(MIN_KEPT))
+            };
+            let failed: Vec<&CoveredRow> = rows.iter().filter(has_failed).collect();
+            if failed.is_empty() {
+                return Ok(check);
+            }
+            for row in failed {
+                row.leave_out(&mut excluded);
+                row.leave_out(&mut broken);
+            }
+        }
+    }
+
+    /// `|W(b − A v)|`, `[y, x]`, after a reconstruction without the pixels `excluded` at `level` times `σ`.
+    fn residuals_without(
+        &mut self,
+        excluded: &[bool],
+        level: f64,
+        prior: Prior,
+        observer: &mut Observer,
+    ) -> Result<Vec<f64>, Box<RunResult>> {
+        self.exclude(excluded.to_vec());
+        let check = self.robust_check(level * self.sigma, prior, observer)?;
+        let weights = self.measurement.weights();
+        let pairs = self.measurement.image().data().iter().zip(&check.light);
+        let sizes = pairs.enumerate().map(|(i, (b, a))| {
+            let weight = weights.map_or(1.0, |w| w[i]);
+            f64::from(weight * (b - a)).abs()
+        });
+        Ok(sizes.collect())
+    }
+}
