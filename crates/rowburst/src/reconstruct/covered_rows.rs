@@ -282,3 +282,73 @@ impl Problem {
         Ok(sizes.collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraParams;
+    use crate::linop::LinearOperator;
+    use crate::measurement::Measurement;
+    use crate::noise::Noise;
+    use crate::reconstruct::Options;
+    use crate::simulate::{SpeckleOptics, scene, speckle_psf};
+    use crate::{Camera, Image, RollingShutter, Sensor, Shutter};
+    use std::ops::ControlFlow;
+
+    const ROWS: usize = 64;
+    const COLUMNS: usize = 60;
+    /// With another row of its instant that is read at the same time.
+    const ROW: usize = 20;
+
+    /// Of a row that is left out as a whole, all pixels but those of the letters come back, whether these are dark or bright.
+    #[test]
+    fn a_row_comes_back_without_the_letters_over_it() {
+        let camera = Camera::new(CameraParams {
+            rows: ROWS,
+            columns: COLUMNS,
+            shutter: Shutter::DualInsideOut,
+            row_time_us: 10.0,
+            exposure_us: 10.0,
+            bins_per_row: 1,
+            field: None,
+            sensor: Sensor::default(),
+        })
+        .unwrap();
+        let optics = SpeckleOptics {
+            diffuser_fwhm_deg: 0.6,
+            ..SpeckleOptics::demo()
+        };
+        let psf = speckle_psf(&optics, 2 * ROWS - 1, 2 * COLUMNS - 1, 5).unwrap();
+        let truth = scene::digits(camera.video_shape(), 7, 2).unwrap();
+        let mut light = vec![0.0; ROWS * COLUMNS];
+        RollingShutter::new(&camera, &psf).apply(truth.data(), &mut light);
+        let light = Image::new(ROWS, COLUMNS, light).unwrap();
+        let noise = Noise::Gaussian { snr: 256.0 };
+        let clean = noise.apply(&light, camera.sensor(), 7).unwrap().frame;
+        let is_letter = |y: usize, x: usize| y == ROW && x % 20 < 7;
+        for ink in [0.0, 1.3 * clean.max()] {
+            let at = |y, x| if is_letter(y, x) { ink } else { clean.at(y, x) };
+            let measurement = Measurement::new(Image::from_fn(ROWS, COLUMNS, at)).unwrap();
+            let options = Options {
+                prior: Some(Prior::STANDARD),
+                ..Options::default()
+            };
+            let mut problem = Problem::new(&measurement, &camera, &psf, options).unwrap();
+            let row: Vec<bool> = (0..ROWS * COLUMNS).map(|i| i / COLUMNS == ROW).collect();
+            problem.exclude(row);
+            let observer: &mut Observer = &mut |_| ControlFlow::Continue(());
+            let (sigma, broken) = (problem.sigma, vec![false; ROWS * COLUMNS]);
+            let check = problem.robust_check(sigma, Prior::STANDARD, observer);
+            let check = check.unwrap_or_else(|_| panic!("stopped"));
+            problem
+                .retry_covered_rows(check, &broken, Prior::STANDARD, observer)
+                .unwrap_or_else(|_| panic!("stopped"));
+            let excluded = |x: usize| problem.excluded[ROW * COLUMNS + x];
+            let missed = (0..COLUMNS).filter(|&x| is_letter(ROW, x) && !excluded(x));
+            let others = (0..COLUMNS).filter(|&x| !is_letter(ROW, x) && excluded(x));
+            assert_eq!(missed.count(), 0, "ink {ink}");
+            assert!(others.count() <= 2, "ink {ink}");
+            assert!(count(&problem.excluded) <= 24, "ink {ink}");
+        }
+    }
+}
